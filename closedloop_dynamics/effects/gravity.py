@@ -1,0 +1,46 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Gravity: a uniform field acting at every centre of mass.
+
+    F_i = m_i g        at the centre of mass of every body i
+
+It stores the potential energy ``-sum_i m_i g . p_i``.
+
+"""
+
+from dataclasses import dataclass
+
+from ..mechanism.fields import normalise, vector2
+from ..mechanism.mechanism import Vector2
+
+
+@dataclass(frozen=True)
+class Gravity:
+    """
+    Uniform gravity.
+
+    Attributes
+    ----------
+    acceleration : tuple of 2 floats
+        The vector g in world axes [m/s^2]; ``(0.0, -9.81)`` pulls down.
+
+    """
+
+    acceleration: Vector2
+
+    def __post_init__(self):
+        """Refuse what is no finite vector."""
+        normalise(self, acceleration=vector2)

@@ -1,0 +1,194 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Scenes: which mechanism is simulated, from where, with what effects, and how.
+
+``load_scene('three_rrr')`` reads a shipped scene, ``load_scene('my/scene.yaml')``
+a file. Every error names file and line, key path, what was expected and what was
+got.
+
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from .config import config_directory, shipped_names, shipped_path
+from .effects.registry import EFFECTS
+from .mechanism.document import Document
+from .mechanism.fields import (at, FieldError, keys_of, list_of, mapping, name, NAME_PATTERN,
+                               nearest, number, one_of, shown)
+from .mechanism.mechanism import MechanismError
+from .mechanism.reader import read_mechanism
+from .scene_records import BAUMGARTE, Initial, Method, Scene
+
+__all__ = ['config_directory', 'Initial', 'load_scene', 'load_scene_or_mechanism', 'Method',
+           'Scene', 'scene_names', 'SceneError']
+
+
+class SceneError(ValueError):
+    """A scene that cannot be read or simulated."""
+
+
+def scene_names():
+    """Return the names of the shipped scenes, sorted."""
+    return shipped_names('scenes')
+
+
+def load_scene(name_or_path):
+    """
+    Read a scene.
+
+    Parameters
+    ----------
+    name_or_path : str or pathlib.Path
+        A shipped scene by its name (a single word), or the path of a file.
+
+    Returns
+    -------
+    Scene
+
+    Raises
+    ------
+    SceneError
+        Where there is no such scene, or it or its mechanism is faulty.
+
+    """
+    document = Document(_scene_path(name_or_path), SceneError)
+    with document.errors():
+        return _scene(document)
+
+
+def load_scene_or_mechanism(name_or_path):
+    """
+    Read a scene, or a mechanism where a file or shipped name stands for one.
+
+    Raises
+    ------
+    SceneError, MechanismError
+
+    """
+    if _is_name(name_or_path):
+        if name_or_path not in scene_names() and name_or_path in shipped_names('mechanisms'):
+            return read_mechanism(shipped_path('mechanisms', name_or_path))
+        return load_scene(name_or_path)
+    data = Document(name_or_path, SceneError).data
+    if isinstance(data, Mapping) and 'bodies' in data:
+        return read_mechanism(name_or_path)
+    return load_scene(name_or_path)
+
+
+def _is_name(name_or_path):
+    return isinstance(name_or_path, str) and NAME_PATTERN.fullmatch(name_or_path) is not None
+
+
+def _scene_path(name_or_path):
+    """Return the path of a scene given by name or path."""
+    if not _is_name(name_or_path):
+        return Path(name_or_path)
+    names = scene_names()
+    if name_or_path not in names:
+        raise SceneError(str(FieldError(
+            f'one of {", ".join(names)}, or the path of a YAML file', shown(name_or_path),
+            nearest(name_or_path, names) or f'a file is given as ./{name_or_path}', ('scene',))))
+    return shipped_path('scenes', name_or_path)
+
+
+def _scene(document):
+    """Return the scene that a document describes, or raise FieldError."""
+    data = document.data
+    if isinstance(data, Mapping) and 'bodies' in data:
+        raise FieldError('a scene', 'a mechanism', 'a scene names one under `mechanism`',
+                         ('bodies',))
+    mapping(data, ('mechanism', 'initial'), ('description', 'effects', 'method'))
+    with at('mechanism'):
+        mechanism = _mechanism(data['mechanism'], document.path.parent)
+    with at('initial'):
+        initial = _initial(data['initial'], mechanism.joint_names)
+    with at('effects'):
+        effects = {key: _effect(key, values)
+                   for key, values in _section(data, 'effects').items()}
+    with at('method'):
+        method = _method(_section(data, 'method'))
+    return Scene(document.path.stem, document.path, data.get('description', ''), mechanism,
+                 initial, effects, method)
+
+
+def _section(data, key):
+    """Return an optional mapping; a key with nothing below it counts as absent."""
+    value = data.get(key)
+    return mapping({} if value is None else value)
+
+
+def _mechanism(value, directory):
+    """Return the mechanism that ``value`` names or is the path of."""
+    names = shipped_names('mechanisms')
+    expected = f'one of {", ".join(names)}, or the path of a YAML file'
+    if not isinstance(value, str) or (_is_name(value) and value not in names):
+        raise FieldError(expected, shown(value), nearest(value, names))
+    try:
+        return read_mechanism(
+            shipped_path('mechanisms', value) if value in names else directory / value)
+    except MechanismError as error:
+        raise FieldError('a valid mechanism', f'this error in its file:\n{error}') from None
+
+
+def _initial(value, joints):
+    """Return the initial state for joints of the names given."""
+    mapping(value, ('position',), ('hold', 'velocity'))
+    with at('position'):
+        position = _numbers(mapping(value['position'], joints, ()))
+    with at('hold'):
+        hold = list_of(one_of(joints, 'one of the joints'))(value.get('hold', ()))
+    with at('velocity'):
+        velocity = _numbers(mapping(_section(value, 'velocity'), (), joints))
+        for joint in velocity:
+            if hold and joint not in hold:
+                raise FieldError(f'velocities of held joints only ({", ".join(hold)})',
+                                 f'one of {joint!r}', 'the others follow from the loops; '
+                                 'add the joint to hold, or remove its velocity', (joint,))
+    return Initial(tuple(position[joint] for joint in joints),
+                   tuple(velocity.get(joint, 0.0) for joint in joints), hold)
+
+
+def _numbers(values):
+    """Return a mapping of names to finite numbers."""
+    result = {}
+    for key, value in values.items():
+        with at(key):
+            result[key] = number(value)
+    return result
+
+
+def _effect(key, values):
+    """Return the record of one effect."""
+    with at(key):
+        name(key)
+        mapping(values, ('type',))
+        with at('type'):
+            record_type = EFFECTS[one_of(tuple(EFFECTS), 'one of the effects')(values['type'])]
+        required, optional = keys_of(record_type)
+        values = dict(mapping(values, ['type', *required], optional))
+        del values['type']
+        return record_type(**values)
+
+
+def _method(values):
+    """Return the method of a scene."""
+    method = Method(**mapping(values, *keys_of(Method)))
+    if 'baumgarte_time_constant' in values and method.stabilisation != BAUMGARTE:
+        raise FieldError(f'this key only with stabilisation: {BAUMGARTE}',
+                         f'it with stabilisation: {method.stabilisation}', 'remove it',
+                         ('baumgarte_time_constant',))
+    return method

@@ -1,0 +1,141 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+What a scene is: frozen records that check themselves when built.
+
+"""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Optional, Tuple
+
+from .effects.registry import EFFECTS
+from .mechanism.fields import at, FieldError, list_of, name, normalise, number, one_of
+from .mechanism.fields import positive, shown, text
+from .mechanism.mechanism import Mechanism
+from .mechanism.reader import validate_mechanism
+
+INTEGRATORS = ('semi_implicit_euler', 'rk4')
+BAUMGARTE = 'baumgarte'
+STABILISATIONS = ('none', BAUMGARTE, 'projection')
+FORMULATIONS = ('subsystem', 'system', 'augmented')
+
+
+@dataclass(frozen=True)
+class Initial:
+    """
+    The state that a simulation starts from, before the loops are closed.
+
+    Attributes
+    ----------
+    position : tuple of nv floats
+        Joint coordinates [rad or m]; approximate is enough.
+    velocity : tuple of nv floats
+        Joint rates [rad/s or m/s]; of the held joints where any are held.
+    hold : tuple of str
+        Joints whose position and velocity are kept as given; may be empty.
+
+    """
+
+    position: Tuple[float, ...]
+    velocity: Tuple[float, ...]
+    hold: Tuple[str, ...] = ()
+
+    def __post_init__(self):
+        """Refuse what is no list of finite numbers, and joints held twice."""
+        normalise(self, position=list_of(number), velocity=list_of(number), hold=list_of(name))
+        for index, joint in enumerate(self.hold):
+            if joint in self.hold[:index]:
+                raise FieldError('every joint once', f'{joint!r} again', path=('hold', index))
+
+
+@dataclass(frozen=True)
+class Method:
+    """
+    How the motion is computed.
+
+    Attributes
+    ----------
+    integrator : str
+        ``'rk4'`` or ``'semi_implicit_euler'``.
+    step_size : float
+        [s], positive.
+    stabilisation : str
+        How the loops are kept closed: ``'projection'``, ``'baumgarte'`` or
+        ``'none'``.
+    baumgarte_time_constant : float
+        In which Baumgarte's method lets a closure error decay [s], positive.
+    formulation : str
+        ``'subsystem'``, ``'system'`` or ``'augmented'``.
+
+    """
+
+    integrator: str = 'rk4'
+    step_size: float = 0.001
+    stabilisation: str = 'projection'
+    baumgarte_time_constant: float = 0.01
+    formulation: str = 'subsystem'
+
+    def __post_init__(self):
+        """Refuse unknown methods and impossible times."""
+        normalise(self, integrator=one_of(INTEGRATORS), step_size=positive,
+                  stabilisation=one_of(STABILISATIONS), baumgarte_time_constant=positive,
+                  formulation=one_of(FORMULATIONS))
+
+
+@dataclass(frozen=True)
+class Scene:
+    """
+    What a user chooses to simulate.
+
+    Attributes
+    ----------
+    name : str
+    path : pathlib.Path or None
+        The file it was read from; None where it was built in Python.
+    description : str
+    mechanism : Mechanism
+    initial : Initial
+    effects : dict of str to record
+        One record of ``effects.registry`` for each effect, by its free name.
+    method : Method
+
+    """
+
+    name: str
+    path: Optional[Path]
+    description: str
+    mechanism: Mechanism
+    initial: Initial
+    effects: dict = field(default_factory=dict)
+    method: Method = Method()
+
+    def __post_init__(self):
+        """Refuse an initial state or an effect that does not fit the mechanism."""
+        normalise(self, description=text, mechanism=validate_mechanism)
+        joints = self.mechanism.joint_names
+        for key in ('position', 'velocity'):
+            values = getattr(self.initial, key)
+            if len(values) != len(joints):
+                raise FieldError(f'{len(joints)} numbers, one for each joint', f'{len(values)}',
+                                 path=('initial', key))
+        for index, joint in enumerate(self.initial.hold):
+            with at('initial', 'hold', index):
+                one_of(joints, 'one of the joints')(joint)
+        for key, effect in self.effects.items():
+            with at('effects', key):
+                name(key)
+                if type(effect) not in EFFECTS.values():
+                    raise FieldError('a record of effects.registry', shown(effect))
