@@ -106,6 +106,7 @@ def random_linkage(rng, n_subsystems=3, max_bodies=4, max_cuts=4, prismatic=0.3,
     Parameters
     ----------
     rng : numpy.random.Generator
+        Seeded source of everything drawn.
     n_subsystems, max_bodies, max_cuts : int
         Trees, most bodies in each, most cut joints.
     prismatic : float
