@@ -1,0 +1,80 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+from glob import glob
+import os
+
+from setuptools import find_packages
+from setuptools import setup
+
+package_name = 'closedloop_dynamics'
+share = os.path.join('share', package_name)
+
+
+def shared(pattern):
+    """
+    List the files that match, each directory with the place it is installed to.
+    """
+    places = {}
+    for path in sorted(glob(pattern, recursive=True)):
+        if os.path.isfile(path):
+            places.setdefault(os.path.join(share, os.path.dirname(path)), []).append(path)
+    return list(places.items())
+
+
+setup(
+    name=package_name,
+    version='0.1.0',
+    packages=find_packages(include=[package_name, package_name + '.*']),
+    data_files=[
+        ('share/ament_index/resource_index/packages', ['resource/' + package_name]),
+        (share, ['package.xml']),
+        *shared('config/**/*.yaml'),
+        *shared('launch/*'),
+    ],
+    python_requires='>=3.11',
+    install_requires=[
+        'matplotlib>=3.6',
+        'numba>=0.60',
+        'numpy>=1.26',
+        'PyYAML>=6.0',
+        'rosbags>=0.10.9',
+        'scipy>=1.11',
+        'setuptools',
+        'tqdm>=4.60',
+    ],
+    extras_require={
+        # For Pythons without a ROS installation: Jazzy from PyPI.
+        'ros': [
+            'ros-jazzy-rclpy[fastrtps]',
+            'ros-jazzy-common-interfaces',
+        ],
+        # colcon test looks for pytest here; without it, it finds no tests and passes.
+        'test': ['hypothesis', 'mcap-ros2-support', 'pytest', 'pytest-timeout'],
+    },
+    zip_safe=False,
+    author='The closedloop_dynamics authors',
+    maintainer='The closedloop_dynamics authors',
+    maintainer_email='closedloop_dynamics@example.org',
+    description='Simulates planar mechanisms with closed loops, live over ROS 2 or offline.',
+    license='Apache-2.0',
+    entry_points={
+        'console_scripts': [
+            'closedloop = closedloop_dynamics.cli:main',
+            'closedloop_recorder = closedloop_dynamics.ros.recorder_node:main',
+            'closedloop_simulator = closedloop_dynamics.ros.simulator_node:main',
+            'closedloop_torque_source = closedloop_dynamics.ros.torque_source_node:main',
+        ],
+    },
+)
