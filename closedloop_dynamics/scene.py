@@ -26,9 +26,9 @@ from pathlib import Path
 
 from .config import config_directory, shipped_names, shipped_path
 from .effects.registry import EFFECTS
+from .mechanism.checks import list_of, name, NAME_PATTERN, number, one_of
 from .mechanism.document import Document
-from .mechanism.fields import (at, FieldError, keys_of, list_of, mapping, name, NAME_PATTERN,
-                               nearest, number, one_of, shown)
+from .mechanism.fields import among, at, FieldError, keys_of, mapping, nearest, shown
 from .mechanism.mechanism import MechanismError
 from .mechanism.reader import read_mechanism
 from .scene_records import BAUMGARTE, Initial, Method, Scene
@@ -97,12 +97,21 @@ def _scene_path(name_or_path):
     """Return the path of a scene given by name or path."""
     if not _is_name(name_or_path):
         return Path(name_or_path)
-    names = scene_names()
-    if name_or_path not in names:
-        raise SceneError(str(FieldError(
-            f'one of {", ".join(names)}, or the path of a YAML file', shown(name_or_path),
-            nearest(name_or_path, names) or f'a file is given as ./{name_or_path}', ('scene',))))
-    return shipped_path('scenes', name_or_path)
+    try:
+        with at('scene'):
+            return _shipped('scenes', name_or_path)
+    except FieldError as error:
+        raise SceneError(str(error)) from None
+
+
+def _shipped(kind, value):
+    """Return the path of the shipped scene or mechanism that ``value`` names."""
+    names = shipped_names(kind)
+    if value not in names:
+        raise FieldError(
+            f'one of {among(names)}, or the path of a YAML file (./NAME.yaml)', shown(value),
+            nearest(value, names))
+    return shipped_path(kind, value)
 
 
 def _scene(document):
@@ -133,13 +142,12 @@ def _section(data, key):
 
 def _mechanism(value, directory):
     """Return the mechanism that ``value`` names or is the path of."""
-    names = shipped_names('mechanisms')
-    expected = f'one of {", ".join(names)}, or the path of a YAML file'
-    if not isinstance(value, str) or (_is_name(value) and value not in names):
-        raise FieldError(expected, shown(value), nearest(value, names))
+    if isinstance(value, str) and not _is_name(value):
+        path = directory / value
+    else:
+        path = _shipped('mechanisms', value)
     try:
-        return read_mechanism(
-            shipped_path('mechanisms', value) if value in names else directory / value)
+        return read_mechanism(path)
     except MechanismError as error:
         raise FieldError('a valid mechanism', f'this error in its file:\n{error}') from None
 
@@ -155,7 +163,7 @@ def _initial(value, joints):
         velocity = _numbers(mapping(_section(value, 'velocity'), (), joints))
         for joint in velocity:
             if hold and joint not in hold:
-                raise FieldError(f'velocities of held joints only ({", ".join(hold)})',
+                raise FieldError(f'velocities of held joints only ({among(hold)})',
                                  f'one of {joint!r}', 'the others follow from the loops; '
                                  'add the joint to hold, or remove its velocity', (joint,))
     return Initial(tuple(position[joint] for joint in joints),

@@ -22,10 +22,10 @@ from pathlib import Path
 from typing import Optional, Tuple
 
 from .effects.registry import EFFECTS
-from .mechanism.fields import at, FieldError, list_of, name, normalise, number, one_of
-from .mechanism.fields import positive, shown, text
+from .mechanism.checks import list_of, name, number, one_of, positive, text
+from .mechanism.fields import at, FieldError, mapping, normalise, shown
 from .mechanism.mechanism import Mechanism
-from .mechanism.reader import validate_mechanism
+from .mechanism.validation import validate_mechanism
 
 INTEGRATORS = ('semi_implicit_euler', 'rk4')
 BAUMGARTE = 'baumgarte'
@@ -124,7 +124,7 @@ class Scene:
 
     def __post_init__(self):
         """Refuse an initial state or an effect that does not fit the mechanism."""
-        normalise(self, description=text, mechanism=validate_mechanism)
+        normalise(self, description=text, mechanism=validate_mechanism, effects=mapping)
         joints = self.mechanism.joint_names
         for key in ('position', 'velocity'):
             values = getattr(self.initial, key)

@@ -23,7 +23,8 @@ It stores the potential energy ``-sum_i m_i g . p_i``.
 
 from dataclasses import dataclass
 
-from ..mechanism.fields import normalise, vector2
+from ..mechanism.checks import vector2
+from ..mechanism.fields import normalise
 from ..mechanism.mechanism import Vector2
 
 

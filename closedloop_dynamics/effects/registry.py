@@ -25,3 +25,8 @@ from .gravity import Gravity
 EFFECTS = {
     'gravity': Gravity,
 }
+
+
+def effect_type(record):
+    """Return the name that a scene gives the type of an effect record."""
+    return next(name for name, kind in EFFECTS.items() if kind is type(record))

@@ -98,8 +98,10 @@ class Document:
         except OSError as error:
             raise self._error_type(f'{self.path}: expected a YAML file that can be read, '
                                    f'got: {error.strerror or error}') from None
-        except (UnicodeDecodeError, RecursionError) as error:
-            raise FieldError('a YAML file in UTF-8', f'{error}') from None
+        except UnicodeDecodeError as error:
+            raise FieldError('a YAML file in UTF-8', str(error)) from None
+        except RecursionError:
+            raise FieldError('a YAML file', 'nesting without end') from None
         except yaml.YAMLError as error:
             mark = getattr(error, 'problem_mark', None)
             self._lines[()] = mark.line + 1 if mark else 1

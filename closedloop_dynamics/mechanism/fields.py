@@ -13,12 +13,13 @@
 # limitations under the License.
 
 """
-The checks that values from outside pass, whether read from YAML or built in Python.
+What is wrong with a value from outside, where it stands, and how to say it.
 
 A check is a function that takes a value and returns it normalised (``3`` to
-``3.0``, a list to a tuple) or raises :class:`FieldError`. Checks know nothing
-of files: whoever calls them adds the key path, whoever read the file adds its
-name and line.
+``3.0``, a list to a tuple) or raises :class:`FieldError`; ``checks.py`` has them.
+Checks know nothing of files or keys: whoever calls them adds the key path by
+:func:`at`, whoever read the file adds its name and line. So the same checks serve
+values read from YAML and records built in Python.
 
 """
 
@@ -26,13 +27,9 @@ from collections.abc import Mapping
 from contextlib import contextmanager
 from dataclasses import fields, MISSING
 from difflib import get_close_matches
-import math
-from numbers import Real
-import re
 
-# What ROS accepts as one token of a topic or parameter name.
-NAME_PATTERN = re.compile(r'[a-zA-Z][a-zA-Z0-9_]*')
 LONGEST_SHOWN = 60
+MOST_SHOWN = 12
 
 
 class FieldError(ValueError):
@@ -85,7 +82,7 @@ def shown(value):
     if isinstance(value, bool):
         return f'the truth value {str(value).lower()}'
     if isinstance(value, Mapping):
-        return f'a mapping of {len(value)} keys'
+        return 'a mapping'
     text = repr(value)
     if len(text) > LONGEST_SHOWN:
         text = text[:LONGEST_SHOWN] + '...'
@@ -94,94 +91,10 @@ def shown(value):
     return text
 
 
-def number(value, expected='a finite number'):
-    """Return ``value`` as float; refuse what is no finite number."""
-    if isinstance(value, bool) or not isinstance(value, Real):
-        raise FieldError(expected, shown(value))
-    try:
-        result = float(value)
-    except OverflowError:
-        result = math.inf
-    if not math.isfinite(result):
-        raise FieldError(expected, shown(value))
-    return result
-
-
-def positive(value):
-    """Return ``value`` as float; refuse zero and less."""
-    result = number(value, 'a positive number')
-    if result <= 0.0:
-        raise FieldError('a positive number', shown(value))
-    return result
-
-
-def not_negative(value):
-    """Return ``value`` as float; refuse less than zero."""
-    result = number(value, 'a number that is zero or more')
-    if result < 0.0:
-        raise FieldError('a number that is zero or more', shown(value))
-    return result
-
-
-def vector2(value):
-    """Return ``value`` as a tuple of two floats."""
-    expected = 'a list of 2 finite numbers [x, y]'
-    items = listed(value, expected)
-    if len(items) != 2:
-        raise FieldError(expected, f'{shown(value)}, of length {len(items)}')
-    return list_of(number)(items)
-
-
-def listed(value, expected='a list'):
-    """Return ``value`` as a tuple; refuse what is no list, tuple or array."""
-    if isinstance(value, (str, bytes, Mapping)):
-        raise FieldError(expected, shown(value))
-    try:
-        return tuple(value)
-    except TypeError:
-        raise FieldError(expected, shown(value)) from None
-
-
-def list_of(check):
-    """Return the check for a list whose items all pass ``check``."""
-    def check_list(value):
-        result = []
-        for index, item in enumerate(listed(value)):
-            with at(index):
-                result.append(check(item))
-        return tuple(result)
-    return check_list
-
-
-def boolean(value):
-    """Return ``value`` if it is true or false."""
-    if not isinstance(value, bool):
-        raise FieldError('true or false', shown(value))
-    return value
-
-
-def text(value):
-    """Return ``value`` if it is text."""
-    if not isinstance(value, str):
-        raise FieldError('text', shown(value))
-    return value
-
-
-def name(value):
-    """Return ``value`` if it can stand in a ROS topic or parameter name."""
-    if not isinstance(value, str) or not NAME_PATTERN.fullmatch(value):
-        raise FieldError(
-            'a name of letters, digits and underscores that starts with a letter', shown(value))
-    return value
-
-
-def one_of(choices, kind='one of'):
-    """Return the check for a value among ``choices``, which are texts."""
-    def check(value):
-        if isinstance(value, str) and value in choices:
-            return value
-        raise FieldError(f'{kind} {", ".join(choices)}', shown(value), nearest(value, choices))
-    return check
+def among(words):
+    """Write what may be chosen, cut short where it is much."""
+    words = list(words)
+    return ', '.join(words[:MOST_SHOWN]) + ', ...' * (len(words) > MOST_SHOWN)
 
 
 def nearest(word, known):
@@ -215,11 +128,12 @@ def mapping(value, required=(), optional=None):
     for key in value:
         if known is not None and key not in known:
             free = [word for word in known if word not in value]
-            raise FieldError(f'one of the keys {", ".join(known)}', f'the unknown key {key!r}',
+            raise FieldError(f'one of the keys {among(known)}', f'the unknown key {key!r}',
                              nearest(key, free), path=(key,))
     for key in required:
         if key not in value:
-            raise FieldError('this key, which is required', 'nothing', path=(key,))
+            raise FieldError('a value, the key is required', 'nothing, the key is missing',
+                             path=(key,))
     return value
 
 
