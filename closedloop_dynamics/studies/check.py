@@ -1,0 +1,163 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+What a mechanism or a scene was understood to be, in plain text.
+
+"""
+
+from dataclasses import asdict
+
+from ..effects.registry import effect_type
+from ..mechanism.decomposition import decompose
+from ..mechanism.mechanism import CUT_JOINT_EQUATIONS, Mechanism
+from ..scene_records import BAUMGARTE
+
+
+def describe(scene_or_mechanism):
+    """
+    Describe a scene or a mechanism: what ``closedloop check`` prints.
+
+    Parameters
+    ----------
+    scene_or_mechanism : Scene or Mechanism
+
+    Returns
+    -------
+    str
+        Paragraphs with headings and tables, without a final newline.
+
+    """
+    if isinstance(scene_or_mechanism, Mechanism):
+        return '\n\n'.join(_mechanism(scene_or_mechanism))
+    return '\n\n'.join(_scene(scene_or_mechanism))
+
+
+def _scene(scene):
+    return [
+        _heading('Scene', scene),
+        *_mechanism(scene.mechanism),
+        _initial(scene.mechanism, scene.initial),
+        _effects(scene.effects),
+        _method(scene.method),
+    ]
+
+
+def _mechanism(mechanism):
+    decomposition = decompose(mechanism)
+    parts = [
+        _heading('Mechanism', mechanism),
+        _table('Bodies', ('name', 'mass [kg]', 'centre of mass [m]', 'inertia [kg m^2]'), [
+            (body.name, _value(body.mass), _value(body.center_of_mass), _value(body.inertia))
+            for body in mechanism.bodies]),
+        _joints(mechanism),
+        _table('Subsystems', ('number', 'joints'), [
+            (str(number), ', '.join(joints))
+            for number, joints in enumerate(decomposition.subsystems, 1)]),
+        _cut_joints(mechanism, decomposition),
+    ]
+    if mechanism.points:
+        parts.append(_table('Points', ('name', 'body', 'position [m]'), [
+            (point.name, point.body, _value(point.position)) for point in mechanism.points]))
+    return [*parts, _summary(mechanism, decomposition)]
+
+
+def _joints(mechanism):
+    header = ('name', 'type', 'parent', 'child', 'position [m]', 'angle [rad]', 'actuated')
+    return _table('Joints', header, [
+        (joint.name, joint.type, joint.parent, joint.child, _value(joint.position),
+         _value(joint.angle), 'yes' if joint.actuated else 'no')
+        for joint in mechanism.joints])
+
+
+def _cut_joints(mechanism, decomposition):
+    header = ('name', 'type', 'body A', 'point A [m]', 'body B', 'point B [m]', 'equations',
+              'subsystems')
+    return _table('Cut joints', header, [
+        (cut.name, cut.type, cut.body_a, _value(cut.point_a), cut.body_b, _value(cut.point_b),
+         str(CUT_JOINT_EQUATIONS[cut.type]), ', '.join(str(k + 1) for k in subsystems))
+        for cut, subsystems in zip(mechanism.cut_joints, decomposition.cut_subsystems)])
+
+
+def _summary(mechanism, decomposition):
+    joints, equations = len(mechanism.joints), mechanism.number_of_equations
+    order = ', '.join(decomposition.elimination_order) or 'none'
+    return _lines('Summary', (
+        ('constraint equations', equations),
+        ('degrees of freedom', f'{joints - equations} = {joints} joints - {equations} equations '
+                               '(the generic count; dependent equations leave more)'),
+        ('elimination order', f'{order}; blocks of fill: {decomposition.fill}'),
+        ('actuated joints', ', '.join(mechanism.actuated_joints) or 'none'),
+    ))
+
+
+def _initial(mechanism, initial):
+    rows = [
+        (joint, _value(position), _value(velocity), 'held' if joint in initial.hold else 'free')
+        for joint, position, velocity
+        in zip(mechanism.joint_names, initial.position, initial.velocity)]
+    return _table('Joints at the start, before the loops are closed',
+                  ('name', 'position [rad, m]', 'velocity [rad/s, m/s]', 'assembly'), rows)
+
+
+def _effects(effects):
+    return _table('Effects', ('name', 'type', 'parameters'), [
+        (name, effect_type(effect),
+         ', '.join(f'{key} = {_value(value)}' for key, value in asdict(effect).items()))
+        for name, effect in effects.items()])
+
+
+def _method(method):
+    items = [
+        ('integrator', method.integrator),
+        ('step size', f'{_value(method.step_size)} s'),
+        ('stabilisation', method.stabilisation),
+        ('formulation', method.formulation),
+    ]
+    if method.stabilisation == BAUMGARTE:
+        items.insert(3, ('time constant', f'{_value(method.baumgarte_time_constant)} s'))
+    return _lines('Method', items)
+
+
+def _heading(kind, named):
+    lines = [f'{kind} {named.name}']
+    if named.description:
+        lines.append(f'  {named.description.strip()}')
+    return '\n'.join(lines)
+
+
+def _lines(title, items):
+    """Return a title and one line ``key  value`` for each item."""
+    width = max(len(key) for key, _ in items)
+    return '\n'.join([title, *(f'  {key:{width}}  {value}' for key, value in items)])
+
+
+def _table(title, header, rows):
+    """Return a title with the number of rows, and left-aligned columns."""
+    title = f'{title}: {len(rows) or "none"}'
+    if not rows:
+        return title
+    widths = [max(map(len, column)) for column in zip(header, *rows)]
+    lines = ['  '.join(f'{cell:{width}}' for cell, width in zip(row, widths)).rstrip()
+             for row in (header, *rows)]
+    return '\n'.join([title, *(f'  {line}' for line in lines)])
+
+
+def _value(value):
+    """Write a number to 6 digits, a vector in brackets, anything else as it is."""
+    if isinstance(value, float):
+        return f'{value:.6g}'
+    if isinstance(value, tuple):
+        return f'[{", ".join(map(_value, value))}]'
+    return str(value)
