@@ -1,0 +1,179 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Simulated time that follows a steady clock in whole integrator steps."""
+
+import math
+import time
+
+# Unfinished simulated time older than this (in seconds of the steady clock) is
+# dropped: long enough to make up for a hiccup of the machine, short enough
+# that nobody waits for a simulation that plays back the past.
+LARGEST_LAG = 0.1
+# Steps are taken in portions of about this duration [s], between which the
+# time left is looked at.
+PORTION = 0.002
+# Tolerates the rounding of the sum of many ticks: a step that is due up to a
+# millionth of a step is due.
+ROUNDING = 1e-6
+
+
+class Pacer:
+    """
+    Decide how many steps to take so that simulated time follows the clock.
+
+    Simulated time that could not be computed within a tick's budget stays due
+    as long as it is no more than ``LARGEST_LAG`` behind; the rest is dropped
+    and counted. So a tick's work is bounded, and a machine that is too slow
+    runs slower than asked instead of ever further behind.
+
+    Parameters
+    ----------
+    step_size : float
+        [s] of simulated time.
+    real_time_factor : float
+        Simulated seconds per second of the clock.
+    clock : callable, optional
+        Returns seconds; steady.
+
+    Attributes
+    ----------
+    simulated : float
+        Simulated time taken so far [s].
+    elapsed : float
+        Time of the clock while running, up to the last tick [s].
+    dropped : float
+        Simulated time given up so far [s].
+
+    """
+
+    def __init__(self, step_size, real_time_factor=1.0, clock=time.monotonic):
+        self.step_size = step_size
+        self.clock = clock
+        self._factor = real_time_factor
+        self._last = None
+        self._due = 0.0
+        self._cost = None
+        self.simulated = 0.0
+        self.elapsed = 0.0
+        self.dropped = 0.0
+
+    @property
+    def real_time_factor(self):
+        """Simulated seconds per second of the clock, as asked for."""
+        return self._factor
+
+    @real_time_factor.setter
+    def real_time_factor(self, value):
+        # What has passed was due at the old factor.
+        self._accrue(self.clock())
+        self._factor = value
+
+    @property
+    def achieved(self):
+        """Simulated seconds per second of the clock so far; NaN before the first tick."""
+        return self.simulated / self.elapsed if self.elapsed > 0 else math.nan
+
+    def start(self):
+        """Let time run from now on."""
+        self._last = self.clock()
+
+    def stop(self):
+        """Let no time become due until the next ``start()``."""
+        self._accrue(self.clock())
+        self._last = None
+
+    def tick(self, take, budget):
+        """
+        Take the steps that are due, for a limited time.
+
+        Parameters
+        ----------
+        take : callable
+            ``take(n)`` takes n steps.
+        budget : float
+            Time of the clock after which no more steps are begun [s].
+
+        Returns
+        -------
+        float
+            Simulated time dropped in this tick [s].
+
+        """
+        begin = now = self.clock()
+        self._accrue(now)
+        steps = math.floor(self._due / self.step_size + ROUNDING)
+        while steps > 0 and now - begin < budget:
+            portion = min(steps, self._portion(begin + budget - now))
+            take(portion)
+            steps -= portion
+            self._due -= portion * self.step_size
+            self.simulated += portion * self.step_size
+            before, now = now, self.clock()
+            self._cost = (now - before) / portion
+        return self._drop()
+
+    def _accrue(self, now):
+        if self._last is not None:
+            self.elapsed += now - self._last
+            self._due += (now - self._last) * self._factor
+            self._last = now
+
+    def _portion(self, left):
+        """Return the number of steps that take about ``PORTION``, at least one."""
+        if not self._cost:
+            return 1
+        return max(1, int(min(PORTION, left) / self._cost))
+
+    def _drop(self):
+        excess = self._due - max(LARGEST_LAG * self._factor, self.step_size)
+        if excess <= 0.0:
+            return 0.0
+        self._due -= excess
+        self.dropped += excess
+        return excess
+
+
+class Throttle:
+    """
+    Let one message through per period and count those held back.
+
+    Parameters
+    ----------
+    period : float
+        [s].
+    clock : callable, optional
+        Returns seconds; steady.
+
+    """
+
+    def __init__(self, period, clock=time.monotonic):
+        self.period = period
+        self.clock = clock
+        self.held_back = 0
+        self._next = -math.inf
+
+    def ready(self):
+        """Return whether a message may pass now; count it as held back if not."""
+        now = self.clock()
+        if now < self._next:
+            self.held_back += 1
+            return False
+        self._next = now + self.period
+        return True
+
+    def take_held_back(self):
+        """Return how many were held back since the last message, and forget them."""
+        held_back, self.held_back = self.held_back, 0
+        return held_back
