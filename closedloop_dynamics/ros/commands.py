@@ -1,0 +1,162 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Torque commands: checked on arrival, kept until the next one or a timeout."""
+
+import math
+
+import numpy as np
+
+
+class CommandError(ValueError):
+    """A command that is not followed; the message says what is wrong with it."""
+
+
+class TorqueCommand:
+    """
+    The torques in force, and the book of the commands that set them.
+
+    A command that is refused changes nothing: the last good one stays.
+
+    Parameters
+    ----------
+    joint_names : sequence of str
+        All joints of the mechanism.
+    actuated_joints : sequence of str
+        Those that a command drives; their order is the order of ``torque``.
+
+    Attributes
+    ----------
+    torque : ndarray, shape (number of actuated joints,)
+        In force now [N m, or N for prismatic joints].
+    accepted, rejected, timed_out : int
+        Commands followed, commands refused, and how often the torques fell to
+        zero because no command came in time.
+
+    """
+
+    def __init__(self, joint_names, actuated_joints):
+        self.actuated_joints = tuple(actuated_joints)
+        self.torque = np.zeros(len(self.actuated_joints))
+        self.accepted = 0
+        self.rejected = 0
+        self.timed_out = 0
+        self._joint_names = frozenset(joint_names)
+        self._index = {name: i for i, name in enumerate(self.actuated_joints)}
+        self._last_arrival = None
+
+    def accept_values(self, values, now):
+        """
+        Follow a command of one value per actuated joint.
+
+        Parameters
+        ----------
+        values : sequence of float
+            In the order of ``actuated_joints``.
+        now : float
+            Time of arrival on a steady clock [s].
+
+        Raises
+        ------
+        CommandError
+            If the command is refused.
+
+        """
+        if len(values) != len(self.actuated_joints):
+            raise self._refusal(
+                f'expected {len(self.actuated_joints)} values '
+                f'({", ".join(self.actuated_joints)}), got {len(values)}')
+        self._require_finite(self.actuated_joints, values)
+        self.torque[:] = values
+        self._follow(now)
+
+    def accept_named(self, names, efforts, now):
+        """
+        Follow a command by joint name; joints not named keep their value.
+
+        Parameters
+        ----------
+        names : sequence of str
+            Of actuated joints, in any order.
+        efforts : sequence of float
+            As many as names.
+        now : float
+            Time of arrival on a steady clock [s].
+
+        Raises
+        ------
+        CommandError
+            If the command is refused.
+
+        """
+        if not names:
+            raise self._refusal('it names no joint')
+        if len(efforts) != len(names):
+            raise self._refusal(
+                f'expected one effort per name, got {len(efforts)} for {len(names)} names '
+                f'(positions and velocities are not followed)')
+        indices = self._indices(names)
+        self._require_finite(names, efforts)
+        self.torque[indices] = efforts
+        self._follow(now)
+
+    def expire(self, now, timeout):
+        """
+        Let the torques fall to zero if no command came for too long.
+
+        Parameters
+        ----------
+        now : float
+            On the same clock as the arrivals [s].
+        timeout : float
+            [s]; 0: hold the last command for ever.
+
+        Returns
+        -------
+        bool
+            True once, when the torques fall.
+
+        """
+        if timeout <= 0.0 or self._last_arrival is None or now - self._last_arrival <= timeout:
+            return False
+        self._last_arrival = None
+        self.torque[:] = 0.0
+        self.timed_out += 1
+        return True
+
+    def _follow(self, now):
+        self.accepted += 1
+        self._last_arrival = now
+
+    def _refusal(self, reason):
+        self.rejected += 1
+        return CommandError(reason)
+
+    def _require_finite(self, names, values):
+        for name, value in zip(names, values):
+            if not math.isfinite(value):
+                raise self._refusal(f"the value of '{name}' is {value}, not a finite number")
+
+    def _indices(self, names):
+        for name in names:
+            if name not in self._index:
+                problem = ('is not actuated' if name in self._joint_names
+                           else 'is not a joint of this mechanism')
+                raise self._refusal(
+                    f"'{name}' {problem}; the actuated joints are "
+                    f'{", ".join(self.actuated_joints)}')
+        indices = [self._index[name] for name in names]
+        if len(set(indices)) != len(indices):
+            raise self._refusal(f'a joint is named twice in {", ".join(names)}')
+        return indices
