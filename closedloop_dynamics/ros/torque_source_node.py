@@ -1,0 +1,170 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The node ``closedloop_torque_source``: torques for any scene, from a process of their own."""
+
+from array import array
+import time
+
+from closedloop_dynamics.ros.joint_question import JointQuestion
+from closedloop_dynamics.ros.pacing import Throttle
+from closedloop_dynamics.ros.parameters import declare
+from closedloop_dynamics.ros.process import run
+from closedloop_dynamics.ros.process import StartError
+from closedloop_dynamics.ros.torque_source_parameters import closed_loop
+from closedloop_dynamics.ros.torque_source_parameters import open_loop
+from closedloop_dynamics.ros.torque_source_parameters import TORQUE_SOURCE_PARAMETERS
+import numpy as np
+from rclpy.clock import Clock
+from rclpy.clock import ClockType
+from rclpy.node import Node
+from rclpy.time import Time
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+
+NAME = 'closedloop_torque_source'
+QUEUE_DEPTH = 10
+# Between two looks for the simulator [s].
+QUESTION_PERIOD = 0.1
+# Between two messages of one kind [s].
+MESSAGE_PERIOD = 5.0
+
+
+class TorqueSourceNode(Node):
+    """
+    Publish torques for the actuated joints of a simulator.
+
+    Attributes
+    ----------
+    exit_code : int or None
+        None while the node wants to go on.
+    joints : tuple of str
+        Empty until known.
+    published : int
+        Commands published so far.
+
+    """
+
+    def __init__(self, **options):
+        super().__init__(NAME, **options)
+        self.exit_code = None
+        self.published = 0
+        self.joints = ()
+        self._values = declare(self, TORQUE_SOURCE_PARAMETERS)
+        self._complaint = Throttle(MESSAGE_PERIOD)
+        self._read_names = self._read_indices = None
+        self._timer = None
+        joints = tuple(name for name in self._values['joints'] if name)
+        if joints:
+            self._command = JointState(name=joints)
+            self._publisher = self.create_publisher(JointState, 'joint_command', QUEUE_DEPTH)
+            self._begin(joints)
+        else:
+            self._check_without_joints()
+            self._command = Float64MultiArray()
+            self._publisher = self.create_publisher(
+                Float64MultiArray, 'torque_command', QUEUE_DEPTH)
+            self._question = JointQuestion(self, self._values['simulator'])
+            self._every(QUESTION_PERIOD, self._ask)
+
+    def on_joint_states(self, message):
+        """Answer a state with a command (mode pd)."""
+        problem = self._read(message)
+        if problem:
+            if self._complaint.ready():
+                self.get_logger().warning(f'joint_states not usable: {problem}')
+            return
+        self._publish(self._law.torque(
+            Time.from_msg(message.header.stamp).nanoseconds * 1e-9,
+            np.array(message.position)[self._read_indices],
+            np.array(message.velocity)[self._read_indices]))
+
+    def close(self):
+        """Say what was done."""
+        self.get_logger().info(f'{self.published} commands published')
+
+    def _ask(self):
+        """Begin as soon as the simulator has told its joints."""
+        self._question.ask()
+        if self._question.answer is None:
+            if self._complaint.ready():
+                self.get_logger().info(
+                    f"waiting for node '{self._values['simulator']}' to tell its joints")
+            return
+        self._timer.cancel()
+        try:
+            self._begin(self._question.answer)
+        except StartError as error:
+            self.get_logger().fatal(str(error))
+            self.exit_code = 2
+
+    def _begin(self, joints):
+        self._law = self._law_for(joints)
+        self.joints = joints
+        if self._values['mode'] == 'pd':
+            self.create_subscription(
+                JointState, 'joint_states', self.on_joint_states, QUEUE_DEPTH)
+        else:
+            self._epoch = None
+            self._every(1.0 / self._values['rate'], self._on_timer)
+        self.get_logger().info(f"mode {self._values['mode']}, driving {', '.join(joints)}")
+
+    def _law_for(self, joints):
+        build = closed_loop if self._values['mode'] == 'pd' else open_loop
+        return build(self._values, joints)
+
+    def _check_without_joints(self):
+        """Refuse now what no number of joints can make right."""
+        lists = [value for value in self._values.values() if isinstance(value, (list, array))]
+        longest = max(len(value) for value in lists)
+        self._law_for([f'joint {i + 1}' for i in range(longest)])
+
+    def _on_timer(self):
+        now = time.monotonic()
+        if self._epoch is None:
+            self._epoch = now
+        self._publish(self._law(now - self._epoch))
+
+    def _publish(self, torque):
+        values = array('d', torque.tobytes())
+        if isinstance(self._command, JointState):
+            self._command.header.stamp = self.get_clock().now().to_msg()
+            self._command.effort = values
+        else:
+            self._command.data = values
+        self._publisher.publish(self._command)
+        self.published += 1
+
+    def _read(self, message):
+        """Find the joints in a state; return what is wrong with it, or None."""
+        if message.name != self._read_names:
+            missing = [name for name in self.joints if name not in message.name]
+            if missing:
+                return f"it does not name '{missing[0]}'"
+            self._read_names = list(message.name)
+            self._read_indices = [self._read_names.index(name) for name in self.joints]
+        if not len(message.position) == len(message.velocity) == len(message.name):
+            return 'it does not give position and velocity of every joint it names'
+        return None
+
+    def _every(self, period, callback):
+        if self._timer is not None:
+            self.destroy_timer(self._timer)
+        self._timer = self.create_timer(
+            period, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+
+def main(args=None):
+    """Run the node; return the exit code."""
+    return run(TorqueSourceNode, NAME, args)

@@ -1,0 +1,140 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Parameters of the torque source, and the laws they choose."""
+
+from closedloop_dynamics.ros.parameters import Parameter
+from closedloop_dynamics.ros.parameters import per_joint
+from closedloop_dynamics.ros.process import StartError
+from closedloop_dynamics.ros.torque_laws import ProportionalDerivative
+from closedloop_dynamics.ros.torque_laws import Reference
+from closedloop_dynamics.ros.torque_laws import Wave
+import numpy as np
+
+_PER_JOINT = 'One value for all joints, or one per joint.'
+TORQUE_SOURCE_PARAMETERS = (
+    Parameter(
+        'mode', 'constant',
+        'constant: the torque given. sine: a wave about it. pd: torques that lead the joints '
+        'along a reference, from joint_states.', choices=('constant', 'sine', 'pd')),
+    Parameter(
+        'joints', [''],
+        'Joints to drive, by name, through joint_command. Not given: all actuated joints, in '
+        'the order the simulator tells, through torque_command.'),
+    Parameter(
+        'simulator', 'closedloop_simulator',
+        'Name of the simulator node to ask for its actuated_joints, relative to the namespace.'),
+    Parameter(
+        'rate', 100.0, 'Commands per second of constant and sine [Hz]; pd sends one for each '
+        'state received.', (0.1, 2000.0)),
+    Parameter('torque', [0.0], f'constant, and the mean of sine [N m or N]. {_PER_JOINT}'),
+    Parameter('amplitude', [1.0], f'sine: amplitude [N m or N]. {_PER_JOINT}'),
+    Parameter('frequency', [1.0], f'sine: frequency [Hz]. {_PER_JOINT}'),
+    Parameter('phase', [0.0], f'sine: phase at the first command [rad]. {_PER_JOINT}'),
+    Parameter('kp', [0.0], f'pd: gain of the position error [N m/rad or N/m]; 0: the speed '
+              f'is controlled, not the position. {_PER_JOINT}'),
+    Parameter('kd', [0.0], f'pd: gain of the velocity error [N m s/rad or N s/m]. {_PER_JOINT}'),
+    Parameter('ki', [0.0], 'pd: gain of the integral of the position error [N m/(rad s)], of a '
+              f'joint with kp = 0 of the velocity error [N m/rad]. {_PER_JOINT}'),
+    Parameter('target_position', [float('nan')], 'pd: where the reference begins [rad or m]; '
+              f'nan: where the joint is when the first state arrives. {_PER_JOINT}'),
+    Parameter('target_velocity', [0.0],
+              f'pd: velocity of the reference [rad/s or m/s]. {_PER_JOINT}'),
+    Parameter('move_amplitude', [0.0], 'pd: amplitude of a sinusoidal motion of the reference '
+              f'[rad or m]. {_PER_JOINT}'),
+    Parameter('move_frequency', [0.25], f'pd: its frequency [Hz]. {_PER_JOINT}'),
+    Parameter('move_phase', [0.0], 'pd: its phase [rad]; the reference begins at '
+              f'target_position whatever the phase. {_PER_JOINT}'),
+    Parameter('feedforward', [0.0], f'pd: torque added always [N m or N]. {_PER_JOINT}'),
+    Parameter('torque_limit', [0.0],
+              f'pd: largest magnitude of the torque [N m or N]; 0: none. {_PER_JOINT}'),
+)
+
+
+def open_loop(values, joints):
+    """
+    Return the torques of modes constant and sine as a function of time.
+
+    Parameters
+    ----------
+    values : dict
+        Of the parameters.
+    joints : sequence of str
+
+    Returns
+    -------
+    callable
+        ``law(time)`` returns an ndarray, shape (n,).
+
+    Raises
+    ------
+    StartError
+        If a parameter does not fit the joints.
+
+    """
+    mean, wave = _spread(values, 'torque', joints), _wave(values, '', joints)
+    if values['mode'] == 'constant':
+        return lambda time: mean
+    return lambda time: mean + wave.value(time)
+
+
+def closed_loop(values, joints):
+    """
+    Return the law of mode pd.
+
+    Parameters
+    ----------
+    values : dict
+        Of the parameters.
+    joints : sequence of str
+
+    Returns
+    -------
+    ProportionalDerivative
+
+    Raises
+    ------
+    StartError
+        If a parameter does not fit the joints.
+
+    """
+    reference = Reference(
+        _spread(values, 'target_position', joints, nan_allowed=True),
+        _spread(values, 'target_velocity', joints),
+        _wave(values, 'move_', joints))
+    gains = [_not_negative(values, name, joints) for name in ('kp', 'kd', 'ki')]
+    if not np.any(gains):
+        raise StartError("mode 'pd' needs a gain: kp, kd and ki are all zero")
+    limit = _not_negative(values, 'torque_limit', joints)
+    limit[limit == 0.0] = np.inf
+    return ProportionalDerivative(
+        reference, *gains, _spread(values, 'feedforward', joints), limit)
+
+
+def _spread(values, name, joints, nan_allowed=False):
+    return np.array(per_joint(name, values[name], joints, nan_allowed))
+
+
+def _not_negative(values, name, joints):
+    spread = _spread(values, name, joints)
+    if np.any(spread < 0.0):
+        raise StartError(f"parameter '{name}': expected no negative value, got {values[name]}")
+    return spread
+
+
+def _wave(values, prefix, joints):
+    return Wave(
+        _spread(values, f'{prefix}amplitude', joints),
+        _not_negative(values, f'{prefix}frequency', joints),
+        _spread(values, f'{prefix}phase', joints))
