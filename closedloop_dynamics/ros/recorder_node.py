@@ -1,0 +1,213 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The node ``closedloop_recorder``: topics into a rosbag2 bag, where ``ros2 bag`` is not."""
+
+from collections import Counter
+from datetime import datetime
+from fnmatch import fnmatchcase
+import time
+
+from closedloop_dynamics.ros.bag import BagError
+from closedloop_dynamics.ros.bag import BagWriter
+from closedloop_dynamics.ros.bag import STORAGES
+from closedloop_dynamics.ros.message_types import MessageTypes
+from closedloop_dynamics.ros.message_types import UnknownTypeError
+from closedloop_dynamics.ros.parameters import declare
+from closedloop_dynamics.ros.parameters import Parameter
+from closedloop_dynamics.ros.process import run
+from closedloop_dynamics.ros.process import StartError
+from rclpy.clock import Clock
+from rclpy.clock import ClockType
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy
+from rclpy.qos import QoSProfile
+from rclpy.qos import ReliabilityPolicy
+
+NAME = 'closedloop_recorder'
+# Messages of a topic that may wait while this process is held up.
+QUEUE_DEPTH = 10000
+# Between two looks for topics [s].
+DISCOVERY_PERIOD = 0.1
+# For taking in what had arrived when the recording was ended [s].
+LAST_CALL = 0.5
+
+PARAMETERS = (
+    Parameter(
+        'topics', ['joint_states', 'constraint_forces/*', 'torque_command', 'joint_command'],
+        'Topics to record, relative to the namespace or full names; * and ? stand for any '
+        'characters.'),
+    Parameter(
+        'output', '',
+        'Directory of the bag; must not exist. Not given: rosbag2_ and the time, here.'),
+    Parameter('storage', 'mcap', 'Format of the bag: mcap or sqlite3.',
+              choices=tuple(STORAGES)),
+    Parameter('max_duration', 0.0, 'End the recording after so long [s]; 0: when stopped.',
+              (0.0, 1e6)),
+)
+
+
+class RecorderNode(Node):
+    """
+    Record every message of the chosen topics, as it came over the wire.
+
+    Attributes
+    ----------
+    exit_code : int or None
+        None while the node wants to go on.
+    received, lost : Counter
+        Messages by full topic name; lost: what DDS says could not be delivered.
+
+    """
+
+    def __init__(self, **options):
+        super().__init__(NAME, **options)
+        self.exit_code = None
+        self.received = Counter()
+        self.lost = Counter()
+        self._values = declare(self, PARAMETERS)
+        self._patterns = {
+            pattern: self._full_pattern(pattern) for pattern in self._values['topics']}
+        self._types = MessageTypes()
+        self._type_of = {}
+        self._subscriptions_by_topic = {}
+        self._complained = set()
+        try:
+            self._bag = BagWriter(
+                self._values['output'] or datetime.now().strftime('rosbag2_%Y_%m_%d-%H_%M_%S'),
+                self._values['storage'], self._types.typestore)
+        except BagError as error:
+            raise StartError(f'{error}') from None
+        self._begin = time.monotonic()
+        self.create_timer(
+            DISCOVERY_PERIOD, self.look, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.get_logger().info(f"recording {', '.join(self._patterns)} into '{self._bag.path}'")
+
+    def look(self):
+        """Subscribe to topics that have appeared; end when it is time to."""
+        for topic, type_names in self.get_topic_names_and_types():
+            if any(fnmatchcase(topic, full) for full in self._patterns.values()):
+                self._follow(topic, type_names)
+        duration = self._values['max_duration']
+        if self._bag.error is not None:
+            self.exit_code = 1
+        elif duration and time.monotonic() - self._begin >= duration:
+            self.exit_code = 0
+
+    def close(self):
+        """Take in what has arrived, close the bag and say what is in it."""
+        self._take_the_rest()
+        self._bag.close()
+        logger = self.get_logger()
+        for topic in sorted(self._subscriptions_by_topic):
+            lost = f', {self.lost[topic]} lost on the way' if self.lost[topic] else ''
+            logger.info(f'{topic}: {self.received[topic]} received, '
+                        f'{self._bag.written[topic]} written{lost}')
+        for pattern, full in self._patterns.items():
+            if not any(fnmatchcase(topic, full) for topic in self._subscriptions_by_topic):
+                logger.warning(f"topic '{pattern}' never appeared")
+        if self._bag.error is not None:
+            self.exit_code = 1
+            logger.error(f'{self._bag.error}')
+        else:
+            logger.info(f"{sum(self._bag.written.values())} messages in '{self._bag.path}'")
+
+    def _follow(self, topic, type_names):
+        """Subscribe to a topic, or anew if a publisher asks for another quality of service."""
+        offered = [info.qos_profile for info in self.get_publishers_info_by_topic(topic)]
+        subscription = self._subscriptions_by_topic.get(topic)
+        if subscription is None:
+            message_class = self._message_class(topic, type_names)
+            if message_class is not None:
+                self._subscribe(topic, message_class, _matching_profile(offered))
+        elif offered:
+            # Once messages came, the profile is only loosened: each new
+            # subscription costs some messages, and gets latched ones again.
+            profile = _matching_profile(
+                offered + [subscription.qos_profile] * bool(self.received[topic]))
+            if profile != subscription.qos_profile:
+                self.destroy_subscription(subscription)
+                self._subscribe(topic, subscription.msg_type, profile)
+
+    def _message_class(self, topic, type_names):
+        try:
+            if len(type_names) > 1:
+                raise UnknownTypeError(f'it has several types, {", ".join(type_names)}')
+            self._type_of[topic], = type_names
+            return self._types.message_class(type_names[0])
+        except UnknownTypeError as error:
+            if topic not in self._complained:
+                self._complained.add(topic)
+                self.get_logger().error(f'{topic} is not recorded: {error}')
+            return None
+
+    def _subscribe(self, topic, message_class, profile):
+        def on_message(data, info):
+            self._record(topic, data, info)
+
+        def on_loss(event):
+            self.lost[topic] += event.total_count_change
+
+        self._subscriptions_by_topic[topic] = self.create_subscription(
+            message_class, topic, on_message, profile, raw=True,
+            event_callbacks=SubscriptionEventCallbacks(message_lost=on_loss))
+
+    def _record(self, topic, data, info):
+        if not self.received[topic]:
+            self._bag.add_topic(topic, self._type_of[topic], [
+                publisher.qos_profile
+                for publisher in self.get_publishers_info_by_topic(topic)])
+        self.received[topic] += 1
+        self._bag.write(topic, info['received_timestamp'], data)
+
+    def _take_the_rest(self):
+        """Run callbacks until nothing more has arrived, at most for ``LAST_CALL``."""
+        deadline = time.monotonic() + LAST_CALL
+        idle = 0
+        while self.executor is not None and idle < 3 and time.monotonic() < deadline:
+            before = self.received.total()
+            self.executor.spin_once(timeout_sec=0.0)
+            idle = 0 if self.received.total() > before else idle + 1
+
+    def _full_pattern(self, pattern):
+        """Return the full name of a topic, or of a pattern in the node's namespace."""
+        if pattern.startswith('/'):
+            return pattern
+        if any(character in pattern for character in '*?['):
+            return f"{self.get_namespace().rstrip('/')}/{pattern}"
+        try:
+            return self.resolve_topic_name(pattern)
+        except Exception:
+            raise StartError(
+                f"parameter 'topics': '{pattern}' is not the name of a topic") from None
+
+
+def _matching_profile(offered):
+    """Return the strictest profile that goes with every one of those offered."""
+    best_effort = any(
+        each.reliability == ReliabilityPolicy.BEST_EFFORT for each in offered)
+    latched = offered and all(
+        each.durability == DurabilityPolicy.TRANSIENT_LOCAL for each in offered)
+    return QoSProfile(
+        depth=QUEUE_DEPTH,
+        reliability=(
+            ReliabilityPolicy.BEST_EFFORT if best_effort else ReliabilityPolicy.RELIABLE),
+        durability=(
+            DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE))
+
+
+def main(args=None):
+    """Run the node; return the exit code."""
+    return run(RecorderNode, NAME, args)
