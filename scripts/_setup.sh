@@ -1,0 +1,199 @@
+# shellcheck shell=bash
+# The environment of scripts/demo and scripts/test, in one place. Sourced by them, not run.
+#
+#   use_environment runtime|test    makes it if need be, and switches this shell to it
+#
+# With ROS 2 Jazzy sourced it is a virtual environment on top of that ROS's Python, with only what is missing
+# there. Otherwise everything comes from the Python package index, ROS 2 Jazzy included. It lives in .venv/ of
+# the checkout, one directory per Python and kind, and is made again when requirements/ or the Python change.
+#
+# PYTHON=python3.12       which Python to use (3.11, 3.12 or 3.13)
+# VERSIONS=ubuntu-24.04   without ROS sourced: the versions that Ubuntu 24.04 has, such as numpy 1.26
+
+set -euo pipefail
+
+root=$(cd -- "$(dirname -- "${BASH_SOURCE[0]}")/.." && pwd -P)
+
+say() {
+  printf '[setup] %s\n' "$*" >&2
+}
+
+fail() {
+  printf '[setup] Error: %s\n' "$@" >&2
+  exit 1
+}
+
+in_range() {
+  "$1" -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))' &>/dev/null </dev/null
+}
+
+# Set base_python to the Python that can import the sourced ROS, if there is one.
+find_ros_python() {
+  local candidate candidates=(python3 /usr/bin/python3)
+  [[ ${ROS_DISTRO:-} == jazzy ]] || return 1
+  [[ -z ${PYTHON:-} ]] || candidates=("$PYTHON")
+  for candidate in "${candidates[@]}"; do
+    if in_range "$candidate" && "$candidate" -c 'import rclpy' &>/dev/null </dev/null; then
+      base_python=$candidate
+      return 0
+    fi
+  done
+  return 1
+}
+
+# Set base_python to a Python that the wheels exist for.
+find_any_python() {
+  local candidate
+  if [[ -n ${PYTHON:-} ]]; then
+    in_range "$PYTHON" || fail "PYTHON=$PYTHON is no Python 3.11, 3.12 or 3.13." \
+      "Set PYTHON to one, or unset it to have one looked for."
+    base_python=$PYTHON
+    return
+  fi
+  for candidate in python3 python3.12 python3.13 python3.11 /usr/bin/python3; do
+    if in_range "$candidate"; then
+      base_python=$candidate
+      return
+    fi
+  done
+  fail "no Python 3.11, 3.12 or 3.13 was found (python3 is: $(python3 --version 2>&1 || true))." \
+    "Install one, or set PYTHON to its path."
+}
+
+# Set kind (ros or pypi), base_python and name (of the directory in .venv).
+choose_kind() {
+  if find_ros_python; then
+    kind=ros
+  else
+    kind=pypi
+    leave_other_ros
+    find_any_python
+  fi
+  name=$kind-$("$base_python" -c 'import sys; print("%d.%d" % sys.version_info[:2])')${VERSIONS:+-$VERSIONS}
+  base_python=$("$base_python" -c 'import sys; print(sys.executable)')
+}
+
+# A ROS that cannot be used must not be found half-way either: its paths come before those of the wheels.
+leave_other_ros() {
+  if [[ -n ${ROS_DISTRO:-} ]]; then
+    say "ROS 2 '$ROS_DISTRO' is sourced, but it is not Jazzy or no Python 3.11 to 3.13 imports its rclpy:"
+    say "left aside. ROS 2 Jazzy comes from the Python package index instead."
+  fi
+  unset ROS_DISTRO ROS_VERSION ROS_PYTHON_VERSION AMENT_PREFIX_PATH COLCON_PREFIX_PATH CMAKE_PREFIX_PATH \
+    LD_LIBRARY_PATH RMW_IMPLEMENTATION PYTHONPATH _ROS_WHEELS_BOOTSTRAP_COMPLETE
+}
+
+check_machine() {
+  "$base_python" -c 'import ensurepip, venv' &>/dev/null </dev/null ||
+    fail "$base_python cannot make virtual environments: Debian and Ubuntu keep that in a package of its own." \
+      "Install it: sudo apt install python$("$base_python" -c 'import sys; print("%d.%d" % sys.version_info[:2])')-venv"
+  if [[ $kind == pypi && $(uname -sm) != 'Linux x86_64' ]]; then
+    fail "ROS 2 Jazzy exists as wheels for Linux x86_64 only; this is $(uname -sm)." \
+      "Install ROS 2 Jazzy, source its setup.bash, and run this again."
+  fi
+}
+
+# Print what the environment depends on, for a digest: here, the files named, and the Python.
+describe() {
+  printf '%s\n' "$root" "$name" "$base_python"
+  "$base_python" -VV
+  cat -- "$@"
+}
+
+digest() {
+  describe "$@" | sha256sum | cut -d ' ' -f 1
+}
+
+pip_install() {
+  if ! "$venv/bin/python" -m pip --quiet --no-input --disable-pip-version-check install \
+      --constraint "$constraints" "$@" &>>"$log" </dev/null; then
+    tail -n 20 -- "$log" >&2
+    fail "pip could not install the above (all of its output: $log)." \
+      "Most often the network or a proxy is in the way; what was begun is made anew by the next run."
+  fi
+}
+
+make_environment() {
+  local wheels=()
+  rm -rf -- "$venv"
+  mkdir -p -- "$venv"
+  touch -- "$venv/.incomplete"
+  say "Making a virtual environment for $("$base_python" --version) in .venv/$name"
+  if [[ $kind == ros ]]; then
+    "$base_python" -m venv --system-site-packages "$venv"
+    "$venv/bin/python" "$root/scripts/_prefer_installed.py" "$constraints" > "$venv/constraints.txt"
+    constraints=$venv/constraints.txt
+    say "Installing what the sourced ROS 2 Jazzy does not bring: numba, rosbags (up to 300 MB, a minute or two)"
+  else
+    "$base_python" -m venv "$venv"
+    wheels=(--requirement "$root/requirements/ros.txt")
+    say "Installing ROS 2 Jazzy and the numerics from the Python package index (200 MB, a minute or two)"
+  fi
+  pip_install --requirement "$root/requirements/runtime.txt" ${wheels[@]+"${wheels[@]}"}
+  # Editable, for the commands in bin/; the code that runs is the checkout's.
+  pip_install --no-deps --no-build-isolation --editable "$root"
+}
+
+# Bring the environment up to date: runtime alone, or with what the tests need.
+update_environment() {
+  local wanted=$1 log=$root/.venv/$name.log requirements=$root/requirements constraints runtime_key test_key
+  constraints=$requirements/constraints${VERSIONS:+-$VERSIONS}.txt
+  [[ $kind == pypi ]] || constraints=$requirements/constraints-ubuntu-24.04.txt
+  [[ -e $constraints ]] || fail "VERSIONS=$VERSIONS is unknown: there is no ${constraints#"$root"/}."
+  runtime_key=$(digest "$requirements"/{runtime,ros,constraints*}.txt "$root"/setup.{py,cfg})
+  test_key=$(digest "$requirements"/*.txt)
+  if [[ -e $venv/.incomplete ]] || [[ $(cat -- "$venv/.runtime" 2>/dev/null) != "$runtime_key" ]] ||
+      ! "$venv/bin/python" -c '' &>/dev/null; then
+    : > "$log"
+    make_environment
+    printf '%s\n' "$runtime_key" > "$venv/.runtime"
+    rm -- "$venv/.incomplete"
+  fi
+  if [[ $wanted == test && $(cat -- "$venv/.test" 2>/dev/null) != "$test_key" ]]; then
+    touch -- "$venv/.incomplete"
+    [[ ! -e $venv/constraints.txt ]] || constraints=$venv/constraints.txt
+    say "Installing what the tests need (15 MB)"
+    pip_install --requirement "$requirements/test.txt"
+    printf '%s\n' "$test_key" > "$venv/.test"
+    rm -- "$venv/.incomplete"
+  fi
+}
+
+# Where programs may write, whatever HOME is; and ROS traffic that stays on this machine, apart from other runs.
+export_environment() {
+  local cache=$root/.cache sources
+  export VIRTUAL_ENV=$venv PATH=$venv/bin:$PATH PYTHONPATH=$root${PYTHONPATH:+:$PYTHONPATH}
+  export MPLCONFIGDIR=${MPLCONFIGDIR:-$cache/matplotlib}
+  if [[ -z ${NUMBA_CACHE_DIR:-} ]]; then
+    # Numba's cache does not notice edits to callees in other files: one cache for each state of the sources.
+    sources=$(cd -- "$root" && find closedloop_dynamics -name '*.py' -print0 | sort -z | xargs -0 sha256sum |
+      sha256sum | cut -c 1-16)
+    export NUMBA_CACHE_DIR=$cache/numba/$sources
+    [[ -d $NUMBA_CACHE_DIR ]] || rm -rf -- "$cache/numba"
+  fi
+  export ROS_LOG_DIR=${ROS_LOG_DIR:-$cache/ros_log}
+  export ROS_AUTOMATIC_DISCOVERY_RANGE=${ROS_AUTOMATIC_DISCOVERY_RANGE:-LOCALHOST}
+  # Linux has free ports for domains 0 to 101; 0 is everyone's.
+  export ROS_DOMAIN_ID=${ROS_DOMAIN_ID:-$((1 + $$ % 101))}
+  mkdir -p -- "$MPLCONFIGDIR" "$NUMBA_CACHE_DIR" "$ROS_LOG_DIR"
+}
+
+use_environment() {
+  local lock
+  # Settings of other environments, and packages of the user's own, must not leak in.
+  unset PYTHONHOME PIP_TARGET PIP_PREFIX
+  export PYTHONNOUSERSITE=1 PIP_USER=0
+  choose_kind
+  check_machine
+  venv=$root/.venv/$name
+  mkdir -p -- "$root/.venv"
+  exec {lock}>"$root/.venv/lock"
+  if ! flock --nonblock "$lock"; then
+    say 'Waiting for another run that sets up its environment'
+    flock "$lock"
+  fi
+  update_environment "$1"
+  ln -sfn -- "$name/bin/activate" "$root/.venv/activate"
+  exec {lock}>&-
+  export_environment
+}

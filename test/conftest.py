@@ -1,0 +1,62 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+What all tests share: the ``--all`` option, and an environment that harms nothing around it.
+
+The environment is set here, before anything imports numba or rclpy, for runs without ``scripts/test``: by hand,
+or by ``colcon test``. What is set already is left alone.
+"""
+
+import os
+import shutil
+import tempfile
+
+
+_throwaway = []
+
+
+def _set_default(name, value):
+    """
+    Set an environment variable that is not set; processes started by tests inherit it.
+    """
+    os.environ.setdefault(name, str(value))
+
+
+if 'NUMBA_CACHE_DIR' not in os.environ:
+    # Numba's cache does not notice edits to callees in other files, so each run has one of its own.
+    _throwaway.append(tempfile.mkdtemp(prefix='closedloop_dynamics.'))
+    os.environ['NUMBA_CACHE_DIR'] = _throwaway[0]
+_set_default('MPLBACKEND', 'Agg')
+_set_default('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+# Linux has free ports for domains 0 to 101; 0 is everyone's.
+_set_default('ROS_DOMAIN_ID', 1 + os.getpid() % 101)
+
+
+def pytest_addoption(parser):
+    parser.addoption('--all', action='store_true', help='run the tests marked slow, too')
+
+
+def pytest_collection_modifyitems(config, items):
+    if config.getoption('--all'):
+        return
+    slow = [item for item in items if item.get_closest_marker('slow')]
+    if slow:
+        config.hook.pytest_deselected(items=slow)
+        items[:] = [item for item in items if not item.get_closest_marker('slow')]
+
+
+def pytest_unconfigure():
+    for directory in _throwaway:
+        shutil.rmtree(directory, ignore_errors=True)
