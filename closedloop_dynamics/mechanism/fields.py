@@ -29,7 +29,7 @@ from dataclasses import fields, MISSING
 from difflib import get_close_matches
 
 LONGEST_SHOWN = 60
-MOST_SHOWN = 12
+MOST_SHOWN = 30
 
 
 class FieldError(ValueError):

@@ -1,0 +1,116 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+The description that ``closedloop check`` prints says what was understood.
+
+"""
+
+from dataclasses import replace
+
+from closedloop_dynamics.mechanism.mechanism import Body, Joint, Mechanism
+from closedloop_dynamics.scene import load_scene, scene_names
+from closedloop_dynamics.studies.check import describe
+import pytest
+
+
+def paragraphs(described):
+    """Return the lines of each paragraph by its heading."""
+    parts = [part.splitlines() for part in describe(described).split('\n\n')]
+    return {lines[0]: [line.strip() for line in lines[1:]] for lines in parts}
+
+
+def cells(lines):
+    """Return the cells of a table, which stand two or more spaces apart."""
+    return [[cell.strip() for cell in line.split('  ') if cell.strip()] for line in lines]
+
+
+def test_three_rrr_is_described_whole():
+    scene = load_scene('three_rrr')
+    parts = paragraphs(scene)
+    assert list(parts) == [
+        'Scene three_rrr', 'Mechanism three_rrr', 'Bodies: 7', 'Joints: 7', 'Subsystems: 3',
+        'Cut joints: 2', 'Points: 4', 'Summary',
+        'Joints at the start, before the loops are closed: 7', 'Effects: 1', 'Method']
+    assert parts['Scene three_rrr'] == [scene.description]
+    assert parts['Mechanism three_rrr'] == [scene.mechanism.description]
+    assert cells(parts['Bodies: 7'])[:2] == [
+        ['name', 'mass [kg]', 'centre of mass [m]', 'inertia [kg m^2]'],
+        ['proximal_1', '3', '[0.2, 0]', '0.04']]
+    assert cells(parts['Joints: 7'])[4] == [
+        'theta_4', 'revolute', 'platform', 'distal_2', '[0.4, 0]', '-3.14159', 'no']
+    assert cells(parts['Subsystems: 3'])[1:] == [
+        ['1', 'theta_1, theta_2, theta_3, theta_4, theta_5'], ['2', 'theta_6'], ['3', 'theta_7']]
+    assert cells(parts['Cut joints: 2'])[2] == [
+        'cut_2', 'revolute', 'distal_3', '[-0.6, 0]', 'proximal_3', '[0.4, 0]', '2', '1, 3']
+    assert cells(parts['Summary']) == [
+        ['constraint equations', '4'],
+        ['degrees of freedom', '3 = 7 joints - 4 equations '
+                               '(the generic count; dependent equations leave more)'],
+        ['elimination order', 'cut_1, cut_2; blocks of fill: 0'],
+        ['actuated joints', 'theta_1, theta_6, theta_7']]
+    assert cells(parts['Joints at the start, before the loops are closed: 7'])[1:3] == [
+        ['theta_1', '1.0467', '0', 'held'], ['theta_2', '5.4206', '0', 'free']]
+    assert cells(parts['Effects: 1'])[1:] == [['gravity', 'gravity', 'acceleration = [0, -9.81]']]
+    assert cells(parts['Method']) == [
+        ['integrator', 'rk4'], ['step size', '0.001 s'], ['stabilisation', 'projection'],
+        ['formulation', 'subsystem']]
+
+
+def test_scraper_eliminates_without_fill():
+    parts = paragraphs(load_scene('carpet_scraper').mechanism)
+    summary = dict(cells(parts['Summary']))
+    assert summary['constraint equations'] == '6'
+    assert summary['degrees of freedom'].startswith('1 = 7 joints - 6 equations')
+    order, fill = summary['elimination order'].split('; ')
+    assert sorted(order.split(', ')) == ['cut_1', 'cut_2', 'cut_3']
+    assert fill == 'blocks of fill: 0'
+    assert [row[-1] for row in cells(parts['Cut joints: 3'])[1:]] == ['1, 2', '2, 3', '3']
+
+
+def test_mechanism_alone_has_no_scene():
+    parts = paragraphs(load_scene('slider_crank').mechanism)
+    assert list(parts)[0] == 'Mechanism slider_crank'
+    assert list(parts)[-1] == 'Summary'
+    assert cells(parts['Joints: 3'])[3][:2] == ['slider_joint', 'prismatic']
+
+
+def test_tree_without_cuts_or_drives():
+    pendulum = Mechanism('pendulum', (Body('rod', 1.0, (0.5, 0.0), 0.1),),
+                         (Joint('pivot', 'revolute', 'ground', 'rod', (0.0, 0.0)),))
+    parts = paragraphs(pendulum)
+    assert parts['Cut joints: none'] == []
+    assert not any(title.startswith('Points') for title in parts)
+    assert dict(cells(parts['Summary'])) == {
+        'constraint equations': '0',
+        'degrees of freedom': '1 = 1 joints - 0 equations '
+                              '(the generic count; dependent equations leave more)',
+        'elimination order': 'none; blocks of fill: 0', 'actuated joints': 'none'}
+
+
+def test_time_constant_is_shown_where_it_matters():
+    scene = load_scene('four_bar')
+    method = replace(scene.method, stabilisation='baumgarte', baumgarte_time_constant=0.02)
+    shown = dict(cells(paragraphs(replace(scene, method=method, effects={}))['Method']))
+    assert shown['time constant'] == '0.02 s'
+    assert 'Effects: none' in describe(replace(scene, effects={}))
+
+
+@pytest.mark.parametrize('name', scene_names())
+def test_every_shipped_scene_is_described_in_plain_columns(name):
+    text = describe(load_scene(name))
+    assert all(line == line.rstrip() for line in text.splitlines())
+    assert text.isascii() and not text.endswith('\n')
+    for joint in load_scene(name).mechanism.joints:
+        assert joint.name in text
