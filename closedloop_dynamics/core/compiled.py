@@ -1,0 +1,51 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The one decorator of the compiled kernels."""
+
+import warnings
+
+try:
+    import numba
+except ImportError:
+    numba = None
+    warnings.warn(
+        'numba is not installed: the same kernels run interpreted, several hundred times '
+        'slower. Install numba for real-time simulation.', RuntimeWarning, stacklevel=2)
+
+
+def compiled(function):
+    """
+    Compile ``function`` with numba, cached on disk; without numba return it as it is.
+
+    Division by zero follows IEEE 754 (``error_model='numpy'``): no kernel
+    raises, poor pivots are reported through the status instead.
+
+    """
+    if numba is None:
+        return function
+    return numba.njit(cache=True, error_model='numpy')(function)
+
+
+def inlined(function):
+    """
+    Compile like ``compiled``, and always inline into the calling kernel.
+
+    For the stages of one evaluation: a call hands over every array of the model and the
+    workspace (some 150 words), which would cost as much as the stage itself.
+
+    """
+    if numba is None:
+        return function
+    return numba.njit(cache=True, error_model='numpy', forceinline=True)(function)

@@ -1,0 +1,145 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Block elimination for the multipliers, in a static order with static sparsity.
+
+The constraint matrix Ibar = J I^-1 J^T is symmetric and, while the closure
+equations are independent, positive definite: eliminated in any order without
+pivoting it stays stable, so the order is chosen once, for low fill. Each cut
+joint's rows are neighbours, so the block pivots are its 2 x 2 or 3 x 3 blocks.
+
+"""
+
+from .compiled import inlined
+from .types import ROW, ROWS, SLOT_A, SLOT_END, SMALLEST_PIVOT, SMALLEST_PIVOT_EVER
+
+# A pivot this small against its own diagonal entry (a squared sine: closure equations
+# 1e-4 rad from dependent) has lost half its digits: the rank-revealing path takes over.
+POOR_PIVOT = 1e-8
+
+
+@inlined
+def assemble(model, work):
+    """
+    Assemble Ibar, lower blocks only, from the reduced responses of the cut forces.
+
+    Parameters
+    ----------
+    model : Model
+    work : Workspace
+        After ``loop_closure.update``; ``factor`` is written.
+
+    Notes
+    -----
+    THEORY.md section 1, step 3. With I = L D L^T in each subsystem,
+    J_a I^-1 J_b^T is the sum of u_a u_b / D over the joints that both cut forces pass: no
+    acceleration is ever computed for a unit force.
+
+    """
+    response, scaled, factor = work.response, work.response_scaled, work.factor
+    cut, block, pair = model.cut, model.block, model.pair
+    column, entry = model.column, model.entry
+    for t in range(factor.shape[0]):
+        factor[t] = 0.0
+    for a in range(cut.shape[0]):
+        for c in range(cut[a, ROWS]):
+            place = column[cut[a, ROW] + c]
+            for k in range(c, cut[a, ROWS]):
+                total = 0.0
+                for slot in range(cut[a, SLOT_A], cut[a, SLOT_END]):
+                    total += response[slot, k] * scaled[slot, c]
+                factor[place + k - c] = total
+    for n in range(block.shape[0]):
+        later, earlier = block[n, 0], block[n, 1]
+        for c in range(cut[earlier, ROWS]):
+            place = entry[n, c]
+            for k in range(cut[later, ROWS]):
+                total = 0.0
+                for m in range(block[n, 2], block[n, 3]):
+                    total += response[pair[m, 0], k] * scaled[pair[m, 1], c]
+                factor[place + k] = total
+
+
+@inlined
+def factorize(model, work):
+    """
+    Factor the assembled Ibar = L D L^T in place; keep L D, and 1/D apart.
+
+    Parameters
+    ----------
+    model : Model
+    work : Workspace
+        After ``assemble``. ``health`` tells the smallest relative pivot.
+
+    Returns
+    -------
+    bool
+        Whether every pivot is good; if not, the rank-revealing path must be taken.
+
+    """
+    column, row, dependency = model.column, model.row, model.dependency
+    factor, scatter, inverse = work.factor, work.scatter, work.pivot_inverse
+    places = model.dependency_place
+    smallest = 1.0
+    for j in range(column.shape[0] - 1):
+        first, last = column[j], column[j + 1]
+        diagonal = factor[first]
+        if dependency[j] < dependency[j + 1]:
+            for t in range(first, last):
+                scatter[row[t]] = factor[t]
+            for d in range(dependency[j], dependency[j + 1]):
+                k, place = places[d, 0], places[d, 1]
+                scale = factor[place] * inverse[k]
+                for t in range(place, column[k + 1]):
+                    scatter[row[t]] -= factor[t] * scale
+            for t in range(first, last):
+                factor[t] = scatter[row[t]]
+        ratio = factor[first] / diagonal
+        # Written so that a NaN (0/0: an equation no motion can change) counts as poor.
+        if not ratio >= smallest:
+            smallest = ratio if ratio > 0.0 else 0.0
+        inverse[j] = 1.0 / factor[first]
+    work.health[SMALLEST_PIVOT] = smallest
+    if smallest < work.health[SMALLEST_PIVOT_EVER]:
+        work.health[SMALLEST_PIVOT_EVER] = smallest
+    return smallest >= POOR_PIVOT
+
+
+@inlined
+def solve(model, work, right):
+    """
+    Solve Ibar x = ``right`` with the factors.
+
+    Parameters
+    ----------
+    model : Model
+    work : Workspace
+        After ``factorize``.
+    right : ndarray, shape (nc,)
+        In elimination order; replaced by the solution.
+
+    """
+    column, row, factor, inverse = model.column, model.row, work.factor, work.pivot_inverse
+    rows = column.shape[0] - 1
+    for k in range(rows):
+        scaled = right[k] * inverse[k]
+        right[k] = scaled
+        for t in range(column[k] + 1, column[k + 1]):
+            right[row[t]] -= factor[t] * scaled
+    for k in range(rows - 2, -1, -1):
+        total = 0.0
+        for t in range(column[k] + 1, column[k + 1]):
+            total += factor[t] * right[row[t]]
+        right[k] -= total * inverse[k]

@@ -1,0 +1,226 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+The augmented and the system-level formulation, to compare the method against.
+
+Both work on dense matrices of the whole mechanism and cost O((n + m)^3) and
+O(n^3 + m^3); they see neither subsystems nor the cut-joint graph.
+
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from .compiled import compiled
+from .forward_dynamics import constraint_right_side, to_user_order
+from .inverse_dynamics import tree_torque
+from .jacobian import constraint_jacobian, generalized_inertia_matrix
+from .loop_closure import update
+from .types import EVALUATIONS
+
+# Which formulation an evaluation uses.
+SUBSYSTEM, SYSTEM, AUGMENTED = range(3)
+
+
+class DenseWorkspace(NamedTuple):
+    """
+    Matrices of the dense formulations.
+
+    Attributes
+    ----------
+    gim : ndarray, shape (nv, nv)
+    jac : ndarray, shape (nc, nv)
+    free : ndarray, shape (nv,)
+        phi, then I^-1 phi.
+    right : ndarray, shape (nc,)
+    schur : ndarray, shape (nc, nc)
+        J I^-1 J^T.
+    kkt : ndarray, shape (nv + nc, nv + nc)
+    solution : ndarray, shape (nv + nc,)
+
+    """
+
+    gim: np.ndarray
+    jac: np.ndarray
+    free: np.ndarray
+    right: np.ndarray
+    schur: np.ndarray
+    kkt: np.ndarray
+    solution: np.ndarray
+
+
+def allocate_dense(model, formulation):
+    """
+    Allocate what one formulation needs; nothing for the subsystem-level one.
+
+    Parameters
+    ----------
+    model : Model
+    formulation : int
+        ``SUBSYSTEM``, ``SYSTEM`` or ``AUGMENTED``.
+
+    Returns
+    -------
+    DenseWorkspace
+
+    """
+    nv = len(model.tree) - 1 if formulation != SUBSYSTEM else 0
+    nc = len(model.column) - 1 if formulation != SUBSYSTEM else 0
+    both = nv + nc if formulation == AUGMENTED else 0
+    schur = nc if formulation == SYSTEM else 0
+    return DenseWorkspace(
+        gim=np.zeros((nv, nv)), jac=np.zeros((nc, nv)), free=np.zeros(nv), right=np.zeros(nc),
+        schur=np.zeros((schur, schur)), kkt=np.zeros((both, both)), solution=np.zeros(both))
+
+
+@compiled
+def cholesky(matrix):
+    """
+    Factor a symmetric positive definite matrix as L L^T in place (lower part).
+
+    A matrix that is not positive definite leaves NaN behind.
+
+    """
+    n = matrix.shape[0]
+    for i in range(n):
+        for j in range(i + 1):
+            total = matrix[i, j]
+            for k in range(j):
+                total -= matrix[i, k] * matrix[j, k]
+            matrix[i, j] = np.sqrt(total) if i == j else total / matrix[j, j]
+
+
+@compiled
+def lower_solve(factor, right):
+    """Solve L x = ``right`` in place for lower triangular L."""
+    for i in range(factor.shape[0]):
+        total = right[i]
+        for k in range(i):
+            total -= factor[i, k] * right[k]
+        right[i] = total / factor[i, i]
+
+
+@compiled
+def lower_transposed_solve(factor, right):
+    """Solve L^T x = ``right`` in place for lower triangular L."""
+    for i in range(factor.shape[0] - 1, -1, -1):
+        value = right[i] / factor[i, i]
+        right[i] = value
+        for k in range(i):
+            right[k] -= factor[i, k] * value
+
+
+@compiled
+def gaussian_solve(matrix, right):
+    """Solve ``matrix`` x = ``right`` in place by elimination with partial pivoting."""
+    n = matrix.shape[0]
+    for k in range(n):
+        pivot = k
+        for i in range(k + 1, n):
+            if abs(matrix[i, k]) > abs(matrix[pivot, k]):
+                pivot = i
+        if pivot != k:
+            for j in range(k, n):
+                matrix[k, j], matrix[pivot, j] = matrix[pivot, j], matrix[k, j]
+            right[k], right[pivot] = right[pivot], right[k]
+        inverse = 1.0 / matrix[k, k]
+        for i in range(k + 1, n):
+            scale = matrix[i, k] * inverse
+            if scale != 0.0:
+                for j in range(k + 1, n):
+                    matrix[i, j] -= scale * matrix[k, j]
+                right[i] -= scale * right[k]
+    for i in range(n - 1, -1, -1):
+        total = right[i]
+        for j in range(i + 1, n):
+            total -= matrix[i, j] * right[j]
+        right[i] = total / matrix[i, i]
+
+
+@compiled
+def accelerate_dense(model, work, dense, formulation, tau, baumgarte, qdd, lam):
+    """
+    Compute joint accelerations and multipliers by a dense formulation.
+
+    Parameters
+    ----------
+    model, work, tau, baumgarte, qdd, lam
+        As for ``forward_dynamics.accelerate``.
+    dense : DenseWorkspace
+    formulation : int
+        ``SYSTEM`` (appendix A.3, eq. 1-2) or ``AUGMENTED`` (A.5, eq. 7).
+
+    """
+    nv, nc = dense.free.shape[0], dense.right.shape[0]
+    constraint_jacobian(model, work, dense.jac)
+    update(model, work, False)
+    work.right[:] = 0.0
+    constraint_right_side(work, baumgarte, work.right)
+    to_user_order(model, work.right, dense.right)
+    qdd[:] = 0.0
+    tree_torque(model, work, qdd, dense.free)
+    for i in range(nv):
+        dense.free[i] = tau[i] - dense.free[i]
+    generalized_inertia_matrix(model, work, dense.gim)
+    if formulation == SYSTEM:
+        _system_level(dense, lam)
+        for i in range(nv):
+            qdd[i] = dense.free[i]
+    else:
+        for i in range(nv):
+            dense.solution[i] = dense.free[i]
+            for j in range(nv):
+                dense.kkt[i, j] = dense.gim[i, j]
+        for k in range(nc):
+            dense.solution[nv + k] = dense.right[k]
+            for i in range(nv):
+                dense.kkt[nv + k, i] = dense.jac[k, i]
+                dense.kkt[i, nv + k] = dense.jac[k, i]
+            for j in range(nc):
+                dense.kkt[nv + k, nv + j] = 0.0
+        gaussian_solve(dense.kkt, dense.solution)
+        for i in range(nv):
+            qdd[i] = dense.solution[i]
+        for k in range(nc):
+            lam[k] = -dense.solution[nv + k]
+    work.health[EVALUATIONS] += 1.0
+
+
+@compiled
+def _system_level(dense, lam):
+    """Solve for lambda, then leave qdd in ``dense.free``."""
+    nv, nc = dense.free.shape[0], dense.right.shape[0]
+    cholesky(dense.gim)
+    lower_solve(dense.gim, dense.free)
+    for k in range(nc):
+        lower_solve(dense.gim, dense.jac[k])
+    for k in range(nc):
+        total = dense.right[k]
+        for i in range(nv):
+            total -= dense.jac[k, i] * dense.free[i]
+        lam[k] = total
+        for j in range(k + 1):
+            total = 0.0
+            for i in range(nv):
+                total += dense.jac[k, i] * dense.jac[j, i]
+            dense.schur[k, j] = total
+    cholesky(dense.schur)
+    lower_solve(dense.schur, lam)
+    lower_transposed_solve(dense.schur, lam)
+    for k in range(nc):
+        for i in range(nv):
+            dense.free[i] += dense.jac[k, i] * lam[k]
+    lower_transposed_solve(dense.gim, dense.free)

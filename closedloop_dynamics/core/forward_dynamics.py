@@ -1,0 +1,123 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The subsystem-level forward dynamics on one page (THEORY.md section 1)."""
+
+from . import articulated_inertia, elimination, kinematics, loop_closure, rank_revealing
+from .compiled import compiled, inlined
+from .types import CUT_ROW, EVALUATIONS, ROW, ROWS
+
+
+@compiled
+def accelerate(model, work, tau, baumgarte, qdd, lam):
+    """
+    Compute joint accelerations and multipliers after ``kinematics.outward``.
+
+    Parameters
+    ----------
+    model : Model
+        Constant topology and geometry.
+    work : Workspace
+        After ``kinematics.outward`` and whatever subtracted applied forces from FZ, FX, FY.
+    tau : ndarray, shape (nv,)
+        Joint torques [N m] and forces [N].
+    baumgarte : float
+        Rate [1/s] at which closure errors decay, critically damped; 0 for none.
+    qdd : ndarray, shape (nv,)
+        Written in place [rad/s^2, m/s^2].
+    lam : ndarray, shape (nc,)
+        Written in place, the force on body A of each cut joint [N, N m].
+
+    Notes
+    -----
+    Koul, Shah, Saha and Manivannan (2014), eq. (3)-(6), for any number of cut joints in any
+    order of elimination. Departure: what the paper computes as I_k^-1 J^T by recursions
+    outward and inward is left half done, at the factors, where it already gives Ibar.
+
+    """
+    right = work.right
+    articulated_inertia.inward(model, tau, work)
+    loop_closure.update(model, work, True)
+    elimination.assemble(model, work)
+    independent = elimination.factorize(model, work)
+    loop_closure.free_acceleration(model, work, right)
+    constraint_right_side(work, baumgarte, right)
+    if independent:
+        elimination.solve(model, work, right)
+    else:
+        rank_revealing.solve(model, work, right)
+    loop_closure.apply(model, work, right)
+    articulated_inertia.outward_acceleration(model, work, qdd)
+    to_user_order(model, right, lam)
+    work.health[EVALUATIONS] += 1.0
+
+
+@inlined
+def constraint_right_side(work, baumgarte, right):
+    """
+    Turn J I^-1 phi into what is left for the multipliers to do.
+
+    Parameters
+    ----------
+    work : Workspace
+        After ``loop_closure.update``.
+    baumgarte : float
+        Decay rate [1/s] of closure errors.
+    right : ndarray, shape (nc,)
+        J I^-1 phi (or zeros); replaced by - Jdot qd - Baumgarte's terms less that.
+
+    """
+    for k in range(right.shape[0]):
+        right[k] = -right[k] - work.bias[k] - baumgarte * (
+            2.0 * work.closure_rate[k] + baumgarte * work.closure[k])
+
+
+@compiled
+def forward_dynamics(model, work, q, qd, tau, qdd, lam):
+    """
+    Compute joint accelerations and multipliers of a state under joint torques.
+
+    Parameters
+    ----------
+    model : Model
+    work : Workspace
+    q, qd, tau : ndarray, shape (nv,)
+        Joint coordinates, rates, torques.
+    qdd : ndarray, shape (nv,)
+        Written in place.
+    lam : ndarray, shape (nc,)
+        Written in place.
+
+    """
+    kinematics.outward(model, q, qd, work)
+    accelerate(model, work, tau, 0.0, qdd, lam)
+
+
+@inlined
+def to_user_order(model, ordered, out):
+    """
+    Copy closure-sized values from elimination order to the order of the mechanism.
+
+    Parameters
+    ----------
+    model : Model
+    ordered : ndarray, shape (nc,)
+    out : ndarray, shape (nc,)
+        Written in place.
+
+    """
+    cut = model.cut
+    for a in range(cut.shape[0]):
+        for k in range(cut[a, ROWS]):
+            out[cut[a, CUT_ROW] + k] = ordered[cut[a, ROW] + k]

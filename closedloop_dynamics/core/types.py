@@ -1,0 +1,191 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+What the kernels read and write: the constant Model and the mutable Workspace.
+
+Both are NamedTuples of C-contiguous arrays. Per body there is one row; the
+columns are the constants below, so that what belongs to one body lies in one
+piece of memory. Row 0 is the ground: recursions need no special case for it.
+Bodies are numbered so that a parent comes before its children, subsystem by
+subsystem; ``q``, ``qd``, ``tau`` and the multipliers of the interface keep the
+user's order (columns ``DOF`` and ``CUT_ROW``).
+
+A planar vector is ordered (angular, x, y), in world axes, at the body's own
+origin (the place of its joint).
+
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+# Model.tree, one row a body: topology.
+PARENT, DOF, TYPE, SUBSYSTEM = range(4)
+TREE_COLUMNS = 4
+# Values of the column TYPE.
+REVOLUTE, PRISMATIC, REVOLUTE_ARMATURE = range(3)
+
+# Model.body, one row a body: constants.
+# MASS; first moments MASS_X, MASS_Y in body axes; inertia about the body's
+# origin; the joint's place in the parent's frame; angle of the child's frame
+# at q = 0; rotor inertia seen at the joint.
+MASS, MASS_X, MASS_Y, INERTIA, JOINT_X, JOINT_Y, ANGLE, ARMATURE = range(8)
+BODY_COLUMNS = 8
+
+# Workspace.body, one row a body.
+# Set by kinematics.outward: absolute angle, its cosine and sine, origin,
+# offset from the parent's origin, velocity, velocity-product acceleration of
+# the origin (its angular part is zero in the plane).
+ALPHA, COS, SIN, PX, PY, RX, RY, OMEGA, VX, VY, AX, AY = range(12)
+# Articulated-body inertia [[IZZ, HX, HY], [HX, MXX, MXY], [HY, MXY, MYY]] and bias force:
+# set to the rigid body's own by kinematics.outward, completed by articulated_inertia.inward.
+IZZ, HX, HY, MXX, MXY, MYY, FZ, FX, FY = range(12, 21)
+# Factors: inverse pivot 1/D, U = IA S, joint axis S (x and y; its angular part is
+# 1 for a revolute joint, 0 for a prismatic one), the reduced right-hand side.
+DINV, UZ, UX, UY, SX, SY, RHS = range(21, 28)
+# Acceleration beyond the velocity-product one.
+DZ, DX, DY = range(28, 31)
+WORK_COLUMNS = 32
+
+# Model.cut, one row a cut joint: topology. CUT_ROW: first multiplier in the user's
+# order; ROW: first one in elimination order; slots SLOT_A..SLOT_B-1 are the bodies
+# from body A inward, SLOT_B..SLOT_COMMON-1 those from body B, SLOT_COMMON..SLOT_END-1
+# the ones that both paths share.
+CUT_TYPE, BODY_A, BODY_B, ROWS, CUT_ROW, ROW, SLOT_A, SLOT_B, SLOT_COMMON, SLOT_END = range(10)
+CUT_COLUMNS = 10
+# Values of CUT_TYPE.
+CUT_REVOLUTE, CUT_PRISMATIC, CUT_FIXED = range(3)
+# Model.cut_point, one row a cut joint: the cut point in both bodies' frames, the angle.
+A_X, A_Y, B_X, B_Y, CUT_ANGLE = range(5)
+
+# Workspace.health.
+# The smallest pivot relative to its diagonal entry (the squared sine of the angle between one
+# closure equation and those before it), whether the rank-revealing path ran, the rank there,
+# the condition number of the block with the poorest one, evaluations so far.
+SMALLEST_PIVOT, RANK_REVEALING, RANK, EVALUATIONS, RANK_REVEALING_COUNT = range(5)
+HEALTH_COLUMNS = 8
+
+
+class Model(NamedTuple):
+    """
+    Constant description of one mechanism; built by ``modeling.build_model``.
+
+    Attributes
+    ----------
+    tree : ndarray of int, shape (nb + 1, TREE_COLUMNS)
+    body : ndarray, shape (nb + 1, BODY_COLUMNS)
+    gravity : ndarray, shape (2,)
+        [m/s^2].
+    cut : ndarray of int, shape (number of cuts, CUT_COLUMNS)
+    cut_point : ndarray, shape (number of cuts, 5)
+    slot_body : ndarray of int
+        The body of every slot (a place on the path of a cut force).
+    pair : ndarray of int, shape (pairs, 4)
+        Off-diagonal blocks: (slot of the later cut, slot of the earlier cut) that share a
+        body, with the rows of both cuts packed in ``block``.
+    block : ndarray of int, shape (blocks, 4)
+        (later cut, earlier cut, first pair, last pair + 1) of every block of the
+        constraint matrix below the diagonal.
+    column : ndarray of int, shape (nc + 1,)
+        First entry of each column of the factor L, which includes its diagonal.
+    row : ndarray of int
+        Row of each entry of L, in elimination order.
+    entry : ndarray of int, shape (blocks, 3)
+        Place in L of the first entry of every block, for each of the earlier cut's columns.
+    dependency : ndarray of int, shape (nc + 1,)
+        First entry in ``dependency_place`` of each row.
+    dependency_place : ndarray of int, shape (entries, 2)
+        (earlier column k, place of the row in column k), left of each diagonal.
+
+    """
+
+    tree: np.ndarray
+    body: np.ndarray
+    gravity: np.ndarray
+    cut: np.ndarray
+    cut_point: np.ndarray
+    slot_body: np.ndarray
+    pair: np.ndarray
+    block: np.ndarray
+    column: np.ndarray
+    row: np.ndarray
+    entry: np.ndarray
+    dependency: np.ndarray
+    dependency_place: np.ndarray
+
+
+class Workspace(NamedTuple):
+    """
+    All that one evaluation writes; allocated once.
+
+    Attributes
+    ----------
+    body : ndarray, shape (nb + 1, WORK_COLUMNS)
+    response : ndarray, shape (slots, 3)
+        Reduced force u = S^T w of each row of a cut at each slot.
+    response_scaled : ndarray, shape (slots, 3)
+        The same times 1/D.
+    factor : ndarray
+        Entries of the constraint matrix, then of its factor L.
+    pivot_inverse : ndarray, shape (nc,)
+    right : ndarray, shape (nc,)
+        Right-hand side, then solution, in elimination order.
+    scatter : ndarray, shape (nc,)
+    closure, closure_rate, bias : ndarray, shape (nc,)
+        psi, J qd and Jdot qd, in elimination order.
+    health : ndarray, shape (HEALTH_COLUMNS,)
+
+    """
+
+    body: np.ndarray
+    response: np.ndarray
+    response_scaled: np.ndarray
+    factor: np.ndarray
+    pivot_inverse: np.ndarray
+    right: np.ndarray
+    scatter: np.ndarray
+    closure: np.ndarray
+    closure_rate: np.ndarray
+    bias: np.ndarray
+    health: np.ndarray
+
+
+def allocate(model):
+    """
+    Allocate the workspace of one model.
+
+    Parameters
+    ----------
+    model : Model
+
+    Returns
+    -------
+    Workspace
+
+    """
+    slots = len(model.slot_body)
+    rows = len(model.column) - 1
+    return Workspace(
+        body=np.zeros((len(model.tree), WORK_COLUMNS)),
+        response=np.zeros((slots, 3)),
+        response_scaled=np.zeros((slots, 3)),
+        factor=np.zeros(len(model.row)),
+        pivot_inverse=np.zeros(rows),
+        right=np.zeros(rows),
+        scatter=np.zeros(rows),
+        closure=np.zeros(rows),
+        closure_rate=np.zeros(rows),
+        bias=np.zeros(rows),
+        health=np.zeros(HEALTH_COLUMNS))

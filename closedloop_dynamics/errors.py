@@ -1,0 +1,31 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""What a simulation can fail of; every message says what happened, why, and what to do."""
+
+
+class SimulationError(RuntimeError):
+    """A simulation cannot go on, or a request to it cannot be met."""
+
+
+class NumericalError(SimulationError):
+    """The state left the finite numbers; the last finite one is kept."""
+
+
+class ClosureError(SimulationError):
+    """The loops cannot be held closed at this step."""
+
+
+class AssemblyError(SimulationError):
+    """No state that closes the loops was found, or the held coordinates do not fix one."""

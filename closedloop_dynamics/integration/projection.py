@@ -1,0 +1,141 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Project a state onto the loop closures, in the mass metric."""
+
+import numpy as np
+
+from ..core import articulated_inertia, elimination, kinematics, loop_closure, rank_revealing
+from ..core.compiled import compiled
+from ..core.types import CLOSURE, PROJECTION_ITERATIONS, RHS
+from .system import CLOSURE_LIMIT, CLOSURE_TOLERANCE
+
+# Newton's method doubles the digits each time: what eight corrections do not close stays open.
+MOST_CORRECTIONS = 8
+
+
+@compiled
+def factor_configuration(system, q, qd):
+    """
+    Prepare corrections at a state: closure errors, responses, factors.
+
+    Parameters
+    ----------
+    system : System
+    q, qd : ndarray, shape (nv,)
+
+    Returns
+    -------
+    bool
+        Whether the closure equations are independent there.
+
+    """
+    model, work = system.model, system.work
+    kinematics.outward(model, q, qd, work)
+    articulated_inertia.inward(model, system.tau, work)
+    loop_closure.update(model, work, True)
+    elimination.assemble(model, work)
+    return elimination.factorize(model, work)
+
+
+@compiled
+def correction(system, independent, error, out):
+    """
+    Compute -I^-1 J^T (J I^-1 J^T)^+ ``error``, the least change in the mass metric.
+
+    Parameters
+    ----------
+    system : System
+        After ``factor_configuration``.
+    independent : bool
+        What that returned.
+    error : ndarray, shape (nc,)
+        psi or J qd, in elimination order.
+    out : ndarray, shape (nv,)
+        Written in place.
+
+    """
+    model, work = system.model, system.work
+    right = work.right
+    for k in range(right.shape[0]):
+        right[k] = -error[k]
+    if independent:
+        elimination.solve(model, work, right)
+    else:
+        rank_revealing.solve(model, work, right)
+    for i in range(work.body.shape[0]):
+        work.body[i, RHS] = 0.0
+    loop_closure.apply(model, work, right)
+    articulated_inertia.outward_acceleration(model, work, out)
+
+
+@compiled
+def largest(values):
+    """Return the largest absolute value, NaN if there is one."""
+    most = 0.0
+    for value in values:
+        if not abs(value) <= most:
+            most = abs(value)
+    return most
+
+
+@compiled
+def project(system, q, qd, positions):
+    """
+    Correct rates, and positions if asked, so that the loops are closed.
+
+    Parameters
+    ----------
+    system : System
+        ``system.qdd`` is used as scratch.
+    q, qd : ndarray, shape (nv,)
+        Corrected in place.
+    positions : bool
+        Whether q may be corrected too.
+
+    Returns
+    -------
+    bool
+        Whether the loops are closed, to the tolerance or, where closure equations
+        are dependent, to the limit.
+
+    """
+    work, out, settings = system.work, system.qdd, system.settings
+    corrections = 0
+    independent = factor_configuration(system, q, qd)
+    error = largest(work.closure)
+    while positions and error > settings[CLOSURE_TOLERANCE] and corrections < MOST_CORRECTIONS:
+        correction(system, independent, work.closure, out)
+        for i in range(q.shape[0]):
+            q[i] += out[i]
+        corrections += 1
+        independent = factor_configuration(system, q, qd)
+        before, error = error, largest(work.closure)
+        if not error < 0.5 * before:
+            break
+    correction(system, independent, work.closure_rate, out)
+    for i in range(q.shape[0]):
+        qd[i] += out[i]
+    work.health[PROJECTION_ITERATIONS] = corrections
+    work.health[CLOSURE] = error
+    return not positions or error <= settings[CLOSURE_LIMIT]
+
+
+@compiled
+def all_finite(values):
+    """Return whether no value is infinite or NaN."""
+    for value in values:
+        if not np.isfinite(value):
+            return False
+    return True
