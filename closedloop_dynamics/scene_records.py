@@ -12,10 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""
-What a scene is: frozen records that check themselves when built.
-
-"""
+"""What a scene is: frozen records that check themselves when built."""
 
 from dataclasses import dataclass, field
 from pathlib import Path

@@ -12,10 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""
-Scenes are read whole, and each fault is named by file, line, key path, expected and got.
-
-"""
+"""Scenes are read whole, and each fault is named by file, line, key path, expected and got."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -49,7 +46,7 @@ method:
   formulation: system
 """
 MECHANISM = f'one of {among(config.shipped_names("mechanisms"))}, or the path of a YAML file'
-NO_KEY = ('a value, the key is required', 'nothing, the key is missing', '')
+NO_KEY = ('this required key', 'none', '')
 
 # What is written in place of what; then line, key path, expected, got, and advice if any.
 FAULTS = {
@@ -232,8 +229,7 @@ def test_fault_of_the_mechanism_names_both_files(tmp_path):
     path = write(tmp_path, GOOD.replace('four_bar', 'machine.yaml'))
     assert refusal(path) == (
         f'{path}:1: mechanism: expected a valid mechanism, got this error in its file:\n'
-        f'{machine}:1: bodies: expected a value, the key is required, '
-        'got nothing, the key is missing')
+        f'{machine}:1: bodies: expected this required key, got none')
     gone = write(tmp_path, GOOD.replace('four_bar', 'gone.yaml'))
     assert f'{tmp_path / "gone.yaml"}: expected a YAML file that can be read' in refusal(gone)
 

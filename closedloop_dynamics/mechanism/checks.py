@@ -12,10 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""
-The checks that values pass, whether read from YAML or given in Python.
-
-"""
+"""The checks that values pass, whether read from YAML or given in Python."""
 
 from collections.abc import Mapping, Set
 import math

@@ -132,8 +132,7 @@ def mapping(value, required=(), optional=None):
                              nearest(key, free), path=(key,))
     for key in required:
         if key not in value:
-            raise FieldError('a value, the key is required', 'nothing, the key is missing',
-                             path=(key,))
+            raise FieldError('this required key', 'none', path=(key,))
     return value
 
 

@@ -12,10 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""
-The rules that every planar mechanism obeys, read from a file or built in Python.
-
-"""
+"""The rules that every planar mechanism obeys, read from a file or built in Python."""
 
 from dataclasses import replace
 

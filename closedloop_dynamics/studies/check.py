@@ -12,10 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""
-What a mechanism or a scene was understood to be, in plain text.
-
-"""
+"""What a mechanism or a scene was understood to be, in plain text."""
 
 from dataclasses import asdict
 

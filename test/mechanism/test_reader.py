@@ -12,10 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""
-Each fault of a mechanism's description is named by file, line, key path, expected and got.
-
-"""
+"""Each fault of a mechanism's description is named by file, line, key path, expected and got."""
 
 from dataclasses import replace
 import pickle
@@ -107,8 +104,7 @@ FAULTS = {
         'one of the keys mass, center_of_mass, inertia', "the unknown key 'mas'",
         "did you mean 'mass'?"),
     'key_missing': (
-        'mass: 0.5, ', '', 3, 'bodies.crank.mass', 'a value, the key is required',
-        'nothing, the key is missing', ''),
+        'mass: 0.5, ', '', 3, 'bodies.crank.mass', 'this required key', 'none', ''),
     'key_twice': (
         'mass: 0.5, ', 'mass: 0.5, mass: 0.6, ', 3, 'bodies.crank.mass', 'every key once',
         'this key again, first given in line 3', 'rename or remove one'),
@@ -120,8 +116,7 @@ FAULTS = {
         'one of the keys name, bodies, joints, cut_joints, points, description',
         "the unknown key 'point'", "did you mean 'points'?"),
     'name_missing': (
-        'name: four_bar\n', '', 1, 'name', 'a value, the key is required',
-        'nothing, the key is missing', ''),
+        'name: four_bar\n', '', 1, 'name', 'this required key', 'none', ''),
     'name_not_a_token': (
         'name: four_bar', 'name: four bar', 1, 'name', NAME, "the text 'four bar'", ''),
     'body_name_not_a_token': (

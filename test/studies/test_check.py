@@ -12,10 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""
-The description that ``closedloop check`` prints says what was understood.
-
-"""
+"""The description that ``closedloop check`` prints says what was understood."""
 
 from dataclasses import replace
 
