@@ -71,7 +71,7 @@ class Pacer:
 
     @property
     def real_time_factor(self):
-        """Simulated seconds per second of the clock, as asked for."""
+        """Return the simulated seconds per second of the clock that were asked for."""
         return self._factor
 
     @real_time_factor.setter
@@ -82,7 +82,7 @@ class Pacer:
 
     @property
     def achieved(self):
-        """Simulated seconds per second of the clock so far; NaN before the first tick."""
+        """Return the same as achieved so far; NaN before the first tick."""
         return self.simulated / self.elapsed if self.elapsed > 0 else math.nan
 
     def start(self):

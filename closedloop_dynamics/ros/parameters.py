@@ -48,7 +48,7 @@ class Parameter:
         Its type is the type of the parameter.
     description : str
         One or two sentences with the unit, for ``ros2 param describe``.
-    range : tuple of 2 floats, optional
+    limits : tuple of 2 floats, optional
         Smallest and largest value of a floating-point parameter.
     choices : tuple of str
         Values of a string parameter; empty: any string.
@@ -60,7 +60,7 @@ class Parameter:
     name: str
     default: Any
     description: str
-    range: Optional[Tuple[float, float]] = None
+    limits: Optional[Tuple[float, float]] = None
     choices: Tuple[str, ...] = ()
     read_only: bool = True
 
@@ -68,9 +68,9 @@ class Parameter:
         """Return the ParameterDescriptor."""
         descriptor = ParameterDescriptor(
             description=self.description, read_only=self.read_only)
-        if self.range is not None:
+        if self.limits is not None:
             descriptor.floating_point_range = [
-                FloatingPointRange(from_value=self.range[0], to_value=self.range[1])]
+                FloatingPointRange(from_value=self.limits[0], to_value=self.limits[1])]
         if self.choices:
             descriptor.additional_constraints = f'One of: {", ".join(self.choices)}.'
         return descriptor
@@ -83,7 +83,9 @@ def declare(node, parameters):
     Parameters
     ----------
     node : rclpy.node.Node
+        Given its values on the command line, or by a file.
     parameters : iterable of Parameter
+        What to declare.
 
     Returns
     -------
@@ -141,6 +143,7 @@ def per_joint(name, values, joints, nan_allowed=False):
     values : sequence of float
         One value for all joints, or one for each.
     joints : sequence of str
+        Names, for messages.
     nan_allowed : bool
         Whether NaN is a value.
 

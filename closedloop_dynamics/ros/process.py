@@ -58,7 +58,7 @@ class SignalWatch:
 
     @property
     def requested(self):
-        """Whether a signal has asked this process to stop."""
+        """Return whether a signal has asked this process to stop."""
         return self._requested.is_set()
 
     def install(self):

@@ -135,6 +135,7 @@ class ProportionalDerivative:
             [s], from any origin. The first state, and one from before the
             last (a simulation that was reset), starts the reference anew.
         position, velocity : ndarray, shape (n,)
+            Of the joints [rad or m, and per s].
 
         Returns
         -------

@@ -71,6 +71,7 @@ def open_loop(values, joints):
     values : dict
         Of the parameters.
     joints : sequence of str
+        Those to drive.
 
     Returns
     -------
@@ -98,6 +99,7 @@ def closed_loop(values, joints):
     values : dict
         Of the parameters.
     joints : sequence of str
+        Those to drive.
 
     Returns
     -------
