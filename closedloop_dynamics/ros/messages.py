@@ -14,7 +14,6 @@
 
 """Messages of the simulator: sized once, refilled at every tick."""
 
-from array import array
 import math
 
 from builtin_interfaces.msg import Time
@@ -60,9 +59,8 @@ class StateMessages:
 
     def _sized(self, field):
         """Size an array field and return a view to fill it through."""
-        values = array('d', [math.nan] * len(self.joint_state.name))
-        setattr(self.joint_state, field, values)
-        return np.frombuffer(values)
+        setattr(self.joint_state, field, [math.nan] * len(self.joint_state.name))
+        return np.frombuffer(getattr(self.joint_state, field))
 
     def fill(self, nanoseconds, position, velocity, effort, constraint_forces):
         """
