@@ -1,0 +1,62 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Read bags with readers that know nothing of how they were written."""
+
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+from rosbags.rosbag2 import Reader
+from rosbags.typesys import get_types_from_msg
+from rosbags.typesys import get_typestore
+from rosbags.typesys import Stores
+
+
+def read_with_rosbags(path):
+    """
+    Return the messages of a bag, decoded with nothing but its own type definitions.
+
+    Parameters
+    ----------
+    path : Path
+        The directory.
+
+    Returns
+    -------
+    dict
+        Topic to list of (time of reception in ns, message).
+
+    """
+    messages = {}
+    with Reader(path) as reader:
+        store = get_typestore(Stores.EMPTY)
+        for connection in reader.connections:
+            messages[connection.topic] = []
+            store.register(get_types_from_msg(connection.msgdef.data, connection.msgtype))
+            assert store.hash_rihs01(connection.msgtype) == connection.digest
+        for connection, nanoseconds, data in reader.messages():
+            messages[connection.topic].append(
+                (nanoseconds, store.deserialize_cdr(data, connection.msgtype)))
+    return messages
+
+
+def read_with_mcap(path):
+    """Return the same from the file of an mcap bag, through the library of its format."""
+    messages = {}
+    with (path / f'{path.name}.mcap').open('rb') as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        for channel in reader.get_summary().channels.values():
+            messages[channel.topic] = []
+        for _, channel, raw, message in reader.iter_decoded_messages():
+            messages[channel.topic].append((raw.log_time, message))
+    return messages

@@ -1,0 +1,83 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Domains of their own, listeners and processes for the tests of the nodes."""
+
+import os
+from test.ros.domains import reserve_domain
+from test.ros.listener import Listener
+from test.ros.processes import Processes
+import uuid
+
+import pytest
+import rclpy
+
+
+@pytest.fixture
+def domain(monkeypatch):
+    """Keep one ROS domain of this host to this test, and return its number."""
+    with reserve_domain() as number:
+        monkeypatch.setenv('ROS_DOMAIN_ID', str(number))
+        monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+        yield number
+
+
+@pytest.fixture
+def context(domain):
+    """Return an initialised context of rclpy in the domain of this test."""
+    context = rclpy.Context()
+    rclpy.init(context=context, domain_id=domain)
+    yield context
+    rclpy.try_shutdown(context=context)
+
+
+@pytest.fixture
+def make_node(context):
+    """
+    Return a function that creates nodes of a class.
+
+    Its keyword arguments are parameters, so that ``make_node(SimulatorNode,
+    scene='four_bar')`` needs no command line.
+
+    """
+    nodes = []
+
+    def make(node_class, namespace=None, **parameters):
+        overrides = [rclpy.Parameter(name, value=value) for name, value in parameters.items()]
+        nodes.append(node_class(
+            context=context, namespace=namespace, parameter_overrides=overrides))
+        return nodes[-1]
+
+    yield make
+    for node in nodes:
+        node.destroy_node()
+
+
+@pytest.fixture
+def listener(context):
+    """Return a node that collects messages and waits for them."""
+    listener = Listener(f'listener_{uuid.uuid4().hex[:8]}', context)
+    yield listener
+    listener.destroy()
+
+
+@pytest.fixture
+def processes(domain, tmp_path):
+    """Return a starter of the package's executables; none outlives the test."""
+    environment = dict(
+        os.environ, ROS_LOG_DIR=str(tmp_path / 'log'), RCUTILS_COLORIZED_OUTPUT='0',
+        PYTHONUNBUFFERED='1')
+    processes = Processes(tmp_path, environment)
+    yield processes
+    processes.kill_all()

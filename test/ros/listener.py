@@ -1,0 +1,78 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""A node for tests: collects messages, sends some, and waits for what should happen."""
+
+import time
+
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+
+# Generous: a loaded machine is slow, and a test that passes does not wait.
+PATIENCE = 60.0
+DEPTH = 10000
+
+
+class Listener:
+    """
+    Collect the messages of topics.
+
+    Attributes
+    ----------
+    received : dict
+        Topic, as it was given to ``listen``, to the list of messages.
+
+    """
+
+    def __init__(self, name, context):
+        self.node = Node(name, context=context)
+        self.received = {}
+        self._executor = SingleThreadedExecutor(context=context)
+        self._executor.add_node(self.node)
+
+    def listen(self, topic, message_class):
+        """Collect the messages of a topic from now on."""
+        messages = self.received.setdefault(topic, [])
+        self.node.create_subscription(
+            message_class, topic, messages.append, QoSProfile(depth=DEPTH))
+        return messages
+
+    def publisher(self, topic, message_class):
+        """Return a publisher that has found a subscriber."""
+        publisher = self.node.create_publisher(message_class, topic, QoSProfile(depth=DEPTH))
+        self.wait(lambda: publisher.get_subscription_count() > 0, f'a subscriber of {topic}')
+        return publisher
+
+    def wait(self, condition, what, patience=PATIENCE):
+        """Spin until the condition holds and return its value; fail if it never does."""
+        deadline = time.monotonic() + patience
+        while not (value := condition()):
+            assert time.monotonic() < deadline, f'no {what} within {patience} s'
+            self._executor.spin_once(timeout_sec=0.05)
+        return value
+
+    def call(self, service_class, name, request):
+        """Call a service and return the response."""
+        client = self.node.create_client(service_class, name)
+        self.wait(client.service_is_ready, f'service {name}')
+        future = client.call_async(request)
+        self.wait(future.done, f'answer of {name}')
+        self.node.destroy_client(client)
+        return future.result()
+
+    def destroy(self):
+        """Leave the domain."""
+        self._executor.shutdown()
+        self.node.destroy_node()

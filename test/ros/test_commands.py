@@ -1,0 +1,111 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Tests of closedloop_dynamics.ros.commands."""
+
+from array import array
+import math
+
+from closedloop_dynamics.ros.commands import CommandError
+from closedloop_dynamics.ros.commands import TorqueCommand
+import pytest
+
+JOINTS = ('a', 'b', 'c', 'd')
+ACTUATED = ('a', 'c')
+
+
+@pytest.fixture
+def command():
+    command = TorqueCommand(JOINTS, ACTUATED)
+    command.accept_values([1.0, 2.0], now=0.0)
+    return command
+
+
+def test_torque_is_zero_before_any_command():
+    assert TorqueCommand(JOINTS, ACTUATED).torque.tolist() == [0.0, 0.0]
+
+
+@pytest.mark.parametrize('values', [
+    [3.0, -4.0], (3.0, -4.0), array('d', [3.0, -4.0]), array('f', [3.0, -4.0])])
+def test_values_are_followed_in_the_order_of_the_actuated_joints(command, values):
+    command.accept_values(values, now=1.0)
+    assert command.torque.tolist() == [3.0, -4.0]
+    assert (command.accepted, command.rejected) == (2, 0)
+
+
+def test_named_efforts_leave_other_joints_alone(command):
+    command.accept_named(['c'], array('d', [7.0]), now=1.0)
+    assert command.torque.tolist() == [1.0, 7.0]
+    command.accept_named(['c', 'a'], array('d', [8.0, 9.0]), now=1.0)
+    assert command.torque.tolist() == [9.0, 8.0]
+    assert (command.accepted, command.rejected) == (3, 0)
+
+
+@pytest.mark.parametrize('values, problem', [
+    ([], 'expected 2 values \\(a, c\\), got 0'),
+    ([1.0], 'got 1'),
+    ([1.0, 2.0, 3.0], 'got 3'),
+    ([math.nan, 2.0], "'a' is nan"),
+    ([5.0, math.inf], "'c' is inf"),
+    ([5.0, -math.inf], "'c' is -inf"),
+])
+def test_bad_values_are_refused_and_change_nothing(command, values, problem):
+    with pytest.raises(CommandError, match=problem):
+        command.accept_values(values, now=1.0)
+    assert command.torque.tolist() == [1.0, 2.0]
+    assert (command.accepted, command.rejected) == (1, 1)
+
+
+@pytest.mark.parametrize('names, efforts, problem', [
+    ([], [], 'names no joint'),
+    ([], [1.0], 'names no joint'),
+    (['a'], [], 'one effort per name, got 0 for 1'),
+    (['a', 'c'], [1.0], 'got 1 for 2'),
+    (['a'], [1.0, 2.0], 'got 2 for 1'),
+    (['x'], [1.0], "'x' is not a joint of this mechanism; the actuated joints are a, c"),
+    (['b'], [1.0], "'b' is not actuated"),
+    (['a', 'b'], [5.0, 1.0], "'b' is not actuated"),
+    (['a', 'a'], [5.0, 6.0], 'named twice'),
+    (['a', 'c'], [5.0, math.nan], "'c' is nan"),
+    (['c', 'a'], [5.0, math.inf], "'a' is inf"),
+])
+def test_bad_named_efforts_are_refused_and_change_nothing(command, names, efforts, problem):
+    with pytest.raises(CommandError, match=problem):
+        command.accept_named(names, efforts, now=1.0)
+    assert command.torque.tolist() == [1.0, 2.0]
+    assert (command.accepted, command.rejected) == (1, 1)
+
+
+def test_torques_fall_to_zero_once_when_no_command_comes(command):
+    assert not command.expire(now=0.5, timeout=0.5)
+    assert command.torque.tolist() == [1.0, 2.0]
+    assert command.expire(now=0.51, timeout=0.5)
+    assert command.torque.tolist() == [0.0, 0.0]
+    assert not command.expire(now=2.0, timeout=0.5)
+    assert command.timed_out == 1
+    command.accept_named(['c'], [4.0], now=3.0)
+    assert command.torque.tolist() == [0.0, 4.0]
+    assert command.expire(now=4.0, timeout=0.5)
+    assert command.timed_out == 2
+
+
+def test_refused_command_does_not_put_off_the_timeout(command):
+    with pytest.raises(CommandError):
+        command.accept_values([1.0], now=0.4)
+    assert command.expire(now=0.6, timeout=0.5)
+
+
+def test_no_timeout_holds_for_ever(command):
+    assert not command.expire(now=1e9, timeout=0.0)
+    assert command.torque.tolist() == [1.0, 2.0]
