@@ -27,12 +27,14 @@ from closedloop_dynamics.mechanism.mechanism import (
     Body, CUT_JOINT_EQUATIONS, CutJoint, FIXED, GROUND, Joint, Mechanism, PRISMATIC, REVOLUTE)
 import numpy as np
 
-from .dense import body_frames, unit
+from .dense import body_frames, closure_jacobian, rows, unit
 from .states import project, smallest_singular_value
 
 # A linkage nearer to a singularity than this is drawn again, so that the
 # conditioning of the solves leaves the comparisons their digits.
 WELL_CONDITIONED = 0.1
+# A loop moves if some joint in it takes part by this much in a motion of unit rates.
+MOVING = 0.1
 
 
 def local(frame, place):
@@ -98,7 +100,15 @@ def closing_cut(rng, name, kind, frames, body_a, body_b):
                     local(frames[body_a], place_a), local(frames[body_b], place), angle)
 
 
-def random_linkage(rng, n_subsystems=3, max_bodies=4, max_cuts=4, prismatic=0.3, shuffle=False,
+def every_loop_moves(mechanism, q):
+    """Return whether no cut joint locks its loop: a locked one would test statics only."""
+    jac = closure_jacobian(mechanism, q)
+    motions = np.linalg.svd(jac)[2][len(jac):]
+    parts = np.abs(jac) * np.linalg.norm(motions, axis=0)
+    return all(parts[part].max() > MOVING for part in rows(mechanism).values())
+
+
+def random_linkage(rng, n_subsystems=3, max_bodies=5, max_cuts=4, prismatic=0.3, shuffle=False,
                    cut_types=(REVOLUTE, PRISMATIC, FIXED)):
     """
     Draw a linkage and a state that closes its loops.
@@ -119,7 +129,7 @@ def random_linkage(rng, n_subsystems=3, max_bodies=4, max_cuts=4, prismatic=0.3,
     Returns
     -------
     mechanism : Mechanism
-        Always with a cut joint, a freedom left, and a well-conditioned Jacobian.
+        Always with a cut joint, no loop locked, and a well-conditioned Jacobian.
     q, qd : ndarray, shape (nv,)
         Coordinates and rates that satisfy the closures to rounding.
 
@@ -149,6 +159,6 @@ def with_random_cuts(rng, mechanism, q, subsystems, max_cuts, cut_types):
         cut = closing_cut(rng, f'cut_{len(mechanism.cut_joints) + 1}', kind, frames,
                           *random_pair(rng, subsystems))
         closed = replace(mechanism, cut_joints=mechanism.cut_joints + (cut,))
-        if smallest_singular_value(closed, q) > WELL_CONDITIONED:
+        if smallest_singular_value(closed, q) > WELL_CONDITIONED and every_loop_moves(closed, q):
             mechanism = closed
     return mechanism

@@ -18,39 +18,15 @@ from closedloop_dynamics.scene import load_scene
 import numpy as np
 import pytest
 
-from . import dense, exact, linkages, machines, maximal, special, states
+from . import cases, dense, exact, linkages, machines, maximal, special, states
 from .compare import assert_agree, IDENTITY, SOLVE
 from .trees import derivative
 
-SEEDS = range(20)
 
-
-def special_linkage(name, rng):
-    """Return (mechanism, q, qd) of a special linkage by its name."""
-    return {'ladder': lambda: special.ladder(4, 0.3),
-            'parallelogram': special.parallelogram,
-            'chain': lambda: special.chain(rng, 6),
-            'star': lambda: special.star(rng, 4)}[name]()
-
-
-def drawn(case, rng):
-    """Return (mechanism, q, qd): a machine or linkage by name, a random linkage by number."""
-    if case in machines.MACHINES:
-        build, start = machines.MACHINES[case]
-        return (build(),) + states.random_state(rng, build(), start)
-    if isinstance(case, str):
-        return special_linkage(case, rng)
-    return linkages.random_linkage(rng, n_subsystems=1 + case % 4, shuffle=bool(case % 2))
-
-
-CASES = [*machines.MACHINES, 'ladder', 'parallelogram', 'chain', 'star', *SEEDS]
-
-
-@pytest.fixture(params=CASES, ids=str)
+@pytest.fixture(params=cases.ALL, ids=str)
 def case(request):
     """Return (rng, mechanism, q, qd), the state closed."""
-    rng = np.random.default_rng([2, CASES.index(request.param)])
-    return (rng,) + drawn(request.param, rng)
+    return cases.drawn(request.param, seed=2)
 
 
 def test_accelerations_and_multipliers_of_both_twins_agree(case):
@@ -137,7 +113,7 @@ def test_random_linkages_cover_every_joint_and_come_back_with_their_seed():
         return [[joint.type for joint in linkage[0].joints]
                 + [f'cut {cut.type}' for cut in linkage[0].cut_joints]
                 for linkage in (linkages.random_linkage(np.random.default_rng(seed))
-                                for seed in SEEDS)]
+                                for seed in range(20))]
 
     first = joint_types()
     assert set(sum(first, [])) == {

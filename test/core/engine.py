@@ -1,0 +1,132 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The compiled kernels on one mechanism, called one by one; what they write is copied out."""
+
+from closedloop_dynamics.core import (
+    articulated_inertia, elimination, energy, forward_dynamics, inverse_dynamics, jacobian,
+    kinematics, loop_closure)
+from closedloop_dynamics.core.formulations import SUBSYSTEM
+from closedloop_dynamics.core.types import ALPHA, PX, PY
+from closedloop_dynamics.integration.system import build_system, evaluate
+from closedloop_dynamics.mechanism.decomposition import decompose
+from closedloop_dynamics.modeling import body_rows, build_model
+import numpy as np
+
+from ..reference.dense import EARTH
+
+
+class Engine:
+    """
+    A model with its workspace.
+
+    Parameters
+    ----------
+    mechanism : Mechanism
+    gravity : sequence of 2 floats
+        [m/s^2].
+    formulation : int
+        Of ``core.formulations``.
+    baumgarte : float
+        Decay rate [1/s].
+
+    """
+
+    def __init__(self, mechanism, gravity=EARTH, formulation=SUBSYSTEM, baumgarte=0.0):
+        self.decomposition = decompose(mechanism)
+        self.body_row = body_rows(mechanism, self.decomposition)
+        self.model = build_model(mechanism, gravity, self.decomposition)
+        self.system = build_system(self.model, formulation, baumgarte)
+        self.work = self.system.work
+        self.nv, self.nc = len(mechanism.joints), mechanism.number_of_equations
+
+    def forward_dynamics(self, q, qd, tau):
+        """Return (qdd, lam)."""
+        self.system.tau[:] = tau
+        evaluate(self.system, q, qd)
+        return self.system.qdd.copy(), self.system.lam.copy()
+
+    def move(self, q, qd=None):
+        """Update poses and velocities."""
+        kinematics.outward(self.model, q, np.zeros(self.nv) if qd is None else qd, self.work)
+
+    def pose(self, name):
+        """Return x, y, alpha of a body after ``move``."""
+        return self.work.body[self.body_row[name], [PX, PY, ALPHA]]
+
+    def point(self, name, position):
+        """Return (place, velocity) of a point on a body after ``move``."""
+        place, velocity = np.empty(2), np.empty(2)
+        kinematics.point_position(self.work, self.body_row[name], *position, place)
+        kinematics.point_velocity(self.work, self.body_row[name], *position, velocity)
+        return place, velocity
+
+    def closure(self, q, qd):
+        """Return psi, J qd, Jdot qd."""
+        self.move(q, qd)
+        loop_closure.update(self.model, self.work, False)
+        return [self.in_user_order(values) for values in (
+            self.work.closure, self.work.closure_rate, self.work.bias)]
+
+    def in_user_order(self, values):
+        """Return closure-sized values in the order of the mechanism's cut joints."""
+        out = np.empty(self.nc)
+        forward_dynamics.to_user_order(self.model, values, out)
+        return out
+
+    def jacobian(self, q):
+        """Return the constraint Jacobian."""
+        self.move(q)
+        jac = np.full((self.nc, self.nv), np.nan)
+        jacobian.constraint_jacobian(self.model, self.work, jac)
+        return jac
+
+    def generalized_inertia_matrix(self, q):
+        """Return the generalized inertia matrix."""
+        self.move(q)
+        gim = np.full((self.nv, self.nv), np.nan)
+        jacobian.generalized_inertia_matrix(self.model, self.work, gim)
+        return gim
+
+    def tree_torque(self, q, qd, qdd):
+        """Return I qdd + c."""
+        self.move(q, qd)
+        out = np.full(self.nv, np.nan)
+        inverse_dynamics.tree_torque(self.model, self.work, qdd, out)
+        return out
+
+    def energies(self, q, qd):
+        """Return (kinetic, potential) energy."""
+        self.move(q, qd)
+        return (energy.kinetic_energy(self.model, self.work, qd),
+                energy.potential_energy(self.model, self.work))
+
+    def constraint_matrix(self, q):
+        """Return (J I^-1 J^T as assembled, its factor L D, 1/D), dense, in elimination order."""
+        self.move(q)
+        articulated_inertia.inward(self.model, np.zeros(self.nv), self.work)
+        loop_closure.update(self.model, self.work, True)
+        elimination.assemble(self.model, self.work)
+        matrix = self.lower_triangle()
+        elimination.factorize(self.model, self.work)
+        return (matrix + np.tril(matrix, -1).T, self.lower_triangle(),
+                self.work.pivot_inverse.copy())
+
+    def lower_triangle(self):
+        """Return the entries of ``work.factor`` as a dense matrix."""
+        matrix = np.zeros((self.nc, self.nc))
+        for column in range(self.nc):
+            entries = slice(self.model.column[column], self.model.column[column + 1])
+            matrix[self.model.row[entries], column] = self.work.factor[entries]
+        return matrix

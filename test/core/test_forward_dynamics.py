@@ -1,0 +1,127 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Joint accelerations and multipliers of the three formulations."""
+
+from dataclasses import replace
+
+from closedloop_dynamics.core.formulations import AUGMENTED, SUBSYSTEM, SYSTEM
+import numpy as np
+import pytest
+
+from .engine import Engine
+from ..reference import cases, dense, maximal, special
+from ..reference.compare import assert_agree, IDENTITY, SOLVE
+
+FORMULATIONS = {'subsystem': SUBSYSTEM, 'system': SYSTEM, 'augmented': AUGMENTED}
+
+
+@pytest.mark.parametrize('formulation', FORMULATIONS)
+def test_accelerations_and_multipliers_equal_the_twins(drawn, formulation):
+    rng, mechanism, q, qd = drawn
+    tau = rng.normal(size=len(q))
+    qdd, lam = Engine(mechanism, formulation=FORMULATIONS[formulation]).forward_dynamics(
+        q, qd, tau)
+    reduced, full = (dense.forward_dynamics(mechanism, q, qd, tau),
+                     maximal.forward_dynamics(mechanism, q, qd, tau))
+    for twin_qdd, twin_lam in (reduced, (full.qdd, full.lam)):
+        assert_agree(qdd, twin_qdd, SOLVE)
+        assert_agree(lam, twin_lam, SOLVE)
+
+
+def test_formulations_agree(drawn):
+    rng, mechanism, q, qd = drawn
+    tau = 10.0 * rng.normal(size=len(q))
+    qdd, lam = Engine(mechanism).forward_dynamics(q, qd, tau)
+    for formulation in (SYSTEM, AUGMENTED):
+        other = Engine(mechanism, formulation=formulation)
+        other_qdd, other_lam = other.forward_dynamics(q, qd, tau)
+        assert_agree(other_qdd, qdd, SOLVE)
+        assert_agree(other_lam, lam, SOLVE)
+
+
+@pytest.mark.parametrize('formulation', FORMULATIONS)
+@pytest.mark.parametrize('case', cases.SHIPPED)
+def test_repeated_call_on_one_workspace_agrees_bitwise(case, formulation):
+    rng, mechanism, q, qd = cases.drawn(case)
+    tau = rng.normal(size=len(q))
+    engine = Engine(mechanism, formulation=FORMULATIONS[formulation])
+    first = engine.forward_dynamics(q, qd, tau)
+    # Elsewhere in between, so that nothing of the first evaluation is left.
+    engine.forward_dynamics(q + 0.1, qd - 0.3, -tau)
+    for before, after in zip(first, engine.forward_dynamics(q, qd, tau)):
+        assert np.array_equal(before, after)
+
+
+def test_trees_without_cut_joints_equal_the_twin(drawn):
+    rng, mechanism, q, qd = drawn
+    trees = replace(mechanism, cut_joints=())
+    tau = rng.normal(size=len(q))
+    expected = np.linalg.solve(dense.generalized_inertia_matrix(trees, q),
+                               tau - dense.bias_force(trees, q, qd))
+    for formulation in FORMULATIONS.values():
+        qdd, lam = Engine(trees, formulation=formulation).forward_dynamics(q, qd, tau)
+        assert_agree(qdd, expected, SOLVE)
+        assert lam.shape == (0,)
+
+
+@pytest.mark.parametrize('gravity', [(0.0, 0.0), (3.0, 2.0)])
+def test_gravity_acts_as_given(gravity):
+    _, mechanism, q, qd = cases.drawn('three_rrr')
+    qdd, lam = Engine(mechanism, gravity).forward_dynamics(q, qd, np.zeros(7))
+    twin_qdd, twin_lam = dense.forward_dynamics(mechanism, q, qd, np.zeros(7), gravity)
+    assert_agree(qdd, twin_qdd, SOLVE)
+    assert_agree(lam, twin_lam, SOLVE)
+
+
+@pytest.mark.parametrize('formulation', FORMULATIONS)
+def test_baumgarte_makes_closure_errors_decay_critically(drawn, formulation):
+    rng, mechanism, q, qd = drawn
+    rate = 20.0
+    q, qd = q + 1e-3 * rng.normal(size=len(q)), qd + 1e-3 * rng.normal(size=len(q))
+    engine = Engine(mechanism, formulation=FORMULATIONS[formulation], baumgarte=rate)
+    qdd, _ = engine.forward_dynamics(q, qd, rng.normal(size=len(q)))
+    jac, psi = dense.closure_jacobian(mechanism, q), dense.closure(mechanism, q)
+    terms = np.stack([jac @ qdd, dense.constraint_bias(mechanism, q, qd),
+                      2.0 * rate * jac @ qd, rate ** 2 * psi])
+    assert_agree(terms.sum(axis=0), np.zeros(len(psi)), SOLVE, smallest=np.abs(terms).max())
+
+
+def test_listing_cut_joints_in_another_order_only_moves_their_multipliers():
+    rng, mechanism, q, qd = cases.drawn('carpet_scraper')
+    tau = rng.normal(size=7)
+    qdd, lam = Engine(mechanism).forward_dynamics(q, qd, tau)
+    for order in ((2, 0, 1), (1, 2, 0), (2, 1, 0)):
+        listed = replace(mechanism, cut_joints=tuple(mechanism.cut_joints[k] for k in order))
+        other_qdd, other_lam = Engine(listed).forward_dynamics(q, qd, tau)
+        assert_agree(other_qdd, qdd, SOLVE)
+        assert_agree(other_lam.reshape(3, 2), lam.reshape(3, 2)[list(order)], SOLVE)
+
+
+def test_long_ladder_equals_the_twin():
+    mechanism, q, qd = special.ladder(40, tilt=0.5, rate=2.0)
+    tau = np.random.default_rng(4).normal(size=len(q))
+    result = maximal.forward_dynamics(mechanism, q, qd, tau)
+    qdd, lam = Engine(mechanism).forward_dynamics(q, qd, tau)
+    assert_agree(qdd, result.qdd, SOLVE)
+    assert_agree(lam, result.lam, SOLVE)
+
+
+def test_acceleration_level_of_the_closure_holds(drawn, engine):
+    rng, mechanism, q, qd = drawn
+    qdd, _ = engine.forward_dynamics(q, qd, rng.normal(size=len(q)))
+    bias = dense.constraint_bias(mechanism, q, qd)
+    terms = dense.closure_jacobian(mechanism, q) * qdd
+    assert_agree(terms.sum(axis=1) + bias, np.zeros(len(bias)), IDENTITY,
+                 smallest=max(np.abs(terms).max(), np.abs(bias).max()))

@@ -1,0 +1,64 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+The cases that every test of the dynamics goes through, each with a random closed state.
+
+The shipped mechanisms by their names, linkages of a regular shape by theirs,
+random linkages by number.
+
+"""
+
+from closedloop_dynamics.scene import load_scene
+import numpy as np
+
+from . import linkages, special, states
+
+SHIPPED = ('carpet_scraper', 'four_bar', 'hoeken_pantograph_leg', 'slider_crank', 'three_rrr')
+SPECIAL = {'ladder': lambda rng: special.ladder(4, rng.uniform(-1.0, 1.0), rng.normal()),
+           'parallelogram': lambda rng: special.parallelogram(rng.uniform(0.2, 1.0)),
+           'chain': lambda rng: special.chain(rng, 6),
+           'star': lambda rng: special.star(rng, 4)}
+RANDOM = range(20)
+ALL = (*SHIPPED, *SPECIAL, *RANDOM)
+
+
+def drawn(case, seed=0):
+    """
+    Draw a state of one case.
+
+    Parameters
+    ----------
+    case : str or int
+        Of ``ALL``.
+    seed : int
+        Another seed draws another state, and another random linkage.
+
+    Returns
+    -------
+    rng : numpy.random.Generator
+        To draw more from.
+    mechanism : Mechanism
+    q, qd : ndarray, shape (nv,)
+        A state that closes the loops.
+
+    """
+    rng = np.random.default_rng([ALL.index(case), seed])
+    if case in SHIPPED:
+        scene = load_scene(case)
+        return (rng, scene.mechanism,
+                *states.random_state(rng, scene.mechanism, scene.initial.position))
+    if case in SPECIAL:
+        return (rng, *SPECIAL[case](rng))
+    return (rng, *linkages.random_linkage(rng, n_subsystems=1 + case % 4, shuffle=case % 2 == 1))
