@@ -20,10 +20,9 @@ import numpy as np
 
 from .core import types as t
 from .mechanism.decomposition import decompose
-from .mechanism.mechanism import FIXED, GROUND, PRISMATIC, REVOLUTE
+from .mechanism.mechanism import CUT_JOINT_EQUATIONS, FIXED, GROUND, PRISMATIC, REVOLUTE
 
 _CUT_TYPES = {REVOLUTE: t.CUT_REVOLUTE, PRISMATIC: t.CUT_PRISMATIC, FIXED: t.CUT_FIXED}
-_CUT_ROWS = {REVOLUTE: 2, PRISMATIC: 2, FIXED: 3}
 
 
 def build_model(mechanism, gravity=(0.0, 0.0), decomposition=None):
@@ -99,7 +98,7 @@ def _cut_arrays(mechanism, decomposition, tree, body_row):
     point = np.zeros((len(cut), 5))
     slots = []
     first = 0
-    user_first = np.cumsum([0] + [_CUT_ROWS[c.type] for c in mechanism.cut_joints])
+    user_first = np.cumsum([0] + [CUT_JOINT_EQUATIONS[c.type] for c in mechanism.cut_joints])
     for k, index in enumerate(decomposition.cut_order):
         joint = mechanism.cut_joints[index]
         a, b = body_row[joint.body_a], body_row[joint.body_b]
@@ -110,10 +109,10 @@ def _cut_arrays(mechanism, decomposition, tree, body_row):
         start = len(slots)
         slots += own_a + own_b + common
         middle = start + len(own_a)
-        cut[k] = (_CUT_TYPES[joint.type], a, b, _CUT_ROWS[joint.type], user_first[index], first,
+        cut[k] = (_CUT_TYPES[joint.type], a, b, CUT_JOINT_EQUATIONS[joint.type], user_first[index], first,
                   start, middle, middle + len(own_b), len(slots))
         point[k] = (*joint.point_a, *joint.point_b, joint.angle)
-        first += _CUT_ROWS[joint.type]
+        first += CUT_JOINT_EQUATIONS[joint.type]
     return cut, point, np.array(slots, dtype=np.int64)
 
 
@@ -180,22 +179,21 @@ def _dependencies(column, row):
     return start, np.array([p for places in left for p in places], dtype=np.int64).reshape(-1, 2)
 
 
-def point_in_world(pose, point):
+def extent(mechanism):
     """
-    Return the world place of a body-fixed point.
+    Return the size that tolerances are relative to: the longest distance on any body [m].
 
     Parameters
     ----------
-    pose : sequence of 3 floats
-        x, y [m] and angle [rad] of the body.
-    point : sequence of 2 floats
-        In the body's frame [m].
+    mechanism : Mechanism
 
     Returns
     -------
-    tuple of 2 floats
+    float
+        At least the smallest positive float of any use, never zero.
 
     """
-    x, y, angle = pose
-    cos, sin = math.cos(angle), math.sin(angle)
-    return x + cos * point[0] - sin * point[1], y + sin * point[0] + cos * point[1]
+    places = [joint.position for joint in mechanism.joints]
+    places += [p for cut in mechanism.cut_joints for p in (cut.point_a, cut.point_b)]
+    longest = max((math.hypot(*place) for place in places), default=0.0)
+    return longest or 1.0

@@ -72,9 +72,11 @@ A_X, A_Y, B_X, B_Y, CUT_ANGLE = range(5)
 
 # Workspace.health.
 # The smallest pivot relative to its diagonal entry (the squared sine of the angle between one
-# closure equation and those before it), whether the rank-revealing path ran, the rank there,
-# the condition number of the block with the poorest one, evaluations so far.
-SMALLEST_PIVOT, RANK_REVEALING, RANK, EVALUATIONS, RANK_REVEALING_COUNT = range(5)
+# closure equation and those before it) of the latest factorization and of all since the last
+# reset; the rank that the rank-revealing path found; evaluations, and uses of that path, since the
+# last reset; position corrections of the latest projection and the largest closure error it left.
+(SMALLEST_PIVOT, SMALLEST_PIVOT_EVER, RANK, EVALUATIONS, RANK_REVEALING_COUNT,
+ PROJECTION_ITERATIONS, CLOSURE) = range(7)
 HEALTH_COLUMNS = 8
 
 

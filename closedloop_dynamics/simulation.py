@@ -1,0 +1,467 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""A scene brought to life: the Python interface that users script with."""
+
+from dataclasses import replace
+import math
+
+import numpy as np
+
+from .assembly import Assembler
+from .core import energy, jacobian, kinematics
+from .core import types as t
+from .core.formulations import AUGMENTED, SUBSYSTEM, SYSTEM
+from .core.inverse_dynamics import tree_torque
+from .effects.gravity import Gravity
+from .errors import ClosureError, NumericalError, SimulationError
+from .integration import advance as schemes
+from .integration.projection import largest
+from .integration.system import build_system, evaluate
+from .mechanism.decomposition import decompose
+from .mechanism.mechanism import CUT_JOINT_EQUATIONS, PRISMATIC, REVOLUTE
+from .modeling import body_rows, build_model, extent
+from .scene import load_scene
+
+FORMULATIONS = {'subsystem': SUBSYSTEM, 'system': SYSTEM, 'augmented': AUGMENTED}
+
+
+class Simulation:
+    """
+    One mechanism, its state, and the method that advances it.
+
+    Parameters
+    ----------
+    scene : scene.Scene
+        The initial state is assembled: positions and velocities close the loops.
+
+    Attributes
+    ----------
+    scene : scene.Scene
+    mechanism : mechanism.mechanism.Mechanism
+    decomposition : mechanism.decomposition.Decomposition
+
+    Raises
+    ------
+    AssemblyError
+        Where the loops cannot be closed from the scene's initial state.
+
+    """
+
+    def __init__(self, scene):
+        """Build the model, assemble the initial state."""
+        self.scene = scene
+        self.mechanism = scene.mechanism
+        self.decomposition = decompose(self.mechanism)
+        gravity = sum((np.array(effect.acceleration) for effect in scene.effects.values()
+                       if isinstance(effect, Gravity)), np.zeros(2))
+        model = build_model(self.mechanism, gravity, self.decomposition)
+        method = scene.method
+        baumgarte = (1.0 / method.baumgarte_time_constant
+                     if method.stabilisation == 'baumgarte' else 0.0)
+        size = extent(self.mechanism)
+        self.system = build_system(model, FORMULATIONS[method.formulation], baumgarte, size)
+        self._integrator = schemes.INTEGRATORS[method.integrator]
+        self._stabilisation = schemes.STABILISATIONS[method.stabilisation]
+        self._stages = np.zeros((schemes.STAGES + 2, len(self.mechanism.joints)))
+        self._assembler = Assembler(self.mechanism, model, self.system.work, size)
+        self._actuated = np.array([k for k, joint in enumerate(self.mechanism.joints)
+                                   if joint.actuated], dtype=int)
+        self._rows = body_rows(self.mechanism, self.decomposition)
+        self._points = {point.name: point for point in self.mechanism.points}
+        self._initial = self._assembled(
+            scene.initial.position, scene.initial.velocity, scene.initial.hold)
+        self.reset()
+
+    @classmethod
+    def from_scene(cls, name_or_path, **method):
+        """
+        Build a simulation from a scene.
+
+        Parameters
+        ----------
+        name_or_path : str or pathlib.Path
+            A shipped scene's name or a scene file's path.
+        **method
+            Overrides of the scene's method, by the keys a scene has there (``integrator``,
+            ``step_size``, ``stabilisation``, ``formulation``, ...); None leaves the scene's.
+
+        Returns
+        -------
+        Simulation
+
+        Raises
+        ------
+        SceneError, AssemblyError
+
+        """
+        scene = load_scene(name_or_path)
+        overrides = {key: value for key, value in method.items() if value is not None}
+        return cls(replace(scene, method=replace(scene.method, **overrides)))
+
+    # Names and sizes.
+
+    @property
+    def joint_names(self):
+        """Names of the joints, in the order of positions and velocities."""
+        return self.mechanism.joint_names
+
+    @property
+    def actuated_joints(self):
+        """Names of the actuated joints, in the order of torque sequences."""
+        return self.mechanism.actuated_joints
+
+    @property
+    def cut_joints(self):
+        """The cut joints, in the order of the constraint forces."""
+        return self.mechanism.cut_joints
+
+    @property
+    def step_size(self):
+        """Step size [s]."""
+        return self.scene.method.step_size
+
+    # The state.
+
+    @property
+    def time(self):
+        """Time since the start or the last reset [s]."""
+        # Counted, not summed: an hour of steps adds up to an hour.
+        return self._time_base + self._steps * self.step_size
+
+    @property
+    def position(self):
+        """Joint coordinates, shape (nv,) [rad or m]."""
+        return self._q.copy()
+
+    @property
+    def velocity(self):
+        """Joint rates, shape (nv,) [rad/s or m/s]."""
+        return self._qd.copy()
+
+    @property
+    def effort(self):
+        """Joint torques applied last, shape (nv,) [N m or N]."""
+        return self.system.tau.copy()
+
+    @property
+    def acceleration(self):
+        """Joint accelerations of the present state under the last torques, shape (nv,)."""
+        self._evaluate()
+        return self.system.qdd.copy()
+
+    @property
+    def multipliers(self):
+        """Lagrange multipliers of the present state, shape (nc,) [N, N m]."""
+        self._evaluate()
+        return self.system.lam.copy()
+
+    @property
+    def constraint_forces(self):
+        """
+        Wrenches at the cut joints, shape (number of cuts, 3): moment, force x, force y.
+
+        What body B exerts on body A, in world axes, at body A's cut point [N m, N].
+
+        """
+        self._evaluate()
+        out = np.zeros((len(self.cut_joints), 3))
+        first = 0
+        for wrench, cut in zip(out, self.cut_joints):
+            lam = self.system.lam[first:first + CUT_JOINT_EQUATIONS[cut.type]]
+            first += len(lam)
+            if cut.type == PRISMATIC:
+                angle = self.system.work.body[self._rows[cut.body_b], t.ALPHA] + cut.angle
+                wrench[:] = lam[1], -math.sin(angle) * lam[0], math.cos(angle) * lam[0]
+            else:
+                wrench[1:] = lam[:2]
+                wrench[0] = 0.0 if cut.type == REVOLUTE else lam[2]
+        return out
+
+    @property
+    def closure(self):
+        """Largest closure error of positions [m or rad]."""
+        self._evaluate()
+        return float(largest(self.system.work.closure))
+
+    @property
+    def energy(self):
+        """Kinetic and potential energy [J]."""
+        self._evaluate()
+        model, work = self.system.model, self.system.work
+        return energy.kinetic_energy(model, work, self._qd) + energy.potential_energy(model, work)
+
+    @property
+    def body_poses(self):
+        """Poses of the bodies, shape (nb, 3): x, y [m], angle [rad], in the bodies' order."""
+        self._evaluate()
+        rows = [self._rows[body.name] for body in self.mechanism.bodies]
+        return self.system.work.body[np.ix_(rows, (t.PX, t.PY, t.ALPHA))]
+
+    def point(self, name):
+        """Return the world place of a named point, shape (2,) [m]."""
+        point = self._named_point(name)
+        self._evaluate()
+        out = np.zeros(2)
+        kinematics.point_position(self.system.work, self._rows[point.body], *point.position, out)
+        return out
+
+    def _named_point(self, name):
+        if name not in self._points:
+            raise SimulationError(
+                f'There is no point {name!r} on {self.mechanism.name}; its points: '
+                f'{", ".join(self._points) or "none"}.')
+        return self._points[name]
+
+    # Motion.
+
+    def step(self, torque=None, duration=None):
+        """
+        Advance by ``duration`` under constant torques.
+
+        Parameters
+        ----------
+        torque : mapping, sequence or None
+            Joint torques [N m or N]: by joint name, or for all actuated joints in their
+            order; joints that are not named get none.
+        duration : float, optional
+            [s]; one step when not given. Covered by whole steps, and one shorter step at the
+            end where it is no multiple of the step size.
+
+        Raises
+        ------
+        NumericalError, ClosureError
+            The state before the failing step is kept.
+        ValueError
+            For a torque or duration that makes no sense.
+
+        """
+        tau = self.joint_torques(torque)
+        size = self.step_size
+        if duration is None:
+            return self.advance(tau, 1)
+        if not (math.isfinite(duration) and duration >= 0.0):
+            raise ValueError(f'duration: expected a finite number >= 0 [s], got {duration!r}')
+        whole = math.floor(duration / size * (1.0 + 1e-12) + 1e-9)
+        self.advance(tau, whole)
+        rest = duration - whole * size
+        if rest > 1e-9 * size:
+            self._advance(rest, 1)
+            self._time_base += rest
+
+    def advance(self, tau, steps):
+        """
+        Advance by whole steps under constant joint torques; the fast path of ``step``.
+
+        Parameters
+        ----------
+        tau : ndarray, shape (nv,)
+            Joint torques [N m or N], finite.
+        steps : int
+
+        Raises
+        ------
+        NumericalError, ClosureError
+            The state before the failing step is kept.
+
+        """
+        self.system.tau[:] = tau
+        self._steps += self._advance(self.step_size, steps)
+
+    def _advance(self, size, steps):
+        """Advance by steps of one size; on failure keep what was done and raise."""
+        self._fresh = False
+        status, done = schemes.advance(
+            self.system, self._integrator, self._stabilisation, self._q, self._qd, size, steps,
+            self._stages)
+        if status == schemes.DONE:
+            return done
+        self._steps += done
+        if status == schemes.NOT_FINITE:
+            raise NumericalError(
+                f'The state left the finite numbers at t = {self.time:.9g} s; the last finite '
+                f'state is kept. Take a smaller step than {size:g} s, or smaller torques '
+                f'(largest now {np.abs(self.system.tau).max(initial=0.0):g}).')
+        raise ClosureError(
+            f'The loops could not be closed after the step at t = {self.time:.9g} s (error '
+            f'{self.system.work.health[t.CLOSURE]:.3g}); the state before it is kept. Take a '
+            f'smaller step than {size:g} s: the motion in one step is too large.')
+
+    def joint_torques(self, torque):
+        """
+        Return joint torques as an array from any form that ``step`` takes.
+
+        Parameters
+        ----------
+        torque : mapping, sequence or None
+
+        Returns
+        -------
+        ndarray, shape (nv,)
+
+        Raises
+        ------
+        ValueError
+
+        """
+        tau = np.zeros(len(self.joint_names))
+        if torque is None:
+            return tau
+        if hasattr(torque, 'items'):
+            for name, value in torque.items():
+                if name not in self.actuated_joints:
+                    raise ValueError(f'torque: expected actuated joints '
+                                     f'({", ".join(self.actuated_joints)}), got {name!r}')
+                tau[self.joint_names.index(name)] = value
+        else:
+            values = np.asarray(torque, dtype=float)
+            if values.shape != (len(self._actuated),):
+                raise ValueError(
+                    f'torque: expected {len(self._actuated)} values, for '
+                    f'{", ".join(self.actuated_joints)}; got shape {values.shape}')
+            tau[self._actuated] = values
+        if not np.isfinite(tau).all():
+            raise ValueError(f'torque: expected finite numbers, got {torque!r}')
+        return tau
+
+    def reset(self):
+        """Return to the initial state, time zero and no torque."""
+        self._q, self._qd = (values.copy() for values in self._initial)
+        self.system.tau[:] = 0.0
+        self._time_base, self._steps, self._fresh = 0.0, 0, False
+        self.system.work.health[:] = 0.0
+        self.system.work.health[[t.SMALLEST_PIVOT, t.SMALLEST_PIVOT_EVER]] = 1.0
+
+    def set_state(self, position, velocity=None, hold=None):
+        """
+        Move to another state, assembled.
+
+        Parameters
+        ----------
+        position : sequence, shape (nv,)
+            Approximate joint coordinates.
+        velocity : sequence, shape (nv,), optional
+            Approximate joint rates; zero when not given.
+        hold : sequence of str, optional
+            Joints kept as given; none when not given: the nearest closed state is taken.
+
+        Raises
+        ------
+        AssemblyError
+            The present state is kept.
+
+        """
+        self._q, self._qd = self._assembled(position, velocity, hold or ())
+        self._fresh = False
+
+    def _assembled(self, position, velocity, hold):
+        nv = len(self.joint_names)
+        q = _vector('position', position, nv)
+        qd = np.zeros(nv) if velocity is None else _vector('velocity', velocity, nv)
+        q = self._assembler.positions(q, hold)
+        return q, self._assembler.velocities(q, qd, hold)
+
+    def warm_up(self):
+        """Compile all that a run needs, leaving the state as it is."""
+        q, qd = self._q.copy(), self._qd.copy()
+        schemes.advance(self.system, self._integrator, self._stabilisation, q, qd, 1e-9, 1,
+                        self._stages)
+        self._fresh = False
+        self.constraint_forces, self.energy, self.closure
+
+    # Dynamics of any state.
+
+    def forward_dynamics(self, position, velocity, torque=None):
+        """
+        Compute accelerations and multipliers of a state that closes the loops.
+
+        Parameters
+        ----------
+        position, velocity : sequence, shape (nv,)
+        torque : mapping, sequence or None
+            As for ``step``.
+
+        Returns
+        -------
+        acceleration : ndarray, shape (nv,)
+        multipliers : ndarray, shape (nc,)
+
+        """
+        nv, system = len(self.joint_names), self.system
+        q, qd = _vector('position', position, nv), _vector('velocity', velocity, nv)
+        applied = system.tau.copy()
+        system.tau[:] = self.joint_torques(torque)
+        evaluate(system, q, qd)
+        system.tau[:] = applied
+        self._fresh = False
+        return system.qdd.copy(), system.lam.copy()
+
+    def inverse_dynamics(self, position, velocity, acceleration):
+        """
+        Compute the torques and constraint forces that a motion needs.
+
+        Parameters
+        ----------
+        position, velocity, acceleration : sequence, shape (nv,)
+            Consistent with the loops.
+
+        Returns
+        -------
+        torque : ndarray, shape (number of actuated joints,)
+            The least ones where the mechanism is actuated redundantly [N m or N].
+        multipliers : ndarray, shape (nc,)
+
+        Raises
+        ------
+        SimulationError
+            Where the actuated joints cannot produce the motion, or it opens the loops.
+
+        Notes
+        -----
+        Solves tau + J^T lambda = I qdd + c, tau zero at the joints that are not actuated.
+
+        """
+        nv, model, work = len(self.joint_names), self.system.model, self.system.work
+        q, qd, qdd = (_vector(name, values, nv) for name, values in (
+            ('position', position), ('velocity', velocity), ('acceleration', acceleration)))
+        self._fresh = False
+        jac = np.zeros((self.mechanism.number_of_equations, nv))
+        need = np.zeros(nv)
+        kinematics.outward(model, q, qd, work)
+        jacobian.constraint_jacobian(model, work, jac)
+        tree_torque(model, work, qdd, need)
+        passive = np.setdiff1d(np.arange(nv), self._actuated)
+        unknowns = np.concatenate([np.eye(nv)[:, self._actuated], jac.T], axis=1)
+        solution = np.linalg.lstsq(unknowns, need, rcond=1e-12)[0]
+        left = np.abs(unknowns @ solution - need)[passive].max(initial=0.0)
+        if left > 1e-8 * max(np.abs(need).max(), 1e-30):
+            raise SimulationError(
+                f'The actuated joints ({", ".join(self.actuated_joints)}) cannot produce this '
+                f'motion: {left:.3g} N m is missing at the others. Actuate more joints, or give '
+                'an acceleration that the loops allow.')
+        count = len(self._actuated)
+        return solution[:count], solution[count:]
+
+    def _evaluate(self):
+        """Evaluate the present state once for all that is asked of it."""
+        if not self._fresh:
+            evaluate(self.system, self._q, self._qd)
+            self._fresh = True
+
+
+def _vector(name, values, length):
+    array = np.ascontiguousarray(values, dtype=float)
+    if array.shape != (length,) or not np.isfinite(array).all():
+        raise ValueError(f'{name}: expected {length} finite numbers, got {values!r}')
+    return array.copy()
