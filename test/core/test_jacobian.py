@@ -1,0 +1,70 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Constraint Jacobian and generalized inertia matrix."""
+
+import numpy as np
+import pytest
+
+from .engine import Engine
+from ..reference import appendix, cases, dense, machines
+from ..reference.compare import assert_agree, IDENTITY
+
+PAPER = {
+    'carpet_scraper': (appendix.scraper_blocks, machines.SCRAPER_LENGTHS,
+                       appendix.SCRAPER_SUBSYSTEMS),
+    'hoeken_pantograph_leg': (appendix.scraper_blocks, machines.LEG_LENGTHS,
+                              appendix.SCRAPER_SUBSYSTEMS),
+    'three_rrr': (appendix.three_rrr_blocks, machines.THREE_RRR_LENGTHS,
+                  appendix.THREE_RRR_SUBSYSTEMS)}
+
+
+def test_constraint_jacobian_is_the_derivative_of_the_closure(drawn, engine):
+    rng, mechanism, q, _ = drawn
+    # Off the closed state too, where a slot's axis passes beside the point.
+    for place in (q, q + rng.normal(size=len(q))):
+        assert_agree(engine.jacobian(place), dense.closure_jacobian(mechanism, place), IDENTITY)
+
+
+@pytest.mark.parametrize('name', PAPER)
+def test_constraint_jacobian_equals_the_corrected_appendix(name):
+    blocks, lengths, subsystems = PAPER[name]
+    rng, mechanism, q, _ = cases.drawn(name)
+    engine = Engine(mechanism)
+    for theta in (q, *rng.uniform(-np.pi, np.pi, (5, 7))):
+        found = blocks(theta, lengths)
+        jac = engine.jacobian(theta)
+        # 1e-13: element by element, of links below 1 m.
+        np.testing.assert_allclose(jac, appendix.assembled(found, subsystems, engine.nc // 2),
+                                   rtol=0.0, atol=1e-13)
+        # Between a cut and a subsystem that it does not touch, exactly nothing.
+        touched = appendix.assembled({key: np.ones(block.shape) for key, block in found.items()},
+                                     subsystems, engine.nc // 2)
+        assert not jac[touched == 0.0].any()
+
+
+def test_gim_equals_the_twin(drawn, engine):
+    _, mechanism, q, _ = drawn
+    assert_agree(engine.generalized_inertia_matrix(q),
+                 dense.generalized_inertia_matrix(mechanism, q), IDENTITY)
+
+
+def test_gim_equals_kinetic_energy_hessian(drawn, engine):
+    _, _, q, _ = drawn
+    units = np.eye(len(q))
+    alone = np.array([engine.energies(q, e)[0] for e in units])
+    # The energy is quadratic in the rates: these differences are the Hessian, not an estimate.
+    hessian = np.array([[engine.energies(q, e + f)[0] for f in units] for e in units])
+    hessian -= alone[:, None] + alone[None, :]
+    assert_agree(engine.generalized_inertia_matrix(q), hessian, IDENTITY)

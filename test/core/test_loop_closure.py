@@ -1,0 +1,66 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Closure error and its rates."""
+
+import numpy as np
+
+from ..reference import dense
+from ..reference.compare import assert_agree, IDENTITY
+
+
+def test_closure_and_its_rates_equal_the_twin(drawn, engine):
+    rng, mechanism, q, qd = drawn
+    for place, rates in ((q, qd), (q + rng.normal(size=len(q)), rng.normal(size=len(q)))):
+        psi, rate, bias = engine.closure(place, rates)
+        assert_agree(psi, dense.closure(mechanism, place), IDENTITY, smallest=1.0)
+        assert_agree(rate, dense.closure_jacobian(mechanism, place) @ rates, IDENTITY,
+                     smallest=1.0)
+        assert_agree(bias, dense.constraint_bias(mechanism, place, rates), IDENTITY, smallest=1.0)
+
+
+def test_closed_states_are_closed(drawn, engine):
+    _, _, q, qd = drawn
+    psi, rate, _ = engine.closure(q, qd)
+    assert_agree(psi, np.zeros(len(psi)), IDENTITY, smallest=1.0)
+    assert_agree(rate, np.zeros(len(rate)), IDENTITY, smallest=1.0)
+
+
+def along(engine, q, qd, qdd, time):
+    """Return (psi, J qd, Jdot qd + J qdd) on the way with constant accelerations."""
+    here, rates = q + time * qd + 0.5 * time ** 2 * qdd, qd + time * qdd
+    psi, rate, bias = engine.closure(here, rates)
+    return psi, rate, bias + engine.jacobian(here) @ qdd
+
+
+def test_rates_are_finite_differences_of_the_closure(drawn, engine):
+    rng, _, q, qd = drawn
+    qd, qdd = qd + 0.3 * rng.normal(size=len(q)), rng.normal(size=len(q))
+    step = 1e-4
+    before, after = along(engine, q, qd, qdd, -step), along(engine, q, qd, qdd, step)
+    _, rate, acceleration = along(engine, q, qd, qdd, 0.0)
+    # Central differences: step^2 times third derivatives, which grow with the cube of the rates.
+    third = max(1.0, np.abs(qd).max(), np.abs(qdd).max()) ** 4
+    assert_agree((after[0] - before[0]) / (2.0 * step), rate, 1e-6, smallest=third)
+    assert_agree((after[1] - before[1]) / (2.0 * step), acceleration, 1e-6, smallest=third)
+
+
+def test_forward_dynamics_keeps_the_closure_to_second_order(drawn, engine):
+    rng, _, q, qd = drawn
+    qdd, _ = engine.forward_dynamics(q, qd, rng.normal(size=len(q)))
+    step = 1e-3 / max(1.0, np.abs(qd).max(), np.sqrt(np.abs(qdd).max()))
+    errors = [np.abs(along(engine, q, qd, qdd, time)[0]).max() for time in (step, 2.0 * step)]
+    # What is left grows with the third power of time, eightfold, on top of rounding.
+    assert errors[0] < 100.0 * 1e-9
+    assert errors[1] < 10.0 * errors[0] + 1e-13
