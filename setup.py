@@ -23,9 +23,7 @@ share = os.path.join('share', package_name)
 
 
 def shared(pattern):
-    """
-    List the files that match, each directory with the place it is installed to.
-    """
+    """List the files that match, by the directory they are installed to."""
     places = {}
     for path in sorted(glob(pattern, recursive=True)):
         if os.path.isfile(path):

@@ -15,9 +15,11 @@
 """
 Print constraints for pip that keep what is installed already.
 
-Used on top of a ROS installation, whose packages fit each other: with plain pins pip would put a second copy of
-many of them in front. A package that is installed in another version than the pin may have any version between
-the two; pip then keeps the installed one, unless something needs a newer one.
+Used on top of a ROS installation, whose packages fit each other: with plain pins pip would put a
+second copy of many of them in front. A package that is installed in another version than the pin
+may have any version between the two; pip then keeps the installed one, unless something needs a
+newer one.
+
 """
 
 from importlib.metadata import distributions
@@ -30,9 +32,7 @@ from pip._vendor.packaging.version import Version
 
 
 def pins(path):
-    """
-    Yield the requirements of a constraints file and of those it includes.
-    """
+    """Yield the requirements of a constraints file and of those it includes."""
     for line in path.read_text().splitlines():
         if line.startswith('-c '):
             yield from pins(path.parent / line.removeprefix('-c ').strip())
@@ -41,9 +41,7 @@ def pins(path):
 
 
 def relaxed(pin, installed):
-    """
-    Return the pin, widened to include the installed version.
-    """
+    """Return the pin, widened to include the installed version."""
     versions = sorted([Version(installed), *(Version(spec.version) for spec in pin.specifier)])
     return f'{pin.name}>={versions[0]},<={versions[-1]}'
 

@@ -15,8 +15,9 @@
 """
 What all tests share: the ``--all`` option, and an environment that harms nothing around it.
 
-The environment is set here, before anything imports numba or rclpy, for runs without ``scripts/test``: by hand,
-or by ``colcon test``. What is set already is left alone.
+The environment is set here, before anything imports numba or rclpy, for runs without
+``scripts/test``: by hand, or by ``colcon test``. What is set already is left alone.
+
 """
 
 import os
@@ -28,9 +29,7 @@ _throwaway = []
 
 
 def _set_default(name, value):
-    """
-    Set an environment variable that is not set; processes started by tests inherit it.
-    """
+    """Set an environment variable that is not set; processes started by tests inherit it."""
     os.environ.setdefault(name, str(value))
 
 
@@ -54,7 +53,7 @@ def pytest_collection_modifyitems(config, items):
     slow = [item for item in items if item.get_closest_marker('slow')]
     if slow:
         config.hook.pytest_deselected(items=slow)
-        items[:] = [item for item in items if not item.get_closest_marker('slow')]
+        items[:] = [item for item in items if item not in slow]
 
 
 def pytest_unconfigure():

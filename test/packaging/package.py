@@ -1,0 +1,66 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""A copy of the package to build from, and an environment that does not know the checkout."""
+
+import os
+from pathlib import Path
+import shutil
+import subprocess
+
+ROOT = Path(__file__).resolve().parents[2]
+PACKAGE = 'closedloop_dynamics'
+PARTS = (PACKAGE, 'CHANGELOG.rst', 'LICENSE', 'README.md', 'config', 'launch', 'package.xml',
+         'resource', 'setup.cfg', 'setup.py', 'test')
+PROGRAMS = {
+    'closedloop', 'closedloop_recorder', 'closedloop_simulator', 'closedloop_torque_source'}
+# Relative to share/PACKAGE of wherever the package is installed.
+SHARED = {
+    'package.xml',
+    *(str(path.relative_to(ROOT)) for path in (ROOT / 'config').rglob('*.yaml')),
+    *(str(path.relative_to(ROOT)) for path in (ROOT / 'launch').glob('*') if path.is_file())}
+
+
+def copy_package(destination):
+    """Copy what belongs to the package, without what earlier builds left beside it."""
+    destination.mkdir(parents=True)
+    for part in PARTS:
+        source = ROOT / part
+        if source.is_dir():
+            shutil.copytree(source, destination / part,
+                            ignore=shutil.ignore_patterns('__pycache__'))
+        elif source.is_file():
+            shutil.copy(source, destination)
+    return destination
+
+
+def outside_environment(**settings):
+    """Return the environment of a user for whom the checkout is not on Python's path."""
+    paths = os.environ.get('PYTHONPATH', '').split(os.pathsep)
+    kept = [path for path in paths if path and Path(path).resolve() != ROOT]
+    return {**os.environ, 'PYTHONPATH': os.pathsep.join(kept), **settings}
+
+
+def run(*command, cwd, env=None):
+    """Run a command to its end and return its output; fail with all of it if it fails."""
+    done = subprocess.run(
+        [str(part) for part in command], cwd=cwd, env=env or outside_environment(),
+        stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    assert done.returncode == 0, f'{command} exited with {done.returncode}:\n{done.stdout}'
+    return done.stdout
+
+
+def files_below(directory):
+    """Return the paths of all files below a directory, relative to it."""
+    return {str(path.relative_to(directory)) for path in directory.rglob('*') if path.is_file()}
