@@ -26,21 +26,14 @@ import tempfile
 
 
 _throwaway = []
-
-
-def _set_default(name, value):
-    """Set an environment variable that is not set; processes started by tests inherit it."""
-    os.environ.setdefault(name, str(value))
-
-
 if 'NUMBA_CACHE_DIR' not in os.environ:
-    # Numba's cache does not notice edits to callees in other files, so each run has one of its own.
+    # Numba's cache does not notice edits to callees in other files: each run has one of its own.
     _throwaway.append(tempfile.mkdtemp(prefix='closedloop_dynamics.'))
     os.environ['NUMBA_CACHE_DIR'] = _throwaway[0]
-_set_default('MPLBACKEND', 'Agg')
-_set_default('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+os.environ.setdefault('MPLBACKEND', 'Agg')
+os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
 # Linux has free ports for domains 0 to 101; 0 is everyone's.
-_set_default('ROS_DOMAIN_ID', 1 + os.getpid() % 101)
+os.environ.setdefault('ROS_DOMAIN_ID', str(1 + os.getpid() % 101))
 
 
 def pytest_addoption(parser):
