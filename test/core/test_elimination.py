@@ -1,0 +1,105 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The constraint matrix, its sparse factor, and closure equations that depend on one another."""
+
+from dataclasses import replace
+
+from closedloop_dynamics.core.types import RANK, RANK_REVEALING_COUNT, SMALLEST_PIVOT
+import numpy as np
+import pytest
+
+from .engine import Engine
+from ..reference import cases, dense, special
+from ..reference.compare import assert_agree, SOLVE
+
+
+def elimination_order(mechanism, engine):
+    """Return the multipliers' indices in elimination order."""
+    rows = dense.rows(mechanism)
+    names = engine.decomposition.elimination_order
+    return np.concatenate([np.arange(engine.nc)[rows[name]] for name in names])
+
+
+def test_constraint_matrix_equals_the_dense_product(drawn, engine):
+    _, mechanism, q, _ = drawn
+    jac = dense.closure_jacobian(mechanism, q)[elimination_order(mechanism, engine)]
+    gim = dense.generalized_inertia_matrix(mechanism, q)
+    matrix, _, _ = engine.constraint_matrix(q)
+    assert_agree(matrix, jac @ np.linalg.solve(gim, jac.T), SOLVE)
+
+
+def test_factor_gives_the_constraint_matrix_back(drawn, engine):
+    _, _, q, _ = drawn
+    matrix, factor, inverse = engine.constraint_matrix(q)
+    assert_agree(inverse * np.diag(factor), np.ones(engine.nc), SOLVE)
+    assert_agree(factor @ np.diag(inverse) @ factor.T, matrix, SOLVE)
+
+
+@pytest.mark.parametrize('loops', [1, 2, 7, 40])
+def test_ladder_costs_a_fixed_amount_per_loop(loops):
+    mechanism, _, _ = special.ladder(loops)
+    engine = Engine(mechanism)
+    assert engine.decomposition.fill == 0
+    # A chain of 2 x 2 blocks: 3 entries on each diagonal, 4 below all but the last.
+    assert len(engine.model.row) == 3 * loops + 4 * (loops - 1)
+    # Two links of one leg and one of the next carry each cut force; neighbours meet on one.
+    assert len(engine.model.slot_body) == 3 * loops
+    assert len(engine.model.pair) == loops - 1
+
+
+def every_loop_twice(mechanism):
+    """Return the mechanism with a copy of each cut joint."""
+    return replace(mechanism, cut_joints=mechanism.cut_joints + tuple(
+        replace(cut, name=f'{cut.name}_again') for cut in mechanism.cut_joints))
+
+
+@pytest.mark.parametrize('case', cases.ALL, ids=str)
+def test_every_loop_twice_moves_the_same_and_shares_the_force(case):
+    rng, mechanism, q, qd = cases.drawn(case)
+    tau = rng.normal(size=len(q))
+    qdd, lam = dense.forward_dynamics(mechanism, q, qd, tau)
+    engine = Engine(every_loop_twice(mechanism))
+    found, doubled = engine.forward_dynamics(q, qd, tau)
+    # 1e-9: singular values on one side, elimination on the other.
+    assert_agree(found, qdd, 1e-9)
+    assert_agree(doubled[:len(lam)] + doubled[len(lam):], lam, 1e-9)
+    # Least norm: half on each.
+    assert_agree(doubled[:len(lam)], doubled[len(lam):], 1e-9)
+    assert engine.work.health[RANK] == len(lam)
+
+
+def test_independent_equations_never_take_the_rank_revealing_path(drawn, engine):
+    rng, _, q, qd = drawn
+    engine.forward_dynamics(q, qd, rng.normal(size=len(q)))
+    assert engine.work.health[RANK_REVEALING_COUNT] == 0.0
+    assert 0.0 < engine.work.health[SMALLEST_PIVOT] <= 1.0
+
+
+@pytest.mark.parametrize('loops', [1, 2, 5])
+def test_flat_ladder_accelerates_as_its_remaining_equations_allow(loops):
+    # All links on one line: one closure equation of each loop is lost.
+    mechanism, q, qd = special.ladder(loops, tilt=0.5 * np.pi, rate=1.0)
+    engine = Engine(mechanism)
+    qdd, lam = engine.forward_dynamics(q, qd, np.zeros(len(q)))
+    assert engine.work.health[RANK] == loops
+    jac = dense.closure_jacobian(mechanism, q)
+    free = np.linalg.svd(jac)[2][loops:].T
+    # Newton's equations along the motions that are left, and the closure of the others.
+    force = -dense.bias_force(mechanism, q, qd)
+    expected = -np.linalg.lstsq(jac, dense.constraint_bias(mechanism, q, qd), rcond=1e-8)[0]
+    gim = dense.generalized_inertia_matrix(mechanism, q)
+    expected += free @ np.linalg.solve(free.T @ gim @ free, free.T @ (force - gim @ expected))
+    assert_agree(qdd, expected, SOLVE)
+    assert_agree(gim @ qdd - jac.T @ lam, force, SOLVE)
