@@ -19,14 +19,13 @@ from pathlib import Path
 from typing import Optional, Tuple
 
 from .effects.registry import EFFECTS
+from .integration.registry import INTEGRATORS, STABILISATIONS
 from .mechanism.checks import list_of, name, number, one_of, positive, text
 from .mechanism.fields import at, FieldError, mapping, normalise, shown
 from .mechanism.mechanism import Mechanism
 from .mechanism.validation import validate_mechanism
 
-INTEGRATORS = ('semi_implicit_euler', 'rk4')
 BAUMGARTE = 'baumgarte'
-STABILISATIONS = ('none', BAUMGARTE, 'projection')
 FORMULATIONS = ('subsystem', 'system', 'augmented')
 
 
@@ -66,14 +65,17 @@ class Method:
     Attributes
     ----------
     integrator : str
-        ``'rk4'`` or ``'semi_implicit_euler'``.
+        A name of ``integration.registry.INTEGRATORS``.
     step_size : float
-        [s], positive.
+        Size of the steps, or, with an error-controlled integrator, the raster on which the
+        state is asked for [s]; positive.
     stabilisation : str
-        How the loops are kept closed: ``'projection'``, ``'baumgarte'`` or
-        ``'none'``.
-    baumgarte_time_constant : float
-        In which Baumgarte's method lets a closure error decay [s], positive.
+        How the loops are kept closed: a name of ``integration.registry.STABILISATIONS``.
+    tolerance : float
+        Local error that an error-controlled integrator allows per step [rad, m; rad/s, m/s].
+    baumgarte_time_constant : float or None
+        In which Baumgarte's method lets a closure error decay [s], positive; ten steps where
+        none is given.
     formulation : str
         ``'subsystem'``, ``'system'`` or ``'augmented'``.
 
@@ -82,14 +84,22 @@ class Method:
     integrator: str = 'rk4'
     step_size: float = 0.001
     stabilisation: str = 'projection'
-    baumgarte_time_constant: float = 0.01
+    tolerance: float = 1e-6
+    baumgarte_time_constant: Optional[float] = None
     formulation: str = 'subsystem'
 
     def __post_init__(self):
         """Refuse unknown methods and impossible times."""
-        normalise(self, integrator=one_of(INTEGRATORS), step_size=positive,
-                  stabilisation=one_of(STABILISATIONS), baumgarte_time_constant=positive,
+        normalise(self, integrator=one_of(tuple(INTEGRATORS)), step_size=positive,
+                  stabilisation=one_of(tuple(STABILISATIONS)), tolerance=positive,
                   formulation=one_of(FORMULATIONS))
+        if self.baumgarte_time_constant is not None:
+            normalise(self, baumgarte_time_constant=positive)
+
+    @property
+    def time_constant(self):
+        """Time constant of Baumgarte's method [s]: as given, or tied to the step."""
+        return self.baumgarte_time_constant or 10.0 * self.step_size
 
 
 @dataclass(frozen=True)

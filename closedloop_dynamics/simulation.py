@@ -26,7 +26,8 @@ from .core.formulations import AUGMENTED, SUBSYSTEM, SYSTEM
 from .core.inverse_dynamics import tree_torque
 from .effects.gravity import Gravity
 from .errors import ClosureError, NumericalError, SimulationError
-from .integration import advance as schemes
+from .integration.advance import DONE, NOT_FINITE, OPEN_LOOP
+from .integration.drivers import build_driver
 from .integration.projection import largest
 from .integration.system import build_system, evaluate
 from .mechanism.decomposition import decompose
@@ -68,13 +69,13 @@ class Simulation:
                        if isinstance(effect, Gravity)), np.zeros(2))
         model = build_model(self.mechanism, gravity, self.decomposition)
         method = scene.method
-        baumgarte = (1.0 / method.baumgarte_time_constant
-                     if method.stabilisation == 'baumgarte' else 0.0)
+        baumgarte = 1.0 / method.time_constant if method.stabilisation == 'baumgarte' else 0.0
         size = extent(self.mechanism)
         self.system = build_system(model, FORMULATIONS[method.formulation], baumgarte, size)
-        self._integrator = schemes.INTEGRATORS[method.integrator]
-        self._stabilisation = schemes.STABILISATIONS[method.stabilisation]
-        self._stages = np.zeros((schemes.STAGES + 2, len(self.mechanism.joints)))
+        self._driver = build_driver(self.system, method)
+        nv = len(self.mechanism.joints)
+        self._state = np.zeros(2 * nv)
+        self._q, self._qd = self._state[:nv], self._state[nv:]
         self._assembler = Assembler(self.mechanism, model, self.system.work, size)
         self._actuated = np.array([k for k, joint in enumerate(self.mechanism.joints)
                                    if joint.actuated], dtype=int)
@@ -258,7 +259,6 @@ class Simulation:
         rest = duration - whole * size
         if rest > 1e-9 * size:
             self._advance(rest, 1)
-            self._time_base += rest
 
     def advance(self, tau, steps):
         """
@@ -276,27 +276,34 @@ class Simulation:
             The state before the failing step is kept.
 
         """
-        self.system.tau[:] = tau
-        self._steps += self._advance(self.step_size, steps)
+        if not np.array_equal(tau, self.system.tau):
+            self._driver.restart()
+            self.system.tau[:] = tau
+        self._advance(self.step_size, steps)
 
     def _advance(self, size, steps):
         """Advance by steps of one size; on failure keep what was done and raise."""
         self._fresh = False
-        status, done = schemes.advance(
-            self.system, self._integrator, self._stabilisation, self._q, self._qd, size, steps,
-            self._stages)
-        if status == schemes.DONE:
-            return done
-        self._steps += done
-        if status == schemes.NOT_FINITE:
+        status, elapsed = self._driver.advance(self._state, self.time, size, steps)
+        if status == DONE and size == self.step_size:
+            self._steps += steps
+            return
+        self._time_base += elapsed
+        if status == NOT_FINITE:
             raise NumericalError(
                 f'The state left the finite numbers at t = {self.time:.9g} s; the last finite '
                 f'state is kept. Take a smaller step than {size:g} s, or smaller torques '
                 f'(largest now {np.abs(self.system.tau).max(initial=0.0):g}).')
-        raise ClosureError(
-            f'The loops could not be closed after the step at t = {self.time:.9g} s (error '
-            f'{self.system.work.health[t.CLOSURE]:.3g}); the state before it is kept. Take a '
-            f'smaller step than {size:g} s: the motion in one step is too large.')
+        if status == OPEN_LOOP:
+            raise ClosureError(
+                f'The loops could not be closed after the step at t = {self.time:.9g} s (error '
+                f'{self.system.work.health[t.CLOSURE]:.3g}); the state before it is kept. Take a '
+                f'smaller step than {size:g} s: the motion in one step is too large.')
+        if status != DONE:
+            raise NumericalError(
+                f'No step at t = {self.time:.9g} s is small enough to keep the error below '
+                f'the tolerance {self.scene.method.tolerance:g}; the last good state is kept. The '
+                'motion is not smooth there: loosen the tolerance, or take a fixed step.')
 
     def joint_torques(self, torque):
         """
@@ -337,7 +344,8 @@ class Simulation:
 
     def reset(self):
         """Return to the initial state, time zero and no torque."""
-        self._q, self._qd = (values.copy() for values in self._initial)
+        self._q[:], self._qd[:] = self._initial
+        self._driver.restart()
         self.system.tau[:] = 0.0
         self._time_base, self._steps, self._fresh = 0.0, 0, False
         self.system.work.health[:] = 0.0
@@ -362,7 +370,8 @@ class Simulation:
             The present state is kept.
 
         """
-        self._q, self._qd = self._assembled(position, velocity, hold or ())
+        self._q[:], self._qd[:] = self._assembled(position, velocity, hold or ())
+        self._driver.restart()
         self._fresh = False
 
     def _assembled(self, position, velocity, hold):
@@ -374,9 +383,8 @@ class Simulation:
 
     def warm_up(self):
         """Compile all that a run needs, leaving the state as it is."""
-        q, qd = self._q.copy(), self._qd.copy()
-        schemes.advance(self.system, self._integrator, self._stabilisation, q, qd, 1e-9, 1,
-                        self._stages)
+        self._driver.advance(self._state.copy(), self.time, 1e-9, 1)
+        self._driver.restart()
         self._fresh = False
         self.constraint_forces, self.energy, self.closure
 

@@ -14,38 +14,33 @@
 
 """Whole steps of a chosen scheme with a chosen stabilisation, compiled as one loop."""
 
-from . import rk4, semi_implicit_euler
+from . import runge_kutta, semi_implicit_euler
 from ..core.compiled import compiled
-from .projection import all_finite, project
+from .projection import all_finite, stabilise
+from .system import derivative
 
-# Integrators and stabilisations by the names that a scene gives them.
-SEMI_IMPLICIT_EULER, RK4 = range(2)
-INTEGRATORS = {'semi_implicit_euler': SEMI_IMPLICIT_EULER, 'rk4': RK4}
-NONE, BAUMGARTE, PROJECTION = range(3)
-STABILISATIONS = {'none': NONE, 'baumgarte': BAUMGARTE, 'projection': PROJECTION}
-STAGES = max(rk4.STAGES, semi_implicit_euler.STAGES)
-
-# Status of ``advance``.
-DONE, NOT_FINITE, OPEN_LOOP = range(3)
+# Status of ``advance`` and ``adaptive.advance``.
+DONE, NOT_FINITE, OPEN_LOOP, STEP_TOO_SMALL = range(4)
 
 
 @compiled
-def advance(system, integrator, stabilisation, q, qd, step_size, steps, stages):
+def advance(system, tableau, stabilisation, state, step_size, steps, scratch):
     """
-    Advance a state by whole steps.
+    Advance a state by whole steps of fixed size.
 
     Parameters
     ----------
     system : System
-    integrator, stabilisation : int
-        Values of ``INTEGRATORS`` and ``STABILISATIONS``.
-    q, qd : ndarray, shape (nv,)
+    tableau : Tableau
+        One without weights (order 1) stands for semi-implicit Euler.
+    stabilisation : int
+        One of ``projection``.
+    state : ndarray, shape (ns,)
         Advanced in place; on failure the state before the failing step.
     step_size : float
         [s].
     steps : int
-    stages : ndarray, shape (STAGES + 2, nv)
-        Scratch; the last two rows keep the state before the step.
+    scratch : ndarray, shape (stages + 2, ns)
 
     Returns
     -------
@@ -55,22 +50,18 @@ def advance(system, integrator, stabilisation, q, qd, step_size, steps, stages):
         Steps completed.
 
     """
-    nv = q.shape[0]
+    slopes, stage, out = scratch[2:], scratch[0], scratch[1]
     for done in range(steps):
-        for i in range(nv):
-            stages[STAGES, i] = q[i]
-            stages[STAGES + 1, i] = qd[i]
-        if integrator == RK4:
-            rk4.step(system, q, qd, step_size, stages)
+        derivative(system, state, slopes[0])
+        if tableau.b.shape[0] == 0:
+            semi_implicit_euler.step(state, step_size, slopes[0], out)
         else:
-            semi_implicit_euler.step(system, q, qd, step_size, stages)
-        closed = True
-        if stabilisation == PROJECTION:
-            closed = project(system, q, qd, True)
-        finite = all_finite(q) and all_finite(qd)
-        if not (finite and closed):
-            for i in range(nv):
-                q[i] = stages[STAGES, i]
-                qd[i] = stages[STAGES + 1, i]
-            return (OPEN_LOOP if finite else NOT_FINITE), done
+            runge_kutta.step(system, tableau, state, step_size, slopes, stage, out)
+        closed = stabilise(system, stabilisation, out)
+        if not all_finite(out):
+            return NOT_FINITE, done
+        if not closed:
+            return OPEN_LOOP, done
+        for i in range(state.shape[0]):
+            state[i] = out[i]
     return DONE, steps

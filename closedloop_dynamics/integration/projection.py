@@ -21,6 +21,9 @@ from ..core.compiled import compiled
 from ..core.types import CLOSURE, PROJECTION_ITERATIONS, RHS
 from .system import CLOSURE_LIMIT, CLOSURE_TOLERANCE
 
+# How a step is stabilised. Baumgarte's terms are part of the accelerations, not of this.
+NONE, BAUMGARTE, VELOCITY, PROJECTION = range(4)
+
 # Newton's method doubles the digits each time: what eight corrections do not close stays open.
 MOST_CORRECTIONS = 8
 
@@ -130,6 +133,31 @@ def project(system, q, qd, positions):
     work.health[PROJECTION_ITERATIONS] = corrections
     work.health[CLOSURE] = error
     return not positions or error <= settings[CLOSURE_LIMIT]
+
+
+@compiled
+def stabilise(system, stabilisation, state):
+    """
+    Correct the state after a step.
+
+    Parameters
+    ----------
+    system : System
+    stabilisation : int
+        ``NONE`` or ``BAUMGARTE`` (nothing is done), ``VELOCITY`` or ``PROJECTION``.
+    state : ndarray, shape (ns,)
+        Corrected in place.
+
+    Returns
+    -------
+    bool
+        Whether the loops are closed where positions were to be corrected.
+
+    """
+    if stabilisation < VELOCITY:
+        return True
+    nv = system.qdd.shape[0]
+    return project(system, state[:nv], state[nv:2 * nv], stabilisation == PROJECTION)
 
 
 @compiled

@@ -15,28 +15,25 @@
 """Semi-implicit (symplectic) Euler: order 1, one evaluation a step."""
 
 from ..core.compiled import compiled
-from .system import evaluate
-
-STAGES = 0
 
 
 @compiled
-def step(system, q, qd, step_size, stages):
+def step(state, step_size, slope, out):
     """
     Advance a state by one step: rates first, then coordinates with the new rates.
 
     Parameters
     ----------
-    system : System
-    q, qd : ndarray, shape (nv,)
-        Advanced in place.
+    state : ndarray, shape (2 nv,)
     step_size : float
         [s].
-    stages : ndarray, shape (STAGES, nv)
-        Scratch.
+    slope : ndarray, shape (2 nv,)
+        At ``state``.
+    out : ndarray, shape (2 nv,)
+        Written in place.
 
     """
-    evaluate(system, q, qd)
-    for i in range(q.shape[0]):
-        qd[i] += step_size * system.qdd[i]
-        q[i] += step_size * qd[i]
+    nv = state.shape[0] // 2
+    for i in range(nv):
+        out[nv + i] = state[nv + i] + step_size * slope[nv + i]
+        out[i] = state[i] + step_size * out[nv + i]

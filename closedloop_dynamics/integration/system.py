@@ -102,3 +102,24 @@ def evaluate(system, q, qd):
     else:
         accelerate_dense(model, work, system.dense, formulation, system.tau,
                          system.settings[BAUMGARTE], system.qdd, system.lam)
+
+
+@compiled
+def derivative(system, state, out):
+    """
+    Compute the time derivative of a state.
+
+    Parameters
+    ----------
+    system : System
+    state : ndarray, shape (ns,)
+        Joint coordinates, then joint rates.
+    out : ndarray, shape (ns,)
+        Written in place.
+
+    """
+    nv = system.qdd.shape[0]
+    evaluate(system, state[:nv], state[nv:2 * nv])
+    for i in range(nv):
+        out[i] = state[nv + i]
+        out[nv + i] = system.qdd[i]
