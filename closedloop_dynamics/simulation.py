@@ -20,9 +20,10 @@ import math
 import numpy as np
 
 from .assembly import Assembler
-from .core import energy, jacobian, kinematics
+from .core import energy, jacobian, kinematics, loop_closure
 from .core import types as t
 from .core.formulations import AUGMENTED, SUBSYSTEM, SYSTEM
+from .core.forward_dynamics import to_user_order
 from .core.inverse_dynamics import tree_torque
 from .effects.gravity import Gravity
 from .errors import ClosureError, NumericalError, SimulationError
@@ -125,7 +126,7 @@ class Simulation:
 
     @property
     def cut_joints(self):
-        """The cut joints, in the order of the constraint forces."""
+        """Return the cut joints, in the order of the constraint forces."""
         return self.mechanism.cut_joints
 
     @property
@@ -372,12 +373,13 @@ class Simulation:
         """
         self._q[:], self._qd[:] = self._assembled(position, velocity, hold or ())
         self._driver.restart()
-        self._fresh = False
 
     def _assembled(self, position, velocity, hold):
         nv = len(self.joint_names)
         q = _vector('position', position, nv)
         qd = np.zeros(nv) if velocity is None else _vector('velocity', velocity, nv)
+        # The assembler works in the same workspace, whether it succeeds or not.
+        self._fresh = False
         q = self._assembler.positions(q, hold)
         return q, self._assembler.velocities(q, qd, hold)
 
@@ -446,8 +448,17 @@ class Simulation:
         self._fresh = False
         jac = np.zeros((self.mechanism.number_of_equations, nv))
         need = np.zeros(nv)
+        bias = np.zeros(len(jac))
         kinematics.outward(model, q, qd, work)
         jacobian.constraint_jacobian(model, work, jac)
+        loop_closure.update(model, work, False)
+        to_user_order(model, work.bias, bias)
+        part = np.abs(jac @ qdd + bias).max(initial=0.0)
+        if part > 1e-8 * max(np.abs(jac * qdd).max(initial=0.0), np.abs(bias).max(initial=0.0)):
+            raise SimulationError(
+                f'This acceleration opens the loops: the cut joints would part at {part:.3g} '
+                'm/s^2. Give accelerations of all joints that belong together, such as those '
+                'that forward_dynamics returns.')
         tree_torque(model, work, qdd, need)
         passive = np.setdiff1d(np.arange(nv), self._actuated)
         unknowns = np.concatenate([np.eye(nv)[:, self._actuated], jac.T], axis=1)

@@ -134,7 +134,7 @@ FAULTS = {
         'a mapping (key: value)', "['gravity']", ''),
     'integrator': (
         'semi_implicit_euler', 'rk45', 11, 'method.integrator',
-        'one of semi_implicit_euler, rk4', "the text 'rk45'", "did you mean 'rk4'?"),
+        'one of semi_implicit_euler, heun, rk4, dopri5, dop853', "the text 'rk45'", "did you mean 'rk4'?"),
     'step_size_zero': (
         'step_size: 5e-4', 'step_size: 0.0', 12, 'method.step_size', 'a positive number', '0.0',
         ''),
@@ -143,7 +143,7 @@ FAULTS = {
         "the text '1 ms'", ''),
     'stabilisation_boolean': (
         'stabilisation: baumgarte', 'stabilisation: false', 13, 'method.stabilisation',
-        'one of none, baumgarte, projection', 'the truth value false', ''),
+        'one of none, baumgarte, velocity_projection, projection', 'the truth value false', ''),
     'baumgarte_without': (
         'stabilisation: baumgarte', 'stabilisation: none', 14, 'method.baumgarte_time_constant',
         'this key only with stabilisation: baumgarte', 'it with stabilisation: none',
@@ -156,7 +156,8 @@ FAULTS = {
         'one of subsystem, system, augmented', "the text 'systems'", "did you mean 'system'?"),
     'method_key': (
         'step_size: 5e-4', 'stepsize: 5e-4', 12, 'method.stepsize',
-        'one of the keys integrator, step_size, stabilisation, baumgarte_time_constant, '
+        'one of the keys integrator, step_size, stabilisation, tolerance, '
+        'baumgarte_time_constant, '
         'formulation', "the unknown key 'stepsize'", "did you mean 'step_size'?"),
     'a_mechanism': (
         GOOD, 'name: x\nbodies: {}\n', 2, 'bodies', 'a scene', 'a mechanism',
@@ -186,7 +187,9 @@ def test_good_scene_is_read_whole(tmp_path):
     assert scene.initial == Initial((1.0, -0.5, 2.0), (3.0, 0.0, 0.0), ('crank_joint',))
     assert scene.effects == {'gravity': Gravity((0.0, -9.81)), 'side_wind': Gravity((1.0, 0.0))}
     assert list(scene.effects) == ['gravity', 'side_wind']
-    assert scene.method == Method('semi_implicit_euler', 5e-4, 'baumgarte', 0.02, 'system')
+    assert scene.method == Method(
+        'semi_implicit_euler', 5e-4, 'baumgarte', baumgarte_time_constant=0.02,
+        formulation='system')
     assert load_scene(str(path)) == scene
 
 
@@ -205,7 +208,7 @@ def test_optional_parts_have_defaults(tmp_path):
     assert scene == load_scene(write(tmp_path, text + 'effects:\nmethod:\n'))
     assert (scene.description, scene.effects) == ('', {})
     assert scene.initial == Initial((1.0, -0.5, 2.0), (0.0, 0.0, 0.0), ())
-    assert scene.method == Method('rk4', 0.001, 'projection', 0.01, 'subsystem')
+    assert scene.method == Method('rk4', 0.001, 'projection', 1e-6, None, 'subsystem')
 
 
 def test_velocity_of_any_joint_where_none_is_held(tmp_path):
