@@ -17,17 +17,19 @@
 import numpy as np
 import pytest
 
+from .engine import Engine
 from ..reference import dense
 from ..reference.compare import assert_agree, IDENTITY, SOLVE
 
 
-def test_energies_equal_the_twin(drawn, engine):
+@pytest.mark.parametrize('gravity', [dense.EARTH, (3.0, 2.0)])
+def test_energies_equal_the_twin(drawn, gravity):
     _, mechanism, q, qd = drawn
-    kinetic, potential = engine.energies(q, qd)
+    kinetic, potential = Engine(mechanism, gravity).energies(q, qd)
     assert kinetic == pytest.approx(dense.kinetic_energy(mechanism, q, qd), rel=IDENTITY)
-    heights = sum(9.81 * body.mass for body in mechanism.bodies)
-    assert potential == pytest.approx(dense.potential_energy(mechanism, q),
-                                      abs=IDENTITY * heights)
+    weight = sum(10.0 * body.mass for body in mechanism.bodies)
+    assert potential == pytest.approx(dense.potential_energy(mechanism, q, gravity),
+                                      abs=IDENTITY * weight)
 
 
 def test_power_of_the_torques_is_the_rate_of_energy(drawn, engine):
