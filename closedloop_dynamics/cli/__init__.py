@@ -1,0 +1,92 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The command ``closedloop``: one entry of ``COMMANDS`` for each of its sub-commands."""
+
+import os
+import sys
+
+from . import check, simulate
+from .command import HelpfulParser, UsageError
+from ..errors import SimulationError
+from ..mechanism.mechanism import MechanismError
+from ..scene import SceneError
+
+COMMANDS = (check.COMMAND, simulate.COMMAND)
+
+FAILED, USAGE, INTERRUPTED, BROKEN_PIPE = 1, 2, 130, 141
+DESCRIPTION = """\
+Simulate planar mechanisms with closed kinematic loops.
+
+A mechanism and a scene (a mechanism, its start, what acts on it) are YAML files.
+The shipped ones go by their names; anything else is the path of a file:
+
+  closedloop check three_rrr
+  closedloop simulate three_rrr --duration 2 --torque theta_1=5 --output run.csv
+"""
+EPILOG = """\
+Exit codes: 0 done; 1 the simulation failed; 2 a wrong option, scene or mechanism;
+130 interrupted.
+"""
+
+
+def parser():
+    """Return the parser of the whole command line."""
+    whole = HelpfulParser(prog='closedloop', description=DESCRIPTION, epilog=EPILOG)
+    commands = whole.add_subparsers(
+        title='commands', metavar='COMMAND', required=True, parser_class=HelpfulParser)
+    for command in COMMANDS:
+        one = commands.add_parser(
+            command.name, help=command.summary, description=command.description,
+            epilog=command.epilog)
+        command.add_arguments(one)
+        one.set_defaults(run=command.run, prog=one.prog)
+    return whole
+
+
+def main(argv=None):
+    """
+    Run ``closedloop``.
+
+    Parameters
+    ----------
+    argv : list of str, optional
+        Arguments without the program's name; ``sys.argv[1:]`` when not given.
+
+    Returns
+    -------
+    int
+        Exit code.
+
+    """
+    arguments = parser().parse_args(argv)
+    try:
+        code = arguments.run(arguments)
+        sys.stdout.flush()
+        return code
+    except (SceneError, MechanismError, UsageError) as error:
+        return _complain(arguments.prog, error, USAGE)
+    except BrokenPipeError:
+        # Whoever read the output has enough; what is left goes nowhere when Python ends.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return BROKEN_PIPE
+    except (SimulationError, OSError) as error:
+        return _complain(arguments.prog, error, FAILED)
+    except KeyboardInterrupt:
+        return _complain(arguments.prog, 'interrupted', INTERRUPTED)
+
+
+def _complain(prog, message, code):
+    print(f'{prog}: {message}', file=sys.stderr)
+    return code

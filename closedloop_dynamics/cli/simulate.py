@@ -1,0 +1,189 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""``closedloop simulate``: run a scene offline, under constant torques, into a CSV file."""
+
+from contextlib import contextmanager
+from pathlib import Path
+import signal
+import sys
+
+from .command import assignment, Command, mapping, positive, UsageError
+from ..errors import AssemblyError, SimulationError
+from ..scene_records import FORMULATIONS, INTEGRATORS, STABILISATIONS
+from ..simulation import Simulation
+from ..studies.progress import announced, progress_bar
+from ..studies.run import columns, Report, run
+
+FAILED = 1
+STANDARD_OUTPUT = '-'
+COMPILING = 'Compiling (half a minute the very first time, seconds from then on) ...'
+
+
+def _add_arguments(parser):
+    parser.add_argument('scene', metavar='SCENE',
+                        help='a shipped scene by its name, or a YAML file')
+    run_options = parser.add_argument_group('what to do')
+    run_options.add_argument('--duration', type=positive, default=2.0, metavar='SECONDS',
+                             help='simulated time (default: 2)')
+    run_options.add_argument('--torque', type=assignment, action='append', default=[],
+                             metavar='JOINT=VALUE',
+                             help='constant torque of an actuated joint [N m], or force of a '
+                                  'prismatic one [N]; may be repeated (default: none)')
+    run_options.add_argument('--output', metavar='FILE',
+                             help='where to write a row of numbers for each instant, as CSV; - '
+                                  'is the standard output (default: no rows, only a summary)')
+    run_options.add_argument('--rate', type=positive, default=100.0, metavar='HZ',
+                             help='rows per simulated second, at exact multiples of 1 / HZ '
+                                  '(default: 100)')
+    run_options.add_argument('--overwrite', action='store_true',
+                             help='replace the output file if it exists')
+    method = parser.add_argument_group('how to compute it (default: as the scene says)')
+    method.add_argument('--step-size', type=positive, metavar='SECONDS')
+    method.add_argument('--integrator', choices=INTEGRATORS)
+    method.add_argument('--stabilisation', choices=STABILISATIONS,
+                        help='how the loops are kept closed')
+    method.add_argument('--formulation', choices=FORMULATIONS,
+                        help='how the accelerations are found; all give the same')
+
+
+def _run(arguments):
+    simulation, torque = _prepared(arguments)
+    report, failure = Report(), None
+    with _opened(arguments.output, arguments.overwrite) as write, _signals() as received, \
+            progress_bar(arguments.duration, 's', simulation.scene.name) as bar:
+
+        def on_row(values):
+            write(','.join(map(repr, values)))
+            bar.update(values[0] - bar.n)
+
+        write(','.join(columns(simulation)))
+        try:
+            run(simulation, arguments.duration, arguments.rate, torque, report=report,
+                on_row=on_row, keep_going=lambda: not received)
+        except SimulationError as error:
+            failure = error
+    if failure is not None:
+        print(f'{arguments.prog}: {failure}', file=sys.stderr)
+    elif not report.finished:
+        print(f'{arguments.prog}: interrupted at t = {report.time:.6g} s of '
+              f'{arguments.duration:g} s', file=sys.stderr)
+    # The standard output belongs to the rows where they go there.
+    print(_summary(simulation, report, arguments),
+          file=sys.stderr if arguments.output == STANDARD_OUTPUT else sys.stdout)
+    return 128 + received[0] if received else FAILED if failure else 0
+
+
+def _prepared(arguments):
+    """Return the simulation, compiled, and the torques; whatever is wrong is the user's."""
+    torque = mapping(arguments.torque, '--torque')
+    with announced(COMPILING):
+        try:
+            simulation = Simulation.from_scene(
+                arguments.scene, step_size=arguments.step_size, integrator=arguments.integrator,
+                stabilisation=arguments.stabilisation, formulation=arguments.formulation)
+        except AssemblyError as error:
+            raise UsageError(f'{arguments.scene}: {error}') from None
+        try:
+            simulation.joint_torques(torque)
+        except ValueError as error:
+            raise UsageError(f'--{error}') from None
+        _refuse_to_replace(arguments)
+        simulation.warm_up()
+    return simulation, torque
+
+
+def _refuse_to_replace(arguments):
+    output = arguments.output
+    if output in (None, STANDARD_OUTPUT) or arguments.overwrite:
+        return
+    if Path(output).is_file():
+        raise UsageError(f'--output: {output} exists; name another file, or add --overwrite')
+
+
+@contextmanager
+def _opened(output, overwrite):
+    """Yield a function that writes a line, whole, to a file, to the standard output, nowhere."""
+    if output is None:
+        yield lambda line: None
+    elif output == STANDARD_OUTPUT:
+        yield print
+    else:
+        try:
+            # Line by line, so that whatever ends the run leaves whole rows.
+            with open(output, 'w', buffering=1, encoding='ascii') as file:
+                yield lambda line: file.write(line + '\n')
+        except OSError as error:
+            raise OSError(f'cannot write {output}: {error.strerror}') from None
+
+
+@contextmanager
+def _signals():
+    """Yield a list for SIGINT and SIGTERM, which then do not end a row half-way."""
+    received = []
+
+    def on_signal(number, frame):
+        received.append(number)
+        if len(received) > 1:
+            raise KeyboardInterrupt
+
+    numbers = (signal.SIGINT, signal.SIGTERM)
+    before = [signal.signal(number, on_signal) for number in numbers]
+    try:
+        yield received
+    finally:
+        for number, handler in zip(numbers, before):
+            signal.signal(number, handler)
+
+
+def _summary(simulation, report, arguments):
+    method = simulation.scene.method
+    change = report.last_energy - report.first_energy
+    work = ' (work of the torques included)' if any(simulation.effort) else ''
+    share = report.cpu_time / report.time if report.time else 0.0
+    lines = [
+        f'{simulation.scene.name}: simulated {report.time:.9g} s in steps of '
+        f'{method.step_size:g} s ({method.integrator}, {method.stabilisation}, '
+        f'{method.formulation})',
+        f'  closure   largest error of the loops {report.largest_closure:.2g} m or rad',
+        f'  energy    {report.first_energy:.9g} J at the start, changed by {change:+.3g} J{work}',
+        f'  CPU time  {report.cpu_time:.3g} s, {share:.2%} of real time, without compiling',
+    ]
+    if arguments.output not in (None, STANDARD_OUTPUT):
+        lines.append(f'  output    {arguments.output}: {report.rows} rows of '
+                     f'{len(columns(simulation))} columns')
+    return '\n'.join(lines)
+
+
+COMMAND = Command(
+    name='simulate',
+    summary='simulate a scene offline and write its motion and forces to a file',
+    description="""\
+Simulate a scene from its start, under constant torques, as fast as possible.
+
+Columns of the output: time, position.JOINT, velocity.JOINT, acceleration.JOINT
+and effort.JOINT of every joint; force.CUT.x and force.CUT.y of every cut joint
+(and force.CUT.torque of a fixed or prismatic one), which body B exerts on
+body A, in world axes; closure, the largest error of the loops; energy, kinetic
+and potential. SI units and radians; numbers with all their digits. An existing
+file is not replaced unless asked for. Ctrl-C leaves all rows so far.
+""",
+    epilog="""\
+examples:
+  closedloop simulate three_rrr
+  closedloop simulate three_rrr --torque theta_1=5 --torque theta_6=-3 --output run.csv
+  closedloop simulate carpet_scraper --duration 600 --step-size 5e-4 --rate 10 --output long.csv
+""",
+    add_arguments=_add_arguments,
+    run=_run)

@@ -1,0 +1,48 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Say how far a long computation is, on a terminal, and what takes so long before it."""
+
+from contextlib import contextmanager
+import sys
+from threading import Timer
+
+from tqdm import tqdm
+
+# Nobody needs to be told about less [s].
+PATIENCE = 1.0
+BAR = '{desc}: {percentage:3.0f}%|{bar}| {n:.4g} of {total:.4g} {unit} [{elapsed} < {remaining}]'
+
+
+def progress_bar(total, unit, description):
+    """
+    Return a bar on stderr, to be used as a context manager and told of progress by ``update``.
+
+    It appears after a second, only on a terminal, and is gone at the end.
+
+    """
+    return tqdm(total=total, unit=unit, desc=description, file=sys.stderr, disable=None,
+                delay=PATIENCE, leave=False, bar_format=BAR)
+
+
+@contextmanager
+def announced(message, patience=PATIENCE):
+    """Print a message on stderr if the block takes longer than some seconds."""
+    timer = Timer(patience, print, (message,), {'file': sys.stderr, 'flush': True})
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()

@@ -1,0 +1,209 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""``closedloop`` from the command line: what it prints, writes, refuses and returns."""
+
+import csv
+import math
+import os
+from pathlib import Path
+import signal
+import subprocess
+import sys
+
+from closedloop_dynamics.cli import COMMANDS, main
+from closedloop_dynamics.simulation import Simulation
+import pytest
+
+PROGRAM = (sys.executable, '-m', 'closedloop_dynamics.cli')
+ENVIRONMENT = {**os.environ, 'PYTHONPATH': str(Path(__file__).resolve().parents[1])}
+
+
+def call(capsys, *arguments):
+    """Return exit code, standard output and standard error of one call."""
+    try:
+        code = main([str(argument) for argument in arguments])
+    except SystemExit as end:
+        code = end.code
+    return (code, *capsys.readouterr())
+
+
+def read(path):
+    """Return the columns of a CSV file by name, as numbers."""
+    with open(path) as file:
+        names, *rows = csv.reader(file)
+    assert all(len(row) == len(names) for row in rows)
+    return {name: [float(row[i]) for row in rows] for i, name in enumerate(names)}
+
+
+def test_help_teaches_every_command(capsys):
+    code, text, _ = call(capsys, '--help')
+    assert code == 0
+    for command in COMMANDS:
+        assert command.name in text
+        assert command.summary in ' '.join(text.split())
+        code, own, _ = call(capsys, command.name, '--help')
+        assert code == 0
+        assert f'closedloop {command.name} ' in own and 'examples:' in own
+
+
+def test_check_prints_the_description(capsys):
+    code, text, errors = call(capsys, 'check', 'three_rrr')
+    assert (code, errors) == (0, '')
+    assert text.startswith('Scene three_rrr') and 'elimination order' in text
+
+
+@pytest.mark.parametrize('arguments, words', [
+    ((), ['COMMAND']),
+    (('fly',), ['fly', 'check', 'simulate']),
+    (('check', 'four_barr'), ['four_barr', 'four_bar, ', 'did you mean']),
+    (('check', './missing.yaml'), ['missing.yaml']),
+    (('simulate', 'four_bar', '--duration', '-1'), ['--duration', '> 0', '-1']),
+    (('simulate', 'four_bar', '--rate', 'nan'), ['--rate', 'nan']),
+    (('simulate', 'four_bar', '--step-size', 'inf'), ['--step-size', 'inf']),
+    (('simulate', 'four_bar', '--torque', 'crank_joint'), ['--torque', 'NAME=NUMBER']),
+    (('simulate', 'four_bar', '--torque', 'crank_joint=nan'), ['--torque', 'NAME=NUMBER']),
+    (('simulate', 'four_bar', '--torque', 'coupler_joint=1'),
+     ['--torque', 'crank_joint', 'coupler_joint']),
+    (('simulate', 'four_bar', '--torque', 'crank_joint=1', '--torque', 'crank_joint=2'),
+     ['--torque crank_joint', 'once']),
+    (('simulate', 'four_bar', '--integrator', 'magic'), ['--integrator', 'magic', 'rk4']),
+])
+def test_usage_errors_say_what_would_do(capsys, arguments, words):
+    code, text, errors = call(capsys, *arguments)
+    assert (code, text) == (2, '')
+    assert 'Traceback' not in errors and len(errors.splitlines()) <= 2
+    for word in words:
+        assert word in errors
+
+
+def test_a_scene_that_cannot_be_assembled_is_a_usage_error(capsys, tmp_path):
+    scene = tmp_path / 'stretched.yaml'
+    scene.write_text(
+        'mechanism: four_bar\n'
+        'initial:\n'
+        '  position: {crank_joint: 1.0, coupler_joint: 0.0, rocker_joint: 0.0}\n'
+        '  hold: [crank_joint, rocker_joint]\n')
+    code, _, errors = call(capsys, 'simulate', scene)
+    assert code == 2
+    assert str(scene) in errors and 'Traceback' not in errors
+
+
+def test_columns_and_digits_of_the_output(capsys, tmp_path):
+    output = tmp_path / 'run.csv'
+    code, text, errors = call(
+        capsys, 'simulate', 'three_rrr', '--duration', '0.1', '--step-size', '1e-3',
+        '--rate', '50', '--torque', 'theta_1=5', '--torque', 'theta_7=-2.5', '--output', output)
+    assert (code, errors) == (0, '')
+    joints = [f'theta_{i}' for i in range(1, 8)]
+    data = read(output)
+    assert list(data) == [
+        'time', *(f'{quantity}.{joint}'
+                  for quantity in ('position', 'velocity', 'acceleration', 'effort')
+                  for joint in joints),
+        'force.cut_1.x', 'force.cut_1.y', 'force.cut_2.x', 'force.cut_2.y', 'closure', 'energy']
+    assert data['time'] == [k / 50 for k in range(6)]
+    assert set(data['effort.theta_1']) == {5.0} and set(data['effort.theta_7']) == {-2.5}
+    assert max(data['closure']) < 1e-10
+
+    simulation = Simulation.from_scene('three_rrr', step_size=1e-3)
+    for k in range(6):
+        simulation.step({'theta_1': 5.0, 'theta_7': -2.5}, 0.02 if k else 0.0)
+        assert [data[f'position.{joint}'][k] for joint in joints] == simulation.position.tolist()
+        assert [data[f'acceleration.{joint}'][k]
+                for joint in joints] == simulation.acceleration.tolist()
+        assert [[0.0, data[f'force.{cut}.x'][k], data[f'force.{cut}.y'][k]]
+                for cut in ('cut_1', 'cut_2')] == simulation.constraint_forces.tolist()
+        assert data['energy'][k] == simulation.energy
+    assert f'{output}: 6 rows of 35 columns' in text
+    assert 'simulated 0.1 s' in text and 'CPU time' in text and 'energy' in text
+
+
+@pytest.mark.parametrize('options', [
+    ('--integrator', 'semi_implicit_euler', '--stabilisation', 'none'),
+    ('--formulation', 'augmented', '--stabilisation', 'baumgarte')])
+def test_method_options_replace_those_of_the_scene(capsys, options):
+    code, text, _ = call(capsys, 'simulate', 'four_bar', '--duration', '0.01', *options)
+    assert code == 0
+    assert options[1] in text and options[3] in text
+
+
+def test_rows_go_to_the_standard_output_and_the_summary_does_not(capsys):
+    code, text, errors = call(
+        capsys, 'simulate', 'four_bar', '--duration', '0.02', '--output', '-')
+    assert code == 0
+    assert [line.split(',')[0] for line in text.splitlines()] == ['time', '0.0', '0.01', '0.02']
+    assert 'CPU time' in errors
+
+
+def test_an_existing_file_is_replaced_only_when_asked_for(capsys, tmp_path):
+    output = tmp_path / 'run.csv'
+    output.write_text('precious')
+    arguments = ('simulate', 'four_bar', '--duration', '0.01', '--output', output)
+    code, _, errors = call(capsys, *arguments)
+    assert code == 2 and 'exists' in errors and '--overwrite' in errors
+    assert output.read_text() == 'precious'
+    assert call(capsys, *arguments, '--overwrite')[0] == 0
+    assert len(read(output)['time']) == 2
+
+
+@pytest.mark.parametrize('output, words', [
+    ('no/such/folder/run.csv', ['No such file']), ('/dev/full', ['No space left'])])
+def test_a_file_that_cannot_be_written_is_named(capsys, output, words):
+    code, _, errors = call(capsys, 'simulate', 'four_bar', '--output', output)
+    assert code == 1
+    assert 'Traceback' not in errors
+    for word in [output, *words]:
+        assert word in errors
+
+
+def test_a_failing_simulation_leaves_its_rows(capsys, tmp_path):
+    output = tmp_path / 'run.csv'
+    code, text, errors = call(
+        capsys, 'simulate', 'four_bar', '--torque', 'crank_joint=1e7', '--rate', '1000',
+        '--output', output)
+    assert code == 1
+    assert 'smaller' in errors and 'Traceback' not in errors
+    data = read(output)
+    assert data['time'] and all(math.isfinite(value) for column in data.values()
+                                for value in column)
+    assert f'{len(data["time"])} rows' in text
+
+
+@pytest.mark.parametrize('number, expected', [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_an_interrupted_run_leaves_whole_rows_and_says_so(tmp_path, number, expected):
+    output = tmp_path / 'run.csv'
+    process = subprocess.Popen(
+        [*PROGRAM, 'simulate', 'four_bar', '--duration', '1e6', '--output', str(output)],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=ENVIRONMENT)
+    try:
+        while not (output.exists() and output.stat().st_size > 10000):
+            assert process.poll() is None, process.communicate()
+        process.send_signal(number)
+        text, errors = process.communicate(timeout=60)
+    finally:
+        process.kill()
+    assert process.returncode == expected
+    assert 'interrupted at t = ' in errors and 'Traceback' not in errors
+    assert output.read_text().endswith('\n')
+    assert f'{len(read(output)["time"])} rows' in text
+
+
+def test_a_reader_that_has_enough_is_no_error():
+    command = f'{sys.executable} -m closedloop_dynamics.cli simulate four_bar --output - | head -1'
+    done = subprocess.run(['bash', '-o', 'pipefail', '-c', command], text=True, env=ENVIRONMENT,
+                          capture_output=True)
+    assert done.stdout.startswith('time,')
+    assert done.returncode == 141
+    assert 'Traceback' not in done.stderr and 'BrokenPipe' not in done.stderr
