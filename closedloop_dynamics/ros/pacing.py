@@ -81,6 +81,11 @@ class Pacer:
         self._factor = value
 
     @property
+    def running(self):
+        """Return whether time becomes due."""
+        return self._last is not None
+
+    @property
     def achieved(self):
         """Return the same as achieved so far; NaN before the first tick."""
         return self.simulated / self.elapsed if self.elapsed > 0 else math.nan

@@ -1,0 +1,56 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Load a scene for a node: compiled, and with its errors in one line."""
+
+import time
+
+from closedloop_dynamics.errors import SimulationError
+from closedloop_dynamics.ros.process import StartError
+from closedloop_dynamics.simulation import Simulation
+
+
+def load_simulation(scene, logger, **method):
+    """
+    Return the simulation of a scene, compiled, and say so.
+
+    Parameters
+    ----------
+    scene : str
+        Name of a shipped scene, or path of a file.
+    logger : rclpy logger
+        Of the node.
+    **method
+        What differs from the scene's method; None: nothing.
+
+    Returns
+    -------
+    Simulation
+
+    Raises
+    ------
+    StartError
+        If the scene cannot be read or simulated.
+
+    """
+    logger.info(f"loading scene '{scene}' and compiling (half a minute at the very first start, "
+                'seconds from then on) ...')
+    begin = time.monotonic()
+    try:
+        simulation = Simulation.from_scene(scene, **method)
+        simulation.warm_up()
+    except (ValueError, OSError, SimulationError) as error:
+        raise StartError(f"scene '{scene}': {error}") from None
+    logger.info(f'loaded in {time.monotonic() - begin:.1f} s')
+    return simulation

@@ -1,0 +1,256 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Tests of the simulator as a process of its own, over DDS."""
+
+import math
+import signal
+import time
+
+from geometry_msgs.msg import WrenchStamped
+import pytest
+from rcl_interfaces.srv import GetParameters
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
+from rclpy.time import Time
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+
+SIMULATOR = 'closedloop_simulator'
+# What the package promises for the end of a process [s].
+STOP_TIME = 2.0
+
+
+def stamp(message):
+    """Return the stamp of a message [s]."""
+    return Time.from_msg(message.header.stamp).nanoseconds * 1e-9
+
+
+def test_states_and_forces_come_at_the_rate_asked_for(processes, listener):
+    simulator = processes.start(SIMULATOR, scene='three_rrr', publish_rate='200.0')
+    states = listener.listen('joint_states', JointState)
+    forces = [listener.listen(f'constraint_forces/cut_{i}', WrenchStamped) for i in (1, 2)]
+    simulator.wait_until_ready()
+    listener.wait(lambda: min(map(len, [states, *forces])) > 200, '200 states')
+    assert states[0].name == [f'theta_{i}' for i in range(1, 8)]
+    assert forces[0][0].header.frame_id == 'world'
+    period = (stamp(states[-1]) - stamp(states[0])) / (len(states) - 1)
+    # Nothing more exact can be asked of a machine that does other things, too.
+    assert 0.9 / 200 < period < 2.0 / 200
+    # Falling under gravity, with no torque.
+    assert not any(states[-1].effort)
+    assert states[-1].position != states[0].position
+    first = {stamp(message) for message in states}
+    assert sum(stamp(message) in first for message in forces[0]) > 190
+    assert simulator.stop() == 0
+    assert 'messages published' in simulator.output
+
+
+def test_simulated_time_follows_the_real_time_factor(processes, listener):
+    simulator = processes.start(SIMULATOR, scene='four_bar', real_time_factor='0.25')
+    simulator.wait_until_ready()
+    begin = time.monotonic()
+    states = listener.listen('joint_states', JointState)
+    listener.wait(lambda: len(states) > 200, '200 states')
+    elapsed = time.monotonic() - begin
+    assert simulator.stop() == 0
+    simulated, factor, dropped = summary(simulator)
+    assert simulated + dropped == pytest.approx(0.25 * elapsed, rel=0.2)
+    if not dropped:
+        assert factor == pytest.approx(0.25, rel=0.05)
+
+
+def summary(simulator):
+    """Return simulated time, factor and dropped time from the last words of a simulator."""
+    words = simulator.output.split('simulated ')[-1].split()
+    return float(words[0]), float(words[3]), float(words[7].lstrip('('))
+
+
+def applied(states, efforts):
+    """Return whether the last state applies the efforts, of the actuated joints in order."""
+    return bool(states) and [e for e in states[-1].effort if e] == efforts
+
+
+def test_commands_of_both_kinds_are_applied_and_bad_ones_change_nothing(processes, listener):
+    simulator = processes.start(SIMULATOR, scene='three_rrr').wait_until_ready()
+    states = listener.listen('joint_states', JointState)
+    torques = listener.publisher('torque_command', Float64MultiArray)
+    joints = listener.publisher('joint_command', JointState)
+    torques.publish(Float64MultiArray(data=[1.0, 2.0, 3.0]))
+    listener.wait(lambda: applied(states, [1.0, 2.0, 3.0]), 'state with these efforts')
+    bad = [
+        (torques, Float64MultiArray(data=[9.0, 9.0])),
+        (torques, Float64MultiArray(data=[9.0, math.nan, 9.0])),
+        (torques, Float64MultiArray(data=[9.0, math.inf, 9.0])),
+        (torques, Float64MultiArray()),
+        (joints, JointState(name=['theta_2'], effort=[9.0])),
+        (joints, JointState(name=['elbow'], effort=[9.0])),
+        (joints, JointState(name=['theta_1'], position=[9.0])),
+        (joints, JointState(name=['theta_1', 'theta_6'], effort=[9.0, math.nan])),
+        (joints, JointState()),
+    ]
+    for publisher, message in bad:
+        publisher.publish(message)
+    joints.publish(JointState(name=['theta_7'], effort=[4.0]))
+    listener.wait(lambda: applied(states, [1.0, 2.0, 4.0]), 'state with the last effort')
+    torques.publish(Float64MultiArray(data=[5.0, 6.0, 7.0]))
+    listener.wait(lambda: applied(states, [5.0, 6.0, 7.0]), 'state with the last torques')
+    assert not any(9.0 in message.effort for message in states)
+    assert simulator.stop() == 0
+    assert 'command rejected: ' in simulator.output
+    assert f'3 accepted, {len(bad)} rejected' in simulator.output
+
+
+def test_torques_fall_to_zero_when_commands_stop(processes, listener):
+    simulator = processes.start(
+        SIMULATOR, scene='four_bar', command_timeout='0.3').wait_until_ready()
+    states = listener.listen('joint_states', JointState)
+    publisher = listener.publisher('torque_command', Float64MultiArray)
+    publisher.publish(Float64MultiArray(data=[1.0]))
+    listener.wait(lambda: applied(states, [1.0]), 'state with the torque')
+    listener.wait(lambda: applied(states, []), 'state without torque')
+    assert simulator.stop() == 0
+    assert 'no command for 0.3 s' in simulator.output
+    assert '1 timed out' in simulator.output
+
+
+def test_parameters_can_be_read_and_set_by_others(processes, listener):
+    simulator = processes.start(SIMULATOR, scene='three_rrr').wait_until_ready()
+    values = listener.call(
+        GetParameters, f'{SIMULATOR}/get_parameters',
+        GetParameters.Request(names=['actuated_joints', 'publish_rate'])).values
+    assert values[0].string_array_value == ['theta_1', 'theta_6', 'theta_7']
+    assert values[1].double_value == 100.0
+    results = listener.call(
+        SetParameters, f'{SIMULATOR}/set_parameters', SetParameters.Request(parameters=[
+            Parameter(name, value=value).to_parameter_msg() for name, value in (
+                ('publish_rate', 20.0), ('publish_rate', -1.0), ('scene', 'four_bar'))])).results
+    assert [result.successful for result in results] == [True, False, False]
+    states = listener.listen('joint_states', JointState)
+    listener.wait(lambda: len(states) > 10, 'states')
+    assert (stamp(states[-1]) - stamp(states[1])) / (len(states) - 2) > 0.04
+    assert simulator.stop() == 0
+
+
+def test_state_that_leaves_the_finite_numbers_ends_the_process(processes, listener):
+    simulator = processes.start(SIMULATOR, scene='three_rrr').wait_until_ready()
+    states = listener.listen('joint_states', JointState)
+    publisher = listener.publisher('torque_command', Float64MultiArray)
+    listener.wait(lambda: states, 'a state')
+    publisher.publish(Float64MultiArray(data=[1e300, 0.0, 0.0]))
+    assert simulator.wait() == 1
+    assert 'simulation stopped at' in simulator.output
+    assert 'Traceback' not in simulator.output
+    assert all(math.isfinite(value) for message in states
+               for value in (*message.position, *message.velocity))
+
+
+def test_machine_that_cannot_keep_up_says_so_and_stays_responsive(processes, listener):
+    simulator = processes.start(
+        SIMULATOR, scene='three_rrr', real_time_factor='1000.0', step_size='0.0001')
+    simulator.wait_for('cannot keep up')
+    states = listener.listen('joint_states', JointState)
+    publisher = listener.publisher('torque_command', Float64MultiArray)
+    publisher.publish(Float64MultiArray(data=[1.0, 2.0, 3.0]))
+    listener.wait(lambda: applied(states, [1.0, 2.0, 3.0]), 'state with these efforts')
+    begin = time.monotonic()
+    assert simulator.stop() == 0
+    assert time.monotonic() - begin < STOP_TIME
+    simulated, factor, dropped = summary(simulator)
+    assert 0.0 < factor < 1000.0
+    assert dropped > simulated > 0.0
+
+
+def test_simulators_side_by_side_in_namespaces(processes, listener):
+    first = processes.start(SIMULATOR, namespace='/left', scene='three_rrr')
+    second = processes.start(SIMULATOR, namespace='/right/arm', scene='slider_crank')
+    left = listener.listen('/left/joint_states', JointState)
+    right = listener.listen('/right/arm/joint_states', JointState)
+    first.wait_until_ready()
+    second.wait_until_ready()
+    publisher = listener.publisher('/left/torque_command', Float64MultiArray)
+    publisher.publish(Float64MultiArray(data=[1.0, 2.0, 3.0]))
+    listener.wait(lambda: applied(left, [1.0, 2.0, 3.0]), 'state on the left')
+    seen = len(right)
+    listener.wait(lambda: len(right) > seen + 10, 'states on the right')
+    assert len(left[0].name) == 7
+    assert right[0].name == ['crank_joint', 'rod_joint', 'slider_joint']
+    assert not any(any(message.effort) for message in right)
+    assert first.stop() == 0
+    assert second.stop() == 0
+
+
+def test_topics_can_be_remapped(processes, listener):
+    simulator = processes.start(
+        SIMULATOR, scene='four_bar', remap=[
+            'joint_states:=robot/states', 'torque_command:=/drive', '__node:=other',
+            'constraint_forces/cut_1:=pin'])
+    states = listener.listen('/robot/states', JointState)
+    forces = listener.listen('/pin', WrenchStamped)
+    simulator.wait_until_ready()
+    publisher = listener.publisher('/drive', Float64MultiArray)
+    publisher.publish(Float64MultiArray(data=[2.0]))
+    listener.wait(lambda: applied(states, [2.0]), 'state with the torque')
+    listener.wait(lambda: forces, 'a force')
+    assert 'other' in listener.node.get_node_names()
+    assert simulator.stop() == 0
+
+
+@pytest.mark.parametrize('parameters, problem', [
+    ({'scene': 'no_such_scene'}, 'no_such_scene'),
+    ({'publish_rate': '0.0'}, 'publish_rate'),
+    ({'publish_rate': '100'}, 'write 5.0, not 5'),
+    ({'real_time_factor': 'fast'}, 'real_time_factor'),
+])
+def test_bad_parameter_is_one_line_and_an_exit_code(processes, parameters, problem):
+    simulator = processes.start(SIMULATOR, **parameters)
+    assert simulator.wait() == 2
+    last = simulator.output.strip().splitlines()[-1]
+    assert '[FATAL]' in last
+    assert problem in last
+    assert 'Traceback' not in simulator.output
+
+
+def test_stray_argument_is_refused_with_the_right_way_to_say_it(processes):
+    simulator = processes.start(SIMULATOR, arguments=['three_rrr'])
+    assert simulator.wait() == 2
+    assert "unexpected argument 'three_rrr'" in simulator.output
+    assert '--ros-args -p NAME:=VALUE' in simulator.output
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_one_signal_ends_the_process_cleanly(processes, number):
+    simulator = processes.start(SIMULATOR, scene='four_bar').wait_until_ready()
+    begin = time.monotonic()
+    assert simulator.stop(number) == 0
+    assert time.monotonic() - begin < STOP_TIME
+    assert 'Traceback' not in simulator.output
+    assert 'messages published' in simulator.output
+
+
+@pytest.mark.parametrize('pause', [0.0, 0.001, 0.01, 0.05, 0.1])
+def test_more_signals_change_nothing(processes, pause):
+    simulator = processes.start(SIMULATOR, scene='four_bar').wait_until_ready()
+    for number in (signal.SIGINT, signal.SIGINT, signal.SIGTERM, signal.SIGINT):
+        if simulator.popen.poll() is None:
+            simulator.send(number)
+        time.sleep(pause)
+    assert simulator.wait() == 0
+    assert 'Traceback' not in simulator.output
+
+
+def test_signal_while_starting_ends_the_process_at_once(processes):
+    simulator = processes.start(SIMULATOR, scene='three_rrr').wait_for('loading scene')
+    assert simulator.stop() == 0
+    assert 'Traceback' not in simulator.output
