@@ -15,9 +15,12 @@
 """The node ``closedloop_torque_source``: torques for any scene, from a process of their own."""
 
 from array import array
+from itertools import chain
+from math import isfinite
 import time
 
 from closedloop_dynamics.ros.joint_question import JointQuestion
+from closedloop_dynamics.ros.loading import load_simulation
 from closedloop_dynamics.ros.pacing import Throttle
 from closedloop_dynamics.ros.parameters import declare
 from closedloop_dynamics.ros.process import run
@@ -37,6 +40,8 @@ NAME = 'closedloop_torque_source'
 QUEUE_DEPTH = 10
 # Between two looks for the simulator [s].
 QUESTION_PERIOD = 0.1
+# Those that answer states.
+FEEDBACK_MODES = ('pd', 'computed_torque')
 # Between two messages of one kind [s].
 MESSAGE_PERIOD = 5.0
 
@@ -64,22 +69,23 @@ class TorqueSourceNode(Node):
         self._values = declare(self, TORQUE_SOURCE_PARAMETERS)
         self._complaint = Throttle(MESSAGE_PERIOD)
         self._read_names = self._read_indices = None
-        self._timer = None
+        self._timer = self._simulation = None
         joints = tuple(name for name in self._values['joints'] if name)
-        if joints:
-            self._command = JointState(name=joints)
-            self._publisher = self.create_publisher(JointState, 'joint_command', QUEUE_DEPTH)
+        if self._values['mode'] == 'computed_torque':
+            self._simulation = self._load(joints)
+            self._create_command(by_name=False)
+            self._begin(self._simulation.actuated_joints)
+        elif joints:
+            self._create_command(by_name=True)
             self._begin(joints)
         else:
             self._check_without_joints()
-            self._command = Float64MultiArray()
-            self._publisher = self.create_publisher(
-                Float64MultiArray, 'torque_command', QUEUE_DEPTH)
+            self._create_command(by_name=False)
             self._question = JointQuestion(self, self._values['simulator'])
             self._every(QUESTION_PERIOD, self._ask)
 
     def on_joint_states(self, message):
-        """Answer a state with a command (mode pd)."""
+        """Answer a state with a command."""
         problem = self._read(message)
         if problem:
             if self._complaint.ready():
@@ -110,9 +116,14 @@ class TorqueSourceNode(Node):
             self.exit_code = 2
 
     def _begin(self, joints):
+        """Set up the law and send its torques from now on."""
         self._law = self._law_for(joints)
         self.joints = joints
-        if self._values['mode'] == 'pd':
+        if isinstance(self._command, JointState):
+            self._command.name = list(joints)
+        if self._values['mode'] in FEEDBACK_MODES:
+            self._joints_read = joints if self._simulation is None else (
+                self._simulation.joint_names)
             self.create_subscription(
                 JointState, 'joint_states', self.on_joint_states, QUEUE_DEPTH)
         else:
@@ -120,9 +131,28 @@ class TorqueSourceNode(Node):
             self._every(1.0 / self._values['rate'], self._on_timer)
         self.get_logger().info(f"mode {self._values['mode']}, driving {', '.join(joints)}")
 
+    def _load(self, joints):
+        """Return the model of mode computed_torque."""
+        if not self._values['scene']:
+            raise StartError("mode 'computed_torque' needs parameter 'scene'")
+        if joints:
+            raise StartError("mode 'computed_torque' drives all actuated joints of its scene: "
+                             "leave parameter 'joints' out")
+        return load_simulation(self._values['scene'], self.get_logger())
+
+    def _create_command(self, by_name):
+        if by_name:
+            self._command = JointState()
+            self._publisher = self.create_publisher(JointState, 'joint_command', QUEUE_DEPTH)
+        else:
+            self._command = Float64MultiArray()
+            self._publisher = self.create_publisher(
+                Float64MultiArray, 'torque_command', QUEUE_DEPTH)
+
     def _law_for(self, joints):
-        build = closed_loop if self._values['mode'] == 'pd' else open_loop
-        return build(self._values, joints)
+        if self._values['mode'] in FEEDBACK_MODES:
+            return closed_loop(self._values, joints, self._simulation)
+        return open_loop(self._values, joints)
 
     def _check_without_joints(self):
         """Refuse now what no number of joints can make right."""
@@ -149,13 +179,15 @@ class TorqueSourceNode(Node):
     def _read(self, message):
         """Find the joints in a state; return what is wrong with it, or None."""
         if message.name != self._read_names:
-            missing = [name for name in self.joints if name not in message.name]
+            missing = [name for name in self._joints_read if name not in message.name]
             if missing:
                 return f"it does not name '{missing[0]}'"
             self._read_names = list(message.name)
-            self._read_indices = [self._read_names.index(name) for name in self.joints]
+            self._read_indices = [self._read_names.index(name) for name in self._joints_read]
         if not len(message.position) == len(message.velocity) == len(message.name):
             return 'it does not give position and velocity of every joint it names'
+        if not all(map(isfinite, chain(message.position, message.velocity))):
+            return 'a position or velocity is not a finite number'
         return None
 
     def _every(self, period, callback):

@@ -14,6 +14,7 @@
 
 """Parameters of the torque source, and the laws they choose."""
 
+from closedloop_dynamics.ros.computed_torque import ComputedTorque
 from closedloop_dynamics.ros.parameters import Parameter
 from closedloop_dynamics.ros.parameters import per_joint
 from closedloop_dynamics.ros.process import StartError
@@ -27,17 +28,23 @@ TORQUE_SOURCE_PARAMETERS = (
     Parameter(
         'mode', 'constant',
         'constant: the torque given. sine: a wave about it. pd: torques that lead the joints '
-        'along a reference, from joint_states.', choices=('constant', 'sine', 'pd')),
+        'along a reference, from joint_states. computed_torque: the same through the model of '
+        'a scene.', choices=('constant', 'sine', 'pd', 'computed_torque')),
+    Parameter(
+        'scene', '',
+        'computed_torque: the scene simulated, by name or path; the gains then ask for '
+        'accelerations, kp [1/s^2], kd [1/s], ki [1/s^3 or 1/s^2].'),
     Parameter(
         'joints', [''],
         'Joints to drive, by name, through joint_command. Not given: all actuated joints, in '
-        'the order the simulator tells, through torque_command.'),
+        'the order the simulator (for computed_torque: the scene) tells, through '
+        'torque_command.'),
     Parameter(
         'simulator', 'closedloop_simulator',
         'Name of the simulator node to ask for its actuated_joints, relative to the namespace.'),
     Parameter(
-        'rate', 100.0, 'Commands per second of constant and sine [Hz]; pd sends one for each '
-        'state received.', (0.1, 2000.0)),
+        'rate', 100.0, 'Commands per second of constant and sine [Hz]; the others send one for '
+        'each state received.', (0.1, 2000.0)),
     Parameter('torque', [0.0], f'constant, and the mean of sine [N m or N]. {_PER_JOINT}'),
     Parameter('amplitude', [1.0], f'sine: amplitude [N m or N]. {_PER_JOINT}'),
     Parameter('frequency', [1.0], f'sine: frequency [Hz]. {_PER_JOINT}'),
@@ -56,9 +63,11 @@ TORQUE_SOURCE_PARAMETERS = (
     Parameter('move_frequency', [0.25], f'pd: its frequency [Hz]. {_PER_JOINT}'),
     Parameter('move_phase', [0.0], 'pd: its phase [rad]; the reference begins at '
               f'target_position whatever the phase. {_PER_JOINT}'),
-    Parameter('feedforward', [0.0], f'pd: torque added always [N m or N]. {_PER_JOINT}'),
+    Parameter('feedforward', [0.0],
+              f'pd, computed_torque: torque added always [N m or N]. {_PER_JOINT}'),
     Parameter('torque_limit', [0.0],
-              f'pd: largest magnitude of the torque [N m or N]; 0: none. {_PER_JOINT}'),
+              'pd, computed_torque: largest magnitude of the torque [N m or N]; 0: none. '
+              f'{_PER_JOINT}'),
 )
 
 
@@ -90,9 +99,9 @@ def open_loop(values, joints):
     return lambda time: mean + wave.value(time)
 
 
-def closed_loop(values, joints):
+def closed_loop(values, joints, simulation=None):
     """
-    Return the law of mode pd.
+    Return the law of mode pd, or with a simulation that of computed_torque.
 
     Parameters
     ----------
@@ -100,10 +109,12 @@ def closed_loop(values, joints):
         Of the parameters.
     joints : sequence of str
         Those to drive.
+    simulation : Simulation, optional
+        The model.
 
     Returns
     -------
-    ProportionalDerivative
+    ProportionalDerivative or ComputedTorque
 
     Raises
     ------
@@ -117,11 +128,15 @@ def closed_loop(values, joints):
         _wave(values, 'move_', joints))
     gains = [_not_negative(values, name, joints) for name in ('kp', 'kd', 'ki')]
     if not np.any(gains):
-        raise StartError("mode 'pd' needs a gain: kp, kd and ki are all zero")
+        raise StartError(f"mode '{values['mode']}' needs a gain: kp, kd and ki are all zero")
+    feedforward = _spread(values, 'feedforward', joints)
     limit = _not_negative(values, 'torque_limit', joints)
     limit[limit == 0.0] = np.inf
-    return ProportionalDerivative(
-        reference, *gains, _spread(values, 'feedforward', joints), limit)
+    if simulation is None:
+        return ProportionalDerivative(reference, *gains, feedforward, limit)
+    none = np.zeros_like(limit)
+    controller = ProportionalDerivative(reference, *gains, none, none + np.inf)
+    return ComputedTorque(simulation, controller, feedforward, limit)
 
 
 def _spread(values, name, joints, nan_allowed=False):

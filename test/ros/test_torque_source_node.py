@@ -1,0 +1,134 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Tests of the torque source by calling its callbacks; nothing spins."""
+
+import math
+
+from closedloop_dynamics.ros.process import StartError
+from closedloop_dynamics.ros.torque_source_node import TorqueSourceNode
+import pytest
+from sensor_msgs.msg import JointState
+
+
+@pytest.fixture
+def make_source(make_node, monkeypatch):
+    """Return a function that creates a torque source whose commands are kept."""
+    def make(**parameters):
+        node = make_node(TorqueSourceNode, **parameters)
+        node.sent = []
+        monkeypatch.setattr(node._publisher, 'publish', lambda message: node.sent.append(
+            list(message.effort if isinstance(message, JointState) else message.data)))
+        return node
+
+    return make
+
+
+def state(time, position, velocity, names=('a', 'b', 'c')):
+    message = JointState(
+        name=list(names), position=[float(value) for value in position],
+        velocity=[float(value) for value in velocity])
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(
+        round(time * 1e9), 10 ** 9)
+    return message
+
+
+def test_constant_torques_go_to_the_joints_named(make_source):
+    source = make_source(joints=['b', 'a'], torque=[1.0, 2.0])
+    source._on_timer()
+    assert source._command.name == ['b', 'a']
+    assert source.sent == [[1.0, 2.0]]
+
+
+def test_one_value_is_for_all_joints(make_source):
+    source = make_source(joints=['b', 'a'], torque=[3.0])
+    source._on_timer()
+    assert source.sent == [[3.0, 3.0]]
+
+
+def test_sine_is_about_the_torque(make_source, monkeypatch):
+    source = make_source(
+        mode='sine', joints=['a'], torque=[10.0], amplitude=[2.0], frequency=[0.5])
+    now = [100.0]
+    monkeypatch.setattr(
+        'closedloop_dynamics.ros.torque_source_node.time.monotonic', lambda: now[0])
+    for now[0] in (100.0, 100.5, 101.0, 101.5):
+        source._on_timer()
+    assert [values[0] for values in source.sent] == pytest.approx([10.0, 12.0, 10.0, 8.0])
+
+
+def test_pd_reads_its_joints_by_name_in_any_order(make_source):
+    source = make_source(
+        mode='pd', joints=['c', 'a'], kp=[10.0, 20.0], kd=[1.0], target_position=[1.0, 2.0])
+    source.on_joint_states(state(5.0, [0.5, 9.0, 0.8], [0.1, 9.0, -0.2]))
+    expected = [10.0 * 0.2 + 0.2, 20.0 * 1.5 - 0.1]
+    assert source.sent[0] == pytest.approx(expected)
+    source.on_joint_states(state(5.1, [0.8, 0.5], [-0.2, 0.1], names=('c', 'a')))
+    assert source.sent[1] == pytest.approx(expected)
+
+
+def test_pd_without_target_holds_where_it_began(make_source):
+    source = make_source(mode='pd', joints=['a'], kp=[10.0])
+    source.on_joint_states(state(5.0, [0.5], [0.0], names=['a']))
+    source.on_joint_states(state(5.1, [0.7], [0.0], names=['a']))
+    assert source.sent == [[0.0], [pytest.approx(-2.0)]]
+
+
+@pytest.mark.parametrize('message', [
+    state(0.0, [1.0], [1.0], names=['b']),
+    state(0.0, [1.0], [], names=['a']),
+    state(0.0, [], [], names=['a']),
+    state(0.0, [math.nan], [0.0], names=['a']),
+    state(0.0, [1.0], [math.inf], names=['a']),
+    JointState(),
+])
+def test_states_that_cannot_be_used_are_not_answered(make_source, message):
+    source = make_source(mode='pd', joints=['a'], kp=[10.0])
+    source.on_joint_states(message)
+    assert source.sent == []
+    source.on_joint_states(state(1.0, [0.7], [0.0], names=['a']))
+    assert source.sent == [[0.0]]
+
+
+def test_computed_torque_drives_all_actuated_joints_of_its_scene(make_source):
+    source = make_source(
+        mode='computed_torque', scene='three_rrr', kp=[100.0], kd=[20.0])
+    assert source.joints == ('theta_1', 'theta_6', 'theta_7')
+    start = source._simulation
+    source.on_joint_states(state(1.0, start.position, start.velocity, start.joint_names))
+    # At rest where it is to stay: what holds the machine against gravity.
+    held, _ = start.inverse_dynamics(start.position, [0.0] * 7, [0.0] * 7)
+    assert source.sent[0] == pytest.approx(held.tolist(), rel=1e-6)
+
+
+@pytest.mark.parametrize('parameters, problem', [
+    ({'mode': 'wild'}, "'mode': expected one of constant, sine, pd, computed_torque; got 'wild'"),
+    ({'mode': 'pd'}, 'needs a gain'),
+    ({'mode': 'computed_torque', 'kp': [1.0]}, "needs parameter 'scene'"),
+    ({'mode': 'computed_torque', 'kp': [1.0], 'scene': 'nowhere'}, 'nowhere'),
+    ({'mode': 'computed_torque', 'kp': [1.0], 'scene': 'four_bar', 'joints': ['a']}, 'leave'),
+    ({'mode': 'computed_torque', 'kp': [1.0] * 2, 'scene': 'four_bar'}, "'kp': expected 1 value"),
+    ({'torque': 5.0}, r'list of floating-point numbers \(write \[5.0\]'),
+    ({'torque': [5]}, 'list of floating-point numbers'),
+    ({'torque': [math.nan]}, "'torque': expected finite"),
+    ({'torque': [1.0, 2.0], 'joints': ['a', 'b', 'c']}, 'or 3 in the order a, b, c; got 2'),
+    ({'mode': 'pd', 'kp': [-1.0]}, "'kp': expected no negative"),
+    ({'mode': 'pd', 'kp': [1.0], 'target_position': [math.inf]}, 'no infinite numbers'),
+    ({'mode': 'pd', 'kp': [1.0, 2.0], 'kd': [1.0, 2.0, 3.0]}, "'kp'"),
+    ({'mode': 'sine', 'frequency': [-1.0]}, "'frequency': expected no negative"),
+    ({'rate': 0.0}, 'rate out of range'),
+])
+def test_bad_parameters_are_named(make_source, parameters, problem):
+    with pytest.raises(StartError, match=problem):
+        make_source(**parameters)
