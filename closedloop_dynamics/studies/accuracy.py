@@ -1,0 +1,224 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The work-precision study: what error each method buys, and what it costs in time."""
+
+from dataclasses import dataclass, replace
+import math
+import statistics
+import time
+
+from ..core.types import EVALUATIONS
+from ..errors import SimulationError
+from ..simulation import Simulation
+from .reference import compute_reference, Reference
+from .sweep import default_lines, Line, Setting, settings
+from .trajectory import difference, record
+
+OUTPUTS = 100
+# A line is not refined beyond this cost, in CPU time per simulated time; computing a
+# motion with its outputs may take longer, but no more than so many times.
+COST_LIMIT, QUICK_COST_LIMIT = 1.0, 0.05
+PATIENCE = 10.0
+# Timing: rounds over all settings in turn, so that what disturbs one disturbs all; runs shorter
+# than this are repeated within a round; a round over all settings shall not take longer.
+ROUNDS, QUICK_ROUNDS = 7, 5
+SHORTEST_TIMING = 2e-3
+DIVERGED = 'diverged'
+# Where every digit of an angle is gone [rad, m].
+LARGEST_ERROR = 10.0
+
+
+@dataclass(frozen=True)
+class Row:
+    """
+    What one setting buys, and what it costs.
+
+    Attributes
+    ----------
+    setting : Setting
+    method : Method
+        What a scene would say under ``method``.
+    failure : str
+        Why there are no numbers; empty where there are.
+    position_error, velocity_error, force_error : float
+        Largest over the outputs [rad or m], [rad/s or m/s], [N or N m].
+    closure : float
+        Largest closure error [m or rad].
+    energy_error : float
+        Largest change of energy less the work done [J].
+    evaluations : float
+        Of the accelerations, per simulated second.
+    cost : float
+        CPU time per simulated time: a share of real time.
+
+    """
+
+    setting: Setting
+    method: object
+    failure: str = ''
+    position_error: float = math.nan
+    velocity_error: float = math.nan
+    force_error: float = math.nan
+    closure: float = math.nan
+    energy_error: float = math.nan
+    evaluations: float = math.nan
+    cost: float = math.nan
+
+    @property
+    def line(self):
+        """The line of the diagram it belongs to."""
+        return self.setting.line
+
+
+@dataclass(frozen=True)
+class Study:
+    """
+    A finished work-precision study.
+
+    Attributes
+    ----------
+    scene : Scene
+    duration : float
+        [s].
+    torque : dict
+    reference : Reference
+    rows : list of Row
+        Line by line, from coarse to fine.
+
+    """
+
+    scene: object
+    duration: float
+    torque: dict
+    reference: Reference
+    rows: list
+
+    def lines(self):
+        """Return {line: its rows}, in order."""
+        result = {}
+        for row in self.rows:
+            result.setdefault(row.line, []).append(row)
+        return result
+
+
+def study_accuracy(scene, torque=None, duration=1.0, quick=False, lines=None,
+                   progress=lambda done, total: None):
+    """
+    Measure errors and costs of methods on a scene, under constant torques.
+
+    Parameters
+    ----------
+    scene : Scene
+    torque : mapping, optional
+        As for ``Simulation.step``.
+    duration : float
+        Simulated time [s].
+    quick : bool
+        Fewer and coarser settings, fewer repeats.
+    lines : list of Line, optional
+        ``sweep.default_lines`` when not given.
+    progress : callable
+        Told again and again how many of how many parts are done.
+
+    Returns
+    -------
+    Study
+
+    Raises
+    ------
+    SimulationError
+        Where there is no reference.
+
+    """
+    interval = duration / OUTPUTS
+    lines = default_lines() if lines is None else lines
+    limit = QUICK_COST_LIMIT if quick else COST_LIMIT
+    rounds = QUICK_ROUNDS if quick else ROUNDS
+    total = 1 + len(lines) + rounds
+    progress(0, total)
+    reference = compute_reference(scene, torque, interval, OUTPUTS)
+    progress(1, total)
+    measured = []
+    for done, line in enumerate(lines, start=2):
+        measured += _line(scene, torque, interval, line, reference, limit, quick)
+        progress(done, total)
+    rows = _with_costs(measured, duration, torque, rounds,
+                       lambda done: progress(total - rounds + done, total))
+    return Study(scene, duration, dict(torque or {}), reference, rows)
+
+
+def _line(scene, torque, interval, line, reference, limit, quick):
+    """Return (row, simulation) of each setting of a line, until it is too costly or exact."""
+    measured, exact = [], 0
+    for setting in settings(line, interval, quick):
+        method = setting.method(scene, interval)
+        row, simulation = _measure(scene, torque, interval, setting, method, reference)
+        measured.append((row, simulation))
+        exact = exact + 1 if row.position_error <= 2.0 * reference.error.position else 0
+        if row.cost > limit or exact == 2:
+            break
+    return measured
+
+
+def _measure(scene, torque, interval, setting, method, reference):
+    """Return the row of a setting with a first, rough cost, and its simulation."""
+    outputs = OUTPUTS // setting.stride
+    try:
+        simulation = Simulation(replace(scene, method=method))
+        tau = simulation.joint_torques(torque)
+        motion = record(simulation, tau, setting.steps, outputs, PATIENCE)
+        _time_once(simulation, tau, setting.steps * outputs)
+        cost = _time_once(simulation, tau, setting.steps * outputs)
+    except SimulationError as error:
+        return Row(setting, method, failure=str(error)), None
+    wrong = difference(motion, reference.trajectory.every(setting.stride))
+    if not wrong.position < LARGEST_ERROR:
+        return Row(setting, method, failure=f'{DIVERGED}: off by {wrong.position:.2g}'), None
+    seconds = interval * setting.stride * outputs
+    return Row(
+        setting, method, '', wrong.position, wrong.velocity, wrong.force, motion.closure,
+        motion.energy_error, simulation.system.work.health[EVALUATIONS] / seconds,
+        cost / seconds), simulation
+
+
+def _time_once(simulation, tau, steps):
+    """Return the CPU time of one run without outputs [s]."""
+    simulation.reset()
+    begin = time.thread_time()
+    simulation.advance(tau, steps)
+    return time.thread_time() - begin
+
+
+def _with_costs(measured, duration, torque, rounds, progress):
+    """Return the rows with the median of their costs, measured in turn."""
+    costs = [[] for _ in measured]
+    for number in range(rounds):
+        for (row, simulation), cost in zip(measured, costs):
+            if simulation is not None:
+                cost.append(_mean_time(row, simulation, torque))
+        progress(number + 1)
+    return [replace(row, cost=statistics.median(cost)) if cost else row
+            for (row, _), cost in zip(measured, costs)]
+
+
+def _mean_time(row, simulation, torque):
+    """Return the CPU time per simulated time of one round."""
+    setting = row.setting
+    outputs = OUTPUTS // setting.stride
+    steps = setting.steps * outputs
+    seconds = steps * simulation.step_size
+    repeats = min(100, math.ceil(SHORTEST_TIMING / max(row.cost * seconds, 1e-6)))
+    tau = simulation.joint_torques(torque)
+    return sum(_time_once(simulation, tau, steps) for _ in range(repeats)) / repeats / seconds

@@ -1,0 +1,153 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""A simulated motion as arrays, to be compared with another one."""
+
+from dataclasses import dataclass
+import time
+
+import numpy as np
+
+from ..errors import SimulationError
+
+
+class TooSlow(SimulationError):
+    """A run that was given up because it took too long."""
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """
+    A motion at even times.
+
+    Attributes
+    ----------
+    position, velocity : ndarray, shape (outputs, nv)
+        [rad or m], [rad/s or m/s].
+    force : ndarray, shape (outputs, nc)
+        Multipliers: forces and moments at the cut joints [N, N m].
+    closure : float
+        Largest closure error of positions at the outputs [m or rad].
+    energy_error : float
+        Largest change of energy less the work done, at the outputs [J].
+
+    """
+
+    position: np.ndarray
+    velocity: np.ndarray
+    force: np.ndarray
+    closure: float
+    energy_error: float
+
+    def every(self, stride):
+        """Return every ``stride``-th output alone, the first one counted as ``stride``."""
+        part = slice(stride - 1, None, stride)
+        return Trajectory(self.position[part], self.velocity[part], self.force[part],
+                          self.closure, self.energy_error)
+
+
+@dataclass(frozen=True)
+class Difference:
+    """Largest differences of two motions: positions, velocities, constraint forces."""
+
+    position: float
+    velocity: float
+    force: float
+
+
+def difference(one, other):
+    """
+    Compare two motions.
+
+    Parameters
+    ----------
+    one, other : Trajectory
+        At the same times.
+
+    Returns
+    -------
+    Difference
+
+    """
+    return Difference(*(
+        float(np.abs(getattr(one, name) - getattr(other, name)).max(initial=0.0))
+        for name in ('position', 'velocity', 'force')))
+
+
+def record(simulation, tau, steps, outputs, patience=float('inf')):
+    """
+    Advance from the initial state and keep the state at even times.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        Reset here.
+    tau : ndarray, shape (nv,)
+        Constant joint torques [N m or N].
+    steps : int
+        Whole steps from one output to the next.
+    outputs : int
+    patience : float
+        Give up after this time of computing [s].
+
+    Returns
+    -------
+    Trajectory
+
+    Raises
+    ------
+    SimulationError
+        ``TooSlow`` among them.
+
+    """
+    simulation.reset()
+    simulation.advance(tau, 0)
+    energy = EnergyAccount(simulation)
+    position, velocity, force, closure, energy_error = [], [], [], 0.0, 0.0
+    begin = time.perf_counter()
+    for _ in range(outputs):
+        simulation.advance(tau, steps)
+        position.append(simulation.position)
+        velocity.append(simulation.velocity)
+        force.append(simulation.multipliers)
+        closure = max(closure, simulation.closure)
+        energy_error = max(energy_error, abs(energy.error()))
+        if time.perf_counter() - begin > patience:
+            raise TooSlow(f'given up at t = {simulation.time:.3g} s after {patience:g} s of '
+                          'computing')
+    return Trajectory(np.array(position), np.array(velocity), np.array(force), closure,
+                      energy_error)
+
+
+class EnergyAccount:
+    """
+    What the energy of a motion should have done, and did not do.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        At its start, under constant torques from now on.
+
+    """
+
+    def __init__(self, simulation):
+        """Note the energy and the position at the start."""
+        self._simulation = simulation
+        self._energy, self._position = simulation.energy, simulation.position
+
+    def error(self):
+        """Return the change of energy less the work of the torques [J]."""
+        simulation = self._simulation
+        work = simulation.effort @ (simulation.position - self._position)
+        return simulation.energy - self._energy - work
