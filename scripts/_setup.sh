@@ -76,8 +76,8 @@ choose_kind() {
 # A ROS that cannot be used must not be found half-way either: its paths come before those of the wheels.
 leave_other_ros() {
   if [[ -n ${ROS_DISTRO:-} ]]; then
-    say "ROS 2 '$ROS_DISTRO' is sourced, but it is not Jazzy or no Python 3.11 to 3.13 imports its rclpy:"
-    say "left aside. ROS 2 Jazzy comes from the Python package index instead."
+    say "ROS 2 '$ROS_DISTRO' is sourced, but is not Jazzy, or ${PYTHON:-python3} does not import its rclpy."
+    say "It is left aside: ROS 2 Jazzy comes from the Python package index instead."
   fi
   unset ROS_DISTRO ROS_VERSION ROS_PYTHON_VERSION AMENT_PREFIX_PATH COLCON_PREFIX_PATH CMAKE_PREFIX_PATH \
     LD_LIBRARY_PATH RMW_IMPLEMENTATION PYTHONPATH _ROS_WHEELS_BOOTSTRAP_COMPLETE
@@ -123,11 +123,11 @@ make_environment() {
     "$base_python" -m venv --system-site-packages "$venv"
     "$venv/bin/python" "$root/scripts/_prefer_installed.py" "$constraints" > "$venv/constraints.txt"
     constraints=$venv/constraints.txt
-    say "Installing what the sourced ROS 2 Jazzy does not bring: numba, rosbags (up to 300 MB, a minute or two)"
+    say "Installing what the sourced ROS 2 Jazzy does not bring: numba, rosbags (70 MB or more, a minute)"
   else
     "$base_python" -m venv "$venv"
     wheels=(--requirement "$root/requirements/ros.txt")
-    say "Installing ROS 2 Jazzy and the numerics from the Python package index (200 MB, a minute or two)"
+    say "Installing ROS 2 Jazzy and the numerics from the Python package index (190 MB, a minute or two)"
   fi
   pip_install --requirement "$root/requirements/runtime.txt" ${wheels[@]+"${wheels[@]}"}
   # Editable, for the commands in bin/; the code that runs is the checkout's.

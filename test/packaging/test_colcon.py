@@ -20,7 +20,7 @@ import sys
 from test.packaging.package import copy_package, files_below, outside_environment
 from test.packaging.package import PACKAGE, PROGRAMS, run, SHARED
 from test.ros.domains import reserve_domain
-from test.ros.processes import Process
+from test.ros.processes import Process, READY
 from xml.etree import ElementTree
 
 import pytest
@@ -95,7 +95,8 @@ def start(copied):
 
         def start(executable, *arguments):
             started.append(InstalledProcess(copied, executable, arguments, environment))
-            return started[-1].wait_until_ready()
+            # A new place means new compilation: slow where several share the machine.
+            return started[-1].wait_for(READY[executable], patience=400)
 
         yield start
         for process in started:
