@@ -105,11 +105,12 @@ digest() {
 }
 
 pip_install() {
-  if ! "$venv/bin/python" -m pip --quiet --no-input --disable-pip-version-check install \
-      --constraint "$constraints" "$@" &>>"$log" </dev/null; then
-    tail -n 20 -- "$log" >&2
-    fail "pip could not install the above (all of its output: $log)." \
-      "Most often the network or a proxy is in the way; what was begun is made anew by the next run."
+  local output
+  if ! output=$("$venv/bin/python" -m pip --quiet --no-input --disable-pip-version-check --log "$log" install \
+      --constraint "$constraints" "$@" 2>&1 </dev/null); then
+    tail -n 20 <<<"$output" >&2
+    fail "pip could not install the above. Most often the network or a proxy is in the way." \
+      "All that pip did is in $log; the next run begins anew."
   fi
 }
 
