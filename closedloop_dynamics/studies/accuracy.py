@@ -19,12 +19,12 @@ import math
 import statistics
 import time
 
+from .reference import compute_reference, Reference
+from .sweep import default_lines, Setting, settings
+from .trajectory import difference, record
 from ..core.types import EVALUATIONS
 from ..errors import SimulationError
 from ..simulation import Simulation
-from .reference import compute_reference, Reference
-from .sweep import default_lines, Line, Setting, settings
-from .trajectory import difference, record
 
 OUTPUTS = 100
 # A line is not refined beyond this cost, in CPU time per simulated time; computing a
@@ -78,7 +78,7 @@ class Row:
 
     @property
     def line(self):
-        """The line of the diagram it belongs to."""
+        """Return the line of the diagram it belongs to."""
         return self.setting.line
 
 
@@ -121,6 +121,7 @@ def study_accuracy(scene, torque=None, duration=1.0, quick=False, lines=None,
     Parameters
     ----------
     scene : Scene
+        Its start and its effects; its method is replaced.
     torque : mapping, optional
         As for ``Simulation.step``.
     duration : float

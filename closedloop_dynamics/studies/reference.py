@@ -16,10 +16,10 @@
 
 from dataclasses import dataclass, replace
 
+from .trajectory import Difference, difference, record, Trajectory
 from ..errors import SimulationError
-from ..integration.registry import INTEGRATORS
+from ..integration.registry import ADAPTIVE, INTEGRATORS, STABILISATIONS
 from ..simulation import Simulation
-from .trajectory import difference, Difference, record, Trajectory
 
 # The first that succeeds is the reference, the second one proves it: an integrator, and its
 # tolerance or its share of the time between two outputs as step size.
@@ -56,11 +56,13 @@ def compute_reference(scene, torque, interval, outputs):
     Parameters
     ----------
     scene : Scene
+        Its start and its effects; its method is replaced.
     torque : mapping or None
         As for ``Simulation.step``.
     interval : float
         Time between two outputs [s].
     outputs : int
+        Instants to compare at.
 
     Returns
     -------
@@ -98,6 +100,8 @@ def compute_reference(scene, torque, interval, outputs):
 
 def _other_stabilisation(scene, torque, interval, outputs, reference, name):
     """Say how much another stabilisation changes, where it gets through."""
+    if OTHER_STABILISATION not in STABILISATIONS:
+        return []
     integrator, value = next(item for item in CANDIDATES if name.startswith(item[0]))
     try:
         other = _motion(scene, torque, interval, outputs, integrator, value, OTHER_STABILISATION)
@@ -109,14 +113,14 @@ def _other_stabilisation(scene, torque, interval, outputs, reference, name):
 
 
 def _named(integrator, value, interval):
-    if INTEGRATORS[integrator].kind == 'adaptive':
+    if INTEGRATORS[integrator].kind == ADAPTIVE:
         return f'{integrator} at tolerance {value:g}'
     return f'{integrator} in steps of {value * interval:g} s'
 
 
 def _motion(scene, torque, interval, outputs, integrator, value, stabilisation):
     """Return the trajectory of one method at its tightest."""
-    adaptive = INTEGRATORS[integrator].kind == 'adaptive'
+    adaptive = INTEGRATORS[integrator].kind == ADAPTIVE
     steps = 1 if adaptive else round(1.0 / value)
     method = replace(
         scene.method, integrator=integrator, step_size=interval / steps,

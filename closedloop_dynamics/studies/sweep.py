@@ -109,6 +109,7 @@ def settings(line, interval, quick=False):
     Parameters
     ----------
     line : Line
+        What they have in common.
     interval : float
         Time between two outputs [s].
     quick : bool

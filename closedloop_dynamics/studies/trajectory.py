@@ -98,6 +98,7 @@ def record(simulation, tau, steps, outputs, patience=float('inf')):
     steps : int
         Whole steps from one output to the next.
     outputs : int
+        How often.
     patience : float
         Give up after this time of computing [s].
 

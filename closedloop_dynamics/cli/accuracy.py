@@ -1,0 +1,128 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""``closedloop accuracy``: what accuracy costs in time, on a scene of one's own."""
+
+from pathlib import Path
+
+from .command import assignment, Command, mapping, positive, UsageError
+from ..errors import AssemblyError
+from ..scene import load_scene
+from ..simulation import Simulation
+from ..studies import accuracy_report
+from ..studies.accuracy import study_accuracy
+from ..studies.advice import for_budget, for_target
+from ..studies.progress import progress_bar
+
+TARGET = 1e-6
+
+
+def _add_arguments(parser):
+    parser.add_argument('scene', metavar='SCENE',
+                        help='a shipped scene by its name, or a YAML file')
+    parser.add_argument('--output', metavar='DIR', type=Path,
+                        help='where to write SCENE_accuracy.csv and the diagram '
+                             'SCENE_accuracy.png (default: only print)')
+    parser.add_argument('--overwrite', action='store_true',
+                        help='replace these files if they exist')
+    parser.add_argument('--duration', type=positive, default=1.0, metavar='SECONDS',
+                        help='simulated time (default: 1)')
+    parser.add_argument('--torque', type=assignment, action='append', default=[],
+                        metavar='JOINT=VALUE',
+                        help='constant torque of an actuated joint [N m], or force of a '
+                             'prismatic one [N]; may be repeated (default: none)')
+    parser.add_argument('--quick', action='store_true',
+                        help='fewer and coarser settings: half a minute instead of two')
+    parser.add_argument('--target', type=positive, metavar='ERROR',
+                        help='print the cheapest setting whose positions are off by no more '
+                             f'[rad or m] (default: {TARGET:g}, unless --budget is given)')
+    parser.add_argument('--budget', type=positive, metavar='SHARE',
+                        help='print the most accurate setting that takes no more than this '
+                             'share of real time, such as 0.05')
+
+
+def _run(arguments):
+    scene = load_scene(arguments.scene)
+    torque = mapping(arguments.torque, '--torque')
+    _check(arguments, scene, torque)
+    csv_path, picture_path = _paths(arguments, scene)
+    with progress_bar(1, 'parts', scene.name) as bar:
+
+        def progress(done, total):
+            bar.total = total
+            bar.update(done - bar.n)
+
+        study = study_accuracy(scene, torque, arguments.duration, arguments.quick,
+                               progress=progress)
+    print(f'{accuracy_report.title(study)}\n{study.reference.description}\n')
+    print(accuracy_report.table(study))
+    if csv_path is not None:
+        csv_path.parent.mkdir(parents=True, exist_ok=True)
+        accuracy_report.write(study, csv_path, picture_path)
+        print(f'\n{csv_path}\n{picture_path}')
+    if arguments.budget is not None:
+        print(f'\n{for_budget(study, arguments.budget).text}')
+    if arguments.target is not None or arguments.budget is None:
+        print(f'\n{for_target(study, arguments.target or TARGET).text}')
+    return 0
+
+
+def _check(arguments, scene, torque):
+    """Refuse at once what would fail only after a while."""
+    try:
+        Simulation(scene).joint_torques(torque)
+    except AssemblyError as error:
+        raise UsageError(f'{arguments.scene}: {error}') from None
+    except ValueError as error:
+        raise UsageError(f'--{error}') from None
+
+
+def _paths(arguments, scene):
+    """Return the paths of the CSV file and the picture, or None twice."""
+    if arguments.output is None:
+        return None, None
+    paths = tuple(arguments.output / f'{scene.name}_accuracy.{ending}'
+                  for ending in ('csv', 'png'))
+    for path in paths:
+        if path.exists() and not arguments.overwrite:
+            raise UsageError(f'--output: {path} exists; name another directory, or add '
+                             '--overwrite')
+    return paths
+
+
+COMMAND = Command(
+    name='accuracy',
+    summary='measure what error each method buys and what it costs, and advise',
+    description="""\
+Measure errors and costs of all methods on a scene, under constant torques, over
+step sizes or tolerances: every integrator; every way to keep the loops closed
+and every formulation with RK4. The reference is computed first, by two
+different methods; their difference is its own error.
+
+Columns of the table: largest errors, over 100 instants, of positions [rad or
+m], velocities [rad/s or m/s] and forces at the cut joints [N or N m]; largest
+closure error [m or rad]; largest change of energy less the work done [J];
+evaluations of the accelerations, and CPU time, for one simulated second (median
+of repeats, in turn; compiling apart). Then the cheapest setting that holds a
+target, as lines to paste into a scene.
+""",
+    epilog="""\
+examples:
+  closedloop accuracy three_rrr --quick
+  closedloop accuracy three_rrr --torque theta_1=5 --duration 2 --output results
+  closedloop accuracy carpet_scraper --target 1e-9
+  closedloop accuracy my/scene.yaml --budget 0.05
+""",
+    add_arguments=_add_arguments,
+    run=_run)

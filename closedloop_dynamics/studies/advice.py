@@ -1,0 +1,152 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The cheapest method for a wanted accuracy, the most accurate one for a given budget."""
+
+from dataclasses import dataclass
+from typing import Optional
+
+from .accuracy import Row
+from .tables import seconds, share
+from ..integration.registry import ADAPTIVE, INTEGRATORS
+
+
+@dataclass(frozen=True)
+class Advice:
+    """
+    What to use.
+
+    Attributes
+    ----------
+    row : Row or None
+        None where nothing will do.
+    text : str
+        The reason, and lines to paste into a scene.
+
+    """
+
+    row: Optional[Row]
+    text: str
+
+
+def for_target(study, target):
+    """
+    Find the cheapest setting whose largest position error is within a target.
+
+    Only settings count whose finer neighbours all hold it, too: one that meets the target by luck
+    will miss it on the next scene.
+
+    Parameters
+    ----------
+    study : Study
+        What has been measured.
+    target : float
+        [rad or m].
+
+    Returns
+    -------
+    Advice
+
+    """
+    wanted = f'An error of positions of at most {target:g} rad or m over {study.duration:g} s'
+    known = study.reference.error.position
+    if target < known:
+        return Advice(None, f'{wanted} cannot be told: the reference itself is only known to '
+                            f'{known:.1e}. Ask for more than that, or for a shorter duration.')
+    holding = []
+    for rows in study.lines().values():
+        for row in reversed([row for row in rows if not row.failure]):
+            if not row.position_error <= target:
+                break
+            holding.append(row)
+    if holding:
+        return _advice(wanted, min(holding, key=lambda row: row.cost), study)
+    best = min(_succeeding(study), key=lambda row: row.position_error)
+    return Advice(None, f'{wanted} is reached by none of the settings tried; the smallest error '
+                        f'is {best.position_error:.1e}, by {_named(best)}. {_why(best, study)}')
+
+
+def for_budget(study, budget):
+    """
+    Find the most accurate setting that costs no more than a share of real time.
+
+    Parameters
+    ----------
+    study : Study
+        What has been measured.
+    budget : float
+        CPU time per simulated time.
+
+    Returns
+    -------
+    Advice
+
+    """
+    wanted = f'For at most {share(budget)} on this machine'
+    affordable = [row for row in _succeeding(study) if row.cost <= budget]
+    if affordable:
+        return _advice(wanted, min(affordable, key=lambda row: row.position_error), study)
+    least = min(_succeeding(study), key=lambda row: row.cost)
+    return Advice(None, f'{wanted} nothing gets through: the cheapest setting, {_named(least)}, '
+                        f'takes {share(least.cost)}. Take a larger budget.')
+
+
+def yaml_lines(method):
+    """
+    Return the lines of a scene that choose a method.
+
+    Parameters
+    ----------
+    method : Method
+        Any but ``auto``.
+
+    Returns
+    -------
+    str
+
+    """
+    lines = ['method:', f'  integrator: {method.integrator}']
+    adaptive = INTEGRATORS[method.integrator].kind == ADAPTIVE
+    key = 'tolerance' if adaptive else 'step_size'
+    lines += [f'  {key}: {_yaml_number(getattr(method, key))}',
+              f'  stabilisation: {method.stabilisation}', f'  formulation: {method.formulation}']
+    return '\n'.join(lines)
+
+
+def _succeeding(study):
+    return [row for row in study.rows if not row.failure]
+
+
+def _advice(wanted, row, study):
+    return Advice(row, (
+        f'{wanted}: error {row.position_error:.1e} rad or m, {seconds(row.cost)} of CPU time per '
+        f'simulated second, {share(row.cost)}.\n{yaml_lines(row.method)}'))
+
+
+def _named(row):
+    kind = 'tolerance' if row.line.adaptive else 'step size'
+    return f'{row.line} at {kind} {row.setting.value:g}'
+
+
+def _why(best, study):
+    if best.position_error <= 2.0 * study.reference.error.position:
+        return 'That is all that the reference can tell.'
+    return 'Finer ones were not tried, or cost too much; without --quick more are.'
+
+
+def _yaml_number(value):
+    """Write a number that YAML 1.1 reads as one: with a point before the exponent."""
+    text = f'{value:.10g}'
+    mantissa, e, exponent = text.partition('e')
+    return text if not e or '.' in mantissa else f'{mantissa}.0e{exponent}'

@@ -1,0 +1,75 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Tables for terminals, for Markdown and as CSV."""
+
+import csv
+import math
+
+
+def short(value, digits=2):
+    """Write a number to a few digits; a dash where there is none."""
+    if isinstance(value, str):
+        return value
+    return '-' if math.isnan(value) else f'{value:.{digits}g}'
+
+
+def seconds(value):
+    """Write a time with the unit that suits its size."""
+    if math.isnan(value):
+        return '-'
+    for unit, factor in (('s', 1.0), ('ms', 1e3), ('us', 1e6)):
+        if value * factor >= 0.995:
+            break
+    return f'{value * factor:.3g} {unit}'
+
+
+def share(value):
+    """Write a share of real time."""
+    return f'{100.0 * value:.2g} % of real time'
+
+
+def text_table(header, rows):
+    """Return left-aligned columns as one string, without a final newline."""
+    widths = [max(map(len, column)) for column in zip(header, *rows)]
+    return '\n'.join('  '.join(f'{cell:{width}}' for cell, width in zip(row, widths)).rstrip()
+                     for row in (header, *rows))
+
+
+def markdown_table(header, rows):
+    """Return a table in Markdown."""
+    return '\n'.join(f'| {" | ".join(row)} |' for row in (
+        header, ['---'] * len(header), *rows))
+
+
+def write_csv(path, header, rows):
+    """
+    Write rows with all their digits; empty cells where there is no number.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        Replaced if it exists.
+    header : sequence of str
+        Names of the columns.
+    rows : iterable of sequences of str and float
+        NaN where there is no number.
+
+    """
+    with open(path, 'w', newline='', encoding='utf-8') as file:
+        writer = csv.writer(file)
+        writer.writerow(header)
+        for row in rows:
+            writer.writerow(['' if isinstance(value, float) and math.isnan(value) else value
+                             for value in row])
