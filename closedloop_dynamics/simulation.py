@@ -25,12 +25,16 @@ from .core import types as t
 from .core.formulations import AUGMENTED, SUBSYSTEM, SYSTEM
 from .core.forward_dynamics import to_user_order
 from .core.inverse_dynamics import tree_torque
-from .effects.gravity import Gravity
+from .effects import dispatch, joint_reaction
+from .effects.accounts import Accounts
+from .effects.commands import Commands
+from .effects.composition import Composition
+from .effects.machine import Machine
 from .errors import ClosureError, NumericalError, SimulationError
 from .integration.advance import DONE, NOT_FINITE, OPEN_LOOP
 from .integration.drivers import build_driver
 from .integration.projection import largest
-from .integration.system import build_system, evaluate
+from .integration.system import build_system, evaluate, number_of_states
 from .mechanism.decomposition import decompose
 from .mechanism.mechanism import CUT_JOINT_EQUATIONS, PRISMATIC, REVOLUTE
 from .modeling import body_rows, build_model, extent
@@ -66,21 +70,25 @@ class Simulation:
         self.scene = scene
         self.mechanism = scene.mechanism
         self.decomposition = decompose(self.mechanism)
-        gravity = sum((np.array(effect.acceleration) for effect in scene.effects.values()
-                       if isinstance(effect, Gravity)), np.zeros(2))
-        model = build_model(self.mechanism, gravity, self.decomposition)
+        self._rows = body_rows(self.mechanism, self.decomposition)
+        model = build_model(self.mechanism, decomposition=self.decomposition)
+        self._effects = Composition(scene.effects, model, Machine(self.mechanism, self._rows))
         method = scene.method
         baumgarte = 1.0 / method.time_constant if method.stabilisation == 'baumgarte' else 0.0
         size = extent(self.mechanism)
-        self.system = build_system(model, FORMULATIONS[method.formulation], baumgarte, size)
+        self.system = build_system(
+            model, FORMULATIONS[method.formulation], baumgarte, size,
+            method.stabilisation == 'independent', self._effects.laws)
+        self._effects.bind(self.system.effects)
+        self._accounts = Accounts(self._effects)
         self._driver = build_driver(self.system, method)
         nv = len(self.mechanism.joints)
-        self._state = np.zeros(2 * nv)
-        self._q, self._qd = self._state[:nv], self._state[nv:]
+        self._state = np.zeros(number_of_states(self.system))
+        self._q, self._qd = self._state[:nv], self._state[nv:2 * nv]
+        self._own = self._state[2 * nv:]
         self._assembler = Assembler(self.mechanism, model, self.system.work, size)
         self._actuated = np.array([k for k, joint in enumerate(self.mechanism.joints)
                                    if joint.actuated], dtype=int)
-        self._rows = body_rows(self.mechanism, self.decomposition)
         self._points = {point.name: point for point in self.mechanism.points}
         self._initial = self._assembled(
             scene.initial.position, scene.initial.velocity, scene.initial.hold)
@@ -199,10 +207,45 @@ class Simulation:
 
     @property
     def energy(self):
-        """Kinetic and potential energy [J]."""
+        """Kinetic energy and energy stored in gravity and effects [J]."""
+        return sum(self._energies())
+
+    @property
+    def energy_balance(self):
+        """Energy balance since the last reset, an ``effects.accounts.EnergyBalance`` [J]."""
+        self._open_accounts()
+        self._accounts.settle(self._q, self.system.tau)
+        return self._accounts.balance(self._own, *self._energies())
+
+    def _open_accounts(self):
+        """Find the energy at the start, when it is needed for the first time."""
+        if self._accounts.open:
+            return
+        present = self._state.copy()
+        self._q[:], self._qd[:] = self._initial
+        self._own[:] = self._effects.initial
+        self._fresh = False
+        self._accounts.start(self.energy)
+        self._state[:] = present
+        self._fresh = False
+
+    def _feel_loads(self):
+        """Let effects that are driven by the reaction in a joint start with what it is."""
+        if self.system.effects.loaded[0] > 0:
+            # A fixed point: friction changes the reactions a little.
+            for _ in range(20):
+                self._fresh = False
+                self._evaluate()
+                places, values = self._effects.loads()
+                self._own[places] = values
+            self._fresh = False
+
+    def _energies(self):
+        """Return kinetic and stored energy of the present state."""
         self._evaluate()
         model, work = self.system.model, self.system.work
-        return energy.kinetic_energy(model, work, self._qd) + energy.potential_energy(model, work)
+        return (energy.kinetic_energy(model, work, self._qd),
+                energy.potential_energy(model, work) + self._effects.stored())
 
     @property
     def body_poses(self):
@@ -277,10 +320,31 @@ class Simulation:
             The state before the failing step is kept.
 
         """
+        if not self._delayed():
+            self._command(tau)
+            self._advance(self.step_size, steps)
+            return
+        self._commands.order(self.time, tau, self._effects.drives, self.system.tau)
+        while True:
+            self._command(self._commands.due(
+                self.time, 1e-9 * self.step_size, self.system.tau))
+            if steps <= 0:
+                break
+            count = self._commands.steps_until_next(self.time, self.step_size, steps)
+            self._advance(self.step_size, count)
+            steps -= count
+
+    def _delayed(self):
+        """Return whether any command is, or will be, on its way to a drive."""
+        return self._commands.pending or any(self._effects.drives.values())
+
+    def _command(self, tau):
+        """Let joint torques act from now on."""
         if not np.array_equal(tau, self.system.tau):
+            self._accounts.settle(self._q, self.system.tau)
             self._driver.restart()
             self.system.tau[:] = tau
-        self._advance(self.step_size, steps)
+            self._fresh = False
 
     def _advance(self, size, steps):
         """Advance by steps of one size; on failure keep what was done and raise."""
@@ -346,11 +410,16 @@ class Simulation:
     def reset(self):
         """Return to the initial state, time zero and no torque."""
         self._q[:], self._qd[:] = self._initial
+        self._own[:] = self._effects.initial
         self._driver.restart()
+        self._effects.restart()
+        self._commands = Commands()
         self.system.tau[:] = 0.0
         self._time_base, self._steps, self._fresh = 0.0, 0, False
         self.system.work.health[:] = 0.0
         self.system.work.health[[t.SMALLEST_PIVOT, t.SMALLEST_PIVOT_EVER]] = 1.0
+        self._feel_loads()
+        self._accounts.restart(self._q)
 
     def set_state(self, position, velocity=None, hold=None):
         """
@@ -371,8 +440,16 @@ class Simulation:
             The present state is kept.
 
         """
-        self._q[:], self._qd[:] = self._assembled(position, velocity, hold or ())
+        state = self._assembled(position, velocity, hold or ())
+        self._accounts.settle(self._q, self.system.tau)
+        self._open_accounts()
+        before = self.energy
+        self._q[:], self._qd[:] = state
+        self._effects.start_anew(self._own)
         self._driver.restart()
+        self._fresh = False
+        self._feel_loads()
+        self._accounts.jump(self._q, self.energy - before)
 
     def _assembled(self, position, velocity, hold):
         nv = len(self.joint_names)
@@ -382,6 +459,71 @@ class Simulation:
         self._fresh = False
         q = self._assembler.positions(q, hold)
         return q, self._assembler.velocities(q, qd, hold)
+
+    # Effects.
+
+    @property
+    def effects(self):
+        """The listed effects with their present parameters, a dict of records by name."""
+        return dict(self._effects.records)
+
+    @property
+    def enabled_effects(self):
+        """Names of the effects that are switched on."""
+        return tuple(name for name, enabled in self._effects.enabled.items() if enabled)
+
+    def set_effect(self, name, enabled=None, **parameters):
+        """
+        Switch an effect on or off, or change its parameters, from the next step on.
+
+        Parameters
+        ----------
+        name : str
+            Of an effect that the scene lists.
+        enabled : bool, optional
+            As it is, when not given.
+        **parameters
+            New values by the effect's keys.
+
+        Raises
+        ------
+        ValueError
+            Where a name or value makes no sense; nothing is changed.
+
+        Notes
+        -----
+        An energy that appears or vanishes with the change (a spring that is switched on
+        stretched) is not booked as work: the energy balance goes on from the new energy.
+
+        """
+        self._accounts.settle(self._q, self.system.tau)
+        self._open_accounts()
+        before = self.energy
+        anew = self._effects.change(name, enabled, parameters)
+        self._own[anew] = self._effects.initial[anew]
+        self._driver.restart()
+        self._fresh = False
+        if len(anew):
+            self._feel_loads()
+        self._accounts.jump(self._q, self.energy - before)
+
+    def effect_readings(self, name):
+        """
+        Return what an effect says of itself in the present state.
+
+        Parameters
+        ----------
+        name : str
+            Of an effect that the scene lists.
+
+        Returns
+        -------
+        dict of str to float
+            Stored energy [J] and the effect's own readings, such as forces; SI units.
+
+        """
+        self._evaluate()
+        return self._effects.readings(name)
 
     def warm_up(self):
         """Compile all that a run needs, leaving the state as it is."""
@@ -412,6 +554,7 @@ class Simulation:
         q, qd = _vector('position', position, nv), _vector('velocity', velocity, nv)
         applied = system.tau.copy()
         system.tau[:] = self.joint_torques(torque)
+        system.effects.states[:] = self._own
         evaluate(system, q, qd)
         system.tau[:] = applied
         self._fresh = False
@@ -439,7 +582,9 @@ class Simulation:
 
         Notes
         -----
-        Solves tau + J^T lambda = I qdd + c, tau zero at the joints that are not actuated.
+        Solves tau + tau_effects + J^T lambda = I qdd + c, tau zero at the joints that are not
+        actuated. The torques are those at the joints, after limits and lags of the drives; dry
+        friction is that of a steady motion, none where a joint rests.
 
         """
         nv, model, work = len(self.joint_names), self.system.model, self.system.work
@@ -447,7 +592,6 @@ class Simulation:
             ('position', position), ('velocity', velocity), ('acceleration', acceleration)))
         self._fresh = False
         jac = np.zeros((self.mechanism.number_of_equations, nv))
-        need = np.zeros(nv)
         bias = np.zeros(len(jac))
         kinematics.outward(model, q, qd, work)
         jacobian.constraint_jacobian(model, work, jac)
@@ -459,9 +603,37 @@ class Simulation:
                 f'This acceleration opens the loops: the cut joints would part at {part:.3g} '
                 'm/s^2. Give accelerations of all joints that belong together, such as those '
                 'that forward_dynamics returns.')
-        tree_torque(model, work, qdd, need)
-        passive = np.setdiff1d(np.arange(nv), self._actuated)
-        unknowns = np.concatenate([np.eye(nv)[:, self._actuated], jac.T], axis=1)
+        table = self.system.effects
+        while True:
+            need = self._needed(q, qd, qdd)
+            torque, lam = self._least_torques(need, jac)
+            if table.loaded[0] == 0:
+                return torque, lam
+            # Friction driven by reactions depends on the result: a fixed point, fast because
+            # friction is the smaller part.
+            joint_reaction.load(model, work, table, qdd, lam)
+            places, values = self._effects.loads()
+            change = np.abs(table.states[places] - values).max()
+            table.states[places] = values
+            if not change > 1e-12 * values.max():
+                return torque, lam
+
+    def _needed(self, q, qd, qdd):
+        """Return what torques and constraint forces must add up to at the joints."""
+        need, table, work = np.zeros(len(q)), self.system.effects, self.system.work
+        kinematics.outward(self.system.model, q, qd, work)
+        if len(table.kind):
+            self._effects.steady(qd)
+            dispatch.apply(work.body, table, q, qd, np.zeros(len(q)))
+            self._effects.unsteady()
+            joint_reaction.remember(work.body, table)
+        tree_torque(self.system.model, work, qdd, need)
+        return need - table.applied if len(table.kind) else need
+
+    def _least_torques(self, need, jac):
+        """Return the least torques of the actuated joints, and multipliers, that add up to it."""
+        passive = np.setdiff1d(np.arange(len(need)), self._actuated)
+        unknowns = np.concatenate([np.eye(len(need))[:, self._actuated], jac.T], axis=1)
         solution = np.linalg.lstsq(unknowns, need, rcond=1e-12)[0]
         left = np.abs(unknowns @ solution - need)[passive].max(initial=0.0)
         if left > 1e-8 * max(np.abs(need).max(), 1e-30):
@@ -475,6 +647,7 @@ class Simulation:
     def _evaluate(self):
         """Evaluate the present state once for all that is asked of it."""
         if not self._fresh:
+            self.system.effects.states[:] = self._own
             evaluate(self.system, self._q, self._qd)
             self._fresh = True
 

@@ -54,7 +54,7 @@ def advance(system, tableau, stabilisation, state, step_size, steps, scratch):
     for done in range(steps):
         derivative(system, state, slopes[0])
         if tableau.b.shape[0] == 0:
-            semi_implicit_euler.step(state, step_size, slopes[0], out)
+            semi_implicit_euler.step(state, system.qdd.shape[0], step_size, slopes[0], out)
         else:
             runge_kutta.step(system, tableau, state, step_size, slopes, stage, out)
         closed = stabilise(system, stabilisation, out)

@@ -16,8 +16,10 @@
 
 import numpy as np
 
-from . import adaptive, advance
-from .registry import ADAPTIVE, INTEGRATORS, STABILISATIONS
+from . import adaptive, advance, rosenbrock
+from .registry import ADAPTIVE, INTEGRATORS, ROSENBROCK, SCIPY, STABILISATIONS
+from .scipy_solvers import SciPySolver
+from .system import number_of_states
 
 
 def build_driver(system, method):
@@ -32,11 +34,15 @@ def build_driver(system, method):
 
     Returns
     -------
-    FixedSteps or ErrorControlled
+    FixedSteps, ErrorControlled, Stiff or SciPySolver
 
     """
     integrator = INTEGRATORS[method.integrator]
     stabilisation = STABILISATIONS[method.stabilisation]
+    if integrator.family == SCIPY:
+        return SciPySolver(system, integrator.solver, stabilisation, method.tolerance)
+    if integrator.family == ROSENBROCK:
+        return Stiff(system, integrator, stabilisation, method.tolerance)
     if integrator.kind == ADAPTIVE:
         return ErrorControlled(system, integrator, stabilisation, method.tolerance)
     return FixedSteps(system, integrator, stabilisation)
@@ -58,7 +64,7 @@ class FixedSteps:
         """Allocate the scratch of the method."""
         self._system, self._tableau = system, integrator.tableau
         self._stabilisation = stabilisation
-        self._scratch = np.zeros((len(self._tableau.a) + 2, 2 * len(system.qdd)))
+        self._scratch = np.zeros((len(self._tableau.a) + 2, number_of_states(system)))
 
     def advance(self, state, time, step_size, steps):
         """
@@ -109,10 +115,8 @@ class ErrorControlled:
         """Allocate the scratch of the method."""
         self._system, self._tableau = system, integrator.tableau
         self._stabilisation = stabilisation
-        nv = len(system.qdd)
-        self._scratch = np.zeros((len(self._tableau.a) + 4, 2 * nv))
-        self._scale = np.full((2, 2 * nv), tolerance)
-        self._scale[1, :nv] = 0.0
+        self._scale = _error_scale(system, tolerance)
+        self._scratch = np.zeros((len(self._tableau.a) + 4, self._scale.shape[1]))
         self.control = np.zeros(adaptive.CONTROL_COLUMNS)
 
     def advance(self, state, time, step_size, steps):
@@ -129,3 +133,59 @@ class ErrorControlled:
     def restart(self):
         """Forget the past: torques or the state have changed."""
         self.control[adaptive.STEP_SIZE] = 0.0
+
+
+class Stiff:
+    """
+    Steps of RODAS4: of one size, or error-controlled and ending where the state is asked for.
+
+    Parameters
+    ----------
+    system : System
+        What moves.
+    integrator : Integrator
+        Of the Rosenbrock family.
+    stabilisation : int
+        One of ``projection``.
+    tolerance : float
+        As for ``ErrorControlled``.
+
+    """
+
+    def __init__(self, system, integrator, stabilisation, tolerance):
+        """Allocate the scratch of the method."""
+        self._system, self._stabilisation = system, stabilisation
+        self._adaptive = integrator.kind == ADAPTIVE
+        self._scale = _error_scale(system, tolerance)
+        states = self._scale.shape[1]
+        self._scratch = np.zeros((rosenbrock.STAGES + 4, states))
+        self._matrix, self._pivots = np.zeros((states, states)), np.zeros(states, dtype=np.int64)
+        self.control = np.zeros(adaptive.CONTROL_COLUMNS)
+
+    def advance(self, state, time, step_size, steps):
+        """Advance a state by ``steps`` times ``step_size``; see ``FixedSteps.advance``."""
+        if not self._adaptive:
+            status, done = rosenbrock.advance_fixed(
+                self._system, self._stabilisation, state, step_size, steps, self._matrix,
+                self._pivots, self._scratch)
+            return status, done * step_size
+        self.control[adaptive.REACHED] = time
+        status = rosenbrock.advance_adaptive(
+            self._system, self._stabilisation, state, time + steps * step_size, self.control,
+            self._scale, self._matrix, self._pivots, self._scratch)
+        if status == advance.DONE:
+            return status, steps * step_size
+        return status, self.control[adaptive.REACHED] - time
+
+    def restart(self):
+        """Forget the step size: torques or the state have changed."""
+        self.control[adaptive.NEXT_STEP] = 0.0
+
+
+def _error_scale(system, tolerance):
+    """Return absolute and relative tolerances: of coordinates absolute, of others both."""
+    nv = len(system.qdd)
+    scale = np.full((2, number_of_states(system)), tolerance)
+    scale[1, :nv] = 0.0
+    scale[0, 2 * nv:] *= system.effects.scale
+    return scale

@@ -16,13 +16,15 @@
 
 import numpy as np
 
-from ..core import articulated_inertia, elimination, kinematics, loop_closure, rank_revealing
+from ..core import (
+    articulated_inertia, elimination, independent, kinematics, loop_closure, rank_revealing)
 from ..core.compiled import compiled
 from ..core.types import CLOSURE, PROJECTION_ITERATIONS, RHS
+from ..effects.dispatch import settle
 from .system import CLOSURE_LIMIT, CLOSURE_TOLERANCE
 
 # How a step is stabilised. Baumgarte's terms are part of the accelerations, not of this.
-NONE, BAUMGARTE, VELOCITY, PROJECTION = range(4)
+NONE, BAUMGARTE, VELOCITY, PROJECTION, INDEPENDENT = range(5)
 
 # Newton's method doubles the digits each time: what eight corrections do not close stays open.
 MOST_CORRECTIONS = 8
@@ -53,9 +55,9 @@ def factor_configuration(system, q, qd):
 
 
 @compiled
-def correction(system, independent, error, out):
+def correction(system, independent, level, q, qd, out):
     """
-    Compute -I^-1 J^T (J I^-1 J^T)^+ ``error``, the least change in the mass metric.
+    Compute -I^-1 J^T (J I^-1 J^T)^+ times the error, the least change in the mass metric.
 
     Parameters
     ----------
@@ -63,20 +65,23 @@ def correction(system, independent, error, out):
         After ``factor_configuration``.
     independent : bool
         What that returned.
-    error : ndarray, shape (nc,)
-        psi or J qd, in elimination order.
+    level : int
+        ``rank_revealing.POSITION``: the error is psi; ``VELOCITY``: it is J qd.
+    q, qd : ndarray, shape (nv,)
+        As for ``factor_configuration``.
     out : ndarray, shape (nv,)
         Written in place.
 
     """
     model, work = system.model, system.work
+    if not independent:
+        kinematics.outward(model, q, qd, work)
+        rank_revealing.correct(model, work, level, out)
+        return
     right = work.right
     for k in range(right.shape[0]):
-        right[k] = -error[k]
-    if independent:
-        elimination.solve(model, work, right)
-    else:
-        rank_revealing.solve(model, work, right)
+        right[k] = -work.closure[k] if level == rank_revealing.POSITION else -work.closure_rate[k]
+    elimination.solve(model, work, right)
     for i in range(work.body.shape[0]):
         work.body[i, RHS] = 0.0
     loop_closure.apply(model, work, right)
@@ -119,7 +124,7 @@ def project(system, q, qd, positions):
     independent = factor_configuration(system, q, qd)
     error = largest(work.closure)
     while positions and error > settings[CLOSURE_TOLERANCE] and corrections < MOST_CORRECTIONS:
-        correction(system, independent, work.closure, out)
+        correction(system, independent, rank_revealing.POSITION, q, qd, out)
         for i in range(q.shape[0]):
             q[i] += out[i]
         corrections += 1
@@ -127,7 +132,7 @@ def project(system, q, qd, positions):
         before, error = error, largest(work.closure)
         if not error < 0.5 * before:
             break
-    correction(system, independent, work.closure_rate, out)
+    correction(system, independent, rank_revealing.VELOCITY, q, qd, out)
     for i in range(q.shape[0]):
         qd[i] += out[i]
     work.health[PROJECTION_ITERATIONS] = corrections
@@ -144,7 +149,8 @@ def stabilise(system, stabilisation, state):
     ----------
     system : System
     stabilisation : int
-        ``NONE`` or ``BAUMGARTE`` (nothing is done), ``VELOCITY`` or ``PROJECTION``.
+        ``NONE`` or ``BAUMGARTE`` (nothing is done), ``VELOCITY``, ``PROJECTION`` or
+        ``INDEPENDENT``.
     state : ndarray, shape (ns,)
         Corrected in place.
 
@@ -154,9 +160,14 @@ def stabilise(system, stabilisation, state):
         Whether the loops are closed where positions were to be corrected.
 
     """
+    nv = system.qdd.shape[0]
+    if state.shape[0] > 2 * nv:
+        settle(system.effects, state, nv)
     if stabilisation < VELOCITY:
         return True
-    nv = system.qdd.shape[0]
+    if stabilisation == INDEPENDENT:
+        return independent.settle(system.model, system.work, system.partition, state[:nv],
+                                  state[nv:2 * nv], system.settings[CLOSURE_TOLERANCE])
     return project(system, state[:nv], state[nv:2 * nv], stabilisation == PROJECTION)
 
 

@@ -19,7 +19,7 @@ A new explicit method is a tableau and one line here.
 
 """
 
-from typing import NamedTuple
+from typing import NamedTuple, Optional
 
 import numpy as np
 
@@ -27,6 +27,7 @@ from . import projection
 from .tableau import DOP853, DOPRI5, HEUN, RK4, Tableau
 
 FIXED, ADAPTIVE = 'fixed step', 'adaptive'
+EXPLICIT, ROSENBROCK, SCIPY = 'explicit', 'rosenbrock', 'scipy'
 
 
 class Integrator(NamedTuple):
@@ -38,25 +39,41 @@ class Integrator(NamedTuple):
     kind : str
         ``FIXED``: takes steps of ``step_size``; ``ADAPTIVE``: chooses its steps to keep the
         local error below ``tolerance``.
-    tableau : Tableau
     summary : str
         One line for people.
+    family : str
+        ``EXPLICIT``, ``ROSENBROCK`` (stiff) or ``SCIPY`` (offline only).
+    tableau : Tableau or None
+        Of an explicit method.
+    solver : str or None
+        Of SciPy's.
 
     """
 
     kind: str
-    tableau: Tableau
     summary: str
+    family: str
+    tableau: Optional[Tableau] = None
+    solver: Optional[str] = None
 
 
 _EULER = Tableau(np.zeros((1, 1)), np.zeros(0), np.zeros((2, 1)), np.zeros((1, 0)), 1, 0)
 
 INTEGRATORS = {
-    'semi_implicit_euler': Integrator(FIXED, _EULER, 'order 1, one evaluation a step'),
-    'heun': Integrator(FIXED, HEUN, 'order 2, two evaluations a step'),
-    'rk4': Integrator(FIXED, RK4, 'order 4, four evaluations a step'),
-    'dopri5': Integrator(ADAPTIVE, DOPRI5, 'order 5(4), error control, dense output'),
-    'dop853': Integrator(ADAPTIVE, DOP853, 'order 8(5,3), error control, dense output'),
+    'semi_implicit_euler': Integrator(
+        FIXED, 'order 1, one evaluation a step', EXPLICIT, _EULER),
+    'heun': Integrator(FIXED, 'order 2, two evaluations a step', EXPLICIT, HEUN),
+    'rk4': Integrator(FIXED, 'order 4, four evaluations a step', EXPLICIT, RK4),
+    'dopri5': Integrator(
+        ADAPTIVE, 'order 5(4), error control, dense output', EXPLICIT, DOPRI5),
+    'dop853': Integrator(
+        ADAPTIVE, 'order 8(5,3), error control, dense output', EXPLICIT, DOP853),
+    'rodas4': Integrator(ADAPTIVE, 'stiff, L-stable, order 4(3), error control', ROSENBROCK),
+    'rodas4_fixed': Integrator(FIXED, 'stiff, L-stable, order 4', ROSENBROCK),
+    'scipy_dop853': Integrator(
+        ADAPTIVE, "SciPy's DOP853, offline", SCIPY, solver='DOP853'),
+    'scipy_radau': Integrator(ADAPTIVE, "SciPy's Radau, stiff, offline", SCIPY, solver='Radau'),
+    'scipy_lsoda': Integrator(ADAPTIVE, "SciPy's LSODA, offline", SCIPY, solver='LSODA'),
 }
 
 STABILISATIONS = {
@@ -64,4 +81,5 @@ STABILISATIONS = {
     'baumgarte': projection.BAUMGARTE,
     'velocity_projection': projection.VELOCITY,
     'projection': projection.PROJECTION,
+    'independent': projection.INDEPENDENT,
 }

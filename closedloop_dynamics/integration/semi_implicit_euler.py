@@ -18,22 +18,25 @@ from ..core.compiled import compiled
 
 
 @compiled
-def step(state, step_size, slope, out):
+def step(state, nv, step_size, slope, out):
     """
     Advance a state by one step: rates first, then coordinates with the new rates.
 
     Parameters
     ----------
-    state : ndarray, shape (2 nv,)
+    state : ndarray, shape (ns,)
+    nv : int
+        Number of joint coordinates.
     step_size : float
         [s].
-    slope : ndarray, shape (2 nv,)
+    slope : ndarray, shape (ns,)
         At ``state``.
-    out : ndarray, shape (2 nv,)
+    out : ndarray, shape (ns,)
         Written in place.
 
     """
-    nv = state.shape[0] // 2
     for i in range(nv):
         out[nv + i] = state[nv + i] + step_size * slope[nv + i]
         out[i] = state[i] + step_size * out[nv + i]
+    for k in range(2 * nv, state.shape[0]):
+        out[k] = state[k] + step_size * slope[k]

@@ -18,11 +18,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..core import kinematics
+from ..core import kinematics, rank_revealing
 from ..core.compiled import compiled
 from ..core.formulations import accelerate_dense, allocate_dense, DenseWorkspace, SUBSYSTEM
 from ..core.forward_dynamics import accelerate
+from ..core.independent import allocate_partition, close, Partition
 from ..core.types import allocate, Model, Workspace
+from ..effects import dispatch, joint_reaction
+from ..effects.table import build_table, EffectTable
 
 # Columns of System.settings: which formulation, Baumgarte's decay rate [1/s] (0: none), the
 # closure error [m, rad] that projection leaves and the one at which it gives up.
@@ -38,6 +41,8 @@ class System(NamedTuple):
     model : Model
     work : Workspace
     dense : DenseWorkspace
+    partition : Partition
+        Of the independent coordinates; empty where they are not used.
     settings : ndarray, shape (4,)
     tau : ndarray, shape (nv,)
         Commanded joint torques [N m] and forces [N].
@@ -45,19 +50,24 @@ class System(NamedTuple):
         Joint accelerations of the latest evaluation.
     lam : ndarray, shape (nc,)
         Its multipliers.
+    effects : EffectTable
+        What acts on the mechanism beside the commanded torques; empty where nothing does.
 
     """
 
     model: Model
     work: Workspace
     dense: DenseWorkspace
+    partition: Partition
     settings: np.ndarray
     tau: np.ndarray
     qdd: np.ndarray
     lam: np.ndarray
+    effects: EffectTable
 
 
-def build_system(model, formulation=SUBSYSTEM, baumgarte=0.0, extent=1.0):
+def build_system(model, formulation=SUBSYSTEM, baumgarte=0.0, extent=1.0, independent=False,
+                 laws=()):
     """
     Allocate a system.
 
@@ -70,6 +80,10 @@ def build_system(model, formulation=SUBSYSTEM, baumgarte=0.0, extent=1.0):
         Decay rate of closure errors [1/s].
     extent : float
         Size of the mechanism [m], to which closure tolerances are relative.
+    independent : bool
+        Whether to integrate independent coordinates.
+    laws : sequence of effects.table.Law
+        Of the effects that act.
 
     Returns
     -------
@@ -79,9 +93,29 @@ def build_system(model, formulation=SUBSYSTEM, baumgarte=0.0, extent=1.0):
     nv, nc = len(model.tree) - 1, len(model.column) - 1
     # Closure errors of 1e-12 of the size are rounding; one of 1e-5 of it is an open loop.
     settings = np.array([formulation, baumgarte, 1e-12 * extent, 1e-5 * extent])
+    tau = np.zeros(nv)
     return System(
         model=model, work=allocate(model), dense=allocate_dense(model, formulation),
-        settings=settings, tau=np.zeros(nv), qdd=np.zeros(nv), lam=np.zeros(nc))
+        partition=allocate_partition(model, independent),
+        settings=settings, tau=tau, qdd=np.zeros(nv), lam=np.zeros(nc),
+        effects=build_table(laws, tau, nv))
+
+
+def number_of_states(system):
+    """
+    Return ns: the length of the state vector q, qd and the effects' own states.
+
+    Parameters
+    ----------
+    system : System
+        What moves.
+
+    Returns
+    -------
+    int
+
+    """
+    return 2 * len(system.qdd) + len(system.effects.states)
 
 
 @compiled
@@ -92,16 +126,28 @@ def evaluate(system, q, qd):
     Parameters
     ----------
     system : System
+        ``effects.states`` must be those of the state.
     q, qd : ndarray, shape (nv,)
 
     """
     model, work, formulation = system.model, system.work, int(system.settings[FORMULATION])
+    effects = system.effects
     kinematics.outward(model, q, qd, work)
+    if effects.kind.shape[0] > 0:
+        dispatch.apply(work.body, effects, q, qd, system.tau)
+        if effects.loaded[0] > 0:
+            joint_reaction.remember(work.body, effects)
     if formulation == SUBSYSTEM:
-        accelerate(model, work, system.tau, system.settings[BAUMGARTE], system.qdd, system.lam)
+        if not accelerate(
+                model, work, system.tau, system.settings[BAUMGARTE], system.qdd, system.lam):
+            kinematics.outward(model, q, qd, work)
+            rank_revealing.accelerate(model, work, effects.applied, system.settings[BAUMGARTE],
+                                      system.qdd, system.lam)
     else:
-        accelerate_dense(model, work, system.dense, formulation, system.tau,
+        accelerate_dense(model, work, system.dense, formulation, effects.applied,
                          system.settings[BAUMGARTE], system.qdd, system.lam)
+    if effects.loaded[0] > 0:
+        joint_reaction.load(model, work, effects, system.qdd, system.lam)
 
 
 @compiled
@@ -113,13 +159,22 @@ def derivative(system, state, out):
     ----------
     system : System
     state : ndarray, shape (ns,)
-        Joint coordinates, then joint rates.
+        Joint coordinates, joint rates, the effects' own states.
     out : ndarray, shape (ns,)
         Written in place.
 
     """
     nv = system.qdd.shape[0]
+    if system.partition.order.shape[0] > 0:
+        # Independent coordinates: the others of a stage are first guesses only.
+        close(system.model, system.work, system.partition, state[:nv], state[nv:2 * nv],
+              system.settings[CLOSURE_TOLERANCE])
+    states, rates = system.effects.states, system.effects.rates
+    for k in range(states.shape[0]):
+        states[k] = state[2 * nv + k]
     evaluate(system, state[:nv], state[nv:2 * nv])
     for i in range(nv):
         out[i] = state[nv + i]
         out[nv + i] = system.qdd[i]
+    for k in range(states.shape[0]):
+        out[2 * nv + k] = rates[k]

@@ -1,0 +1,245 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+RODAS4, a linearly implicit method for stiff scenes: L-stable, stiffly accurate, order 4(3).
+
+Each step solves six linear systems with one factorization of I - h gamma J; the
+Jacobian J comes from finite differences of the derivative, so that it sees whatever
+a scene simulates. Its cost grows with the cube of the number of states.
+
+Source: Hairer and Wanner, Solving Ordinary Differential Equations II, 2nd ed. (1996), section
+VI.4, in the form that needs no product with J.
+
+"""
+
+import math
+
+import numpy as np
+
+from ..core import lu
+from ..core.compiled import compiled
+from .adaptive import ACCEPTED, ERROR, LARGEST_ERROR, NEXT_STEP, REACHED, REJECTED, SAFETY
+from .advance import DONE, NOT_FINITE, OPEN_LOOP, STEP_TOO_SMALL
+from .projection import all_finite, stabilise
+from .system import derivative
+
+STAGES = 6
+GAMMA = 0.25
+A = np.array([
+    [0.0, 0.0, 0.0, 0.0, 0.0],
+    [1.544, 0.0, 0.0, 0.0, 0.0],
+    [0.9466785280815826, 0.2557011698983284, 0.0, 0.0, 0.0],
+    [3.314825187068521, 2.896124015972201, 0.9986419139977817, 0.0, 0.0],
+    [1.221224509226641, 6.019134481288629, 12.53708332932087, -0.6878860361058950, 0.0],
+    [1.221224509226641, 6.019134481288629, 12.53708332932087, -0.6878860361058950, 1.0]])
+C = np.array([
+    [0.0, 0.0, 0.0, 0.0, 0.0],
+    [-5.6688, 0.0, 0.0, 0.0, 0.0],
+    [-2.430093356833875, -0.2063599157091915, 0.0, 0.0, 0.0],
+    [-0.1073529058151375, -9.594562251023355, -20.47028614809616, 0.0, 0.0],
+    [7.496443313967647, -10.24680431464352, -33.99990352819905, 11.70890893206160, 0.0],
+    [8.083246795921522, -7.981132988064893, -31.52159432874371, 16.31930543123136,
+     -6.058818238834054]])
+
+# Step of the finite differences, relative to a state of size 1: half the digits each for
+# truncation and rounding.
+DIFFERENCE = 1.5e-8
+
+
+@compiled
+def factor_jacobian(system, state, slope, step_size, matrix, pivots, stage, moved):
+    """
+    Factor I / (h gamma) - J at a state.
+
+    Parameters
+    ----------
+    system : System
+        Whose derivative is differentiated.
+    state, slope : ndarray, shape (ns,)
+        State and its derivative.
+    step_size : float
+        [s].
+    matrix : ndarray, shape (ns, ns)
+        Written: the factors.
+    pivots : ndarray of int, shape (ns,)
+        Written: the row exchanges.
+    stage, moved : ndarray, shape (ns,)
+        Scratch.
+
+    """
+    n = state.shape[0]
+    for i in range(n):
+        stage[i] = state[i]
+    for j in range(n):
+        change = DIFFERENCE * max(1.0, abs(state[j]))
+        stage[j] = state[j] + change
+        # The change that the rounded sum really made.
+        change = stage[j] - state[j]
+        derivative(system, stage, moved)
+        stage[j] = state[j]
+        for i in range(n):
+            matrix[i, j] = (slope[i] - moved[i]) / change
+    for i in range(n):
+        matrix[i, i] += 1.0 / (step_size * GAMMA)
+    lu.factorize(matrix, pivots)
+
+
+@compiled
+def step(system, state, step_size, matrix, pivots, slopes, stage, out):
+    """
+    Make one step with a factored Jacobian.
+
+    Parameters
+    ----------
+    system : System
+        What moves.
+    state : ndarray, shape (ns,)
+        Start of the step.
+    step_size : float
+        The one of the factors [s].
+    matrix, pivots
+        After ``factor_jacobian``.
+    slopes : ndarray, shape (STAGES, ns)
+        Written; the last one is the error estimate.
+    stage : ndarray, shape (ns,)
+        Scratch.
+    out : ndarray, shape (ns,)
+        Written in place: the state after the step.
+
+    """
+    n = state.shape[0]
+    for k in range(STAGES):
+        for i in range(n):
+            stage[i] = state[i]
+        for m in range(k):
+            for i in range(n):
+                stage[i] += A[k, m] * slopes[m, i]
+        derivative(system, stage, slopes[k])
+        for m in range(k):
+            for i in range(n):
+                slopes[k, i] += C[k, m] / step_size * slopes[m, i]
+        lu.solve(matrix, pivots, slopes[k])
+    for i in range(n):
+        out[i] = stage[i] + slopes[STAGES - 1, i]
+
+
+@compiled
+def advance_fixed(system, stabilisation, state, step_size, steps, matrix, pivots, scratch):
+    """
+    Advance a state by whole steps of one size.
+
+    Parameters
+    ----------
+    system : System
+        What moves.
+    stabilisation : int
+        One of ``projection``.
+    state : ndarray, shape (ns,)
+        Advanced in place; on failure the state before the failing step.
+    step_size : float
+        [s].
+    steps : int
+        How many.
+    matrix, pivots
+        Scratch.
+    scratch : ndarray, shape (STAGES + 4, ns)
+        Scratch.
+
+    Returns
+    -------
+    status : int
+        Of ``integration.advance``.
+    done : int
+        Steps completed.
+
+    """
+    stage, out, slope, moved, slopes = (
+        scratch[0], scratch[1], scratch[2], scratch[3], scratch[4:])
+    for done in range(steps):
+        derivative(system, state, slope)
+        factor_jacobian(system, state, slope, step_size, matrix, pivots, stage, moved)
+        step(system, state, step_size, matrix, pivots, slopes, stage, out)
+        closed = stabilise(system, stabilisation, out)
+        if not all_finite(out):
+            return NOT_FINITE, done
+        if not closed:
+            return OPEN_LOOP, done
+        for i in range(state.shape[0]):
+            state[i] = out[i]
+    return DONE, steps
+
+
+@compiled
+def advance_adaptive(system, stabilisation, state, target, control, scale, matrix, pivots,
+                     scratch):
+    """
+    Advance a state to a time by error-controlled steps, the last one ending there.
+
+    Parameters
+    ----------
+    system, stabilisation, state, matrix, pivots, scratch
+        As for ``advance_fixed``.
+    target : float
+        [s].
+    control, scale
+        As for ``adaptive.advance``.
+
+    Returns
+    -------
+    int
+        Status of ``integration.advance``; on failure ``state`` and REACHED are the
+        latest good ones.
+
+    """
+    stage, out, slope, moved, slopes = (
+        scratch[0], scratch[1], scratch[2], scratch[3], scratch[4:])
+    n = state.shape[0]
+    size = control[NEXT_STEP] if control[NEXT_STEP] > 0.0 else 1e-4
+    # Rounding of the times must not leave a last step of no length.
+    while target - control[REACHED] > 1e-12 * max(abs(target), size):
+        rest = target - control[REACHED]
+        last = size >= rest
+        used = rest if last else size
+        if not used > 1e-14 * max(abs(target), 1e-3):
+            return STEP_TOO_SMALL
+        derivative(system, state, slope)
+        if not all_finite(slope):
+            return NOT_FINITE
+        factor_jacobian(system, state, slope, used, matrix, pivots, stage, moved)
+        step(system, state, used, matrix, pivots, slopes, stage, out)
+        total = 0.0
+        for i in range(n):
+            total += (slopes[STAGES - 1, i] / (
+                scale[0, i] + scale[1, i] * max(abs(state[i]), abs(out[i])))) ** 2
+        error = math.sqrt(total / n)
+        factor = SAFETY * max(error, 1e-10) ** -0.25 if error < 1e30 else 0.0
+        factor = min(6.0, max(0.2, factor))
+        # Written so that a NaN counts as an error too large.
+        if not error <= 1.0:
+            control[REJECTED] += 1.0
+            size = used * min(factor, SAFETY)
+            continue
+        if not stabilise(system, stabilisation, out):
+            return OPEN_LOOP
+        for i in range(n):
+            state[i] = out[i]
+        control[REACHED] = target if last else control[REACHED] + used
+        control[ACCEPTED] += 1.0
+        control[ERROR] = error
+        control[LARGEST_ERROR] = max(control[LARGEST_ERROR], error)
+        # A last step cut short says nothing against the size that was to be tried.
+        size = max(size, used * factor) if last else used * factor
+        control[NEXT_STEP] = size
+    return DONE

@@ -1,0 +1,94 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""SciPy's solvers as the well-known yardstick: offline, in the interpreter, no projection inside."""
+
+import numpy as np
+from scipy import integrate
+
+from .advance import DONE, NOT_FINITE, OPEN_LOOP, STEP_TOO_SMALL
+from .projection import stabilise
+from .system import derivative
+
+SOLVERS = {'DOP853': integrate.DOP853, 'Radau': integrate.Radau, 'LSODA': integrate.LSODA}
+
+
+class SciPySolver:
+    """
+    One of SciPy's solvers behind the interface of the drivers.
+
+    It keeps its own state between outputs, on which nothing is projected; the
+    stabilisation corrects what is handed out.
+
+    Parameters
+    ----------
+    system : System
+        What moves.
+    name : str
+        One of ``SOLVERS``.
+    stabilisation : int
+        One of ``projection``.
+    tolerance : float
+        Relative and absolute.
+
+    """
+
+    def __init__(self, system, name, stabilisation, tolerance):
+        """Start with nothing; the solver is made where the first step starts."""
+        self._system, self._solver_type = system, SOLVERS[name]
+        self._stabilisation, self._tolerance = stabilisation, tolerance
+        self._solver = self._dense = None
+
+    def advance(self, state, time, step_size, steps):
+        """Advance a state by ``steps`` times ``step_size``; see ``FixedSteps.advance``."""
+        target = time + steps * step_size
+        self._start = time, state
+        status = self._step_to(target)
+        if status != DONE:
+            self.restart()
+            return status, 0.0
+        out = self._dense(target) if self._dense is not None else state.copy()
+        if not stabilise(self._system, self._stabilisation, out):
+            return OPEN_LOOP, 0.0
+        state[:] = out
+        return DONE, steps * step_size
+
+    def _step_to(self, target):
+        """Let the solver pass a time; its own steps need not end there."""
+        try:
+            if self._solver is None:
+                time, state = self._start
+                self._solver = self._solver_type(
+                    self._slope, time, state.copy(), np.inf, rtol=max(self._tolerance, 3e-14),
+                    atol=self._tolerance)
+            while self._solver.t < target:
+                self._solver.step()
+                if self._solver.status == 'failed':
+                    return STEP_TOO_SMALL
+                self._dense = self._solver.dense_output()
+        except FloatingPointError:
+            return NOT_FINITE
+        return DONE
+
+    def restart(self):
+        """Forget the past: torques or the state have changed."""
+        self._solver = self._dense = None
+
+    def _slope(self, time, state):
+        out = np.empty(len(state))
+        derivative(self._system, np.ascontiguousarray(state), out)
+        # SciPy's solvers would go on, some of them for ever.
+        if not (np.isfinite(out).all() and np.isfinite(state).all()):
+            raise FloatingPointError
+        return out

@@ -1,0 +1,156 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Integrators and stabilisations: order, agreement, dense output, closure, failure."""
+
+from dataclasses import replace
+
+from closedloop_dynamics import NumericalError, Simulation
+from closedloop_dynamics.integration import adaptive
+from closedloop_dynamics.integration.registry import ADAPTIVE, INTEGRATORS, STABILISATIONS
+from closedloop_dynamics.integration.tableau import DOP853, DOPRI5, HEUN, RK4
+import numpy as np
+import pytest
+
+MECHANISMS = ('four_bar', 'slider_crank', 'carpet_scraper', 'three_rrr')
+ORDERS = {'semi_implicit_euler': 1, 'heun': 2, 'rk4': 4, 'rodas4_fixed': 4}
+
+
+def run(scene, duration=0.3, torque=None, **method):
+    """Return a simulation that has run."""
+    simulation = Simulation.from_scene(scene, **method)
+    simulation.step(torque, duration)
+    return simulation
+
+
+@pytest.fixture(scope='module')
+def references():
+    """Return the state of each mechanism after 0.3 s, at the tightest tolerance."""
+    return {name: run(name, integrator='dop853', tolerance=1e-13, step_size=0.1).position
+            for name in MECHANISMS}
+
+
+@pytest.mark.parametrize('tableau', [HEUN, RK4, DOPRI5, DOP853], ids=['heun', 'rk4', '5', '853'])
+def test_tableau_integrates_powers_of_time_up_to_its_order(tableau):
+    nodes = tableau.a.sum(axis=1)[:len(tableau.b)]
+    for power in range(tableau.order):
+        assert tableau.b @ nodes ** power == pytest.approx(1.0 / (power + 1), abs=1e-13)
+
+
+@pytest.mark.parametrize('tableau', [DOPRI5, DOP853], ids=['5', '853'])
+def test_dense_output_ends_in_the_step(tableau):
+    ends = tableau.dense.sum(axis=1)
+    assert np.allclose(ends[:len(tableau.b)], tableau.b, rtol=0.0, atol=1e-12)
+    assert np.allclose(ends[len(tableau.b):], 0.0, rtol=0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize('stabilisation', ['projection', 'independent'])
+@pytest.mark.parametrize('integrator', ORDERS)
+@pytest.mark.parametrize('scene', ['four_bar', 'three_rrr'])
+def test_fixed_step_error_falls_with_the_order(scene, integrator, stabilisation, references):
+    errors = [
+        np.abs(run(scene, integrator=integrator, stabilisation=stabilisation,
+                   step_size=0.3 / steps).position - references[scene]).max()
+        for steps in (100, 200)]
+    # Half an order of slack for the terms beyond the leading one.
+    assert np.log2(errors[0] / errors[1]) > ORDERS[integrator] - 0.5
+
+
+@pytest.mark.parametrize('integrator', [
+    name for name, method in INTEGRATORS.items() if method.kind == ADAPTIVE])
+@pytest.mark.parametrize('scene', MECHANISMS)
+def test_error_control_reaches_what_it_promises(scene, integrator, references):
+    simulation = run(scene, integrator=integrator, tolerance=1e-8, step_size=0.1)
+    # Local errors add up and grow with the motion: two orders of magnitude are allowed.
+    assert np.abs(simulation.position - references[scene]).max() < 1e-6
+    assert simulation.closure < 1e-11
+
+
+@pytest.mark.parametrize('integrator', ['dopri5', 'dop853'])
+def test_asking_often_does_not_cut_steps(integrator, references):
+    counts = []
+    for raster in (0.1, 1e-3):
+        simulation = run('three_rrr', integrator=integrator, tolerance=1e-9, step_size=raster)
+        counts.append(simulation._driver.control[adaptive.ACCEPTED])
+        assert np.abs(simulation.position - references['three_rrr']).max() < 1e-6
+    assert counts[0] == counts[1]
+
+
+@pytest.mark.parametrize('integrator', ['dopri5', 'dop853'])
+def test_dense_output_is_as_accurate_as_the_steps(integrator):
+    fine = Simulation.from_scene('carpet_scraper', integrator='dop853', tolerance=1e-13,
+                                 step_size=1e-3)
+    coarse = Simulation.from_scene('carpet_scraper', integrator=integrator, tolerance=1e-8,
+                                   step_size=1e-3)
+    worst = 0.0
+    for _ in range(100):
+        fine.step(duration=3e-3)
+        coarse.step(duration=3e-3)
+        worst = max(worst, np.abs(fine.position - coarse.position).max())
+    assert worst < 1e-6
+
+
+def test_change_of_torque_takes_effect_at_once():
+    states = []
+    for integrator in ('dop853', 'rk4'):
+        simulation = Simulation.from_scene('three_rrr', integrator=integrator, tolerance=1e-11,
+                                           step_size=2.5e-4)
+        for torque in ([5.0, -3.0, 2.0], [-20.0, 10.0, 0.0], None):
+            simulation.step(torque, 0.05)
+        states.append(np.concatenate([simulation.position, simulation.velocity]))
+    assert np.abs(states[0] - states[1]).max() < 1e-8
+
+
+@pytest.mark.parametrize('stabilisation', STABILISATIONS)
+def test_stabilisations_agree_and_keep_their_closure(stabilisation, references):
+    simulation = run('carpet_scraper', stabilisation=stabilisation)
+    assert np.abs(simulation.position - references['carpet_scraper']).max() < 1e-5
+    limit = {'none': 1e-5, 'baumgarte': 1e-7, 'velocity_projection': 1e-8}.get(
+        stabilisation, 1e-12)
+    assert simulation.closure < limit
+
+
+def test_independent_coordinates_switch_their_set_and_stay_right():
+    simulation = run('three_rrr', 1.0, stabilisation='independent')
+    reference = run('three_rrr', 1.0, integrator='dop853', tolerance=1e-13, step_size=0.1)
+    assert simulation.system.partition.record[2] > 1
+    assert np.abs(simulation.position - reference.position).max() < 1e-5
+
+
+@pytest.mark.parametrize('integrator', INTEGRATORS)
+def test_impossible_torque_is_refused_and_the_state_kept(integrator):
+    simulation = Simulation.from_scene('four_bar', integrator=integrator, step_size=0.01)
+    simulation.step(duration=0.05)
+    before = simulation.position, simulation.time
+    with pytest.raises(Exception) as failure:
+        simulation.step({'crank_joint': 1e200}, 0.05)
+    assert isinstance(failure.value, NumericalError) or 'loops' in str(failure.value)
+    assert np.isfinite(simulation.position).all()
+    assert simulation.time >= before[1]
+
+
+def test_time_is_counted_not_summed():
+    simulation = Simulation.from_scene('four_bar')
+    for _ in range(1000):
+        simulation.step()
+    assert simulation.time == 1000 * 1e-3
+    simulation.step(duration=0.00125)
+    assert simulation.time == pytest.approx(1.00125, abs=1e-15)
+
+
+def test_baumgarte_time_constant_is_tied_to_the_step():
+    scene = Simulation.from_scene('four_bar', stabilisation='baumgarte', step_size=2e-4).scene
+    assert scene.method.time_constant == pytest.approx(2e-3)
+    given = replace(scene.method, baumgarte_time_constant=0.05)
+    assert given.time_constant == 0.05
