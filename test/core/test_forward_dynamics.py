@@ -16,7 +16,9 @@
 
 from dataclasses import replace
 
+from closedloop_dynamics.core import forward_dynamics
 from closedloop_dynamics.core.formulations import AUGMENTED, SUBSYSTEM, SYSTEM
+from closedloop_dynamics.core.types import EVALUATIONS
 import numpy as np
 import pytest
 
@@ -62,6 +64,18 @@ def test_repeated_call_on_one_workspace_agrees_bitwise(case, formulation):
     engine.forward_dynamics(q + 0.1, qd - 0.3, -tau)
     for before, after in zip(first, engine.forward_dynamics(q, qd, tau)):
         assert np.array_equal(before, after)
+
+
+def test_one_call_from_state_to_accelerations_does_the_same_and_is_counted(drawn, engine):
+    rng, _, q, qd = drawn
+    tau = rng.normal(size=len(q))
+    expected = engine.forward_dynamics(q, qd, tau)
+    before = engine.work.health[EVALUATIONS]
+    found = np.empty(engine.nv), np.empty(engine.nc)
+    forward_dynamics.forward_dynamics(engine.model, engine.work, q, qd, tau, *found)
+    for one, other in zip(found, expected):
+        assert np.array_equal(one, other)
+    assert engine.work.health[EVALUATIONS] == before + 1.0
 
 
 def test_trees_without_cut_joints_equal_the_twin(drawn):
