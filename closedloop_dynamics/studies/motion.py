@@ -1,0 +1,204 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""A motion that was simulated or recorded, and where it puts the bodies."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..mechanism.mechanism import CUT_JOINT_EQUATIONS, GROUND, PRISMATIC
+
+
+@dataclass(frozen=True)
+class Motion:
+    """
+    States of one mechanism at n instants.
+
+    Attributes
+    ----------
+    mechanism : mechanism.mechanism.Mechanism
+    time : ndarray, shape (n,)
+        [s].
+    position, velocity, effort : ndarray, shape (n, nv)
+        Of the joints in their order [rad or m, and per s; N m or N].
+    forces : ndarray, shape (n, number of cut joints, 3)
+        Moment [N m] and force [N] along x and y that body B exerts on body A, in world axes.
+
+    """
+
+    mechanism: object
+    time: np.ndarray
+    position: np.ndarray
+    velocity: np.ndarray
+    effort: np.ndarray
+    forces: np.ndarray
+
+
+def from_rows(mechanism, names, rows):
+    """
+    Return the motion that the rows of ``studies.run`` tell.
+
+    Parameters
+    ----------
+    mechanism : mechanism.mechanism.Mechanism
+        Whose motion it is.
+    names : sequence of str
+        Of the columns.
+    rows : sequence of sequences of float
+        The instants.
+
+    Returns
+    -------
+    Motion
+
+    """
+    column = dict(zip(names, np.array(rows, dtype=float).T))
+    zero = np.zeros(len(rows))
+
+    def joints(quantity):
+        return np.stack([column[f'{quantity}.{name}'] for name in mechanism.joint_names], axis=1)
+
+    forces = [[column.get(f'force.{cut.name}.{part}', zero) for part in ('torque', 'x', 'y')]
+              for cut in mechanism.cut_joints]
+    return Motion(
+        mechanism, column['time'], joints('position'), joints('velocity'), joints('effort'),
+        np.array(forces).reshape(len(forces), 3, len(rows)).transpose(2, 0, 1))
+
+
+def body_poses(mechanism, position):
+    """
+    Place the bodies.
+
+    Parameters
+    ----------
+    mechanism : mechanism.mechanism.Mechanism
+        What is placed.
+    position : ndarray, shape (..., nv)
+        Joint coordinates [rad or m].
+
+    Returns
+    -------
+    ndarray, shape (..., nb, 3)
+        x, y [m] and angle [rad] of each body, in the mechanism's order of bodies.
+
+    """
+    position = np.asarray(position, dtype=float)
+    joints = {joint.child: (joint, position[..., index])
+              for index, joint in enumerate(mechanism.joints)}
+    placed = {GROUND: np.zeros((*position.shape[:-1], 3))}
+
+    def pose(body):
+        if body not in placed:
+            joint, coordinate = joints[body]
+            placed[body] = _child_pose(pose(joint.parent), joint, coordinate)
+        return placed[body]
+
+    return np.stack([pose(body.name) for body in mechanism.bodies], axis=-2)
+
+
+def _child_pose(parent, joint, coordinate):
+    origin = world_points(parent, joint.position)
+    angle = parent[..., 2] + joint.angle
+    if joint.type == PRISMATIC:
+        along = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+        origin = origin + coordinate[..., np.newaxis] * along
+    else:
+        angle = angle + coordinate
+    return np.concatenate([origin, angle[..., np.newaxis]], axis=-1)
+
+
+def world_points(pose, points):
+    """
+    Move points of a body into the world.
+
+    Parameters
+    ----------
+    pose : ndarray, shape (..., 3)
+        x, y, angle of the body.
+    points : sequence, shape (2,) or (m, 2)
+        In the body's frame [m].
+
+    Returns
+    -------
+    ndarray, shape (..., 2) or (..., m, 2)
+
+    """
+    points = np.asarray(points, dtype=float)
+    if points.ndim == 2:
+        pose = pose[..., np.newaxis, :]
+    cosine, sine = np.cos(pose[..., 2]), np.sin(pose[..., 2])
+    return np.stack([pose[..., 0] + cosine * points[..., 0] - sine * points[..., 1],
+                     pose[..., 1] + sine * points[..., 0] + cosine * points[..., 1]], axis=-1)
+
+
+def named_point(mechanism, poses, name):
+    """
+    Return the places of a named point.
+
+    Parameters
+    ----------
+    mechanism : mechanism.mechanism.Mechanism
+        With that point.
+    poses : ndarray, shape (..., nb, 3)
+        Of the bodies.
+    name : str
+        Of the point.
+
+    Returns
+    -------
+    ndarray, shape (..., 2)
+
+    """
+    point = next(point for point in mechanism.points if point.name == name)
+    return world_points(pose_of(mechanism, poses, point.body), point.position)
+
+
+def pose_of(mechanism, poses, body):
+    """Return the poses of one body, or of the ground, out of those of all."""
+    if body == GROUND:
+        return np.zeros((*poses.shape[:-2], 3))
+    return poses[..., [one.name for one in mechanism.bodies].index(body), :]
+
+
+def closure(mechanism, position):
+    """
+    Return the largest closure error of each state, from the description alone.
+
+    Parameters
+    ----------
+    mechanism : mechanism.mechanism.Mechanism
+        Its loops are checked.
+    position : ndarray, shape (n, nv)
+        Joint coordinates [rad or m].
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        [m or rad].
+
+    """
+    poses = body_poses(mechanism, position)
+    errors = [np.zeros(len(poses))]
+    for cut in mechanism.cut_joints:
+        pose_a, pose_b = (pose_of(mechanism, poses, body) for body in (cut.body_a, cut.body_b))
+        gap = world_points(pose_a, cut.point_a) - world_points(pose_b, cut.point_b)
+        if cut.type == PRISMATIC:
+            axis = pose_b[..., 2] + cut.angle
+            errors.append(gap[..., 1] * np.cos(axis) - gap[..., 0] * np.sin(axis))
+        else:
+            errors += [gap[..., 0], gap[..., 1]]
+        if cut.type == PRISMATIC or CUT_JOINT_EQUATIONS[cut.type] == 3:
+            errors.append(pose_a[..., 2] - pose_b[..., 2] - cut.angle)
+    return np.max(np.abs(errors), axis=0)
