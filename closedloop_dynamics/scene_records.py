@@ -146,3 +146,4 @@ class Scene:
                 name(key)
                 if type(effect) not in EFFECTS.values():
                     raise FieldError('a record of effects.registry', shown(effect))
+                effect.fit(self.mechanism)

@@ -40,8 +40,28 @@ class Gravity:
 
     """
 
+    READINGS = ()
+
     acceleration: Vector2
 
     def __post_init__(self):
         """Refuse what is no finite vector."""
         normalise(self, acceleration=vector2)
+
+    def fit(self, mechanism):
+        """Accept any mechanism."""
+
+    def change(self, model, machine):
+        """
+        Add the field to the model, whose recursion starts from it: no force is computed.
+
+        Parameters
+        ----------
+        model : core.types.Model
+            Changed in place.
+        machine : Machine
+            Not needed.
+
+        """
+        model.gravity[0] += self.acceleration[0]
+        model.gravity[1] += self.acceleration[1]

@@ -16,14 +16,37 @@
 The effects that a scene may list: what ``type`` names.
 
 A new effect is one file beside this one, holding a frozen dataclass of its
-parameters that checks itself when built, and one line here.
+parameters that checks itself when built, and one line here; its compiled law, if it
+has one, is one branch of ``dispatch.apply``.
 
 """
 
+from .actuator import Actuator
+from .contact import Contact
+from .end_stop import EndStop
+from .external_force import ExternalForce
 from .gravity import Gravity
+from .joint_damping import JointDamping
+from .joint_friction import JointFriction
+from .joint_spring import JointSpring
+from .payload import Payload
+from .point_spring import PointSpring
+from .rotor import Rotor
+from .sensor import Sensor
 
 EFFECTS = {
+    'actuator': Actuator,
+    'contact': Contact,
+    'end_stop': EndStop,
+    'external_force': ExternalForce,
     'gravity': Gravity,
+    'joint_damping': JointDamping,
+    'joint_friction': JointFriction,
+    'joint_spring': JointSpring,
+    'payload': Payload,
+    'point_spring': PointSpring,
+    'rotor': Rotor,
+    'sensor': Sensor,
 }
 
 

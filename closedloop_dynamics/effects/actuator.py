@@ -1,0 +1,112 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+A drive between the command and the joint: limits, lag, delay.
+
+    u = command, ``delay`` seconds old, limited to +-``max_torque``
+    T x' = u - x,  tau = x              with a ``lag`` T; tau = u without
+    tau <= max_torque g(v)              where tau drives: tau v > 0, v = |qd|
+    g(v) = 1 below 0.9 max_speed, falling linearly to 0 at max_speed
+
+Braking is not limited by the speed. The lag's state is integrated with the rest; the delay is
+exact, counted in time, and takes effect at the first step that starts when it has passed. Work
+of the drive: the integral of tau qd. When: to see what a motor that has limits can still do.
+
+"""
+
+from dataclasses import dataclass
+import math
+from typing import Optional
+
+from ..core.compiled import inlined
+from ..mechanism.checks import name, not_negative, positive
+from ..mechanism.fields import normalise
+from .machine import require_joint
+from .table import FIRST, Law, OWN, State, STATE, WORK
+
+KIND = 7
+# Share of the speed limit over which the driving torque fades.
+FADING = 0.1
+
+
+@dataclass(frozen=True)
+class Actuator:
+    """
+    A drive with limits, lag and delay.
+
+    Attributes
+    ----------
+    joint : str
+        An actuated joint.
+    max_torque : float or None
+        Largest torque, positive [N m; N in a prismatic joint]; None for no limit.
+    max_speed : float or None
+        Where the driving torque has faded, positive [rad/s; m/s]; None for no limit.
+    lag : float
+        Time constant T, zero or more [s].
+    delay : float
+        Age of the command that acts, zero or more [s].
+
+    """
+
+    READINGS = ('torque',)
+
+    joint: str
+    max_torque: Optional[float] = None
+    max_speed: Optional[float] = None
+    lag: float = 0.0
+    delay: float = 0.0
+
+    def __post_init__(self):
+        """Refuse what cannot be a drive."""
+        normalise(self, joint=name, lag=not_negative, delay=not_negative)
+        for limit in ('max_torque', 'max_speed'):
+            if getattr(self, limit) is not None:
+                normalise(self, **{limit: positive})
+
+    def fit(self, mechanism):
+        """Refuse a joint that the mechanism does not have, or does not drive."""
+        require_joint(mechanism, 'joint', self.joint, actuated=True)
+
+    def law(self, machine):
+        """Return the effect as a row of the table."""
+        return Law(KIND, (machine.joint(self.joint),), (
+            math.inf if self.max_torque is None else self.max_torque,
+            math.inf if self.max_speed is None else self.max_speed, self.lag),
+            (State(OWN), State(WORK)))
+
+    def drives(self, machine):
+        """Return the joint whose command passes through here, and its delay [s]."""
+        return machine.joint(self.joint), self.delay
+
+
+@inlined
+def apply(table, row, qd, tau):
+    """Replace the command by what the drive makes of it; see ``dispatch.apply``."""
+    values, joint, state = table.values, table.index[row, FIRST], table.index[row, STATE]
+    limit, rate = values[row, 0], qd[joint]
+    command = max(-limit, min(limit, tau[joint]))
+    torque = command
+    if values[row, 2] > 0.0:
+        torque = table.states[state]
+        table.rates[state] = (command - torque) / values[row, 2]
+        # A limit may have been lowered since.
+        torque = max(-limit, min(limit, torque))
+    speed = abs(rate)
+    if torque * rate > 0.0 and speed > (1.0 - FADING) * values[row, 1]:
+        torque *= max(0.0, 1.0 - speed / values[row, 1]) / FADING
+    table.applied[joint] += torque - tau[joint]
+    table.rates[state + 1] = torque * rate
+    table.output[row, 1] = torque

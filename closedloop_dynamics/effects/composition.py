@@ -1,0 +1,209 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+The effects of one scene, put together: model constants, the table of laws, energy accounts.
+
+A record of an effect offers ``fit(mechanism)``, which refuses what does not fit, and what it
+acts through: ``change(model, machine)`` on the model's constants, ``law(machine)`` as a
+row of the table, ``instrument()`` on what is measured. Nothing here knows a type of effect.
+
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from ..core.types import TYPE
+from ..mechanism.checks import boolean, one_of
+from ..mechanism.fields import at, keys_of, mapping
+from .table import DISSIPATED, fill_row, LOADED, OWN, STATE, STORED, WORK
+
+
+class Composition:
+    """
+    The listed effects, which may be switched and changed while a simulation runs.
+
+    Parameters
+    ----------
+    effects : dict of str to record
+        As a scene has them.
+    model : core.types.Model
+        Without any effect; changed in place.
+    machine : Machine
+        Where joints, bodies and points are.
+
+    Attributes
+    ----------
+    records : dict of str to record
+        With their present parameters.
+    enabled : dict of str to bool
+        What is switched on.
+    laws : tuple of Law
+        For ``table.build_table``.
+    initial : ndarray, shape (nz,)
+        The effects' states at the start.
+    drives : dict of int to float
+        Delay of the command [s] of every joint whose command passes through a drive.
+    instruments : list
+        What measures.
+
+    """
+
+    def __init__(self, effects, model, machine):
+        """Keep the bare model, change it, collect the laws."""
+        self.records, self.enabled = dict(effects), dict.fromkeys(effects, True)
+        self._model, self._machine, self._table = model, machine, None
+        self._bare = model.body.copy(), model.tree[:, TYPE].copy(), model.gravity.copy()
+        self._rows = [name for name, record in effects.items() if hasattr(record, 'law')]
+        self.laws = tuple(effects[name].law(machine) for name in self._rows)
+        states = [state for law in self.laws for state in law.states]
+        self.initial = np.array([state.initial for state in states], dtype=float)
+        roles = np.array([state.role for state in states], dtype=int)
+        self._own, self._dissipated, self._work = (
+            np.flatnonzero(roles == role) for role in (OWN, DISSIPATED, WORK))
+        self._update()
+
+    def bind(self, table):
+        """Take the table that was built from ``laws``; it is kept up to date."""
+        self._table = table
+
+    def _update(self):
+        """Bring model constants, drives and instruments in line with the records."""
+        model = self._model
+        model.body[:], model.tree[:, TYPE], model.gravity[:] = self._bare
+        active = [record for name, record in self.records.items() if self.enabled[name]]
+        for record in active:
+            if hasattr(record, 'change'):
+                record.change(model, self._machine)
+        self.drives = {}
+        for record in active:
+            if hasattr(record, 'drives'):
+                joint, delay = record.drives(self._machine)
+                self.drives[joint] = self.drives.get(joint, 0.0) + delay
+        self.restart()
+
+    def restart(self):
+        """Let the instruments begin anew."""
+        self.instruments = [record.instrument() for name, record in self.records.items()
+                            if self.enabled[name] and hasattr(record, 'instrument')]
+
+    def change(self, name, enabled, parameters):
+        """
+        Switch an effect, or change its parameters; nothing changes where anything is refused.
+
+        Parameters
+        ----------
+        name : str
+            Of a listed effect.
+        enabled : bool or None
+            None leaves it as it is.
+        parameters : dict
+            New values by the effect's keys.
+
+        Returns
+        -------
+        ndarray of int
+            Places of the own states that start anew.
+
+        Raises
+        ------
+        FieldError
+
+        """
+        with at('effects'):
+            one_of(tuple(self.records), 'one of the effects listed in the scene')(name)
+        with at('effects', name):
+            if enabled is not None:
+                with at('enabled'):
+                    boolean(enabled)
+            record = self.records[name]
+            mapping(parameters, (), [key for keys in keys_of(type(record)) for key in keys])
+            record = replace(record, **parameters)
+            record.fit(self._machine.mechanism)
+        was = self.enabled[name]
+        self.records[name] = record
+        self.enabled[name] = was if enabled is None else enabled
+        self._update()
+        if name not in self._rows:
+            return np.zeros(0, dtype=int)
+        row = self._rows.index(name)
+        fill_row(self._table, row, record.law(self._machine))
+        self._table.enabled[row] = self.enabled[name]
+        if not self.enabled[name]:
+            self._table.output[row] = 0.0
+            self._table.index[row, LOADED] = 0
+        self._table.loaded[0] = self._table.index[:, LOADED].sum()
+        if was or not self.enabled[name]:
+            return np.zeros(0, dtype=int)
+        first = self._table.index[row, STATE]
+        return np.intersect1d(np.arange(first, first + len(self.laws[row].states)), self._own)
+
+    def start_anew(self, states):
+        """Set the own states, not the energies, back to those of the start, in place."""
+        states[self._own] = self.initial[self._own]
+
+    def stored(self):
+        """Return the energy that the laws store at the latest evaluation [J]."""
+        return float(self._table.output[:, STORED].sum())
+
+    def dissipated(self, states):
+        """Return the energy dissipated so far, from the effects' states [J]."""
+        return float(states[self._dissipated].sum())
+
+    def work(self, states):
+        """Return the work that effects did from outside so far [J]."""
+        return float(states[self._work].sum())
+
+    def readings(self, name):
+        """
+        Return what the law of an effect says of itself at the latest evaluation.
+
+        Parameters
+        ----------
+        name : str
+            Of a listed effect.
+
+        Returns
+        -------
+        dict of str to float
+
+        """
+        with at('effects'):
+            one_of(tuple(self.records), 'one of the effects listed in the scene')(name)
+        if name not in self._rows:
+            return {}
+        values = self._table.output[self._rows.index(name)]
+        return {'stored_energy': float(values[STORED]), **{
+            key: float(value) for key, value in zip(self.records[name].READINGS, values[1:])}}
+
+    def loads(self):
+        """Return the places among the states, and the values, of the joint reactions felt."""
+        rows = np.flatnonzero(self._table.index[:, LOADED])
+        return self._table.index[rows, STATE] + 1, self._table.output[rows, 2]
+
+    def steady(self, qd):
+        """Set the table's states to those of a steady motion, with the drives left out."""
+        table = self._table
+        for row, name in enumerate(self._rows):
+            record = self.records[name]
+            if hasattr(record, 'moving'):
+                table.states[table.index[row, STATE]] = record.moving(qd[table.index[row, 1]])
+            if hasattr(record, 'drives'):
+                table.enabled[row] = 0
+
+    def unsteady(self):
+        """Switch the drives on again after ``steady``."""
+        for row, name in enumerate(self._rows):
+            self._table.enabled[row] = self.enabled[name]

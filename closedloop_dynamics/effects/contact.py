@@ -1,0 +1,139 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Contact of a named point with a straight line fixed in the world.
+
+The line goes through ``origin`` at ``angle``; the free side is on its left, looking along it.
+With depth d beyond the line, its rate d', and the sliding rate v along the line:
+
+    normal     N = k d^n max(0, 1 + c d')               pushes out, never pulls
+    friction   T = mu N s(v)                            against the sliding
+    scraping   S = b d s(v)                             against the sliding
+    s(v) = v / sqrt(v^2 + v_r^2)                        a smooth sign of v
+
+The normal law is Hunt and Crossley's (1975): the damping grows with the depth, so that the
+force neither jumps at touch-down nor ever holds the point back. It stores
+k d^(n+1) / (n+1); the rest is dissipated. Below v_r the friction is nearly
+viscous: under a load of half its limit the point creeps at 0.58 v_r. When: a tool on its ground,
+a foot on the floor, a guide.
+
+"""
+
+from dataclasses import dataclass
+import math
+
+from ..core.compiled import inlined
+from ..core.types import OMEGA, PX, PY, VX, VY
+from ..mechanism.checks import name, not_negative, number, positive, vector2
+from ..mechanism.fields import FieldError, normalise
+from ..mechanism.mechanism import Vector2
+from .forces import offset, push
+from .machine import require_point
+from .table import DISSIPATED, FIRST, Law, State, STATE, STORED
+
+KIND = 6
+
+
+@dataclass(frozen=True)
+class Contact:
+    """
+    Contact of a named point with a line.
+
+    Attributes
+    ----------
+    point : str
+    origin : tuple of 2 floats
+        A place on the line, world axes [m].
+    angle : float
+        Direction of the line [rad]; 0: along x, free above.
+    stiffness : float
+        k, positive [N/m^n].
+    exponent : float
+        n, one or more; 1 linear, 1.5 Hertz.
+    damping : float
+        c, zero or more [s/m].
+    friction : float
+        mu, zero or more.
+    slip_velocity : float
+        v_r, positive [m/s].
+    scraping : float
+        b, zero or more [N/m].
+
+    """
+
+    READINGS = ('depth', 'normal_force', 'friction_force', 'scraping_force')
+
+    point: str
+    origin: Vector2
+    stiffness: float
+    angle: float = 0.0
+    exponent: float = 1.0
+    damping: float = 0.0
+    friction: float = 0.0
+    slip_velocity: float = 0.01
+    scraping: float = 0.0
+
+    def __post_init__(self):
+        """Refuse what cannot be a contact."""
+        normalise(self, point=name, origin=vector2, stiffness=positive, angle=number,
+                  exponent=positive, damping=not_negative, friction=not_negative,
+                  slip_velocity=positive, scraping=not_negative)
+        if self.exponent < 1.0:
+            raise FieldError('a number that is one or more', f'{self.exponent:g}',
+                             path=('exponent',))
+
+    def fit(self, mechanism):
+        """Refuse a point that the mechanism does not have."""
+        require_point(mechanism, 'point', self.point)
+
+    def law(self, machine):
+        """Return the effect as a row of the table."""
+        row, place = machine.point(self.point)
+        return Law(KIND, (row,), (
+            *place, *self.origin, math.cos(self.angle), math.sin(self.angle), self.stiffness,
+            self.exponent, self.damping, self.friction, self.slip_velocity, self.scraping),
+            (State(DISSIPATED),))
+
+
+@inlined
+def apply(table, row, body):
+    """Apply the force; see ``dispatch.apply``."""
+    values, output = table.values, table.output
+    i, state = table.index[row, FIRST], table.index[row, STATE]
+    rx, ry = offset(body, i, values[row, 0], values[row, 1])
+    # Along the line (ux, uy), out of it (-uy, ux).
+    ux, uy = values[row, 4], values[row, 5]
+    depth = (uy * (body[i, PX] + rx - values[row, 2])
+             - ux * (body[i, PY] + ry - values[row, 3]))
+    for k in range(output.shape[1]):
+        output[row, k] = 0.0
+    if depth > 0.0:
+        vx = body[i, VX] - body[i, OMEGA] * ry
+        vy = body[i, VY] + body[i, OMEGA] * rx
+        rate = uy * vx - ux * vy
+        slip = ux * vx + uy * vy
+        sign = slip / math.sqrt(slip * slip + values[row, 10] * values[row, 10])
+        elastic = values[row, 6] * depth ** values[row, 7]
+        normal = elastic * max(0.0, 1.0 + values[row, 8] * rate)
+        friction = values[row, 9] * normal * sign
+        scraping = values[row, 11] * depth * sign
+        along = -friction - scraping
+        push(body, i, rx, ry, along * ux - normal * uy, along * uy + normal * ux)
+        table.rates[state] = (normal - elastic) * rate - along * slip
+        output[row, STORED] = elastic * depth / (values[row, 7] + 1.0)
+        output[row, 1] = depth
+        output[row, 2] = normal
+        output[row, 3] = -friction
+        output[row, 4] = -scraping

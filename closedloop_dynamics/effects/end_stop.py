@@ -1,0 +1,105 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+End stops of a joint: springs with damping that act only beyond the limits.
+
+    beyond ``upper``:  tau = -k d max(0, 1 + c d')   d = q - upper,  d' = qd
+    below ``lower``:   tau = +k d max(0, 1 + c d')   d = lower - q,  d' = -qd
+
+The damping grows with the depth, so that the torque neither jumps at contact nor ever pulls
+(Hunt and Crossley 1975). It stores k d^2 / 2. A stop of restitution e at impact
+rate v has about c = 3 (1 - e) / (2 v), for e near 1. When: buffers, hard stops, the end of a
+cylinder's stroke.
+
+"""
+
+from dataclasses import dataclass
+import math
+from typing import Optional
+
+from ..core.compiled import inlined
+from ..mechanism.checks import name, not_negative, number, positive
+from ..mechanism.fields import FieldError, normalise
+from .machine import require_joint
+from .table import DISSIPATED, FIRST, Law, State, STATE, STORED
+
+KIND = 2
+
+
+@dataclass(frozen=True)
+class EndStop:
+    """
+    End stops of a joint.
+
+    Attributes
+    ----------
+    joint : str
+    lower, upper : float or None
+        Where the stops begin [rad; m]; None for no stop on that side.
+    stiffness : float
+        k, positive [N m/rad; N/m in a prismatic joint].
+    damping : float
+        c, zero or more [s/rad; s/m].
+
+    """
+
+    READINGS = ('torque', 'depth')
+
+    joint: str
+    stiffness: float
+    lower: Optional[float] = None
+    upper: Optional[float] = None
+    damping: float = 0.0
+
+    def __post_init__(self):
+        """Refuse what cannot be a stop, and stops that leave no way between them."""
+        normalise(self, joint=name, stiffness=positive, damping=not_negative)
+        for side in ('lower', 'upper'):
+            if getattr(self, side) is not None:
+                normalise(self, **{side: number})
+        if self.lower is None and self.upper is None:
+            raise FieldError('lower, upper or both', 'neither', path=('lower',))
+        if None not in (self.lower, self.upper) and not self.lower < self.upper:
+            raise FieldError(f'more than lower ({self.lower:g})', f'{self.upper:g}',
+                             path=('upper',))
+
+    def fit(self, mechanism):
+        """Refuse a joint that the mechanism does not have."""
+        require_joint(mechanism, 'joint', self.joint)
+
+    def law(self, machine):
+        """Return the effect as a row of the table."""
+        return Law(KIND, (machine.joint(self.joint),), (
+            self.stiffness, -math.inf if self.lower is None else self.lower,
+            math.inf if self.upper is None else self.upper, self.damping), (State(DISSIPATED),))
+
+
+@inlined
+def apply(table, row, q, qd):
+    """Add the torque; see ``dispatch.apply``."""
+    values, joint, state = table.values, table.index[row, FIRST], table.index[row, STATE]
+    sign, depth = 0.0, 0.0
+    if q[joint] > values[row, 2]:
+        sign, depth = 1.0, q[joint] - values[row, 2]
+    elif q[joint] < values[row, 1]:
+        sign, depth = -1.0, values[row, 1] - q[joint]
+    elastic = values[row, 0] * depth
+    rate = sign * qd[joint]
+    push = elastic * max(0.0, 1.0 + values[row, 3] * rate)
+    table.applied[joint] -= sign * push
+    table.rates[state] = (push - elastic) * rate
+    table.output[row, STORED] = 0.5 * elastic * depth
+    table.output[row, 1] = -sign * push
+    table.output[row, 2] = depth

@@ -1,0 +1,74 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Viscous damping in a joint.
+
+    tau = -c qd        on joint ``joint``
+
+Dissipated power: c qd^2. When: bearings with grease or oil, drives with back-EMF, any loss that
+grows with the rate and vanishes at rest.
+
+"""
+
+from dataclasses import dataclass
+
+from ..core.compiled import inlined
+from ..mechanism.checks import name, not_negative
+from ..mechanism.fields import normalise
+from .machine import require_joint
+from .table import DISSIPATED, FIRST, Law, State, STATE
+
+KIND = 0
+
+
+@dataclass(frozen=True)
+class JointDamping:
+    """
+    Viscous damping in a joint.
+
+    Attributes
+    ----------
+    joint : str
+    coefficient : float
+        c, zero or more [N m s/rad; N s/m in a prismatic joint].
+
+    """
+
+    READINGS = ('torque',)
+
+    joint: str
+    coefficient: float
+
+    def __post_init__(self):
+        """Refuse what cannot be a damper."""
+        normalise(self, joint=name, coefficient=not_negative)
+
+    def fit(self, mechanism):
+        """Refuse a joint that the mechanism does not have."""
+        require_joint(mechanism, 'joint', self.joint)
+
+    def law(self, machine):
+        """Return the effect as a row of the table."""
+        return Law(KIND, (machine.joint(self.joint),), (self.coefficient,), (State(DISSIPATED),))
+
+
+@inlined
+def apply(table, row, qd):
+    """Add the torque; see ``dispatch.apply``."""
+    joint, state = table.index[row, FIRST], table.index[row, STATE]
+    torque = -table.values[row, 0] * qd[joint]
+    table.applied[joint] += torque
+    table.rates[state] = -torque * qd[joint]
+    table.output[row, 1] = torque

@@ -1,0 +1,77 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Linear spring in a joint.
+
+    tau = -k (q - q0)        on joint ``joint``
+
+It stores k (q - q0)^2 / 2. When: torsion springs, flexure hinges, a counterbalance, and (with
+a large k) a joint that is meant to stand still.
+
+"""
+
+from dataclasses import dataclass
+
+from ..core.compiled import inlined
+from ..mechanism.checks import name, not_negative, number
+from ..mechanism.fields import normalise
+from .machine import require_joint
+from .table import FIRST, Law, STORED
+
+KIND = 1
+
+
+@dataclass(frozen=True)
+class JointSpring:
+    """
+    Linear spring in a joint.
+
+    Attributes
+    ----------
+    joint : str
+    stiffness : float
+        k, zero or more [N m/rad; N/m in a prismatic joint].
+    rest : float
+        q0, where it is free of torque [rad; m].
+
+    """
+
+    READINGS = ('torque',)
+
+    joint: str
+    stiffness: float
+    rest: float = 0.0
+
+    def __post_init__(self):
+        """Refuse what cannot be a spring."""
+        normalise(self, joint=name, stiffness=not_negative, rest=number)
+
+    def fit(self, mechanism):
+        """Refuse a joint that the mechanism does not have."""
+        require_joint(mechanism, 'joint', self.joint)
+
+    def law(self, machine):
+        """Return the effect as a row of the table."""
+        return Law(KIND, (machine.joint(self.joint),), (self.stiffness, self.rest))
+
+
+@inlined
+def apply(table, row, q):
+    """Add the torque; see ``dispatch.apply``."""
+    joint, stiffness = table.index[row, FIRST], table.values[row, 0]
+    stretch = q[joint] - table.values[row, 1]
+    table.applied[joint] -= stiffness * stretch
+    table.output[row, STORED] = 0.5 * stiffness * stretch * stretch
+    table.output[row, 1] = -stiffness * stretch

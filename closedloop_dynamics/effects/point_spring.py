@@ -1,0 +1,123 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Spring and damper between two named points, or a named point and a place in the world.
+
+    F = k (l - l0) + c l'        pulls the points together along their connecting line
+
+with l their distance. It stores k (l - l0)^2 / 2 and dissipates c l'^2. Where the points meet
+the line has no direction and there is no force. When: tension and gas springs, shock
+absorbers, a cord's elasticity.
+
+"""
+
+from dataclasses import dataclass
+import math
+from typing import Optional
+
+from ..core.compiled import inlined
+from ..core.types import OMEGA, PX, PY, VX, VY
+from ..mechanism.checks import name, not_negative, vector2
+from ..mechanism.fields import FieldError, normalise
+from ..mechanism.mechanism import Vector2
+from .forces import offset, push
+from .machine import require_point
+from .table import DISSIPATED, FIRST, Law, SECOND, State, STATE, STORED
+
+KIND = 4
+
+
+@dataclass(frozen=True)
+class PointSpring:
+    """
+    Spring and damper along the line between two points.
+
+    Attributes
+    ----------
+    point_a : str
+        A named point.
+    point_b : str or None
+        The other one; None where ``anchor`` is given.
+    anchor : tuple of 2 floats or None
+        The other end's place in the world [m].
+    stiffness : float
+        k, zero or more [N/m].
+    damping : float
+        c, zero or more [N s/m].
+    free_length : float
+        l0, zero or more [m].
+
+    """
+
+    READINGS = ('tension', 'length')
+
+    point_a: str
+    point_b: Optional[str] = None
+    anchor: Optional[Vector2] = None
+    stiffness: float = 0.0
+    damping: float = 0.0
+    free_length: float = 0.0
+
+    def __post_init__(self):
+        """Refuse what cannot be a spring, and one with no end or three."""
+        normalise(self, point_a=name, stiffness=not_negative, damping=not_negative,
+                  free_length=not_negative)
+        if (self.point_b is None) == (self.anchor is None):
+            raise FieldError('either point_b or anchor', 'both' if self.anchor else 'neither',
+                             path=('point_b',))
+        if self.anchor is None:
+            normalise(self, point_b=name)
+        else:
+            normalise(self, anchor=vector2)
+
+    def fit(self, mechanism):
+        """Refuse points that the mechanism does not have."""
+        require_point(mechanism, 'point_a', self.point_a)
+        if self.point_b is not None:
+            require_point(mechanism, 'point_b', self.point_b)
+
+    def law(self, machine):
+        """Return the effect as a row of the table."""
+        row_a, place_a = machine.point(self.point_a)
+        row_b, place_b = machine.point(self.point_b) if self.point_b else (0, self.anchor)
+        return Law(KIND, (row_a, row_b), (
+            *place_a, *place_b, self.stiffness, self.damping, self.free_length),
+            (State(DISSIPATED),))
+
+
+@inlined
+def apply(table, row, body):
+    """Apply the forces; see ``dispatch.apply``."""
+    values, a, b = table.values, table.index[row, FIRST], table.index[row, SECOND]
+    ax, ay = offset(body, a, values[row, 0], values[row, 1])
+    bx, by = offset(body, b, values[row, 2], values[row, 3])
+    x = body[b, PX] - body[a, PX] + bx - ax
+    y = body[b, PY] - body[a, PY] + by - ay
+    length = math.sqrt(x * x + y * y)
+    stretch = length - values[row, 6]
+    rate, tension = 0.0, 0.0
+    if length > 0.0:
+        x /= length
+        y /= length
+        vx = body[b, VX] - body[a, VX] - body[b, OMEGA] * by + body[a, OMEGA] * ay
+        vy = body[b, VY] - body[a, VY] + body[b, OMEGA] * bx - body[a, OMEGA] * ax
+        rate = x * vx + y * vy
+        tension = values[row, 4] * stretch + values[row, 5] * rate
+        push(body, a, ax, ay, tension * x, tension * y)
+        push(body, b, bx, by, -tension * x, -tension * y)
+    table.rates[table.index[row, STATE]] = values[row, 5] * rate * rate
+    table.output[row, STORED] = 0.5 * values[row, 4] * stretch * stretch
+    table.output[row, 1] = tension
+    table.output[row, 2] = length

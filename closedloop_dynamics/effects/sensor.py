@@ -1,0 +1,147 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+What is measured instead of what is: noise, bias, resolution and delay of joint sensors.
+
+    y(t) = resolution round((x(t - delay) + bias + noise n) / resolution)
+
+with n normally distributed, drawn once for each instant that is asked for, by the seed. Only what
+``Simulation.measured`` returns and the node publishes is changed, never the true state. When: to
+see whether a controller or an estimator can live with its encoders.
+
+"""
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..mechanism.checks import not_negative, number
+from ..mechanism.fields import FieldError, normalise
+from ..mechanism.fields import shown
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """
+    Errors of the joint sensors, the same for all joints.
+
+    Attributes
+    ----------
+    position_noise, velocity_noise : float
+        Standard deviation, zero or more [rad, m; rad/s, m/s].
+    position_bias, velocity_bias : float
+        Added [rad, m; rad/s, m/s].
+    position_resolution, velocity_resolution : float
+        Step of quantisation; 0 for none [rad, m; rad/s, m/s].
+    delay : float
+        Age of what is measured, zero or more [s]; interpolated between steps.
+    seed : int
+        Of the noise, zero or more.
+
+    """
+
+    READINGS = ()
+
+    position_noise: float = 0.0
+    velocity_noise: float = 0.0
+    position_bias: float = 0.0
+    velocity_bias: float = 0.0
+    position_resolution: float = 0.0
+    velocity_resolution: float = 0.0
+    delay: float = 0.0
+    seed: int = 0
+
+    def __post_init__(self):
+        """Refuse what cannot be a sensor."""
+        normalise(self, position_noise=not_negative, velocity_noise=not_negative,
+                  position_bias=number, velocity_bias=number, position_resolution=not_negative,
+                  velocity_resolution=not_negative, delay=not_negative)
+        if type(self.seed) is not int or self.seed < 0:
+            raise FieldError('a whole number that is zero or more', shown(self.seed),
+                             path=('seed',))
+
+    def fit(self, mechanism):
+        """Accept any mechanism."""
+
+    def instrument(self):
+        """Return what measures, with the memory that a delay and a seed need."""
+        return Instrument(self)
+
+
+class Instrument:
+    """
+    A sensor at work.
+
+    Parameters
+    ----------
+    record : Sensor
+        What it does.
+
+    """
+
+    def __init__(self, record):
+        """Start with nothing remembered."""
+        self._record = record
+        self._random = np.random.default_rng(record.seed)
+        self._past = deque()
+
+    @property
+    def remembers(self):
+        """Whether it must be shown every step, because of its delay."""
+        return self._record.delay > 0.0
+
+    def show(self, time, position, velocity):
+        """
+        Let it see the true state.
+
+        Parameters
+        ----------
+        time : float
+            [s].
+        position, velocity : ndarray, shape (nv,)
+            Kept; not to be changed by the caller.
+
+        """
+        self._past.append((time, position, velocity))
+        while len(self._past) > 2 and self._past[1][0] <= time - self._record.delay:
+            self._past.popleft()
+
+    def read(self):
+        """
+        Return what is measured at the latest time shown.
+
+        Returns
+        -------
+        position, velocity : ndarray, shape (nv,)
+
+        """
+        record, past = self._record, self._past
+        wanted = past[-1][0] - record.delay
+        position, velocity = past[0][1:]
+        for (before, *old), (after, *new) in zip(past, list(past)[1:]):
+            if after >= wanted and after > before:
+                share = min(1.0, max(0.0, (wanted - before) / (after - before)))
+                position, velocity = ((1.0 - share) * a + share * b for a, b in zip(old, new))
+                break
+        position = self._spoil(position, record.position_bias, record.position_noise,
+                               record.position_resolution)
+        velocity = self._spoil(velocity, record.velocity_bias, record.velocity_noise,
+                               record.velocity_resolution)
+        return position, velocity
+
+    def _spoil(self, value, bias, noise, resolution):
+        value = value + bias + noise * self._random.standard_normal(len(value))
+        return resolution * np.round(value / resolution) if resolution > 0.0 else value
