@@ -1,0 +1,162 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Tests of the recorder as a process: bags that other readers open, with nothing missing."""
+
+import re
+import signal
+from test.ros.bags import read_with_mcap
+from test.ros.bags import read_with_rosbags
+import time
+
+from geometry_msgs.msg import WrenchStamped
+import pytest
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+
+SIMULATOR = 'closedloop_simulator'
+RECORDER = 'closedloop_recorder'
+SOURCE = 'closedloop_torque_source'
+
+
+def counts(recorder):
+    """Return the topics of a recorder's last words with what was received and written."""
+    return {topic: (int(received), int(written)) for topic, received, written in re.findall(
+        r'(/\S+): (\d+) received, (\d+) written', recorder.output)}
+
+
+@pytest.mark.parametrize('storage, readers', [
+    ('mcap', [read_with_rosbags, read_with_mcap]), ('sqlite3', [read_with_rosbags])])
+def test_bag_holds_what_a_subscriber_got(processes, listener, tmp_path, storage, readers):
+    recorder = processes.start(RECORDER, output='bag', storage=storage).wait_until_ready()
+    topics = {'/joint_states': JointState, '/constraint_forces/cut_1': WrenchStamped,
+              '/constraint_forces/cut_2': WrenchStamped}
+    heard = {topic: listener.listen(topic, kind) for topic, kind in topics.items()}
+    commands = listener.listen('/joint_command', JointState)
+    simulator = processes.start(SIMULATOR, scene='three_rrr').wait_until_ready()
+    for topic in (*topics, '/joint_command'):
+        wait_for_recorder(listener, topic)
+    source = processes.start(SOURCE, joints='[theta_1, theta_7]', torque='[1.0, 2.0]')
+    listener.wait(lambda: len(commands) > 100, 'commands')
+    # First those who speak, then those who listen.
+    assert source.stop() == 0
+    assert simulator.stop() == 0
+    assert recorder.stop() == 0
+    told = counts(recorder)
+    for read in readers:
+        messages = read(tmp_path / 'bag')
+        listener.wait(lambda: all(
+            key(each[-1]) >= key(messages[topic][-1][1]) for topic, each in heard.items()),
+            'last message of each topic')
+        assert {topic: (len(each), len(each)) for topic, each in messages.items()} == {
+            topic: count for topic, count in told.items() if count[0]}
+        for topic, expected in heard.items():
+            assert_same_tail(topic, [each for _, each in messages[topic]], expected)
+        assert list(messages['/joint_command'][-1][1].name) == ['theta_1', 'theta_7']
+    assert "topic 'torque_command' never appeared" not in recorder.output
+    assert 'lost' not in recorder.output
+
+
+def wait_for_recorder(listener, topic):
+    """Wait until a recorder subscribes to a topic."""
+    listener.wait(
+        lambda: any(info.node_name == RECORDER for info in
+                    listener.node.get_subscriptions_info_by_topic(topic)),
+        f'recording of {topic}')
+
+
+def assert_same_tail(topic, recorded, heard):
+    """Compare two lists of messages from the first one that both have."""
+    assert min(len(recorded), len(heard)) > 50
+    first = max(key(recorded[0]), key(heard[0]))
+    recorded = [each for each in recorded if key(each) >= first]
+    heard = [each for each in heard if key(each) >= first]
+    assert len(recorded) == len(heard), topic
+    for left, right in zip(recorded, heard):
+        assert key(left) == key(right)
+        if hasattr(right, 'position'):
+            assert list(left.position) == list(right.position)
+            assert list(left.velocity) == list(right.velocity)
+            assert list(left.effort) == list(right.effort)
+        else:
+            assert left.wrench.force.x == right.wrench.force.x
+            assert left.wrench.force.y == right.wrench.force.y
+
+
+def key(message):
+    return message.header.stamp.sec, message.header.stamp.nanosec
+
+
+def test_no_message_of_a_quick_publisher_is_missing(processes, listener, tmp_path):
+    recorder = processes.start(RECORDER, output='bag', topics='[quick]').wait_until_ready()
+    publisher = listener.publisher('quick', Float64MultiArray)
+    count, period = 4000, 0.0005
+    begin = time.monotonic()
+    for index in range(count):
+        publisher.publish(Float64MultiArray(data=[float(index)]))
+        # All at once would overrun the buffers of the network.
+        time.sleep(max(0.0, begin + index * period - time.monotonic()))
+    listener.wait(publisher.wait_for_all_acked, 'acknowledgement')
+    assert recorder.stop() == 0
+    assert counts(recorder)['/quick'] == (count, count)
+    messages = read_with_mcap(tmp_path / 'bag')['/quick']
+    assert [message.data[0] for _, message in messages] == list(range(count))
+
+
+def test_recording_ends_by_itself(processes, tmp_path):
+    recorder = processes.start(RECORDER, max_duration='0.5', topics='[nothing, forces/*]')
+    assert recorder.wait() == 0
+    assert "topic 'nothing' never appeared" in recorder.output
+    assert "topic 'forces/*' never appeared" in recorder.output
+    bag, = tmp_path.glob('rosbag2_*')
+    assert read_with_rosbags(bag) == {}
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_bag_is_whole_after_signals(processes, listener, tmp_path, number):
+    recorder = processes.start(RECORDER, output='bag', topics='[t]').wait_until_ready()
+    publisher = listener.publisher('t', Float64MultiArray)
+    for index in range(100):
+        publisher.publish(Float64MultiArray(data=[float(index)]))
+    listener.wait(publisher.wait_for_all_acked, 'acknowledgement')
+    for _ in range(3):
+        if recorder.popen.poll() is None:
+            recorder.send(number)
+    assert recorder.wait() == 0
+    assert 'Traceback' not in recorder.output
+    assert len(read_with_mcap(tmp_path / 'bag')['/t']) == 100
+
+
+def test_namespace_of_the_recorder_is_that_of_the_topics(processes, listener, tmp_path):
+    recorder = processes.start(RECORDER, namespace='/left', output='bag').wait_until_ready()
+    left, right = (processes.start(SIMULATOR, namespace=namespace, scene='four_bar')
+                   for namespace in ('/left', '/right'))
+    for simulator in (left, right):
+        simulator.wait_until_ready()
+    wait_for_recorder(listener, '/left/constraint_forces/cut_1')
+    states = listener.listen('/left/joint_states', JointState)
+    others = listener.listen('/right/joint_states', JointState)
+    listener.wait(lambda: len(states) > 100 and len(others) > 100, 'states')
+    for process in (left, right, recorder):
+        assert process.stop() == 0
+    messages = read_with_rosbags(tmp_path / 'bag')
+    assert sorted(messages) == ['/left/constraint_forces/cut_1', '/left/joint_states']
+
+
+def test_existing_output_is_one_line_and_an_exit_code(processes, tmp_path):
+    (tmp_path / 'bag').mkdir()
+    recorder = processes.start(RECORDER, output='bag')
+    assert recorder.wait() == 2
+    assert 'exists already, not overwriting' in recorder.output.splitlines()[-1]
+    assert 'Traceback' not in recorder.output
