@@ -70,9 +70,9 @@ setup(
     entry_points={
         'console_scripts': [
             'closedloop = closedloop_dynamics.cli:main',
-            'closedloop_recorder = closedloop_dynamics.ros.recorder_node:main',
-            'closedloop_simulator = closedloop_dynamics.ros.simulator_node:main',
-            'closedloop_torque_source = closedloop_dynamics.ros.torque_source_node:main',
+            'closedloop_recorder = closedloop_dynamics.ros.executables:recorder',
+            'closedloop_simulator = closedloop_dynamics.ros.executables:simulator',
+            'closedloop_torque_source = closedloop_dynamics.ros.executables:torque_source',
         ],
     },
 )

@@ -136,18 +136,14 @@ def test_mechanism_is_not_compiled(module):
     assert 'numba' not in foreign_imports(module)
 
 
-@pytest.mark.parametrize('module', [name for name in SOURCES if unit(name) == 'effects'])
+def effects():
+    """Return the modules of the force laws: what the registry brings together."""
+    return {name for name in our_imports('effects.registry') if unit(name) == 'effects'}
+
+
+@pytest.mark.parametrize('module', sorted(effects()))
 def test_effects_never_see_each_other(module):
-    if module in ('effects', 'effects.registry'):
-        pytest.skip('this is where they are brought together')
-    effects = {name for name in our_imports(module) if unit(name) == 'effects'}
-    siblings = {name for name in effects if is_effect(name)} - {module}
-    assert not siblings
-
-
-def is_effect(module):
-    """Return whether the registry of effects imports a module, that is, offers it."""
-    return module in our_imports('effects.registry')
+    assert not our_imports(module) & effects()
 
 
 @pytest.mark.parametrize('module', [name for name in SOURCES if unit(name) != 'ros'])
