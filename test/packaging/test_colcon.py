@@ -20,7 +20,7 @@ import sys
 from test.packaging.package import copy_package, files_below, outside_environment
 from test.packaging.package import PACKAGE, PROGRAMS, run, SHARED
 from test.ros.domains import reserve_domain
-from test.ros.processes import Process, READY
+from test.ros.processes import Process
 from xml.etree import ElementTree
 
 import pytest
@@ -91,12 +91,13 @@ def start(copied):
     """Return a function that starts an installed executable; none outlives the test."""
     started = []
     with reserve_domain() as domain:
-        environment = sourced(copied, ROS_DOMAIN_ID=str(domain), PYTHONUNBUFFERED='1')
+        # Compiling in a new place takes minutes where many tests run, and is not the point here.
+        environment = sourced(
+            copied, ROS_DOMAIN_ID=str(domain), PYTHONUNBUFFERED='1', NUMBA_DISABLE_JIT='1')
 
         def start(executable, *arguments):
             started.append(InstalledProcess(copied, executable, arguments, environment))
-            # A new place means new compilation: slow where several share the machine.
-            return started[-1].wait_for(READY[executable], patience=400)
+            return started[-1].wait_until_ready()
 
         yield start
         for process in started:
