@@ -23,11 +23,14 @@ joint's rows are neighbours, so the block pivots are its 2 x 2 or 3 x 3 blocks.
 """
 
 from .compiled import inlined
-from .types import ROW, ROWS, SLOT_A, SLOT_END, SMALLEST_PIVOT, SMALLEST_PIVOT_EVER
+from .types import (
+    CUT_PRISMATIC, CUT_TYPE, RANK, ROW, ROWS, SLOT_A, SLOT_END, SMALLEST_PIVOT,
+    SMALLEST_PIVOT_EVER)
 
-# A pivot this small against its own diagonal entry (a squared sine: closure equations
-# 1e-4 rad from dependent) has lost half its digits: the rank-revealing path takes over.
-POOR_PIVOT = 1e-8
+# A pivot this small against the largest diagonal entry of its cut point (a squared sine: closure
+# equations 1e-3 rad from dependent) has lost six digits, and errors of a stage's positions
+# pass into the accelerations a thousandfold: the rank-revealing path takes over.
+POOR_PIVOT = 1e-6
 
 
 @inlined
@@ -39,7 +42,8 @@ def assemble(model, work):
     ----------
     model : Model
     work : Workspace
-        After ``loop_closure.update``; ``factor`` is written.
+        After ``loop_closure.update``; ``factor`` is written, and ``scale``, the same for
+        both equations of a cut point, whatever the direction of the world's axes.
 
     Notes
     -----
@@ -48,7 +52,8 @@ def assemble(model, work):
     acceleration is ever computed for a unit force.
 
     """
-    response, scaled, factor = work.response, work.response_scaled, work.factor
+    response, scaled, factor, scale = (
+        work.response, work.response_scaled, work.factor, work.scale)
     cut, block, pair = model.cut, model.block, model.pair
     column, entry = model.column, model.entry
     for t in range(factor.shape[0]):
@@ -61,6 +66,12 @@ def assemble(model, work):
                 for slot in range(cut[a, SLOT_A], cut[a, SLOT_END]):
                     total += response[slot, k] * scaled[slot, c]
                 factor[place + k - c] = total
+            scale[cut[a, ROW] + c] = factor[place]
+        if cut[a, CUT_TYPE] != CUT_PRISMATIC:
+            first = cut[a, ROW]
+            larger = max(scale[first], scale[first + 1])
+            scale[first] = larger
+            scale[first + 1] = larger
     for n in range(block.shape[0]):
         later, earlier = block[n, 0], block[n, 1]
         for c in range(cut[earlier, ROWS]):
@@ -90,28 +101,28 @@ def factorize(model, work):
 
     """
     column, row, dependency = model.column, model.row, model.dependency
-    factor, scatter, inverse = work.factor, work.scatter, work.pivot_inverse
+    factor, scatter, inverse, scale = work.factor, work.scatter, work.pivot_inverse, work.scale
     places = model.dependency_place
     smallest = 1.0
     for j in range(column.shape[0] - 1):
         first, last = column[j], column[j + 1]
-        diagonal = factor[first]
         if dependency[j] < dependency[j + 1]:
             for t in range(first, last):
                 scatter[row[t]] = factor[t]
             for d in range(dependency[j], dependency[j + 1]):
                 k, place = places[d, 0], places[d, 1]
-                scale = factor[place] * inverse[k]
+                share = factor[place] * inverse[k]
                 for t in range(place, column[k + 1]):
-                    scatter[row[t]] -= factor[t] * scale
+                    scatter[row[t]] -= factor[t] * share
             for t in range(first, last):
                 factor[t] = scatter[row[t]]
-        ratio = factor[first] / diagonal
+        ratio = factor[first] / scale[j]
         # Written so that a NaN (0/0: an equation no motion can change) counts as poor.
         if not ratio >= smallest:
             smallest = ratio if ratio > 0.0 else 0.0
         inverse[j] = 1.0 / factor[first]
     work.health[SMALLEST_PIVOT] = smallest
+    work.health[RANK] = column.shape[0] - 1
     if smallest < work.health[SMALLEST_PIVOT_EVER]:
         work.health[SMALLEST_PIVOT_EVER] = smallest
     return smallest >= POOR_PIVOT

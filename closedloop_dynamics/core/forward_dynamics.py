@@ -14,7 +14,7 @@
 
 """The subsystem-level forward dynamics on one page (THEORY.md section 1)."""
 
-from . import articulated_inertia, elimination, kinematics, loop_closure, rank_revealing
+from . import articulated_inertia, elimination, kinematics, loop_closure
 from .compiled import compiled, inlined
 from .types import CUT_ROW, EVALUATIONS, ROW, ROWS
 
@@ -39,6 +39,12 @@ def accelerate(model, work, tau, baumgarte, qdd, lam):
     lam : ndarray, shape (nc,)
         Written in place, the force on body A of each cut joint [N, N m].
 
+    Returns
+    -------
+    bool
+        Whether every pivot was good. If not, nothing is written, and
+        ``rank_revealing.accelerate`` must be asked, after the outward recursion again.
+
     Notes
     -----
     Koul, Shah, Saha and Manivannan (2014), eq. (3)-(6), for any number of cut joints in any
@@ -50,17 +56,16 @@ def accelerate(model, work, tau, baumgarte, qdd, lam):
     articulated_inertia.inward(model, tau, work)
     loop_closure.update(model, work, True)
     elimination.assemble(model, work)
-    independent = elimination.factorize(model, work)
+    work.health[EVALUATIONS] += 1.0
+    if not elimination.factorize(model, work):
+        return False
     loop_closure.free_acceleration(model, work, right)
     constraint_right_side(work, baumgarte, right)
-    if independent:
-        elimination.solve(model, work, right)
-    else:
-        rank_revealing.solve(model, work, right)
+    elimination.solve(model, work, right)
     loop_closure.apply(model, work, right)
     articulated_inertia.outward_acceleration(model, work, qdd)
     to_user_order(model, right, lam)
-    work.health[EVALUATIONS] += 1.0
+    return True
 
 
 @inlined
@@ -99,9 +104,14 @@ def forward_dynamics(model, work, q, qd, tau, qdd, lam):
     lam : ndarray, shape (nc,)
         Written in place.
 
+    Returns
+    -------
+    bool
+        As ``accelerate`` does.
+
     """
     kinematics.outward(model, q, qd, work)
-    accelerate(model, work, tau, 0.0, qdd, lam)
+    return accelerate(model, work, tau, 0.0, qdd, lam)
 
 
 @inlined

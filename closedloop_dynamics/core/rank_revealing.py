@@ -13,61 +13,337 @@
 # limitations under the License.
 
 """
-Least-norm multipliers where closure equations are dependent or nearly so.
+Motion and least-norm multipliers where the block elimination fails.
 
-Entered only when the block elimination meets a poor pivot. With
-W = J I^-1/2, whose rows are the reduced responses divided by sqrt(D), the
-constraint matrix is W W^T; its singular value decomposition tells the rank and
-leaves out the directions in which the closure equations hold no motion back.
+Entered only after a poor pivot: closure equations that repeat one another, a
+singular configuration at hand, bodies without mass. Dense, O(n^3).
+
+The null-space method: with the singular value decomposition of J (its rows and
+columns scaled by their levers, so that neither units nor masses decide what is
+small), the equations fix the coordinates along the strong right singular
+vectors; along the others the equations of motion decide (Gauss's principle of
+least constraint). I is never inverted, so that it may be singular as long as
+the motions that the loops allow carry inertia.
 
 """
 
 import numpy as np
 
 from .compiled import compiled
-from .types import DINV, RANK, RANK_REVEALING_COUNT, ROW, ROWS, SLOT_A, SLOT_END
+from .forward_dynamics import constraint_right_side, to_user_order
+from .inverse_dynamics import tree_torque
+from .jacobian import constraint_jacobian, generalized_inertia_matrix
+from .loop_closure import update
+from .types import (
+    CUT_PRISMATIC, CUT_ROW, CUT_TYPE, OMEGA, RANK, RANK_REVEALING_COUNT, ROWS)
 
-# Singular values of W below this times the largest count as zero. HARD_CASES measured
-# that crossing flat positions keeps energy to 2e-8 of the initial one or better from 1e-5
-# to 1e-4 and worse on either side.
-RELATIVE_RANK_TOLERANCE = 3e-5
+# What is asked for: a change of positions, of rates, or accelerations.
+POSITION, VELOCITY, ACCELERATION = range(3)
+
+# Singular values of the scaled J below this times the largest are rounding: equations that
+# repeat others.
+DEPENDENT = 1e-11
+# Those below this belong to a singular configuration nearby: whether such an equation is
+# taken depends on whether what it says can be told from its error.
+WEAK = 3e-2
+# Rounding of scaled places and terms.
+ROUNDING = 2e-15
+# What an equation says must exceed its estimated error by this factor.
+DOUBT = 5.0
+# Inertia of a motion against the largest: less is none.
+NO_INERTIA = 1e-14
 
 
 @compiled
-def solve(model, work, right):
+def scales(model, jac, row_scale, column_scale):
     """
-    Compute the least-norm solution of Ibar x = ``right``.
+    Scale J so that each column's, then each cut joint's largest entry is 1.
+
+    The two equations of a cut point share their scale, so that the direction of
+    the world's axes makes no difference.
+
+    Parameters
+    ----------
+    model : Model
+    jac : ndarray, shape (nc, nv)
+    row_scale : ndarray, shape (nc,)
+        Written in place.
+    column_scale : ndarray, shape (nv,)
+        Written in place.
+
+    """
+    nc, nv = jac.shape
+    for j in range(nv):
+        most = 0.0
+        for i in range(nc):
+            most = max(most, abs(jac[i, j]))
+        column_scale[j] = 1.0 / most if most > 0.0 else 1.0
+    for a in range(model.cut.shape[0]):
+        first, rows = model.cut[a, CUT_ROW], model.cut[a, ROWS]
+        together = 1 if model.cut[a, CUT_TYPE] == CUT_PRISMATIC else 2
+        for begin, end in ((first, first + together), (first + together, first + rows)):
+            most = 0.0
+            for i in range(begin, end):
+                for j in range(nv):
+                    most = max(most, abs(jac[i, j]) * column_scale[j])
+            for i in range(begin, end):
+                row_scale[i] = 1.0 / most if most > 0.0 else 1.0
+
+
+@compiled
+def _motion(taken, left, singular, right_vectors, wanted, column_scale, gim, force, out):
+    """
+    Find the motion that the taken equations and, beyond them, least constraint ask for.
+
+    Returns whether every motion that is left carries inertia or needs none.
+
+    """
+    nv = gim.shape[0]
+    strong = np.zeros(nv)
+    free = np.zeros((nv, nv))
+    count = 0
+    for k in range(nv):
+        if k < taken.shape[0] and taken[k]:
+            share = wanted[k] / singular[k]
+            for j in range(nv):
+                strong[j] += right_vectors[k, j] * share * column_scale[j]
+        else:
+            for j in range(nv):
+                free[count, j] = right_vectors[k, j] * column_scale[j]
+            count += 1
+    for j in range(nv):
+        out[j] = strong[j]
+    if count == 0:
+        return True
+    basis = np.ascontiguousarray(free[:count])
+    inertia = basis @ (gim @ basis.T)
+    push = basis @ (force - gim @ strong)
+    root = np.ones(count)
+    for k in range(count):
+        if inertia[k, k] > 0.0:
+            root[k] = 1.0 / np.sqrt(inertia[k, k])
+    for k in range(count):
+        for j in range(count):
+            inertia[k, j] *= root[k] * root[j]
+    values, vectors = np.linalg.eigh(inertia)
+    push = vectors.T @ (push * root)
+    determined = True
+    largest_push = np.abs(push).max()
+    for k in range(count):
+        if values[k] > NO_INERTIA * values[count - 1]:
+            push[k] /= values[k]
+        else:
+            determined = determined and abs(push[k]) <= 1e-9 * largest_push
+            push[k] = 0.0
+    motion = basis.T @ ((vectors @ push) * root)
+    for j in range(nv):
+        out[j] += motion[j]
+    return determined
+
+
+@compiled
+def _worth_taking(level, singular, residual, gap, drift, speed, size):
+    """
+    Decide on one equation near a singular configuration.
+
+    Parameters
+    ----------
+    level : int
+    singular : float
+        Its scaled singular value: about the angle to the singular configuration.
+    residual : float
+        How far the motion without it violates it.
+    gap, drift : float
+        Closure error of the positions, and of the rates (scaled).
+    speed : float
+        Largest angular velocity [rad/s].
+    size : float
+        Size of the motion's terms.
+
+    Notes
+    -----
+    Along the weak direction the position is known to gap / singular, or, as closure
+    is quadratic there, to sqrt(gap), and the rate to drift / singular. Where the
+    equation's turning with that error explains the residual, taking it would divide noise by
+    a small number; leaving it out costs singular times a multiplier. A correction of
+    positions beyond the reach of Newton's method, the singular value itself, would jump to
+    another branch.
+
+    """
+    if level == POSITION:
+        return residual <= 0.25 * singular * singular
+    known = min(gap / singular, np.sqrt(gap))
+    if level == VELOCITY:
+        error = speed * known + ROUNDING * (speed + size)
+    else:
+        error = speed * (speed * known + 2.0 * drift / singular) + ROUNDING * (
+            speed * speed + size)
+    return residual > DOUBT * error
+
+
+@compiled
+def solve(model, jac, gim, right, force, psi, rate, speed, level, motion, lam):
+    """
+    Solve J x = right, I x = force + J^T lambda with the equations that can be told apart.
+
+    Parameters
+    ----------
+    model : Model
+    jac : ndarray, shape (nc, nv)
+    gim : ndarray, shape (nv, nv)
+    right : ndarray, shape (nc,)
+    force : ndarray, shape (nv,)
+    psi, rate : ndarray, shape (nc,)
+        Closure errors of the positions, and of the rates.
+    speed : float
+        Largest angular velocity [rad/s].
+    level : int
+        ``POSITION``, ``VELOCITY`` or ``ACCELERATION``.
+    motion : ndarray, shape (nv,)
+        x, written in place; NaN where a motion without inertia is pushed.
+    lam : ndarray, shape (nc,)
+        Written in place: of all that give the same motion the least ones.
+
+    Returns
+    -------
+    int
+        Number of equations taken: the rank.
+
+    """
+    nc, nv = jac.shape
+    row_scale, column_scale = np.ones(nc), np.ones(nv)
+    scales(model, jac, row_scale, column_scale)
+    scaled = np.empty((nc, nv))
+    for i in range(nc):
+        for j in range(nv):
+            scaled[i, j] = jac[i, j] * row_scale[i] * column_scale[j]
+    if not (np.isfinite(scaled).all() and np.isfinite(right).all() and np.isfinite(force).all()):
+        motion[:] = np.nan
+        lam[:] = np.nan
+        return 0
+    left, singular, right_vectors = np.linalg.svd(scaled, full_matrices=True)
+    wanted = left.T @ (right * row_scale)
+    taken = singular > WEAK * singular[0]
+    determined = _motion(
+        taken, left, singular, right_vectors, wanted, column_scale, gim, force, motion)
+    gap = np.abs(psi * row_scale).max() + ROUNDING
+    drift = np.abs(rate * row_scale).max()
+    size = np.abs(motion / column_scale).max()
+    added = False
+    for k in range(singular.shape[0]):
+        if not taken[k] and singular[k] > DEPENDENT * singular[0]:
+            residual = wanted[k]
+            for j in range(nv):
+                residual -= singular[k] * right_vectors[k, j] * motion[j] / column_scale[j]
+            if level == POSITION:
+                residual = wanted[k]
+            if _worth_taking(level, singular[k], abs(residual), gap, drift, speed, size):
+                taken[k] = True
+                added = True
+    if added:
+        determined = _motion(
+            taken, left, singular, right_vectors, wanted, column_scale, gim, force, motion)
+    if not determined:
+        motion[:] = np.nan
+    need = (gim @ motion - force) * column_scale
+    lam[:] = 0.0
+    rank = 0
+    for k in range(singular.shape[0]):
+        if taken[k]:
+            rank += 1
+            share = 0.0
+            for j in range(nv):
+                share += right_vectors[k, j] * need[j]
+            for i in range(nc):
+                lam[i] += left[i, k] * (share / singular[k]) * row_scale[i]
+    if rank < nc and determined:
+        _least_norm(left, taken, row_scale, lam)
+    return rank
+
+
+@compiled
+def _least_norm(left, taken, row_scale, lam):
+    """Remove from the multipliers what the equations left out would not notice."""
+    nc = lam.shape[0]
+    beyond = np.zeros((nc, nc))
+    count = 0
+    for k in range(nc):
+        if k >= taken.shape[0] or not taken[k]:
+            for i in range(nc):
+                beyond[i, count] = left[i, k] * row_scale[i]
+            count += 1
+    idle = np.ascontiguousarray(beyond[:, :count])
+    share = np.linalg.lstsq(idle, lam, 1e-13)[0]
+    lam -= idle @ share
+
+
+@compiled
+def _fastest(work):
+    """Return the largest angular velocity of any body [rad/s]."""
+    most = 0.0
+    for i in range(1, work.body.shape[0]):
+        most = max(most, abs(work.body[i, OMEGA]))
+    return most
+
+
+@compiled
+def accelerate(model, work, tau, baumgarte, qdd, lam):
+    """
+    Compute accelerations and multipliers, as ``forward_dynamics.accelerate`` does.
 
     Parameters
     ----------
     model : Model
     work : Workspace
-        After ``loop_closure.update``; ``health`` tells the rank.
-    right : ndarray, shape (nc,)
-        In elimination order; replaced by the solution, NaN where W is not finite.
+        After ``kinematics.outward`` and the applied forces, afresh: the elimination has used
+        both up. ``health`` tells the rank.
+    tau, baumgarte, qdd, lam
+        As for ``forward_dynamics.accelerate``.
 
     """
-    cut, slot_body = model.cut, model.slot_body
-    rows = right.shape[0]
-    weighted = np.zeros((rows, model.tree.shape[0]))
-    for a in range(cut.shape[0]):
-        for slot in range(cut[a, SLOT_A], cut[a, SLOT_END]):
-            i = slot_body[slot]
-            root = np.sqrt(work.body[i, DINV])
-            for k in range(cut[a, ROWS]):
-                weighted[cut[a, ROW] + k, i] = work.response[slot, k] * root
-    rank = 0
-    if np.isfinite(weighted).all():
-        left, singular, _ = np.linalg.svd(weighted, full_matrices=False)
-        reduced = left.T @ right
-        for k in range(singular.shape[0]):
-            if singular[k] > RELATIVE_RANK_TOLERANCE * singular[0]:
-                rank += 1
-                reduced[k] /= singular[k] * singular[k]
-            else:
-                reduced[k] = 0.0
-        right[:] = left @ reduced
-    else:
-        right[:] = np.nan
-    work.health[RANK] = rank
+    nv, nc = qdd.shape[0], lam.shape[0]
+    jac, gim = np.zeros((nc, nv)), np.zeros((nv, nv))
+    right, psi, rate, force = np.zeros(nc), np.zeros(nc), np.zeros(nc), np.zeros(nv)
+    constraint_jacobian(model, work, jac)
+    update(model, work, False)
+    work.right[:] = 0.0
+    constraint_right_side(work, baumgarte, work.right)
+    to_user_order(model, work.right, right)
+    to_user_order(model, work.closure, psi)
+    to_user_order(model, work.closure_rate, rate)
+    qdd[:] = 0.0
+    tree_torque(model, work, qdd, force)
+    for i in range(nv):
+        force[i] = tau[i] - force[i]
+    generalized_inertia_matrix(model, work, gim)
+    work.health[RANK] = solve(
+        model, jac, gim, right, force, psi, rate, _fastest(work), ACCELERATION, qdd, lam)
     work.health[RANK_REVEALING_COUNT] += 1.0
+
+
+@compiled
+def correct(model, work, level, out):
+    """
+    Compute the least change of positions or rates, in the mass metric, that closes the loops.
+
+    Parameters
+    ----------
+    model : Model
+    work : Workspace
+        After ``kinematics.outward``, afresh.
+    level : int
+        ``POSITION`` or ``VELOCITY``.
+    out : ndarray, shape (nv,)
+        Written in place.
+
+    """
+    nv, nc = out.shape[0], work.right.shape[0]
+    jac, gim = np.zeros((nc, nv)), np.zeros((nv, nv))
+    psi, rate, lam = np.zeros(nc), np.zeros(nc), np.zeros(nc)
+    constraint_jacobian(model, work, jac)
+    update(model, work, False)
+    to_user_order(model, work.closure, psi)
+    to_user_order(model, work.closure_rate, rate)
+    generalized_inertia_matrix(model, work, gim)
+    solve(model, jac, gim, -psi if level == POSITION else -rate, np.zeros(nv), psi, rate,
+          _fastest(work), level, out, lam)

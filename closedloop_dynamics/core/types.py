@@ -71,10 +71,10 @@ CUT_REVOLUTE, CUT_PRISMATIC, CUT_FIXED = range(3)
 A_X, A_Y, B_X, B_Y, CUT_ANGLE = range(5)
 
 # Workspace.health.
-# The smallest pivot relative to its diagonal entry (the squared sine of the angle between one
-# closure equation and those before it) of the latest factorization and of all since the last
-# reset; the rank that the rank-revealing path found; evaluations, and uses of that path, since the
-# last reset; position corrections of the latest projection and the largest closure error it left.
+# The smallest pivot relative to the largest diagonal entry of its cut point (the squared sine of
+# the angle between one closure equation and those before it) of the latest factorization and
+# of all since the last reset; the rank of the latest; evaluations, and uses of the rank-revealing
+# path, since the last reset; position corrections of the latest projection and the largest closure error it left.
 (SMALLEST_PIVOT, SMALLEST_PIVOT_EVER, RANK, EVALUATIONS, RANK_REVEALING_COUNT,
  PROJECTION_ITERATIONS, CLOSURE) = range(7)
 HEALTH_COLUMNS = 8
@@ -141,6 +141,8 @@ class Workspace(NamedTuple):
         The same times 1/D.
     factor : ndarray
         Entries of the constraint matrix, then of its factor L.
+    scale : ndarray, shape (nc,)
+        What the pivots are compared with.
     pivot_inverse : ndarray, shape (nc,)
     right : ndarray, shape (nc,)
         Right-hand side, then solution, in elimination order.
@@ -155,6 +157,7 @@ class Workspace(NamedTuple):
     response: np.ndarray
     response_scaled: np.ndarray
     factor: np.ndarray
+    scale: np.ndarray
     pivot_inverse: np.ndarray
     right: np.ndarray
     scatter: np.ndarray
@@ -184,6 +187,7 @@ def allocate(model):
         response=np.zeros((slots, 3)),
         response_scaled=np.zeros((slots, 3)),
         factor=np.zeros(len(model.row)),
+        scale=np.zeros(rows),
         pivot_inverse=np.zeros(rows),
         right=np.zeros(rows),
         scatter=np.zeros(rows),

@@ -28,6 +28,8 @@ NONE, BAUMGARTE, VELOCITY, PROJECTION, INDEPENDENT = range(5)
 
 # Newton's method doubles the digits each time: what eight corrections do not close stays open.
 MOST_CORRECTIONS = 8
+# Closure tolerance near a singular configuration, against the ordinary one.
+SHARPER = 1e-3
 
 
 @compiled
@@ -123,7 +125,9 @@ def project(system, q, qd, positions):
     corrections = 0
     independent = factor_configuration(system, q, qd)
     error = largest(work.closure)
-    while positions and error > settings[CLOSURE_TOLERANCE] and corrections < MOST_CORRECTIONS:
+    # Near a singular configuration a small closure error is a large one of the state.
+    while positions and corrections < MOST_CORRECTIONS and error > settings[CLOSURE_TOLERANCE] * (
+            1.0 if independent else SHARPER):
         correction(system, independent, rank_revealing.POSITION, q, qd, out)
         for i in range(q.shape[0]):
             q[i] += out[i]

@@ -138,9 +138,12 @@ def evaluate(system, q, qd):
         if effects.loaded[0] > 0:
             joint_reaction.remember(work.body, effects)
     if formulation == SUBSYSTEM:
-        if not accelerate(
-                model, work, system.tau, system.settings[BAUMGARTE], system.qdd, system.lam):
+        if not accelerate(model, work, effects.applied, system.settings[BAUMGARTE], system.qdd,
+                          system.lam):
+            # The elimination has used up what the outward recursion and the effects left.
             kinematics.outward(model, q, qd, work)
+            if effects.kind.shape[0] > 0:
+                dispatch.apply(work.body, effects, q, qd, system.tau)
             rank_revealing.accelerate(model, work, effects.applied, system.settings[BAUMGARTE],
                                       system.qdd, system.lam)
     else:
