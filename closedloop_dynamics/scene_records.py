@@ -26,6 +26,8 @@ from .mechanism.mechanism import Mechanism
 from .mechanism.validation import validate_mechanism
 
 BAUMGARTE = 'baumgarte'
+# An integrator that stands for the cheapest method of the accuracy given.
+AUTO = 'auto'
 FORMULATIONS = ('subsystem', 'system', 'augmented')
 
 
@@ -65,7 +67,8 @@ class Method:
     Attributes
     ----------
     integrator : str
-        A name of ``integration.registry.INTEGRATORS``.
+        A name of ``integration.registry.INTEGRATORS``, or ``'auto'``: the cheapest that keeps
+        ``accuracy``, chosen when the scene is loaded.
     step_size : float
         Size of the steps, or, with an error-controlled integrator, the raster on which the
         state is asked for [s]; positive.
@@ -78,6 +81,9 @@ class Method:
         none is given.
     formulation : str
         ``'subsystem'``, ``'system'`` or ``'augmented'``.
+    accuracy : float or None
+        Error of positions after a second of motion [rad, m]; only with ``'auto'``, and there
+        it must be given.
 
     """
 
@@ -87,14 +93,24 @@ class Method:
     tolerance: float = 1e-6
     baumgarte_time_constant: Optional[float] = None
     formulation: str = 'subsystem'
+    accuracy: Optional[float] = None
 
     def __post_init__(self):
         """Refuse unknown methods and impossible times."""
-        normalise(self, integrator=one_of(tuple(INTEGRATORS)), step_size=positive,
+        normalise(self, integrator=one_of((AUTO, *INTEGRATORS)), step_size=positive,
                   stabilisation=one_of(tuple(STABILISATIONS)), tolerance=positive,
                   formulation=one_of(FORMULATIONS))
         if self.baumgarte_time_constant is not None:
             normalise(self, baumgarte_time_constant=positive)
+        if self.accuracy is not None:
+            normalise(self, accuracy=positive)
+        if (self.integrator == AUTO) != (self.accuracy is not None):
+            raise FieldError(
+                f'this key with integrator: {AUTO}, and only with it',
+                f'integrator: {self.integrator}' + (
+                    ' without it' if self.accuracy is None else ' with it'),
+                'say how accurate positions shall be, such as 1.0e-6' if self.accuracy is None
+                else 'remove it', ('accuracy',))
 
     @property
     def time_constant(self):

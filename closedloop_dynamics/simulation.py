@@ -37,8 +37,11 @@ from .integration.projection import largest
 from .integration.system import build_system, evaluate, number_of_states
 from .mechanism.decomposition import decompose
 from .mechanism.mechanism import CUT_JOINT_EQUATIONS, PRISMATIC, REVOLUTE
+from .method_choice import resolved
 from .modeling import body_rows, build_model, extent
+from .monitor import Monitor
 from .scene import load_scene
+from .scene_records import AUTO
 
 FORMULATIONS = {'subsystem': SUBSYSTEM, 'system': SYSTEM, 'augmented': AUGMENTED}
 
@@ -57,6 +60,8 @@ class Simulation:
     scene : scene.Scene
     mechanism : mechanism.mechanism.Mechanism
     decomposition : mechanism.decomposition.Decomposition
+    method_report : str
+        What ``integrator: auto`` chose, and what that costs; empty where the scene chose itself.
 
     Raises
     ------
@@ -67,6 +72,7 @@ class Simulation:
 
     def __init__(self, scene):
         """Build the model, assemble the initial state."""
+        scene, self.method_report = resolved(scene, type(self))
         self.scene = scene
         self.mechanism = scene.mechanism
         self.decomposition = decompose(self.mechanism)
@@ -81,7 +87,7 @@ class Simulation:
             method.stabilisation == 'independent', self._effects.laws)
         self._effects.bind(self.system.effects)
         self._accounts = Accounts(self._effects)
-        self._driver = build_driver(self.system, method)
+        self._driver = Monitor(build_driver(self.system, method), self.system, method)
         nv = len(self.mechanism.joints)
         self._state = np.zeros(number_of_states(self.system))
         self._q, self._qd = self._state[:nv], self._state[nv:2 * nv]
@@ -118,6 +124,8 @@ class Simulation:
         """
         scene = load_scene(name_or_path)
         overrides = {key: value for key, value in method.items() if value is not None}
+        if overrides.get('integrator', AUTO) != AUTO:
+            overrides.setdefault('accuracy', None)
         return cls(replace(scene, method=replace(scene.method, **overrides)))
 
     # Names and sizes.
@@ -412,6 +420,7 @@ class Simulation:
         self._q[:], self._qd[:] = self._initial
         self._own[:] = self._effects.initial
         self._driver.restart()
+        self._driver.clear()
         self._effects.restart()
         self._commands = Commands()
         self.system.tau[:] = 0.0
@@ -527,10 +536,21 @@ class Simulation:
 
     def warm_up(self):
         """Compile all that a run needs, leaving the state as it is."""
-        self._driver.advance(self._state.copy(), self.time, 1e-9, 1)
+        self._driver.driver.advance(self._state.copy(), self.time, 1e-9, 1)
         self._driver.restart()
         self._fresh = False
         self.constraint_forces, self.energy, self.closure
+
+    def report(self):
+        """
+        Tell what the run has cost since the start or the last reset, and how far off it may be.
+
+        Returns
+        -------
+        monitor.RunReport
+
+        """
+        return self._driver.report(self.closure, self.energy_balance.residual)
 
     # Dynamics of any state.
 

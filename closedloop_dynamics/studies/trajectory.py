@@ -40,7 +40,7 @@ class Trajectory:
     closure : float
         Largest closure error of positions at the outputs [m or rad].
     energy_error : float
-        Largest change of energy less the work done, at the outputs [J].
+        Largest residual of the energy balance at the outputs [J].
 
     """
 
@@ -114,7 +114,6 @@ def record(simulation, tau, steps, outputs, patience=float('inf')):
     """
     simulation.reset()
     simulation.advance(tau, 0)
-    energy = EnergyAccount(simulation)
     position, velocity, force, closure, energy_error = [], [], [], 0.0, 0.0
     begin = time.perf_counter()
     for _ in range(outputs):
@@ -123,32 +122,9 @@ def record(simulation, tau, steps, outputs, patience=float('inf')):
         velocity.append(simulation.velocity)
         force.append(simulation.multipliers)
         closure = max(closure, simulation.closure)
-        energy_error = max(energy_error, abs(energy.error()))
+        energy_error = max(energy_error, abs(simulation.energy_balance.residual))
         if time.perf_counter() - begin > patience:
             raise TooSlow(f'given up at t = {simulation.time:.3g} s after {patience:g} s of '
                           'computing')
     return Trajectory(np.array(position), np.array(velocity), np.array(force), closure,
                       energy_error)
-
-
-class EnergyAccount:
-    """
-    What the energy of a motion should have done, and did not do.
-
-    Parameters
-    ----------
-    simulation : Simulation
-        At its start, under constant torques from now on.
-
-    """
-
-    def __init__(self, simulation):
-        """Note the energy and the position at the start."""
-        self._simulation = simulation
-        self._energy, self._position = simulation.energy, simulation.position
-
-    def error(self):
-        """Return the change of energy less the work of the torques [J]."""
-        simulation = self._simulation
-        work = simulation.effort @ (simulation.position - self._position)
-        return simulation.energy - self._energy - work
