@@ -1,0 +1,54 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The interface reference says of every parameter what the code says."""
+
+from pathlib import Path
+
+from closedloop_dynamics.ros.recorder_node import PARAMETERS as RECORDER_PARAMETERS
+from closedloop_dynamics.ros.simulator_node import PARAMETERS as SIMULATOR_PARAMETERS
+from closedloop_dynamics.ros.torque_source_parameters import TORQUE_SOURCE_PARAMETERS
+import pytest
+from rclpy.parameter import Parameter
+
+DOCUMENT = Path(__file__).resolve().parents[2] / 'doc' / 'interface.md'
+
+
+def in_yaml(value):
+    """Return a value as one writes it on a command line."""
+    if isinstance(value, list):
+        return f'[{", ".join(map(in_yaml, value))}]'
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, str):
+        return value or "''"
+    return '.nan' if value != value else str(value)
+
+
+def row(parameter):
+    """Return the row of the table that describes a parameter."""
+    kind = Parameter.Type.from_parameter_value(parameter.default).name.lower()
+    allowed = ', '.join(f'`{choice}`' for choice in parameter.choices)
+    if parameter.limits:
+        allowed = '{:g} to {:g}'.format(*parameter.limits)
+    change = 'no' if parameter.read_only else 'yes'
+    return (f'| `{parameter.name}` | {kind.replace("_", " ")} | `{in_yaml(parameter.default)}` | '
+            f'{allowed} | {change} | {parameter.description} |')
+
+
+@pytest.mark.parametrize('row', [
+    row(parameter) for parameter in (
+        *SIMULATOR_PARAMETERS, *TORQUE_SOURCE_PARAMETERS, *RECORDER_PARAMETERS)])
+def test_parameter_is_described_as_it_is(row):
+    assert row in DOCUMENT.read_text().splitlines()
