@@ -87,8 +87,8 @@ class Pacer:
 
     @property
     def achieved(self):
-        """Return the same as achieved so far; NaN before the first tick."""
-        return self.simulated / self.elapsed if self.elapsed > 0 else math.nan
+        """Return the same as achieved so far; 0 before the first tick."""
+        return self.simulated / self.elapsed if self.elapsed > 0 else 0.0
 
     def start(self):
         """Let time run from now on."""

@@ -16,6 +16,7 @@
 
 import time
 
+from closedloop_dynamics.errors import NumericalError
 from closedloop_dynamics.errors import SimulationError
 from closedloop_dynamics.ros.commands import CommandError
 from closedloop_dynamics.ros.commands import TorqueCommand
@@ -68,8 +69,8 @@ PARAMETERS = (
         '0: the last command holds for ever.', (0.0, 3600.0), read_only=False),
     Parameter(
         'wait_for_command', False,
-        'Keep the initial state, and publish it, until the first command arrives: a machine '
-        'with weight falls while its controller is starting.'),
+        'Keep the initial state, and publish it, until the first command arrives; otherwise a '
+        'machine with weight falls while its controller is starting.'),
 )
 
 
@@ -160,22 +161,33 @@ class SimulatorNode(Node):
         self._tau[self._actuated] = self.command.torque
         try:
             dropped = self.pacer.tick(self._advance, self._budget)
+            self.publish()
         except SimulationError as error:
             self._timer.cancel()
             self.exit_code = 1
             self.get_logger().error(
                 f'simulation stopped at {self.simulation.time:.6g} s: {error}')
             return
-        self.publish()
         if dropped and self._overload.ready():
             self.get_logger().warning(self._overload.message())
 
     def publish(self):
-        """Publish the present state and constraint forces."""
+        """
+        Publish the present state and constraint forces.
+
+        Raises
+        ------
+        NumericalError
+            Instead of publishing forces that are not finite.
+
+        """
         simulation = self.simulation
+        forces = simulation.constraint_forces
+        if not np.isfinite(forces).all():
+            raise NumericalError('the constraint forces are not finite numbers')
         self.messages.fill(
             self.get_clock().now().nanoseconds, simulation.position, simulation.velocity,
-            simulation.effort, simulation.constraint_forces)
+            simulation.effort, forces)
         self._state_publisher.publish(self.messages.joint_state)
         for publisher, message in zip(self._force_publishers, self.messages.wrenches):
             publisher.publish(message)
@@ -184,12 +196,12 @@ class SimulatorNode(Node):
     def close(self):
         """Say what was done."""
         self._timer.cancel()
-        book = self.command
+        pacer, book = self.pacer, self.command
         self.get_logger().info(
-            f'simulated {self.pacer.simulated:.3f} s at {self.pacer.achieved:.3f} x real time '
-            f'({self.pacer.dropped:.3f} s dropped); commands: {book.accepted} accepted, '
-            f'{book.rejected} rejected, {book.timed_out} timed out; '
-            f'{self.published} messages published')
+            f'simulated {pacer.simulated:.3f} s in {pacer.elapsed:.3f} s, '
+            f'{pacer.achieved:.3f} x real time, {pacer.dropped:.3f} s dropped; '
+            f'commands: {book.accepted} accepted, {book.rejected} rejected, '
+            f'{book.timed_out} timed out; {self.published} messages published')
 
     def _advance(self, steps):
         self.simulation.advance(self._tau, steps)

@@ -126,6 +126,14 @@ def test_state_that_leaves_the_finite_numbers_stops_and_publishes_nothing_false(
     assert np.isfinite(node.states[0][0]).all()
 
 
+def test_forces_that_are_not_finite_are_not_published(node, monkeypatch):
+    monkeypatch.setattr(
+        type(node.simulation), 'constraint_forces', np.full((2, 3), np.nan))
+    advance(node, 0.01)
+    assert node.exit_code == 1
+    assert node.states == []
+
+
 def test_overload_is_reported_with_the_factor_and_does_not_spiral(node, monkeypatch):
     messages = []
     monkeypatch.setattr(

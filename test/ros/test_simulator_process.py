@@ -74,7 +74,7 @@ def test_simulated_time_follows_the_real_time_factor(processes, listener):
 def summary(simulator):
     """Return simulated time, factor and dropped time from the last words of a simulator."""
     words = simulator.output.split('simulated ')[-1].split()
-    return float(words[0]), float(words[3]), float(words[7].lstrip('('))
+    return float(words[0]), float(words[5]), float(words[9])
 
 
 def applied(states, efforts):
