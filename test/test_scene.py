@@ -21,6 +21,7 @@ import shutil
 from closedloop_dynamics import config
 from closedloop_dynamics.effects.gravity import Gravity
 from closedloop_dynamics.effects.registry import effect_type, EFFECTS
+from closedloop_dynamics.integration.registry import INTEGRATORS
 from closedloop_dynamics.mechanism.fields import among, FieldError
 from closedloop_dynamics.mechanism.mechanism import Mechanism, MechanismError
 from closedloop_dynamics.scene import (config_directory, Initial, load_scene,
@@ -134,7 +135,8 @@ FAULTS = {
         'a mapping (key: value)', "['gravity']", ''),
     'integrator': (
         'semi_implicit_euler', 'rk45', 11, 'method.integrator',
-        'one of semi_implicit_euler, heun, rk4, dopri5, dop853', "the text 'rk45'", "did you mean 'rk4'?"),
+        f'one of auto, {", ".join(INTEGRATORS)}', "the text 'rk45'",
+        "did you mean 'rk4'?"),
     'step_size_zero': (
         'step_size: 5e-4', 'step_size: 0.0', 12, 'method.step_size', 'a positive number', '0.0',
         ''),
