@@ -120,7 +120,6 @@ def test_inverse_dynamics_refuses_an_acceleration_that_opens_the_loops():
         Simulation.from_scene('four_bar').inverse_dynamics(q, qd, [1.0, 0.0, 0.0])
 
 
-@pytest.mark.xfail(strict=True, reason='rounding of gravity in the bias counts as parting')
 @pytest.mark.parametrize('case', cases.SHIPPED)
 def test_inverse_dynamics_accepts_a_slow_motion(case):
     _, mechanism, q, qd = cases.drawn(case)
