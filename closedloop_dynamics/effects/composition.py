@@ -98,6 +98,35 @@ class Composition:
         """Let the instruments begin anew."""
         self.instruments = [record.instrument() for name, record in self.records.items()
                             if self.enabled[name] and hasattr(record, 'instrument')]
+        self._measured_at = None
+
+    @property
+    def remembers(self):
+        """Whether what is measured depends on the states in between."""
+        return any(instrument.remembers for instrument in self.instruments)
+
+    def measure(self, time, position, velocity):
+        """
+        Return what is measured of a state; the same again for the same time.
+
+        Parameters
+        ----------
+        time : float
+            [s].
+        position, velocity : ndarray, shape (nv,)
+            The true ones.
+
+        Returns
+        -------
+        position, velocity : ndarray, shape (nv,)
+
+        """
+        if time != self._measured_at:
+            self._measured_at, self._measured = time, (position.copy(), velocity.copy())
+            for instrument in self.instruments:
+                instrument.show(time, *self._measured)
+                self._measured = instrument.read()
+        return self._measured
 
     def change(self, name, enabled, parameters):
         """

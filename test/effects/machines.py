@@ -1,0 +1,80 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Small machines and scenes whose motion under one effect is known in closed form."""
+
+from closedloop_dynamics import Simulation
+from closedloop_dynamics.mechanism.mechanism import (
+    Body, CutJoint, Joint, Mechanism, Point)
+from closedloop_dynamics.scene_records import Initial, Method, Scene
+
+
+def block(mass=1.0, angle=0.0):
+    """Return a block that slides along a line; one coordinate, 'slide' [m]."""
+    return Mechanism(
+        'block', (Body('block', mass, (0.0, 0.0), 0.1),),
+        (Joint('slide', 'prismatic', 'ground', 'block', (0.0, 0.0), angle, True),), (),
+        (Point('center', 'block', (0.0, 0.0)), Point('front', 'block', (0.3, 0.0))))
+
+
+def flyer():
+    """Return a body that moves freely in the plane: 'x', 'y' [m], 'turn' [rad]."""
+    feather = (0.25, (0.0, 0.0), 0.0)
+    return Mechanism(
+        'flyer', (Body('rail', *feather), Body('lift', *feather), Body('hull', 1.0, (0, 0), 0.5)),
+        (Joint('x', 'prismatic', 'ground', 'rail', (0, 0), 0.0, True),
+         Joint('y', 'prismatic', 'rail', 'lift', (0, 0), 1.5707963267948966, True),
+         Joint('turn', 'revolute', 'lift', 'hull', (0, 0), -1.5707963267948966)),
+        (), (Point('ball', 'hull', (0.0, 0.0)), Point('rim', 'hull', (0.0, -0.2))))
+
+
+def pendulum(mass=2.0, length=0.5):
+    """Return a point mass at the end of a rod; one coordinate, 'hinge', 0 along x."""
+    return Mechanism(
+        'pendulum', (Body('rod', mass, (length, 0.0), 0.0),),
+        (Joint('hinge', 'revolute', 'ground', 'rod', (0.0, 0.0), 0.0, True),), (),
+        (Point('tip', 'rod', (length, 0.0)),))
+
+
+def slider_crank():
+    """
+    Return the slider-crank of the benchmark in ``reference.exact``.
+
+    Its massless slider takes half the rod's mass, which sits at the same pin.
+
+    """
+    return Mechanism(
+        'benchmark',
+        (Body('wheel', 1.0, (0.0, 0.0), 1.0), Body('shoe', 0.5, (0.0, 0.0), 1.0),
+         Body('bar', 0.5, (0.0, 0.0), 2.0)),
+        (Joint('crank', 'revolute', 'ground', 'wheel', (0.0, 0.0)),
+         Joint('slider', 'prismatic', 'ground', 'shoe', (0.0, 0.0)),
+         Joint('rod', 'revolute', 'shoe', 'bar', (0.0, 0.0))),
+        (CutJoint('pin', 'revolute', 'wheel', 'bar', (0.5, 0.0), (-1.0, 0.0)),),
+        (Point('middle_of_crank', 'wheel', (0.25, 0.0)),
+         Point('middle_of_rod', 'bar', (-0.5, 0.0)), Point('end', 'bar', (1.0, 0.0))))
+
+
+def simulated(mechanism, effects, position, velocity=None, **method):
+    """Return a Simulation of a mechanism under effects from a state."""
+    velocity = [0.0] * len(position) if velocity is None else velocity
+    return Simulation(Scene(
+        'drawn', None, '', mechanism, Initial(tuple(position), tuple(velocity)), effects,
+        Method(**method)))
+
+
+def assert_balanced(simulation, tolerance):
+    """Assert that the energy balance closes, absolutely [J]."""
+    balance = simulation.energy_balance
+    assert abs(balance.residual) <= tolerance, balance

@@ -1,0 +1,45 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Viscous damping in a joint."""
+
+from closedloop_dynamics.effects.joint_damping import JointDamping
+from closedloop_dynamics.mechanism.fields import FieldError
+import numpy as np
+import pytest
+
+from .machines import assert_balanced, block, simulated
+
+
+def test_rate_decays_exponentially_and_the_energy_is_dissipated():
+    simulation = simulated(
+        block(2.0), {'oil': JointDamping('slide', 3.0)}, [0.0], [4.0], step_size=1e-3)
+    simulation.step(duration=1.0)
+    assert simulation.velocity[0] == pytest.approx(4.0 * np.exp(-1.5), rel=1e-11)
+    assert simulation.position[0] == pytest.approx(8.0 / 3.0 * (1.0 - np.exp(-1.5)), rel=1e-11)
+    assert simulation.energy_balance.dissipated == pytest.approx(
+        16.0 * (1.0 - np.exp(-3.0)), rel=1e-10)
+    assert_balanced(simulation, 1e-11)
+    assert simulation.effect_readings('oil')['torque'] == -3.0 * simulation.velocity[0]
+
+
+@pytest.mark.parametrize('values', [('slide', -1.0), ('slide', 'much'), (3, 1.0)])
+def test_impossible_dampers_are_refused(values):
+    with pytest.raises(FieldError):
+        JointDamping(*values)
+
+
+def test_an_unknown_joint_is_refused_by_name():
+    with pytest.raises(FieldError, match='effects.oil.joint.*slide.*slyde'):
+        simulated(block(), {'oil': JointDamping('slyde', 1.0)}, [0.0])
