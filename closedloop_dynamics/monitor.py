@@ -27,8 +27,9 @@ from .integration.advance import DONE
 from .integration.drivers import build_driver
 from .integration.registry import FIXED, INTEGRATORS
 
-# One step of so many is made again in two halves, on a copy of everything.
-SAMPLE_EVERY = 1000
+# A step is made again in two halves, on a copy of everything: first one of so many, then, twice as
+# rarely each time, one of so many.
+FIRST_SAMPLE, SAMPLE_EVERY = 10, 1000
 # Order of the methods that are no tableau: Rosenbrock's.
 ROSENBROCK_ORDER = 4
 
@@ -128,7 +129,7 @@ class Monitor:
     def clear(self):
         """Forget what has been counted: the time starts again."""
         self._time, self._steps, self._nanoseconds = 0.0, 0, 0
-        self._to_sample, self._local_error = 0, math.nan
+        self._to_sample, self._between, self._local_error = 0, FIRST_SAMPLE, math.nan
         control = getattr(self.driver, 'control', None)
         if control is not None:
             control[[adaptive.ACCEPTED, adaptive.REJECTED, adaptive.ERROR,
@@ -145,10 +146,11 @@ class Monitor:
         status, done = DONE, 0
         elapsed = 0.0
         while done < steps and status == DONE:
-            portion = min(steps - done, self._to_sample or SAMPLE_EVERY)
             if self._to_sample == 0:
                 self._sample(state, time + elapsed, step_size)
-                self._to_sample = SAMPLE_EVERY
+                self._to_sample = self._between
+                self._between = min(2 * self._between, SAMPLE_EVERY)
+            portion = min(steps - done, self._to_sample)
             status, part = self._counted(state, time + elapsed, step_size, portion)
             done += portion
             elapsed = done * step_size if status == DONE else elapsed + part

@@ -21,7 +21,7 @@ import shutil
 from closedloop_dynamics import config
 from closedloop_dynamics.effects.gravity import Gravity
 from closedloop_dynamics.effects.registry import effect_type, EFFECTS
-from closedloop_dynamics.integration.registry import INTEGRATORS
+from closedloop_dynamics.integration.registry import INTEGRATORS, STABILISATIONS
 from closedloop_dynamics.mechanism.fields import among, FieldError
 from closedloop_dynamics.mechanism.mechanism import Mechanism, MechanismError
 from closedloop_dynamics.scene import (config_directory, Initial, load_scene,
@@ -145,7 +145,7 @@ FAULTS = {
         "the text '1 ms'", ''),
     'stabilisation_boolean': (
         'stabilisation: baumgarte', 'stabilisation: false', 13, 'method.stabilisation',
-        'one of none, baumgarte, velocity_projection, projection', 'the truth value false', ''),
+        f'one of {", ".join(STABILISATIONS)}', 'the truth value false', ''),
     'baumgarte_without': (
         'stabilisation: baumgarte', 'stabilisation: none', 14, 'method.baumgarte_time_constant',
         'this key only with stabilisation: baumgarte', 'it with stabilisation: none',
@@ -156,11 +156,19 @@ FAULTS = {
     'formulation': (
         'formulation: system', 'formulation: systems', 15, 'method.formulation',
         'one of subsystem, system, augmented', "the text 'systems'", "did you mean 'system'?"),
+    'auto_without_accuracy': (
+        'integrator: semi_implicit_euler', 'integrator: auto', 10, 'method.accuracy',
+        'this key with integrator: auto, and only with it', 'integrator: auto without it',
+        'say how accurate positions shall be, such as 1.0e-6'),
+    'accuracy_without_auto': (
+        'step_size: 5e-4', 'accuracy: 1.0e-6', 12, 'method.accuracy',
+        'this key with integrator: auto, and only with it',
+        'integrator: semi_implicit_euler with it', 'remove it'),
     'method_key': (
         'step_size: 5e-4', 'stepsize: 5e-4', 12, 'method.stepsize',
         'one of the keys integrator, step_size, stabilisation, tolerance, '
         'baumgarte_time_constant, '
-        'formulation', "the unknown key 'stepsize'", "did you mean 'step_size'?"),
+        'formulation, accuracy', "the unknown key 'stepsize'", "did you mean 'step_size'?"),
     'a_mechanism': (
         GOOD, 'name: x\nbodies: {}\n', 2, 'bodies', 'a scene', 'a mechanism',
         'a scene names one under `mechanism`'),

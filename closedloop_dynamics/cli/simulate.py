@@ -15,13 +15,15 @@
 """``closedloop simulate``: run a scene offline, under constant torques, into a CSV file."""
 
 from contextlib import contextmanager
+import math
 from pathlib import Path
 import signal
 import sys
 
 from .command import assignment, Command, mapping, positive, UsageError
 from ..errors import AssemblyError, SimulationError
-from ..scene_records import FORMULATIONS, INTEGRATORS, STABILISATIONS
+from ..integration.registry import ADAPTIVE, INTEGRATORS, STABILISATIONS
+from ..scene_records import FORMULATIONS
 from ..simulation import Simulation
 from ..studies.progress import announced, progress_bar
 from ..studies.run import columns, Report, run
@@ -152,14 +154,22 @@ def _summary(simulation, report, arguments):
     change = report.last_energy - report.first_energy
     work = ' (work of the torques included)' if any(simulation.effort) else ''
     share = report.cpu_time / report.time if report.time else 0.0
+    told = simulation.report()
+    kept = (f'at tolerance {method.tolerance:g}' if INTEGRATORS[method.integrator].kind == ADAPTIVE
+            else f'in steps of {method.step_size:g} s')
     lines = [
-        f'{simulation.scene.name}: simulated {report.time:.9g} s in steps of '
-        f'{method.step_size:g} s ({method.integrator}, {method.stabilisation}, '
-        f'{method.formulation})',
+        f'{simulation.scene.name}: simulated {report.time:.9g} s {kept} ({method.integrator}, '
+        f'{method.stabilisation}, {method.formulation})',
         f'  closure   largest error of the loops {report.largest_closure:.2g} m or rad',
-        f'  energy    {report.first_energy:.9g} J at the start, changed by {change:+.3g} J{work}',
-        f'  CPU time  {report.cpu_time:.3g} s, {share:.2%} of real time, without compiling',
+        f'  energy    {report.first_energy:.9g} J at the start, changed by {change:+.3g} J{work}; '
+        f'the balance misses {told.energy_error:.2g} J',
+        f'  CPU time  {report.cpu_time:.3g} s, {share:.2%} of real time, without compiling; '
+        f'{1e6 * told.time_per_step:.3g} us per step',
     ]
+    if math.isfinite(told.local_error):
+        lines.insert(3, f'  error     {told.local_error:.2g} rad or m in the worst step looked at')
+    if simulation.method_report:
+        lines.insert(1, f'  method    {simulation.method_report}')
     if arguments.output not in (None, STANDARD_OUTPUT):
         lines.append(f'  output    {arguments.output}: {report.rows} rows of '
                      f'{len(columns(simulation))} columns')
