@@ -36,6 +36,8 @@ MOST_ITERATIONS = 200
 LARGEST_CORRECTION = 0.25
 # Singular values of the Jacobian below this times the largest belong to dependent equations.
 RANK_TOLERANCE = 1e-7
+# Inertia of a motion against the largest: less is none.
+NO_INERTIA = 1e-13
 
 
 class Assembler:
@@ -59,6 +61,8 @@ class Assembler:
         self.nv = len(mechanism.joints)
         self.nc = mechanism.number_of_equations
         self._still = np.zeros(self.nv)
+        self._light = any(body.inertia == 0.0 and not (body.mass and any(body.center_of_mass))
+                          for body in mechanism.bodies)
 
     def closure(self, q):
         """Return psi, shape (nc,), in the mechanism's order [m, rad]."""
@@ -117,6 +121,8 @@ class Assembler:
             raise AssemblyError(self._open_loops(psi, hold))
         if len(hold) > 0:
             self._require_complete(q, free, hold)
+        if self._light:
+            self._require_inertia(q)
         return q
 
     def velocities(self, q, guess, hold=()):
@@ -163,7 +169,34 @@ class Assembler:
 
     def _metric(self, q, free):
         """Return the Cholesky factor of the free coordinates' inertia."""
-        return np.linalg.cholesky(self.inertia(q)[np.ix_(free, free)])
+        inertia = self.inertia(q)[np.ix_(free, free)]
+        diagonal = np.diag(inertia)
+        # Coordinates without inertia of their own get a little: the change stays finite.
+        return np.linalg.cholesky(
+            inertia + np.diag(NO_INERTIA * diagonal.max(initial=0.0) * (
+                np.ones(len(free)) if self._light else np.zeros(len(free)))))
+
+    def _require_inertia(self, q):
+        """Refuse massless bodies that the loops leave free to move."""
+        jac = self.jacobian(q)
+        levers = np.abs(jac).max(axis=0, initial=0.0)
+        levers[levers == 0.0] = 1.0
+        _, singular, right = np.linalg.svd(jac / levers)
+        rank = int(np.sum(singular > RANK_TOLERANCE * singular.max(initial=0.0)))
+        basis = right[rank:] / levers
+        if not len(basis):
+            return
+        inertia = basis @ self.inertia(q) @ basis.T
+        values, vectors = np.linalg.eigh(inertia)
+        if values[0] > NO_INERTIA * values[-1]:
+            return
+        motion = np.abs(vectors[:, 0] @ basis)
+        names = [name for name, part in zip(self.mechanism.joint_names, motion)
+                 if part > 0.1 * motion.max()]
+        raise AssemblyError(
+            f'{self.mechanism.name} has a motion without inertia: {", ".join(names)} can move '
+            'while nothing that has mass does, so that forces would accelerate it without limit. '
+            'Give the bodies there some mass, or close a loop that guides them.')
 
     def _correct(self, q, psi, free, metric):
         """Return the state after one damped Newton correction, and whether it helped."""

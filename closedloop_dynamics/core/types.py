@@ -74,7 +74,8 @@ A_X, A_Y, B_X, B_Y, CUT_ANGLE = range(5)
 # The smallest pivot relative to the largest diagonal entry of its cut point (the squared sine of
 # the angle between one closure equation and those before it) of the latest factorization and
 # of all since the last reset; the rank of the latest; evaluations, and uses of the rank-revealing
-# path, since the last reset; position corrections of the latest projection and the largest closure error it left.
+# path, since the last reset; position corrections of the latest projection and the largest
+# closure error it left.
 (SMALLEST_PIVOT, SMALLEST_PIVOT_EVER, RANK, EVALUATIONS, RANK_REVEALING_COUNT,
  PROJECTION_ITERATIONS, CLOSURE) = range(7)
 HEALTH_COLUMNS = 8

@@ -61,6 +61,9 @@ class Body:
         In the body frame [m].
     inertia : float
         About the centre of mass [kg m^2], not negative (zero: a point mass).
+    massless : bool
+        Mass and inertia are zero on purpose: a link that only guides. The loops must then
+        determine its motion.
 
     """
 
@@ -68,6 +71,7 @@ class Body:
     mass: float
     center_of_mass: Vector2
     inertia: float
+    massless: bool = False
 
 
 @dataclass(frozen=True)

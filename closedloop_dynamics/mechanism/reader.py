@@ -26,6 +26,9 @@ from .fields import at, keys_of, mapping
 from .mechanism import Mechanism, MechanismError
 from .validation import checked, SECTIONS, validate_mechanism
 
+# What a massless body need not say.
+_NOTHING = {'mass': 0.0, 'center_of_mass': (0.0, 0.0), 'inertia': 0.0}
+
 __all__ = ['read_mechanism', 'validate_mechanism']
 
 
@@ -67,5 +70,7 @@ def _records(section, key):
     with at(key):
         for entry, values in mapping({} if section is None else section).items():
             with at(entry):
+                if key == 'bodies' and isinstance(values, dict) and values.get('massless') is True:
+                    values = {**_NOTHING, **values}
                 records.append(record_type(entry, **mapping(values, required, optional)))
     return tuple(records)

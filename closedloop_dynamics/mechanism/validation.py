@@ -24,7 +24,8 @@ from .mechanism import (Body, CUT_JOINT_EQUATIONS, CutJoint, GROUND, Joint, JOIN
 # Section of the file (and field of Mechanism) -> its record and the checks of its fields.
 SECTIONS = {
     'bodies': (Body, {
-        'mass': positive, 'center_of_mass': vector2, 'inertia': not_negative}),
+        'massless': boolean, 'mass': positive, 'center_of_mass': vector2,
+        'inertia': not_negative}),
     'joints': (Joint, {
         'type': one_of(JOINT_TYPES), 'position': vector2, 'angle': number, 'actuated': boolean}),
     'cut_joints': (CutJoint, {
@@ -79,6 +80,18 @@ def checked(mechanism):
     return mechanism
 
 
+def _zero(value):
+    """Return zero if that is what ``value`` is."""
+    result = number(value, 'zero, or nothing, of a massless body')
+    if result != 0.0:
+        raise FieldError('zero, or nothing, of a massless body', shown(value))
+    return result
+
+
+# What replaces the checks of a body that is meant to be massless.
+_MASSLESS = {'mass': _zero, 'inertia': _zero}
+
+
 def _records_check(record_type, checks):
     """Return the check for a list of records of one type."""
     def check(records):
@@ -88,7 +101,9 @@ def _records_check(record_type, checks):
                 raise FieldError(f'a {record_type.__name__}', shown(record))
             with at(record.name):
                 name(record.name)
-                result.append(normalise(replace(record), **checks))
+                massless = getattr(record, 'massless', False) is True
+                result.append(normalise(
+                    replace(record), **{**checks, **(_MASSLESS if massless else {})}))
         return tuple(result)
     return check
 
