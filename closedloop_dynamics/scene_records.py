@@ -18,6 +18,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Optional, Tuple
 
+from .effects.composition import require_one_drive_each
 from .effects.registry import EFFECTS
 from .integration.registry import INTEGRATORS, STABILISATIONS
 from .mechanism.checks import list_of, name, number, one_of, positive, text
@@ -163,3 +164,5 @@ class Scene:
                 if type(effect) not in EFFECTS.values():
                     raise FieldError('a record of effects.registry', shown(effect))
                 effect.fit(self.mechanism)
+        with at('effects'):
+            require_one_drive_each(self.effects)

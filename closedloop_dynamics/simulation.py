@@ -170,8 +170,12 @@ class Simulation:
 
     @property
     def effort(self):
-        """Joint torques applied last, shape (nv,) [N m or N]."""
-        return self.system.tau.copy()
+        """Joint torques applied last, behind the drives, shape (nv,) [N m or N]."""
+        tau = self.system.tau.copy()
+        if self._effects.drives:
+            self._evaluate()
+            self._effects.efforts(tau)
+        return tau
 
     @property
     def acceleration(self):

@@ -27,8 +27,32 @@ import numpy as np
 
 from ..core.types import TYPE
 from ..mechanism.checks import boolean, one_of
-from ..mechanism.fields import at, keys_of, mapping
-from .table import DISSIPATED, fill_row, LOADED, OWN, STATE, STORED, WORK
+from ..mechanism.fields import at, FieldError, keys_of, mapping
+from .table import DISSIPATED, fill_row, FIRST, LOADED, OWN, STATE, STORED, WORK
+
+
+def require_one_drive_each(records):
+    """
+    Refuse two drives of one joint, of which each would replace the command.
+
+    Parameters
+    ----------
+    records : dict of str to record
+        Effects by name.
+
+    Raises
+    ------
+    FieldError
+
+    """
+    drives = {}
+    for name, record in records.items():
+        if hasattr(record, 'drives'):
+            other = drives.setdefault(record.joint, name)
+            if other != name:
+                raise FieldError('one drive for each joint',
+                                 f'a second one for {record.joint!r}, which {other!r} drives',
+                                 path=(name, 'joint'))
 
 
 class Composition:
@@ -161,6 +185,8 @@ class Composition:
             mapping(parameters, (), [key for keys in keys_of(type(record)) for key in keys])
             record = replace(record, **parameters)
             record.fit(self._machine.mechanism)
+        with at('effects'):
+            require_one_drive_each({**self.records, name: record})
         was = self.enabled[name]
         self.records[name] = record
         self.enabled[name] = was if enabled is None else enabled
@@ -217,6 +243,12 @@ class Composition:
         return {'stored_energy': float(values[STORED]), **{
             key: float(value) for key, value in zip(self.records[name].READINGS, values[1:])}}
 
+    def efforts(self, tau):
+        """Put what the drives really exert, at the latest evaluation, into joint torques."""
+        for row, name in enumerate(self._rows):
+            if self.enabled[name] and hasattr(self.records[name], 'drives'):
+                tau[self._table.index[row, FIRST]] = self._table.output[row, 1]
+
     def loads(self):
         """Return the places among the states, and the values, of the joint reactions felt."""
         rows = np.flatnonzero(self._table.index[:, LOADED])
@@ -228,7 +260,7 @@ class Composition:
         for row, name in enumerate(self._rows):
             record = self.records[name]
             if hasattr(record, 'moving'):
-                table.states[table.index[row, STATE]] = record.moving(qd[table.index[row, 1]])
+                table.states[table.index[row, STATE]] = record.moving(qd[table.index[row, FIRST]])
             if hasattr(record, 'drives'):
                 table.enabled[row] = 0
 

@@ -24,7 +24,8 @@ reverses, the bristle lets go; at rest it is an elastic hold k z without any cre
 as long as the load stays below F(0) = s F_c. The only regularisation is this elasticity:
 the joint gives way by at most F / k each way, and swings on the bristle at sqrt(k / I) [rad/s]
 unless c damps it. An explicit method needs steps below some 2.7 sqrt(I / k) while the joint
-sticks; a stiff one does not mind.
+sticks; a stiff one does not mind. Where a step runs past a reversal, the torque turns over within
+F / c of the rate: a generous c, near 2 sqrt(k I), keeps large steps sharp there.
 
 R is the magnitude of the joint's own constraint force (in a prismatic joint: its part across
 the axis), r the radius that it rubs at. It depends on the accelerations, and they on

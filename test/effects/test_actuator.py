@@ -1,0 +1,101 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Limits, lag and delay of a drive."""
+
+from closedloop_dynamics.effects.actuator import Actuator
+from closedloop_dynamics.effects.joint_damping import JointDamping
+from closedloop_dynamics.mechanism.fields import FieldError
+import numpy as np
+import pytest
+
+from .machines import assert_balanced, block, simulated, slider_crank
+
+
+def test_the_torque_is_limited_both_ways():
+    simulation = simulated(block(), {'motor': Actuator('slide', max_torque=2.0)}, [0.0])
+    for command, expected in ((5.0, 2.0), (1.0, 1.0), (-9.0, -2.0)):
+        simulation.reset()
+        simulation.step([command], 0.1)
+        assert simulation.acceleration[0] == expected
+        assert simulation.effort[0] == expected
+        assert simulation.velocity[0] == pytest.approx(0.1 * expected, rel=1e-12)
+        assert simulation.energy_balance.work == pytest.approx(
+            0.5 * (0.1 * expected) ** 2, rel=1e-12)
+        assert_balanced(simulation, 1e-14)
+
+
+def test_the_drive_fades_at_its_speed_limit_and_still_brakes():
+    effects = {'motor': Actuator('slide', max_speed=2.0), 'oil': JointDamping('slide', 0.1)}
+    simulation = simulated(block(), effects, [0.0])
+    simulation.step([10.0], 5.0)
+    # Where 10 (1 - v / 2) / 0.1 = 0.1 v.
+    assert simulation.velocity[0] == pytest.approx(100.0 / 50.1, rel=1e-9)
+    simulation.step([-10.0])
+    assert simulation.acceleration[0] == pytest.approx(-10.0 - 0.1 * simulation.velocity[0])
+    assert_balanced(simulation, 1e-8)
+
+
+def test_the_lag_answers_a_step_exponentially():
+    simulation = simulated(block(), {'motor': Actuator('slide', lag=0.05)}, [0.0])
+    simulation.step([3.0], 0.1)
+    assert simulation.effort[0] == pytest.approx(3.0 * (1.0 - np.exp(-2.0)), rel=1e-7)
+    expected = 3.0 * (0.1 - 0.05 * (1.0 - np.exp(-2.0)))
+    assert simulation.velocity[0] == pytest.approx(expected, rel=1e-7)
+    assert_balanced(simulation, 1e-9)
+
+
+def test_the_delay_is_exact():
+    simulation = simulated(block(), {'motor': Actuator('slide', delay=0.02)}, [0.0])
+    simulation.step([4.0], 0.005)
+    simulation.step([-2.0], 0.03)
+    # 4 N from 0.020 to 0.025 s, then -2 N to 0.035 s.
+    assert simulation.velocity[0] == pytest.approx(4.0 * 0.005 - 2.0 * 0.01, abs=1e-15)
+    assert simulation.time == pytest.approx(0.035)
+    simulation.step([0.0], 0.1)
+    assert simulation.acceleration[0] == 0.0
+    assert_balanced(simulation, 1e-13)
+
+
+def test_one_step_at_a_time_is_the_same_as_many_with_a_delay():
+    one, many = (simulated(block(), {'motor': Actuator('slide', delay=0.0155)}, [0.0])
+                 for _ in range(2))
+    for _ in range(40):
+        one.step([1.0])
+    many.step([1.0], 0.04)
+    assert one.velocity[0] == pytest.approx(many.velocity[0], abs=1e-15)
+    # It takes effect at the first step that starts when it has passed.
+    assert one.velocity[0] == pytest.approx(0.024, abs=1e-12)
+
+
+def test_work_of_a_constant_torque_is_exact():
+    simulation = simulated(block(), {}, [0.0])
+    simulation.step([2.0], 0.5)
+    simulation.step([-1.0], 0.5)
+    first = 0.5 * 2.0 * 0.25
+    second = simulation.position[0] - first
+    assert simulation.energy_balance.work == pytest.approx(2.0 * first - second, rel=1e-14)
+    assert simulation.system.effects.applied is simulation.system.tau
+
+
+@pytest.mark.parametrize('values', [
+    {'max_torque': 0.0}, {'max_speed': -1.0}, {'lag': -1.0}, {'delay': -1.0}])
+def test_impossible_drives_are_refused(values):
+    with pytest.raises(FieldError):
+        Actuator('slide', **values)
+
+
+def test_a_joint_that_is_not_driven_is_refused():
+    with pytest.raises(FieldError, match='motor.joint'):
+        simulated(slider_crank(), {'motor': Actuator('rod')}, [np.pi / 2.0, 0.866, -0.5236])

@@ -1,0 +1,102 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Inertia of rotors behind gears."""
+
+from closedloop_dynamics.effects.gravity import Gravity
+from closedloop_dynamics.effects.payload import Payload
+from closedloop_dynamics.effects.rotor import Rotor
+from closedloop_dynamics.mechanism.fields import FieldError
+import numpy as np
+import pytest
+
+from .machines import assert_balanced, block, pendulum, simulated
+from ..reference import cases
+
+EARTH = Gravity((0.0, -9.81))
+
+
+@pytest.mark.parametrize('mechanism, own', [(block(2.0), 2.0), (pendulum(), 0.5)])
+def test_the_reflected_inertia_slows_the_joint(mechanism, own):
+    simulation = simulated(mechanism, {'motor': Rotor(mechanism.joint_names[0], 0.01, 20.0)},
+                           [0.0], [3.0])
+    simulation.step([6.0])
+    assert simulation.acceleration[0] == pytest.approx(6.0 / (own + 4.0), rel=1e-14)
+    simulation.reset()
+    assert simulation.energy == pytest.approx(0.5 * (own + 4.0) * 9.0, rel=1e-14)
+
+
+@pytest.mark.parametrize('case', cases.SHIPPED)
+def test_rotors_add_to_the_diagonal_of_the_inertia(case):
+    """Rotors at every joint, against the equations of motion with the sum written out."""
+    _, mechanism, q, qd = cases.drawn(case)
+    rng = np.random.default_rng(4)
+    inertia = rng.uniform(0.01, 0.1, len(q))
+    effects = {'gravity': EARTH, **{f'motor_{joint}': Rotor(joint, float(value), 2.0)
+                                    for joint, value in zip(mechanism.joint_names, inertia)}}
+    simulation = simulated(mechanism, effects, q, qd)
+    bare = simulated(mechanism, {'gravity': EARTH}, q, qd)
+    qdd, lam = simulation.forward_dynamics(q, qd)
+    # The bare machine moves the same way if the rotors' torques are taken from its joints.
+    jac = bare._assembler.jacobian(q)
+    gim = bare._assembler.inertia(q)
+    free, bare_lam = bare.forward_dynamics(q, qd)
+    left = gim @ (qdd - free) + 4.0 * inertia * qdd - jac.T @ (lam - bare_lam)
+    scale = np.abs(gim @ qdd).max() + np.abs(jac.T @ lam).max()
+    assert np.abs(left).max() < 1e-11 * scale
+
+
+@pytest.mark.parametrize('formulation', ['system', 'augmented'])
+def test_all_formulations_know_rotors(formulation):
+    _, mechanism, q, qd = cases.drawn('slider_crank')
+    effects = {'gravity': EARTH, 'motor': Rotor('crank_joint', 0.001, 5.0),
+               'screw': Rotor('slider_joint', 1e-4, 30.0)}
+    one, other = (simulated(mechanism, effects, q, qd, formulation=name)
+                  for name in ('subsystem', formulation))
+    assert np.allclose(one.acceleration, other.acceleration, rtol=1e-10, atol=1e-9)
+    assert np.allclose(one.multipliers, other.multipliers, rtol=1e-10, atol=1e-9)
+
+
+def test_rotors_keep_the_energy():
+    _, mechanism, q, qd = cases.drawn('slider_crank')
+    simulation = simulated(mechanism, {
+        'gravity': EARTH, 'motor': Rotor('crank_joint', 0.001, 5.0),
+        'screw': Rotor('slider_joint', 1e-4, 30.0)}, q, qd, step_size=5e-4)
+    simulation.step(duration=1.0)
+    assert_balanced(simulation, 1e-7 * max(1.0, simulation.energy_balance.kinetic))
+
+
+def test_a_payload_is_the_same_as_a_heavier_body():
+    payload = Payload('rod', 1.0, (0.2, 0.1), 0.05)
+    simulation = simulated(pendulum(), {'gravity': EARTH, 'part': payload}, [0.3], [1.0])
+    inertia = 0.5 + 0.05 + 0.05
+    moment = 2.0 * 0.5 * np.cos(0.3) + 0.2 * np.cos(0.3) - 0.1 * np.sin(0.3)
+    assert simulation.acceleration[0] == pytest.approx(-9.81 * moment / inertia, rel=1e-13)
+    assert simulation.energy_balance.kinetic == pytest.approx(0.5 * inertia, rel=1e-13)
+
+
+@pytest.mark.parametrize('build', [
+    lambda: Rotor('hinge', -1.0), lambda: Rotor('hinge', 1.0, 0.0),
+    lambda: Payload('rod', -1.0), lambda: Payload('rod', 1.0, (0.0,)),
+    lambda: Payload('rod', 1.0, inertia=-0.1)])
+def test_impossible_masses_are_refused(build):
+    with pytest.raises(FieldError):
+        build()
+
+
+def test_unknown_bodies_and_joints_are_refused():
+    with pytest.raises(FieldError, match='part.body.*bar'):
+        simulated(pendulum(), {'part': Payload('bar', 1.0)}, [0.0])
+    with pytest.raises(FieldError, match='motor.joint'):
+        simulated(pendulum(), {'motor': Rotor('elbow', 1.0)}, [0.0])
