@@ -23,6 +23,9 @@ from .system import derivative
 
 SOLVERS = {'DOP853': integrate.DOP853, 'Radau': integrate.Radau, 'LSODA': integrate.LSODA}
 
+# A solver that needs more evaluations than this to the next output has lost its way.
+MOST_EVALUATIONS = 100_000
+
 
 class SciPySolver:
     """
@@ -54,6 +57,7 @@ class SciPySolver:
         """Advance a state by ``steps`` times ``step_size``; see ``FixedSteps.advance``."""
         target = time + steps * step_size
         self._start = time, state
+        self._evaluations = 0
         status = self._step_to(target)
         if status != DONE:
             self.restart()
@@ -79,6 +83,8 @@ class SciPySolver:
                 self._dense = self._solver.dense_output()
         except FloatingPointError:
             return NOT_FINITE
+        except _GaveUp:
+            return STEP_TOO_SMALL
         return DONE
 
     def restart(self):
@@ -89,6 +95,13 @@ class SciPySolver:
         out = np.empty(len(state))
         derivative(self._system, np.ascontiguousarray(state), out)
         # SciPy's solvers would go on, some of them for ever.
+        self._evaluations += 1
+        if self._evaluations > MOST_EVALUATIONS:
+            raise _GaveUp
         if not (np.isfinite(out).all() and np.isfinite(state).all()):
             raise FloatingPointError
         return out
+
+
+class _GaveUp(Exception):
+    """Too many evaluations between two outputs."""
