@@ -23,6 +23,10 @@ class NumericalError(SimulationError):
     """The state left the finite numbers; the last finite one is kept."""
 
 
+class StiffnessError(SimulationError):
+    """The scene is too stiff for the step of an explicit method."""
+
+
 class ClosureError(SimulationError):
     """The loops cannot be held closed at this step."""
 

@@ -31,10 +31,11 @@ from .effects.commands import Commands
 from .effects.composition import Composition
 from .effects.machine import Machine
 from .errors import ClosureError, NumericalError, SimulationError
+from .health import health_of
 from .integration.advance import DONE, NOT_FINITE, OPEN_LOOP
 from .integration.drivers import build_driver
 from .integration.projection import largest
-from .integration.system import build_system, evaluate, number_of_states
+from .integration.system import BAUMGARTE, build_system, evaluate, number_of_states
 from .mechanism.decomposition import decompose
 from .mechanism.mechanism import CUT_JOINT_EQUATIONS, PRISMATIC, REVOLUTE
 from .method_choice import resolved
@@ -42,6 +43,7 @@ from .modeling import body_rows, build_model, extent
 from .monitor import Monitor
 from .scene import load_scene
 from .scene_records import AUTO
+from .stiffness import Look, LOOK_EVERY, StiffnessGuard
 
 FORMULATIONS = {'subsystem': SUBSYSTEM, 'system': SYSTEM, 'augmented': AUGMENTED}
 
@@ -88,6 +90,7 @@ class Simulation:
         self._effects.bind(self.system.effects)
         self._accounts = Accounts(self._effects)
         self._driver = Monitor(build_driver(self.system, method), self.system, method)
+        self._guard = StiffnessGuard(self.system, method)
         nv = len(self.mechanism.joints)
         self._state = np.zeros(number_of_states(self.system))
         self._q, self._qd = self._state[:nv], self._state[nv:2 * nv]
@@ -369,6 +372,35 @@ class Simulation:
             self._advance_unseen(size, steps)
 
     def _advance_unseen(self, size, steps):
+        if not self._guard.active:
+            self._advance_unguarded(size, steps)
+            return
+        while steps > 0:
+            if self._look is None:
+                self._look = Look(self.energy_balance, self._state.copy(), self.time)
+            portion = min(steps, LOOK_EVERY - self._look.steps)
+            try:
+                self._advance_unguarded(size, portion)
+            except SimulationError:
+                self._guard.check(self._state, size)
+                raise
+            steps -= portion
+            self._look.steps += portion
+            if self._look.steps == LOOK_EVERY:
+                self._compare(size)
+
+    def _compare(self, size):
+        """Refuse to go on where energy has appeared from nowhere since the latest look."""
+        look, self._look = self._look, None
+        try:
+            self._guard.check_energy(look.balance, self.energy_balance, self._state, size)
+        except SimulationError:
+            self._state[:], self._fresh = look.state, False
+            self._time_base, self._steps = look.time, 0
+            self._driver.restart()
+            raise
+
+    def _advance_unguarded(self, size, steps):
         self._fresh = False
         status, elapsed = self._driver.advance(self._state, self.time, size, steps)
         if status == DONE and size == self.step_size:
@@ -437,11 +469,44 @@ class Simulation:
         self._effects.restart()
         self._commands = Commands()
         self.system.tau[:] = 0.0
-        self._time_base, self._steps, self._fresh = 0.0, 0, False
+        self._time_base, self._steps, self._fresh, self._look = 0.0, 0, False, None
         self.system.work.health[:] = 0.0
         self.system.work.health[[t.SMALLEST_PIVOT, t.SMALLEST_PIVOT_EVER]] = 1.0
         self._feel_loads()
         self._accounts.restart(self._q)
+        self._guard.check(self._state, self.step_size)
+
+    def set_step_size(self, step_size):
+        """
+        Change the step size while running; time and state go on.
+
+        Parameters
+        ----------
+        step_size : float
+            [s], positive.
+
+        Raises
+        ------
+        ValueError
+            Where it is no positive number; the present one stays.
+        StiffnessError
+            Where the scene is too stiff for it; the present one stays.
+
+        """
+        method = replace(self.scene.method, step_size=step_size)
+        self._guard.check(self._state, method.step_size)
+        self._time_base, self._steps = self.time, 0
+        self.scene = replace(self.scene, method=method)
+        if method.stabilisation == 'baumgarte':
+            self.system.settings[BAUMGARTE] = 1.0 / method.time_constant
+        self._driver.restart()
+        self._fresh, self._look = False, None
+
+    @property
+    def health(self):
+        """How well posed the equations of motion are in the present state: a ``Health``."""
+        self._evaluate()
+        return health_of(self.system.work, self.mechanism.number_of_equations)
 
     def set_state(self, position, velocity=None, hold=None):
         """

@@ -101,7 +101,7 @@ FAULTS = {
         'the truth value false', ''),
     'key_misspelt': (
         'mass: 0.5', 'mas: 0.5', 3, 'bodies.crank.mas',
-        'one of the keys mass, center_of_mass, inertia', "the unknown key 'mas'",
+        'one of the keys mass, center_of_mass, inertia, massless', "the unknown key 'mas'",
         "did you mean 'mass'?"),
     'key_missing': (
         'mass: 0.5, ', '', 3, 'bodies.crank.mass', 'this required key', 'none', ''),
