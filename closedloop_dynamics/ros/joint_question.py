@@ -22,7 +22,7 @@ from rcl_interfaces.srv import GetParameters
 PARAMETER = 'actuated_joints'
 # A question without an answer for so long is asked again: the node asked may
 # have gone in between [s].
-ANSWER_TIMEOUT = 2.0
+ANSWER_TIMEOUT = 0.5
 
 
 class JointQuestion:
