@@ -32,6 +32,7 @@ def build_model(mechanism, gravity=(0.0, 0.0), decomposition=None):
     Parameters
     ----------
     mechanism : Mechanism
+        What is described.
     gravity : sequence of 2 floats
         [m/s^2].
     decomposition : Decomposition, optional
@@ -61,7 +62,9 @@ def body_rows(mechanism, decomposition):
     Parameters
     ----------
     mechanism : Mechanism
+        What is described.
     decomposition : Decomposition
+        Of the mechanism.
 
     Returns
     -------
@@ -186,6 +189,7 @@ def extent(mechanism):
     Parameters
     ----------
     mechanism : Mechanism
+        What is described.
 
     Returns
     -------

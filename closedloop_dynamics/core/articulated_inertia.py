@@ -35,6 +35,7 @@ def inward(model, tau, work):
     Parameters
     ----------
     model : Model
+        Constant arrays of the mechanism.
     tau : ndarray, shape (nv,)
         Joint torques [N m] and forces [N].
     work : Workspace
@@ -119,6 +120,7 @@ def outward_acceleration(model, work, qdd):
     Parameters
     ----------
     model : Model
+        Constant arrays of the mechanism.
     work : Workspace
         RHS as left by ``inward`` and completed by the cut forces.
     qdd : ndarray, shape (nv,)

@@ -27,6 +27,7 @@ def kinetic_energy(model, work, qd):
     Parameters
     ----------
     model : Model
+        Constant arrays of the mechanism.
     work : Workspace
         After ``kinematics.outward``.
     qd : ndarray, shape (nv,)
@@ -58,6 +59,7 @@ def potential_energy(model, work):
     Parameters
     ----------
     model : Model
+        Constant arrays of the mechanism.
     work : Workspace
         After ``kinematics.outward``.
 

@@ -69,6 +69,7 @@ def allocate_dense(model, formulation):
     Parameters
     ----------
     model : Model
+        Constant arrays of the mechanism.
     formulation : int
         ``SUBSYSTEM``, ``SYSTEM`` or ``AUGMENTED``.
 
@@ -160,6 +161,7 @@ def accelerate_dense(model, work, dense, formulation, tau, baumgarte, qdd, lam):
     model, work, tau, baumgarte, qdd, lam
         As for ``forward_dynamics.accelerate``.
     dense : DenseWorkspace
+        Scratch of the dense formulations.
     formulation : int
         ``SYSTEM`` (appendix A.3, eq. 1-2) or ``AUGMENTED`` (A.5, eq. 7).
 

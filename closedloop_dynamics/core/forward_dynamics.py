@@ -96,7 +96,9 @@ def forward_dynamics(model, work, q, qd, tau, qdd, lam):
     Parameters
     ----------
     model : Model
+        Constant arrays of the mechanism.
     work : Workspace
+        Scratch of the evaluation.
     q, qd, tau : ndarray, shape (nv,)
         Joint coordinates, rates, torques.
     qdd : ndarray, shape (nv,)
@@ -122,7 +124,9 @@ def to_user_order(model, ordered, out):
     Parameters
     ----------
     model : Model
+        Constant arrays of the mechanism.
     ordered : ndarray, shape (nc,)
+        In elimination order.
     out : ndarray, shape (nc,)
         Written in place.
 

@@ -28,6 +28,7 @@ def tree_torque(model, work, qdd, out):
     Parameters
     ----------
     model : Model
+        Constant arrays of the mechanism.
     work : Workspace
         Right after ``kinematics.outward`` (the inertias must still be the rigid bodies' own);
         FZ, FX, FY, DZ, DX, DY are used up.

@@ -53,6 +53,7 @@ def constraint_jacobian(model, work, jac):
     Parameters
     ----------
     model : Model
+        Constant arrays of the mechanism.
     work : Workspace
         After ``kinematics.outward``.
     jac : ndarray, shape (nc, nv)
@@ -90,6 +91,7 @@ def generalized_inertia_matrix(model, work, gim):
     Parameters
     ----------
     model : Model
+        Constant arrays of the mechanism.
     work : Workspace
         Right after ``kinematics.outward``; the inertia columns are used up.
     gim : ndarray, shape (nv, nv)

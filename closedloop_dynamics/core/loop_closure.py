@@ -82,6 +82,7 @@ def update(model, work, responses):
     Parameters
     ----------
     model : Model
+        Constant arrays of the mechanism.
     work : Workspace
         After ``kinematics.outward`` and, for responses, ``articulated_inertia.inward``. Writes
         ``closure`` (psi), ``closure_rate`` (J qd), ``bias`` (Jdot qd), and ``response`` (the
@@ -149,6 +150,7 @@ def free_acceleration(model, work, out):
     Parameters
     ----------
     model : Model
+        Constant arrays of the mechanism.
     work : Workspace
         After ``update``.
     out : ndarray, shape (nc,)
@@ -173,6 +175,7 @@ def apply(model, work, lam):
     Parameters
     ----------
     model : Model
+        Constant arrays of the mechanism.
     work : Workspace
         After ``update``; RHS is added to.
     lam : ndarray, shape (nc,)

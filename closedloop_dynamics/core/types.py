@@ -175,6 +175,7 @@ def allocate(model):
     Parameters
     ----------
     model : Model
+        Constant arrays of the mechanism.
 
     Returns
     -------

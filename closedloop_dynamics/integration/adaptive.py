@@ -17,14 +17,14 @@
 import math
 
 from . import runge_kutta
-from ..core.compiled import compiled
 from .advance import DONE, NOT_FINITE, OPEN_LOOP, STEP_TOO_SMALL
 from .projection import all_finite, stabilise
 from .system import derivative
+from ..core.compiled import compiled
 
-# Columns of the control record: the time reached by whole steps, the step to try next (0: to be
-# guessed), the start and the size of the latest step (0: there is none to interpolate), whether its
-# slopes for dense output are complete; steps accepted and rejected since the last reset, the
+# Columns of the control record: the time reached by whole steps; the step to try next (0: to be
+# guessed); the start and the size of the latest step (0: there is none to interpolate); whether
+# its slopes for dense output are complete; steps accepted and rejected since the last reset; the
 # latest and the largest accepted error relative to the tolerance.
 (REACHED, NEXT_STEP, STEP_START, STEP_SIZE, EXTENDED, ACCEPTED, REJECTED, ERROR,
  LARGEST_ERROR) = range(9)
@@ -42,9 +42,11 @@ def error_norm(tableau, step_size, slopes, state, out, scale):
     Parameters
     ----------
     tableau : Tableau
+        Of the method.
     step_size : float
         [s].
     slopes : ndarray, shape (>= stages, ns)
+        Of the stages.
     state, out : ndarray, shape (ns,)
         Before and after the step.
     scale : ndarray, shape (2, ns)
@@ -120,6 +122,7 @@ def advance(system, tableau, stabilisation, state, target, control, scale, scrat
     Parameters
     ----------
     system : System
+        What moves.
     tableau : Tableau
         With error estimate and dense output.
     stabilisation : int

@@ -15,9 +15,9 @@
 """Whole steps of a chosen scheme with a chosen stabilisation, compiled as one loop."""
 
 from . import runge_kutta, semi_implicit_euler
-from ..core.compiled import compiled
 from .projection import all_finite, stabilise
 from .system import derivative
+from ..core.compiled import compiled
 
 # Status of ``advance`` and ``adaptive.advance``.
 DONE, NOT_FINITE, OPEN_LOOP, STEP_TOO_SMALL = range(4)
@@ -31,6 +31,7 @@ def advance(system, tableau, stabilisation, state, step_size, steps, scratch):
     Parameters
     ----------
     system : System
+        What moves.
     tableau : Tableau
         One without weights (order 1) stands for semi-implicit Euler.
     stabilisation : int
@@ -40,7 +41,9 @@ def advance(system, tableau, stabilisation, state, step_size, steps, scratch):
     step_size : float
         [s].
     steps : int
+        How many.
     scratch : ndarray, shape (stages + 2, ns)
+        Scratch, kept between calls.
 
     Returns
     -------

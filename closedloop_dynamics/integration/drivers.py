@@ -29,6 +29,7 @@ def build_driver(system, method):
     Parameters
     ----------
     system : System
+        What moves.
     method : Method
         With ``integrator``, ``stabilisation``, ``step_size`` and ``tolerance``.
 
@@ -55,8 +56,11 @@ class FixedSteps:
     Parameters
     ----------
     system : System
+        What moves.
     integrator : Integrator
+        Of the registry.
     stabilisation : int
+        One of ``projection``.
 
     """
 
@@ -77,7 +81,9 @@ class FixedSteps:
         time : float
             Of the state [s].
         step_size : float
+            [s].
         steps : int
+            How many.
 
         Returns
         -------
@@ -103,8 +109,11 @@ class ErrorControlled:
     Parameters
     ----------
     system : System
+        What moves.
     integrator : Integrator
+        Of the registry.
     stabilisation : int
+        One of ``projection``.
     tolerance : float
         Local error allowed per step: in each coordinate [rad, m], and in each rate relative
         to 1 rad/s (1 m/s) plus its own size.

@@ -16,12 +16,12 @@
 
 import numpy as np
 
+from .system import CLOSURE_LIMIT, CLOSURE_TOLERANCE
 from ..core import (
     articulated_inertia, elimination, independent, kinematics, loop_closure, rank_revealing)
 from ..core.compiled import compiled
 from ..core.types import CLOSURE, PROJECTION_ITERATIONS, RHS
 from ..effects.dispatch import settle
-from .system import CLOSURE_LIMIT, CLOSURE_TOLERANCE
 
 # How a step is stabilised. Baumgarte's terms are part of the accelerations, not of this.
 NONE, BAUMGARTE, VELOCITY, PROJECTION, INDEPENDENT = range(5)
@@ -40,7 +40,9 @@ def factor_configuration(system, q, qd):
     Parameters
     ----------
     system : System
+        What moves.
     q, qd : ndarray, shape (nv,)
+        Joint coordinates and rates.
 
     Returns
     -------
@@ -152,6 +154,7 @@ def stabilise(system, stabilisation, state):
     Parameters
     ----------
     system : System
+        What moves.
     stabilisation : int
         ``NONE`` or ``BAUMGARTE`` (nothing is done), ``VELOCITY``, ``PROJECTION`` or
         ``INDEPENDENT``.

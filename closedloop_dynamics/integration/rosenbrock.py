@@ -28,12 +28,12 @@ import math
 
 import numpy as np
 
-from ..core import lu
-from ..core.compiled import compiled
 from .adaptive import ACCEPTED, ERROR, LARGEST_ERROR, NEXT_STEP, REACHED, REJECTED, SAFETY
 from .advance import DONE, NOT_FINITE, OPEN_LOOP, STEP_TOO_SMALL
 from .projection import all_finite, stabilise
 from .system import derivative
+from ..core import lu
+from ..core.compiled import compiled
 
 STAGES = 6
 GAMMA = 0.25

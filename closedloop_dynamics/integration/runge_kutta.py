@@ -14,8 +14,8 @@
 
 """One step of any explicit Runge-Kutta method, its error estimate and its dense output."""
 
-from ..core.compiled import compiled
 from .system import derivative
+from ..core.compiled import compiled
 
 
 @compiled
@@ -26,8 +26,11 @@ def step(system, tableau, state, step_size, slopes, stage, out):
     Parameters
     ----------
     system : System
+        What moves.
     tableau : Tableau
+        Of the method.
     state : ndarray, shape (ns,)
+        Coordinates, rates, and what effects add.
     step_size : float
         [s].
     slopes : ndarray, shape (>= stages, ns)
@@ -69,6 +72,7 @@ def extend(system, tableau, state, step_size, slopes, stage, first):
     system, tableau, state, step_size, slopes, stage
         As for ``step``, after it.
     first : int
+        The first of them.
 
     """
     for k in range(first, tableau.a.shape[0]):

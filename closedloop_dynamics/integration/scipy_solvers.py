@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""SciPy's solvers as the well-known yardstick: offline, in the interpreter, no projection inside."""
+"""SciPy's solvers as the well-known yardstick: offline, interpreted, no projection inside."""
 
 import numpy as np
 from scipy import integrate

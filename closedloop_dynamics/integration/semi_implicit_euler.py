@@ -25,6 +25,7 @@ def step(state, nv, step_size, slope, out):
     Parameters
     ----------
     state : ndarray, shape (ns,)
+        Coordinates, rates, and what effects add.
     nv : int
         Number of joint coordinates.
     step_size : float

@@ -74,6 +74,7 @@ def build_system(model, formulation=SUBSYSTEM, baumgarte=0.0, extent=1.0, indepe
     Parameters
     ----------
     model : Model
+        Constant arrays of the mechanism.
     formulation : int
         One of ``core.formulations``.
     baumgarte : float
@@ -128,6 +129,7 @@ def evaluate(system, q, qd):
     system : System
         ``effects.states`` must be those of the state.
     q, qd : ndarray, shape (nv,)
+        Joint coordinates and rates.
 
     """
     model, work, formulation = system.model, system.work, int(system.settings[FORMULATION])
@@ -161,6 +163,7 @@ def derivative(system, state, out):
     Parameters
     ----------
     system : System
+        What moves.
     state : ndarray, shape (ns,)
         Joint coordinates, joint rates, the effects' own states.
     out : ndarray, shape (ns,)
