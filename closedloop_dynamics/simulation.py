@@ -234,7 +234,7 @@ class Simulation:
 
     def _open_accounts(self):
         """Find the energy at the start, when it is needed for the first time."""
-        if self._accounts.open:
+        if self._accounts.started:
             return
         present = self._state.copy()
         self._q[:], self._qd[:] = self._initial
@@ -551,7 +551,7 @@ class Simulation:
 
     @property
     def effects(self):
-        """The listed effects with their present parameters, a dict of records by name."""
+        """Return the listed effects, with their present parameters: records by name."""
         return dict(self._effects.records)
 
     @property

@@ -67,7 +67,7 @@ class Accounts:
         self._since, self._work, self._reference = np.zeros(0), 0.0, None
 
     @property
-    def open(self):
+    def started(self):
         """Whether the energy at the start is known."""
         return self._reference is not None
 

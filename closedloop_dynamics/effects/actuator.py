@@ -30,11 +30,11 @@ from dataclasses import dataclass
 import math
 from typing import Optional
 
+from .machine import require_joint
+from .table import FIRST, Law, OWN, STATE, State, WORK
 from ..core.compiled import inlined
 from ..mechanism.checks import name, not_negative, positive
 from ..mechanism.fields import normalise
-from .machine import require_joint
-from .table import FIRST, Law, OWN, State, STATE, WORK
 
 KIND = 7
 # Share of the speed limit over which the driving torque fades.

@@ -25,10 +25,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from .table import DISSIPATED, fill_row, FIRST, LOADED, OWN, STATE, STORED, WORK
 from ..core.types import TYPE
 from ..mechanism.checks import boolean, one_of
 from ..mechanism.fields import at, FieldError, keys_of, mapping
-from .table import DISSIPATED, fill_row, FIRST, LOADED, OWN, STATE, STORED, WORK
 
 
 def require_one_drive_each(records):

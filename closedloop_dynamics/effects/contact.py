@@ -34,14 +34,14 @@ a foot on the floor, a guide.
 from dataclasses import dataclass
 import math
 
+from .forces import offset, push
+from .machine import require_point
+from .table import DISSIPATED, FIRST, Law, STATE, State, STORED
 from ..core.compiled import inlined
 from ..core.types import OMEGA, PX, PY, VX, VY
 from ..mechanism.checks import name, not_negative, number, positive, vector2
 from ..mechanism.fields import FieldError, normalise
 from ..mechanism.mechanism import Vector2
-from .forces import offset, push
-from .machine import require_point
-from .table import DISSIPATED, FIRST, Law, State, STATE, STORED
 
 KIND = 6
 

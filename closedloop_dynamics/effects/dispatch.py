@@ -22,8 +22,8 @@ A new law is one branch of ``apply``. Only listed effects are visited.
 from . import (
     actuator, contact, end_stop, external_force, joint_damping, joint_friction, joint_spring,
     point_spring)
-from ..core.compiled import compiled
 from .table import FIRST, STATE
+from ..core.compiled import compiled
 
 
 @compiled

@@ -29,11 +29,11 @@ from dataclasses import dataclass
 import math
 from typing import Optional
 
+from .machine import require_joint
+from .table import DISSIPATED, FIRST, Law, STATE, State, STORED
 from ..core.compiled import inlined
 from ..mechanism.checks import name, not_negative, number, positive
 from ..mechanism.fields import FieldError, normalise
-from .machine import require_joint
-from .table import DISSIPATED, FIRST, Law, State, STATE, STORED
 
 KIND = 2
 

@@ -24,14 +24,14 @@ from Python or from a topic).
 
 from dataclasses import dataclass
 
+from .forces import offset, push
+from .machine import require_point
+from .table import FIRST, Law, STATE, State, WORK
 from ..core.compiled import inlined
 from ..core.types import OMEGA, VX, VY
 from ..mechanism.checks import name, vector2
 from ..mechanism.fields import normalise
 from ..mechanism.mechanism import Vector2
-from .forces import offset, push
-from .machine import require_point
-from .table import FIRST, Law, State, STATE, WORK
 
 KIND = 5
 

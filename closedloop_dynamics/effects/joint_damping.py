@@ -24,11 +24,11 @@ grows with the rate and vanishes at rest.
 
 from dataclasses import dataclass
 
+from .machine import require_joint
+from .table import DISSIPATED, FIRST, Law, STATE, State
 from ..core.compiled import inlined
 from ..mechanism.checks import name, not_negative
 from ..mechanism.fields import normalise
-from .machine import require_joint
-from .table import DISSIPATED, FIRST, Law, State, STATE
 
 KIND = 0
 

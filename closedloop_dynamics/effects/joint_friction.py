@@ -40,11 +40,11 @@ of that. When: bearings, seals and guides at low speed, whatever should stay whe
 from dataclasses import dataclass
 import math
 
+from .machine import require_joint
+from .table import DISSIPATED, FIRST, Law, LOAD_TIME, OWN, STATE, State
 from ..core.compiled import inlined
 from ..mechanism.checks import name, not_negative, positive
 from ..mechanism.fields import FieldError, normalise
-from .machine import require_joint
-from .table import DISSIPATED, FIRST, Law, LOAD_TIME, OWN, State, STATE
 
 KIND = 3
 

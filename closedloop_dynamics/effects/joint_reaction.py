@@ -16,11 +16,11 @@
 
 import math
 
+from .table import LOAD_TIME, LOADED, SECOND, STATE
 from ..core.compiled import compiled
 from ..core.types import (
     ALPHA, BODY_A, BODY_B, COS, CUT_ANGLE, CUT_PRISMATIC, CUT_ROW, CUT_TYPE, DOF, FX, FY, MASS,
     MASS_X, MASS_Y, PARENT, PRISMATIC, RX, RY, SIN, SX, SY, TYPE)
-from .table import LOAD_TIME, LOADED, SECOND, STATE
 
 # Columns of EffectTable.reaction: bias force, then force in the joint; acceleration beyond the
 # velocity-product one.

@@ -24,11 +24,11 @@ a large k) a joint that is meant to stand still.
 
 from dataclasses import dataclass
 
+from .machine import require_joint
+from .table import FIRST, Law, STORED
 from ..core.compiled import inlined
 from ..mechanism.checks import name, not_negative, number
 from ..mechanism.fields import normalise
-from .machine import require_joint
-from .table import FIRST, Law, STORED
 
 KIND = 1
 

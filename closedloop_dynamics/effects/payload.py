@@ -24,11 +24,11 @@ tool, a part in the gripper, a counterweight.
 
 from dataclasses import dataclass
 
+from .machine import require_body
 from ..core.types import INERTIA, MASS, MASS_X, MASS_Y
 from ..mechanism.checks import name, not_negative, vector2
 from ..mechanism.fields import normalise
 from ..mechanism.mechanism import Vector2
-from .machine import require_body
 
 
 @dataclass(frozen=True)

@@ -27,14 +27,14 @@ from dataclasses import dataclass
 import math
 from typing import Optional
 
+from .forces import offset, push
+from .machine import require_point
+from .table import DISSIPATED, FIRST, Law, SECOND, STATE, State, STORED
 from ..core.compiled import inlined
 from ..core.types import OMEGA, PX, PY, VX, VY
 from ..mechanism.checks import name, not_negative, vector2
 from ..mechanism.fields import FieldError, normalise
 from ..mechanism.mechanism import Vector2
-from .forces import offset, push
-from .machine import require_point
-from .table import DISSIPATED, FIRST, Law, SECOND, State, STATE, STORED
 
 KIND = 4
 

@@ -26,10 +26,10 @@ drives, whose rotor often outweighs the link.
 
 from dataclasses import dataclass
 
+from .machine import require_joint
 from ..core.types import ARMATURE, REVOLUTE, REVOLUTE_ARMATURE, TYPE
 from ..mechanism.checks import name, not_negative, number
 from ..mechanism.fields import FieldError, normalise
-from .machine import require_joint
 
 
 @dataclass(frozen=True)

@@ -59,7 +59,8 @@ def test_a_strong_damper_lets_go_without_pulling():
 
 
 @pytest.mark.parametrize('values', [
-    {'stiffness': 0.0, 'upper': 1.0}, {'stiffness': 1.0}, {'stiffness': 1.0, 'lower': 1.0, 'upper': 0.5},
+    {'stiffness': 0.0, 'upper': 1.0}, {'stiffness': 1.0},
+    {'stiffness': 1.0, 'lower': 1.0, 'upper': 0.5},
     {'stiffness': 1.0, 'upper': 1.0, 'damping': -1.0}])
 def test_impossible_stops_are_refused(values):
     with pytest.raises(FieldError):
