@@ -166,6 +166,7 @@ class RecorderNode(Node):
 
     def _record(self, topic, data, info):
         if not self.received[topic]:
+            self.get_logger().info(f'{topic}: first message, {self._type_of[topic]}')
             self._bag.add_topic(topic, self._type_of[topic], [
                 publisher.qos_profile
                 for publisher in self.get_publishers_info_by_topic(topic)])

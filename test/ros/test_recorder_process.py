@@ -45,10 +45,12 @@ def test_bag_holds_what_a_subscriber_got(processes, listener, tmp_path, storage,
     heard = {topic: listener.listen(topic, kind) for topic, kind in topics.items()}
     commands = listener.listen('/joint_command', JointState)
     simulator = processes.start(SIMULATOR, scene='three_rrr').wait_until_ready()
-    for topic in (*topics, '/joint_command'):
-        wait_for_recorder(listener, topic)
     source = processes.start(SOURCE, joints='[theta_1, theta_7]', torque='[1.0, 2.0]')
-    listener.wait(lambda: len(commands) > 100, 'commands')
+    # On a busy machine it takes seconds until all have found each other.
+    for topic in (*topics, '/joint_command'):
+        recorder.wait_for(f'{topic}: first message')
+    listener.wait(lambda: commands and all(len(each) > 100 for each in heard.values()),
+                  'a hundred messages')
     # First those who speak, then those who listen.
     assert source.stop() == 0
     assert simulator.stop() == 0
@@ -68,17 +70,10 @@ def test_bag_holds_what_a_subscriber_got(processes, listener, tmp_path, storage,
     assert 'lost' not in recorder.output
 
 
-def wait_for_recorder(listener, topic):
-    """Wait until a recorder subscribes to a topic."""
-    listener.wait(
-        lambda: any(info.node_name == RECORDER for info in
-                    listener.node.get_subscriptions_info_by_topic(topic)),
-        f'recording of {topic}')
-
-
 def assert_same_tail(topic, recorded, heard):
     """Compare two lists of messages from the first one that both have."""
-    assert min(len(recorded), len(heard)) > 50
+    assert recorded
+    assert heard
     first = max(key(recorded[0]), key(heard[0]))
     recorded = [each for each in recorded if key(each) >= first]
     heard = [each for each in heard if key(each) >= first]
@@ -144,7 +139,8 @@ def test_namespace_of_the_recorder_is_that_of_the_topics(processes, listener, tm
                    for namespace in ('/left', '/right'))
     for simulator in (left, right):
         simulator.wait_until_ready()
-    wait_for_recorder(listener, '/left/constraint_forces/cut_1')
+    for topic in ('/left/constraint_forces/cut_1', '/left/joint_states'):
+        recorder.wait_for(f'{topic}: first message')
     states = listener.listen('/left/joint_states', JointState)
     others = listener.listen('/right/joint_states', JointState)
     listener.wait(lambda: len(states) > 100 and len(others) > 100, 'states')
