@@ -26,7 +26,7 @@ from ..simulation import Simulation
 CANDIDATES = (('dop853', 1e-13), ('dopri5', 1e-13), ('rk4', 1e-3), ('rodas4', 1e-11))
 # An independent way to keep the loops closed, compared for information.
 OTHER_STABILISATION = 'independent'
-PATIENCE = 20.0
+PATIENCE = 10.0
 
 
 @dataclass(frozen=True)

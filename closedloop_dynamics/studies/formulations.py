@@ -1,0 +1,253 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""What the subsystem-level method buys: time and rounding error as mechanisms grow."""
+
+from dataclasses import dataclass
+import math
+import statistics
+import time
+
+import numpy as np
+
+from .formulation_errors import exact_dynamics
+from ..core.compiled import compiled
+from ..integration.system import build_system, evaluate
+from ..mechanism.families import chain, ladder
+from ..modeling import build_model
+from ..simulation import FORMULATIONS, Simulation
+
+SIZES = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
+QUICK_SIZES = (1, 3, 10, 30, 100)
+SCENES = ('three_rrr', 'carpet_scraper')
+FAMILIES = {'ladder': ladder, 'chain': chain}
+SMALLEST = {'ladder': 1, 'chain': 3}
+# An evaluation expected to take longer is not made [s].
+LONGEST = 1.0
+# Timing: this many turns, each of evaluations that take this long together [s].
+TURNS, FEW_TURNS, TURN_TIME = 7, 3, 2e-3
+GROWTH = 3.0
+
+
+@dataclass(frozen=True)
+class Case:
+    """
+    A mechanism in motion.
+
+    Attributes
+    ----------
+    family : str
+        ``'ladder'``, ``'chain'``, or a scene's name.
+    size : int
+        Loops of a ladder, links of a chain, joints of a scene's mechanism.
+    mechanism : Mechanism
+    q, qd, tau : ndarray, shape (nv,)
+
+    """
+
+    family: str
+    size: int
+    mechanism: object
+    q: np.ndarray
+    qd: np.ndarray
+    tau: np.ndarray
+
+
+@dataclass(frozen=True)
+class Row:
+    """
+    One formulation on one case.
+
+    Attributes
+    ----------
+    family, size
+        As in ``Case``.
+    joints, equations : int
+    formulation : str
+    time : float
+        Of one evaluation [s]; NaN where it was not made.
+    acceleration_error, force_error : float
+        Largest error relative to the largest value.
+
+    """
+
+    family: str
+    size: int
+    joints: int
+    equations: int
+    formulation: str
+    time: float = math.nan
+    acceleration_error: float = math.nan
+    force_error: float = math.nan
+
+
+@compiled
+def evaluate_again(system, q, qd, count):
+    """
+    Evaluate a state again and again, to be timed without the call from Python.
+
+    Parameters
+    ----------
+    system : System
+        Holds the result.
+    q, qd : ndarray, shape (nv,)
+        Coordinates and rates.
+    count : int
+        How often.
+
+    """
+    for _ in range(count):
+        evaluate(system, q, qd)
+
+
+def growing_case(family, size, seed=1):
+    """
+    Build one member of a family, moving and driven.
+
+    Parameters
+    ----------
+    family : str
+        A key of ``FAMILIES``.
+    size : int
+        Loops or links.
+    seed : int
+        Of rates and torques.
+
+    Returns
+    -------
+    Case
+
+    """
+    mechanism, position = FAMILIES[family](size)
+    rng = np.random.default_rng(seed)
+    count = len(position)
+    if family == 'ladder':
+        # All cranks turn alike: the rates close the loops, too.
+        rates = np.tile([1.0, -1.0], size + 1)[:count]
+    else:
+        rates = rng.uniform(-1.0, 1.0, count) / count
+    return Case(family, size, mechanism, np.array(position), rates, rng.uniform(-1.0, 1.0, count))
+
+
+def scene_case(name):
+    """Return the mechanism of a scene as it moves after 0.3 s, without torques."""
+    simulation = Simulation.from_scene(name)
+    simulation.step(duration=0.3)
+    nv = len(simulation.joint_names)
+    return Case(name, nv, simulation.mechanism, simulation.position, simulation.velocity,
+                np.random.default_rng(nv).uniform(-1.0, 1.0, nv))
+
+
+def study_formulations(largest=max(SIZES), quick=False, progress=lambda done, total: None):
+    """
+    Measure time and rounding error of all formulations on growing mechanisms.
+
+    Parameters
+    ----------
+    largest : int
+        No larger ladders and chains than this.
+    quick : bool
+        Fewer and smaller ones.
+    progress : callable
+        Told again and again how many of how many parts are done.
+
+    Returns
+    -------
+    list of Row
+
+    """
+    cases = [lambda name=name: scene_case(name) for name in SCENES]
+    cases += [
+        lambda family=family, size=size: growing_case(family, size)
+        for family in FAMILIES for size in (QUICK_SIZES if quick else SIZES)
+        if SMALLEST[family] <= size <= largest]
+    rows, expected = [], {}
+    for done, build in enumerate(cases):
+        progress(done, len(cases))
+        rows += _measured(build(), expected)
+    progress(len(cases), len(cases))
+    return rows
+
+
+def _measured(case, expected):
+    """Return the rows of a case; ``expected`` holds (size, time) of the last one measured."""
+    mechanism = case.mechanism
+    sizes = (case.family, case.size, len(mechanism.joints), mechanism.number_of_equations)
+    model = build_model(mechanism)
+    exact = exact_dynamics(mechanism, case.q, case.qd, case.tau)
+    systems, errors, times = {}, {}, {}
+    for name, formulation in FORMULATIONS.items():
+        size, last = expected.get((case.family, name), (case.size, 0.0))
+        if last * (case.size / size) ** GROWTH > LONGEST:
+            continue
+        system = build_system(model, formulation)
+        system.tau[:] = case.tau
+        evaluate(system, case.q, case.qd)
+        errors[name] = [_relative(value, reference) for value, reference in zip(
+            (system.qdd, system.lam), exact)]
+        evaluate_again(system, case.q, case.qd, 1)
+        systems[name] = system, _repeats(system, case)
+    for turn in range(TURNS):
+        for name, (system, repeats) in systems.items():
+            if turn >= FEW_TURNS and times[name][0] > 0.1 * LONGEST:
+                continue
+            times.setdefault(name, []).append(_time(system, case, repeats) / repeats)
+    rows = []
+    for name in FORMULATIONS:
+        if name not in systems:
+            rows.append(Row(*sizes, name))
+            continue
+        seconds = statistics.median(times[name])
+        expected[case.family, name] = case.size, seconds
+        rows.append(Row(*sizes, name, seconds, *errors[name]))
+    return rows
+
+
+def _repeats(system, case):
+    """Return how many evaluations make up a turn."""
+    return max(1, round(TURN_TIME / max(_time(system, case, 1), 1e-7)))
+
+
+def _time(system, case, count):
+    """Return the CPU time of some evaluations [s]."""
+    begin = time.thread_time()
+    evaluate_again(system, case.q, case.qd, count)
+    return time.thread_time() - begin
+
+
+def _relative(value, reference):
+    return float(np.abs(value - reference).max() / np.abs(reference).max())
+
+
+def exponent(rows):
+    """
+    Fit the exponent of growth over the largest tenfold of sizes.
+
+    Parameters
+    ----------
+    rows : list of Row
+        Of one family and one formulation.
+
+    Returns
+    -------
+    float
+        NaN where there are fewer than two sizes.
+
+    """
+    rows = [row for row in rows if not math.isnan(row.time)]
+    rows = [row for row in rows if row.size >= 0.1 * max(other.size for other in rows)]
+    if len(rows) < 2:
+        return math.nan
+    return float(np.polyfit(np.log([row.size for row in rows]),
+                            np.log([row.time for row in rows]), 1)[0])

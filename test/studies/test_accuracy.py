@@ -1,0 +1,192 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The work-precision study: its reference, its rows, its advice, its command."""
+
+import csv
+from dataclasses import replace
+import math
+
+from closedloop_dynamics.cli import main
+from closedloop_dynamics.errors import SimulationError
+from closedloop_dynamics.integration.registry import INTEGRATORS, STABILISATIONS
+from closedloop_dynamics.scene import load_scene
+from closedloop_dynamics.scene_records import FORMULATIONS, Method
+from closedloop_dynamics.simulation import Simulation
+from closedloop_dynamics.studies import accuracy, reference
+from closedloop_dynamics.studies.accuracy import Row, Study, study_accuracy
+from closedloop_dynamics.studies.accuracy_report import table, title
+from closedloop_dynamics.studies.advice import for_budget, for_target, yaml_lines
+from closedloop_dynamics.studies.sweep import default_lines, Line, Setting, settings
+from closedloop_dynamics.studies.trajectory import Difference, difference, record
+from closedloop_dynamics.studies.work_precision_picture import work_precision
+import numpy as np
+import pytest
+import yaml
+
+LINES = [Line('rk4'), Line('dop853'), Line('rk4', stabilisation='none'),
+         Line('rk4', formulation='augmented')]
+
+
+@pytest.fixture(scope='module')
+def study():
+    """Return a quick study of the four-bar under a torque."""
+    return study_accuracy(load_scene('four_bar'), {'crank_joint': 2.0}, 0.2, True, LINES)
+
+
+def test_every_method_is_tried_by_default():
+    lines = default_lines()
+    assert {line.integrator for line in lines} == set(INTEGRATORS)
+    assert {line.stabilisation for line in lines} == set(STABILISATIONS)
+    assert {line.formulation for line in lines} == set(FORMULATIONS)
+    assert len(set(lines)) == len(lines)
+
+
+def test_step_sizes_meet_the_outputs():
+    for setting in settings(Line('rk4'), 0.01):
+        assert setting.value * setting.steps == pytest.approx(0.01 * setting.stride, rel=1e-12)
+        assert setting.steps == 1 or setting.stride == 1
+    assert [s.value for s in settings(Line('dop853'), 0.01)] == pytest.approx(
+        [10.0 ** -k for k in range(2, 14)])
+
+
+def test_two_methods_prove_the_reference(study):
+    own = study.reference.error
+    assert 0.0 < own.position < 1e-10 and own.velocity < 1e-9 and own.force < 1e-7
+    assert 'proven by dopri5' in study.reference.description
+
+
+def test_reference_moves_as_the_simulation_does(study):
+    simulation = Simulation.from_scene('four_bar', step_size=1e-4)
+    simulation.step({'crank_joint': 2.0}, 0.2)
+    last = study.reference.trajectory.position[-1]
+    np.testing.assert_allclose(last, simulation.position, rtol=0, atol=1e-9)
+
+
+def test_without_a_second_method_there_is_no_reference(monkeypatch):
+    monkeypatch.setattr(reference, 'CANDIDATES', (('dop853', 1e-13),))
+    with pytest.raises(SimulationError, match='nothing to measure errors against'):
+        reference.compute_reference(load_scene('four_bar'), None, 0.01, 3)
+
+
+def test_finer_settings_are_more_accurate_and_cost_more(study):
+    for line, rows in study.lines().items():
+        assert not any(row.failure for row in rows)
+        assert rows[-1].position_error < 1e-3 * rows[0].position_error, line
+        assert rows[-1].evaluations > rows[0].evaluations
+        assert all(row.cost > 0.0 for row in rows)
+        assert all(row.energy_error < 0.1 for row in rows)
+
+
+def test_rows_know_their_errors_and_evaluations(study):
+    row = next(row for row in study.lines()[Line('rk4')] if row.setting.value == 2e-3)
+    assert row.evaluations == pytest.approx(4 / 2e-3)
+    simulation = Simulation(replace(study.scene, method=row.method))
+    motion = record(simulation, simulation.joint_torques(study.torque), 1, 100)
+    wrong = difference(motion, study.reference.trajectory)
+    assert (row.position_error, row.force_error) == (wrong.position, wrong.force)
+    assert row.closure < 1e-11
+
+
+def test_loops_open_without_stabilisation(study):
+    kept, left = (study.lines()[line][0] for line in (LINES[0], LINES[2]))
+    assert left.closure > 1e4 * kept.closure
+
+
+def test_failures_are_rows_with_a_reason():
+    study = study_accuracy(load_scene('four_bar'), {'crank_joint': 100.0}, 0.2, True,
+                           [Line('semi_implicit_euler')])
+    failures = [row for row in study.rows if row.failure]
+    assert failures and all(math.isnan(row.position_error) for row in failures)
+    assert failures[0].failure.split('. ')[0].split('; ')[0] in table(study)
+
+
+def test_runs_that_take_too_long_are_given_up(monkeypatch):
+    monkeypatch.setattr(accuracy, 'PATIENCE', 0.0)
+    study = study_accuracy(load_scene('four_bar'), None, 0.1, True, [Line('heun')])
+    assert all('given up' in row.failure for row in study.rows)
+
+
+def made_up(points, floor=1e-12):
+    """Return a study of two lines with given (error, cost) from coarse to fine."""
+    rows = [Row(Setting(line, 0.01, 1, 1), Method(integrator=line.integrator), '', error, error,
+                error, 0.0, 0.0, 1.0, cost)
+            for line, values in points.items() for error, cost in values]
+    own = reference.Reference(None, Difference(floor, floor, floor), 'made up')
+    return Study(load_scene('four_bar'), 1.0, {}, own, rows)
+
+
+def test_advice_takes_the_cheapest_that_holds_the_target_for_good():
+    lucky = [(1e-2, 0.001), (1e-7, 0.002), (1e-5, 0.004), (1e-8, 0.02)]
+    steady = [(1e-3, 0.005), (5e-7, 0.01), (1e-9, 0.03)]
+    study = made_up({Line('rk4'): lucky, Line('heun'): steady})
+    advice = for_target(study, 1e-6)
+    assert advice.row.cost == 0.01 and 'integrator: heun' in advice.text
+    assert '1 % of real time' in advice.text
+    assert for_budget(study, 0.02).row.position_error == 1e-8
+
+
+def test_advice_says_why_nothing_will_do():
+    study = made_up({Line('rk4'): [(1e-2, 0.001), (1e-7, 0.002)]})
+    assert for_target(study, 1e-9).row is None
+    assert '1.0e-07, by rk4' in for_target(study, 1e-9).text
+    assert 'cannot be told' in for_target(study, 1e-13).text
+    assert for_budget(study, 1e-4).row is None
+    assert '0.1 % of real time' in for_budget(study, 1e-4).text
+
+
+def test_advice_can_be_pasted_into_a_scene(study, tmp_path):
+    advice = for_target(study, 1e-6)
+    pasted = yaml.safe_load(advice.text[advice.text.index('method:'):])['method']
+    assert Method(**pasted).integrator == advice.row.method.integrator
+    simulation = Simulation.from_scene('four_bar', **pasted)
+    simulation.step(study.torque, 0.2)
+    wrong = simulation.position - study.reference.trajectory.position[-1]
+    assert np.abs(wrong).max() <= 1e-6
+    assert 'tolerance: 1.0e-07' in yaml_lines(Method(integrator='dop853', tolerance=1e-7))
+
+
+def test_picture_and_title(study, tmp_path):
+    assert title(study) == 'four_bar, 0.2 s, driven by crank_joint = 2 N m'
+    figure = work_precision(study, title(study))
+    assert len(figure.axes) == 3
+    figure.savefig(tmp_path / 'picture.png')
+
+
+def test_command_writes_table_picture_and_advice(capsys, tmp_path, monkeypatch):
+    monkeypatch.setattr(accuracy, 'default_lines', lambda: LINES[:2])
+    arguments = ['accuracy', 'four_bar', '--quick', '--duration', '0.2', '--target', '1e-4',
+                 '--budget', '0.5', '--output', str(tmp_path / 'out')]
+    assert main(arguments) == 0
+    text = capsys.readouterr().out
+    assert 'proven by' in text and text.count('method:') == 2
+    with open(tmp_path / 'out' / 'four_bar_accuracy.csv') as file:
+        rows = list(csv.DictReader(file))
+    assert {row['integrator'] for row in rows} == {'rk4', 'dop853'}
+    assert all(float(row['position_error']) > 0.0 for row in rows)
+    assert (tmp_path / 'out' / 'four_bar_accuracy.png').stat().st_size > 10000
+    assert main(arguments) == 2
+    assert '--overwrite' in capsys.readouterr().err
+
+
+@pytest.mark.parametrize('option, word', [
+    (('--torque', 'coupler_joint=1'), 'coupler_joint'), (('--duration', '0'), '--duration'),
+    (('--target', '-1'), '--target')])
+def test_command_refuses_at_once(capsys, option, word):
+    try:
+        code = main(['accuracy', 'four_bar', *option])
+    except SystemExit as end:
+        code = end.code
+    assert code == 2
+    assert word in capsys.readouterr().err

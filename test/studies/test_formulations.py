@@ -1,0 +1,114 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The study of the formulations: its mechanisms, its exact reference, its numbers."""
+
+import csv
+import math
+
+from closedloop_dynamics.cli import main
+from closedloop_dynamics.integration.system import build_system, evaluate
+from closedloop_dynamics.mechanism.families import chain, ladder
+from closedloop_dynamics.mechanism.mechanism import PRISMATIC
+from closedloop_dynamics.mechanism.validation import validate_mechanism
+from closedloop_dynamics.modeling import build_model
+from closedloop_dynamics.scene import load_scene
+from closedloop_dynamics.simulation import FORMULATIONS
+from closedloop_dynamics.studies.formulation_errors import exact_dynamics
+from closedloop_dynamics.studies.formulations import (
+    exponent, growing_case, Row, scene_case, study_formulations)
+from closedloop_dynamics.studies.formulations_picture import growth
+from closedloop_dynamics.studies.formulations_report import growth_text, table
+import numpy as np
+import pytest
+
+from ..reference.dense import closure, forward_dynamics
+
+
+@pytest.mark.parametrize('build, sizes', [(ladder, (1, 2, 7)), (chain, (3, 10, 31))])
+def test_families_are_valid_and_closed_as_built(build, sizes):
+    for size in sizes:
+        mechanism, position = build(size)
+        validate_mechanism(mechanism)
+        assert len(position) == len(mechanism.joints)
+        assert np.abs(closure(mechanism, np.array(position))).max() < 1e-14
+
+
+def test_ladder_has_one_degree_of_freedom_and_a_chain_as_many_as_links_less_two():
+    assert [len(m.joints) - m.number_of_equations for m in (ladder(5)[0], chain(9)[0])] == [1, 7]
+
+
+def cases():
+    """Return small members of all families and both mechanisms."""
+    return [growing_case('ladder', 1), growing_case('ladder', 4), growing_case('chain', 6),
+            scene_case('three_rrr'), scene_case('carpet_scraper')]
+
+
+def test_exact_dynamics_agree_with_the_dense_twin():
+    for case in cases():
+        acceleration, multipliers = exact_dynamics(case.mechanism, case.q, case.qd, case.tau)
+        expected, forces = forward_dynamics(case.mechanism, case.q, case.qd, case.tau, (0.0, 0.0))
+        np.testing.assert_allclose(acceleration.astype(float), expected, rtol=1e-10, atol=1e-10)
+        np.testing.assert_allclose(multipliers.astype(float), forces, rtol=1e-10, atol=1e-10)
+
+
+def test_exact_dynamics_have_more_digits_than_a_double():
+    case = growing_case('chain', 40)
+    acceleration, _ = exact_dynamics(case.mechanism, case.q, case.qd, case.tau)
+    system = build_system(build_model(case.mechanism))
+    system.tau[:] = case.tau
+    evaluate(system, case.q, case.qd)
+    error = np.abs(system.qdd - acceleration).max() / np.abs(acceleration).max()
+    assert 0.0 < error < 1e-13
+
+
+def test_exact_dynamics_refuse_other_joints():
+    mechanism = load_scene('slider_crank').mechanism
+    assert PRISMATIC in {joint.type for joint in mechanism.joints}
+    with pytest.raises(ValueError, match='revolute'):
+        exact_dynamics(mechanism, np.zeros(3), np.zeros(3), np.zeros(3))
+
+
+def test_study_measures_every_formulation_of_every_size(tmp_path):
+    calls = []
+    rows = study_formulations(3, quick=True, progress=lambda *parts: calls.append(parts))
+    assert {(row.family, row.size) for row in rows} == {
+        ('three_rrr', 7), ('carpet_scraper', 7), ('ladder', 1), ('ladder', 3), ('chain', 3)}
+    assert len(rows) == 5 * len(FORMULATIONS)
+    assert calls[0] == (0, 5) and calls[-1] == (5, 5)
+    for row in rows:
+        assert 0.0 < row.time < 0.1
+        assert row.acceleration_error < 1e-12 and row.force_error < 1e-12
+    assert 'three_rrr' in table(rows) and table(rows, markdown=True).startswith('| mechanism |')
+    growth(rows).savefig(tmp_path / 'growth.png')
+
+
+def test_exponent_is_fitted_over_the_largest_tenfold():
+    rows = [Row('ladder', size, 0, 0, 'system', 1e-9 * size ** 3 + 1e-6 * (size < 10))
+            for size in (1, 2, 5, 10, 20, 50, 100)]
+    assert exponent(rows) == pytest.approx(3.0)
+    assert math.isnan(exponent(rows[:1]))
+    assert 'ladder, system: time ~ N^3.00' in growth_text(rows)
+
+
+def test_command_writes_table_and_picture(capsys, tmp_path):
+    arguments = ['formulations', '--quick', '--largest', '1', '--output', str(tmp_path / 'out')]
+    assert main(arguments) == 0
+    assert 'ladder' in capsys.readouterr().out
+    with open(tmp_path / 'out' / 'formulations.csv') as file:
+        header, *rows = csv.reader(file)
+    assert header[0] == 'mechanism' and len(rows) == 3 * len(FORMULATIONS)
+    assert (tmp_path / 'out' / 'formulations.png').stat().st_size > 10000
+    assert main(arguments) == 2
+    assert 'exists' in capsys.readouterr().err
