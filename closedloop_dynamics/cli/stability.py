@@ -1,0 +1,95 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""``closedloop stability``: hard cases with every method, and what becomes of them."""
+
+from pathlib import Path
+
+from .command import Command, UsageError
+from ..studies import stability
+from ..studies.progress import progress_bar
+
+FILES = ('stability.csv', 'stability_table.md', 'stability_atlas.png')
+FAILED = 1
+
+
+def _add_arguments(parser):
+    parser.add_argument('--output', metavar='DIR', type=Path,
+                        help=f'where to write {", ".join(FILES)} (default: only print)')
+    parser.add_argument('--overwrite', action='store_true',
+                        help='replace these files if they exist')
+    parser.add_argument('--quick', action='store_true',
+                        help='fewer trials and shorter runs: some minutes instead of an hour')
+    parser.add_argument('--case', action='append', metavar='NAME', default=[],
+                        help='only the cases whose name contains this; may be repeated')
+    parser.add_argument('--default-only', action='store_true',
+                        help='only the default method, and RODAS4 for stiff scenes')
+
+
+def _run(arguments):
+    cases = [case for case in stability.CASES
+             if not arguments.case or any(word in case.name for word in arguments.case)]
+    if not cases:
+        names = ', '.join(case.name for case in stability.CASES)
+        raise UsageError(f'--case: expected a part of one of: {names}')
+    methods = stability.METHODS
+    if arguments.default_only:
+        methods = {name: methods[name] for name in (stability.DEFAULT, 'rodas4')}
+    if arguments.output is not None:
+        _check(arguments)
+    with progress_bar(len(cases) * len(methods), 'cells', 'stability') as bar:
+        atlas = stability.study_stability(
+            arguments.quick, cases, methods, lambda done, total: bar.update(done - bar.n))
+    print(stability.table(atlas, cases, methods))
+    if arguments.output is not None:
+        # Drawing takes long to import.
+        from ..studies.stability_picture import stability_atlas
+        arguments.output.mkdir(parents=True, exist_ok=True)
+        stability.write_files(atlas, arguments.output, cases, methods)
+        stability_atlas(atlas, cases, methods).savefig(arguments.output / FILES[2])
+        print('\n' + '\n'.join(str(arguments.output / name) for name in FILES))
+    failed = stability.unstable(atlas)
+    if failed:
+        print(f'\nunstable with the default method: {", ".join(failed)}')
+    return FAILED if failed else 0
+
+
+def _check(arguments):
+    """Refuse at once to replace files that nobody said to replace."""
+    for name in FILES:
+        path = arguments.output / name
+        if path.exists() and not arguments.overwrite:
+            raise UsageError(f'--output: {path} exists; name another directory, or add '
+                             '--overwrite')
+
+
+COMMAND = Command(
+    name='stability',
+    summary='run the hard cases with every method and draw the stability atlas',
+    description="""\
+Run hard cases (singular configurations, redundant loops, extreme scales,
+contradictory input, stiff scenes, long runs) with every method. Each cell is the
+worst figure of one case with one method, and what that means: accurate,
+degraded but stable, refused with a reason, or unstable: wrong without a word.
+doc/stability.md explains every case. Exit code 1 where the default method is
+unstable.
+""",
+    epilog="""\
+examples:
+  closedloop stability --quick
+  closedloop stability --output results --default-only
+  closedloop stability --quick --case flat --case loops
+""",
+    add_arguments=_add_arguments,
+    run=_run)

@@ -1,0 +1,154 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Hard cases: configurations where the loops lose a closure equation for an instant."""
+
+from dataclasses import replace
+import math
+
+import numpy as np
+
+from .hard_case import Case
+from .hard_machines import (
+    change_point_linkage, G, ladder, ladder_energy, off_the_branch, scene)
+from ..core.jacobian import constraint_jacobian
+from ..integration.registry import FIXED, INTEGRATORS
+from ..scene import load_scene
+from ..simulation import Simulation
+
+GROUP = 'Singular configurations'
+LOOKS = 100
+# Of error-controlled methods, which would not notice another raster.
+TOLERANCE = 1e-8
+
+
+def trials(method, count, seed=0):
+    """
+    Return methods, and starts, that meet the hard place differently.
+
+    Step sizes of 2 to 12 ms for steps of fixed size; other starts for error control.
+
+    Returns
+    -------
+    list of (Method, float)
+
+    """
+    rng = np.random.default_rng(seed)
+    drawn = rng.uniform(2e-3, 12e-3, count)
+    if INTEGRATORS[method.integrator].kind == FIXED:
+        return [(replace(method, step_size=float(size)), 0.0) for size in drawn]
+    method = replace(method, tolerance=TOLERANCE, step_size=1e-2)
+    return [(method, float(size)) for size in drawn]
+
+
+def watch_ladder(loops, method, duration, tilt=0.0, rate=1.0, effects=None):
+    """Return the worst of energy error and ten times the angle off the branch, relative."""
+    simulation = Simulation(scene(*ladder(loops, tilt, rate), method, effects))
+    scale = ladder_energy(loops)
+    start, worst = simulation.energy, 0.0
+    for _ in range(LOOKS):
+        simulation.step(duration=duration / LOOKS)
+        worst = max(worst, abs(simulation.energy - start) / scale,
+                    10.0 * off_the_branch(simulation.position))
+        if not worst < 1.0:
+            return math.inf
+    return worst
+
+
+def _passing(loops, quick_duration, duration):
+    def run(method, quick):
+        worst = max(watch_ladder(loops, variant, quick_duration if quick else duration, tilt)
+                    for variant, tilt in trials(method, 6 if quick else 40))
+        if INTEGRATORS[method.integrator].kind == FIXED and loops < 10:
+            fine = replace(method, step_size=1e-4)
+            worst = max(worst, watch_ladder(loops, fine, quick_duration))
+        return worst
+    return run
+
+
+def _on_flat(method, quick):
+    return max(watch_ladder(loops, variant, 1.0 if quick else 3.0, 0.5 * math.pi, rate)
+               for loops in (1, 2) for rate in (1.0, 5.0)
+               for variant, _ in trials(method, 2 if quick else 6))
+
+
+def _near_flat(method, quick):
+    powers = (1, 3, 4, 5, 6, 8, 10, 12) if quick else range(1, 14)
+    return max(watch_ladder(loops, variant, 1.0, 0.5 * math.pi + sign * 10.0 ** -power)
+               for loops in (1, 2) for power in powers for sign in (1.0, -1.0)
+               for variant, _ in trials(method, 1))
+
+
+def _change_point(method, quick):
+    worst = 0.0
+    for variant, offset in trials(method, 6 if quick else 40):
+        mechanism, q, qd = change_point_linkage()
+        qd[0] += offset
+        simulation = Simulation(scene(mechanism, q, qd, variant))
+        start, scale = simulation.energy, 6.0 * G
+        for _ in range(LOOKS):
+            simulation.step(duration=(3.0 if quick else 10.0) / LOOKS)
+            worst = max(worst, abs(simulation.energy - start) / scale)
+    return worst
+
+
+def _type_2(method, quick):
+    """Drive the 3-RRR through poses where locked drives would leave the platform loose."""
+    start = load_scene('three_rrr')
+    worst, crossings = 0.0, 0
+    for torque in ((5.0, -3.0, 2.0), (-4.0, 6.0, 3.0)) if quick else (
+            (5.0, -3.0, 2.0), (-4.0, 6.0, 3.0), (8.0, 8.0, -8.0), (0.0, -9.0, 6.0)):
+        simulation = Simulation(replace(start, method=replace(method, tolerance=TOLERANCE)))
+        passive = [k for k, joint in enumerate(simulation.mechanism.joints)
+                   if not joint.actuated]
+        jac = np.zeros((simulation.mechanism.number_of_equations, len(simulation.joint_names)))
+        sign, scale = 0.0, 1.0
+        for _ in range(LOOKS):
+            simulation.step(torque, 2.0 / LOOKS)
+            balance = simulation.energy_balance
+            scale = max(scale, balance.kinetic)
+            worst = max(worst, abs(balance.residual) / scale)
+            constraint_jacobian(simulation.system.model, simulation.system.work, jac)
+            now = np.sign(np.linalg.det(jac[:, passive]))
+            crossings += now * sign < 0.0
+            sign = now
+    return worst if crossings else math.nan
+
+
+_FIGURE = 'energy error, or 10 x angle off the branch [rad], relative'
+CASES = (
+    Case('flat, 1 loop', GROUP,
+         'Change-point four-bar (A02, N = 1) through its flat position, 40 step sizes of 2 to 12 '
+         'ms and 0.1 ms: stays on the parallel branch.',
+         _FIGURE, 1e-5, 1e-2, _passing(1, 2.5, 10.0)),
+    Case('flat, 2 loops', GROUP,
+         'The same with two loops: two closure equations vanish at once.',
+         _FIGURE, 1e-5, 1e-2, _passing(2, 2.5, 10.0)),
+    Case('flat, 40 loops', GROUP,
+         'The same with 40 loops: one freedom becomes 41 for an instant.',
+         _FIGURE, 1e-5, 1e-2, _passing(40, 0.9, 2.5)),
+    Case('start flat', GROUP,
+         'N = 1 and 2, starting exactly on the flat position: goes on along its velocity.',
+         _FIGURE, 1e-5, 1e-2, _on_flat),
+    Case('start near flat', GROUP,
+         'N = 1 and 2, starting 1e-1 to 1e-13 rad before and behind the flat position.',
+         _FIGURE, 1e-5, 1e-2, _near_flat),
+    Case('change point', GROUP,
+         'Four-bar of 4, 1, 3, 2 m, which folds onto one line without any symmetry: keeps its '
+         'energy.',
+         'energy error, relative', 1e-5, 1e-2, _change_point),
+    Case('type-2 pose', GROUP,
+         '3-RRR driven by torques through parallel-singular poses: energy equals work.',
+         'energy without source, relative', 1e-6, 1e-2, _type_2),
+)

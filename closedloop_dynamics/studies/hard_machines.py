@@ -1,0 +1,162 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Mechanisms of the hard cases, each with a state that closes, and what makes any of them hard."""
+
+from dataclasses import replace
+import math
+
+import numpy as np
+
+from ..effects.gravity import Gravity
+from ..mechanism.mechanism import Body, CutJoint, FIXED, Joint, Mechanism, REVOLUTE
+from ..scene_records import Initial, Scene
+
+G = 9.81
+# Direction of the ground: the world's axes must play no part.
+DIRECTION = 0.7
+
+
+def bar(name, mass, length):
+    """Return a uniform bar along its x axis."""
+    return Body(name, mass, (0.5 * length, 0.0), mass * length ** 2 / 12.0)
+
+
+def hinge(name, parent, child, x=0.0, y=0.0, angle=0.0, actuated=False):
+    """Return a revolute tree joint."""
+    return Joint(name, REVOLUTE, parent, child, (x, y), angle, actuated)
+
+
+def ladder(loops, tilt=0.0, rate=1.0, direction=DIRECTION, size=1.0):
+    """
+    Return N parallelogram loops in a row (benchmark A02) on their parallel branch.
+
+    Parameters
+    ----------
+    loops : int
+    tilt, rate : float
+        Of the legs, clockwise from upright [rad, rad/s].
+    direction : float
+        Direction of the ground, in which all is turned [rad].
+    size : float
+        Length of every link [m]; masses are 1 kg.
+
+    Returns
+    -------
+    mechanism, q, qd
+
+    """
+    cos, sin = math.cos(direction), math.sin(direction)
+    bodies, joints, cuts, q, qd = [], [], [], [], []
+    for k in range(loops + 1):
+        bodies.append(bar(f'leg_{k}', 1.0, size))
+        joints.append(hinge(f'hip_{k}', 'ground', f'leg_{k}', k * size * cos, k * size * sin,
+                            direction + 0.5 * math.pi, k == 0))
+        q.append(-tilt)
+        qd.append(-rate)
+        if k == loops:
+            break
+        bodies.append(bar(f'coupler_{k}', 1.0, size))
+        joints.append(hinge(f'knee_{k}', f'leg_{k}', f'coupler_{k}', size, 0.0, -0.5 * math.pi))
+        q.append(tilt)
+        qd.append(rate)
+        cuts.append(CutJoint(f'cut_{k}', REVOLUTE, f'coupler_{k}', f'leg_{k + 1}',
+                             (size, 0.0), (size, 0.0)))
+    return (Mechanism('ladder', tuple(bodies), tuple(joints), tuple(cuts)),
+            np.array(q), np.array(qd))
+
+
+def ladder_energy(loops):
+    """Return kinetic and potential energy at the upright start, seen from the ground [J]."""
+    return 0.5 * ((loops + 1) / 3.0 + loops) + G * ((loops + 1) / 2.0 + loops)
+
+
+def off_the_branch(position):
+    """Return how far the ladder's legs are from parallel [rad]."""
+    legs, knees = position[::2], position[1::2]
+    return max(np.abs(legs - legs[0]).max(), np.abs(knees + legs[0]).max())
+
+
+def gravity(direction=DIRECTION, strength=G):
+    """Return gravity towards the ground of a mechanism turned by ``direction``."""
+    return {'gravity': Gravity(acceleration=(strength * math.sin(direction),
+                                             -strength * math.cos(direction)))}
+
+
+def change_point_linkage():
+    """Return a four-bar of 4, 1, 3 and 2 m (1 + 4 = 3 + 2), turned, crank upright at 3 rad/s."""
+    ground, crank, coupler, rocker = 4.0, 1.0, 3.0, 2.0
+    cos, sin = math.cos(DIRECTION), math.sin(DIRECTION)
+    bodies = (bar('crank', 1.0, crank), bar('coupler', 3.0, coupler), bar('rocker', 2.0, rocker))
+    joints = (hinge('crank_joint', 'ground', 'crank', angle=DIRECTION, actuated=True),
+              hinge('coupler_joint', 'crank', 'coupler', crank),
+              hinge('rocker_joint', 'ground', 'rocker', ground * cos, ground * sin, DIRECTION))
+    cuts = (CutJoint('cut', REVOLUTE, 'coupler', 'rocker', (coupler, 0.0), (rocker, 0.0)),)
+    # Crank upright: place of the coupler's end on the circles of coupler and rocker.
+    tip = np.array([0.0, crank])
+    pivot = np.array([ground, 0.0])
+    span = pivot - tip
+    distance = np.linalg.norm(span)
+    along = (coupler ** 2 - rocker ** 2 + distance ** 2) / (2.0 * distance)
+    up = math.sqrt(coupler ** 2 - along ** 2)
+    end = tip + along * span / distance + up * np.array([-span[1], span[0]]) / distance
+    coupler_angle = math.atan2(*(end - tip)[::-1])
+    rocker_angle = math.atan2(*(end - pivot)[::-1])
+    q = np.array([0.5 * math.pi, coupler_angle - 0.5 * math.pi, rocker_angle])
+    return Mechanism('change_point', bodies, joints, cuts), q, np.array([3.0, 0.0, 0.0])
+
+
+def three_rockers():
+    """Return an overconstrained parallelogram: a coupler on three equal rockers."""
+    mechanism, q, qd = ladder(1, tilt=0.4)
+    middle = bar('leg_middle', 1.0, 1.0)
+    cos, sin = math.cos(DIRECTION), math.sin(DIRECTION)
+    return replace(
+        mechanism, name='three_rockers', bodies=mechanism.bodies + (middle,),
+        joints=mechanism.joints + (hinge('hip_middle', 'ground', 'leg_middle', 0.5 * cos,
+                                         0.5 * sin, DIRECTION + 0.5 * math.pi),),
+        cut_joints=mechanism.cut_joints + (CutJoint(
+            'cut_middle', REVOLUTE, 'coupler_0', 'leg_middle', (0.5, 0.0), (1.0, 0.0)),)
+    ), np.append(q, -0.4), np.append(qd, -1.0)
+
+
+def doubled(mechanism):
+    """Return the mechanism with every cut joint twice."""
+    return replace(mechanism, cut_joints=mechanism.cut_joints + tuple(
+        replace(cut, name=f'{cut.name}_again') for cut in mechanism.cut_joints))
+
+
+def welded_twice():
+    """Return a pendulum of two bodies held together by a fixed cut joint, twice."""
+    bodies = (bar('upper', 1.0, 1.0), bar('lower', 2.0, 0.5))
+    joints = (hinge('pivot', 'ground', 'upper', actuated=True),
+              hinge('weld', 'upper', 'lower', 1.0))
+    cuts = tuple(CutJoint(name, FIXED, 'upper', 'lower', (1.0 + x, 0.0), (x, 0.0))
+                 for name, x in (('weld_here', 0.0), ('weld_there', 0.3)))
+    return (Mechanism('welded', bodies, joints, cuts), np.array([0.3, 0.0]), np.array([1.0, 0.0]))
+
+
+def with_masses(mechanism, scale):
+    """Return the mechanism with masses (and inertias) of the bodies in ``scale`` multiplied."""
+    def scaled(body):
+        factor = scale.get(body.name, 1.0)
+        return replace(body, mass=factor * body.mass, inertia=factor * body.inertia,
+                       massless=factor == 0.0)
+    return replace(mechanism, bodies=tuple(scaled(body) for body in mechanism.bodies))
+
+
+def scene(mechanism, q, qd, method, effects=None):
+    """Return the scene of a mechanism under gravity towards its turned ground."""
+    return Scene(mechanism.name, None, '', mechanism, Initial(tuple(q), tuple(qd)),
+                 gravity() if effects is None else effects, method)

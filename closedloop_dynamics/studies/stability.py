@@ -1,0 +1,107 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The stability atlas: every hard case with every method."""
+
+from .hard_case import ACCURATE, DEGRADED, judge, REFUSED, UNSTABLE
+from . import (
+    hard_cases_input, hard_cases_redundant, hard_cases_scale, hard_cases_singular,
+    hard_cases_stiff)
+from .tables import markdown_table, text_table, write_csv
+from ..scene_records import Method
+
+CASES = (*hard_cases_singular.CASES, *hard_cases_redundant.CASES, *hard_cases_scale.CASES,
+         *hard_cases_input.CASES[:5], *hard_cases_stiff.CASES, *hard_cases_input.CASES[5:])
+
+METHODS = {
+    'rk4 (default)': Method(),
+    'rk4, independent': Method(stabilisation='independent'),
+    'rk4, Baumgarte': Method(stabilisation='baumgarte'),
+    'rk4, none': Method(stabilisation='none'),
+    'Euler': Method(integrator='semi_implicit_euler'),
+    'dopri5': Method(integrator='dopri5'),
+    'dop853': Method(integrator='dop853'),
+    'rodas4': Method(integrator='rodas4'),
+}
+DEFAULT = 'rk4 (default)'
+MARKS = {ACCURATE: 'accurate', DEGRADED: 'degraded', REFUSED: 'refused', UNSTABLE: 'UNSTABLE'}
+
+
+def study_stability(quick=False, cases=CASES, methods=METHODS, progress=lambda done, total: None):
+    """
+    Run the suite.
+
+    Parameters
+    ----------
+    quick : bool
+        Fewer trials, shorter runs.
+    cases : sequence of Case
+    methods : dict of str to Method
+    progress : callable
+        Told how many cells of how many are done.
+
+    Returns
+    -------
+    dict of (str, str) to Outcome
+        By the names of case and method.
+
+    """
+    atlas, total = {}, len(cases) * len(methods)
+    for case in cases:
+        for name, method in methods.items():
+            atlas[case.name, name] = judge(case, method, quick)
+            progress(len(atlas), total)
+    return atlas
+
+
+def cell(outcome):
+    """Return what a table says of an outcome."""
+    if outcome.status == REFUSED:
+        return MARKS[REFUSED]
+    return f'{MARKS[outcome.status]} {outcome.figure:.1e}'
+
+
+def table(atlas, cases=CASES, methods=METHODS, write=text_table):
+    """Return the atlas as text, one row a case."""
+    return write(('case', *methods), [
+        (case.name, *(cell(atlas[case.name, name]) for name in methods)) for case in cases])
+
+
+def write_files(atlas, directory, cases=CASES, methods=METHODS):
+    """
+    Write the atlas as stability.csv and stability.md.
+
+    Parameters
+    ----------
+    atlas : dict
+        Of ``study_stability``.
+    directory : pathlib.Path
+        There already.
+    cases : sequence of Case
+    methods : dict of str to Method
+
+    """
+    write_csv(directory / 'stability.csv',
+              ('group', 'case', 'method', 'outcome', 'figure', 'meaning', 'note'),
+              [(case.group, case.name, name, atlas[case.name, name].status,
+                atlas[case.name, name].figure, case.figure, atlas[case.name, name].note)
+               for case in cases for name in methods])
+    text = table(atlas, cases, methods, markdown_table)
+    (directory / 'stability_table.md').write_text(text + '\n', encoding='utf-8')
+
+
+def unstable(atlas, method=DEFAULT):
+    """Return the names of the cases that a method fails silently."""
+    return [case for (case, name), outcome in atlas.items()
+            if name == method and outcome.status == UNSTABLE]
