@@ -50,6 +50,8 @@ WEAK = 3e-2
 ROUNDING = 2e-15
 # What an equation says must exceed its estimated error by this factor.
 DOUBT = 5.0
+# Entries of J against the largest: less is the rounding of a zero, not to be scaled up.
+NOTHING = 1e-12
 # Inertia of a motion against the largest: less is none.
 NO_INERTIA = 1e-14
 
@@ -73,11 +75,12 @@ def scales(model, jac, row_scale, column_scale):
 
     """
     nc, nv = jac.shape
+    largest = np.abs(jac).max()
     for j in range(nv):
         most = 0.0
         for i in range(nc):
             most = max(most, abs(jac[i, j]))
-        column_scale[j] = 1.0 / most if most > 0.0 else 1.0
+        column_scale[j] = 1.0 / most if most > NOTHING * largest else 1.0
     for a in range(model.cut.shape[0]):
         first, rows = model.cut[a, CUT_ROW], model.cut[a, ROWS]
         together = 1 if model.cut[a, CUT_TYPE] == CUT_PRISMATIC else 2
@@ -87,7 +90,7 @@ def scales(model, jac, row_scale, column_scale):
                 for j in range(nv):
                     most = max(most, abs(jac[i, j]) * column_scale[j])
             for i in range(begin, end):
-                row_scale[i] = 1.0 / most if most > 0.0 else 1.0
+                row_scale[i] = 1.0 / most if most > NOTHING else 1.0
 
 
 @compiled

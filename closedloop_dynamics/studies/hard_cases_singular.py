@@ -21,7 +21,7 @@ import numpy as np
 
 from .hard_case import Case
 from .hard_machines import (
-    change_point_linkage, G, ladder, ladder_energy, off_the_branch, scene)
+    change_point_linkage, G, gravity, ladder, ladder_energy, off_the_branch, scene)
 from ..core.jacobian import constraint_jacobian
 from ..integration.registry import FIXED, INTEGRATORS
 from ..scene import load_scene
@@ -95,10 +95,11 @@ def _change_point(method, quick):
     for variant, offset in trials(method, 6 if quick else 40):
         mechanism, q, qd = change_point_linkage()
         qd[0] += offset
-        simulation = Simulation(scene(mechanism, q, qd, variant))
-        start, scale = simulation.energy, 6.0 * G
+        # A tenth of the Earth's gravity, so that a step is no more of a turn than above.
+        simulation = Simulation(scene(mechanism, q, qd, variant, gravity(strength=0.1 * G)))
+        start, scale = simulation.energy, 0.6 * G
         for _ in range(LOOKS):
-            simulation.step(duration=(3.0 if quick else 10.0) / LOOKS)
+            simulation.step(duration=(10.0 if quick else 20.0) / LOOKS)
             worst = max(worst, abs(simulation.energy - start) / scale)
     return worst
 

@@ -95,7 +95,7 @@ def gravity(direction=DIRECTION, strength=G):
 
 
 def change_point_linkage():
-    """Return a four-bar of 4, 1, 3 and 2 m (1 + 4 = 3 + 2), turned, crank upright at 3 rad/s."""
+    """Return a four-bar of 4, 1, 3 and 2 m (1 + 4 = 3 + 2), turned, crank upright at 1 rad/s."""
     ground, crank, coupler, rocker = 4.0, 1.0, 3.0, 2.0
     cos, sin = math.cos(DIRECTION), math.sin(DIRECTION)
     bodies = (bar('crank', 1.0, crank), bar('coupler', 3.0, coupler), bar('rocker', 2.0, rocker))
@@ -114,7 +114,7 @@ def change_point_linkage():
     coupler_angle = math.atan2(*(end - tip)[::-1])
     rocker_angle = math.atan2(*(end - pivot)[::-1])
     q = np.array([0.5 * math.pi, coupler_angle - 0.5 * math.pi, rocker_angle])
-    return Mechanism('change_point', bodies, joints, cuts), q, np.array([3.0, 0.0, 0.0])
+    return Mechanism('change_point', bodies, joints, cuts), q, np.array([1.0, 0.0, 0.0])
 
 
 def three_rockers():
