@@ -594,6 +594,22 @@ class Simulation:
             self._feel_loads()
         self._accounts.jump(self._q, self.energy - before)
 
+    def check_effect(self, name, enabled=None, **parameters):
+        """
+        Refuse, as ``set_effect`` would, a change that makes no sense; change nothing.
+
+        Parameters
+        ----------
+        name, enabled, **parameters
+            As for ``set_effect``.
+
+        Raises
+        ------
+        ValueError
+
+        """
+        self._effects.checked(name, enabled, parameters)
+
     def measured(self):
         """
         Return what the scene's sensors show of the present state; the true one without any.

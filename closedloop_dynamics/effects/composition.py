@@ -145,6 +145,8 @@ class Composition:
         position, velocity : ndarray, shape (nv,)
 
         """
+        if not self.instruments:
+            return position, velocity
         if time != self._measured_at:
             self._measured_at, self._measured = time, (position.copy(), velocity.copy())
             for instrument in self.instruments:
@@ -152,9 +154,9 @@ class Composition:
                 self._measured = instrument.read()
         return self._measured
 
-    def change(self, name, enabled, parameters):
+    def checked(self, name, enabled, parameters):
         """
-        Switch an effect, or change its parameters; nothing changes where anything is refused.
+        Return the record that a change would give, or refuse the change.
 
         Parameters
         ----------
@@ -167,8 +169,7 @@ class Composition:
 
         Returns
         -------
-        ndarray of int
-            Places of the own states that start anew.
+        record
 
         Raises
         ------
@@ -187,6 +188,28 @@ class Composition:
             record.fit(self._machine.mechanism)
         with at('effects'):
             require_one_drive_each({**self.records, name: record})
+        return record
+
+    def change(self, name, enabled, parameters):
+        """
+        Switch an effect, or change its parameters; nothing changes where anything is refused.
+
+        Parameters
+        ----------
+        name, enabled, parameters
+            As for ``checked``.
+
+        Returns
+        -------
+        ndarray of int
+            Places of the own states that start anew.
+
+        Raises
+        ------
+        FieldError
+
+        """
+        record = self.checked(name, enabled, parameters)
         was = self.enabled[name]
         self.records[name] = record
         self.enabled[name] = was if enabled is None else enabled
@@ -208,6 +231,7 @@ class Composition:
     def start_anew(self, states):
         """Set the own states, not the energies, back to those of the start, in place."""
         states[self._own] = self.initial[self._own]
+        self._measured_at = None
 
     def stored(self):
         """Return the energy that the laws store at the latest evaluation [J]."""

@@ -1,0 +1,107 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""``closedloop effects``: what each effect of a scene costs and changes."""
+
+from pathlib import Path
+
+from .command import assignment, Command, mapping, positive, UsageError
+from ..errors import AssemblyError
+from ..scene import load_scene
+from ..simulation import Simulation
+from ..studies import effects_report
+from ..studies.effects import study_effects
+from ..studies.progress import progress_bar
+
+
+def _add_arguments(parser):
+    parser.add_argument('scene', metavar='SCENE',
+                        help='a shipped scene by its name, or a YAML file')
+    parser.add_argument('--output', metavar='DIR', type=Path,
+                        help='where to write SCENE_effects.csv, .md and .png, and a picture of '
+                             'every contact (default: only print)')
+    parser.add_argument('--overwrite', action='store_true',
+                        help='replace these files if they exist')
+    parser.add_argument('--duration', type=positive, default=2.0, metavar='SECONDS',
+                        help='simulated time (default: 2)')
+    parser.add_argument('--torque', type=assignment, action='append', default=[],
+                        metavar='JOINT=VALUE',
+                        help='constant torque of an actuated joint [N m], or force of a '
+                             'prismatic one [N]; may be repeated (default: none)')
+    parser.add_argument('--rate', type=assignment, action='append', default=[],
+                        metavar='JOINT=VALUE',
+                        help='keep an actuated joint at this rate [rad/s, m/s] instead; one '
+                             'for every actuated joint')
+
+
+def _run(arguments):
+    scene = load_scene(arguments.scene)
+    torque, rates = mapping(arguments.torque, '--torque'), mapping(arguments.rate, '--rate')
+    _check(arguments, scene, torque, rates)
+    with progress_bar(1, 'parts', scene.name) as bar:
+
+        def progress(done, total):
+            bar.total = total
+            bar.update(done - bar.n)
+
+        study = study_effects(scene, arguments.duration, torque, rates, progress=progress)
+    print(effects_report.table(study))
+    print(f'\n{effects_report.NOTE}\n\n{effects_report.summary(study)}')
+    if arguments.output is not None:
+        print('\n' + '\n'.join(map(str, effects_report.write(study, arguments.output))))
+    return 0
+
+
+def _check(arguments, scene, torque, rates):
+    """Refuse at once what would fail only after a while."""
+    if not scene.effects:
+        raise UsageError(f'{arguments.scene}: this scene lists no effects, there is nothing to '
+                         'compare')
+    if torque and rates:
+        raise UsageError('--rate: expected either --torque or --rate, got both')
+    try:
+        simulation = Simulation(scene)
+        simulation.joint_torques(torque)
+    except AssemblyError as error:
+        raise UsageError(f'{arguments.scene}: {error}') from None
+    except ValueError as error:
+        raise UsageError(f'--{error}') from None
+    if rates and set(rates) != set(simulation.actuated_joints):
+        raise UsageError('--rate: expected one for every actuated joint '
+                         f'({", ".join(simulation.actuated_joints)}), got {", ".join(rates)}')
+    if arguments.output is not None and not arguments.overwrite:
+        for name in effects_report.file_names(scene):
+            if (arguments.output / name).exists():
+                raise UsageError(f'--output: {arguments.output / name} exists; name another '
+                                 'directory, or add --overwrite')
+
+
+COMMAND = Command(
+    name='effects',
+    summary='measure what each effect of a scene costs and what it changes',
+    description="""\
+Run a scene as it is, without each type of its effects, and with each type alone:
+what the effects cost in time per step, and what they change in motion, efforts,
+forces at the cut joints and energy. The drives get constant torques, or keep
+constant rates. With --output: the table as CSV and Markdown, a picture of the
+changes, and for every contact one of torque, contact forces and forces at the
+cut joints over a turn of the drive.
+""",
+    epilog="""\
+examples:
+  closedloop effects three_rrr_payload_friction --output results
+  closedloop effects carpet_scraper_on_carpet --rate theta_1=4.7124 --output results
+""",
+    add_arguments=_add_arguments,
+    run=_run)

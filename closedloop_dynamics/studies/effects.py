@@ -1,0 +1,262 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+What each effect of a scene costs, and what it changes.
+
+The scene is run as it is, and once more without each type of effect; the differences are what
+that type changes. Times are measured on short runs of every variant in turn, so that a
+machine's moods hit all of them.
+
+"""
+
+from dataclasses import dataclass, replace
+from statistics import median
+from time import process_time
+from typing import Dict, Tuple
+
+import numpy as np
+
+from .rate_control import RateControl
+from ..effects.registry import effect_type
+from ..simulation import Simulation
+
+# Steps of one measurement, and how often it is repeated.
+STEPS, REPEATS = 200, 15
+
+
+@dataclass(frozen=True)
+class Record:
+    """
+    One run.
+
+    Attributes
+    ----------
+    time : ndarray, shape (n,)
+        [s].
+    position, velocity, effort : ndarray, shape (n, nv)
+        Of the joints, the effort behind the drives.
+    force : ndarray, shape (n, number of cuts)
+        Magnitudes of the forces at the cut joints [N].
+    balance : ndarray, shape (n, 5)
+        Kinetic, stored, dissipated energy, work, residual [J].
+    readings : dict of str to dict of str to ndarray
+        What each effect says of itself.
+    points : dict of str to ndarray, shape (n, 2)
+        Places of the named points [m].
+
+    """
+
+    time: np.ndarray
+    position: np.ndarray
+    velocity: np.ndarray
+    effort: np.ndarray
+    force: np.ndarray
+    balance: np.ndarray
+    readings: Dict[str, Dict[str, np.ndarray]]
+    points: Dict[str, np.ndarray]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """
+    What one type of effect costs and changes.
+
+    Attributes
+    ----------
+    kind : str
+        Type of the effects.
+    names : tuple of str
+        Which effects of the scene those are.
+    alone : float
+        Time per step with these effects alone, over that of the scene without any.
+    without : float
+        Time per step of the scene without them, over that of the whole scene.
+    position, effort, force, energy : float
+        Largest differences that leaving them out makes: positions [rad, m], efforts [N m, N],
+        forces at the cut joints [N], kinetic and stored energy [J].
+    run : Record
+        Without them.
+
+    """
+
+    kind: str
+    names: Tuple[str, ...]
+    alone: float
+    without: float
+    position: float
+    effort: float
+    force: float
+    energy: float
+    run: Record
+
+
+@dataclass(frozen=True)
+class Study:
+    """
+    The findings on one scene.
+
+    Attributes
+    ----------
+    simulation : Simulation
+        Of the scene.
+    run : Record
+        Of the scene as it is.
+    findings : tuple of Finding
+        One for each type of effect, in the scene's order.
+    bare, off, whole : float
+        Time per step without any effect, with all listed but switched off, and of the
+        scene as it is [s].
+
+    """
+
+    simulation: Simulation
+    run: Record
+    findings: Tuple[Finding, ...]
+    bare: float
+    off: float
+    whole: float
+
+
+def study_effects(scene, duration=2.0, torque=None, rates=None, rows=400,
+                  progress=lambda done, total: None):
+    """
+    Measure what each type of effect costs and changes.
+
+    Parameters
+    ----------
+    scene : Scene
+        With at least one effect.
+    duration : float
+        Simulated time [s].
+    torque : mapping, optional
+        Constant torques of actuated joints.
+    rates : mapping, optional
+        Constant rates of the actuated joints instead.
+    rows : int
+        Instants recorded.
+    progress : callable
+        Called with the parts done and all parts.
+
+    Returns
+    -------
+    Study
+
+    Raises
+    ------
+    SimulationError, ValueError
+
+    """
+    types = {}
+    for name, effect in scene.effects.items():
+        types.setdefault(effect_type(effect), []).append(name)
+    parts = len(types) + 2
+    progress(0, parts)
+    times = _times(scene, types)
+    progress(1, parts)
+    simulation = Simulation(scene)
+    whole = record(simulation, duration, rows, torque, rates)
+    progress(2, parts)
+    findings = []
+    for k, (kind, names) in enumerate(types.items()):
+        run = record(Simulation(_without(scene, names)), duration, rows, torque, rates)
+        findings.append(Finding(
+            kind, tuple(names), times['alone', kind] / times['bare'],
+            times['without', kind] / times['whole'],
+            *(float(np.abs(a - b).max(initial=0.0)) for a, b in (
+                (run.position, whole.position), (run.effort, whole.effort),
+                (run.force, whole.force),
+                (run.balance[:, :2].sum(axis=1), whole.balance[:, :2].sum(axis=1)))), run))
+        progress(3 + k, parts)
+    return Study(simulation, whole, tuple(findings), times['bare'], times['off'], times['whole'])
+
+
+def record(simulation, duration, rows, torque=None, rates=None):
+    """
+    Run a simulation from its start and keep what happens.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        Advanced.
+    duration, rows, torque, rates
+        As for ``study_effects``.
+
+    Returns
+    -------
+    Record
+
+    """
+    control = RateControl(simulation.scene, rates) if rates else None
+    kept, step = [], 0
+    steps = max(1, round(duration / simulation.step_size))
+    for row in range(min(rows, steps) + 1):
+        until = round(row * steps / min(rows, steps))
+        while step < until:
+            if control is None:
+                simulation.step(torque, (until - step) * simulation.step_size)
+                step = until
+            else:
+                simulation.step(control.torque(simulation))
+                step += 1
+        kept.append(_row(simulation))
+    columns = list(zip(*kept))
+    arrays = [np.array(column) for column in columns[:6]]
+    return Record(
+        *arrays,
+        readings={name: {key: np.array([values[name][key] for values in columns[6]])
+                         for key in columns[6][0][name]} for name in columns[6][0]},
+        points={name: np.array([values[name] for values in columns[7]])
+                for name in columns[7][0]})
+
+
+def _row(simulation):
+    balance = simulation.energy_balance
+    return (
+        simulation.time, simulation.position, simulation.velocity, simulation.effort,
+        np.hypot(*simulation.constraint_forces[:, 1:].T),
+        (balance.kinetic, balance.stored, balance.dissipated, balance.work, balance.residual),
+        {name: simulation.effect_readings(name) for name in simulation.effects},
+        {point.name: simulation.point(point.name) for point in simulation.mechanism.points})
+
+
+def _without(scene, names):
+    """Return the scene without some of its effects."""
+    return replace(scene, effects={
+        name: effect for name, effect in scene.effects.items() if name not in names})
+
+
+def _times(scene, types):
+    """Return the median time per step of every variant [s]."""
+    everything = tuple(scene.effects)
+    variants = {'whole': Simulation(scene), 'bare': Simulation(_without(scene, everything)),
+                'off': Simulation(scene)}
+    for name in everything:
+        variants['off'].set_effect(name, enabled=False)
+    for kind, names in types.items():
+        others = [name for name in everything if name not in names]
+        variants['alone', kind] = Simulation(_without(scene, others))
+        variants['without', kind] = Simulation(_without(scene, names))
+    measured = {key: [] for key in variants}
+    for simulation in variants.values():
+        simulation.warm_up()
+    for repeat in range(REPEATS + 1):
+        for key, simulation in variants.items():
+            simulation.reset()
+            tau = np.zeros(len(simulation.joint_names))
+            start = process_time()
+            simulation.advance(tau, STEPS)
+            measured[key].append((process_time() - start) / STEPS)
+    # The first round warms the caches.
+    return {key: median(values[1:]) for key, values in measured.items()}

@@ -1,0 +1,255 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The findings on a scene's effects as a table, a CSV file and pictures."""
+
+import matplotlib.figure
+import numpy as np
+
+from .pictures import COLORS, DASHES, DOTS_PER_INCH
+from .tables import markdown_table, seconds, short, text_table, write_csv
+
+HEADER = ('effect', 'step alone', 'step without', 'position', 'effort', 'force', 'energy')
+UNITS = ('', 'x bare', 'x whole', '[rad, m]', '[N m, N]', '[N]', '[J]')
+NOTE = (
+    'step alone: time per step with these effects alone, over that without any; step without: of '
+    'the scene\nwithout them, over the whole scene. Indicative: medians of short runs in turn, '
+    'on this machine as it is now.\nposition, effort, force (cut joints), energy (kinetic and '
+    'stored): the largest change that leaving them out makes.')
+
+
+def table(study, style=text_table):
+    """
+    Return the findings as a table.
+
+    Parameters
+    ----------
+    study : Study
+        What was found.
+    style : callable
+        ``tables.text_table`` or ``tables.markdown_table``.
+
+    Returns
+    -------
+    str
+
+    """
+    header = [f'{name} {unit}'.strip() for name, unit in zip(HEADER, UNITS)]
+    return style(header, [
+        (label(finding), f'{finding.alone:.2f}', f'{finding.without:.2f}',
+         *(short(value) for value in (finding.position, finding.effort, finding.force,
+                                      finding.energy)))
+        for finding in study.findings])
+
+
+def summary(study):
+    """Return what is to be said of the whole scene, a few lines."""
+    balance = study.run.balance[-1]
+    return '\n'.join([
+        f'time per step: {seconds(study.bare)} without any effect, {study.off / study.bare:.2f} '
+        f'times that with all listed but switched off, {study.whole / study.bare:.2f} times '
+        'with all of them',
+        f'energy at the end: kinetic {balance[0]:.4g} J, stored {balance[1]:.4g} J, dissipated '
+        f'{balance[2]:.4g} J, work {balance[3]:.4g} J; the balance is off by {balance[4]:.1g} J'])
+
+
+def label(finding):
+    """Return the name of a type of effect, and how many there are."""
+    count = len(finding.names)
+    return finding.kind if count == 1 else f'{finding.kind} ({count})'
+
+
+def write(study, directory):
+    """
+    Write table and pictures.
+
+    Parameters
+    ----------
+    study : Study
+        What was found.
+    directory : pathlib.Path
+        Made where it does not exist; files in it are replaced.
+
+    Returns
+    -------
+    list of pathlib.Path
+
+    """
+    directory.mkdir(parents=True, exist_ok=True)
+    paths = [directory / name for name in file_names(study.simulation.scene)]
+    name = study.simulation.scene.name
+    write_csv(paths[0], [f'{key} {unit}'.strip() for key, unit in zip(HEADER, UNITS)], [
+        (label(f), f.alone, f.without, f.position, f.effort, f.force, f.energy)
+        for f in study.findings])
+    paths[1].write_text(f'# What the effects of {name} cost and change\n\n'
+                        f'{table(study, markdown_table)}\n\n{NOTE}\n\n{summary(study)}\n',
+                        encoding='utf-8')
+    changes(study).savefig(paths[2], dpi=DOTS_PER_INCH)
+    for path, contact in zip(paths[3:], contacts(study.simulation.scene)):
+        work(study, contact).savefig(path, dpi=DOTS_PER_INCH)
+    return paths
+
+
+def file_names(scene):
+    """Return the names of the files that ``write`` makes for a scene."""
+    return [f'{scene.name}_effects.{ending}' for ending in ('csv', 'md', 'png')] + [
+        f'{scene.name}_{name}.png' for name in contacts(scene)]
+
+
+def contacts(scene):
+    """Return the names of the effects that scrape or rub at a point of the mechanism."""
+    return [name for name, effect in scene.effects.items()
+            if 'scraping_force' in effect.READINGS]
+
+
+def changes(study):
+    """
+    Draw the scene as it is, and without each type of effect.
+
+    Parameters
+    ----------
+    study : Study
+        What was found.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    """
+    run, simulation = study.run, study.simulation
+    joint = _most_changed(study, 'position')
+    cut = _most_changed(study, 'force')
+    driven = _most_changed(study, 'effort')
+    panels = [
+        (f'change of position of\n{simulation.joint_names[joint]} [rad or m]',
+         lambda r: r.position[:, joint] - run.position[:, joint])]
+    if np.abs(run.effort).max() > 0.0:
+        panels.append((f'effort of {simulation.joint_names[driven]}\n[N m or N]',
+                       lambda r: r.effort[:, driven]))
+    if simulation.cut_joints:
+        panels.append((f'force at {simulation.cut_joints[cut].name}\n[N]',
+                       lambda r: r.force[:, cut]))
+    panels.append(('kinetic and stored\nenergy [J]', lambda r: r.balance[:, :2].sum(axis=1)))
+    figure = matplotlib.figure.Figure((11.0, 2.2 * len(panels) + 1.0), layout='constrained')
+    figure.suptitle(f'{simulation.scene.name}: as it is, and without each type of effect')
+    grid = figure.add_gridspec(len(panels), 2, width_ratios=(3.0, 1.0))
+    first = None
+    for row, (title, of) in enumerate(panels):
+        axes = first = figure.add_subplot(grid[row, 0], sharex=first)
+        for k, finding in enumerate(study.findings):
+            axes.plot(finding.run.time, of(finding.run), label=f'without {label(finding)}',
+                      color=COLORS[k % 6], linestyle=DASHES[k // 6], linewidth=1.1)
+        axes.plot(run.time, of(run), color='black', linewidth=1.8, label='as it is', zorder=3)
+        axes.set_ylabel(title)
+        axes.grid(alpha=0.3)
+        axes.tick_params(labelbottom=row == len(panels) - 1)
+    axes.set_xlabel('time [s]')
+    handles, labels = axes.get_legend_handles_labels()
+    side = figure.add_subplot(grid[0, 1])
+    side.axis('off')
+    side.legend(handles[::-1], labels[::-1], loc='upper left', frameon=False, borderaxespad=0.0)
+    _costs(study, figure.add_subplot(grid[1:, 1]))
+    return figure
+
+
+def _costs(study, axes):
+    """Draw the time per step with each type alone."""
+    names = ['listed, all off', *map(label, study.findings), 'the whole scene']
+    values = [study.off / study.bare, *(f.alone for f in study.findings),
+              study.whole / study.bare]
+    colors = ['#999999', *(COLORS[k % 6] for k in range(len(study.findings))), 'black']
+    places = np.arange(len(names))[::-1]
+    axes.barh(places, np.array(values) - 1.0, left=1.0, color=colors, height=0.6)
+    for place, name, value in zip(places, names, values):
+        axes.text(max(value, 1.0), place, f' {value:.2f}  {name}', va='center', fontsize=8)
+    axes.axvline(1.0, color='black', linewidth=0.8)
+    most = max(values)
+    axes.set_xlim(min(0.98, *values) - 0.02 * most, 1.0 + 2.2 * max(most - 1.0, 0.05))
+    axes.set_yticks([])
+    axes.set_xlabel(f'time per step of each alone,\nover {seconds(study.bare)} without any\n'
+                    '(indicative)')
+    for side in ('top', 'right', 'left'):
+        axes.spines[side].set_visible(False)
+
+
+def _most_changed(study, quantity):
+    """Return the column of a quantity that the effects change most."""
+    whole = getattr(study.run, quantity)
+    if whole.shape[1] == 0:
+        return 0
+    change = sum(np.abs(getattr(f.run, quantity) - whole).max(axis=0) for f in study.findings)
+    return int(np.argmax(change))
+
+
+def work(study, contact):
+    """
+    Draw what a designer asks of a machine that works on a contact.
+
+    Parameters
+    ----------
+    study : Study
+        What was found.
+    contact : str
+        Name of the contact among the effects.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    """
+    run, simulation = study.run, study.simulation
+    effect = simulation.scene.effects[contact]
+    joint = simulation.joint_names.index((simulation.actuated_joints or ['-'])[0])
+    turn, angle = _last_turn(run, joint)
+    figure = matplotlib.figure.Figure((10.0, 8.5), layout='constrained')
+    figure.suptitle(f'{simulation.scene.name}: one turn of {simulation.joint_names[joint]}')
+    top, middle, bottom = figure.subplots(3, 1)
+    top.plot(angle, run.effort[turn, joint], color=COLORS[0], label='drive, as it is')
+    free = next(f.run for f in study.findings if contact in f.names)
+    other, other_angle = _last_turn(free, joint)
+    top.plot(other_angle, free.effort[other, joint], color='#777777', linestyle='--',
+             label=f'without {contact}')
+    top.set_ylabel('torque of the drive [N m]')
+    forces = run.readings[contact]
+    touching = forces['depth'][turn] > 0.0
+    top.fill_between(angle, 0, 1, where=touching, color='#B8A200', alpha=0.15, linewidth=0,
+                     transform=top.get_xaxis_transform(), label=f'{effect.point} in contact')
+    rows = np.sort(turn)
+    along = run.points[effect.point][rows] @ [np.cos(effect.angle), np.sin(effect.angle)]
+    hidden = np.where(forces['depth'][rows] > 0.0, 1.0, np.nan)
+    for k, key in enumerate(('normal_force', 'friction_force', 'scraping_force')):
+        middle.plot(along, hidden * forces[key][rows], color=COLORS[k],
+                    label=key.replace('_', ' '))
+    middle.set_ylabel('force on the point [N]')
+    middle.set_xlabel(f'place of {effect.point} along {contact} [m]')
+    for k, cut in enumerate(simulation.cut_joints):
+        bottom.plot(angle, run.force[turn, k], color=COLORS[k % 7], label=cut.name)
+    bottom.set_ylabel('force at the cut joints [N]')
+    for axes in (top, bottom):
+        axes.set_xlim(0.0, 360.0)
+        axes.set_xticks(range(0, 361, 45))
+        axes.set_xlabel(f'{simulation.joint_names[joint]} [degrees]')
+    for axes in (top, middle, bottom):
+        axes.grid(alpha=0.3)
+        axes.legend(loc='upper left', bbox_to_anchor=(1.0, 1.0), frameon=False)
+    return figure
+
+
+def _last_turn(run, joint):
+    """Return the rows of the last turn of a joint, sorted by its angle, and these in degrees."""
+    angle = run.position[:, joint]
+    rows = np.flatnonzero(np.abs(angle - angle[-1]) < 2.0 * np.pi * 1.01)
+    degrees = np.degrees(angle[rows] % (2.0 * np.pi))
+    order = np.argsort(degrees)
+    return rows[order], degrees[order]

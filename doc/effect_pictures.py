@@ -1,0 +1,178 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Draw the pictures of doc/effects.md: one small experiment for each effect."""
+
+from pathlib import Path
+
+from closedloop_dynamics import Simulation
+from closedloop_dynamics.effects.actuator import Actuator
+from closedloop_dynamics.effects.contact import Contact
+from closedloop_dynamics.effects.end_stop import EndStop
+from closedloop_dynamics.effects.external_force import ExternalForce
+from closedloop_dynamics.effects.gravity import Gravity
+from closedloop_dynamics.effects.joint_damping import JointDamping
+from closedloop_dynamics.effects.joint_friction import JointFriction
+from closedloop_dynamics.effects.joint_spring import JointSpring
+from closedloop_dynamics.effects.payload import Payload
+from closedloop_dynamics.effects.point_spring import PointSpring
+from closedloop_dynamics.effects.rotor import Rotor
+from closedloop_dynamics.effects.sensor import Sensor
+from closedloop_dynamics.mechanism.mechanism import Body, Joint, Mechanism, Point
+from closedloop_dynamics.scene_records import Initial, Method, Scene
+import matplotlib.figure
+import numpy as np
+
+DIRECTORY = Path(__file__).parent / 'pictures'
+COLORS = ('#0072B2', '#D55E00', '#009E73', '#CC79A7')
+EARTH = Gravity((0.0, -9.81))
+BLOCK = Mechanism(
+    'block', (Body('block', 1.0, (0.0, 0.0), 0.1),),
+    (Joint('slide', 'prismatic', 'ground', 'block', (0.0, 0.0), 0.0, True),), (),
+    (Point('center', 'block', (0.0, 0.0)),))
+UPRIGHT = Mechanism(
+    'upright', (Body('block', 1.0, (0.0, 0.0), 0.1),),
+    (Joint('slide', 'prismatic', 'ground', 'block', (0.0, 0.0), np.pi / 2.0, True),), (),
+    (Point('center', 'block', (0.0, 0.0)),))
+PENDULUM = Mechanism(
+    'pendulum', (Body('rod', 1.0, (0.25, 0.0), 0.02),),
+    (Joint('hinge', 'revolute', 'ground', 'rod', (0.0, 0.0), 0.0, True),), (),
+    (Point('tip', 'rod', (0.5, 0.0)),))
+
+
+def run(mechanism, effects, start, rate=0.0, duration=2.0, torque=None, of=None):
+    """Return times, and a quantity (the position by default) of a run."""
+    simulation = Simulation(Scene('picture', None, '', mechanism, Initial((start,), (rate,)),
+                                  effects, Method(step_size=5e-4)))
+    of = of or (lambda simulation: simulation.position[0])
+    times = np.linspace(0.0, duration, 401)
+    values = [of(simulation)]
+    for _ in times[1:]:
+        command = torque(simulation.time) if callable(torque) else torque
+        simulation.step(None if command is None else [command], duration / 400)
+        values.append(of(simulation))
+    return times, np.array(values)
+
+
+def draw(name, ylabel, curves, xlabel='time [s]'):
+    """Write one picture; ``curves`` maps a label to its x and y."""
+    figure = matplotlib.figure.Figure((5.6, 2.6), layout='constrained')
+    axes = figure.subplots()
+    for k, (label, (x, y)) in enumerate(curves.items()):
+        axes.plot(x, y, color=COLORS[k % 4], label=label, linewidth=1.4)
+    axes.set_xlabel(xlabel)
+    axes.set_ylabel(ylabel)
+    axes.grid(alpha=0.3)
+    axes.legend(loc='center left', bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize=8)
+    figure.savefig(DIRECTORY / f'effect_{name}.png', dpi=110)
+
+
+def masses():
+    """Draw gravity, payload and rotor: what changes the mechanism itself."""
+    swing = [-0.5 * np.pi + 1.0, 0.0, 3.0]
+    draw('gravity', 'angle [rad]', {
+        f'{label}': run(PENDULUM, {'gravity': Gravity((0.0, -g))}, *swing)
+        for label, g in (('earth', 9.81), ('moon', 1.62))})
+    draw('payload', 'angle [rad]', {
+        'bare': run(PENDULUM, {'gravity': EARTH}, *swing),
+        '1 kg at the tip': run(PENDULUM, {
+            'gravity': EARTH, 'part': Payload('rod', 1.0, (0.5, 0.0))}, *swing)})
+    draw('rotor', 'angle [rad]', {
+        'bare': run(PENDULUM, {'gravity': EARTH}, *swing),
+        '1e-4 kg m², gear 50': run(PENDULUM, {
+            'gravity': EARTH, 'motor': Rotor('hinge', 1e-4, 50.0)}, *swing)})
+
+
+def joints():
+    """Draw damping, springs, stops and friction of joints."""
+    spring = JointSpring('slide', 100.0)
+    draw('joint_spring', 'position [m]', {
+        f'{k:g} N/m': run(BLOCK, {'spring': JointSpring('slide', k)}, 0.1) for k in (25.0, 100.0)})
+    draw('joint_damping', 'position [m]', {
+        f'{c:g} N s/m': run(BLOCK, {'spring': spring, 'oil': JointDamping('slide', c)}, 0.1)
+        for c in (0.5, 2.0, 20.0)})
+    draw('end_stop', 'height [m]', {
+        f'c = {c:g} s/m': run(UPRIGHT, {
+            'gravity': EARTH, 'floor': EndStop('slide', 1e4, lower=0.0, damping=c)}, 0.3)
+        for c in (0.0, 0.2, 1.0)})
+    draw('joint_friction', 'position [m]', {
+        'Coulomb 1 N': run(BLOCK, {
+            'spring': spring, 'friction': JointFriction('slide', 1.0)}, 0.105),
+        '2 N at rest': run(BLOCK, {
+            'spring': spring, 'friction': JointFriction(
+                'slide', 1.0, static_ratio=2.0, stribeck_velocity=0.1)}, 0.105)})
+
+
+def points():
+    """Draw springs, forces and contact at points."""
+    swing = [-0.5 * np.pi + 1.0, 0.0, 3.0]
+    draw('point_spring', 'angle [rad]', {
+        'gravity alone': run(PENDULUM, {'gravity': EARTH}, *swing),
+        'a damper to (0.5, -0.5)': run(PENDULUM, {'gravity': EARTH, 'strut': PointSpring(
+            'tip', anchor=(0.5, -0.5), stiffness=5.0, damping=2.0, free_length=0.4)}, *swing)})
+    draw('external_force', 'angle [rad]', {
+        f'{f:g} N to the right': run(
+            PENDULUM, {'gravity': EARTH, 'push': ExternalForce('tip', (f, 0.0)),
+                       'oil': JointDamping('hinge', 0.1)}, -0.5 * np.pi, 0.0, 3.0)
+        for f in (0.0, 2.0, 5.0)})
+
+    def normal(simulation):
+        return simulation.effect_readings('ground')['normal_force']
+
+    def depth(simulation):
+        return 1e3 * simulation.effect_readings('ground')['depth']
+
+    curves = {}
+    for c in (0.0, 1.0, 4.0):
+        effects = {'ground': Contact('center', (0.0, 0.0), 2e5, exponent=1.5, damping=c)}
+        curves[f'c = {c:g} s/m'] = tuple(
+            run(UPRIGHT, effects, 0.0005, -0.5, 0.02, of=of)[1] for of in (depth, normal))
+    draw('contact', 'normal force [N]', curves, 'depth [mm]')
+
+
+def drives_and_sensors():
+    """Draw what becomes of commands and of what is measured."""
+    def effort(simulation):
+        return simulation.effort[0]
+
+    def command(time):
+        return 8.0 if time < 0.3 else -3.0
+
+    times = np.linspace(0.0, 0.6, 401)
+    draw('actuator', 'force [N]', {
+        'command': (times, [command(time) for time in times]),
+        **{label: run(BLOCK, {'motor': motor}, 0.0, 0.0, 0.6, command, effort) for label, motor in (
+            ('limit 5 N', Actuator('slide', max_torque=5.0)),
+            ('lag 50 ms', Actuator('slide', lag=0.05)),
+            ('delay 50 ms', Actuator('slide', delay=0.05)))}})
+    spring = JointSpring('slide', 100.0)
+
+    def measured(simulation):
+        return simulation.measured()[0][0]
+
+    draw('sensor', 'position [m]', {
+        'true': run(BLOCK, {'spring': spring}, 0.1, 0.0, 0.8),
+        **{label: run(BLOCK, {'spring': spring, 'encoder': sensor}, 0.1, 0.0, 0.8, None, measured)
+           for label, sensor in (
+               ('noise 5 mm', Sensor(position_noise=0.005)),
+               ('steps of 20 mm', Sensor(position_resolution=0.02)),
+               ('50 ms late', Sensor(delay=0.05)))}})
+
+
+if __name__ == '__main__':
+    DIRECTORY.mkdir(exist_ok=True)
+    masses()
+    joints()
+    points()
+    drives_and_sensors()
