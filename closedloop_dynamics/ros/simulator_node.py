@@ -20,6 +20,7 @@ from closedloop_dynamics.errors import NumericalError
 from closedloop_dynamics.errors import SimulationError
 from closedloop_dynamics.ros.commands import CommandError
 from closedloop_dynamics.ros.commands import TorqueCommand
+from closedloop_dynamics.ros.effect_parameters import EffectParameters
 from closedloop_dynamics.ros.loading import load_simulation
 from closedloop_dynamics.ros.messages import StateMessages
 from closedloop_dynamics.ros.pacing import Pacer
@@ -100,6 +101,7 @@ class SimulatorNode(Node):
             values['scene'], self.get_logger(), step_size=values['step_size'] or None)
         declare_fact(self, 'actuated_joints', simulation.actuated_joints,
                      'Order of the values of torque_command; told by the scene.')
+        self._effects = EffectParameters(self, simulation)
         self.command = TorqueCommand(simulation.joint_names, simulation.actuated_joints)
         self._actuated = [
             simulation.joint_names.index(name) for name in simulation.actuated_joints]
@@ -186,8 +188,8 @@ class SimulatorNode(Node):
         if not np.isfinite(forces).all():
             raise NumericalError('the constraint forces are not finite numbers')
         self.messages.fill(
-            self.get_clock().now().nanoseconds, simulation.position, simulation.velocity,
-            simulation.effort, forces)
+            self.get_clock().now().nanoseconds, *simulation.measured(), simulation.effort,
+            forces)
         self._state_publisher.publish(self.messages.joint_state)
         for publisher, message in zip(self._force_publishers, self.messages.wrenches):
             publisher.publish(message)

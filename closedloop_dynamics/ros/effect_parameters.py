@@ -1,0 +1,128 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Effects of a running simulation as parameters ``effects.NAME.KEY``, and forces from topics."""
+
+from dataclasses import fields
+
+from closedloop_dynamics.effects.registry import effect_type
+from closedloop_dynamics.ros.pacing import Throttle
+from closedloop_dynamics.ros.process import StartError
+from geometry_msgs.msg import Vector3
+from rcl_interfaces.msg import ParameterDescriptor
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.parameter import Parameter
+
+ENABLED = 'enabled'
+# Effects of a type with this key also take it from a topic of their own.
+FORCE = 'force'
+MESSAGE_PERIOD = 5.0
+
+
+class EffectParameters:
+    """
+    Declares the parameters of all listed effects and lets changes take effect at the next step.
+
+    ``effects.NAME.enabled`` switches an effect, ``effects.NAME.KEY`` sets one of its values. An
+    impossible value is refused with the reason; what is set together is checked together.
+    A force also follows ``geometry_msgs/Vector3`` on the topic ``effects/NAME/force`` [N].
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+        Given the parameters.
+    simulation : Simulation
+        What is simulated.
+
+    Raises
+    ------
+    StartError
+        Where a value given at the start is refused.
+
+    """
+
+    def __init__(self, node, simulation):
+        self._node, self._simulation = node, simulation
+        self._rejection = Throttle(MESSAGE_PERIOD)
+        given = [parameter for name, record in simulation.effects.items()
+                 for parameter in self._declare(name, record)]
+        try:
+            self._apply(given)
+        except ValueError as error:
+            raise StartError(str(error)) from None
+        node.add_on_set_parameters_callback(self._check)
+        node.add_post_set_parameters_callback(self._apply)
+        self._subscriptions = [
+            node.create_subscription(
+                Vector3, f'effects/{name}/{FORCE}',
+                lambda message, name=name: self.on_force(name, message), 10)
+            for name, record in simulation.effects.items() if hasattr(record, FORCE)]
+
+    def _declare(self, name, record):
+        """Declare the parameters of one effect; return those that differ from the scene."""
+        kind = effect_type(record)
+        descriptor = ParameterDescriptor(
+            description=f'Whether the effect {name!r} ({kind}) is simulated.')
+        values = {ENABLED: (True, descriptor)}
+        for field in fields(record):
+            value = getattr(record, field.name)
+            # A whole number serves as a number, and nothing as no limit.
+            values[field.name] = (
+                list(value) if isinstance(value, tuple) else value,
+                ParameterDescriptor(
+                    description=f'{field.name} of the effect {name!r} ({kind}), SI units; see '
+                                'doc/effects.md.',
+                    dynamic_typing=True))
+        declared = [self._node.declare_parameter(f'effects.{name}.{key}', value, about)
+                    for key, (value, about) in values.items()]
+        return [parameter for parameter, (value, _) in zip(declared, values.values())
+                if _plain(parameter) != value]
+
+    def _changes(self, parameters):
+        """Return the new values of each effect, by its name."""
+        changes = {}
+        for parameter in parameters:
+            start, _, rest = parameter.name.partition('.')
+            name, _, key = rest.partition('.')
+            if start == 'effects' and name in self._simulation.effects:
+                changes.setdefault(name, {})[key] = _plain(parameter)
+        return changes
+
+    def _check(self, parameters):
+        try:
+            for name, values in self._changes(parameters).items():
+                self._simulation.check_effect(name, **values)
+        except ValueError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def _apply(self, parameters):
+        for name, values in self._changes(parameters).items():
+            self._simulation.set_effect(name, **values)
+
+    def on_force(self, name, message):
+        """Let a force from a topic act, or refuse it."""
+        try:
+            self._simulation.set_effect(name, **{FORCE: (message.x, message.y)})
+        except ValueError as error:
+            if self._rejection.ready():
+                self._node.get_logger().warning(f'effects/{name}/{FORCE} rejected: {error}')
+
+
+def _plain(parameter):
+    """Return a parameter's value with lists for arrays; None where it has none."""
+    if parameter.type_ == Parameter.Type.NOT_SET:
+        return None
+    value = parameter.value
+    return value if isinstance(value, (bool, int, float, str)) else list(value)
