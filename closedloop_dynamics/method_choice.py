@@ -183,6 +183,7 @@ class _Search:
     def _time(self, simulation):
         """Return the CPU time of one run [s]."""
         simulation.reset()
+        simulation.monitor.sampling = False
         begin = time.thread_time()
         simulation.step(duration=self._horizon)
         return time.thread_time() - begin

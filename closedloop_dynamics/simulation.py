@@ -647,6 +647,11 @@ class Simulation:
         self._fresh = False
         self.constraint_forces, self.energy, self.closure
 
+    @property
+    def monitor(self):
+        """Return what keeps account of cost and local error, a ``monitor.Monitor``."""
+        return self._driver
+
     def report(self):
         """
         Tell what the run has cost since the start or the last reset, and how far off it may be.

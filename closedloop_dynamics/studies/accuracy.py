@@ -29,7 +29,7 @@ from ..simulation import Simulation
 OUTPUTS = 100
 # A line is not refined beyond this cost, in CPU time per simulated time; computing a
 # motion with its outputs may take longer, but no more than so many times.
-COST_LIMIT, QUICK_COST_LIMIT = 1.0, 0.05
+COST_LIMIT, QUICK_COST_LIMIT = 0.1, 0.05
 PATIENCE = 10.0
 # Timing: rounds over all settings in turn, so that what disturbs one disturbs all; runs shorter
 # than this are repeated within a round; a round over all settings shall not take longer.
@@ -197,6 +197,7 @@ def _measure(scene, torque, interval, setting, method, reference):
 def _time_once(simulation, tau, steps):
     """Return the CPU time of one run without outputs [s]."""
     simulation.reset()
+    simulation.monitor.sampling = False
     begin = time.thread_time()
     simulation.advance(tau, steps)
     return time.thread_time() - begin

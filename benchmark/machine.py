@@ -1,0 +1,51 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""What a benchmark ran on: processor, versions, commit."""
+
+import importlib.metadata
+from pathlib import Path
+import platform
+import subprocess
+
+ROOT = Path(__file__).resolve().parents[1]
+LIBRARIES = ('numba', 'numpy', 'scipy')
+
+
+def processor():
+    """Return the name of the processor."""
+    try:
+        for line in Path('/proc/cpuinfo').read_text().splitlines():
+            if line.startswith('model name'):
+                return line.partition(':')[2].strip()
+    except OSError:
+        pass
+    return platform.processor() or platform.machine()
+
+
+def commit():
+    """Return the commit of the checkout, marked where files differ from it."""
+    try:
+        name = subprocess.run(['git', 'describe', '--always', '--dirty'], cwd=ROOT, check=True,
+                              capture_output=True, text=True)
+        return name.stdout.strip()
+    except (OSError, subprocess.CalledProcessError):
+        return 'unknown'
+
+
+def description():
+    """Return one line on the machine and the versions."""
+    versions = ', '.join(f'{name} {importlib.metadata.version(name)}' for name in LIBRARIES)
+    return (f'{processor()}, {platform.system()}; Python {platform.python_version()}, {versions}; '
+            f'commit {commit()}')

@@ -1,0 +1,90 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""A running simulation knows its cost and its error, and moves no differently for it."""
+
+import math
+
+from closedloop_dynamics.monitor import FIRST_SAMPLE
+from closedloop_dynamics.simulation import Simulation
+import numpy as np
+import pytest
+
+
+@pytest.mark.parametrize('method', [
+    {'integrator': 'rk4'}, {'integrator': 'dop853'}, {'stabilisation': 'independent'}])
+def test_motion_is_the_same_without_a_monitor(method):
+    watched, alone = (Simulation.from_scene('three_rrr', **method) for _ in range(2))
+    alone._driver = alone._driver.driver
+    tau = watched.joint_torques({'theta_1': 5.0})
+    for steps in (1, 7, 300, 25):
+        watched.advance(tau, steps)
+        alone.advance(tau, steps)
+        assert np.array_equal(watched.position, alone.position)
+        assert np.array_equal(watched.velocity, alone.velocity)
+
+
+def test_cost_is_counted_from_the_reset():
+    simulation = Simulation.from_scene('four_bar')
+    simulation.warm_up()
+    assert simulation.report().steps == 0 and math.isnan(simulation.report().share)
+    simulation.step(duration=0.5)
+    report = simulation.report()
+    assert report.steps == 500 and report.time == pytest.approx(0.5)
+    assert report.time_per_step == report.compute_time / 500 > 0.0
+    assert report.share == pytest.approx(report.compute_time / 0.5)
+    assert report.evaluations >= 2000
+    simulation.reset()
+    assert simulation.report().steps == 0
+
+
+def test_local_error_of_fixed_steps_is_that_of_a_step():
+    coarse, fine = (Simulation.from_scene('four_bar', step_size=size) for size in (1e-2, 1e-5))
+    coarse.step(duration=FIRST_SAMPLE * 1e-2)
+    start = coarse.position, coarse.velocity
+    fine.set_state(*start)
+    coarse.reset()
+    coarse.set_state(*start)
+    coarse.step()
+    fine.step(duration=1e-2)
+    actual = np.abs(coarse.position - fine.position).max()
+    assert coarse.report().local_error == pytest.approx(actual, rel=0.3)
+
+
+def test_local_error_of_error_control_is_below_the_tolerance():
+    simulation = Simulation.from_scene('four_bar', integrator='dop853', tolerance=1e-7)
+    simulation.step(duration=0.5)
+    report = simulation.report()
+    assert 1e-10 < report.local_error <= 1e-7
+    assert 3 < report.steps < 100
+
+
+def test_energy_error_includes_the_work_of_torques():
+    simulation = Simulation.from_scene('four_bar')
+    before = simulation.energy
+    simulation.step({'crank_joint': 3.0}, 0.2)
+    simulation.step({'crank_joint': -1.0}, 0.2)
+    assert abs(simulation.energy - before) > 0.1
+    assert abs(simulation.report().energy_error) < 1e-4
+
+
+def test_report_reads_well():
+    simulation = Simulation.from_scene('four_bar')
+    simulation.step(duration=0.1)
+    text = str(simulation.report())
+    for word in ('us per step', '% of real time', 'rk4', 'local error', 'closure', 'energy'):
+        assert word in text
+    other = Simulation.from_scene('four_bar', integrator='scipy_dop853')
+    other.step(duration=0.01)
+    assert 'unknown' in str(other.report())
