@@ -93,6 +93,7 @@ class Assembler:
         Parameters
         ----------
         guess : ndarray, shape (nv,)
+            Approximate values.
         hold : sequence of str
             Joints whose coordinates are kept.
 
@@ -134,6 +135,7 @@ class Assembler:
         q : ndarray, shape (nv,)
             Closing the loops.
         guess : ndarray, shape (nv,)
+            Approximate values.
         hold : sequence of str
             Joints whose rates are kept.
 

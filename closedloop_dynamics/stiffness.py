@@ -160,6 +160,7 @@ class StiffnessGuard:
         Parameters
         ----------
         before, after : EnergyBalance
+            At the two looks.
         state : ndarray, shape (ns,)
             After it.
         step_size : float

@@ -41,6 +41,7 @@ def assemble(model, work):
     Parameters
     ----------
     model : Model
+        Constant topology and geometry.
     work : Workspace
         After ``loop_closure.update``; ``factor`` is written, and ``scale``, the same for
         both equations of a cut point, whatever the direction of the world's axes.
@@ -91,6 +92,7 @@ def factorize(model, work):
     Parameters
     ----------
     model : Model
+        Constant topology and geometry.
     work : Workspace
         After ``assemble``. ``health`` tells the smallest relative pivot.
 
@@ -136,6 +138,7 @@ def solve(model, work, right):
     Parameters
     ----------
     model : Model
+        Constant topology and geometry.
     work : Workspace
         After ``factorize``.
     right : ndarray, shape (nc,)

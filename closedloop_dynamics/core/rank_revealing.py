@@ -29,7 +29,7 @@ the motions that the loops allow carry inertia.
 
 import numpy as np
 
-from .compiled import compiled
+from .compiled import compiled, merged
 from .forward_dynamics import constraint_right_side, to_user_order
 from .inverse_dynamics import tree_torque
 from .jacobian import constraint_jacobian, generalized_inertia_matrix
@@ -67,7 +67,9 @@ def scales(model, jac, row_scale, column_scale):
     Parameters
     ----------
     model : Model
+        Constant topology and geometry.
     jac : ndarray, shape (nc, nv)
+        Constraint Jacobian.
     row_scale : ndarray, shape (nc,)
         Written in place.
     column_scale : ndarray, shape (nv,)
@@ -152,6 +154,7 @@ def _worth_taking(level, singular, residual, gap, drift, speed, size):
     Parameters
     ----------
     level : int
+        ``POSITION``, ``VELOCITY`` or ``ACCELERATION``.
     singular : float
         Its scaled singular value: about the angle to the singular configuration.
     residual : float
@@ -192,10 +195,15 @@ def solve(model, jac, gim, right, force, psi, rate, speed, level, motion, lam):
     Parameters
     ----------
     model : Model
+        Constant topology and geometry.
     jac : ndarray, shape (nc, nv)
+        Constraint Jacobian.
     gim : ndarray, shape (nv, nv)
+        Inertia matrix of the trees.
     right : ndarray, shape (nc,)
+        Right-hand side of the closure equations.
     force : ndarray, shape (nv,)
+        Right-hand side of the equations of motion.
     psi, rate : ndarray, shape (nc,)
         Closure errors of the positions, and of the rates.
     speed : float
@@ -289,7 +297,7 @@ def _fastest(work):
     return most
 
 
-@compiled
+@merged
 def accelerate(model, work, tau, baumgarte, qdd, lam):
     """
     Compute accelerations and multipliers, as ``forward_dynamics.accelerate`` does.
@@ -297,6 +305,7 @@ def accelerate(model, work, tau, baumgarte, qdd, lam):
     Parameters
     ----------
     model : Model
+        Constant topology and geometry.
     work : Workspace
         After ``kinematics.outward`` and the applied forces, afresh: the elimination has used
         both up. ``health`` tells the rank.
@@ -324,7 +333,7 @@ def accelerate(model, work, tau, baumgarte, qdd, lam):
     work.health[RANK_REVEALING_COUNT] += 1.0
 
 
-@compiled
+@merged
 def correct(model, work, level, out):
     """
     Compute the least change of positions or rates, in the mass metric, that closes the loops.
@@ -332,6 +341,7 @@ def correct(model, work, level, out):
     Parameters
     ----------
     model : Model
+        Constant topology and geometry.
     work : Workspace
         After ``kinematics.outward``, afresh.
     level : int

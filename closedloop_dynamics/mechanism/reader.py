@@ -39,6 +39,7 @@ def read_mechanism(path):
     Parameters
     ----------
     path : str or pathlib.Path
+        Of the file.
 
     Returns
     -------

@@ -44,6 +44,7 @@ def validate_mechanism(mechanism, source=None):
     Parameters
     ----------
     mechanism : Mechanism
+        Built in Python.
     source : str, optional
         What errors call it; its own name by default.
 

@@ -82,7 +82,9 @@ def judge(case, method, quick):
     Parameters
     ----------
     case : Case
+        What to run.
     method : scene_records.Method
+        What to run it with.
     quick : bool
         Fewer trials, shorter runs.
 

@@ -59,7 +59,8 @@ def _by_hand(method, quick):
 
 
 def _large_steps(method, quick):
-    return max(watch_ladder(2, replace(method, step_size=size), 3.0) for size in (0.01, 0.02, 0.05))
+    return max(watch_ladder(2, replace(method, step_size=size), 3.0)
+               for size in (0.01, 0.02, 0.05))
 
 
 def _changed_step(method, quick):

@@ -54,7 +54,7 @@ def fall(mechanism, q, qd, method, steps, size=1.0, strength=G):
 
 def _masses(factors):
     def run(method, quick):
-        return max(fall(with_masses(mechanism, {name: factor for name in light}), q, qd,
+        return max(fall(with_masses(mechanism, dict.fromkeys(light, factor)), q, qd,
                         replace(method, step_size=2e-3), 100)
                    for mechanism, q, qd in (ladder(2, 0.4),)
                    for light in (('leg_1',), ('coupler_0',), ('leg_0', 'coupler_1'))
@@ -117,8 +117,8 @@ CASES = (
          'The ladder without gravity, and at a thousand times that of the Earth.',
          _FIGURE, 1e-8, 1e-3, _gravity),
     Case('10,000 rad/s', GROUP,
-         'A parallelogram that spins at 10,000 rad/s, without gravity: steady, through all its flat '
-         'positions.',
+         'A parallelogram that spins at 10,000 rad/s, without gravity: steady, through all its '
+         'flat positions.',
          'error of the phase, or angle off the branch [rad]', 1e-6, 1e-2, _spin),
     Case('1e6 N m in a step', GROUP,
          'A torque of 1e6 N m on the 3-RRR for one step of 1 ms: closed and finite, or refused.',

@@ -71,7 +71,8 @@ def _touch_down(method, quick):
 
 CASES = (
     Case('spring 1e9 N m/rad', GROUP,
-         'Two bars joined by a spring of 1e9 N m/rad swing like one, within 1 %, in steps of 1 ms.',
+         'Two bars joined by a spring of 1e9 N m/rad swing like one, within 1 %, in steps of 1 '
+         'ms.',
          'error of the slow motion [rad]', 1e-2, 0.1,
          _nearly_rigid(JointSpring('knee', 1e9, 0.0))),
     Case('damper 1e6 N m s/rad', GROUP,

@@ -45,6 +45,7 @@ def ladder(loops, tilt=0.0, rate=1.0, direction=DIRECTION, size=1.0):
     Parameters
     ----------
     loops : int
+        N.
     tilt, rate : float
         Of the legs, clockwise from upright [rad, rad/s].
     direction : float

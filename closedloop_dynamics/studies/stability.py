@@ -14,10 +14,10 @@
 
 """The stability atlas: every hard case with every method."""
 
-from .hard_case import ACCURATE, DEGRADED, judge, REFUSED, UNSTABLE
 from . import (
     hard_cases_input, hard_cases_redundant, hard_cases_scale, hard_cases_singular,
     hard_cases_stiff)
+from .hard_case import ACCURATE, DEGRADED, judge, REFUSED, UNSTABLE
 from .tables import markdown_table, text_table, write_csv
 from ..scene_records import Method
 
@@ -47,7 +47,9 @@ def study_stability(quick=False, cases=CASES, methods=METHODS, progress=lambda d
     quick : bool
         Fewer trials, shorter runs.
     cases : sequence of Case
+        Rows of the atlas.
     methods : dict of str to Method
+        Columns of the atlas.
     progress : callable
         Told how many cells of how many are done.
 
@@ -89,7 +91,9 @@ def write_files(atlas, directory, cases=CASES, methods=METHODS):
     directory : pathlib.Path
         There already.
     cases : sequence of Case
+        Rows of the atlas.
     methods : dict of str to Method
+        Columns of the atlas.
 
     """
     write_csv(directory / 'stability.csv',

@@ -34,7 +34,9 @@ def stability_atlas(atlas, cases=CASES, methods=METHODS):
     atlas : dict of (str, str) to Outcome
         Of ``stability.study_stability``.
     cases : sequence of Case
+        Rows of the atlas.
     methods : dict of str to Method
+        Columns of the atlas.
 
     Returns
     -------

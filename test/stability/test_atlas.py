@@ -1,0 +1,108 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The suite of hard cases: the default method passes, or refuses where that is the answer."""
+
+import math
+
+from closedloop_dynamics.cli import main
+from closedloop_dynamics.studies import stability
+from closedloop_dynamics.studies.hard_case import (
+    ACCURATE, Case, DEGRADED, judge, Outcome, REFUSED, UNSTABLE)
+from closedloop_dynamics.studies.stability_picture import stability_atlas
+import pytest
+
+# What an explicit method with steps of 1 ms can only refuse, and what nobody can assemble.
+TO_REFUSE = {'spring 1e9 N m/rad', 'damper 1e6 N m s/rad', 'contact 1e9 N/m',
+             'cannot be assembled'}
+STIFF = ('spring 1e9 N m/rad', 'damper 1e6 N m s/rad', 'contact 1e9 N/m')
+BY_NAME = {case.name: case for case in stability.CASES}
+DEFAULT = stability.METHODS[stability.DEFAULT]
+
+
+@pytest.mark.parametrize('name', BY_NAME)
+def test_default_method_is_accurate_or_refuses(name):
+    outcome = judge(BY_NAME[name], DEFAULT, True)
+    assert outcome.status == (REFUSED if name in TO_REFUSE else ACCURATE), outcome
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3600)
+@pytest.mark.parametrize('name', BY_NAME)
+def test_default_method_is_accurate_or_refuses_at_full_length(name):
+    outcome = judge(BY_NAME[name], DEFAULT, False)
+    assert outcome.status == (REFUSED if name in TO_REFUSE else ACCURATE), outcome
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('name', STIFF)
+def test_stiff_method_follows_the_slow_motion(name):
+    outcome = judge(BY_NAME[name], stability.METHODS['rodas4'], True)
+    assert outcome.status == ACCURATE, outcome
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize('method', ['dopri5', 'dop853'])
+@pytest.mark.parametrize('name', ['flat, 1 loop', 'flat, 2 loops', 'start flat', 'change point',
+                                  'type-2 pose', 'massless links', '3-RRR, loops twice'])
+def test_error_control_with_projection_is_accurate_too(name, method):
+    outcome = judge(BY_NAME[name], stability.METHODS[method], True)
+    assert outcome.status == ACCURATE, outcome
+
+
+def case(figure, accurate=1.0, stable=2.0):
+    """Return a case that ends with a figure."""
+    return Case('case', 'group', 'text', 'figure', accurate, stable, lambda method, quick: figure)
+
+
+@pytest.mark.parametrize(('figure', 'status'), [
+    (0.5, ACCURATE), (1.5, DEGRADED), (3.0, UNSTABLE), (math.nan, UNSTABLE), (math.inf, UNSTABLE)])
+def test_figure_is_judged_by_its_bounds(figure, status):
+    assert judge(case(figure), DEFAULT, True).status == status
+
+
+def test_names_of_cases_are_unique_and_texts_short():
+    assert len(BY_NAME) == len(stability.CASES)
+    assert all(len(one.text) <= 200 for one in stability.CASES)
+
+
+def test_picture_has_a_cell_for_each_case_and_method():
+    outcomes = [Outcome(ACCURATE, 1e-9), Outcome(DEGRADED, 1e-3), Outcome(REFUSED, math.nan, 'no'),
+                Outcome(UNSTABLE, math.inf)]
+    atlas = {(one.name, name): outcomes[(row + column) % 4]
+             for row, one in enumerate(stability.CASES)
+             for column, name in enumerate(stability.METHODS)}
+    axes = stability_atlas(atlas).axes[0]
+    assert len(axes.patches) == len(atlas)
+    assert {text.get_text() for text in axes.texts} >= {'refused', '1.0e-09', 'inf'}
+    assert stability.unstable(atlas) == [
+        name for (name, method), outcome in atlas.items()
+        if method == stability.DEFAULT and outcome.status == UNSTABLE]
+
+
+def test_command_writes_table_and_picture(tmp_path, capsys):
+    arguments = ['stability', '--quick', '--case', 'three rockers', '--case', 'welded',
+                 '--default-only', '--output', str(tmp_path)]
+    assert main(arguments) == 0
+    assert 'three rockers' in capsys.readouterr().out
+    assert {path.name for path in tmp_path.iterdir()} == {
+        'stability.csv', 'stability_table.md', 'stability_atlas.png'}
+    assert main(arguments) == 2
+    assert main([*arguments, '--overwrite']) == 0
+
+
+def test_command_names_the_cases_where_none_is_meant(capsys):
+    assert main(['stability', '--case', 'no such case']) == 2
+    assert 'three rockers' in capsys.readouterr().err

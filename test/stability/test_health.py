@@ -1,0 +1,207 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Health of an evaluation, massless links, stiffness, and the step size while running."""
+
+from dataclasses import replace
+import math
+
+from closedloop_dynamics.effects.joint_damping import JointDamping
+from closedloop_dynamics.effects.joint_spring import JointSpring
+from closedloop_dynamics.errors import AssemblyError, StiffnessError
+from closedloop_dynamics.mechanism.mechanism import Body, MechanismError
+from closedloop_dynamics.mechanism.reader import read_mechanism
+from closedloop_dynamics.mechanism.validation import validate_mechanism
+from closedloop_dynamics.scene import load_scene
+from closedloop_dynamics.scene_records import Initial, Method, Scene
+from closedloop_dynamics.simulation import Simulation
+from closedloop_dynamics.stiffness import fastest_rate
+from closedloop_dynamics.studies import hard_machines as machines
+import numpy as np
+import pytest
+
+from ..reference import dense, special
+
+STEP = Method(step_size=1e-3)
+
+
+def simulate(mechanism, q, qd, effects=None, method=STEP):
+    """Return a simulation of a mechanism under gravity."""
+    return Simulation(machines.scene(mechanism, q, qd, method, effects))
+
+
+def test_health_of_an_ordinary_state():
+    simulation = Simulation(load_scene('three_rrr'))
+    simulation.advance(np.zeros(7), 3)
+    health = simulation.health
+    assert 0.01 < health.smallest_pivot_ever <= health.smallest_pivot <= 1.0
+    assert (health.rank, health.equations) == (4, 4)
+    assert health.unique_forces and not health.near_singular
+    assert health.rank_revealing_count == 0 and health.evaluations >= 12
+    assert health.closure < 1e-12
+    assert 'rank-revealing' in str(health) and 'unique' not in str(health)
+
+
+def test_health_flags_forces_that_are_not_unique():
+    health = simulate(*machines.three_rockers()).health
+    assert (health.rank, health.equations) == (3, 4)
+    assert not health.unique_forces
+    assert 'not unique: 1 of 4' in str(health)
+
+
+@pytest.mark.parametrize('distance', [3e-3, 5e-3])
+def test_health_warns_before_a_singular_configuration(distance):
+    simulation = simulate(*machines.ladder(1, 0.5 * math.pi - distance))
+    assert simulation.health.near_singular
+    assert simulation.health.unique_forces
+    assert 'singular configuration is near' in str(simulation.health)
+    assert not simulate(*machines.ladder(1, 1.2)).health.near_singular
+
+
+@pytest.mark.parametrize('direction', [0.0, 0.3, 0.7, 2.0])
+def test_closeness_does_not_depend_on_the_direction_of_the_axes(direction):
+    pivots = [simulate(*machines.ladder(2, 1.5, direction=angle)).health.smallest_pivot
+              for angle in (direction, 0.5)]
+    assert pivots[0] < 1e-2
+    assert 0.2 < pivots[0] / pivots[1] < 5.0
+
+
+MASSLESS = [(special.ladder(1, 0.4, length=0.6), ('coupler_0',)),
+            (special.ladder(3, 0.4), ('leg_1', 'coupler_2')),
+            (special.chain(np.random.default_rng(0), 4), ('link_1', 'link_2'))]
+
+
+@pytest.mark.parametrize(('case', 'light'), MASSLESS, ids=['four-bar', 'ladder', 'chain'])
+def test_massless_links_agree_with_the_augmented_system(case, light):
+    mechanism, q, qd = case
+    mechanism = validate_mechanism(
+        machines.with_masses(mechanism, dict.fromkeys(light, 0.0)))
+    tau = np.random.default_rng(1).normal(size=len(q))
+    qdd, lam = dense.forward_dynamics(mechanism, q, qd, tau)
+    simulation = simulate(mechanism, q, qd, machines.gravity(0.0))
+    simulation.system.tau[:] = tau
+    np.testing.assert_allclose(simulation.acceleration, qdd, rtol=0, atol=1e-8 * abs(qdd).max())
+    np.testing.assert_allclose(simulation.multipliers, lam, rtol=0, atol=1e-8 * abs(lam).max())
+
+
+def test_light_links_converge_to_massless_ones():
+    mechanism, q, qd = special.ladder(3, 0.4)
+    tau = np.random.default_rng(2).normal(size=len(q))
+    errors = []
+    limit, _ = dense.forward_dynamics(
+        machines.with_masses(mechanism, {'leg_1': 0.0}), q, qd, tau)
+    for factor in (1e-3, 1e-5, 1e-7, 1e-9):
+        engine = simulate(machines.with_masses(mechanism, {'leg_1': factor}), q, qd,
+                          machines.gravity(0.0))
+        engine.system.tau[:] = tau
+        errors.append(np.abs(engine.acceleration - limit).max())
+    assert errors[0] > 50.0 * errors[1] > 2500.0 * errors[2]
+    assert errors[3] < 1e-6
+
+
+def test_motion_without_inertia_is_refused():
+    mechanism, q, qd = special.chain(np.random.default_rng(0), 3)
+    loose = replace(mechanism, cut_joints=())
+    with pytest.raises(AssemblyError, match='without inertia: joint_2'):
+        simulate(machines.with_masses(loose, {'link_2': 0.0}), q, qd)
+
+
+def test_massless_body_is_read_and_checked(tmp_path):
+    text = """
+name: pair
+bodies:
+  crank: {mass: 1.0, center_of_mass: [0.5, 0.0], inertia: 0.1}
+  rod: {massless: true%s}
+joints:
+  one: {type: revolute, parent: ground, child: crank, position: [0, 0]}
+  two: {type: revolute, parent: crank, child: rod, position: [1, 0]}
+"""
+    path = tmp_path / 'pair.yaml'
+    path.write_text(text % '')
+    assert read_mechanism(path).bodies[1] == Body('rod', 0.0, (0.0, 0.0), 0.0, True)
+    path.write_text(text % ', mass: 0.1')
+    with pytest.raises(MechanismError, match='rod.mass: expected zero, or nothing, of a massless'):
+        read_mechanism(path)
+    path.write_text((text % '').replace('massless: true', 'massless: false'))
+    with pytest.raises(MechanismError, match='rod.mass: expected this required key'):
+        read_mechanism(path)
+
+
+def pendulum(effect, method=STEP):
+    """Return a simulation of one bar with an effect at its joint."""
+    mechanism = replace(
+        special.chain(np.random.default_rng(0), 1)[0], cut_joints=())
+    return Simulation(Scene('bar', None, '', mechanism, Initial((0.0,), (0.0,)),
+                            {'effect': effect}, method))
+
+
+def test_fastest_rate_of_a_spring_and_of_a_damper():
+    inertia = 1.0 / 3.0
+    stiff = pendulum(JointSpring('joint_0', 1e4, 0.0))
+    assert fastest_rate(stiff.system, stiff._state) == pytest.approx(
+        math.sqrt(1e4 / inertia), rel=0.05)
+    viscous = pendulum(JointDamping('joint_0', 100.0))
+    assert fastest_rate(viscous.system, viscous._state) == pytest.approx(100.0 / inertia, rel=0.05)
+
+
+@pytest.mark.parametrize('effect', [JointSpring('joint_0', 1e8, 0.0),
+                                    JointDamping('joint_0', 1e5)], ids=['spring', 'damper'])
+@pytest.mark.parametrize('integrator', ['rk4', 'heun', 'semi_implicit_euler'])
+def test_stiff_scene_is_refused_with_the_stable_step(effect, integrator):
+    with pytest.raises(StiffnessError, match=r'stable with steps up to .* s only') as caught:
+        pendulum(effect, Method(integrator=integrator, step_size=1e-3))
+    assert 'rodas4' in str(caught.value)
+
+
+def test_stiff_scene_is_taken_in_steps_that_are_stable():
+    simulation = pendulum(JointSpring('joint_0', 1e8, 1e-4), Method(step_size=1e-5))
+    for _ in range(300):
+        simulation.step()
+    assert abs(simulation.energy_balance.residual) < 1e-4
+
+
+def test_step_size_changes_while_running():
+    simulation = simulate(*machines.ladder(2, 0.4))
+    energy = simulation.energy
+    simulation.step(duration=0.1)
+    simulation.set_step_size(4e-3)
+    assert (simulation.time, simulation.step_size) == (pytest.approx(0.1), 4e-3)
+    simulation.step()
+    assert simulation.time == pytest.approx(0.104)
+    assert simulation.energy == pytest.approx(energy, rel=1e-7)
+    simulation.reset()
+    assert (simulation.time, simulation.step_size) == (0.0, 4e-3)
+
+
+@pytest.mark.parametrize('size', [0.0, -1e-3, math.nan, math.inf, 'fast'])
+def test_impossible_step_size_is_refused_and_the_old_one_stays(size):
+    simulation = simulate(*machines.ladder(1, 0.4))
+    with pytest.raises(ValueError):
+        simulation.set_step_size(size)
+    assert simulation.step_size == 1e-3
+
+
+def test_step_size_too_large_for_a_spring_is_refused():
+    simulation = pendulum(JointSpring('joint_0', 1e6, 0.0), Method(step_size=1e-4))
+    with pytest.raises(StiffnessError):
+        simulation.set_step_size(1e-2)
+    assert simulation.step_size == 1e-4
+
+
+@pytest.mark.parametrize('tilt', [1e-12, 1e-9, 1e-6, 1e-4])
+def test_accelerations_next_to_the_flat_position_are_those_on_it(tilt):
+    exact = -dense.EARTH[1] * (3 / 2 + 2) / (3 / 3 + 2)
+    mechanism, q, qd = special.ladder(2, tilt=0.5 * np.pi - tilt, rate=2.0)
+    simulation = simulate(mechanism, q, qd, machines.gravity(0.0))
+    assert simulation.acceleration[::2] == pytest.approx(-exact, rel=1e-3)
