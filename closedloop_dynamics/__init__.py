@@ -12,14 +12,32 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Simulate mechanisms with closed kinematic loops by subsystem-level forward dynamics."""
+"""
+Simulate mechanisms with closed kinematic loops by subsystem-level forward dynamics.
 
-from .errors import AssemblyError, ClosureError, NumericalError, SimulationError
-from .mechanism.mechanism import MechanismError
-from .scene import load_scene, scene_names, SceneError
-from .simulation import Simulation
+What a user needs is loaded when it is first asked for: programs of this package install
+their signal handlers before the compiler is loaded.
 
-__all__ = [
-    'AssemblyError', 'ClosureError', 'load_scene', 'MechanismError', 'NumericalError',
-    'scene_names', 'SceneError', 'Simulation', 'SimulationError']
+"""
+
+from importlib import import_module
+
+_HOMES = {
+    'AssemblyError': 'errors', 'ClosureError': 'errors', 'load_scene': 'scene',
+    'MechanismError': 'mechanism.mechanism', 'NumericalError': 'errors',
+    'scene_names': 'scene', 'SceneError': 'scene', 'Simulation': 'simulation',
+    'SimulationError': 'errors'}
+__all__ = sorted(_HOMES)
 __version__ = '0.1.0'
+
+
+def __getattr__(name):
+    """Import a public name on first use."""
+    if name not in _HOMES:
+        raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
+    return getattr(import_module(f'{__name__}.{_HOMES[name]}'), name)
+
+
+def __dir__():
+    """List the public names."""
+    return [*globals(), *__all__]

@@ -49,3 +49,17 @@ def inlined(function):
     if numba is None:
         return function
     return numba.njit(cache=True, error_model='numpy', forceinline=True)(function)
+
+
+def merged(function):
+    """
+    Compile into every calling kernel, never on its own.
+
+    For the layers between the integrators and the evaluation: numba optimises all the code below
+    a kernel again for each layer above it, which is most of the time that the first start
+    takes.
+
+    """
+    if numba is None:
+        return function
+    return numba.njit(cache=True, error_model='numpy', inline='always')(function)

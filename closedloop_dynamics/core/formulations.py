@@ -64,22 +64,21 @@ class DenseWorkspace(NamedTuple):
 
 def allocate_dense(model, formulation):
     """
-    Allocate what one formulation needs; nothing for the subsystem-level one.
+    Allocate what one dense formulation needs.
 
     Parameters
     ----------
     model : Model
         Constant arrays of the mechanism.
     formulation : int
-        ``SUBSYSTEM``, ``SYSTEM`` or ``AUGMENTED``.
+        ``SYSTEM`` or ``AUGMENTED``.
 
     Returns
     -------
     DenseWorkspace
 
     """
-    nv = len(model.tree) - 1 if formulation != SUBSYSTEM else 0
-    nc = len(model.column) - 1 if formulation != SUBSYSTEM else 0
+    nv, nc = len(model.tree) - 1, len(model.column) - 1
     both = nv + nc if formulation == AUGMENTED else 0
     schur = nc if formulation == SYSTEM else 0
     return DenseWorkspace(

@@ -40,7 +40,7 @@ class Partition(NamedTuple):
     Attributes
     ----------
     order : ndarray of int, shape (nv,)
-        The nc dependent coordinates, then the independent ones; empty where unused.
+        The nc dependent coordinates, then the independent ones.
     jac, scaled : ndarray, shape (nc, nv)
     matrix : ndarray, shape (nc, nc)
         Factors of the dependent columns.
@@ -59,24 +59,21 @@ class Partition(NamedTuple):
     record: np.ndarray
 
 
-def allocate_partition(model, used):
+def allocate_partition(model):
     """
-    Allocate a partition, with nothing in it where it is not used.
+    Allocate a partition, no set chosen yet.
 
     Parameters
     ----------
     model : Model
         Of the mechanism.
-    used : bool
-        Whether independent coordinates are wanted.
 
     Returns
     -------
     Partition
 
     """
-    nv = len(model.tree) - 1 if used else 0
-    nc = len(model.column) - 1 if used else 0
+    nv, nc = len(model.tree) - 1, len(model.column) - 1
     return Partition(
         order=np.arange(nv), jac=np.zeros((nc, nv)), scaled=np.zeros((nc, nv)),
         matrix=np.zeros((nc, nc)), pivots=np.zeros(nc, dtype=np.int64), right=np.zeros(nc),
@@ -184,13 +181,15 @@ def close(model, work, partition, q, qd, tolerance):
 
 
 @compiled
-def settle(model, work, partition, q, qd, tolerance):
+def settle(partition, model, work, q, qd, tolerance):
     """
     Close the loops after a step, and choose another set where the present one is worn.
 
     Parameters
     ----------
-    model, work, partition, q, qd, tolerance
+    partition : Partition or None
+        None where independent coordinates are not used: then nothing is compiled or done.
+    model, work, q, qd, tolerance
         As for ``close``.
 
     Returns
@@ -199,6 +198,8 @@ def settle(model, work, partition, q, qd, tolerance):
         Whether the loops are closed.
 
     """
+    if partition is None:
+        return True
     closed = close(model, work, partition, q, qd, tolerance)
     record = partition.record
     if not record[RATIO] >= WORN * record[CHOSEN_RATIO]:

@@ -19,7 +19,7 @@ import numpy as np
 from .system import CLOSURE_LIMIT, CLOSURE_TOLERANCE
 from ..core import (
     articulated_inertia, elimination, independent, kinematics, loop_closure, rank_revealing)
-from ..core.compiled import compiled
+from ..core.compiled import compiled, merged
 from ..core.types import CLOSURE, PROJECTION_ITERATIONS, RHS
 from ..effects.dispatch import settle
 
@@ -58,7 +58,7 @@ def factor_configuration(system, q, qd):
     return elimination.factorize(model, work)
 
 
-@compiled
+@merged
 def correction(system, independent, level, q, qd, out):
     """
     Compute -I^-1 J^T (J I^-1 J^T)^+ times the error, the least change in the mass metric.
@@ -102,7 +102,7 @@ def largest(values):
     return most
 
 
-@compiled
+@merged
 def project(system, q, qd, positions):
     """
     Correct rates, and positions if asked, so that the loops are closed.
@@ -146,7 +146,7 @@ def project(system, q, qd, positions):
     return not positions or error <= settings[CLOSURE_LIMIT]
 
 
-@compiled
+@merged
 def stabilise(system, stabilisation, state):
     """
     Correct the state after a step.
@@ -173,7 +173,7 @@ def stabilise(system, stabilisation, state):
     if stabilisation < VELOCITY:
         return True
     if stabilisation == INDEPENDENT:
-        return independent.settle(system.model, system.work, system.partition, state[:nv],
+        return independent.settle(system.partition, system.model, system.work, state[:nv],
                                   state[nv:2 * nv], system.settings[CLOSURE_TOLERANCE])
     return project(system, state[:nv], state[nv:2 * nv], stabilisation == PROJECTION)
 

@@ -15,10 +15,10 @@
 """One step of any explicit Runge-Kutta method, its error estimate and its dense output."""
 
 from .system import derivative
-from ..core.compiled import compiled
+from ..core.compiled import compiled, merged
 
 
-@compiled
+@merged
 def step(system, tableau, state, step_size, slopes, stage, out):
     """
     Make one step.

@@ -14,12 +14,12 @@
 
 """What the integrators integrate: a mechanism under joint torques."""
 
-from typing import NamedTuple
+from typing import NamedTuple, Optional
 
 import numpy as np
 
 from ..core import kinematics, rank_revealing
-from ..core.compiled import compiled
+from ..core.compiled import compiled, merged
 from ..core.formulations import accelerate_dense, allocate_dense, DenseWorkspace, SUBSYSTEM
 from ..core.forward_dynamics import accelerate
 from ..core.independent import allocate_partition, close, Partition
@@ -40,9 +40,10 @@ class System(NamedTuple):
     ----------
     model : Model
     work : Workspace
-    dense : DenseWorkspace
-    partition : Partition
-        Of the independent coordinates; empty where they are not used.
+    dense : DenseWorkspace or None
+        Of the dense formulations.
+    partition : Partition or None
+        Of the independent coordinates.
     settings : ndarray, shape (4,)
     tau : ndarray, shape (nv,)
         Commanded joint torques [N m] and forces [N].
@@ -57,8 +58,8 @@ class System(NamedTuple):
 
     model: Model
     work: Workspace
-    dense: DenseWorkspace
-    partition: Partition
+    dense: Optional[DenseWorkspace]
+    partition: Optional[Partition]
     settings: np.ndarray
     tau: np.ndarray
     qdd: np.ndarray
@@ -96,8 +97,8 @@ def build_system(model, formulation=SUBSYSTEM, baumgarte=0.0, extent=1.0, indepe
     settings = np.array([formulation, baumgarte, 1e-12 * extent, 1e-5 * extent])
     tau = np.zeros(nv)
     return System(
-        model=model, work=allocate(model), dense=allocate_dense(model, formulation),
-        partition=allocate_partition(model, independent),
+        model=model, work=allocate(model), dense=None if formulation == SUBSYSTEM else allocate_dense(model, formulation),
+        partition=allocate_partition(model) if independent else None,
         settings=settings, tau=tau, qdd=np.zeros(nv), lam=np.zeros(nc),
         effects=build_table(laws, tau, nv))
 
@@ -117,6 +118,23 @@ def number_of_states(system):
 
     """
     return 2 * len(system.qdd) + len(system.effects.states)
+
+
+# What a scene does not use is None in its system. Numba drops the branches below for an argument
+# that is None, so that it is not even compiled.
+
+@compiled
+def _accelerate_dense(dense, model, work, formulation, tau, baumgarte, qdd, lam):
+    """Compute accelerations and multipliers by a dense formulation, where there is one."""
+    if dense is not None:
+        accelerate_dense(model, work, dense, formulation, tau, baumgarte, qdd, lam)
+
+
+@compiled
+def _close(partition, model, work, q, qd, tolerance):
+    """Close the loops by the dependent coordinates, where a scene has such."""
+    if partition is not None:
+        close(model, work, partition, q, qd, tolerance)
 
 
 @compiled
@@ -149,13 +167,13 @@ def evaluate(system, q, qd):
             rank_revealing.accelerate(model, work, effects.applied, system.settings[BAUMGARTE],
                                       system.qdd, system.lam)
     else:
-        accelerate_dense(model, work, system.dense, formulation, effects.applied,
-                         system.settings[BAUMGARTE], system.qdd, system.lam)
+        _accelerate_dense(system.dense, model, work, formulation, effects.applied,
+                          system.settings[BAUMGARTE], system.qdd, system.lam)
     if effects.loaded[0] > 0:
         joint_reaction.load(model, work, effects, system.qdd, system.lam)
 
 
-@compiled
+@merged
 def derivative(system, state, out):
     """
     Compute the time derivative of a state.
@@ -171,10 +189,9 @@ def derivative(system, state, out):
 
     """
     nv = system.qdd.shape[0]
-    if system.partition.order.shape[0] > 0:
-        # Independent coordinates: the others of a stage are first guesses only.
-        close(system.model, system.work, system.partition, state[:nv], state[nv:2 * nv],
-              system.settings[CLOSURE_TOLERANCE])
+    # Independent coordinates: the others of a stage are first guesses only.
+    _close(system.partition, system.model, system.work, state[:nv], state[nv:2 * nv],
+           system.settings[CLOSURE_TOLERANCE])
     states, rates = system.effects.states, system.effects.rates
     for k in range(states.shape[0]):
         states[k] = state[2 * nv + k]
