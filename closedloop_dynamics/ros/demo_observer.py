@@ -14,6 +14,7 @@
 
 """A node that sees when the others have found each other, and when they move."""
 
+from collections import Counter
 import time
 
 from closedloop_dynamics.ros.demo_processes import DemoError
@@ -42,8 +43,8 @@ class Observer:
 
     Attributes
     ----------
-    seen : set of str
-        Topics on which messages have come, relative to the namespace.
+    seen : Counter
+        Messages that have come, by topic relative to the namespace.
 
     """
 
@@ -55,7 +56,7 @@ class Observer:
             'closedloop_demo', namespace=namespace, context=self._context)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
-        self.seen = set()
+        self.seen = Counter()
         self._subscriptions = [
             self._node.create_subscription(kind, topic, self._note(topic), 10)
             for topic, kind in {
@@ -76,10 +77,6 @@ class Observer:
             name in {info.node_name for info in
                      self._node.get_subscriptions_info_by_topic(subscription.topic_name)}
             for subscription in self._subscriptions)
-
-    def has_publisher(self, topic):
-        """Return whether somebody is going to publish on a topic."""
-        return self._node.count_publishers(topic) > 0
 
     def stop_listening(self):
         """Leave the processor to the others; only their processes are watched from now on."""
@@ -114,4 +111,7 @@ class Observer:
             self._executor.spin_once(timeout_sec=LOOK)
 
     def _note(self, topic):
-        return lambda message: self.seen.add(topic)
+        def on_message(message):
+            self.seen[topic] += 1
+
+        return on_message

@@ -23,6 +23,8 @@ from rosbags.typesys import get_typestore
 from rosbags.typesys import Stores
 
 NANOSECONDS = 1e-9
+# A first command this long after the motion began is not the first [ns].
+LATE = 50 * 10 ** 6
 
 
 @dataclass(frozen=True)
@@ -33,10 +35,10 @@ class Recording:
     Attributes
     ----------
     motion : studies.motion.Motion
-        From the first command on, with the times of the stamps relative to that.
+        From the state that the first command answered, with times of the stamps since then.
     arrivals : dict
         Times at which the messages of each topic were received [s], relative as above; those
-        before the first command are negative.
+        before the motion are negative.
 
     """
 
@@ -82,7 +84,8 @@ def read_recording(path, namespace, mechanism):
     if not states:
         raise ValueError(f'the bag {path} holds no joint_states')
     stamps = np.array([_stamp(message) for _, message in states])
-    origin = _first_command(messages, stamps)
+    position = np.array([message.position for _, message in states])
+    origin = _begin(messages, stamps, position)
     forces = np.full((len(states), len(mechanism.cut_joints), 3), np.nan)
     row = {stamp: index for index, stamp in enumerate(stamps.tolist())}
     for k, cut in enumerate(mechanism.cut_joints):
@@ -117,9 +120,13 @@ def _stamp(message):
     return stamp.sec * 10 ** 9 + stamp.nanosec
 
 
-def _first_command(messages, stamps):
-    """Return the stamp of the state that the first command answered; the first where none did."""
+def _begin(messages, stamps, position):
+    """Return the stamp of the state that the motion begins from."""
     commands = messages.get('torque_command') or messages.get('joint_command')
     if not commands:
         return stamps[0]
-    return stamps[max(0, np.searchsorted(stamps, commands[0][0]) - 1)]
+    answered = max(0, np.searchsorted(stamps, commands[0][0]) - 1)
+    last_at_rest = max(0, np.argmax(np.any(position != position[0], axis=1)) - 1)
+    # The recorder may find the torque source late, and miss the first commands.
+    missed = stamps[answered] - stamps[last_at_rest] > LATE
+    return stamps[last_at_rest if missed else answered]

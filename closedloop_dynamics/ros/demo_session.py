@@ -25,6 +25,7 @@ from closedloop_dynamics.studies.progress import progress_bar
 
 # For nodes that compile at their first start, and for nodes that only have to find each other [s].
 COMPILING, FINDING = 600.0, 60.0
+STATES_BEFORE_MOTION = 100
 
 
 def run_nodes(scene, drive, namespace, duration, directory):
@@ -60,18 +61,21 @@ def run_nodes(scene, drive, namespace, duration, directory):
     with Programs(directory) as programs, \
             Observer(namespace, cuts, programs.check) as observer:
         recorder = programs.start(RECORDER, (*here, '-p', f'output:={directory / "bag"}'))
-        source = None
-        if drive.parameters:
-            source = programs.start(TORQUE_SOURCE, (*here, *drive.arguments))
-            observer.wait(lambda: observer.has_publisher('torque_command'),
-                          f'the start of {TORQUE_SOURCE}', COMPILING)
         observer.wait(lambda: observer.is_followed_by(RECORDER), f'the start of {RECORDER}',
                       FINDING)
-        # The simulator last, so that nobody misses the beginning.
         simulator = programs.start(
             SIMULATOR, (*here, *drive.arguments, '-p', f'scene:={scene.path.resolve()}'))
-        first = 'torque_command' if source is not None else 'joint_states'
-        observer.wait(lambda: first in observer.seen, f'the first {first}', COMPILING)
+        observer.wait(lambda: observer.seen['joint_states'], f'the start of {SIMULATOR}',
+                      COMPILING)
+        source = None
+        if drive.parameters:
+            # The simulator waits for torques. Until then the recorder should have found it, too,
+            # and nobody can ask DDS whether it has.
+            observer.wait(lambda: observer.seen['joint_states'] >= STATES_BEFORE_MOTION,
+                          f'a steady flow from {SIMULATOR}', FINDING)
+            source = programs.start(TORQUE_SOURCE, (*here, *drive.arguments))
+            observer.wait(lambda: observer.seen['torque_command'], f'the start of {TORQUE_SOURCE}',
+                          COMPILING)
         observer.stop_listening()
         _let_run(observer, duration, scene.name)
         # The recorder first: what the simulator does without its torques is no part of the show.

@@ -263,32 +263,37 @@ def wrench(force_x, force_y, torque):
         force=vector(x=force_x, y=force_y, z=0.0), torque=vector(x=0.0, y=0.0, z=torque))
 
 
-@pytest.fixture
-def bag(tmp_path):
-    """Return a bag of five states of the four-bar, the second answered by a command."""
-    writer = BagWriter(tmp_path / 'bag', 'mcap', STORE)
+def write_bag(path, answered=1, at_rest=0, states=5):
+    """Write states of the four-bar; a command answers one, the first ones are at rest."""
+    writer = BagWriter(path, 'mcap', STORE)
     kinds = {'joint_states': 'sensor_msgs/msg/JointState',
              'constraint_forces/cut_1': 'geometry_msgs/msg/WrenchStamped',
              'torque_command': 'std_msgs/msg/Float64MultiArray'}
     for topic, kind in kinds.items():
         writer.add_topic(f'/cell/{topic}', kind)
     begin = 5 * 10 ** 9
-    for k in range(5):
+    for k in range(states):
         stamp = begin + k * 10 ** 7
         writer.write('/cell/joint_states', stamp + 10 ** 6, message(
             kinds['joint_states'], header=header(stamp), name=['a', 'b', 'c'],
-            position=np.array([k, 0.0, 1.0]), velocity=np.array([0.0, k, 0.0]),
+            position=np.array([max(k, at_rest), 0.0, 1.0]), velocity=np.array([0.0, k, 0.0]),
             effort=np.zeros(3)))
         if k != 3:
             writer.write('/cell/constraint_forces/cut_1', stamp + 2 * 10 ** 6, message(
                 kinds['constraint_forces/cut_1'], header=header(stamp),
                 wrench=wrench(float(k), 10.0, 0.5)))
-        if k == 1:
+        if k == answered:
             layout = STORE.types['std_msgs/msg/MultiArrayLayout'](dim=[], data_offset=0)
             writer.write('/cell/torque_command', stamp + 3 * 10 ** 6, message(
                 kinds['torque_command'], layout=layout, data=np.array([1.0])))
     writer.close()
     assert writer.error is None
+
+
+@pytest.fixture
+def bag(tmp_path):
+    """Return a bag of five states, the second answered by a command."""
+    write_bag(tmp_path / 'bag')
     return tmp_path / 'bag'
 
 
@@ -307,6 +312,19 @@ def test_recording_is_what_the_bag_holds(bag):
     assert forces[0].tolist() == [0.5, 1.0, 10.0]
     assert np.isnan(forces[2]).all() and forces[3, 1] == 4.0
     assert recording.arrivals['joint_states'][0] == pytest.approx(-0.009)
+
+
+def test_motion_begins_with_itself_where_the_first_commands_were_missed(tmp_path):
+    write_bag(tmp_path / 'bag', answered=18, at_rest=7, states=30)
+    recording = read_recording(tmp_path / 'bag', '/cell', load_scene('four_bar').mechanism)
+    assert len(recording.motion.time) == 30 - 7
+    assert recording.motion.position[:2, 0].tolist() == [7.0, 8.0]
+
+
+def test_a_motion_without_commands_is_taken_whole(tmp_path):
+    write_bag(tmp_path / 'bag', answered=None)
+    recording = read_recording(tmp_path / 'bag', '/cell', load_scene('four_bar').mechanism)
+    assert len(recording.motion.time) == 5
 
 
 def test_a_bag_without_states_is_refused(bag):
