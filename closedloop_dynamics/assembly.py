@@ -165,6 +165,29 @@ class Assembler:
                 'velocities.')
         return qd
 
+    def require_independent(self, q):
+        """
+        Refuse a configuration with dependent closure equations.
+
+        Parameters
+        ----------
+        q : ndarray, shape (nv,)
+            Closing the loops.
+
+        Raises
+        ------
+        AssemblyError
+            Where a method needs them independent, and they are not.
+
+        """
+        rank = _rank(self.jacobian(q))
+        if rank < self.nc:
+            raise AssemblyError(
+                f'{self.nc - rank} of {self.nc} closure equations of {self.mechanism.name} depend '
+                'on the others here (redundant cut joints, or a singular configuration), so that '
+                'no set of independent coordinates can be chosen by them. Take stabilisation: '
+                'projection.')
+
     def _free(self, hold):
         return np.array([k for k, name in enumerate(self.mechanism.joint_names)
                          if name not in hold], dtype=int)

@@ -101,6 +101,8 @@ class Simulation:
         self._points = {point.name: point for point in self.mechanism.points}
         self._initial = self._assembled(
             scene.initial.position, scene.initial.velocity, scene.initial.hold)
+        if method.stabilisation == 'independent':
+            self._assembler.require_independent(self._initial[0])
         self.reset()
 
     @classmethod
