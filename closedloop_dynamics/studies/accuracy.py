@@ -32,8 +32,10 @@ OUTPUTS = 100
 COST_LIMIT, QUICK_COST_LIMIT = 0.1, 0.05
 PATIENCE = 10.0
 # Timing: rounds over all settings in turn, so that what disturbs one disturbs all; runs shorter
-# than this are repeated within a round; a round over all settings shall not take longer.
+# than the shortest timing are repeated within a round [s].
 ROUNDS, QUICK_ROUNDS = 7, 5
+# Runs that take longer are measured in the first rounds alone [s].
+LONG, LONG_ROUNDS = 0.03, 3
 SHORTEST_TIMING = 2e-3
 DIVERGED = 'diverged'
 # Where every digit of an angle is gone [rad, m].
@@ -208,7 +210,8 @@ def _with_costs(measured, duration, torque, rounds, progress):
     costs = [[] for _ in measured]
     for number in range(rounds):
         for (row, simulation), cost in zip(measured, costs):
-            if simulation is not None:
+            if simulation is not None and (
+                    number < LONG_ROUNDS or row.cost * duration < LONG):
                 cost.append(_mean_time(row, simulation, torque))
         progress(number + 1)
     return [replace(row, cost=statistics.median(cost)) if cost else row
