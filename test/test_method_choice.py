@@ -17,11 +17,13 @@
 from dataclasses import replace
 
 from closedloop_dynamics import method_choice
+from closedloop_dynamics.cli import main
 from closedloop_dynamics.errors import SimulationError
 from closedloop_dynamics.method_choice import choose_method
 from closedloop_dynamics.scene import load_scene
 from closedloop_dynamics.scene_records import Method
 from closedloop_dynamics.simulation import Simulation
+from closedloop_dynamics.studies.check import describe
 import numpy as np
 import pytest
 
@@ -97,3 +99,22 @@ def test_a_scene_that_nothing_gets_through(monkeypatch):
     scene = replace(load_scene('four_bar'), method=Method(integrator='auto', accuracy=1.1e-4))
     with pytest.raises(SimulationError, match='No method can be chosen'):
         Simulation(scene)
+
+
+def test_the_command_line_can_ask_for_it(capsys):
+    assert main(['simulate', 'four_bar', '--duration', '0.1', '--accuracy', '1e-5']) == 0
+    assert 'method    integrator auto: ' in capsys.readouterr().out
+    assert main(['simulate', 'four_bar', '--accuracy', '1e-5', '--integrator', 'rk4']) == 2
+    assert 'without --integrator' in capsys.readouterr().err
+
+
+def test_check_shows_what_the_integrator_goes_by():
+    scene = load_scene('four_bar')
+    shown = {}
+    for name, method in (('auto', Method(integrator='auto', accuracy=1e-5)),
+                         ('adaptive', Method(integrator='dop853', tolerance=1e-8)),
+                         ('fixed', Method())):
+        shown[name] = describe(replace(scene, method=method))
+    assert 'accuracy' in shown['auto'] and '1e-05 rad or m' in shown['auto']
+    assert 'tolerance' in shown['adaptive'] and '1e-08' in shown['adaptive']
+    assert 'tolerance' not in shown['fixed'] and '0.001 s' in shown['fixed']

@@ -23,7 +23,7 @@ import sys
 from .command import assignment, Command, mapping, positive, UsageError
 from ..errors import AssemblyError, SimulationError
 from ..integration.registry import ADAPTIVE, INTEGRATORS, STABILISATIONS
-from ..scene_records import FORMULATIONS
+from ..scene_records import AUTO, FORMULATIONS
 from ..simulation import Simulation
 from ..studies.progress import announced, progress_bar
 from ..studies.run import columns, Report, run
@@ -54,6 +54,11 @@ def _add_arguments(parser):
     method = parser.add_argument_group('how to compute it (default: as the scene says)')
     method.add_argument('--step-size', type=positive, metavar='SECONDS')
     method.add_argument('--integrator', choices=INTEGRATORS)
+    method.add_argument('--tolerance', type=positive, metavar='ERROR',
+                        help='local error that error-controlled integrators allow per step')
+    method.add_argument('--accuracy', type=positive, metavar='ERROR',
+                        help='instead of an integrator: choose the cheapest method whose '
+                             'positions are off by no more after a second [rad or m]')
     method.add_argument('--stabilisation', choices=STABILISATIONS,
                         help='how the loops are kept closed')
     method.add_argument('--formulation', choices=FORMULATIONS,
@@ -90,11 +95,16 @@ def _run(arguments):
 def _prepared(arguments):
     """Return the simulation, compiled, and the torques; whatever is wrong is the user's."""
     torque = mapping(arguments.torque, '--torque')
+    if arguments.accuracy is not None:
+        if arguments.integrator is not None:
+            raise UsageError('--accuracy: expected it without --integrator, got both')
+        arguments.integrator = AUTO
     with announced(COMPILING):
         try:
             simulation = Simulation.from_scene(
                 arguments.scene, step_size=arguments.step_size, integrator=arguments.integrator,
-                stabilisation=arguments.stabilisation, formulation=arguments.formulation)
+                stabilisation=arguments.stabilisation, formulation=arguments.formulation,
+                tolerance=arguments.tolerance, accuracy=arguments.accuracy)
         except AssemblyError as error:
             raise UsageError(f'{arguments.scene}: {error}') from None
         try:

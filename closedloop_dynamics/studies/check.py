@@ -17,9 +17,10 @@
 from dataclasses import asdict
 
 from ..effects.registry import effect_type
+from ..integration.registry import ADAPTIVE, INTEGRATORS
 from ..mechanism.decomposition import decompose
 from ..mechanism.mechanism import CUT_JOINT_EQUATIONS, Mechanism
-from ..scene_records import BAUMGARTE
+from ..scene_records import AUTO, BAUMGARTE
 
 
 def describe(scene_or_mechanism):
@@ -118,13 +119,23 @@ def _effects(effects):
 def _method(method):
     items = [
         ('integrator', method.integrator),
-        ('step size', f'{_value(method.step_size)} s'),
+        *_setting(method),
         ('stabilisation', method.stabilisation),
         ('formulation', method.formulation),
     ]
     if method.stabilisation == BAUMGARTE:
-        items.insert(3, ('time constant', f'{_value(method.baumgarte_time_constant)} s'))
+        items.insert(-1, ('time constant', f'{_value(method.time_constant)} s'))
     return _lines('Method', items)
+
+
+def _setting(method):
+    """Return what the integrator goes by: an accuracy, a tolerance or a step size."""
+    step = ('step size', f'{_value(method.step_size)} s')
+    if method.integrator == AUTO:
+        return [('accuracy', f'{_value(method.accuracy)} rad or m after a second')]
+    if INTEGRATORS[method.integrator].kind == ADAPTIVE:
+        return [('tolerance', _value(method.tolerance)), step]
+    return [step]
 
 
 def _heading(kind, named):
