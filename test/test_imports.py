@@ -32,8 +32,8 @@ PACKAGE = 'closedloop_dynamics'
 # its place here.
 LAYERS = (
     ('config', 'core', 'errors', 'mechanism'),
-    ('assembly', 'effects', 'integration', 'method_choice', 'modeling', 'monitor', 'scene',
-     'scene_records'),
+    ('assembly', 'effects', 'health', 'integration', 'method_choice', 'modeling', 'monitor',
+     'scene', 'scene_records', 'stiffness'),
     ('simulation', ''),  # '' is the package itself: it offers Simulation
     ('studies',),
     ('cli', 'ros'),
