@@ -125,6 +125,6 @@ def _motion(scene, torque, interval, outputs, integrator, value, stabilisation):
     method = replace(
         scene.method, integrator=integrator, step_size=interval / steps,
         tolerance=value if adaptive else scene.method.tolerance, stabilisation=stabilisation,
-        formulation='subsystem', baumgarte_time_constant=None)
+        formulation='subsystem', baumgarte_time_constant=None, accuracy=None)
     simulation = Simulation(replace(scene, method=method))
     return record(simulation, simulation.joint_torques(torque), steps, outputs, PATIENCE)

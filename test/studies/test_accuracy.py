@@ -112,6 +112,13 @@ def test_failures_are_rows_with_a_reason():
     assert failures[0].failure.split('. ')[0].split('; ')[0] in table(study)
 
 
+def test_a_scene_may_leave_its_method_open():
+    scene = load_scene('four_bar')
+    scene = replace(scene, method=Method(integrator='auto', accuracy=1e-4))
+    study = study_accuracy(scene, None, 0.1, True, [Line('dop853')])
+    assert not any(row.failure for row in study.rows)
+
+
 def test_runs_that_take_too_long_are_given_up(monkeypatch):
     monkeypatch.setattr(accuracy, 'PATIENCE', 0.0)
     study = study_accuracy(load_scene('four_bar'), None, 0.1, True, [Line('heun')])
