@@ -31,7 +31,7 @@ import signal
 import sys
 
 from closedloop_dynamics.mechanism.mechanism import MechanismError
-from closedloop_dynamics.ros.demo_drive import drive_for, reference, shipped_drives
+from closedloop_dynamics.ros.demo_drive import aim_of, drive_for, shipped_drives
 from closedloop_dynamics.ros.demo_processes import DemoError
 from closedloop_dynamics.ros.demo_recording import read_recording
 from closedloop_dynamics.ros.demo_report import draw, summary
@@ -144,7 +144,7 @@ def demonstrate(scene, duration, directory):
         recording = read_recording(directory / 'bag', namespace, scene.mechanism)
     except ValueError as error:
         raise DemoError(f'{error}; the logs are in {directory}') from None
-    aim = reference(drive, scene.mechanism.actuated_joints)
+    aim = aim_of(drive, scene.mechanism.actuated_joints)
     _say('simulator', last_words)
     for key, text in summary(recording, aim):
         _say(key, text)

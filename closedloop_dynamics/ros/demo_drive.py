@@ -104,7 +104,7 @@ def _sines(scene):
     return Drive(f'sine torques of {shown} N m or N at {FREQUENCY} Hz', values, tuple(arguments))
 
 
-def reference(drive, joints):
+def aim_of(drive, joints):
     """
     Return where a drive was to lead the joints.
 
@@ -117,11 +117,11 @@ def reference(drive, joints):
 
     Returns
     -------
-    torque_laws.Reference or None
-        None where it has no aim.
+    torque_laws.ProportionalDerivative or None
+        The law with its reference; None where it has no aim.
 
     """
     if drive.parameters.get('mode') not in FEEDBACK_MODES:
         return None
     values = {parameter.name: parameter.default for parameter in TORQUE_SOURCE_PARAMETERS}
-    return closed_loop({**values, **drive.parameters}, joints).reference
+    return closed_loop({**values, **drive.parameters}, joints)

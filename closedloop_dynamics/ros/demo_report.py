@@ -21,37 +21,52 @@ import numpy as np
 # After which a controller should have led the joints to their reference [s]; less in a short run.
 SETTLING = 1.0
 TURN = 2.0 * np.pi
+# Looked at when the beginning of the reference is found [s].
+HEADSTARTS = np.arange(0.0, 1.0, 0.005)
 
 
-def wanted_motion(recording, reference):
+def wanted_motion(motion, aim):
     """
     Return where all joints were to be, and how fast.
 
     Parameters
     ----------
-    recording : demo_recording.Recording
+    motion : studies.motion.Motion
         What they did.
-    reference : torque_laws.Reference or None
-        Of the actuated joints.
+    aim : torque_laws.ProportionalDerivative or None
+        What led the actuated joints.
 
     Returns
     -------
-    tuple of 2 ndarrays, shape (n, nv), or None
+    position, velocity : ndarray, shape (n, nv)
         NaN where nothing was wanted.
+    headstart : float
+        Time by which the reference was ahead of the motion [s].
+
+    Notes
+    -----
+    The torque source starts its reference with the first state that it receives. Its first
+    commands may be lost while DDS has not told the simulator of it, so the motion begins some
+    time later; how much is found from the motion, as the shift that fits best. It is never
+    negative, so that a joint that lags behind is not made to look better.
 
     """
-    if reference is None:
-        return None
-    motion = recording.motion
     position, velocity = (np.full_like(motion.position, np.nan) for _ in range(2))
-    actuated = _actuated(motion.mechanism)
-    start = motion.position[0, actuated]
-    for row, time in enumerate(motion.time):
-        position[row, actuated], velocity[row, actuated] = reference.at(time, start)
-    return position, velocity
+    if aim is None:
+        return position, velocity, 0.0
+    actuated = np.array(_actuated(motion.mechanism))
+    led = aim.kp != 0.0
+    time, start = motion.time[:, np.newaxis], motion.position[0, actuated]
+    candidates = HEADSTARTS if led.any() else HEADSTARTS[:1]
+    misses = [np.linalg.norm((aim.reference.at(time + shift, start)[0]
+                              - motion.position[:, actuated])[:, led]) for shift in candidates]
+    headstart = float(candidates[int(np.argmin(misses))])
+    wanted, velocity[:, actuated] = aim.reference.at(time + headstart, start)
+    position[:, actuated[led]] = wanted[:, led]
+    return position, velocity, headstart
 
 
-def summary(recording, reference):
+def summary(recording, aim):
     """
     Say what happened.
 
@@ -59,7 +74,7 @@ def summary(recording, reference):
     ----------
     recording : demo_recording.Recording
         What happened.
-    reference : torque_laws.Reference or None
+    aim : torque_laws.ProportionalDerivative or None
         What was to happen.
 
     Returns
@@ -77,28 +92,26 @@ def summary(recording, reference):
           for topic, times in sorted(recording.arrivals.items())),
         ('closure', f'loops closed within {error:.1e} m or rad in all {len(motion.time)} '
          'states of it'),
-        *(('tracking', text) for text in _tracking(recording, reference)),
+        *(('tracking', text) for text in _tracking(motion, aim)),
     ]
 
 
-def _tracking(recording, reference):
-    """Yield what is to be said about each kind of reference."""
-    if reference is None:
+def _tracking(motion, aim):
+    """Yield what is to be said about each kind of aim."""
+    if aim is None:
         return
-    motion = recording.motion
     settled = motion.time >= min(SETTLING, motion.time[-1] / 2.0)
-    wanted, _ = wanted_motion(recording, reference)
-    actuated = _actuated(motion.mechanism)
-    turning = np.array(reference.velocity) != 0.0
-    for k, joint in enumerate(actuated):
-        if turning[k]:
-            yield _speed(motion, settled, joint, reference.velocity[k])
-    led = [joint for k, joint in enumerate(actuated) if not turning[k]]
-    if led:
+    wanted, _, headstart = wanted_motion(motion, aim)
+    for joint, speed in zip(_actuated(motion.mechanism), aim.reference.velocity):
+        if speed != 0.0:
+            yield _speed(motion, settled, joint, speed)
+    led = np.flatnonzero(np.isfinite(wanted[0]))
+    if led.size:
         error = (motion.position - wanted)[np.ix_(settled, led)]
         names = ', '.join(motion.mechanism.joint_names[joint] for joint in led)
-        yield (f'{names} follow their reference within {np.sqrt(np.mean(error ** 2)):.2g} rad '
-               f'(rms), {np.abs(error).max():.2g} rad (largest), once settled')
+        ahead = f' (it began {headstart:.2f} s before them)' if headstart else ''
+        yield (f'{names} follow their reference{ahead} within {np.sqrt(np.mean(error ** 2)):.2g} '
+               f'rad (rms), {np.abs(error).max():.2g} rad (largest), once settled')
 
 
 def _speed(motion, settled, joint, wanted):
@@ -116,7 +129,7 @@ def _speed(motion, settled, joint, wanted):
             f'(rms), {np.abs(ripple).max():.2g} rad/s (largest)')
 
 
-def draw(recording, reference, scene, directory):
+def draw(recording, aim, scene, directory):
     """
     Write the pictures.
 
@@ -124,7 +137,7 @@ def draw(recording, reference, scene, directory):
     ----------
     recording : demo_recording.Recording
         What happened.
-    reference : torque_laws.Reference or None
+    aim : torque_laws.ProportionalDerivative or None
         What was to happen.
     scene : str
         Its name.
@@ -139,7 +152,7 @@ def draw(recording, reference, scene, directory):
     motion = recording.motion
     figures = {
         'joint_motion.png': pictures.joint_motion(
-            motion, f'{scene}: joint motion', wanted_motion(recording, reference)),
+            motion, f'{scene}: joint motion', wanted_motion(motion, aim)[:2]),
         'constraint_forces.png': pictures.constraint_forces(
             motion, f'{scene}: constraint forces in world axes'),
         'positions.png': pictures.positions(motion, f'{scene}: positions and forces'),

@@ -25,9 +25,9 @@ import uuid
 
 from closedloop_dynamics.ros import demo
 from closedloop_dynamics.ros.bag import BagWriter
-from closedloop_dynamics.ros.demo_drive import drive_for, reference, shipped_drives
+from closedloop_dynamics.ros.demo_drive import aim_of, drive_for, shipped_drives
 from closedloop_dynamics.ros.demo_recording import read_recording, Recording
-from closedloop_dynamics.ros.demo_report import draw, summary
+from closedloop_dynamics.ros.demo_report import draw, summary, wanted_motion
 from closedloop_dynamics.ros.torque_source_parameters import TORQUE_SOURCE_PARAMETERS
 from closedloop_dynamics.scene import load_scene, scene_names
 from closedloop_dynamics.simulation import Simulation
@@ -206,19 +206,19 @@ def test_both_machines_have_drives_and_every_drive_has_its_scene():
 
 def test_crank_is_to_turn_at_45_rpm():
     scene = load_scene('carpet_scraper')
-    aim = reference(drive_for(scene), scene.mechanism.actuated_joints)
-    assert aim.velocity.tolist() == [45 * 2 * np.pi / 60]
+    aim = aim_of(drive_for(scene), scene.mechanism.actuated_joints)
+    assert aim.reference.velocity.tolist() == [45 * 2 * np.pi / 60]
 
 
 def test_platform_is_to_go_round_a_circle():
     scene = load_scene('three_rrr')
     simulation = Simulation(scene)
     base = [simulation.joint_names.index(name) for name in simulation.actuated_joints]
-    aim = reference(drive_for(scene), simulation.actuated_joints)
+    aim = aim_of(drive_for(scene), simulation.actuated_joints)
     start, places = simulation.position, []
     for moment in np.linspace(0.0, 4.0, 81):
         position = simulation.position
-        position[base] = aim.at(moment, start[base])[0]
+        position[base] = aim.reference.at(moment, start[base])[0]
         simulation.set_state(position, hold=simulation.actuated_joints)
         places.append(simulation.point('platform_center'))
     places = np.array(places[:-1])
@@ -227,13 +227,30 @@ def test_platform_is_to_go_round_a_circle():
     assert radius == pytest.approx(np.full(80, 0.12), abs=0.012)
 
 
+@pytest.mark.parametrize('headstart, lag', [(0.0, 0.0), (0.2, 0.0), (0.0, 0.1)])
+def test_a_reference_that_began_early_is_found_and_a_lag_is_not_hidden(headstart, lag):
+    scene = load_scene('three_rrr')
+    aim = aim_of(drive_for(scene), scene.mechanism.actuated_joints)
+    moment = np.linspace(0.0, 8.0, 801)
+    position = np.zeros((801, 7))
+    followed = np.maximum(moment + headstart - lag, 0.0)[:, np.newaxis]
+    position[:, [0, 5, 6]] = aim.reference.at(followed, np.zeros(3))[0]
+    position[0, [0, 5, 6]] = 0.0
+    motion = Motion(scene.mechanism, moment, position, np.zeros((801, 7)), np.zeros((801, 7)),
+                    np.zeros((801, 2, 3)))
+    wanted, _, found = wanted_motion(motion, aim)
+    assert found == pytest.approx(headstart, abs=1e-9)
+    error = np.abs(wanted - position)[100:, [0, 5, 6]].max()
+    assert error == pytest.approx(0.34 * 2 * np.pi * 0.25 * lag, rel=0.1, abs=1e-9)
+
+
 @pytest.mark.parametrize('name', ['four_bar', 'slider_crank', 'hoeken_pantograph_leg'])
 def test_other_scenes_get_small_sines(name):
     scene = load_scene(name)
     drive = drive_for(scene)
     assert drive.parameters['mode'] == 'sine'
     assert 0.0 < drive.parameters['amplitude'][0] < 5.0
-    assert reference(drive, scene.mechanism.actuated_joints) is None
+    assert aim_of(drive, scene.mechanism.actuated_joints) is None
 
 
 def test_a_scene_of_the_users_gets_no_drive_of_a_shipped_one(tmp_path):
@@ -334,8 +351,8 @@ def test_a_bag_without_states_is_refused(bag):
 
 def test_summary_tells_mean_speed_and_ripple(tmp_path):
     scene = load_scene('carpet_scraper')
-    aim = reference(drive_for(scene), scene.mechanism.actuated_joints)
-    speed, moment = aim.velocity[0], np.linspace(0.0, 8.0, 801)
+    aim = aim_of(drive_for(scene), scene.mechanism.actuated_joints)
+    speed, moment = aim.reference.velocity[0], np.linspace(0.0, 8.0, 801)
     position, velocity = np.zeros((2, 801, 7))
     # Ten ripples a second around the speed wanted.
     position[:, 0] = speed * moment - 0.1 / (20 * np.pi) * np.cos(20 * np.pi * moment)
@@ -348,6 +365,8 @@ def test_summary_tells_mean_speed_and_ripple(tmp_path):
     assert float(mean) == pytest.approx(speed, abs=1e-3)
     assert turns == '5'
     assert 'ripple 0.071 rad/s (rms), 0.095 rad/s (largest)' in text
+    wanted, rate, _ = wanted_motion(motion, aim)
+    assert np.isnan(wanted).all() and rate[0, 0] == speed
     for path in draw(recording, aim, scene.name, tmp_path):
         assert path.is_file()
     check_pictures(tmp_path)
