@@ -20,9 +20,9 @@ from .core.types import (
     CLOSURE, EVALUATIONS, PROJECTION_ITERATIONS, RANK, RANK_REVEALING_COUNT, SMALLEST_PIVOT,
     SMALLEST_PIVOT_EVER)
 
-# Smallest pivots below this (about 0.6 degrees from a singular configuration) are worth a
+# Smallest pivots below this (about 2 degrees from a singular configuration) are worth a
 # warning: forces grow with the inverse distance, errors of the input with them.
-WARN_BELOW = 1e-4
+WARN_BELOW = 1e-3
 
 
 @dataclass(frozen=True)

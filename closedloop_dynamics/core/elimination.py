@@ -28,9 +28,9 @@ from .types import (
     SMALLEST_PIVOT_EVER)
 
 # A pivot this small against the largest diagonal entry of its cut point (a squared sine: closure
-# equations 1e-3 rad from dependent) has lost six digits, and errors of a stage's positions
-# pass into the accelerations a thousandfold: the rank-revealing path takes over.
-POOR_PIVOT = 1e-6
+# equations 0.01 rad from dependent) passes errors of a stage's positions into the
+# accelerations a hundredfold: the rank-revealing path takes over, which weighs them.
+POOR_PIVOT = 1e-4
 
 
 @inlined

@@ -45,11 +45,11 @@ POSITION, VELOCITY, ACCELERATION = range(3)
 DEPENDENT = 1e-11
 # Those below this belong to a singular configuration nearby: whether such an equation is
 # taken depends on whether what it says can be told from its error.
-WEAK = 3e-2
+WEAK = 0.1
 # Rounding of scaled places and terms.
 ROUNDING = 2e-15
 # What an equation says must exceed its estimated error by this factor.
-DOUBT = 5.0
+DOUBT = 3.0
 # Entries of J against the largest: less is the rounding of a zero, not to be scaled up.
 NOTHING = 1e-12
 # Inertia of a motion against the largest: less is none.
@@ -147,7 +147,7 @@ def _motion(taken, left, singular, right_vectors, wanted, column_scale, gim, for
 
 
 @compiled
-def _worth_taking(level, singular, residual, gap, drift, speed, size):
+def _worth_taking(level, singular, residual, gap, drift, gap_along, drift_along, speed, size):
     """
     Decide on one equation near a singular configuration.
 
@@ -161,6 +161,8 @@ def _worth_taking(level, singular, residual, gap, drift, speed, size):
         How far the motion without it violates it.
     gap, drift : float
         Closure error of the positions, and of the rates (scaled).
+    gap_along, drift_along : float
+        Their shares in this equation.
     speed : float
         Largest angular velocity [rad/s].
     size : float
@@ -178,11 +180,12 @@ def _worth_taking(level, singular, residual, gap, drift, speed, size):
     """
     if level == POSITION:
         return residual <= 0.25 * singular * singular
-    known = min(gap / singular, np.sqrt(gap))
+    gap_along += ROUNDING
+    known = gap + min(gap_along / singular, np.sqrt(gap_along))
     if level == VELOCITY:
         error = speed * known + ROUNDING * (speed + size)
     else:
-        error = speed * (speed * known + 2.0 * drift / singular) + ROUNDING * (
+        error = speed * (speed * known + 2.0 * (drift + drift_along / singular)) + ROUNDING * (
             speed * speed + size)
     return residual > DOUBT * error
 
@@ -243,12 +246,16 @@ def solve(model, jac, gim, right, force, psi, rate, speed, level, motion, lam):
     added = False
     for k in range(singular.shape[0]):
         if not taken[k] and singular[k] > DEPENDENT * singular[0]:
-            residual = wanted[k]
+            residual, gap_along, drift_along = wanted[k], 0.0, 0.0
+            for i in range(nc):
+                gap_along += left[i, k] * psi[i] * row_scale[i]
+                drift_along += left[i, k] * rate[i] * row_scale[i]
             for j in range(nv):
                 residual -= singular[k] * right_vectors[k, j] * motion[j] / column_scale[j]
             if level == POSITION:
                 residual = wanted[k]
-            if _worth_taking(level, singular[k], abs(residual), gap, drift, speed, size):
+            if _worth_taking(level, singular[k], abs(residual), gap, drift, abs(gap_along),
+                             abs(drift_along), speed, size):
                 taken[k] = True
                 added = True
     if added:
