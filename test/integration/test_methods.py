@@ -24,6 +24,8 @@ import numpy as np
 import pytest
 
 MECHANISMS = ('four_bar', 'slider_crank', 'carpet_scraper', 'three_rrr')
+# Below an error of 1e-8 the difference quotients of RODAS4's Jacobian show: longer steps there.
+STEPS = {('four_bar', 'rodas4_fixed'): (25, 50)}
 ORDERS = {'semi_implicit_euler': 1, 'heun': 2, 'rk4': 4, 'rodas4_fixed': 4}
 
 
@@ -62,7 +64,7 @@ def test_fixed_step_error_falls_with_the_order(scene, integrator, stabilisation,
     errors = [
         np.abs(run(scene, integrator=integrator, stabilisation=stabilisation,
                    step_size=0.3 / steps).position - references[scene]).max()
-        for steps in (100, 200)]
+        for steps in STEPS.get((scene, integrator), (100, 200))]
     # Half an order of slack for the terms beyond the leading one.
     assert np.log2(errors[0] / errors[1]) > ORDERS[integrator] - 0.5
 
@@ -82,7 +84,7 @@ def test_asking_often_does_not_cut_steps(integrator, references):
     counts = []
     for raster in (0.1, 1e-3):
         simulation = run('three_rrr', integrator=integrator, tolerance=1e-9, step_size=raster)
-        counts.append(simulation._driver.control[adaptive.ACCEPTED])
+        counts.append(simulation._driver.driver.control[adaptive.ACCEPTED])
         assert np.abs(simulation.position - references['three_rrr']).max() < 1e-6
     assert counts[0] == counts[1]
 
