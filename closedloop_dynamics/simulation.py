@@ -87,7 +87,7 @@ class Simulation:
         self.system = build_system(
             model, FORMULATIONS[method.formulation], baumgarte, size,
             method.stabilisation == 'independent', self._effects.laws)
-        self._effects.bind(self.system.effects)
+        self._table = self._effects.bind(self.system)
         self._accounts = Accounts(self._effects)
         self._driver = Monitor(build_driver(self.system, method), self.system, method)
         self._guard = StiffnessGuard(self.system, method)
@@ -248,7 +248,7 @@ class Simulation:
 
     def _feel_loads(self):
         """Let effects that are driven by the reaction in a joint start with what it is."""
-        if self.system.effects.loaded[0] > 0:
+        if self._table.loaded[0] > 0:
             # A fixed point: friction changes the reactions a little.
             for _ in range(20):
                 self._fresh = False
@@ -687,7 +687,7 @@ class Simulation:
         q, qd = _vector('position', position, nv), _vector('velocity', velocity, nv)
         applied = system.tau.copy()
         system.tau[:] = self.joint_torques(torque)
-        system.effects.states[:] = self._own
+        self._table.states[:] = self._own
         evaluate(system, q, qd)
         system.tau[:] = applied
         self._fresh = False
@@ -739,7 +739,7 @@ class Simulation:
                 f'This acceleration opens the loops: the cut joints would part at {part:.3g} '
                 'm/s^2. Give accelerations of all joints that belong together, such as those '
                 'that forward_dynamics returns.')
-        table = self.system.effects
+        table = self._table
         while True:
             need = self._needed(q, qd, qdd)
             torque, lam = self._least_torques(need, jac)
@@ -756,7 +756,7 @@ class Simulation:
 
     def _needed(self, q, qd, qdd):
         """Return what torques and constraint forces must add up to at the joints."""
-        need, table, work = np.zeros(len(q)), self.system.effects, self.system.work
+        need, table, work = np.zeros(len(q)), self._table, self.system.work
         kinematics.outward(self.system.model, q, qd, work)
         if len(table.kind):
             self._effects.steady(qd)
@@ -783,7 +783,7 @@ class Simulation:
     def _evaluate(self):
         """Evaluate the present state once for all that is asked of it."""
         if not self._fresh:
-            self.system.effects.states[:] = self._own
+            self._table.states[:] = self._own
             evaluate(self.system, self._q, self._qd)
             self._fresh = True
 

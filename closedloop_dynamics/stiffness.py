@@ -34,6 +34,9 @@ from .integration.system import derivative
 # Step size times fastest rate at which the explicit methods leave stability, along the
 # imaginary axis (springs without damping) or the negative real one (dampers).
 STABILITY_LIMITS = {'semi_implicit_euler': 2.0, 'heun': 2.0, 'rk4': 2.78}
+# Error-controlled explicit methods stay stable by taking steps as small as it needs; more than
+# this many of them for one step of the raster is no simulation but a standstill.
+MOST_SMALL_STEPS = 3000.0
 # Steps between two looks.
 LOOK_EVERY = 100
 PAIRS = 4
@@ -118,7 +121,7 @@ class StiffnessGuard:
     Attributes
     ----------
     active : bool
-        Whether there is anything to look at: a fixed-step explicit method, and effects
+        Whether to look while the steps are made: a fixed-step explicit method, and effects
         with force laws of their own.
 
     """
@@ -127,9 +130,11 @@ class StiffnessGuard:
         """Decide whether to look at all."""
         integrator = INTEGRATORS[method.integrator]
         self._system, self._name = system, method.integrator
-        self._limit = STABILITY_LIMITS.get(method.integrator)
-        self.active = (integrator.kind == FIXED and integrator.family == EXPLICIT
-                       and self._limit is not None and len(system.effects.kind) > 0)
+        self._fixed = integrator.kind == FIXED
+        self._limit = STABILITY_LIMITS.get(
+            method.integrator, math.inf if self._fixed else 3.0 * MOST_SMALL_STEPS)
+        self._explicit = integrator.family == EXPLICIT and system.effects is not None
+        self.active = self._explicit and self._fixed
 
     def check(self, state, step_size):
         """
@@ -140,7 +145,7 @@ class StiffnessGuard:
         StiffnessError
 
         """
-        if not self.active:
+        if not self._explicit:
             return
         rate = fastest_rate(self._system, state)
         if rate * step_size > self._limit:
@@ -148,6 +153,11 @@ class StiffnessGuard:
 
     def message(self, rate, step_size):
         """Return what to say of a rate that is too fast for the step."""
+        if not self._fixed:
+            return (f'The scene is stiff: its fastest motion has a rate of about {rate:.3g} 1/s, '
+                    f'which {self._name} follows with steps up to {3.0 / rate:.3g} s only, '
+                    f'{rate * step_size / 3.0:.2g} of them for each step of {step_size:g} s. Take '
+                    'integrator: rodas4, or softer springs, dampers and contacts.')
         return (f'The scene is stiff: its fastest motion has a rate of about {rate:.3g} 1/s, for '
                 f'which {self._name} is stable with steps up to {self._limit / rate:.3g} s only; '
                 f'the step is {step_size:g} s. Take integrator: rodas4 (or rodas4_fixed), which '

@@ -25,7 +25,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from .table import DISSIPATED, fill_row, FIRST, LOADED, OWN, STATE, STORED, WORK
+from .table import build_table, DISSIPATED, fill_row, FIRST, LOADED, OWN, STATE, STORED, WORK
 from ..core.types import TYPE
 from ..mechanism.checks import boolean, one_of
 from ..mechanism.fields import at, FieldError, keys_of, mapping
@@ -99,9 +99,25 @@ class Composition:
             np.flatnonzero(roles == role) for role in (OWN, DISSIPATED, WORK))
         self._update()
 
-    def bind(self, table):
-        """Take the table that was built from ``laws``; it is kept up to date."""
-        self._table = table
+    def bind(self, system):
+        """
+        Take the table that a system was built with from ``laws``; it is kept up to date.
+
+        Parameters
+        ----------
+        system : integration.system.System
+            Without a table where there are no laws.
+
+        Returns
+        -------
+        EffectTable
+            Empty where there are no laws.
+
+        """
+        self._table = system.effects
+        if self._table is None:
+            self._table = build_table((), system.tau, 0)
+        return self._table
 
     def _update(self):
         """Bring model constants, drives and instruments in line with the records."""

@@ -196,5 +196,6 @@ def _error_scale(system, tolerance):
     nv = len(system.qdd)
     scale = np.full((2, number_of_states(system)), tolerance)
     scale[1, :nv] = 0.0
-    scale[0, 2 * nv:] *= system.effects.scale
+    if system.effects is not None:
+        scale[0, 2 * nv:] *= system.effects.scale
     return scale

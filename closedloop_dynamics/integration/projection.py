@@ -146,6 +146,13 @@ def project(system, q, qd, positions):
     return not positions or error <= settings[CLOSURE_LIMIT]
 
 
+@compiled
+def _settle_effects(effects, state, nv):
+    """Bring the effects' own states back to where they may be, where a scene lists any."""
+    if effects is not None:
+        settle(effects, state, nv)
+
+
 @merged
 def stabilise(system, stabilisation, state):
     """
@@ -168,8 +175,7 @@ def stabilise(system, stabilisation, state):
 
     """
     nv = system.qdd.shape[0]
-    if state.shape[0] > 2 * nv:
-        settle(system.effects, state, nv)
+    _settle_effects(system.effects, state, nv)
     if stabilisation < VELOCITY:
         return True
     if stabilisation == INDEPENDENT:

@@ -51,8 +51,10 @@ class System(NamedTuple):
         Joint accelerations of the latest evaluation.
     lam : ndarray, shape (nc,)
         Its multipliers.
-    effects : EffectTable
-        What acts on the mechanism beside the commanded torques; empty where nothing does.
+    applied : ndarray, shape (nv,)
+        Joint torques of commands and effects; ``tau`` itself where no effect is listed.
+    effects : EffectTable or None
+        What acts on the mechanism beside the commanded torques.
 
     """
 
@@ -64,7 +66,8 @@ class System(NamedTuple):
     tau: np.ndarray
     qdd: np.ndarray
     lam: np.ndarray
-    effects: EffectTable
+    applied: np.ndarray
+    effects: Optional[EffectTable]
 
 
 def build_system(model, formulation=SUBSYSTEM, baumgarte=0.0, extent=1.0, independent=False,
@@ -96,11 +99,13 @@ def build_system(model, formulation=SUBSYSTEM, baumgarte=0.0, extent=1.0, indepe
     # Closure errors of 1e-12 of the size are rounding; one of 1e-5 of it is an open loop.
     settings = np.array([formulation, baumgarte, 1e-12 * extent, 1e-5 * extent])
     tau = np.zeros(nv)
+    effects = build_table(laws, tau, nv) if len(laws) > 0 else None
     return System(
-        model=model, work=allocate(model), dense=None if formulation == SUBSYSTEM else allocate_dense(model, formulation),
+        model=model, work=allocate(model),
+        dense=None if formulation == SUBSYSTEM else allocate_dense(model, formulation),
         partition=allocate_partition(model) if independent else None,
         settings=settings, tau=tau, qdd=np.zeros(nv), lam=np.zeros(nc),
-        effects=build_table(laws, tau, nv))
+        applied=tau if effects is None else effects.applied, effects=effects)
 
 
 def number_of_states(system):
@@ -117,7 +122,8 @@ def number_of_states(system):
     int
 
     """
-    return 2 * len(system.qdd) + len(system.effects.states)
+    own = 0 if system.effects is None else len(system.effects.states)
+    return 2 * len(system.qdd) + own
 
 
 # What a scene does not use is None in its system. Numba drops the branches below for an argument
@@ -138,6 +144,39 @@ def _close(partition, model, work, q, qd, tolerance):
 
 
 @compiled
+def _apply_effects(effects, work, q, qd, tau):
+    """Apply the effects, where a scene lists any."""
+    if effects is not None:
+        dispatch.apply(work.body, effects, q, qd, tau)
+        if effects.loaded[0] > 0:
+            joint_reaction.remember(work.body, effects)
+
+
+@compiled
+def _feel_reactions(effects, model, work, qdd, lam):
+    """Tell effects the reactions in their joints, where they ask for them."""
+    if effects is not None:
+        if effects.loaded[0] > 0:
+            joint_reaction.load(model, work, effects, qdd, lam)
+
+
+@compiled
+def _take_states(effects, state, nv):
+    """Hand the effects' own states over to them."""
+    if effects is not None:
+        for k in range(effects.states.shape[0]):
+            effects.states[k] = state[2 * nv + k]
+
+
+@compiled
+def _give_rates(effects, nv, out):
+    """Copy the rates of the effects' own states into a derivative."""
+    if effects is not None:
+        for k in range(effects.rates.shape[0]):
+            out[2 * nv + k] = effects.rates[k]
+
+
+@compiled
 def evaluate(system, q, qd):
     """
     Compute the accelerations and multipliers of a state into ``system.qdd`` and ``system.lam``.
@@ -151,26 +190,20 @@ def evaluate(system, q, qd):
 
     """
     model, work, formulation = system.model, system.work, int(system.settings[FORMULATION])
-    effects = system.effects
     kinematics.outward(model, q, qd, work)
-    if effects.kind.shape[0] > 0:
-        dispatch.apply(work.body, effects, q, qd, system.tau)
-        if effects.loaded[0] > 0:
-            joint_reaction.remember(work.body, effects)
+    _apply_effects(system.effects, work, q, qd, system.tau)
     if formulation == SUBSYSTEM:
-        if not accelerate(model, work, effects.applied, system.settings[BAUMGARTE], system.qdd,
+        if not accelerate(model, work, system.applied, system.settings[BAUMGARTE], system.qdd,
                           system.lam):
             # The elimination has used up what the outward recursion and the effects left.
             kinematics.outward(model, q, qd, work)
-            if effects.kind.shape[0] > 0:
-                dispatch.apply(work.body, effects, q, qd, system.tau)
-            rank_revealing.accelerate(model, work, effects.applied, system.settings[BAUMGARTE],
+            _apply_effects(system.effects, work, q, qd, system.tau)
+            rank_revealing.accelerate(model, work, system.applied, system.settings[BAUMGARTE],
                                       system.qdd, system.lam)
     else:
-        _accelerate_dense(system.dense, model, work, formulation, effects.applied,
+        _accelerate_dense(system.dense, model, work, formulation, system.applied,
                           system.settings[BAUMGARTE], system.qdd, system.lam)
-    if effects.loaded[0] > 0:
-        joint_reaction.load(model, work, effects, system.qdd, system.lam)
+    _feel_reactions(system.effects, model, work, system.qdd, system.lam)
 
 
 @merged
@@ -192,12 +225,9 @@ def derivative(system, state, out):
     # Independent coordinates: the others of a stage are first guesses only.
     _close(system.partition, system.model, system.work, state[:nv], state[nv:2 * nv],
            system.settings[CLOSURE_TOLERANCE])
-    states, rates = system.effects.states, system.effects.rates
-    for k in range(states.shape[0]):
-        states[k] = state[2 * nv + k]
+    _take_states(system.effects, state, nv)
     evaluate(system, state[:nv], state[nv:2 * nv])
     for i in range(nv):
         out[i] = state[nv + i]
         out[nv + i] = system.qdd[i]
-    for k in range(states.shape[0]):
-        out[2 * nv + k] = rates[k]
+    _give_rates(system.effects, nv, out)
