@@ -173,7 +173,7 @@ def _worth_taking(level, singular, residual, gap, drift, gap_along, drift_along,
     Along the weak direction the position is known to gap / singular, or, as closure
     is quadratic there, to sqrt(gap), and the rate to drift / singular. Where the
     equation's turning with that error explains the residual, taking it would divide noise by
-    a small number; leaving it out costs singular times a multiplier. A correction of
+    a small number; left out for a step, it is made up for by the projection. A correction of
     positions beyond the reach of Newton's method, the singular value itself, would jump to
     another branch.
 
