@@ -102,11 +102,13 @@ def _tracking(motion, aim):
         return
     settled = motion.time >= min(SETTLING, motion.time[-1] / 2.0)
     wanted, _, headstart = wanted_motion(motion, aim)
+    led = []
     for joint, speed in zip(_actuated(motion.mechanism), aim.reference.velocity):
         if speed != 0.0:
             yield _speed(motion, settled, joint, speed)
-    led = np.flatnonzero(np.isfinite(wanted[0]))
-    if led.size:
+        elif np.isfinite(wanted[0, joint]):
+            led.append(joint)
+    if led:
         error = (motion.position - wanted)[np.ix_(settled, led)]
         names = ', '.join(motion.mechanism.joint_names[joint] for joint in led)
         ahead = f' (it began {headstart:.2f} s before them)' if headstart else ''

@@ -366,7 +366,8 @@ def test_summary_tells_mean_speed_and_ripple(tmp_path):
     assert turns == '5'
     assert 'ripple 0.071 rad/s (rms), 0.095 rad/s (largest)' in text
     wanted, rate, _ = wanted_motion(motion, aim)
-    assert np.isnan(wanted).all() and rate[0, 0] == speed
+    assert wanted[-1, 0] == pytest.approx(position[-1, 0], abs=0.01) and rate[0, 0] == speed
+    assert np.isnan(wanted[:, 1:]).all()
     for path in draw(recording, aim, scene.name, tmp_path):
         assert path.is_file()
     check_pictures(tmp_path)
