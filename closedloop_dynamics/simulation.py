@@ -330,6 +330,7 @@ class Simulation:
         tau : ndarray, shape (nv,)
             Joint torques [N m or N], finite.
         steps : int
+            Number of steps.
 
         Raises
         ------
@@ -432,6 +433,7 @@ class Simulation:
         Parameters
         ----------
         torque : mapping, sequence or None
+            By joint name, or in the order of the actuated joints.
 
         Returns
         -------
@@ -674,6 +676,7 @@ class Simulation:
         Parameters
         ----------
         position, velocity : sequence, shape (nv,)
+            State, closing the loops.
         torque : mapping, sequence or None
             As for ``step``.
 
