@@ -25,6 +25,17 @@ except ImportError:
         'slower. Install numba for real-time simulation.', RuntimeWarning, stacklevel=2)
 
 
+def _compile(function, **options):
+    """Return ``function`` compiled, or without numba as it is."""
+    if numba is None:
+        return function
+    # Unpacking a model and a workspace from Python is as much code as many a kernel: private
+    # kernels, which only kernels call, go without; and nothing is called from C.
+    return numba.njit(
+        cache=True, error_model='numpy', no_cfunc_wrapper=True,
+        no_cpython_wrapper=function.__name__.startswith('_'), **options)(function)
+
+
 def compiled(function):
     """
     Compile ``function`` with numba, cached on disk; without numba return it as it is.
@@ -33,9 +44,7 @@ def compiled(function):
     raises, poor pivots are reported through the status instead.
 
     """
-    if numba is None:
-        return function
-    return numba.njit(cache=True, error_model='numpy')(function)
+    return _compile(function)
 
 
 def inlined(function):
@@ -46,9 +55,7 @@ def inlined(function):
     workspace (some 150 words), which would cost as much as the stage itself.
 
     """
-    if numba is None:
-        return function
-    return numba.njit(cache=True, error_model='numpy', forceinline=True)(function)
+    return _compile(function, forceinline=True)
 
 
 def merged(function):
@@ -60,6 +67,4 @@ def merged(function):
     takes.
 
     """
-    if numba is None:
-        return function
-    return numba.njit(cache=True, error_model='numpy', inline='always')(function)
+    return _compile(function, inline='always')
