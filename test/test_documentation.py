@@ -1,0 +1,204 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Every command, script and file in README.md and doc/ does what the page says.
+
+What is run is what stands in fenced blocks: ``console`` (lines with ``$`` are commands, the
+others their output, ``...`` for what is left out), ``python``, and ``yaml`` whose first line
+is a comment with the file's name. A comment before a block says how it is run:
+
+    <!-- exits with 2 -->                     the exit code expected
+    <!-- each in a terminal of its own -->    nodes, run together, ended by Ctrl-C
+    <!-- not run: why -->
+
+"""
+
+from dataclasses import dataclass
+import os
+from pathlib import Path
+import re
+import runpy
+import shlex
+import signal
+from test.ros.domains import reserve_domain
+from test.ros.processes import EXECUTABLES, Process
+
+from closedloop_dynamics.cli import main
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = [ROOT / 'README.md', *sorted((ROOT / 'doc').glob('*.md'))]
+BLOCK = re.compile(
+    r'(?:^<!-- (?P<note>.*?) -->\n)?^```(?P<kind>\w+)\n(?P<text>.*?)^```$', re.M | re.S)
+TERMINALS = 'each in a terminal of its own'
+# Commands that are not run from here, and why.
+ELSEWHERE = {
+    'scripts/demo': 'test/ros/test_demo.py runs what it calls',
+    'scripts/test': 'it runs this test',
+    'source': 'set-up of a shell', 'mkdir': 'set-up', 'python3 -m venv': 'set-up',
+    'pip install': 'needs an index', 'python -m colcon build': 'test/packaging does',
+    'ros2 bag': 'needs ros2cli', 'ros2 topic': 'needs ros2cli', 'ros2 param': 'needs ros2cli',
+    'ros2 launch': 'needs ros2launch', 'ros2 service': 'needs ros2cli',
+}
+
+
+@dataclass(frozen=True)
+class Block:
+    """One fenced block of a page."""
+
+    page: Path
+    line: int
+    kind: str
+    note: str
+    text: str
+
+    def __str__(self):
+        return f'{self.page.name}:{self.line}'
+
+    @property
+    def commands(self):
+        """Return pairs of a command and the lines of its output."""
+        parts = re.split(r'^\$ ', self.text, flags=re.M)
+        assert not parts[0].strip(), f'{self}: output before a command'
+        return [(part.splitlines()[0], part.splitlines()[1:]) for part in parts[1:]]
+
+
+def blocks_of(page):
+    text = page.read_text()
+    return [Block(page, text.count('\n', 0, match.start('kind')) + 1, match['kind'],
+                  match['note'] or '', match['text']) for match in BLOCK.finditer(text)]
+
+
+def write_files(page, directory):
+    """Write the files that a page shows; return their names."""
+    names = []
+    for block in blocks_of(page):
+        name = re.match(r'# (\S+\.yaml)\n', block.text)
+        if block.kind == 'yaml' and name:
+            (directory / name[1]).write_text(block.text)
+            names.append(name[1])
+    return names
+
+
+@pytest.fixture
+def scratch(tmp_path, monkeypatch):
+    """Return an empty working directory, with the checkout's config/ in it."""
+    (tmp_path / 'config').symlink_to(ROOT / 'config')
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def run_closedloop(command, capsys):
+    """Return exit code and all output of a command."""
+    try:
+        code = main(shlex.split(command)[1:])
+    except SystemExit as end:
+        code = end.code
+    return code, '\n'.join(capsys.readouterr())
+
+
+def words(line):
+    return ' '.join(line.split())
+
+
+def check_output(where, wanted, output):
+    """Check that the lines wanted are in the output, in their order."""
+    lines = iter([words(line) for line in output.splitlines()])
+    for line in wanted:
+        if line.strip() not in ('', '...'):
+            assert words(line) in lines, f'{where}: no line {line!r} (there) in\n{output}'
+
+
+@pytest.mark.parametrize('page', PAGES, ids=lambda page: page.name)
+def test_commands_and_scripts_do_what_the_page_says(page, scratch, capsys):
+    write_files(page, scratch)
+    for block in blocks_of(page):
+        if block.note.startswith('not run: ') or block.note == TERMINALS:
+            continue
+        if block.kind == 'python':
+            script = scratch / f'line_{block.line}.py'
+            script.write_text(block.text)
+            runpy.run_path(str(script))
+        elif block.kind == 'console':
+            expected = int((re.fullmatch(r'exits with (\d+)', block.note) or [0, 0])[1])
+            for command, wanted in block.commands:
+                if command.split()[0] == 'closedloop':
+                    code, output = run_closedloop(command, capsys)
+                    assert code == expected, f'{block}: {command}\n{output}'
+                    check_output(block, wanted, output)
+                else:
+                    assert any(command.startswith(known) for known in ELSEWHERE), (
+                        f'{block}: nothing runs {command!r}; add it here, or mark the block')
+
+
+TOGETHER = [block for page in PAGES for block in blocks_of(page) if block.note == TERMINALS]
+
+
+@pytest.mark.parametrize('block', TOGETHER, ids=str)
+def test_nodes_run_together_as_the_page_says(block, scratch):
+    write_files(block.page, scratch)
+    started = []
+    with reserve_domain() as domain:
+        environment = {
+            **os.environ, 'PYTHONPATH': str(ROOT), 'PYTHONUNBUFFERED': '1',
+            'ROS_DOMAIN_ID': str(domain), 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
+            'RCUTILS_COLORIZED_OUTPUT': '0', 'ROS_LOG_DIR': str(scratch / 'log')}
+        try:
+            for command, _ in block.commands:
+                command = command.removeprefix('ros2 run closedloop_dynamics ')
+                executable, *arguments = shlex.split(command)
+                assert executable in EXECUTABLES
+                started.append(Process(executable, arguments, scratch / f'{executable}.log',
+                                       environment, scratch))
+            for process in started:
+                process.wait_until_ready()
+            for process in reversed(started):
+                assert process.stop(signal.SIGINT) == 0, process.output
+        finally:
+            for process in started:
+                process.popen.kill()
+                process.popen.wait()
+    if 'closedloop_recorder' in block.text:
+        assert (scratch / 'my_bag' / 'metadata.yaml').is_file()
+
+
+@pytest.mark.parametrize('page', PAGES, ids=lambda page: page.name)
+def test_links_lead_somewhere(page):
+    text = re.sub(r'^```.*?^```$', '', page.read_text(), flags=re.M | re.S)
+    for target in re.findall(r'\]\(([^)\s]+)\)', text):
+        if target.startswith(('http://', 'https://')):
+            continue
+        path, _, anchor = target.partition('#')
+        file = (page.parent / path).resolve() if path else page
+        assert file.exists(), f'{page.name}: {target}'
+        if anchor:
+            headings = re.findall(r'^#+ (.*)$', file.read_text(), flags=re.M)
+            assert anchor in {anchor_of(heading) for heading in headings}, target
+
+
+def anchor_of(heading):
+    """Return the anchor that GitHub gives a heading."""
+    return re.sub(r'[^\w\- ]', '', heading.lower()).replace(' ', '-')
+
+
+def test_pages_are_found():
+    assert {'README.md', 'interface.md', 'theory.md'} <= {page.name for page in PAGES}
+    assert len(TOGETHER) >= 3
+
+
+def test_folders_that_the_readme_names_exist():
+    readme = (ROOT / 'README.md').read_text()
+    folders = re.findall(r'`(config/\w+/)`', readme)
+    assert folders and all((ROOT / folder).is_dir() for folder in folders)
