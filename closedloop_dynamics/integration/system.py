@@ -19,7 +19,7 @@ from typing import NamedTuple, Optional
 import numpy as np
 
 from ..core import kinematics, rank_revealing
-from ..core.compiled import compiled, merged
+from ..core.compiled import compiled, inlined, merged
 from ..core.formulations import accelerate_dense, allocate_dense, DenseWorkspace, SUBSYSTEM
 from ..core.forward_dynamics import accelerate
 from ..core.independent import allocate_partition, close, Partition
@@ -143,7 +143,7 @@ def _close(partition, model, work, q, qd, tolerance):
         close(model, work, partition, q, qd, tolerance)
 
 
-@compiled
+@inlined
 def _apply_effects(effects, work, q, qd, tau):
     """Apply the effects, where a scene lists any."""
     if effects is not None:
@@ -152,7 +152,7 @@ def _apply_effects(effects, work, q, qd, tau):
             joint_reaction.remember(work.body, effects)
 
 
-@compiled
+@inlined
 def _feel_reactions(effects, model, work, qdd, lam):
     """Tell effects the reactions in their joints, where they ask for them."""
     if effects is not None:
@@ -160,7 +160,7 @@ def _feel_reactions(effects, model, work, qdd, lam):
             joint_reaction.load(model, work, effects, qdd, lam)
 
 
-@compiled
+@inlined
 def _take_states(effects, state, nv):
     """Hand the effects' own states over to them."""
     if effects is not None:
@@ -168,7 +168,7 @@ def _take_states(effects, state, nv):
             effects.states[k] = state[2 * nv + k]
 
 
-@compiled
+@inlined
 def _give_rates(effects, nv, out):
     """Copy the rates of the effects' own states into a derivative."""
     if effects is not None:
