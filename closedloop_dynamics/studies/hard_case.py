@@ -20,8 +20,8 @@ from typing import Callable
 
 from ..errors import SimulationError
 
-ACCURATE, DEGRADED, REFUSED, UNSTABLE = (
-    'accurate', 'degraded but stable', 'refused with reason', 'unstable')
+ACCURATE, DEGRADED, REFUSED, UNSTABLE, SKIPPED = (
+    'accurate', 'degraded but stable', 'refused with reason', 'unstable', 'not run')
 
 
 @dataclass(frozen=True)
@@ -62,9 +62,9 @@ class Outcome:
     Attributes
     ----------
     status : str
-        ``ACCURATE``, ``DEGRADED``, ``REFUSED`` or ``UNSTABLE``.
+        ``ACCURATE``, ``DEGRADED``, ``REFUSED``, ``UNSTABLE`` or ``SKIPPED``.
     figure : float
-        The worst one; NaN where refused.
+        The worst one; NaN where refused or not run.
     note : str
         The reason where refused.
 

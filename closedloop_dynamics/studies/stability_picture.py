@@ -17,11 +17,12 @@
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch, Rectangle
 
-from .hard_case import ACCURATE, DEGRADED, REFUSED, UNSTABLE
+from .hard_case import ACCURATE, DEGRADED, REFUSED, SKIPPED, UNSTABLE
 from .stability import CASES, METHODS
 
 # Told apart by colour-blind readers, and by the words in the cells.
-COLORS = {ACCURATE: '#8fd0b5', DEGRADED: '#f3dc82', REFUSED: '#b9c4d4', UNSTABLE: '#d9613c'}
+COLORS = {ACCURATE: '#8fd0b5', DEGRADED: '#f3dc82', REFUSED: '#b9c4d4', UNSTABLE: '#d9613c',
+          SKIPPED: '#f4f4f4'}
 DOTS_PER_INCH = 120
 
 
@@ -82,6 +83,6 @@ def _cell(axes, column, row, outcome):
     """Draw one cell: a coloured box with the figure in it."""
     axes.add_patch(Rectangle((column - 0.48, row - 0.45), 0.96, 0.9, linewidth=0,
                              facecolor=COLORS[outcome.status]))
-    text = 'refused' if outcome.status == REFUSED else f'{outcome.figure:.1e}'
+    text = {REFUSED: 'refused', SKIPPED: '-'}.get(outcome.status, f'{outcome.figure:.1e}')
     axes.text(column, row, text, ha='center', va='center', fontsize=8,
               color='white' if outcome.status == UNSTABLE else 'black')
