@@ -119,7 +119,7 @@ def points():
     swing = [-0.5 * np.pi + 1.0, 0.0, 3.0]
     draw('point_spring', 'angle [rad]', {
         'gravity alone': run(PENDULUM, {'gravity': EARTH}, *swing),
-        'a damper to (0.5, -0.5)': run(PENDULUM, {'gravity': EARTH, 'strut': PointSpring(
+        'spring and damper': run(PENDULUM, {'gravity': EARTH, 'strut': PointSpring(
             'tip', anchor=(0.5, -0.5), stiffness=5.0, damping=2.0, free_length=0.4)}, *swing)})
     draw('external_force', 'angle [rad]', {
         f'{f:g} N to the right': run(
@@ -137,7 +137,7 @@ def points():
     for c in (0.0, 1.0, 4.0):
         effects = {'ground': Contact('center', (0.0, 0.0), 2e5, exponent=1.5, damping=c)}
         curves[f'c = {c:g} s/m'] = tuple(
-            run(UPRIGHT, effects, 0.0005, -0.5, 0.02, of=of)[1] for of in (depth, normal))
+            run(UPRIGHT, effects, 0.0005, -0.5, 0.06, of=of)[1] for of in (depth, normal))
     draw('contact', 'normal force [N]', curves, 'depth [mm]')
 
 
@@ -162,12 +162,12 @@ def drives_and_sensors():
         return simulation.measured()[0][0]
 
     draw('sensor', 'position [m]', {
-        'true': run(BLOCK, {'spring': spring}, 0.1, 0.0, 0.8),
         **{label: run(BLOCK, {'spring': spring, 'encoder': sensor}, 0.1, 0.0, 0.8, None, measured)
            for label, sensor in (
                ('noise 5 mm', Sensor(position_noise=0.005)),
                ('steps of 20 mm', Sensor(position_resolution=0.02)),
-               ('50 ms late', Sensor(delay=0.05)))}})
+               ('50 ms late', Sensor(delay=0.05)))},
+        'true': run(BLOCK, {'spring': spring}, 0.1, 0.0, 0.8)})
 
 
 if __name__ == '__main__':

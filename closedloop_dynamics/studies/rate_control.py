@@ -80,13 +80,14 @@ class RateControl:
         q, qd = simulation.position, simulation.velocity
         free, _ = self._model.forward_dynamics(q, qd)
         response = np.array([
-            self._model.forward_dynamics(q, qd, {name: 1.0})[0][self._joints] - free[self._joints]
-            for name in self._names]).T
+            self._model.forward_dynamics(q, qd, {name: 1.0})[0] - free for name in self._names]).T
         wanted = GAIN * (self._rates - qd[self._joints])
         try:
-            torque = np.linalg.solve(response, wanted - free[self._joints])
+            torque = np.linalg.solve(response[self._joints], wanted - free[self._joints])
         except np.linalg.LinAlgError:
             raise SimulationError(
                 'The driven joints cannot keep these rates here: their torques do not move them '
                 'independently. Name fewer rates, or another start.') from None
+        # The same motion against friction that slides, which the model at hand has not begun to.
+        torque, _ = self._model.inverse_dynamics(q, qd, free + response @ torque)
         return dict(zip(self._names, torque.tolist()))

@@ -1,0 +1,105 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The study of what the effects of a scene cost and change, and its sub-command."""
+
+from dataclasses import replace
+
+from closedloop_dynamics import load_scene, Simulation
+from closedloop_dynamics.cli import main
+from closedloop_dynamics.scene_records import Method
+from closedloop_dynamics.studies import effects, effects_report
+from closedloop_dynamics.studies.rate_control import RateControl
+import numpy as np
+import pytest
+
+SPEED = 4.7124
+
+
+@pytest.fixture(scope='module')
+def study():
+    """Return the study of a short time on the carpet, in few steps."""
+    scene = replace(load_scene('carpet_scraper_on_carpet'), method=Method(step_size=2e-3))
+    return effects.study_effects(scene, 1.4, rates={'theta_1': SPEED}, rows=140)
+
+
+def test_every_type_of_effect_is_found_once(study):
+    assert [finding.kind for finding in study.findings] == [
+        'gravity', 'actuator', 'rotor', 'contact', 'joint_friction']
+    for finding in study.findings:
+        assert finding.alone > 0.0 and finding.without > 0.0
+        assert finding.energy > 0.0
+
+
+def test_the_crank_keeps_its_rate(study):
+    # The lag of the motor, 5 ms, shows where the torque changes fast.
+    assert np.abs(study.run.velocity[20:, 0] - SPEED).max() < 0.2 * SPEED
+    assert study.run.velocity[20:, 0].mean() == pytest.approx(SPEED, rel=0.02)
+
+
+def test_the_carpet_asks_for_work(study):
+    free = next(f.run for f in study.findings if f.kind == 'contact')
+    scraping = study.run.readings['carpet']['scraping_force']
+    assert scraping.max() == pytest.approx(25.0, abs=2.0)
+    # A stroke of half a metre against friction and scraping of some 24 N each.
+    assert study.run.balance[-1, 2] == pytest.approx(25.0, abs=5.0)
+    assert study.run.balance[-1, 3] > free.balance[-1, 3] + 20.0
+    assert np.abs(study.run.balance[:, 4]).max() < 1e-3
+
+
+def test_table_files_and_pictures(study, tmp_path):
+    paths = effects_report.write(study, tmp_path)
+    assert [path.name for path in paths] == [
+        'carpet_scraper_on_carpet_effects.csv', 'carpet_scraper_on_carpet_effects.md',
+        'carpet_scraper_on_carpet_effects.png', 'carpet_scraper_on_carpet_carpet.png']
+    assert all(path.stat().st_size > 200 for path in paths)
+    assert len(paths[0].read_text().splitlines()) == 6
+    assert '| contact |' in paths[1].read_text()
+    for finding in study.findings:
+        assert finding.kind in effects_report.table(study)
+
+
+def test_rates_of_all_driven_joints_are_kept():
+    scene = load_scene('three_rrr_payload_friction')
+    rates = {'theta_1': 0.2, 'theta_6': -0.1, 'theta_7': 0.15}
+    simulation, control = Simulation(scene), RateControl(scene, rates)
+    for _ in range(300):
+        simulation.step(control.torque(simulation))
+    for joint, rate in rates.items():
+        assert simulation.velocity[simulation.joint_names.index(joint)] == pytest.approx(
+            rate, abs=0.05)
+    with pytest.raises(ValueError, match='theta_6'):
+        RateControl(scene, {'theta_1': 1.0})
+
+
+@pytest.mark.parametrize('arguments, reason', [
+    (['three_rrr_horizontal'], 'lists no effects'),
+    (['three_rrr', '--rate', 'theta_1=1'], 'theta_6'),
+    (['three_rrr', '--torque', 'theta_2=1'], 'theta_2'),
+    (['four_bar', '--torque', 'crank_joint=1', '--rate', 'crank_joint=1'], 'got both')])
+def test_impossible_questions_are_refused(arguments, reason, capsys):
+    assert main(['effects', *arguments]) == 2
+    assert reason in capsys.readouterr().err
+
+
+def test_the_command_prints_and_writes(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(effects, 'REPEATS', 2)
+    arguments = ['effects', 'slider_crank_end_stop', '--duration', '0.5', '--output',
+                 str(tmp_path / 'new')]
+    assert main(arguments) == 0
+    output = capsys.readouterr().out
+    assert 'end_stop' in output and 'time per step' in output
+    assert (tmp_path / 'new' / 'slider_crank_end_stop_effects.md').exists()
+    assert main(arguments) == 2
+    assert '--overwrite' in capsys.readouterr().err
