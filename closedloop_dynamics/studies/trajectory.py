@@ -112,6 +112,8 @@ def record(simulation, tau, steps, outputs, patience=float('inf')):
         ``TooSlow`` among them.
 
     """
+    # Compiling, half a minute in a new installation, shall not try anybody's patience.
+    simulation.warm_up()
     simulation.reset()
     simulation.advance(tau, 0)
     position, velocity, force, closure, energy_error = [], [], [], 0.0, 0.0
