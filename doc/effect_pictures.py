@@ -152,10 +152,11 @@ def drives_and_sensors():
     times = np.linspace(0.0, 0.6, 401)
     draw('actuator', 'force [N]', {
         'command': (times, [command(time) for time in times]),
-        **{label: run(BLOCK, {'motor': motor}, 0.0, 0.0, 0.6, command, effort) for label, motor in (
-            ('limit 5 N', Actuator('slide', max_torque=5.0)),
-            ('lag 50 ms', Actuator('slide', lag=0.05)),
-            ('delay 50 ms', Actuator('slide', delay=0.05)))}})
+        **{label: run(BLOCK, {'motor': motor}, 0.0, 0.0, 0.6, command, effort)
+           for label, motor in (
+               ('limit 5 N', Actuator('slide', max_torque=5.0)),
+               ('lag 50 ms', Actuator('slide', lag=0.05)),
+               ('delay 50 ms', Actuator('slide', delay=0.05)))}})
     spring = JointSpring('slide', 100.0)
 
     def measured(simulation):
