@@ -30,6 +30,7 @@ def describe(scene_or_mechanism):
     Parameters
     ----------
     scene_or_mechanism : Scene or Mechanism
+        What was read.
 
     Returns
     -------
