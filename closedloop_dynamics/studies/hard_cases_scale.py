@@ -21,7 +21,6 @@ import numpy as np
 
 from .hard_case import Case
 from .hard_machines import G, gravity, ladder, off_the_branch, scene, with_masses
-from ..core.types import CLOSURE
 from ..scene import load_scene
 from ..simulation import Simulation
 
@@ -93,7 +92,7 @@ def _impulse(method, quick):
     simulation.step(duration=0.01)
     if not (np.isfinite(simulation.position).all() and np.isfinite(simulation.velocity).all()):
         return math.nan
-    return simulation.system.work.health[CLOSURE]
+    return simulation.closure
 
 
 def _many(method, quick):

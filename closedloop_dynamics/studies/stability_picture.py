@@ -60,7 +60,7 @@ def stability_atlas(atlas, cases=CASES, methods=METHODS):
         for column, name in enumerate(names):
             _cell(axes, column, heights[case.name], atlas[case.name, name])
     for group, place in groups.items():
-        axes.text(-0.5, place + 0.15, group, fontweight='bold', fontsize=9, va='center',
+        axes.text(-0.5, place - 0.05, group, fontweight='bold', fontsize=9, va='center',
                   ha='left')
     axes.set_xlim(-0.52, len(names) - 0.48)
     axes.set_ylim(height - 0.45, -0.2)

@@ -23,11 +23,14 @@ from closedloop_dynamics.scene_records import Initial, Method, Scene
 from closedloop_dynamics.simulation import Simulation
 from hypothesis import given, settings, strategies
 import numpy as np
+import pytest
 
 from ..core.engine import Engine
 from ..reference.compare import assert_agree
 from ..reference.linkages import random_linkage
 
+# Some compile for minutes on a busy machine.
+pytestmark = pytest.mark.timeout(1200)
 GRAVITY = (1.3, -9.0)
 # Drawn anew from the same numbers in every run; compiled code has no deadline.
 FIXED = settings(max_examples=20, derandomize=True, deadline=None, database=None)

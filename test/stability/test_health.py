@@ -33,6 +33,8 @@ import pytest
 
 from ..reference import dense, special
 
+# Some compile for minutes on a busy machine.
+pytestmark = pytest.mark.timeout(1200)
 STEP = Method(step_size=1e-3)
 
 
