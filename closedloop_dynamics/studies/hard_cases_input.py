@@ -102,8 +102,6 @@ def _long(name):
 
 
 def _fine(method, quick):
-    if INTEGRATORS[method.integrator].kind != FIXED:
-        return 0.0
     default = (method.integrator, method.stabilisation) == ('rk4', 'projection')
     steps = 20_000 if quick or not default else 10_000_000
     start = load_scene('three_rrr')
