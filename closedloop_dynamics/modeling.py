@@ -112,10 +112,11 @@ def _cut_arrays(mechanism, decomposition, tree, body_row):
         start = len(slots)
         slots += own_a + own_b + common
         middle = start + len(own_a)
-        cut[k] = (_CUT_TYPES[joint.type], a, b, CUT_JOINT_EQUATIONS[joint.type], user_first[index], first,
-                  start, middle, middle + len(own_b), len(slots))
+        rows = CUT_JOINT_EQUATIONS[joint.type]
+        cut[k] = (_CUT_TYPES[joint.type], a, b, rows, user_first[index], first, start, middle,
+                  middle + len(own_b), len(slots))
         point[k] = (*joint.point_a, *joint.point_b, joint.angle)
-        first += CUT_JOINT_EQUATIONS[joint.type]
+        first += rows
     return cut, point, np.array(slots, dtype=np.int64)
 
 

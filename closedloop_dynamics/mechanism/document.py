@@ -65,6 +65,7 @@ class Document:
         Parameters
         ----------
         path : str or pathlib.Path
+            Of the file.
         error_type : type
             The exception that :meth:`errors` turns a FieldError into.
 
