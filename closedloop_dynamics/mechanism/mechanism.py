@@ -96,7 +96,7 @@ class Joint:
     """
 
     name: str
-    type: str
+    type: str  # noqa: A003
     parent: str
     child: str
     position: Vector2
@@ -128,7 +128,7 @@ class CutJoint:
     """
 
     name: str
-    type: str
+    type: str  # noqa: A003
     body_a: str
     body_b: str
     point_a: Vector2
