@@ -21,6 +21,8 @@ import numpy as np
 # After which a controller should have led the joints to their reference [s]; less in a short run.
 SETTLING = 1.0
 TURN = 2.0 * np.pi
+# On a busy machine DDS may take seconds to make nodes known to each other: said from here on [s].
+LATE = 0.1
 # Looked at when the beginning of the reference is found [s].
 HEADSTARTS = np.arange(0.0, 1.0, 0.005)
 
@@ -88,7 +90,8 @@ def summary(recording, aim):
     width = max(map(len, recording.arrivals))
     return [
         ('recorded', f'{recording.count} messages, {motion.time[-1]:.2f} s of motion'),
-        *(('', f'{topic:{width}}  {len(times):6} messages at {recording.rate(topic):6.1f} Hz')
+        *(('', f'{topic:{width}}  {len(times):6} messages at {recording.rate(topic):6.1f} Hz'
+           + (f', from {times[0]:.1f} s of motion on' if times[0] > LATE else ''))
           for topic, times in sorted(recording.arrivals.items())),
         ('closure', f'loops closed within {error:.1e} m or rad in all {len(motion.time)} '
          'states of it'),
