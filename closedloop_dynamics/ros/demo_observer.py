@@ -18,6 +18,7 @@ from collections import Counter
 import time
 
 from closedloop_dynamics.ros.demo_processes import DemoError
+from closedloop_dynamics.ros.parameters import declare_fact
 from geometry_msgs.msg import WrenchStamped
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
@@ -48,12 +49,14 @@ class Observer:
 
     """
 
+    NAME = 'closedloop_demo'
+
     def __init__(self, namespace, cuts, check):
         self._check = check
         self._context = rclpy.Context()
         rclpy.init(context=self._context)
         self._node = rclpy.create_node(
-            'closedloop_demo', namespace=namespace, context=self._context)
+            self.NAME, namespace=namespace, context=self._context)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
         self.seen = Counter()
@@ -77,6 +80,14 @@ class Observer:
             name in {info.node_name for info in
                      self._node.get_subscriptions_info_by_topic(subscription.topic_name)}
             for subscription in self._subscriptions)
+
+    def has_publisher(self, topic):
+        """Return whether somebody is going to publish on a topic."""
+        return self._node.count_publishers(topic) > 0
+
+    def tell_joints(self, joints):
+        """Answer from now on when a torque source asks for the joints to drive."""
+        declare_fact(self._node, 'actuated_joints', joints, 'For the torque source.')
 
     def stop_listening(self):
         """Leave the processor to the others; only their processes are watched from now on."""

@@ -103,6 +103,10 @@ class Program:
         if self.exit_code != 0:
             raise DemoError(f'{self.executable} did not end well, {self._ending()}')
 
+    def says(self, text):
+        """Return whether the log holds a text."""
+        return text in self.log.read_text(errors='replace')
+
     def last_words(self):
         """Return the last line of the log, without the logger's prefix."""
         lines = self.log.read_text(errors='replace').split('\n')

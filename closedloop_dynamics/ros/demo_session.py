@@ -67,15 +67,15 @@ def run_nodes(scene, drive, namespace, duration, directory):
             SIMULATOR, (*here, *drive.arguments, '-p', f'scene:={scene.path.resolve()}'))
         observer.wait(lambda: observer.seen['joint_states'], f'the start of {SIMULATOR}',
                       COMPILING)
+        observer.wait(
+            lambda: all(recorder.says(f'/{topic}: first message') for topic in
+                        ('joint_states', *(f'constraint_forces/{cut}' for cut in cuts))),
+            f'the first messages at {RECORDER}', FINDING)
         source = None
         if drive.parameters:
-            # The simulator waits for torques. Until then the recorder should have found it, too,
-            # and nobody can ask DDS whether it has.
-            observer.wait(lambda: observer.seen['joint_states'] >= STATES_BEFORE_MOTION,
-                          f'a steady flow from {SIMULATOR}', FINDING)
-            source = programs.start(TORQUE_SOURCE, (*here, *drive.arguments))
-            observer.wait(lambda: observer.seen['torque_command'], f'the start of {TORQUE_SOURCE}',
-                          COMPILING)
+            source = programs.start(
+                TORQUE_SOURCE, (*here, *drive.arguments, '-p', f'simulator:={observer.NAME}'))
+            _let_begin(observer, scene.mechanism.actuated_joints)
         observer.stop_listening()
         _let_run(observer, duration, scene.name)
         # The recorder first: what the simulator does without its torques is no part of the show.
@@ -84,6 +84,23 @@ def run_nodes(scene, drive, namespace, duration, directory):
         if source is not None:
             source.stop(signal.SIGTERM)
         return simulator.last_words()
+
+
+def _let_begin(observer, joints):
+    """
+    Let the torque source begin, and with it the simulator, when all should know each other.
+
+    It asks this process for its joints, as it would ask the simulator, and waits for the answer.
+    Meanwhile the recorder has time to find it; nobody can ask DDS whether it has.
+
+    """
+    observer.wait(lambda: observer.has_publisher('torque_command'),
+                  f'the start of {TORQUE_SOURCE}', COMPILING)
+    enough = observer.seen['joint_states'] + STATES_BEFORE_MOTION
+    observer.wait(lambda: observer.seen['joint_states'] >= enough or observer.seen[
+        'torque_command'], f'a steady flow from {SIMULATOR}', FINDING)
+    observer.tell_joints(joints)
+    observer.wait(lambda: observer.seen['torque_command'], 'the first torque', FINDING)
 
 
 def _let_run(observer, duration, name):
