@@ -131,8 +131,9 @@ make_environment() {
     say "Installing ROS 2 Jazzy and the numerics from the Python package index (190 MB, a minute or two)"
   fi
   pip_install --requirement "$root/requirements/runtime.txt" ${wheels[@]+"${wheels[@]}"}
-  # Editable, for the commands in bin/; the code that runs is the checkout's.
+  # Editable: the code that runs is the checkout's. setup.cfg sends the programs where ros2 run looks; link them.
   pip_install --no-deps --no-build-isolation --editable "$root"
+  (cd -- "$venv/bin" && ln -sf ../lib/closedloop_dynamics/closedloop* .)
 }
 
 # Bring the environment up to date: runtime alone, or with what the tests need.
