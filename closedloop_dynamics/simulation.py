@@ -792,7 +792,9 @@ class Simulation:
 
 
 def _vector(name, values, length):
-    array = np.ascontiguousarray(values, dtype=float)
-    if array.shape != (length,) or not np.isfinite(array).all():
+    array = np.array(values, dtype=float, order='C')
+    # The sum of squares is finite where all are, and quicker to tell; it may overflow alone.
+    if array.shape != (length,) or not (
+            math.isfinite(array.dot(array)) or np.isfinite(array).all()):
         raise ValueError(f'{name}: expected {length} finite numbers, got {values!r}')
-    return array.copy()
+    return array

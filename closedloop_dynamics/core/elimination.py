@@ -48,7 +48,7 @@ def assemble(model, work):
 
     Notes
     -----
-    THEORY.md section 1, step 3. With I = L D L^T in each subsystem,
+    doc/theory.md section 5. With I = L D L^T in each subsystem,
     J_a I^-1 J_b^T is the sum of u_a u_b / D over the joints that both cut forces pass: no
     acceleration is ever computed for a unit force.
 

@@ -12,14 +12,14 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The subsystem-level forward dynamics on one page (THEORY.md section 1)."""
+"""The subsystem-level forward dynamics on one page (doc/theory.md)."""
 
 from . import articulated_inertia, elimination, kinematics, loop_closure
 from .compiled import compiled, inlined
 from .types import CUT_ROW, EVALUATIONS, ROW, ROWS
 
 
-@compiled
+@inlined
 def accelerate(model, work, tau, baumgarte, qdd, lam):
     """
     Compute joint accelerations and multipliers after ``kinematics.outward``.

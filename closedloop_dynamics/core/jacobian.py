@@ -61,7 +61,7 @@ def constraint_jacobian(model, work, jac):
 
     Notes
     -----
-    Appendix A.1 and A.2 of the paper print its blocks for two mechanisms; THEORY.md lists
+    Appendix A.1 and A.2 of the paper print its blocks for two mechanisms; doc/theory.md lists
     their misprints.
 
     """

@@ -92,7 +92,7 @@ def update(model, work, responses):
 
     Notes
     -----
-    psi = p_A - p_B (THEORY.md section 1). The multiplier acts on body A, its
+    psi = p_A - p_B (doc/theory.md section 1). The multiplier acts on body A, its
     opposite on body B. For a prismatic cut joint the first equation is n . (p_A - p_B), n normal
     to the axis that turns with body B; its gradient is the force n on A and -n on B,
     both at p_A.

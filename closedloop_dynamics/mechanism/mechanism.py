@@ -30,6 +30,7 @@ The ground is the body named ``'ground'``; its frame is the world frame.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Tuple
 
 GROUND = 'ground'
@@ -162,12 +163,12 @@ class Mechanism:
     points: Tuple[Point, ...] = ()
     description: str = ''
 
-    @property
+    @cached_property
     def joint_names(self):
         """Names of the joints, in the order of q."""
         return tuple(joint.name for joint in self.joints)
 
-    @property
+    @cached_property
     def actuated_joints(self):
         """Names of the actuated joints, in the order of q."""
         return tuple(joint.name for joint in self.joints if joint.actuated)
