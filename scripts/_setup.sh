@@ -131,9 +131,13 @@ make_environment() {
     say "Installing ROS 2 Jazzy and the numerics from the Python package index (190 MB, a minute or two)"
   fi
   pip_install --requirement "$root/requirements/runtime.txt" ${wheels[@]+"${wheels[@]}"}
-  # Editable: the code that runs is the checkout's. setup.cfg sends the programs where ros2 run looks; link them.
+  # Editable: the code that runs is the checkout's. Some versions of pip and setuptools obey setup.cfg there and put
+  # the programs where ros2 run looks: link those.
   pip_install --no-deps --no-build-isolation --editable "$root"
-  (cd -- "$venv/bin" && ln -sf ../lib/closedloop_dynamics/closedloop* .)
+  local program
+  for program in "$venv"/lib/closedloop_dynamics/closedloop*; do
+    [[ ! -e $program ]] || ln -sf -- "../lib/closedloop_dynamics/${program##*/}" "$venv/bin/"
+  done
 }
 
 # Bring the environment up to date: runtime alone, or with what the tests need.
