@@ -32,9 +32,10 @@ PACKAGE = 'closedloop_dynamics'
 # its place here.
 LAYERS = (
     ('config', 'core', 'errors', 'mechanism'),
-    ('assembly', 'effects', 'health', 'integration', 'method_choice', 'modeling', 'monitor',
-     'scene', 'scene_records', 'stiffness'),
-    ('simulation', ''),  # '' is the package itself: it offers Simulation
+    ('assembly', 'effects', 'health', 'integration', 'inverse_dynamics', 'method_choice',
+     'modeling', 'monitor', 'scene', 'scene_records', 'stiffness'),
+    # '' is the package itself: it offers Simulation.
+    ('simulation', 'simulation_motion', 'simulation_state', ''),
     ('studies',),
     ('cli', 'ros'),
 )
@@ -174,8 +175,9 @@ def test_no_module_imports_itself_in_a_circle():
         visit(module, [])
 
 
-MACHINE_FREE = ('assembly', 'core', 'effects', 'integration', 'mechanism', 'method_choice',
-                'modeling', 'monitor', 'scene', 'scene_records', 'simulation')
+MACHINE_FREE = ('assembly', 'core', 'effects', 'integration', 'inverse_dynamics', 'mechanism',
+                'method_choice', 'modeling', 'monitor', 'scene', 'scene_records', 'simulation',
+                'simulation_motion', 'simulation_state')
 
 
 @pytest.mark.parametrize('module', [name for name in SOURCES if unit(name) in MACHINE_FREE])
