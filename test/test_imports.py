@@ -32,8 +32,8 @@ PACKAGE = 'closedloop_dynamics'
 # its place here.
 LAYERS = (
     ('config', 'core', 'errors', 'mechanism'),
-    ('assembly', 'effects', 'health', 'integration', 'inverse_dynamics', 'method_choice',
-     'modeling', 'monitor', 'scene', 'scene_records', 'stiffness'),
+    ('appearance', 'assembly', 'effects', 'health', 'integration', 'inverse_dynamics',
+     'method_choice', 'modeling', 'monitor', 'scene', 'scene_records', 'stiffness', 'urdf'),
     # '' is the package itself: it offers Simulation.
     ('simulation', 'simulation_motion', 'simulation_state', ''),
     ('studies',),
@@ -175,9 +175,9 @@ def test_no_module_imports_itself_in_a_circle():
         visit(module, [])
 
 
-MACHINE_FREE = ('assembly', 'core', 'effects', 'integration', 'inverse_dynamics', 'mechanism',
-                'method_choice', 'modeling', 'monitor', 'scene', 'scene_records', 'simulation',
-                'simulation_motion', 'simulation_state')
+MACHINE_FREE = ('appearance', 'assembly', 'core', 'effects', 'integration', 'inverse_dynamics',
+                'mechanism', 'method_choice', 'modeling', 'monitor', 'scene', 'scene_records',
+                'simulation', 'simulation_motion', 'simulation_state', 'urdf')
 
 
 @pytest.mark.parametrize('module', [name for name in SOURCES if unit(name) in MACHINE_FREE])

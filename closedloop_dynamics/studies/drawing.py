@@ -12,14 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""
-Draw any planar mechanism from its description alone.
-
-A body is drawn through the points the description gives it: its own joint, the
-joints and cut joints it carries, its named points. Colours tell subsystems
-apart; all of them can be told apart by colour-blind readers, too.
-
-"""
+"""Draw any planar mechanism from its description; ``appearance`` says what it looks like."""
 
 from matplotlib.lines import Line2D
 from matplotlib.patches import Polygon
@@ -27,13 +20,11 @@ import matplotlib.patheffects
 import numpy as np
 
 from .motion import named_point, pose_of, world_points
-from .shapes import draw_ground, INK, mixed, outline, SLIDER_SIZE
-from ..mechanism.decomposition import decompose
-from ..mechanism.mechanism import GROUND, PRISMATIC
+from .shapes import draw_ground, INK, mixed, SLIDER_SIZE
+from ..appearance import (
+    body_colors, CUT_COLOR, FORCE_COLOR, outline, PATH_COLOR, sliders)
+from ..mechanism.mechanism import PRISMATIC
 
-# Okabe and Ito's palette: subsystems in turn, and what has a colour of its own.
-SUBSYSTEM_COLORS = ('#0072B2', '#E69F00', '#009E73', '#56B4E9', '#CC79A7')
-CUT_COLOR, FORCE_COLOR, PATH_COLOR = '#D55E00', '#B2182B', '#6A3D9A'
 # Length of the longest force arrow, as a share of the picture's extent.
 ARROW_SIZE = 0.22
 LINK_WIDTH = 5.0
@@ -65,13 +56,8 @@ class MechanismArtist:
         self.mechanism = mechanism
         self.poses = poses
         self.outlines = {body.name: outline(mechanism, body.name) for body in mechanism.bodies}
-        trees = decompose(mechanism).subsystems
-        child = {joint.name: joint.child for joint in mechanism.joints}
-        self.color = {child[name]: SUBSYSTEM_COLORS[number % len(SUBSYSTEM_COLORS)]
-                      for number, tree in enumerate(trees) for name in tree}
-        self.sliders = {joint.child for joint in mechanism.joints if joint.type == PRISMATIC}
-        self.sliders |= {cut.body_a for cut in mechanism.cut_joints if cut.type == PRISMATIC}
-        self.sliders -= {GROUND}
+        self.color = body_colors(mechanism)
+        self.sliders = sliders(mechanism)
         places = np.concatenate([
             world_points(pose_of(mechanism, poses, name), points).reshape(-1, 2)
             for name, points in self.outlines.items()])

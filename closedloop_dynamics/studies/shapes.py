@@ -17,7 +17,6 @@
 from matplotlib.colors import to_rgb
 from matplotlib.patches import Polygon
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError
 
 from .motion import pose_of
 from ..mechanism.mechanism import GROUND, PRISMATIC
@@ -28,37 +27,6 @@ PIVOT_SIZE, SLIDER_SIZE = 0.035, 0.04
 # Above the positions in the background, below the strong one.
 GROUND_LAYER = 24.0
 PALEST = 0.18
-
-
-def outline(mechanism, body):
-    """
-    Return the corners of a body as the description suggests them.
-
-    Parameters
-    ----------
-    mechanism : mechanism.mechanism.Mechanism
-        With that body.
-    body : str
-        Its name.
-
-    Returns
-    -------
-    ndarray, shape (m, 2)
-        In the body's frame [m]: one point, the two ends of a bar, or the corners of the convex
-        hull of its joints, cut joints and named points.
-
-    """
-    points = [(0.0, 0.0)]
-    points += [joint.position for joint in mechanism.joints if joint.parent == body]
-    points += [cut.point_a for cut in mechanism.cut_joints if cut.body_a == body]
-    points += [cut.point_b for cut in mechanism.cut_joints if cut.body_b == body]
-    points += [point.position for point in mechanism.points if point.body == body]
-    points = np.unique(np.array(points), axis=0)
-    try:
-        return points[ConvexHull(points).vertices]
-    except (QhullError, ValueError):
-        # Fewer than three points, or all on a line, which sorting puts in order along it.
-        return points[[0, -1]] if len(points) > 1 else points
 
 
 def mixed(color, strength):

@@ -14,6 +14,7 @@
 
 """Pictures show the mechanism where it is, with units, and legends that cover nothing."""
 
+from closedloop_dynamics.appearance import outline
 from closedloop_dynamics.mechanism.reader import read_mechanism
 from closedloop_dynamics.scene import config_directory
 from closedloop_dynamics.simulation import Simulation
@@ -21,7 +22,6 @@ from closedloop_dynamics.studies import motion as motions
 from closedloop_dynamics.studies import pictures
 from closedloop_dynamics.studies.drawing import MechanismArtist
 from closedloop_dynamics.studies.run import columns, Report, run
-from closedloop_dynamics.studies.shapes import outline
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 import numpy as np

@@ -1,0 +1,64 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""``closedloop urdf``: the spanning tree of a mechanism as a URDF robot description."""
+
+from pathlib import Path
+
+from .command import Command, UsageError
+from ..scene import load_scene_or_mechanism
+from ..urdf import urdf
+
+
+def _add_arguments(parser):
+    parser.add_argument('scene', metavar='SCENE',
+                        help='a shipped scene or mechanism by its name, or a YAML file')
+    parser.add_argument('--output', metavar='FILE', type=Path,
+                        help='where to write it (default: the standard output)')
+    parser.add_argument('--overwrite', action='store_true', help='replace FILE if it exists')
+
+
+def _run(arguments):
+    subject = load_scene_or_mechanism(arguments.scene)
+    try:
+        text = urdf(getattr(subject, 'mechanism', subject))
+    except ValueError as error:
+        raise UsageError(str(error)) from None
+    if arguments.output is None:
+        print(text, end='')
+        return 0
+    if arguments.output.exists() and not arguments.overwrite:
+        raise UsageError(f'--output: {arguments.output} exists; name another file, or add '
+                         '--overwrite')
+    arguments.output.write_text(text, encoding='utf-8')
+    return 0
+
+
+COMMAND = Command(
+    name='urdf',
+    summary='write the robot description (URDF) of a mechanism',
+    description="""\
+Write the spanning tree of a mechanism as URDF, for robot_state_publisher, RViz,
+Foxglove and whatever else reads robot descriptions. Links and joints have the
+names of the bodies and joints; the root link is world, ground is fixed to it. The
+plane of the mechanism is the x-y plane. URDF knows no loops: cut joints are left
+out, joint_states of the simulator close them.
+""",
+    epilog="""\
+examples:
+  closedloop urdf three_rrr
+  closedloop urdf carpet_scraper --output carpet_scraper.urdf
+""",
+    add_arguments=_add_arguments,
+    run=_run)
