@@ -38,6 +38,8 @@ setup(
     data_files=[
         ('share/ament_index/resource_index/packages', ['resource/' + package_name]),
         (share, ['package.xml']),
+        *shared('config/**/*.json'),
+        *shared('config/**/*.rviz'),
         *shared('config/**/*.yaml'),
         *shared('launch/*'),
     ],

@@ -33,7 +33,8 @@ PACKAGE = 'closedloop_dynamics'
 LAYERS = (
     ('config', 'core', 'errors', 'mechanism'),
     ('appearance', 'assembly', 'effects', 'health', 'integration', 'inverse_dynamics',
-     'method_choice', 'modeling', 'monitor', 'scene', 'scene_records', 'stiffness', 'urdf'),
+     'method_choice', 'modeling', 'monitor', 'scene', 'scene_records', 'scene_text', 'stiffness',
+     'urdf'),
     # '' is the package itself: it offers Simulation.
     ('simulation', 'simulation_motion', 'simulation_state', ''),
     ('studies',),
@@ -177,7 +178,7 @@ def test_no_module_imports_itself_in_a_circle():
 
 MACHINE_FREE = ('appearance', 'assembly', 'core', 'effects', 'integration', 'inverse_dynamics',
                 'mechanism', 'method_choice', 'modeling', 'monitor', 'scene', 'scene_records',
-                'simulation', 'simulation_motion', 'simulation_state', 'urdf')
+                'scene_text', 'simulation', 'simulation_motion', 'simulation_state', 'urdf')
 
 
 @pytest.mark.parametrize('module', [name for name in SOURCES if unit(name) in MACHINE_FREE])

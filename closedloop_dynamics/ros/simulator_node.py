@@ -20,6 +20,7 @@ from closedloop_dynamics.errors import NumericalError
 from closedloop_dynamics.errors import SimulationError
 from closedloop_dynamics.ros.commands import CommandError
 from closedloop_dynamics.ros.commands import TorqueCommand
+from closedloop_dynamics.ros.companions import Companions
 from closedloop_dynamics.ros.effect_parameters import EffectParameters
 from closedloop_dynamics.ros.loading import load_simulation
 from closedloop_dynamics.ros.messages import StateMessages
@@ -110,6 +111,7 @@ class SimulatorNode(Node):
         self._overload = _Overload(self.pacer)
         self._rejection = Throttle(MESSAGE_PERIOD)
         self._create_topics()
+        self._companions = Companions(self)
         self.add_post_set_parameters_callback(self._on_parameters)
         self._set_rate(values['publish_rate'])
         if not values['wait_for_command']:
@@ -193,6 +195,7 @@ class SimulatorNode(Node):
         self._state_publisher.publish(self.messages.joint_state)
         for publisher, message in zip(self._force_publishers, self.messages.wrenches):
             publisher.publish(message)
+        self._companions.follow(self.messages.joint_state.header.stamp, self._tau)
         self.published += 1 + len(self._force_publishers)
 
     def close(self):

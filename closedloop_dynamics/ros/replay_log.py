@@ -1,0 +1,91 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The topic ``replay_log``: at which simulated time a state is, and what command led to it."""
+
+from array import array
+
+import numpy as np
+from rclpy.qos import QoSProfile
+from std_msgs.msg import Float64MultiArray
+from std_msgs.msg import MultiArrayDimension
+
+LOG_QOS = QoSProfile(depth=1000)
+# Names of the columns, before those of the joints.
+COLUMNS = ('stamp_sec', 'stamp_nanosec', 'index', 'jumps', 'simulated_time')
+
+
+class ReplayLog:
+    """
+    Publishes one entry for each state, as long as somebody subscribes.
+
+    The stamps of states may follow the system's clock, and the efforts in them are those behind
+    drives with limits and lag. What a replay needs is the simulated time, and the command
+    before the drives. ``index`` counts all states, so that a gap is seen; ``jumps`` counts the
+    resets and the states that were set from outside.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+        Publishes.
+
+    """
+
+    def __init__(self, node):
+        self._publisher = node.create_publisher(Float64MultiArray, 'replay_log', LOG_QOS)
+        self._message = Float64MultiArray()
+        self._values = self._names = None
+        self._index = self._jumps = 0
+        self._time = 0.0
+
+    def jumped(self):
+        """Note that the next state does not follow from the last by simulating."""
+        self._jumps += 1
+
+    def follow(self, stamp, simulation, torque):
+        """
+        Publish the entry of a state.
+
+        Parameters
+        ----------
+        stamp : builtin_interfaces.msg.Time
+            Of the state.
+        simulation : Simulation
+            Which is in that state.
+        torque : ndarray, shape (nv,)
+            The command that acted in the steps that led to it [N m or N].
+
+        """
+        time = simulation.time
+        if time < self._time:
+            self._jumps += 1
+        self._time = time
+        self._index += 1
+        if not self._publisher.get_subscription_count():
+            return
+        if simulation.joint_names != self._names:
+            self._size(simulation.joint_names)
+        self._values[:len(COLUMNS)] = (
+            stamp.sec, stamp.nanosec, self._index, self._jumps, time)
+        self._values[len(COLUMNS):] = torque
+        self._publisher.publish(self._message)
+
+    def _size(self, names):
+        """Size the message, and name what is in it."""
+        self._names = names
+        columns = [*COLUMNS, *names]
+        self._message.layout.dim = [MultiArrayDimension(
+            label=' '.join(columns), size=len(columns), stride=len(columns))]
+        self._message.data = array('d', bytes(8 * len(columns)))
+        self._values = np.frombuffer(self._message.data)

@@ -1,0 +1,217 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Tests of what goes along with the states: descriptions, replay log, markers."""
+
+import math
+
+from builtin_interfaces.msg import Time
+from closedloop_dynamics.ros.markers import contact_force
+from closedloop_dynamics.ros.process import StartError
+from closedloop_dynamics.ros.replay_log import COLUMNS
+from closedloop_dynamics.ros.simulator_node import SimulatorNode
+from closedloop_dynamics.scene import load_scene
+from closedloop_dynamics.scene_text import read_scene_text
+from closedloop_dynamics.studies.motion import world_points
+from closedloop_dynamics.urdf import urdf
+import numpy as np
+import pytest
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy
+from rclpy.qos import QoSProfile
+from std_msgs.msg import Float64MultiArray
+from std_msgs.msg import String
+from visualization_msgs.msg import Marker
+from visualization_msgs.msg import MarkerArray
+
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+@pytest.fixture
+def simulator(make_node):
+    """Return a function that creates a simulator whose timer does not tick by itself."""
+    def make(**parameters):
+        node = make_node(SimulatorNode, wait_for_command=True, **parameters)
+        node._timer.cancel()
+        return node
+
+    return make
+
+
+def collect(listener, topic, kind, profile=10):
+    messages = []
+    listener.node.create_subscription(kind, topic, messages.append, profile)
+    return messages
+
+
+def test_descriptions_are_there_for_whoever_comes_late(simulator, listener):
+    node = simulator(scene='slider_crank')
+    descriptions = collect(listener, 'robot_description', String, LATCHED)
+    scenes = collect(listener, 'scene', String, LATCHED)
+    listener.wait(lambda: descriptions and scenes, 'latched messages')
+    assert descriptions[0].data == urdf(node.simulation.mechanism)
+    scene, facts = read_scene_text(scenes[0].data)
+    shipped = load_scene('slider_crank')
+    assert (scene.mechanism, scene.initial, scene.effects, scene.method) == (
+        shipped.mechanism, shipped.initial, shipped.effects, shipped.method)
+    assert facts == {'simulated_time': 0.0, 'disabled': []}
+
+
+def test_scene_is_told_anew_when_it_changes(simulator, listener):
+    node = simulator(scene='three_rrr')
+    scenes = collect(listener, 'scene', String, LATCHED)
+    listener.wait(lambda: scenes, 'scene')
+    node.publish()
+    node.set_parameters([Parameter('effects.gravity.acceleration', value=[0.0, -1.62])])
+    node.set_parameters([Parameter('effects.gravity.enabled', value=False)])
+    node.publish()
+    listener.wait(lambda: len(scenes) > 1, 'the changed scene')
+    node.publish()
+    scene, facts = read_scene_text(scenes[-1].data)
+    assert scene.effects['gravity'].acceleration == (0.0, -1.62)
+    assert facts['disabled'] == ['gravity']
+    assert len(scenes) == 2
+
+
+def test_replay_log_tells_times_and_commands(simulator, listener):
+    node = simulator(scene='four_bar')
+    entries = collect(listener, 'replay_log', Float64MultiArray)
+    listener.wait(lambda: node.count_subscribers('replay_log'), 'subscription')
+    node.publish()
+    for torque in (0.5, -0.25):
+        node._tau[0] = torque
+        node.simulation.advance(node._tau, 7)
+        node.publish()
+    node.simulation.reset()
+    node.publish()
+    listener.wait(lambda: len(entries) == 4, 'four entries')
+    names = entries[0].layout.dim[0].label.split()
+    assert names == [*COLUMNS, *node.simulation.joint_names]
+    table = dict(zip(names, np.array([entry.data for entry in entries]).T))
+    assert table['simulated_time'].tolist() == [0.0, 0.007, 0.014, 0.0]
+    assert np.diff(table['index']).tolist() == [1.0, 1.0, 1.0]
+    assert np.diff(table['jumps']).tolist() == [0.0, 0.0, 1.0]
+    assert table['crank_joint'].tolist()[1:3] == [0.5, -0.25]
+    stamp = node.messages.joint_state.header.stamp
+    assert (table['stamp_sec'][-1], table['stamp_nanosec'][-1]) == (stamp.sec, stamp.nanosec)
+
+
+def by_name(array):
+    markers = {}
+    for marker in array.markers:
+        assert marker.header.frame_id == 'world'
+        markers.setdefault(marker.ns, []).append(marker)
+    return markers
+
+
+def xy(points):
+    return np.array([(each.x, each.y) for each in points])
+
+
+def pose_of(marker):
+    return np.array([marker.pose.position.x, marker.pose.position.y, 2.0 * math.atan2(
+        marker.pose.orientation.z, marker.pose.orientation.w)])
+
+
+@pytest.mark.parametrize('scene', ['three_rrr', 'carpet_scraper'])
+def test_markers_are_where_the_machine_is(simulator, scene):
+    node = simulator(scene=scene)
+    simulation = node.simulation
+    for _ in range(20):
+        simulation.step(duration=0.01)
+        markers = by_name(node._companions._markers.array(Time(sec=3), simulation))
+    strips = [each for each in markers['links'] if each.type == Marker.LINE_STRIP]
+    assert len(strips) == len(simulation.mechanism.bodies)
+    for marker, pose in zip(strips, simulation.body_poses):
+        np.testing.assert_allclose(
+            world_points(pose_of(marker), xy(marker.points)),
+            world_points(pose, xy(marker.points)), atol=1e-12)
+    cuts = xy(markers['cut_joints'][0].points)
+    forces = simulation.constraint_forces[:, 1:]
+    arrows = markers['constraint_forces']
+    assert len(arrows) == len(forces) == len(cuts)
+    lengths = []
+    for arrow, place, force in zip(arrows, cuts, forces):
+        start, end = xy(arrow.points)
+        np.testing.assert_allclose(start, place, atol=1e-12)
+        lengths.append(np.hypot(*(end - start)))
+        np.testing.assert_allclose(
+            (end - start) / lengths[-1], force / np.hypot(*force), atol=1e-9)
+    np.testing.assert_allclose(
+        np.array(lengths) / lengths[0], np.hypot(*forces.T) / np.hypot(*forces[0]), rtol=1e-9)
+    point = simulation.mechanism.points[0].name
+    trail = xy(markers['path'][0].points)
+    assert len(trail) > 3
+    assert np.hypot(*(trail[-1] - simulation.point(point))) < 0.01
+
+
+def test_carpet_and_its_force_are_shown(simulator):
+    node = simulator(scene='carpet_scraper_on_carpet')
+    simulation = node.simulation
+    while simulation.effect_readings('carpet')['depth'] < 1e-3:
+        simulation.step({'theta_1': 20.0}, 0.01)
+        assert simulation.time < 5.0
+    markers = by_name(node._companions._markers.array(Time(), simulation))
+    line, = markers['contacts']
+    assert xy(line.points)[:, 1] == pytest.approx([-0.216, -0.216])
+    force, = markers['effects']
+    start, end = xy(force.points)
+    np.testing.assert_allclose(start, simulation.point('tool'), atol=1e-12)
+    readings = simulation.effect_readings('carpet')
+    assert end[1] > start[1]
+    expected = contact_force(simulation.effects['carpet'], readings)
+    assert expected[1] == pytest.approx(readings['normal_force'])
+    assert abs(expected[0]) == pytest.approx(
+        abs(readings['friction_force'] + readings['scraping_force']))
+    # What ends is taken away in the viewer, too.
+    simulation.set_effect('carpet', enabled=False)
+    first = node._companions._markers.array(Time(), simulation).markers[0]
+    assert first.action == Marker.DELETEALL
+
+
+def test_nothing_is_drawn_when_nobody_looks(simulator, listener, context, monkeypatch):
+    node = simulator(scene='four_bar', marker_rate=200.0)
+    markers = node._companions._markers
+    drawn = []
+    array = markers.array
+    monkeypatch.setattr(markers, 'array', lambda *of: drawn.append(1) or array(*of))
+    markers._next = 0.0
+    node.publish()
+    assert not drawn
+    pictures = collect(listener, 'visualization_marker_array', MarkerArray)
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+
+    def seen():
+        executor.spin_once(timeout_sec=0.0)
+        node.publish()
+        return pictures
+
+    listener.wait(seen, 'markers')
+    assert drawn
+    executor.shutdown()
+
+
+def test_markers_can_be_switched_off(simulator):
+    node = simulator(scene='four_bar', marker_rate=0.0)
+    node.publish()
+    topics = dict(node.get_publisher_names_and_types_by_node(node.get_name(), '/'))
+    assert '/visualization_marker_array' not in topics
+    assert '/joint_states' in topics
+
+
+def test_a_point_that_does_not_exist_is_named(simulator):
+    with pytest.raises(StartError, match="'marker_point': expected one of the points"):
+        simulator(scene='three_rrr', marker_point='nose')
