@@ -16,6 +16,7 @@
 
 from dataclasses import replace
 
+from .errors import StiffnessError
 from .integration.system import evaluate
 from .inverse_dynamics import InverseDynamics
 from .scene import load_scene
@@ -114,6 +115,8 @@ class Simulation(SimulationMotion):
         ------
         ValueError
             Where a name or value makes no sense; nothing is changed.
+        StiffnessError
+            Where the steps would be too large for it in the present state; nothing is changed.
 
         Notes
         -----
@@ -124,7 +127,7 @@ class Simulation(SimulationMotion):
         self._accounts.settle(self._q, self.system.tau)
         self._open_accounts()
         before = self.energy
-        anew = self._effects.change(name, enabled, parameters)
+        anew = self._try_effect(name, enabled, parameters)
         self._own[anew] = self._effects.initial[anew]
         self._driver.restart()
         self._fresh = False
@@ -143,10 +146,35 @@ class Simulation(SimulationMotion):
 
         Raises
         ------
-        ValueError
+        ValueError, StiffnessError
 
         """
-        self._effects.checked(name, enabled, parameters)
+        effects = self._effects
+        effects.checked(name, enabled, parameters)
+        was = effects.records[name], effects.enabled[name]
+        self._try_effect(name, enabled, parameters)
+        effects.put(name, *was)
+
+    def _try_effect(self, name, enabled, parameters):
+        """Change an effect, unless steps that can be stable now could not be with it."""
+        effects = self._effects
+        was = effects.records.get(name), effects.enabled.get(name)
+        anew = effects.change(name, enabled, parameters)
+        self._fresh = False
+        if getattr(effects.records[name], 'STIFFENS', True):
+            self._require_stable(name, was)
+        return anew
+
+    def _require_stable(self, name, was):
+        try:
+            self._guard.check(self._state, self.step_size)
+        except StiffnessError:
+            changed = self._effects.records[name], self._effects.enabled[name]
+            self._effects.put(name, *was)
+            if self._guard.stable(self._state, self.step_size):
+                raise
+            # It has been too stiff before: a change may be for the better.
+            self._effects.put(name, *changed)
 
     # Dynamics of any state.
 

@@ -24,6 +24,7 @@ from .effects.commands import Commands
 from .errors import ClosureError, NumericalError, SimulationError
 from .integration.advance import DONE, NOT_FINITE, OPEN_LOOP
 from .integration.drivers import build_driver
+from .integration.registry import INTEGRATORS, SCIPY
 from .integration.system import BAUMGARTE
 from .monitor import Monitor
 from .simulation_state import SimulationState
@@ -45,9 +46,22 @@ class SimulationMotion(SimulationState):
         """Build the driver, and stand at the start."""
         super().__init__(scene)
         method = self.scene.method
+        self._require_settled_steps(method)
         self._driver = Monitor(build_driver(self.system, method), self.system, method)
-        self._guard = StiffnessGuard(self.system, method)
+        self._guard = StiffnessGuard(self.system, method, self._effects.own)
         self.reset()
+
+    def _require_settled_steps(self, method):
+        """Refuse solvers that keep a state of their own beside effects that correct theirs."""
+        names = self._effects.settling
+        if names and INTEGRATORS[method.integrator].family == SCIPY:
+            own = [name for name, one in INTEGRATORS.items() if one.family != SCIPY]
+            raise SimulationError(
+                f'The scene lists dry friction ({", ".join(names)}), whose bristle is brought '
+                f'back within its limit after every step; {method.integrator} keeps a state of '
+                'its own between outputs, where that cannot be done, and friction would not let '
+                f'go where it reverses. Take another integrator ({", ".join(own)}), or leave the '
+                'friction out.')
 
     def step(self, torque=None, duration=None):
         """

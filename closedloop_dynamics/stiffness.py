@@ -18,7 +18,8 @@ Whether explicit steps of a size can be stable, and what to say where they canno
 The fastest rate of the motion, the largest eigenvalue of the derivative's
 Jacobian J, is estimated by a power iteration on differences of the derivative, J v =
 (f(y + e v) - f(y)) / e. It is taken in pairs, J J v, as oscillations have conjugate pairs
-of eigenvalues.
+of eigenvalues. States of effects take part where the motion depends on them: a bristle that
+sticks is a spring, the lag of a drive a rate of its own.
 
 """
 
@@ -45,7 +46,7 @@ DIFFERENCE = 1e-7
 ENERGY_TOLERANCE = 0.1
 
 
-def fastest_rate(system, state):
+def fastest_rate(system, state, own=()):
     """
     Estimate the largest eigenvalue, in magnitude, of the derivative's Jacobian.
 
@@ -55,6 +56,9 @@ def fastest_rate(system, state):
         What moves.
     state : ndarray, shape (ns,)
         Where.
+    own : sequence of int
+        Places, among the effects' states, of those that act back on the motion, such as the
+        stretch of a bristle or the lag of a drive; dissipated energy and work do not.
 
     Returns
     -------
@@ -63,17 +67,19 @@ def fastest_rate(system, state):
 
     """
     nv = len(system.qdd)
+    silent = np.ones(len(state), dtype=bool)
+    silent[:2 * nv] = False
+    silent[2 * nv + np.array(own, dtype=int)] = False
     slope, moved = np.zeros_like(state), np.zeros_like(state)
     derivative(system, state.copy(), slope)
-    # Rates first: a damper shows in them alone; a spring needs the pair.
-    direction = np.zeros_like(state)
-    direction[:2 * nv] = np.random.default_rng(0).normal(size=2 * nv)
+    direction = np.random.default_rng(0).normal(size=len(state))
+    direction[silent] = 0.0
 
     def turned(vector):
         size = DIFFERENCE / max(np.abs(vector).max(), 1e-300)
         derivative(system, state + size * vector, moved)
         result = (moved - slope) / size
-        result[2 * nv:] = 0.0
+        result[silent] = 0.0
         return result
 
     rate = 0.0
@@ -117,6 +123,8 @@ class StiffnessGuard:
     ----------
     system : System
     method : Method
+    own : sequence of int
+        As for ``fastest_rate``.
 
     Attributes
     ----------
@@ -126,15 +134,23 @@ class StiffnessGuard:
 
     """
 
-    def __init__(self, system, method):
+    def __init__(self, system, method, own=()):
         """Decide whether to look at all."""
         integrator = INTEGRATORS[method.integrator]
-        self._system, self._name = system, method.integrator
+        self._system, self._name, self._own = system, method.integrator, own
         self._fixed = integrator.kind == FIXED
         self._limit = STABILITY_LIMITS.get(
             method.integrator, math.inf if self._fixed else 3.0 * MOST_SMALL_STEPS)
         self._explicit = integrator.family == EXPLICIT and system.effects is not None
         self.active = self._explicit and self._fixed
+
+    def stable(self, state, step_size):
+        """Return whether steps of ``step_size`` from ``state`` can be stable."""
+        return not self._explicit or self.rate(state) * step_size <= self._limit
+
+    def rate(self, state):
+        """Return the fastest rate of the motion in a state [1/s]."""
+        return fastest_rate(self._system, state, self._own)
 
     def check(self, state, step_size):
         """
@@ -145,11 +161,8 @@ class StiffnessGuard:
         StiffnessError
 
         """
-        if not self._explicit:
-            return
-        rate = fastest_rate(self._system, state)
-        if rate * step_size > self._limit:
-            raise StiffnessError(self.message(rate, step_size))
+        if not self.stable(state, step_size):
+            raise StiffnessError(self.message(self.rate(state), step_size))
 
     def message(self, rate, step_size):
         """Return what to say of a rate that is too fast for the step."""
@@ -186,7 +199,7 @@ class StiffnessGuard:
                   + abs(after.dissipated - before.dissipated) + abs(after.work - before.work))
         if math.isfinite(change) and change <= ENERGY_TOLERANCE * moving + 1e-9:
             return
-        rate = fastest_rate(self._system, state)
+        rate = self.rate(state)
         raise StiffnessError(
             f'{change:.3g} J appeared from nowhere within {LOOK_EVERY} steps: the steps of '
             f'{step_size:g} s are too large for a stiff contact, stop or spring of the scene'

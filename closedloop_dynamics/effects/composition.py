@@ -78,6 +78,8 @@ class Composition:
         For ``table.build_table``.
     initial : ndarray, shape (nz,)
         The effects' states at the start.
+    own : ndarray of int
+        Which of these act back on the motion; the others are energies.
     drives : dict of int to float
         Delay of the command [s] of every joint whose command passes through a drive.
     instruments : list
@@ -95,9 +97,10 @@ class Composition:
         states = [state for law in self.laws for state in law.states]
         self.initial = np.array([state.initial for state in states], dtype=float)
         roles = np.array([state.role for state in states], dtype=int)
-        self._own, self._dissipated, self._work = (
+        self.own, self._dissipated, self._work = (
             np.flatnonzero(roles == role) for role in (OWN, DISSIPATED, WORK))
         self._update()
+        self.restart()
 
     def bind(self, system):
         """
@@ -132,13 +135,18 @@ class Composition:
             if hasattr(record, 'drives'):
                 joint, delay = record.drives(self._machine)
                 self.drives[joint] = self.drives.get(joint, 0.0) + delay
-        self.restart()
 
     def restart(self):
         """Let the instruments begin anew."""
         self.instruments = [record.instrument() for name, record in self.records.items()
                             if self.enabled[name] and hasattr(record, 'instrument')]
         self._measured_at = None
+
+    @property
+    def settling(self):
+        """Names of the effects whose states are brought back within limits after every step."""
+        return [name for name, record in self.records.items()
+                if getattr(record, 'SETTLES', False)]
 
     @property
     def remembers(self):
@@ -226,10 +234,31 @@ class Composition:
 
         """
         record = self.checked(name, enabled, parameters)
+        return self.put(name, record, self.enabled[name] if enabled is None else enabled)
+
+    def put(self, name, record, enabled):
+        """
+        Put a record that fits in the place of an effect; see ``change``.
+
+        Parameters
+        ----------
+        name : str
+            Of a listed effect.
+        record : record
+            Of its type.
+        enabled : bool
+            Whether it is switched on.
+
+        Returns
+        -------
+        ndarray of int
+
+        """
         was = self.enabled[name]
-        self.records[name] = record
-        self.enabled[name] = was if enabled is None else enabled
+        self.records[name], self.enabled[name] = record, enabled
         self._update()
+        if hasattr(record, 'instrument'):
+            self.restart()
         if name not in self._rows:
             return np.zeros(0, dtype=int)
         row = self._rows.index(name)
@@ -242,11 +271,11 @@ class Composition:
         if was or not self.enabled[name]:
             return np.zeros(0, dtype=int)
         first = self._table.index[row, STATE]
-        return np.intersect1d(np.arange(first, first + len(self.laws[row].states)), self._own)
+        return np.intersect1d(np.arange(first, first + len(self.laws[row].states)), self.own)
 
     def start_anew(self, states):
         """Set the own states, not the energies, back to those of the start, in place."""
-        states[self._own] = self.initial[self._own]
+        states[self.own] = self.initial[self.own]
         self._measured_at = None
 
     def stored(self):

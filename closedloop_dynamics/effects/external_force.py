@@ -49,6 +49,8 @@ class ExternalForce:
 
     """
 
+    # Constant between changes, which may come a thousand times a second.
+    STIFFENS = False
     READINGS = ('power',)
 
     point: str

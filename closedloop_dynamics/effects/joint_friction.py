@@ -77,6 +77,8 @@ class JointFriction:
     """
 
     READINGS = ('torque', 'reaction', 'limit')
+    # The bristle is brought back within its limit after every step.
+    SETTLES = True
 
     joint: str
     coulomb: float = 0.0

@@ -123,7 +123,7 @@ class ErrorControlled:
     def __init__(self, system, integrator, stabilisation, tolerance):
         """Allocate the scratch of the method."""
         self._system, self._tableau = system, integrator.tableau
-        self._stabilisation = stabilisation
+        self._stabilisation, self._tolerance = stabilisation, tolerance
         self._scale = _error_scale(system, tolerance)
         self._scratch = np.zeros((len(self._tableau.a) + 4, self._scale.shape[1]))
         self.control = np.zeros(adaptive.CONTROL_COLUMNS)
@@ -140,8 +140,9 @@ class ErrorControlled:
         return status, self.control[adaptive.REACHED] - time
 
     def restart(self):
-        """Forget the past: torques or the state have changed."""
+        """Forget the past: torques, the state or effects have changed."""
         self.control[adaptive.STEP_SIZE] = 0.0
+        _follow_effects(self._system, self._tolerance, self._scale)
 
 
 class Stiff:
@@ -164,6 +165,7 @@ class Stiff:
     def __init__(self, system, integrator, stabilisation, tolerance):
         """Allocate the scratch of the method."""
         self._system, self._stabilisation = system, stabilisation
+        self._tolerance = tolerance
         self._adaptive = integrator.kind == ADAPTIVE
         self._scale = _error_scale(system, tolerance)
         states = self._scale.shape[1]
@@ -187,8 +189,9 @@ class Stiff:
         return status, self.control[adaptive.REACHED] - time
 
     def restart(self):
-        """Forget the step size: torques or the state have changed."""
+        """Forget the step size: torques, the state or effects have changed."""
         self.control[adaptive.NEXT_STEP] = 0.0
+        _follow_effects(self._system, self._tolerance, self._scale)
 
 
 def _error_scale(system, tolerance):
@@ -196,6 +199,11 @@ def _error_scale(system, tolerance):
     nv = len(system.qdd)
     scale = np.full((2, number_of_states(system)), tolerance)
     scale[1, :nv] = 0.0
-    if system.effects is not None:
-        scale[0, 2 * nv:] *= system.effects.scale
+    _follow_effects(system, tolerance, scale)
     return scale
+
+
+def _follow_effects(system, tolerance, scale):
+    """Bring the tolerances of the effects' states in line with their present parameters."""
+    if system.effects is not None:
+        np.multiply(system.effects.scale, tolerance, out=scale[0, 2 * len(system.qdd):])

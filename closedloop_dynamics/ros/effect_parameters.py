@@ -17,6 +17,7 @@
 from dataclasses import fields
 
 from closedloop_dynamics.effects.registry import effect_type
+from closedloop_dynamics.errors import StiffnessError
 from closedloop_dynamics.ros.pacing import Throttle
 from closedloop_dynamics.ros.process import StartError
 from geometry_msgs.msg import Vector3
@@ -59,10 +60,10 @@ class EffectParameters:
                  for parameter in self._declare(name, record)]
         try:
             self._apply(given)
-        except ValueError as error:
+        except (ValueError, StiffnessError) as error:
             raise StartError(str(error)) from None
         node.add_on_set_parameters_callback(self._check)
-        node.add_post_set_parameters_callback(self._apply)
+        node.add_post_set_parameters_callback(self._follow)
         self._subscriptions = [
             node.create_subscription(
                 Vector3, f'effects/{name}/{FORCE}',
@@ -103,13 +104,20 @@ class EffectParameters:
         try:
             for name, values in self._changes(parameters).items():
                 self._simulation.check_effect(name, **values)
-        except ValueError as error:
+        except (ValueError, StiffnessError) as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 
     def _apply(self, parameters):
         for name, values in self._changes(parameters).items():
             self._simulation.set_effect(name, **values)
+
+    def _follow(self, parameters):
+        """Let what has been checked act; effects checked one by one may be too stiff together."""
+        try:
+            self._apply(parameters)
+        except StiffnessError as error:
+            self._node.get_logger().error(f'A change of effects is not followed: {error}')
 
     def on_force(self, name, message):
         """Let a force from a topic act, or refuse it."""

@@ -18,6 +18,7 @@ from closedloop_dynamics import Simulation
 from closedloop_dynamics.effects.gravity import Gravity
 from closedloop_dynamics.effects.joint_friction import JointFriction
 from closedloop_dynamics.effects.joint_spring import JointSpring
+from closedloop_dynamics.errors import SimulationError
 from closedloop_dynamics.mechanism.fields import FieldError
 from closedloop_dynamics.mechanism.mechanism import REVOLUTE
 from closedloop_dynamics.scene_records import Initial, Method, Scene
@@ -69,6 +70,25 @@ def test_error_control_finds_the_reversals():
     # Reversals are sharp to F / c = 2e-4 m/s, here 1e-4 s. This is the fifth swing, about 0.01.
     assert simulation.position[0] == pytest.approx(
         0.01 + 0.015 * np.cos(10.0 * (1.5 - 0.4 * np.pi)), abs=3e-5)
+
+
+@pytest.mark.parametrize('solver', ['scipy_dop853', 'scipy_radau', 'scipy_lsoda'])
+def test_solvers_that_cannot_keep_the_bristle_within_its_limit_are_refused(solver):
+    with pytest.raises(SimulationError, match=f'brake.*{solver}.*dop853, rodas4'):
+        simulated(block(), {'brake': JointFriction('slide', 1.0)}, [0.0], integrator=solver)
+    simulated(block(), {'spring': JointSpring('slide', 100.0)}, [0.0], integrator=solver)
+
+
+def test_error_control_follows_a_change_of_the_bristle():
+    ends = []
+    for first in (1e3, 1e7):
+        simulation = simulated(
+            block(), {'friction': JointFriction('slide', 1.0, stiffness=first, damping=100.0)},
+            [0.0], [1.0], integrator='dopri5', step_size=0.1, tolerance=1e-6)
+        simulation.set_effect('friction', stiffness=1e7)
+        simulation.step(duration=1.5)
+        ends.append((*simulation.position, *simulation.velocity))
+    assert ends[0] == ends[1]
 
 
 def test_sliding_friction_is_exact():

@@ -76,6 +76,20 @@ def test_a_delay_shows_the_past(chunk):
     assert simulation.measured()[0][0] == pytest.approx(0.5 * (0.2 - 0.0255) ** 2, abs=1e-6)
 
 
+def test_changes_of_other_effects_do_not_make_a_sensor_forget():
+    runs = []
+    for switched in (False, True):
+        simulation = simulated(block(), {
+            'encoder': Sensor(delay=0.02, position_noise=0.1), 'gravity': Gravity((1.0, 0.0))},
+            [0.0])
+        simulation.step(duration=0.05)
+        if switched:
+            simulation.set_effect('gravity', acceleration=(1.0, 0.5))
+        simulation.step(duration=0.01)
+        runs.append(simulation.measured()[0][0])
+    assert runs[0] == runs[1]
+
+
 @pytest.mark.parametrize('values', [
     {'position_noise': -1.0}, {'seed': -1}, {'seed': 1.5}, {'delay': -0.1},
     {'velocity_resolution': -1.0}, {'position_bias': float('inf')}])

@@ -17,7 +17,9 @@
 from dataclasses import replace
 import math
 
+from closedloop_dynamics.effects.actuator import Actuator
 from closedloop_dynamics.effects.joint_damping import JointDamping
+from closedloop_dynamics.effects.joint_friction import JointFriction
 from closedloop_dynamics.effects.joint_spring import JointSpring
 from closedloop_dynamics.errors import AssemblyError, StiffnessError
 from closedloop_dynamics.mechanism.mechanism import Body, MechanismError
@@ -155,6 +157,36 @@ def test_fastest_rate_of_a_spring_and_of_a_damper():
         math.sqrt(1e4 / inertia), rel=0.05)
     viscous = pendulum(JointDamping('joint_0', 100.0))
     assert fastest_rate(viscous.system, viscous._state) == pytest.approx(100.0 / inertia, rel=0.05)
+
+
+def test_fastest_rate_sees_the_states_of_effects():
+    stuck = pendulum(JointFriction('joint_0', 1.0, stiffness=1e5, damping=0.0))
+    assert stuck._guard.rate(stuck._state) == pytest.approx(math.sqrt(3e5), rel=0.05)
+    assert stuck._guard.rate(stuck._state) > 10.0 * fastest_rate(stuck.system, stuck._state)
+    lagging = pendulum(Actuator('joint_0', lag=0.001))
+    assert lagging._guard.rate(lagging._state) == pytest.approx(1000.0, rel=0.05)
+
+
+@pytest.mark.parametrize('effect', [
+    JointFriction('joint_0', 1.0, stiffness=1e8, damping=0.0), Actuator('joint_0', lag=1e-4)],
+    ids=['bristle', 'lag'])
+def test_states_of_effects_that_are_too_fast_are_refused(effect):
+    with pytest.raises(StiffnessError, match='stable with steps up to'):
+        pendulum(effect)
+
+
+def test_a_change_that_makes_the_scene_too_stiff_is_refused_and_changes_nothing():
+    simulation, other = (pendulum(JointSpring('joint_0', 100.0, 0.1)) for _ in range(2))
+    for call in (simulation.check_effect, simulation.set_effect):
+        with pytest.raises(StiffnessError, match='rodas4'):
+            call('effect', stiffness=1e9)
+    assert simulation.effects == other.effects
+    simulation.check_effect('effect', enabled=False)
+    assert simulation.enabled_effects == ('effect',)
+    for each in (simulation, other):
+        each.step(duration=0.1)
+    assert simulation.position == other.position
+    assert simulation.energy_balance == other.energy_balance
 
 
 @pytest.mark.parametrize('effect', [JointSpring('joint_0', 1e8, 0.0),
