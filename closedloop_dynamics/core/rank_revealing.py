@@ -13,286 +13,43 @@
 # limitations under the License.
 
 """
-Motion and least-norm multipliers where the block elimination fails.
+Motion and multipliers where the block elimination fails.
 
 Entered only after a poor pivot: closure equations that repeat one another, a
-singular configuration at hand, bodies without mass. Dense, O(n^3).
+singular configuration at hand, bodies without mass. The linear algebra is that of
+``null_space``; this is what it is asked.
 
-The null-space method: with the singular value decomposition of J (its rows and
-columns scaled by their levers, so that neither units nor masses decide what is
-small), the equations fix the coordinates along the strong right singular
-vectors; along the others the equations of motion decide (Gauss's principle of
-least constraint). I is never inverted, so that it may be singular as long as
-the motions that the loops allow carry inertia.
+Near a singular configuration a *weak* equation, of singular value s, divides every error of the
+state by s. The stages of an integrator lie beside the branch on which the mechanism moves, by the
+square of the step, so that their accelerations would be noise where s is smaller than a
+step. They are therefore taken on the branch: at the state beside the stage that closes
+the loops. Where s is too small even for rounding, they are interpolated between
+states of the branch ahead and behind, which is what continuing the velocity means: the
+accelerations are smooth along a branch, though the equations lose them for an instant.
 
 """
 
 import numpy as np
 
-from .compiled import compiled, merged
+from . import kinematics
+from .compiled import compiled
 from .forward_dynamics import constraint_right_side, to_user_order
 from .inverse_dynamics import tree_torque
 from .jacobian import constraint_jacobian, generalized_inertia_matrix
 from .loop_closure import update
-from .types import (
-    CUT_PRISMATIC, CUT_ROW, CUT_TYPE, OMEGA, RANK, RANK_REVEALING_COUNT, ROWS)
+from .null_space import ACCELERATION, POSITION, ROUNDING, solve, VELOCITY, WEAK
+from .types import FX, FY, FZ, OMEGA, RANK, RANK_REVEALING_COUNT
 
-# What is asked for: a change of positions, of rates, or accelerations.
-POSITION, VELOCITY, ACCELERATION = range(3)
-
-# Singular values of the scaled J below this times the largest are rounding: equations that
-# repeat others.
-DEPENDENT = 1e-11
-# Those below this belong to a singular configuration nearby: whether such an equation is
-# taken depends on whether what it says can be told from its error.
-WEAK = 0.1
-# Rounding of scaled places and terms.
-ROUNDING = 2e-15
-# What an equation says must exceed its estimated error by this factor.
-DOUBT = 3.0
-# Entries of J against the largest: less is the rounding of a zero, not to be scaled up.
-NOTHING = 1e-12
-# Inertia of a motion against the largest: less is none.
-NO_INERTIA = 1e-14
-
-
-@compiled
-def scales(model, jac, row_scale, column_scale):
-    """
-    Scale J so that each column's, then each cut joint's largest entry is 1.
-
-    The two equations of a cut point share their scale, so that the direction of
-    the world's axes makes no difference.
-
-    Parameters
-    ----------
-    model : Model
-        Constant topology and geometry.
-    jac : ndarray, shape (nc, nv)
-        Constraint Jacobian.
-    row_scale : ndarray, shape (nc,)
-        Written in place.
-    column_scale : ndarray, shape (nv,)
-        Written in place.
-
-    """
-    nc, nv = jac.shape
-    largest = np.abs(jac).max()
-    for j in range(nv):
-        most = 0.0
-        for i in range(nc):
-            most = max(most, abs(jac[i, j]))
-        column_scale[j] = 1.0 / most if most > NOTHING * largest else 1.0
-    for a in range(model.cut.shape[0]):
-        first, rows = model.cut[a, CUT_ROW], model.cut[a, ROWS]
-        together = 1 if model.cut[a, CUT_TYPE] == CUT_PRISMATIC else 2
-        for begin, end in ((first, first + together), (first + together, first + rows)):
-            most = 0.0
-            for i in range(begin, end):
-                for j in range(nv):
-                    most = max(most, abs(jac[i, j]) * column_scale[j])
-            for i in range(begin, end):
-                row_scale[i] = 1.0 / most if most > NOTHING else 1.0
-
-
-@compiled
-def _motion(taken, left, singular, right_vectors, wanted, column_scale, gim, force, out):
-    """
-    Find the motion that the taken equations and, beyond them, least constraint ask for.
-
-    Returns whether every motion that is left carries inertia or needs none.
-
-    """
-    nv = gim.shape[0]
-    strong = np.zeros(nv)
-    free = np.zeros((nv, nv))
-    count = 0
-    for k in range(nv):
-        if k < taken.shape[0] and taken[k]:
-            share = wanted[k] / singular[k]
-            for j in range(nv):
-                strong[j] += right_vectors[k, j] * share * column_scale[j]
-        else:
-            for j in range(nv):
-                free[count, j] = right_vectors[k, j] * column_scale[j]
-            count += 1
-    for j in range(nv):
-        out[j] = strong[j]
-    if count == 0:
-        return True
-    basis = np.ascontiguousarray(free[:count])
-    inertia = basis @ (gim @ basis.T)
-    push = basis @ (force - gim @ strong)
-    root = np.ones(count)
-    for k in range(count):
-        if inertia[k, k] > 0.0:
-            root[k] = 1.0 / np.sqrt(inertia[k, k])
-    for k in range(count):
-        for j in range(count):
-            inertia[k, j] *= root[k] * root[j]
-    values, vectors = np.linalg.eigh(inertia)
-    push = vectors.T @ (push * root)
-    determined = True
-    largest_push = np.abs(push).max()
-    for k in range(count):
-        if values[k] > NO_INERTIA * values[count - 1]:
-            push[k] /= values[k]
-        else:
-            determined = determined and abs(push[k]) <= 1e-9 * largest_push
-            push[k] = 0.0
-    motion = basis.T @ ((vectors @ push) * root)
-    for j in range(nv):
-        out[j] += motion[j]
-    return determined
-
-
-@compiled
-def _worth_taking(level, singular, residual, gap, drift, gap_along, drift_along, speed, size):
-    """
-    Decide on one equation near a singular configuration.
-
-    Parameters
-    ----------
-    level : int
-        ``POSITION``, ``VELOCITY`` or ``ACCELERATION``.
-    singular : float
-        Its scaled singular value: about the angle to the singular configuration.
-    residual : float
-        How far the motion without it violates it.
-    gap, drift : float
-        Closure error of the positions, and of the rates (scaled).
-    gap_along, drift_along : float
-        Their shares in this equation.
-    speed : float
-        Largest angular velocity [rad/s].
-    size : float
-        Size of the motion's terms.
-
-    Notes
-    -----
-    Along the weak direction the position is known to gap / singular, or, as closure
-    is quadratic there, to sqrt(gap), and the rate to drift / singular. Where the
-    equation's turning with that error explains the residual, taking it would divide noise by
-    a small number; left out for a step, it is made up for by the projection. A correction of
-    positions beyond the reach of Newton's method, the singular value itself, would jump to
-    another branch.
-
-    """
-    if level == POSITION:
-        return residual <= 0.25 * singular * singular
-    gap_along += ROUNDING
-    known = gap + min(gap_along / singular, np.sqrt(gap_along))
-    if level == VELOCITY:
-        error = speed * known + ROUNDING * (speed + size)
-    else:
-        error = speed * (speed * known + 2.0 * (drift + drift_along / singular)) + ROUNDING * (
-            speed * speed + size)
-    return residual > DOUBT * error
-
-
-@compiled
-def solve(model, jac, gim, right, force, psi, rate, speed, level, motion, lam):
-    """
-    Solve J x = right, I x = force + J^T lambda with the equations that can be told apart.
-
-    Parameters
-    ----------
-    model : Model
-        Constant topology and geometry.
-    jac : ndarray, shape (nc, nv)
-        Constraint Jacobian.
-    gim : ndarray, shape (nv, nv)
-        Inertia matrix of the trees.
-    right : ndarray, shape (nc,)
-        Right-hand side of the closure equations.
-    force : ndarray, shape (nv,)
-        Right-hand side of the equations of motion.
-    psi, rate : ndarray, shape (nc,)
-        Closure errors of the positions, and of the rates.
-    speed : float
-        Largest angular velocity [rad/s].
-    level : int
-        ``POSITION``, ``VELOCITY`` or ``ACCELERATION``.
-    motion : ndarray, shape (nv,)
-        x, written in place; NaN where a motion without inertia is pushed.
-    lam : ndarray, shape (nc,)
-        Written in place: of all that give the same motion the least ones.
-
-    Returns
-    -------
-    int
-        Number of equations taken: the rank.
-
-    """
-    nc, nv = jac.shape
-    row_scale, column_scale = np.ones(nc), np.ones(nv)
-    scales(model, jac, row_scale, column_scale)
-    scaled = np.empty((nc, nv))
-    for i in range(nc):
-        for j in range(nv):
-            scaled[i, j] = jac[i, j] * row_scale[i] * column_scale[j]
-    if not (np.isfinite(scaled).all() and np.isfinite(right).all() and np.isfinite(force).all()):
-        motion[:] = np.nan
-        lam[:] = np.nan
-        return 0
-    left, singular, right_vectors = np.linalg.svd(scaled, full_matrices=True)
-    wanted = left.T @ (right * row_scale)
-    taken = singular > WEAK * singular[0]
-    determined = _motion(
-        taken, left, singular, right_vectors, wanted, column_scale, gim, force, motion)
-    gap = np.abs(psi * row_scale).max() + ROUNDING
-    drift = np.abs(rate * row_scale).max()
-    size = np.abs(motion / column_scale).max()
-    added = False
-    for k in range(singular.shape[0]):
-        if not taken[k] and singular[k] > DEPENDENT * singular[0]:
-            residual, gap_along, drift_along = wanted[k], 0.0, 0.0
-            for i in range(nc):
-                gap_along += left[i, k] * psi[i] * row_scale[i]
-                drift_along += left[i, k] * rate[i] * row_scale[i]
-            for j in range(nv):
-                residual -= singular[k] * right_vectors[k, j] * motion[j] / column_scale[j]
-            if level == POSITION:
-                residual = wanted[k]
-            if _worth_taking(level, singular[k], abs(residual), gap, drift, abs(gap_along),
-                             abs(drift_along), speed, size):
-                taken[k] = True
-                added = True
-    if added:
-        determined = _motion(
-            taken, left, singular, right_vectors, wanted, column_scale, gim, force, motion)
-    if not determined:
-        motion[:] = np.nan
-    need = (gim @ motion - force) * column_scale
-    lam[:] = 0.0
-    rank = 0
-    for k in range(singular.shape[0]):
-        if taken[k]:
-            rank += 1
-            share = 0.0
-            for j in range(nv):
-                share += right_vectors[k, j] * need[j]
-            for i in range(nc):
-                lam[i] += left[i, k] * (share / singular[k]) * row_scale[i]
-    if rank < nc and determined:
-        _least_norm(left, taken, row_scale, lam)
-    return rank
-
-
-@compiled
-def _least_norm(left, taken, row_scale, lam):
-    """Remove from the multipliers what the equations left out would not notice."""
-    nc = lam.shape[0]
-    beyond = np.zeros((nc, nc))
-    count = 0
-    for k in range(nc):
-        if k >= taken.shape[0] or not taken[k]:
-            for i in range(nc):
-                beyond[i, count] = left[i, k] * row_scale[i]
-            count += 1
-    idle = np.ascontiguousarray(beyond[:, :count])
-    share = np.linalg.lstsq(idle, lam, 1e-13)[0]
-    lam -= idle @ share
+# Corrections that bring a stage onto its branch: beside it by 1e-4, two leave rounding.
+MOST_CORRECTIONS = 4
+# Closure error, against the size of J's entries, that counts as on the branch.
+SETTLED = 1e-10
+# Singular values below this: rounding, divided three times by s, would show in accelerations.
+CLOSE = 1e-3
+# How far ahead and behind the branch is asked instead [rad], by cubic interpolation: places at
+# -2, -1, 1 and 2 times this, with these weights. Its fourth power is the error.
+ASIDE = 0.03
+OUTER, INNER = -1.0 / 6.0, 4.0 / 6.0
 
 
 @compiled
@@ -304,8 +61,53 @@ def _fastest(work):
     return most
 
 
-@merged
-def accelerate(model, work, tau, baumgarte, qdd, lam):
+@compiled
+def _largest(values):
+    """Return the largest absolute value, NaN if there is one."""
+    most = 0.0
+    for value in values:
+        if not abs(value) <= most:
+            most = abs(value)
+    return most
+
+
+@compiled
+def _solve_here(model, work, tau, beside, qdd, lam):
+    """
+    Compute accelerations and multipliers of the state and the forces in the workspace.
+
+    ``beside``, shape (nc,), is added to the right-hand side. Returns rank and weakest singular
+    value as ``null_space.solve`` does, and the largest entry of J.
+
+    """
+    nv, nc = qdd.shape[0], lam.shape[0]
+    jac, gim = np.zeros((nc, nv)), np.zeros((nv, nv))
+    right, psi, rate, force = np.zeros(nc), np.zeros(nc), np.zeros(nc), np.zeros(nv)
+    constraint_jacobian(model, work, jac)
+    update(model, work, False)
+    for k in range(nc):
+        work.right[k] = 0.0
+    constraint_right_side(work, 0.0, work.right)
+    to_user_order(model, work.right, right)
+    to_user_order(model, work.closure, psi)
+    to_user_order(model, work.closure_rate, rate)
+    largest = 0.0
+    for k in range(nc):
+        right[k] += beside[k]
+        largest = max(largest, _largest(jac[k]))
+    for i in range(nv):
+        qdd[i] = 0.0
+    tree_torque(model, work, qdd, force)
+    for i in range(nv):
+        force[i] = tau[i] - force[i]
+    generalized_inertia_matrix(model, work, gim)
+    rank, weakest = solve(
+        model, jac, gim, right, force, psi, rate, _fastest(work), ACCELERATION, qdd, lam)
+    return rank, weakest, largest
+
+
+@compiled
+def accelerate(model, work, tau, baumgarte, q, qd, qdd, lam):
     """
     Compute accelerations and multipliers, as ``forward_dynamics.accelerate`` does.
 
@@ -315,32 +117,104 @@ def accelerate(model, work, tau, baumgarte, qdd, lam):
         Constant topology and geometry.
     work : Workspace
         After ``kinematics.outward`` and the applied forces, afresh: the elimination has used
-        both up. ``health`` tells the rank.
+        both up. ``health`` tells the rank; what else is left in it belongs to the state, too.
     tau, baumgarte, qdd, lam
         As for ``forward_dynamics.accelerate``.
+    q, qd : ndarray, shape (nv,)
+        The state.
 
     """
     nv, nc = qdd.shape[0], lam.shape[0]
-    jac, gim = np.zeros((nc, nv)), np.zeros((nv, nv))
-    right, psi, rate, force = np.zeros(nc), np.zeros(nc), np.zeros(nc), np.zeros(nv)
-    constraint_jacobian(model, work, jac)
+    beside = np.zeros(nc)
     update(model, work, False)
-    work.right[:] = 0.0
-    constraint_right_side(work, baumgarte, work.right)
-    to_user_order(model, work.right, right)
-    to_user_order(model, work.closure, psi)
-    to_user_order(model, work.closure_rate, rate)
-    qdd[:] = 0.0
-    tree_torque(model, work, qdd, force)
-    for i in range(nv):
-        force[i] = tau[i] - force[i]
-    generalized_inertia_matrix(model, work, gim)
-    work.health[RANK] = solve(
-        model, jac, gim, right, force, psi, rate, _fastest(work), ACCELERATION, qdd, lam)
+    for k in range(nc):
+        work.right[k] = -baumgarte * (2.0 * work.closure_rate[k] + baumgarte * work.closure[k])
+    to_user_order(model, work.right, beside)
+    applied = np.empty((work.body.shape[0], 3))
+    for i in range(applied.shape[0]):
+        applied[i, 0], applied[i, 1], applied[i, 2] = (
+            work.body[i, FZ], work.body[i, FX], work.body[i, FY])
+    rank, weakest, size = _solve_here(model, work, tau, beside, qdd, lam)
+    work.health[RANK] = rank
     work.health[RANK_REVEALING_COUNT] += 1.0
+    speed = _fastest(work)
+    if weakest >= WEAK or not speed > 0.0:
+        return
+    kinematics.outward(model, q, qd, work)
+    for i in range(applied.shape[0]):
+        applied[i, 0] -= work.body[i, FZ]
+        applied[i, 1] -= work.body[i, FX]
+        applied[i, 2] -= work.body[i, FY]
+    # On the branch, or, too close to the singular configuration, around it.
+    near, near_rate = np.empty(nv), np.empty(nv)
+    found, forces = np.empty(nv), np.empty(nc)
+    count, weakest = _solve_beside(
+        model, work, tau, beside, q, qd, 0.0, applied, size, near, near_rate, found, forces)
+    if weakest >= CLOSE:
+        work.health[RANK] = count
+        for i in range(nv):
+            qdd[i] = found[i]
+        for k in range(nc):
+            lam[k] = forces[k]
+    else:
+        total, clear = np.zeros(nv), True
+        for k in range(nc):
+            beside[k] = 0.0
+        for place, share in ((-2.0, OUTER), (-1.0, INNER), (1.0, INNER), (2.0, OUTER)):
+            if clear:
+                count, weakest = _solve_beside(
+                    model, work, tau, beside, q, qd, place * ASIDE / speed, applied, size, near,
+                    near_rate, found, forces)
+                clear = weakest >= 2.0 * CLOSE
+                for i in range(nv):
+                    total[i] += share * found[i]
+        for i in range(nv):
+            qdd[i] = total[i] if clear else qdd[i]
+    kinematics.outward(model, q, qd, work)
+    update(model, work, False)
 
 
-@merged
+@compiled
+def _solve_beside(model, work, tau, beside, q, qd, time, applied, size, near, near_rate, qdd, lam):
+    """
+    Compute accelerations on the branch, ``time`` ahead of a state and under its forces.
+
+    Returns rank and weakest singular value; of this zero where no branch is found.
+
+    """
+    for i in range(q.shape[0]):
+        near[i], near_rate[i] = q[i] + time * qd[i], qd[i]
+    error = _settle(model, work, near, near_rate, size)
+    kinematics.outward(model, near, near_rate, work)
+    for i in range(applied.shape[0]):
+        work.body[i, FZ] += applied[i, 0]
+        work.body[i, FX] += applied[i, 1]
+        work.body[i, FY] += applied[i, 2]
+    rank, weakest, _ = _solve_here(model, work, tau, beside, qdd, lam)
+    # Written so that a NaN counts as none.
+    return rank, weakest if error <= SETTLED * size else 0.0
+
+
+@compiled
+def _settle(model, work, q, qd, size):
+    """Bring a state onto the branch next to it, as far as can be told; return what is left."""
+    change = np.zeros(q.shape[0])
+    for _ in range(MOST_CORRECTIONS):
+        kinematics.outward(model, q, qd, work)
+        update(model, work, False)
+        if _largest(work.closure) <= ROUNDING * size:
+            break
+        correct(model, work, POSITION, change)
+        for i in range(q.shape[0]):
+            q[i] += change[i]
+    kinematics.outward(model, q, qd, work)
+    correct(model, work, VELOCITY, change)
+    for i in range(q.shape[0]):
+        qd[i] += change[i]
+    return _largest(work.closure)
+
+
+@compiled
 def correct(model, work, level, out):
     """
     Compute the least change of positions or rates, in the mass metric, that closes the loops.

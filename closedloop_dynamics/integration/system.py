@@ -199,7 +199,7 @@ def evaluate(system, q, qd):
             kinematics.outward(model, q, qd, work)
             _apply_effects(system.effects, work, q, qd, system.tau)
             rank_revealing.accelerate(model, work, system.applied, system.settings[BAUMGARTE],
-                                      system.qdd, system.lam)
+                                      q, qd, system.qdd, system.lam)
     else:
         _accelerate_dense(system.dense, model, work, formulation, system.applied,
                           system.settings[BAUMGARTE], system.qdd, system.lam)
