@@ -32,7 +32,7 @@ PACKAGE = 'closedloop_dynamics'
 # its place here.
 LAYERS = (
     ('config', 'core', 'errors', 'mechanism'),
-    ('appearance', 'assembly', 'effects', 'health', 'integration', 'inverse_dynamics',
+    ('appearance', 'assembly', 'bags', 'effects', 'health', 'integration', 'inverse_dynamics',
      'method_choice', 'modeling', 'monitor', 'scene', 'scene_records', 'scene_text', 'stiffness',
      'urdf'),
     # '' is the package itself: it offers Simulation.
@@ -176,9 +176,10 @@ def test_no_module_imports_itself_in_a_circle():
         visit(module, [])
 
 
-MACHINE_FREE = ('appearance', 'assembly', 'core', 'effects', 'integration', 'inverse_dynamics',
-                'mechanism', 'method_choice', 'modeling', 'monitor', 'scene', 'scene_records',
-                'scene_text', 'simulation', 'simulation_motion', 'simulation_state', 'urdf')
+MACHINE_FREE = ('appearance', 'assembly', 'bags', 'core', 'effects', 'integration',
+                'inverse_dynamics', 'mechanism', 'method_choice', 'modeling', 'monitor', 'scene',
+                'scene_records', 'scene_text', 'simulation', 'simulation_motion',
+                'simulation_state', 'urdf')
 
 
 @pytest.mark.parametrize('module', [name for name in SOURCES if unit(name) in MACHINE_FREE])

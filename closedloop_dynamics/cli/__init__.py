@@ -17,14 +17,14 @@
 import os
 import sys
 
-from . import accuracy, check, effects, formulations, simulate, stability, urdf
+from . import accuracy, check, effects, formulations, recover, simulate, stability, urdf
 from .command import HelpfulParser, UsageError
 from ..errors import SimulationError
 from ..mechanism.mechanism import MechanismError
 from ..scene import SceneError
 
 COMMANDS = (accuracy.COMMAND, check.COMMAND, effects.COMMAND, formulations.COMMAND,
-            simulate.COMMAND, stability.COMMAND, urdf.COMMAND)
+            recover.COMMAND, simulate.COMMAND, stability.COMMAND, urdf.COMMAND)
 
 FAILED, USAGE, INTERRUPTED, BROKEN_PIPE = 1, 2, 130, 141
 DESCRIPTION = """\

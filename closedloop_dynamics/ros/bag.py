@@ -15,29 +15,30 @@
 """A rosbag2 bag, written from a thread of its own."""
 
 from collections import Counter
+from dataclasses import dataclass
 from pathlib import Path
+from queue import Empty
 from queue import SimpleQueue
-import sqlite3
 from threading import Event
 from threading import Thread
+import time
 
-from rosbags.interfaces import Qos
-from rosbags.interfaces import QosDurability
-from rosbags.interfaces import QosHistory
-from rosbags.interfaces import QosLiveliness
-from rosbags.interfaces import QosReliability
-from rosbags.interfaces import QosTime
-from rosbags.rosbag2 import StoragePlugin
-from rosbags.rosbag2 import Writer
-from rosbags.rosbag2 import WriterError
+from closedloop_dynamics.bags.writer import BagFiles
 
-STORAGES = {'mcap': StoragePlugin.MCAP, 'sqlite3': StoragePlugin.SQLITE3}
-FORMAT_VERSION = 9
+# What was received is in the file after this time [s]: so much is lost if the process is killed.
+FLUSH_PERIOD = 1.0
 NANOSECONDS = 10 ** 9
 
 
 class BagError(OSError):
     """A bag that cannot be written; the message says why."""
+
+
+@dataclass(frozen=True)
+class _NewTopic:
+    """What ``BagFiles.add_topic`` takes, on its way there."""
+
+    arguments: tuple
 
 
 class BagWriter:
@@ -52,11 +53,15 @@ class BagWriter:
         ``'mcap'`` or ``'sqlite3'``.
     typestore : rosbags.typesys.store.Typestore
         Where the definitions of the types are taken from.
+    compression : str
+        One of ``bags.writer.COMPRESSIONS[storage]``.
+    max_size : float
+        A file that has become larger is followed by another one [bytes]; 0: never.
 
     Attributes
     ----------
     written : Counter
-        Messages in the bag, by topic.
+        Messages in the bag, by topic; known when it is closed.
     error : BagError or None
         What ended the writing early; from then on nothing is written.
 
@@ -67,11 +72,11 @@ class BagWriter:
 
     """
 
-    def __init__(self, path, storage, typestore):
+    def __init__(self, path, storage, typestore, compression='none', max_size=0.0):
         self.path = Path(path)
         self.written = Counter()
         self.error = None
-        self._plugin = STORAGES[storage]
+        self._arguments = storage, compression, max_size
         self._typestore = typestore
         self._queue = SimpleQueue()
         self._opened = Event()
@@ -96,10 +101,10 @@ class BagWriter:
             What the publishers offer.
 
         """
-        offered = [_offered(profile) for profile in profiles]
-        self._queue.put(lambda writer, connections: connections.update({
-            topic: writer.add_connection(
-                topic, type_name, typestore=self._typestore, offered_qos_profiles=offered)}))
+        definition, _ = self._typestore.generate_msgdef(type_name, ros_version=2)
+        self._queue.put(_NewTopic((
+            topic, type_name, definition, self._typestore.hash_rihs01(type_name),
+            [_offered(profile) for profile in profiles])))
 
     def write(self, topic, nanoseconds, data):
         """
@@ -124,34 +129,63 @@ class BagWriter:
 
     def _work(self):
         try:
-            with Writer(self.path, version=FORMAT_VERSION, storage_plugin=self._plugin) as writer:
-                self._opened.set()
-                self._drain(writer)
-        except (WriterError, OSError, sqlite3.Error) as error:
-            self.error = BagError(f"cannot write the bag '{self.path}': {error}")
+            files = BagFiles(self.path, *self._arguments)
+        except OSError as error:
+            reason = ('it exists already, not overwriting' if isinstance(error, FileExistsError)
+                      else error.strerror or error)
+            self.error = BagError(f"cannot create the bag '{self.path}': {reason}")
+            return
         finally:
             self._opened.set()
+        try:
+            self._drain(files)
+        except OSError as error:
+            self._fail(error)
+        try:
+            files.close()
+        except OSError as error:
+            self._fail(error)
+        self.written.update(files.counts)
 
-    def _drain(self, writer):
-        connections = {}
-        while (item := self._queue.get()) is not None:
-            if callable(item):
-                item(writer, connections)
-                continue
-            topic, nanoseconds, data = item
-            writer.write(connections[topic], nanoseconds, data)
-            self.written[topic] += 1
+    def _fail(self, error):
+        if self.error is None:
+            self.error = BagError(
+                f"cannot go on writing the bag '{self.path}': {error.strerror or error}; what "
+                'was written before can be read')
+
+    def _drain(self, files):
+        channels = {}
+        due = time.monotonic() + FLUSH_PERIOD
+        while True:
+            try:
+                item = self._queue.get(timeout=max(0.0, due - time.monotonic()))
+            except Empty:
+                item = ()
+            if item is None:
+                return
+            if isinstance(item, _NewTopic):
+                channels[item.arguments[0]] = files.add_topic(*item.arguments)
+            elif item:
+                topic, nanoseconds, data = item
+                files.write(channels[topic], nanoseconds, data)
+            if time.monotonic() >= due:
+                files.flush()
+                due = time.monotonic() + FLUSH_PERIOD
 
 
 def _offered(profile):
-    """Translate a quality of service from rclpy's words into those of the bag."""
-    return Qos(
-        QosHistory[profile.history.name], profile.depth,
-        QosReliability[profile.reliability.name], QosDurability[profile.durability.name],
-        _duration(profile.deadline), _duration(profile.lifespan),
-        QosLiveliness[profile.liveliness.name], _duration(profile.liveliness_lease_duration),
-        profile.avoid_ros_namespace_conventions)
+    """Return a quality of service of rclpy as the metadata of a bag has it."""
+    return {
+        'history': profile.history.name.lower(), 'depth': profile.depth,
+        'reliability': profile.reliability.name.lower(),
+        'durability': profile.durability.name.lower(),
+        'deadline': _duration(profile.deadline), 'lifespan': _duration(profile.lifespan),
+        'liveliness': profile.liveliness.name.lower(),
+        'liveliness_lease_duration': _duration(profile.liveliness_lease_duration),
+        'avoid_ros_namespace_conventions': profile.avoid_ros_namespace_conventions,
+    }
 
 
 def _duration(duration):
-    return QosTime(*divmod(duration.nanoseconds, NANOSECONDS))
+    seconds, nanoseconds = divmod(duration.nanoseconds, NANOSECONDS)
+    return {'sec': seconds, 'nsec': nanoseconds}

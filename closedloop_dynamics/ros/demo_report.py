@@ -90,7 +90,8 @@ def summary(recording, aim):
     width = max(map(len, recording.arrivals))
     return [
         ('recorded', f'{recording.count} messages, {motion.time[-1]:.2f} s of motion'),
-        *(('', f'{topic:{width}}  {len(times):6} messages at {recording.rate(topic):6.1f} Hz'
+        *(('', f'{topic:{width}}  {len(times):6} message'
+           + (f's at {recording.rate(topic):6.1f} Hz' if len(times) > 1 else '')
            + (f', from {times[0]:.1f} s of motion on' if times[0] > LATE else ''))
           for topic, times in sorted(recording.arrivals.items())),
         ('closure', f'loops closed within {error:.1e} m or rad in all {len(motion.time)} '

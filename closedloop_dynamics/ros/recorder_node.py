@@ -19,9 +19,9 @@ from datetime import datetime
 from fnmatch import fnmatchcase
 import time
 
+from closedloop_dynamics.bags.writer import COMPRESSIONS
 from closedloop_dynamics.ros.bag import BagError
 from closedloop_dynamics.ros.bag import BagWriter
-from closedloop_dynamics.ros.bag import STORAGES
 from closedloop_dynamics.ros.message_types import MessageTypes
 from closedloop_dynamics.ros.message_types import UnknownTypeError
 from closedloop_dynamics.ros.parameters import declare
@@ -41,19 +41,25 @@ NAME = 'closedloop_recorder'
 QUEUE_DEPTH = 10000
 # Between two looks for topics [s].
 DISCOVERY_PERIOD = 0.1
+MEGABYTE = 1e6
 # For taking in what had arrived when the recording was ended [s].
 LAST_CALL = 0.5
 
 PARAMETERS = (
     Parameter(
-        'topics', ['joint_states', 'constraint_forces/*', 'torque_command', 'joint_command'],
+        'topics', ['joint_states', 'constraint_forces/*', 'torque_command', 'joint_command',
+                   'scene', 'robot_description', 'replay_log'],
         'Topics to record, relative to the namespace or full names; * and ? stand for any '
         'characters.'),
     Parameter(
         'output', '',
         'Directory of the bag; must not exist. Not given: rosbag2_ and the time, here.'),
     Parameter('storage', 'mcap', 'Format of the bag: mcap or sqlite3.',
-              choices=tuple(STORAGES)),
+              choices=tuple(COMPRESSIONS)),
+    Parameter('compression', 'none',
+              'Compression: none; zstd; lz4, of mcap only.', choices=COMPRESSIONS['mcap']),
+    Parameter('max_size', 0.0, 'A file of the bag that has become larger is followed by another '
+              'one [MB]; 0: never.', (0.0, 1e6)),
     Parameter('max_duration', 0.0, 'End the recording after so long [s]; 0: when stopped.',
               (0.0, 1e6)),
 )
@@ -84,16 +90,25 @@ class RecorderNode(Node):
         self._type_of = {}
         self._subscriptions_by_topic = {}
         self._complained = set()
-        try:
-            self._bag = BagWriter(
-                self._values['output'] or datetime.now().strftime('rosbag2_%Y_%m_%d-%H_%M_%S'),
-                self._values['storage'], self._types.typestore)
-        except BagError as error:
-            raise StartError(f'{error}') from None
+        self._bag = self._open()
         self._begin = time.monotonic()
         self.create_timer(
             DISCOVERY_PERIOD, self.look, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.get_logger().info(f"recording {', '.join(self._patterns)} into '{self._bag.path}'")
+
+    def _open(self):
+        values = self._values
+        storage, compression = values['storage'], values['compression']
+        if compression not in COMPRESSIONS[storage]:
+            raise StartError(
+                f"parameter 'compression': expected one of {', '.join(COMPRESSIONS[storage])} "
+                f"with storage {storage}, got '{compression}'")
+        try:
+            return BagWriter(
+                values['output'] or datetime.now().strftime('rosbag2_%Y_%m_%d-%H_%M_%S'),
+                storage, self._types.typestore, compression, values['max_size'] * MEGABYTE)
+        except BagError as error:
+            raise StartError(f'{error}') from None
 
     def look(self):
         """Subscribe to topics that have appeared; end when it is time to."""

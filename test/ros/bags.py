@@ -53,7 +53,7 @@ def read_with_rosbags(path):
 def read_with_mcap(path):
     """Return the same from the file of an mcap bag, through the library of its format."""
     messages = {}
-    with (path / f'{path.name}.mcap').open('rb') as file:
+    with (path / f'{path.name}_0.mcap').open('rb') as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
         for channel in reader.get_summary().channels.values():
             messages[channel.topic] = []

@@ -100,7 +100,7 @@ def test_bag_without_messages_can_be_opened(tmp_path, storage):
 
 def test_existing_bag_is_not_overwritten(tmp_path):
     (tmp_path / 'bag').mkdir()
-    with pytest.raises(BagError, match='bag exists already'):
+    with pytest.raises(BagError, match='exists already, not overwriting'):
         BagWriter(tmp_path / 'bag', 'mcap', TYPES.typestore)
     assert not list((tmp_path / 'bag').iterdir())
 
@@ -111,14 +111,14 @@ def test_error_while_writing_is_kept_for_the_caller(tmp_path, monkeypatch):
     def full(*_):
         raise OSError(28, 'No space left on device')
 
-    monkeypatch.setattr('rosbags.rosbag2.Writer.write', full)
+    monkeypatch.setattr('closedloop_dynamics.bags.writer.BagFiles.write', full)
     bag.add_topic('/states', STATE)
     for index in range(10):
         bag.write('/states', index, serialize_message(state(index)))
     bag.close()
     assert isinstance(bag.error, BagError)
     assert 'No space left on device' in str(bag.error)
-    assert not bag.written
+    assert not bag.written.total()
 
 
 @pytest.fixture

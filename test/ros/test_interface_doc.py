@@ -16,6 +16,7 @@
 
 from pathlib import Path
 
+from closedloop_dynamics.ros.companions import COMPANION_PARAMETERS
 from closedloop_dynamics.ros.recorder_node import PARAMETERS as RECORDER_PARAMETERS
 from closedloop_dynamics.ros.simulator_node import PARAMETERS as SIMULATOR_PARAMETERS
 from closedloop_dynamics.ros.torque_source_parameters import TORQUE_SOURCE_PARAMETERS
@@ -49,6 +50,7 @@ def row(parameter):
 
 @pytest.mark.parametrize('row', [
     row(parameter) for parameter in (
-        *SIMULATOR_PARAMETERS, *TORQUE_SOURCE_PARAMETERS, *RECORDER_PARAMETERS)])
+        *SIMULATOR_PARAMETERS, *COMPANION_PARAMETERS, *TORQUE_SOURCE_PARAMETERS,
+        *RECORDER_PARAMETERS)])
 def test_parameter_is_described_as_it_is(row):
     assert row in DOCUMENT.read_text().splitlines()

@@ -127,6 +127,8 @@ def test_topic_of_two_types_is_named_and_not_recorded(make_recorder, monkeypatch
     ({'storage': 'rosbag1'}, "'storage': expected one of mcap, sqlite3"),
     ({'topics': ['two words']}, "'two words' is not the name of a topic"),
     ({'max_duration': -1.0}, 'max_duration'),
+    ({'compression': 'gzip'}, "'compression': expected one of none, zstd, lz4"),
+    ({'compression': 'lz4', 'storage': 'sqlite3'}, 'none, zstd with storage sqlite3'),
 ])
 def test_bad_parameters_are_named(make_recorder, parameters, problem, tmp_path):
     with pytest.raises(StartError, match=problem):

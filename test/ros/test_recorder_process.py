@@ -15,11 +15,13 @@
 """Tests of the recorder as a process: bags that other readers open, with nothing missing."""
 
 import re
+import resource
 import signal
 from test.ros.bags import read_with_mcap
 from test.ros.bags import read_with_rosbags
 import time
 
+from closedloop_dynamics.bags.reading import Bag
 from geometry_msgs.msg import WrenchStamped
 import pytest
 from sensor_msgs.msg import JointState
@@ -147,7 +149,8 @@ def test_namespace_of_the_recorder_is_that_of_the_topics(processes, listener, tm
     for process in (left, right, recorder):
         assert process.stop() == 0
     messages = read_with_rosbags(tmp_path / 'bag')
-    assert sorted(messages) == ['/left/constraint_forces/cut_1', '/left/joint_states']
+    assert sorted(messages) == [f'/left/{topic}' for topic in (
+        'constraint_forces/cut_1', 'joint_states', 'replay_log', 'robot_description', 'scene')]
 
 
 def test_existing_output_is_one_line_and_an_exit_code(processes, tmp_path):
@@ -156,3 +159,75 @@ def test_existing_output_is_one_line_and_an_exit_code(processes, tmp_path):
     assert recorder.wait() == 2
     assert 'exists already, not overwriting' in recorder.output.splitlines()[-1]
     assert 'Traceback' not in recorder.output
+
+
+def publish(publisher, indices, period=0.001):
+    for index in indices:
+        publisher.publish(Float64MultiArray(data=[float(index)] + [0.0] * 100))
+        time.sleep(period)
+
+
+def recorded(bag):
+    return [message.data[0] for topic, _, message in bag.messages() if topic == '/t']
+
+
+@pytest.mark.parametrize('storage, compression', [('mcap', 'zstd'), ('sqlite3', 'none')])
+def test_all_but_the_last_second_survives_kill(processes, listener, tmp_path, storage,
+                                               compression):
+    recorder = processes.start(RECORDER, output='bag', topics='[t]', storage=storage,
+                               compression=compression).wait_until_ready()
+    publisher = listener.publisher('t', Float64MultiArray)
+    publish(publisher, range(300))
+    listener.wait(publisher.wait_for_all_acked, 'acknowledgement')
+    # What was received reaches the file within a second; then something that may be lost.
+    bag = tmp_path / 'bag'
+    listener.wait(lambda: len(recorded(Bag(bag))) == 300 if storage == 'mcap'
+                  else size_of(bag) > 300 * 800, '300 messages in the file')
+    publish(publisher, range(300, 310))
+    recorder.send(signal.SIGKILL)
+    recorder.popen.wait()
+    opened = Bag(bag)
+    assert not opened.finished
+    numbers = recorded(opened)
+    assert len(numbers) >= 300
+    assert numbers == list(range(len(numbers)))
+
+
+def size_of(bag):
+    return sum(path.stat().st_size for path in bag.glob('*.db3'))
+
+
+def test_full_disk_is_said_and_leaves_a_whole_bag(processes, listener, tmp_path):
+    recorder = processes.start(RECORDER, output='bag', topics='[t]').wait_until_ready()
+    publisher = listener.publisher('t', Float64MultiArray)
+    publish(publisher, range(200))
+    listener.wait(lambda: len(recorded(Bag(tmp_path / 'bag'))) == 200, 'messages in the file')
+    # To the process this is what a full disk is: a write that does not succeed.
+    size = (tmp_path / 'bag' / 'bag_0.mcap').stat().st_size + 60_000
+    resource.prlimit(recorder.popen.pid, resource.RLIMIT_FSIZE, (size, size))
+    index = 200
+    while recorder.popen.poll() is None:
+        publish(publisher, [index])
+        index += 1
+        assert index < 60_000
+    assert recorder.popen.returncode == 1
+    assert "cannot go on writing the bag 'bag': File too large" in recorder.output
+    assert 'what was written before can be read' in recorder.output
+    assert 'Traceback' not in recorder.output
+    assert Bag(tmp_path / 'bag').finished
+    numbers = [message.data[0] for _, message in read_with_mcap(tmp_path / 'bag')['/t']]
+    assert len(numbers) >= 200
+    assert numbers == list(range(len(numbers)))
+    assert counts(recorder)['/t'][1] == len(numbers)
+
+
+def test_large_recordings_are_split(processes, listener, tmp_path):
+    recorder = processes.start(RECORDER, output='bag', topics='[t]', max_size='0.05',
+                               compression='zstd').wait_until_ready()
+    publisher = listener.publisher('t', Float64MultiArray)
+    publish(publisher, range(300))
+    listener.wait(publisher.wait_for_all_acked, 'acknowledgement')
+    assert recorder.stop() == 0
+    assert len(list((tmp_path / 'bag').glob('*.mcap'))) > 3
+    assert [message.data[0] for _, message in read_with_rosbags(tmp_path / 'bag')['/t']] == list(
+        range(300))

@@ -1,0 +1,56 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""``closedloop recover``: make a whole bag of one whose recording was cut short."""
+
+from pathlib import Path
+
+from .command import Command
+from ..bags.recover import recover
+from ..studies.tables import text_table
+
+
+def _add_arguments(parser):
+    parser.add_argument('bag', metavar='BAG', type=Path,
+                        help='directory of the bag, or one of its files')
+    parser.add_argument('--output', metavar='DIR', type=Path,
+                        help='directory of the new bag; must not exist (default: the name of the '
+                             'old one with _recovered behind it)')
+
+
+def _run(arguments):
+    bag = arguments.bag.resolve()
+    output = arguments.output or bag.with_name(f'{bag.stem}_recovered')
+    counts = recover(bag, output)
+    print(f'{output}: {sum(counts.values())} messages')
+    if counts:
+        print(text_table(('topic', 'messages'), [
+            (topic, str(count)) for topic, count in sorted(counts.items())]))
+    return 0
+
+
+COMMAND = Command(
+    name='recover',
+    summary='make a whole bag of one whose recording was cut short',
+    description="""\
+Copy whatever can be read of a bag into a new one (mcap), with index and metadata. A
+recorder that was killed leaves a bag without them, which ros2 bag does not open;
+all but the last second of messages is in it. The old bag stays as it is.
+""",
+    epilog="""\
+examples:
+  closedloop recover my_bag
+""",
+    add_arguments=_add_arguments,
+    run=_run)
