@@ -33,14 +33,31 @@ if 'NUMBA_CACHE_DIR' not in os.environ:
 os.environ.setdefault('MPLBACKEND', 'Agg')
 os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
 # Linux has free ports for domains 0 to 101; 0 is everyone's.
-os.environ.setdefault('ROS_DOMAIN_ID', str(1 + os.getpid() % 101))
+if 'ROS_DOMAIN_ID' not in os.environ or 'PYTEST_XDIST_WORKER' in os.environ:
+    os.environ['ROS_DOMAIN_ID'] = str(1 + os.getpid() % 101)
+
+
+# Where scripts/test shares the files among processes, those that compile or wait longest go first,
+# and those that compile the same do not start together.
+FIRST = (
+    'test/integration/test_methods.py', 'test/effects/test_composition.py',
+    'test/studies/test_accuracy.py', 'test/test_core_interpreted.py',
+    'test/packaging/test_colcon.py',
+    'test/studies/test_formulations.py', 'test/ros/test_demo.py', 'test/core', 'test/effects',
+    'test/ros/test_recorder_process.py', 'test/test_linters.py', 'test/test_documentation.py')
 
 
 def pytest_addoption(parser):
     parser.addoption('--all', action='store_true', help='run the tests marked slow, too')
 
 
+def _turn(item):
+    """Return which file's turn it is."""
+    return next((k for k, start in enumerate(FIRST) if item.nodeid.startswith(start)), len(FIRST))
+
+
 def pytest_collection_modifyitems(config, items):
+    items.sort(key=_turn)
     if config.getoption('--all'):
         return
     slow = [item for item in items if item.get_closest_marker('slow')]

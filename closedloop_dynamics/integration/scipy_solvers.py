@@ -15,13 +15,10 @@
 """SciPy's solvers as the well-known yardstick: offline, interpreted, no projection inside."""
 
 import numpy as np
-from scipy import integrate
 
 from .advance import DONE, NOT_FINITE, OPEN_LOOP, STEP_TOO_SMALL
 from .projection import stabilise
 from .system import derivative
-
-SOLVERS = {'DOP853': integrate.DOP853, 'Radau': integrate.Radau, 'LSODA': integrate.LSODA}
 
 # A solver that needs more evaluations than this to the next output has lost its way.
 MOST_EVALUATIONS = 100_000
@@ -39,7 +36,7 @@ class SciPySolver:
     system : System
         What moves.
     name : str
-        One of ``SOLVERS``.
+        Of a class of ``scipy.integrate``.
     stabilisation : int
         One of ``projection``.
     tolerance : float
@@ -49,7 +46,9 @@ class SciPySolver:
 
     def __init__(self, system, name, stabilisation, tolerance):
         """Start with nothing; the solver is made where the first step starts."""
-        self._system, self._solver_type = system, SOLVERS[name]
+        # Not before it is wanted: a third of the time that loading the package would take.
+        from scipy import integrate
+        self._system, self._solver_type = system, getattr(integrate, name)
         self._stabilisation, self._tolerance = stabilisation, tolerance
         self._solver = self._dense = None
 

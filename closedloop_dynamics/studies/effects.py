@@ -17,12 +17,13 @@ What each effect of a scene costs, and what it changes.
 
 The scene is run as it is, and once more without each type of effect; the differences are what
 that type changes. Times are measured on short runs of every variant in turn, so that a
-machine's moods hit all of them.
+machine's moods hit all of them, and each is compared with the one of the same round. How far such
+ratios can be trusted tells a second run of the same: the bare scene is measured twice.
 
 """
 
 from dataclasses import dataclass, replace
-from statistics import median
+import math
 from time import process_time
 from typing import Dict, Tuple
 
@@ -33,7 +34,28 @@ from ..effects.registry import effect_type
 from ..simulation import Simulation
 
 # Steps of one measurement, and how often it is repeated.
-STEPS, REPEATS = 200, 15
+STEPS, REPEATS = 200, 60
+
+
+@dataclass(frozen=True)
+class Ratio:
+    """
+    A ratio of times, with the range that its median has in 95 of 100 such measurements.
+
+    Attributes
+    ----------
+    value, low, high : float
+
+    """
+
+    value: float
+    low: float
+    high: float
+
+    @property
+    def noise(self):
+        """Half the width of the range."""
+        return 0.5 * (self.high - self.low)
 
 
 @dataclass(frozen=True)
@@ -79,9 +101,9 @@ class Finding:
         Type of the effects.
     names : tuple of str
         Which effects of the scene those are.
-    alone : float
+    alone : Ratio
         Time per step with these effects alone, over that of the scene without any.
-    without : float
+    without : Ratio
         Time per step of the scene without them, over that of the whole scene.
     position, effort, force, energy : float
         Largest differences that leaving them out makes: positions [rad, m], efforts [N m, N],
@@ -93,8 +115,8 @@ class Finding:
 
     kind: str
     names: Tuple[str, ...]
-    alone: float
-    without: float
+    alone: Ratio
+    without: Ratio
     position: float
     effort: float
     force: float
@@ -115,9 +137,11 @@ class Study:
         Of the scene as it is.
     findings : tuple of Finding
         One for each type of effect, in the scene's order.
-    bare, off, whole : float
-        Time per step without any effect, with all listed but switched off, and of the
-        scene as it is [s].
+    bare : float
+        Time per step without any effect [s].
+    again, off, whole : Ratio
+        Time per step, over that: without any effect once more, which only noise keeps from 1; with
+        all listed but switched off; of the scene as it is.
 
     """
 
@@ -125,8 +149,9 @@ class Study:
     run: Record
     findings: Tuple[Finding, ...]
     bare: float
-    off: float
-    whole: float
+    again: Ratio
+    off: Ratio
+    whole: Ratio
 
 
 def study_effects(scene, duration=2.0, torque=None, rates=None, rows=400,
@@ -172,14 +197,15 @@ def study_effects(scene, duration=2.0, torque=None, rates=None, rows=400,
     for k, (kind, names) in enumerate(types.items()):
         run = record(Simulation(_without(scene, names)), duration, rows, torque, rates)
         findings.append(Finding(
-            kind, tuple(names), times['alone', kind] / times['bare'],
-            times['without', kind] / times['whole'],
+            kind, tuple(names), _ratio(times['alone', kind], times['bare']),
+            _ratio(times['without', kind], times['whole']),
             *(float(np.abs(a - b).max(initial=0.0)) for a, b in (
                 (run.position, whole.position), (run.effort, whole.effort),
                 (run.force, whole.force),
                 (run.balance[:, :2].sum(axis=1), whole.balance[:, :2].sum(axis=1)))), run))
         progress(3 + k, parts)
-    return Study(simulation, whole, tuple(findings), times['bare'], times['off'], times['whole'])
+    return Study(simulation, whole, tuple(findings), float(np.median(times['bare'])), *(
+        _ratio(times[key], times['bare']) for key in ('again', 'off', 'whole')))
 
 
 def record(simulation, duration, rows, torque=None, rates=None):
@@ -238,10 +264,11 @@ def _without(scene, names):
 
 
 def _times(scene, types):
-    """Return the median time per step of every variant [s]."""
+    """Return the times per step of every variant, one a round [s]."""
     everything = tuple(scene.effects)
-    variants = {'whole': Simulation(scene), 'bare': Simulation(_without(scene, everything)),
-                'off': Simulation(scene)}
+    variants = {
+        'whole': Simulation(scene), 'off': Simulation(scene),
+        **{key: Simulation(_without(scene, everything)) for key in ('bare', 'again')}}
     for name in everything:
         variants['off'].set_effect(name, enabled=False)
     for kind, names in types.items():
@@ -251,12 +278,24 @@ def _times(scene, types):
     measured = {key: [] for key in variants}
     for simulation in variants.values():
         simulation.warm_up()
+    keys = list(variants)
     for repeat in range(REPEATS + 1):
-        for key, simulation in variants.items():
+        # Each begins as often as any other, and comes behind another each time.
+        for key in keys[repeat % len(keys):] + keys[:repeat % len(keys)]:
+            simulation = variants[key]
             simulation.reset()
             tau = np.zeros(len(simulation.joint_names))
             start = process_time()
             simulation.advance(tau, STEPS)
             measured[key].append((process_time() - start) / STEPS)
     # The first round warms the caches.
-    return {key: median(values[1:]) for key, values in measured.items()}
+    return {key: np.array(values[1:]) for key, values in measured.items()}
+
+
+def _ratio(times, others):
+    """Return the median ratio of the times of each round, and what is to be thought of it."""
+    ratios = np.sort(times / others)
+    count = len(ratios)
+    # Ranks between which the median lies in 95 of 100 cases, whatever the distribution is.
+    out = max(0, int(0.5 * count - 0.98 * math.sqrt(count)))
+    return Ratio(float(np.median(ratios)), float(ratios[out]), float(ratios[count - 1 - out]))

@@ -24,9 +24,9 @@ HEADER = ('effect', 'step alone', 'step without', 'position', 'effort', 'force',
 UNITS = ('', 'x bare', 'x whole', '[rad, m]', '[N m, N]', '[N]', '[J]')
 NOTE = (
     'step alone: time per step with these effects alone, over that without any; step without: of '
-    'the scene\nwithout them, over the whole scene. Indicative: medians of short runs in turn, '
-    'on this machine as it is now.\nposition, effort, force (cut joints), energy (kinetic and '
-    'stored): the largest change that leaving them out makes.')
+    'the scene\nwithout them, over the whole scene. Medians of short runs in turn, and how far '
+    'they are uncertain.\nposition, effort, force (cut joints), energy (kinetic and stored): '
+    'the largest change that leaving them out makes.')
 
 
 def table(study, style=text_table):
@@ -47,7 +47,7 @@ def table(study, style=text_table):
     """
     header = [f'{name} {unit}'.strip() for name, unit in zip(HEADER, UNITS)]
     return style(header, [
-        (label(finding), f'{finding.alone:.2f}', f'{finding.without:.2f}',
+        (label(finding), ratio(finding.alone), ratio(finding.without),
          *(short(value) for value in (finding.position, finding.effort, finding.force,
                                       finding.energy)))
         for finding in study.findings])
@@ -57,11 +57,18 @@ def summary(study):
     """Return what is to be said of the whole scene, a few lines."""
     balance = study.run.balance[-1]
     return '\n'.join([
-        f'time per step: {seconds(study.bare)} without any effect, {study.off / study.bare:.2f} '
-        f'times that with all listed but switched off, {study.whole / study.bare:.2f} times '
-        'with all of them',
+        f'time per step: {seconds(study.bare)} without any effect, {ratio(study.off)} times that '
+        f'with all listed but switched off, {ratio(study.whole)} times with all of them',
+        f'noise: the same without any effect, measured once more, took {ratio(study.again)} times '
+        'as long',
         f'energy at the end: kinetic {balance[0]:.4g} J, stored {balance[1]:.4g} J, dissipated '
         f'{balance[2]:.4g} J, work {balance[3]:.4g} J; the balance is off by {balance[4]:.1g} J'])
+
+
+def ratio(value):
+    """Return a ratio of times with its uncertainty, in words."""
+    digits = 2 if value.noise > 0.002 else 3
+    return f'{value.value:.{digits}f} ± {max(value.noise, 10.0 ** -digits):.{digits}f}'
 
 
 def label(finding):
@@ -90,7 +97,7 @@ def write(study, directory):
     paths = [directory / name for name in file_names(study.simulation.scene)]
     name = study.simulation.scene.name
     write_csv(paths[0], [f'{key} {unit}'.strip() for key, unit in zip(HEADER, UNITS)], [
-        (label(f), f.alone, f.without, f.position, f.effort, f.force, f.energy)
+        (label(f), f.alone.value, f.without.value, f.position, f.effort, f.force, f.energy)
         for f in study.findings])
     paths[1].write_text(f'# What the effects of {name} cost and change\n\n'
                         f'{table(study, markdown_table)}\n\n{NOTE}\n\n{summary(study)}\n',
@@ -165,20 +172,24 @@ def changes(study):
 
 def _costs(study, axes):
     """Draw the time per step with each type alone."""
-    names = ['listed, all off', *map(label, study.findings), 'the whole scene']
-    values = [study.off / study.bare, *(f.alone for f in study.findings),
-              study.whole / study.bare]
-    colors = ['#999999', *(COLORS[k % 6] for k in range(len(study.findings))), 'black']
+    names = ['nothing, once more', 'listed, all off', *map(label, study.findings),
+             'the whole scene']
+    ratios = [study.again, study.off, *(f.alone for f in study.findings), study.whole]
+    values = [one.value for one in ratios]
+    colors = ['#dddddd', '#999999', *(COLORS[k % 6] for k in range(len(study.findings))), 'black']
     places = np.arange(len(names))[::-1]
     axes.barh(places, np.array(values) - 1.0, left=1.0, color=colors, height=0.6)
-    for place, name, value in zip(places, names, values):
-        axes.text(max(value, 1.0), place, f' {value:.2f}  {name}', va='center', fontsize=8)
+    axes.hlines(places, [one.low for one in ratios], [one.high for one in ratios],
+                color='#888888', linewidth=1.0)
+    for place, name, one in zip(places, names, ratios):
+        axes.text(max(one.high, 1.0), place, f' {one.value:.2f}  {name}', va='center', fontsize=8)
     axes.axvline(1.0, color='black', linewidth=0.8)
     most = max(values)
-    axes.set_xlim(min(0.98, *values) - 0.02 * most, 1.0 + 2.2 * max(most - 1.0, 0.05))
+    least = min(0.98, *(one.low for one in ratios)) - 0.02 * most
+    axes.set_xlim(least, 1.0 + 2.2 * max(most - 1.0, 0.05))
     axes.set_yticks([])
     axes.set_xlabel(f'time per step of each alone,\nover {seconds(study.bare)} without any\n'
-                    '(indicative)')
+                    '(lines: 95 % range of the median)')
     for side in ('top', 'right', 'left'):
         axes.spines[side].set_visible(False)
 

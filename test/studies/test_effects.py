@@ -38,8 +38,25 @@ def test_every_type_of_effect_is_found_once(study):
     assert [finding.kind for finding in study.findings] == [
         'gravity', 'actuator', 'rotor', 'contact', 'joint_friction']
     for finding in study.findings:
-        assert finding.alone > 0.0 and finding.without > 0.0
+        for ratio in (finding.alone, finding.without):
+            assert 0.0 < ratio.low <= ratio.value <= ratio.high
         assert finding.energy > 0.0
+
+
+def test_the_noise_of_times_is_told(study):
+    # The same code in turn: whatever the machine is busy with, a median close to 1.
+    assert study.again.value == pytest.approx(1.0, abs=0.1)
+    assert 'measured once more' in effects_report.summary(study)
+
+
+def test_ratios_know_their_range():
+    rng = np.random.default_rng(1)
+    inside = 0
+    for _ in range(400):
+        times = 1.3 * rng.lognormal(0.0, 0.1, 60)
+        ratio = effects._ratio(times, np.ones(60))
+        inside += ratio.low <= 1.3 <= ratio.high
+    assert 0.91 < inside / 400 < 0.995
 
 
 def test_the_crank_keeps_its_rate(study):
