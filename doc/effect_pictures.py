@@ -65,12 +65,13 @@ def run(mechanism, effects, start, rate=0.0, duration=2.0, torque=None, of=None)
     return times, np.array(values)
 
 
-def draw(name, ylabel, curves, xlabel='time [s]'):
-    """Write one picture; ``curves`` maps a label to its x and y."""
+def draw(name, ylabel, curves, xlabel='time [s]', styles=()):
+    """Write one picture; ``curves`` maps a label to its x and y, ``styles`` to how it is drawn."""
     figure = matplotlib.figure.Figure((5.6, 2.6), layout='constrained')
     axes = figure.subplots()
     for k, (label, (x, y)) in enumerate(curves.items()):
-        axes.plot(x, y, color=COLORS[k % 4], label=label, linewidth=1.4)
+        axes.plot(x, y, label=label, **{
+            'color': COLORS[k % 4], 'linewidth': 1.4, **dict(styles).get(label, {})})
     axes.set_xlabel(xlabel)
     axes.set_ylabel(ylabel)
     axes.grid(alpha=0.3)
@@ -151,12 +152,14 @@ def drives_and_sensors():
 
     times = np.linspace(0.0, 0.6, 401)
     draw('actuator', 'force [N]', {
-        'command': (times, [command(time) for time in times]),
+        'command': (times, np.array([command(time) for time in times])),
         **{label: run(BLOCK, {'motor': motor}, 0.0, 0.0, 0.6, command, effort)
            for label, motor in (
                ('limit 5 N', Actuator('slide', max_torque=5.0)),
                ('lag 50 ms', Actuator('slide', lag=0.05)),
-               ('delay 50 ms', Actuator('slide', delay=0.05)))}})
+               ('delay 50 ms', Actuator('slide', delay=0.05)))}}, styles={
+        'command': {'color': 'black', 'linewidth': 2.6, 'alpha': 0.35},
+        'delay 50 ms': {'color': COLORS[0]}})
     spring = JointSpring('slide', 100.0)
 
     def measured(simulation):
@@ -168,7 +171,9 @@ def drives_and_sensors():
                ('noise 5 mm', Sensor(position_noise=0.005)),
                ('steps of 20 mm', Sensor(position_resolution=0.02)),
                ('50 ms late', Sensor(delay=0.05)))},
-        'true': run(BLOCK, {'spring': spring}, 0.1, 0.0, 0.8)})
+        'true': run(BLOCK, {'spring': spring}, 0.1, 0.0, 0.8)}, styles={
+            'noise 5 mm': {'linestyle': '', 'marker': '.', 'markersize': 2.5},
+            'true': {'color': 'black', 'linewidth': 0.8}})
 
 
 if __name__ == '__main__':

@@ -24,7 +24,9 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 BENCHMARKS = ROOT / 'benchmark'
 
-pytestmark = pytest.mark.skipif(not BENCHMARKS.is_dir(), reason='not in a source checkout')
+# They compile for minutes on a busy machine.
+pytestmark = [pytest.mark.timeout(1200), pytest.mark.skipif(
+    not BENCHMARKS.is_dir(), reason='not in a source checkout')]
 
 
 @pytest.fixture

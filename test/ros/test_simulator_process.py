@@ -143,6 +143,23 @@ def test_parameters_can_be_read_and_set_by_others(processes, listener):
     assert simulator.stop() == 0
 
 
+def test_effects_are_switched_and_changed_by_others(processes, listener):
+    simulator = processes.start(
+        SIMULATOR, scene='three_rrr', **{'effects.gravity.enabled': False}).wait_until_ready()
+    states = listener.listen('joint_states', JointState)
+    listener.wait(lambda: len(states) > 5, 'states')
+    assert states[-1].position == states[0].position
+    results = listener.call(
+        SetParameters, f'{SIMULATOR}/set_parameters', SetParameters.Request(parameters=[
+            Parameter(name, value=value).to_parameter_msg() for name, value in (
+                ('effects.gravity.acceleration', [0.0, -1.0]), ('effects.gravity.enabled', True),
+                ('effects.gravity.acceleration', [1.0]), ('effects.wind.enabled', True))])).results
+    assert [result.successful for result in results] == [True, True, False, False]
+    assert 'effects.gravity.acceleration' in results[2].reason
+    listener.wait(lambda: abs(states[-1].position[0] - states[0].position[0]) > 0.01, 'a fall')
+    assert simulator.stop() == 0
+
+
 def test_state_that_leaves_the_finite_numbers_ends_the_process(processes, listener):
     simulator = processes.start(SIMULATOR, scene='three_rrr').wait_until_ready()
     states = listener.listen('joint_states', JointState)
