@@ -19,6 +19,7 @@ from dataclasses import replace
 from .errors import StiffnessError
 from .integration.system import evaluate
 from .inverse_dynamics import InverseDynamics
+from .rollout import rollout
 from .scene import load_scene
 from .scene_records import AUTO
 from .simulation_motion import SimulationMotion
@@ -85,6 +86,53 @@ class Simulation(SimulationMotion):
         if overrides.get('integrator', AUTO) != AUTO:
             overrides.setdefault('accuracy', None)
         return cls(replace(scene, method=replace(scene.method, **overrides)))
+
+    def rollout(self, torques=None, initial_position=None, initial_velocity=None, *, hold=None,
+                duration=None, steps=None, every=1, parameters=None,
+                quantities=('position', 'velocity'), threads=None):
+        """
+        Run many simulations of this scene from its start, in parallel.
+
+        This simulation stays as it is. Every result is the same, bit for bit, as that of a
+        simulation of its own that is advanced by ``step``, whatever the number of threads.
+
+        Parameters
+        ----------
+        torques : array_like, shape (samples, rows, number of actuated joints)
+            Torques of the actuated joints [N m or N], one row after the other, each for the
+            same number of steps. Without the first axis for all samples; a single row stays
+            for the whole run; none when not given.
+        initial_position, initial_velocity : array_like, shape (samples, nv) or (nv,)
+            To start from instead of the scene's start, as for ``set_state``.
+        hold : sequence of str, optional
+            As for ``set_state``; those of the scene where only velocities are given.
+        duration, steps : float, int
+            Length of a run [s], or in steps; one step a row when neither is given.
+        every : int
+            Steps from one instant of the results to the next.
+        parameters : mapping of str to array_like, shape (samples,)
+            Numbers of the scene by key path, such as ``'mechanism.bodies.crank.mass'``,
+            ``'effects.gravity.acceleration.1'``, ``'initial.position.crank_joint'``.
+        quantities : sequence of str
+            What to return: names of the fields of ``rollout.Rollout``.
+        threads : int, optional
+            As many as there are processors, when not given.
+
+        Returns
+        -------
+        rollout.Rollout
+            A sample that fails is told of in ``failures``; its numbers are NaN from then on.
+
+        Raises
+        ------
+        ValueError
+            For arguments that make no sense, whatever the sample.
+
+        """
+        return rollout(
+            self, torques, initial_position, initial_velocity, hold=hold, duration=duration,
+            steps=steps, every=every, parameters=parameters, quantities=quantities,
+            threads=threads)
 
     # Effects.
 

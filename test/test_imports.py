@@ -34,10 +34,11 @@ LAYERS = (
     ('config', 'core', 'errors', 'mechanism'),
     ('appearance', 'assembly', 'bags', 'effects', 'health', 'integration', 'inverse_dynamics',
      'method_choice', 'modeling', 'monitor', 'scene', 'scene_records', 'scene_text', 'stiffness',
-     'urdf'),
+     'urdf',
+     'key_paths', 'recording', 'rollout', 'rollout_input'),
     # '' is the package itself: it offers Simulation.
     ('simulation', 'simulation_motion', 'simulation_state', ''),
-    ('studies',),
+    ('studies', 'sweep'),
     ('cli', 'ros'),
 )
 # These import nothing else of ours, not even within their layer.

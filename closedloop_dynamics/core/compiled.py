@@ -58,6 +58,17 @@ def inlined(function):
     return _compile(function, forceinline=True)
 
 
+def released(function):
+    """
+    Compile like ``compiled``, and let go of Python's lock while the kernel runs.
+
+    For whole runs, so that several threads compute at the same time; each needs a system of its
+    own.
+
+    """
+    return _compile(function, nogil=True)
+
+
 def merged(function):
     """
     Compile into every calling kernel, never on its own.

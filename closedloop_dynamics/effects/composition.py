@@ -312,11 +312,17 @@ class Composition:
         return {'stored_energy': float(values[STORED]), **{
             key: float(value) for key, value in zip(self.records[name].READINGS, values[1:])}}
 
+    def drive_rows(self):
+        """Return the rows of the drives that are switched on, and the joints they drive."""
+        rows = np.array([row for row, name in enumerate(self._rows)
+                         if self.enabled[name] and hasattr(self.records[name], 'drives')],
+                        dtype=int)
+        return rows, self._table.index[rows, FIRST]
+
     def efforts(self, tau):
         """Put what the drives really exert, at the latest evaluation, into joint torques."""
-        for row, name in enumerate(self._rows):
-            if self.enabled[name] and hasattr(self.records[name], 'drives'):
-                tau[self._table.index[row, FIRST]] = self._table.output[row, 1]
+        rows, joints = self.drive_rows()
+        tau[joints] = self._table.output[rows, 1]
 
     def loads(self):
         """Return the places among the states, and the values, of the joint reactions felt."""

@@ -62,13 +62,20 @@ class FixedSteps:
     stabilisation : int
         One of ``projection``.
 
+    Attributes
+    ----------
+    tableau : Tableau
+    stabilisation : int
+    scratch : ndarray, shape (stages + 2, ns)
+        Of ``advance.advance``.
+
     """
 
     def __init__(self, system, integrator, stabilisation):
         """Allocate the scratch of the method."""
-        self._system, self._tableau = system, integrator.tableau
-        self._stabilisation = stabilisation
-        self._scratch = np.zeros((len(self._tableau.a) + 2, number_of_states(system)))
+        self._system, self.tableau = system, integrator.tableau
+        self.stabilisation = stabilisation
+        self.scratch = np.zeros((len(self.tableau.a) + 2, number_of_states(system)))
 
     def advance(self, state, time, step_size, steps):
         """
@@ -94,8 +101,8 @@ class FixedSteps:
 
         """
         status, done = advance.advance(
-            self._system, self._tableau, self._stabilisation, state, step_size, steps,
-            self._scratch)
+            self._system, self.tableau, self.stabilisation, state, step_size, steps,
+            self.scratch)
         return status, done * step_size
 
     def restart(self):

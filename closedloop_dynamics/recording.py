@@ -1,0 +1,261 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+A run from the start under a sequence of torques, and what is kept of it.
+
+Fixed explicit steps are made in one compiled loop, which leaves Python's lock alone; whatever
+needs looking after between the steps is made step by step. Both give the same numbers, bit for
+bit.
+
+"""
+
+from dataclasses import dataclass
+import math
+from typing import Optional
+
+import numpy as np
+
+from .errors import SimulationError
+from .integration.advance import DONE
+from .integration.drivers import FixedSteps
+from .integration.march import allocate_tape, march
+from .mechanism.checks import one_of
+from .mechanism.fields import at
+from .mechanism.mechanism import CUT_JOINT_EQUATIONS, PRISMATIC, REVOLUTE
+
+STATE = ('position', 'velocity')
+QUANTITIES = (*STATE, 'acceleration', 'effort', 'constraint_forces', 'closure', 'energy')
+# A time counts as a multiple of the step up to this share of the step.
+ROUNDING = 1e-9
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """
+    When torques change and when instants are kept, all in multiples of one interval.
+
+    Attributes
+    ----------
+    interval : float
+        [s].
+    intervals : int
+        Length of the run.
+    hold : int
+        Intervals that a row of torques acts for.
+    every : int
+        Intervals from one instant to the next.
+
+    """
+
+    interval: float
+    intervals: int
+    hold: int
+    every: int
+
+    @property
+    def instants(self):
+        """Return how many instants are kept: the start, and one after each ``every``."""
+        return self.intervals // self.every + 1
+
+    def steps(self, step_size):
+        """Return how many whole steps an interval is; 0 where it is no whole number of them."""
+        steps = round(self.interval / step_size)
+        return steps if abs(steps * step_size - self.interval) <= ROUNDING * step_size else 0
+
+
+@dataclass
+class Record:
+    """
+    What is kept of one run; NaN from a failure on.
+
+    Attributes
+    ----------
+    values : dict of str to ndarray
+        By the names of ``QUANTITIES``, those that were asked for: position, velocity,
+        acceleration, effort (instants, nv), constraint_forces (instants, number of cuts, 3),
+        closure, energy (instants,). SI units.
+    failure : str or None
+        Why the run ended early.
+
+    """
+
+    values: dict
+    failure: Optional[str] = None
+
+
+def shape_of(quantity, mechanism):
+    """Return the shape that a quantity has at one instant."""
+    if quantity == 'constraint_forces':
+        return len(mechanism.cut_joints), 3
+    return () if quantity in ('closure', 'energy') else (len(mechanism.joints),)
+
+
+def nothing(quantities, mechanism, instants):
+    """Return what is kept of a run that did not even begin: NaN."""
+    return {name: np.full((instants, *shape_of(name, mechanism)), np.nan) for name in quantities}
+
+
+def checked_quantities(names):
+    """Return names of quantities as a tuple, or raise FieldError."""
+    for index, name in enumerate(names):
+        with at('quantities', index):
+            one_of(QUANTITIES)(name)
+    return tuple(names)
+
+
+def is_plain(simulation):
+    """
+    Tell whether a run needs nothing but fixed steps, so that one compiled loop can make it.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        To be run.
+
+    Returns
+    -------
+    bool
+        False for error-controlled and stiff methods, independent coordinates, scenes that are
+        watched for stiffness, commands that arrive late, and sensors that remember.
+
+    """
+    effects = simulation._effects
+    return (isinstance(simulation.monitor.driver, FixedSteps)
+            and simulation.system.partition is None and not simulation._guard.active
+            and not any(effects.drives.values()) and not effects.remembers)
+
+
+def record(simulation, torques, schedule, quantities=QUANTITIES):
+    """
+    Run a simulation that stands at its start, and keep what it does.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        At time zero. What it is left as is not to be used but after ``reset``.
+    torques : ndarray, shape (rows, number of actuated joints)
+        [N m or N]; at least one row.
+    schedule : Schedule
+        No longer than the rows last.
+    quantities : sequence of str
+        What to keep, of ``QUANTITIES``.
+
+    Returns
+    -------
+    Record
+
+    """
+    tau = np.zeros((len(torques), len(simulation.joint_names)))
+    tau[:, simulation._actuated] = torques
+    steps = schedule.steps(simulation.step_size)
+    if steps and is_plain(simulation):
+        start = simulation._state.copy()
+        values = _marched(simulation, tau, schedule, steps, quantities)
+        if values is not None:
+            return Record(values)
+        # It failed: again, step by step, to stop where it does and to say why.
+        simulation._state[:] = start
+        simulation._fresh = False
+    return _stepped(simulation, tau, schedule, steps, quantities)
+
+
+def _marched(simulation, tau, schedule, steps, quantities):
+    """Return what a run keeps, computed by one compiled loop; None where it fails."""
+    system, driver = simulation.system, simulation.monitor.driver
+    slides = [simulation._rows[cut.body_b] for cut in simulation.cut_joints
+              if cut.type == PRISMATIC]
+    tape = allocate_tape(
+        system, schedule.instants, any(name not in STATE for name in quantities), slides)
+    status, _ = march(
+        system, driver.tableau, driver.stabilisation, simulation._state, simulation.step_size,
+        tau, schedule.hold * steps, schedule.every * steps, schedule.intervals * steps,
+        driver.scratch, tape)
+    simulation._fresh = False
+    if status != DONE:
+        return None
+    nv = tau.shape[1]
+    take = {
+        'position': lambda: tape.state[:, :nv].copy(),
+        'velocity': lambda: tape.state[:, nv:2 * nv].copy(),
+        'acceleration': lambda: tape.qdd,
+        'effort': lambda: _efforts(simulation, tape, tau, schedule),
+        'constraint_forces': lambda: _wrenches(simulation, tape),
+        'closure': lambda: tape.scalars[:, 0].copy(),
+        'energy': lambda: tape.scalars[:, 1] + (
+            tape.scalars[:, 2] + tape.output[:, :, 0].sum(axis=1)),
+    }
+    return {name: take[name]() for name in quantities}
+
+
+def _efforts(simulation, tape, tau, schedule):
+    """Return the joint torques at the instants: those of the step before."""
+    ends = np.arange(schedule.instants) * schedule.every
+    efforts = tau[np.maximum(ends - 1, 0) // schedule.hold]
+    rows, joints = simulation._effects.drive_rows()
+    efforts[:, joints] = tape.output[:, rows, 1]
+    return efforts
+
+
+def _wrenches(simulation, tape):
+    """Return the wrenches at the cut joints, as ``Simulation.constraint_forces`` has them."""
+    cuts = simulation.cut_joints
+    out = np.zeros((len(tape.lam), len(cuts), 3))
+    first, slide = 0, 0
+    for k, cut in enumerate(cuts):
+        lam = tape.lam[:, first:first + CUT_JOINT_EQUATIONS[cut.type]]
+        first += lam.shape[1]
+        if cut.type == PRISMATIC:
+            angles = (tape.angle[:, slide] + cut.angle).tolist()
+            slide += 1
+            out[:, k, 0] = lam[:, 1]
+            out[:, k, 1] = np.array([-math.sin(angle) for angle in angles]) * lam[:, 0]
+            out[:, k, 2] = np.array([math.cos(angle) for angle in angles]) * lam[:, 0]
+        else:
+            out[:, k, 1:] = lam[:, :2]
+            if cut.type != REVOLUTE:
+                out[:, k, 0] = lam[:, 2]
+    return out
+
+
+def _stepped(simulation, tau, schedule, steps, quantities):
+    """Return the record of a run made step by step."""
+    values = nothing(quantities, simulation.mechanism, schedule.instants)
+    failure = None
+    actuated = tau[:, simulation._actuated]
+    try:
+        simulation.advance(tau[0], 0)
+        _note(simulation, values, 0)
+        done = 0
+        while done < schedule.intervals:
+            row = done // schedule.hold
+            if steps:
+                portion = min(schedule.hold - done % schedule.hold,
+                              schedule.every - done % schedule.every, schedule.intervals - done)
+                simulation.advance(tau[row], portion * steps)
+            else:
+                portion = 1
+                simulation.step(actuated[row], schedule.interval)
+            done += portion
+            if done % schedule.every == 0:
+                _note(simulation, values, done // schedule.every)
+    except SimulationError as error:
+        failure = str(error)
+    return Record(values, failure)
+
+
+def _note(simulation, values, instant):
+    """Write one instant."""
+    for name, rows in values.items():
+        rows[instant] = getattr(simulation, name)

@@ -1,0 +1,205 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""``Simulation.rollout``: the same numbers as simulations run one by one."""
+
+from dataclasses import replace
+import inspect
+
+from closedloop_dynamics.recording import is_plain, QUANTITIES
+from closedloop_dynamics.rollout import rollout
+from closedloop_dynamics.scene import load_scene
+from closedloop_dynamics.simulation import Simulation
+import numpy as np
+import pytest
+
+
+def one_by_one(scene, torques, steps, every, start=None, step_size=None):
+    """Return what single simulations do, advanced by ``step``, by quantity."""
+    results = {name: [] for name in QUANTITIES}
+    for sample, rows in enumerate(torques):
+        simulation = Simulation(scene if not callable(scene) else scene(sample))
+        if start is not None:
+            simulation.set_state(*(values[sample] for values in start))
+        hold = steps // len(rows)
+        simulation.step(rows[0], 0.0)
+        kept = {name: [getattr(simulation, name)] for name in QUANTITIES}
+        for step in range(1, steps + 1):
+            simulation.step(rows[(step - 1) // hold])
+            if step % every == 0:
+                for name in QUANTITIES:
+                    kept[name].append(getattr(simulation, name))
+        for name in QUANTITIES:
+            results[name].append(kept[name])
+    return {name: np.array(values) for name, values in results.items()}
+
+
+def torques_for(scene, samples, rows, size=2.0, seed=1):
+    count = len(scene.mechanism.actuated_joints)
+    return np.random.default_rng(seed).normal(0.0, size, (samples, rows, count))
+
+
+def assert_same(result, expected):
+    for name in QUANTITIES:
+        np.testing.assert_array_equal(getattr(result, name), expected[name], name)
+
+
+# Plain fixed steps, a watched scene, a drive with lag; loops and a prismatic cut joint.
+@pytest.mark.parametrize('name', ['three_rrr', 'carpet_scraper', 'slider_crank', 'four_bar',
+                                  'three_rrr_payload_friction', 'carpet_scraper_dry'])
+def test_results_are_those_of_single_simulations(name):
+    scene = load_scene(name)
+    torques = torques_for(scene, 3, 12)
+    result = Simulation(scene).rollout(torques, steps=24, every=3, quantities=QUANTITIES)
+    assert result.failures == {}
+    assert_same(result, one_by_one(scene, torques, 24, 3))
+    np.testing.assert_array_equal(result.time, scene.method.step_size * np.arange(0, 25, 3))
+
+
+@pytest.mark.parametrize('method', [
+    {'integrator': 'semi_implicit_euler'}, {'integrator': 'heun', 'stabilisation': 'none'},
+    {'stabilisation': 'baumgarte'}, {'stabilisation': 'independent'},
+    {'formulation': 'augmented'}, {'integrator': 'dopri5'}, {'integrator': 'rodas4'},
+    {'integrator': 'scipy_lsoda'}], ids=lambda method: '-'.join(method.values()))
+def test_every_method_gives_what_single_simulations_give(method):
+    scene = load_scene('four_bar')
+    scene = replace(scene, method=replace(scene.method, **method))
+    torques = torques_for(scene, 4, 10)
+    result = Simulation(scene).rollout(torques, quantities=QUANTITIES, threads=2)
+    assert_same(result, one_by_one(scene, torques, 10, 1))
+
+
+def test_the_number_of_threads_changes_nothing():
+    simulation = Simulation.from_scene('three_rrr')
+    torques = torques_for(simulation.scene, 16, 50)
+    results = [simulation.rollout(torques, threads=threads, quantities=QUANTITIES)
+               for threads in (1, 2, 5)]
+    for result in results[1:]:
+        assert_same(result, {name: getattr(results[0], name) for name in QUANTITIES})
+
+
+def test_samples_start_where_they_are_told_to():
+    scene = load_scene('three_rrr')
+    rng = np.random.default_rng(2)
+    position = np.array(scene.initial.position) + rng.uniform(-0.02, 0.02, (3, 7))
+    velocity = rng.normal(size=(3, 7))
+    torques = torques_for(scene, 3, 5)
+    result = Simulation(scene).rollout(torques, position, velocity, quantities=QUANTITIES)
+    assert_same(result, one_by_one(scene, torques, 5, 1, (position, velocity)))
+    assert result.closure.max() < 1e-11
+
+
+def test_velocities_alone_start_from_the_position_of_the_scene():
+    scene = load_scene('three_rrr')
+    velocity = np.zeros((2, 7))
+    velocity[:, 0] = 1.0, 2.0
+    result = Simulation(scene).rollout(initial_velocity=velocity, steps=2)
+    np.testing.assert_array_equal(result.velocity[:, 0, 0], (1.0, 2.0))
+    np.testing.assert_array_equal(result.position[:, 0, 0], scene.initial.position[0])
+
+
+def test_parameters_are_those_of_changed_scenes():
+    scene = load_scene('three_rrr')
+    masses, gravity = np.array([2.0, 5.0, 11.0]), -1.62
+    body = next(body for body in scene.mechanism.bodies if body.name == 'platform')
+
+    def build(sample):
+        bodies = tuple(replace(body, mass=masses[sample]) if each is body else each
+                       for each in scene.mechanism.bodies)
+        acceleration = (0.0, gravity)
+        return replace(
+            scene, mechanism=replace(scene.mechanism, bodies=bodies),
+            effects={'gravity': replace(scene.effects['gravity'], acceleration=acceleration)})
+
+    torques = torques_for(scene, 3, 20)
+    result = Simulation(scene).rollout(torques, quantities=QUANTITIES, parameters={
+        'mechanism.bodies.platform.mass': masses, 'effects.gravity.acceleration.1': gravity})
+    assert_same(result, one_by_one(build, torques, 20, 1))
+
+
+def test_present_effects_count_and_nothing_of_the_simulation_changes():
+    scene = load_scene('three_rrr_payload_friction')
+    simulation = Simulation(scene)
+    simulation.set_effect('part', mass=1.0)
+    simulation.set_effect('gear_1', enabled=False)
+    simulation.step({'theta_1': 1.0}, 0.01)
+    before = simulation.position, simulation.velocity, simulation.time
+    result = simulation.rollout(duration=0.02)
+    np.testing.assert_array_equal(simulation.position, before[0])
+    np.testing.assert_array_equal(simulation.velocity, before[1])
+    assert simulation.time == before[2]
+    simulation.reset()
+    simulation.step(duration=0.02)
+    np.testing.assert_array_equal(result.position[0, -1], simulation.position)
+    assert not np.array_equal(result.position, Simulation(scene).rollout(duration=0.02).position)
+
+
+def test_a_sample_that_fails_is_told_of_and_harms_no_other():
+    scene = load_scene('four_bar')
+    torques = torques_for(scene, 4, 40)
+    torques[1, 20:] = 1e9
+    result = Simulation(scene).rollout(torques, parameters={
+        'mechanism.bodies.crank.mass': [1.0, 1.0, -1.0, 1.0],
+        'mechanism.joints.crank_joint.position.0': [0.0, 0.0, 0.0, 50.0]})
+    assert set(result.failures) == {1, 2, 3}
+    assert 'smaller step' in result.failures[1]
+    assert 'mass' in result.failures[2] and 'cannot be assembled' in result.failures[3]
+    assert np.isfinite(result.position[0]).all()
+    assert np.isfinite(result.position[1, :21]).all() and np.isnan(result.position[1, -1]).all()
+    assert np.isnan(result.position[2:]).all()
+    alone = Simulation(scene).rollout(torques[0], parameters={'mechanism.bodies.crank.mass': 1.0})
+    np.testing.assert_array_equal(result.position[0], alone.position[0])
+
+
+def test_only_what_is_asked_for_is_returned():
+    result = Simulation.from_scene('four_bar').rollout([1.0], steps=6, every=6,
+                                                       quantities=['closure'])
+    assert result.closure.shape == (1, 2)
+    assert result.position is None and result.constraint_forces is None
+
+
+@pytest.mark.parametrize('arguments, words', [
+    ({}, ['steps', 'duration']),
+    ({'steps': 3, 'duration': 1.0}, ['steps', 'both']),
+    ({'duration': 0.00105}, ['duration', 'multiple', '0.001']),
+    ({'steps': 0}, ['steps', '> 0']),
+    ({'steps': 10, 'every': 3}, ['every (3)', '10']),
+    ({'torques': np.zeros((2, 4, 3))}, ['torques', '(samples, rows, 1)', '(2, 4, 3)']),
+    ({'torques': [[float('nan')]]}, ['torques', 'finite']),
+    ({'torques': np.zeros((2, 4, 1)), 'steps': 9}, ['rows of torques (4)', '9']),
+    ({'torques': np.zeros((2, 4, 1)), 'initial_position': np.zeros((5, 3))},
+     ['2 in torques', '5 in initial_position']),
+    ({'steps': 1, 'quantities': ['positon']}, ['positon', "did you mean 'position'?"]),
+    ({'steps': 1, 'parameters': {'mechanism.bodies.crank.mas': [1.0]}},
+     ['mechanism.bodies.crank.mas', "did you mean 'mass'?"]),
+    ({'steps': 1, 'threads': 0}, ['threads', '> 0']),
+])
+def test_arguments_that_make_no_sense_are_refused(arguments, words):
+    with pytest.raises(ValueError) as error:
+        Simulation.from_scene('four_bar').rollout(**arguments)
+    for word in words:
+        assert word in str(error.value)
+
+
+def test_the_compiled_loop_is_what_runs_plain_scenes():
+    assert is_plain(Simulation.from_scene('three_rrr'))
+    assert not is_plain(Simulation.from_scene('three_rrr_payload_friction'))
+
+
+def test_the_method_takes_what_the_function_takes():
+    of_method = inspect.signature(Simulation.rollout).parameters
+    of_function = inspect.signature(rollout).parameters
+    assert list(of_method)[1:] == list(of_function)[1:]
+    for name in list(of_method)[1:]:
+        assert of_method[name].default == of_function[name].default
