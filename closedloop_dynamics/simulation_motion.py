@@ -20,13 +20,15 @@ import math
 import numpy as np
 
 from .core import types as t
+from .core.independent import allocate_partition
 from .effects.commands import Commands
 from .errors import ClosureError, NumericalError, SimulationError
 from .integration.advance import DONE, NOT_FINITE, OPEN_LOOP
 from .integration.drivers import build_driver
 from .integration.registry import INTEGRATORS, SCIPY
-from .integration.system import BAUMGARTE
+from .integration.system import BAUMGARTE, CLOSURE_LIMIT
 from .monitor import Monitor
+from .scene_records import AUTO
 from .simulation_state import SimulationState
 from .stiffness import Look, LOOK_EVERY, StiffnessGuard
 
@@ -274,10 +276,69 @@ class SimulationMotion(SimulationState):
         """
         method = replace(self.scene.method, step_size=step_size)
         self._guard.check(self._state, method.step_size)
+        self._take_method(method)
+
+    def prepare_method(self, **changes):
+        """
+        Check and compile another method, leaving everything as it is.
+
+        Parameters
+        ----------
+        **changes
+            By the keys that a scene has under ``method``, except ``formulation``.
+
+        Returns
+        -------
+        callable
+            Lets the method take effect, from the next step on; time and state go on, the
+            account of cost and local error starts anew.
+
+        Raises
+        ------
+        ValueError
+            Where a name or value makes no sense.
+        SimulationError
+            Where the scene is too stiff for the method, or its closure equations here too
+            dependent or its loops too far open.
+
+        """
+        method = replace(self.scene.method, **changes)
+        if method.integrator == AUTO or method.formulation != self.scene.method.formulation:
+            raise ValueError('method: integrator auto and the formulation are chosen when a '
+                             'scene is loaded, and stay')
+        self._require_settled_steps(method)
+        self._require_closable(method.stabilisation)
+        system = self.system._replace(partition=allocate_partition(
+            self.system.model) if method.stabilisation == 'independent' else None)
+        guard = StiffnessGuard(system, method)
+        guard.check(self._state, method.step_size)
+        driver = build_driver(system, method)
+        driver.advance(self._state.copy(), self.time, 1e-9, 1)
+        driver.restart()
+        self._fresh = False
+
+        def take_effect():
+            self.system, self._guard = system, guard
+            self._driver = Monitor(driver, system, method)
+            self._take_method(method)
+
+        return take_effect
+
+    def _require_closable(self, stabilisation):
+        """Refuse a stabilisation that cannot start from the present state."""
+        if stabilisation != 'none' and self.closure > self.system.settings[CLOSURE_LIMIT]:
+            raise ClosureError(
+                f'The loops have drifted apart by {self.closure:.3g} m or rad: more than '
+                f'{stabilisation} may be asked to close. Reset, or set a state, first.')
+        if stabilisation == 'independent':
+            self._fresh = False
+            self._assembler.require_independent(self._q)
+
+    def _take_method(self, method):
         self._time_base, self._steps = self.time, 0
         self.scene = replace(self.scene, method=method)
-        if method.stabilisation == 'baumgarte':
-            self.system.settings[BAUMGARTE] = 1.0 / method.time_constant
+        self.system.settings[BAUMGARTE] = (
+            1.0 / method.time_constant if method.stabilisation == 'baumgarte' else 0.0)
         self._driver.restart()
         self._fresh, self._look = False, None
 

@@ -135,6 +135,11 @@ class TorqueCommand:
         self.timed_out += 1
         return True
 
+    def forget(self):
+        """Let the torques fall to zero until the next command; the book stays."""
+        self._last_arrival = None
+        self.torque[:] = 0.0
+
     def _follow(self, now):
         self.accepted += 1
         self._last_arrival = now

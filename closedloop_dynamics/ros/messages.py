@@ -38,6 +38,7 @@ class StateMessages:
 
     Attributes
     ----------
+    stamp : builtin_interfaces.msg.Time
     joint_state : sensor_msgs.msg.JointState
     wrenches : tuple of geometry_msgs.msg.WrenchStamped
         What body B exerts on body A of each cut joint, in world axes.
@@ -45,16 +46,16 @@ class StateMessages:
     """
 
     def __init__(self, joint_names, cut_names):
-        self._stamp = Time()
+        self.stamp = Time()
         self.joint_state = JointState()
-        self.joint_state.header.stamp = self._stamp
+        self.joint_state.header.stamp = self.stamp
         self.joint_state.name = list(joint_names)
         self._position = self._sized('position')
         self._velocity = self._sized('velocity')
         self._effort = self._sized('effort')
         self.wrenches = tuple(WrenchStamped() for _ in cut_names)
         for wrench in self.wrenches:
-            wrench.header.stamp = self._stamp
+            wrench.header.stamp = self.stamp
             wrench.header.frame_id = WORLD_FRAME
 
     def _sized(self, field):
@@ -76,7 +77,7 @@ class StateMessages:
             Torque about z [N m] and force along x and y [N].
 
         """
-        self._stamp.sec, self._stamp.nanosec = divmod(nanoseconds, NANOSECONDS)
+        self.stamp.sec, self.stamp.nanosec = divmod(nanoseconds, NANOSECONDS)
         self._position[:] = position
         self._velocity[:] = velocity
         self._effort[:] = effort

@@ -182,3 +182,36 @@ class Throttle:
         """Return how many were held back since the last message, and forget them."""
         held_back, self.held_back = self.held_back, 0
         return held_back
+
+
+class Overload:
+    """
+    The message of a machine that cannot keep up, with the factor since the last one.
+
+    Parameters
+    ----------
+    pacer : Pacer
+        Counts time.
+    period : float
+        Between two messages [s].
+
+    """
+
+    def __init__(self, pacer, period):
+        self.pacer = pacer
+        self._throttle = Throttle(period)
+        self._simulated = self._elapsed = 0.0
+
+    def ready(self):
+        """Return whether a message may pass now."""
+        return self._throttle.ready()
+
+    def message(self):
+        """Return it."""
+        pacer = self.pacer
+        achieved = (pacer.simulated - self._simulated) / (pacer.elapsed - self._elapsed)
+        self._simulated, self._elapsed = pacer.simulated, pacer.elapsed
+        return (
+            f'this machine cannot keep up: {achieved:.3g} x real time instead of '
+            f'{pacer.real_time_factor:g}; {pacer.dropped:.3f} s of simulated time dropped so far '
+            '(a larger step_size or a smaller real_time_factor helps)')

@@ -20,6 +20,7 @@ from typing import Any, Optional, Tuple
 
 from closedloop_dynamics.ros.process import StartError
 from rcl_interfaces.msg import FloatingPointRange
+from rcl_interfaces.msg import IntegerRange
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.exceptions import InvalidParameterTypeException
 from rclpy.exceptions import InvalidParameterValueException
@@ -29,6 +30,7 @@ from rclpy.parameter import Parameter as RosParameter
 _EXAMPLES = {
     RosParameter.Type.STRING: 'a string',
     RosParameter.Type.BOOL: 'true or false',
+    RosParameter.Type.INTEGER: 'a whole number',
     RosParameter.Type.DOUBLE: 'a floating-point number (write 5.0, not 5)',
     RosParameter.Type.DOUBLE_ARRAY:
         'a list of floating-point numbers (write [5.0] or [1.0, 2.5], not 5 or [5])',
@@ -48,8 +50,8 @@ class Parameter:
         Its type is the type of the parameter.
     description : str
         One or two sentences with the unit, for ``ros2 param describe``.
-    limits : tuple of 2 floats, optional
-        Smallest and largest value of a floating-point parameter.
+    limits : tuple of 2 numbers, optional
+        Smallest and largest value of a floating-point or integer parameter.
     choices : tuple of str
         Values of a string parameter; empty: any string.
     read_only : bool
@@ -69,11 +71,37 @@ class Parameter:
         descriptor = ParameterDescriptor(
             description=self.description, read_only=self.read_only)
         if self.limits is not None:
-            descriptor.floating_point_range = [
-                FloatingPointRange(from_value=self.limits[0], to_value=self.limits[1])]
+            smallest, largest = self.limits
+            if isinstance(self.default, int):
+                descriptor.integer_range = [
+                    IntegerRange(from_value=smallest, to_value=largest, step=1)]
+            else:
+                descriptor.floating_point_range = [
+                    FloatingPointRange(from_value=smallest, to_value=largest)]
         if self.choices:
-            descriptor.additional_constraints = f'One of: {", ".join(self.choices)}.'
+            descriptor.additional_constraints = f'One of: {self._choices()}.'
         return descriptor
+
+    def require_choice(self, value):
+        """
+        Refuse what is none of the choices.
+
+        Parameters
+        ----------
+        value : object
+            Of the right type.
+
+        Raises
+        ------
+        ValueError
+
+        """
+        if self.choices and value not in self.choices:
+            raise ValueError(f"parameter '{self.name}': expected one of {self._choices()}; "
+                             f"got '{value}'")
+
+    def _choices(self):
+        return ', '.join(choice or "''" for choice in self.choices)
 
 
 def declare(node, parameters):
@@ -111,10 +139,10 @@ def _declare(node, parameter):
             f"parameter '{parameter.name}': expected {_EXAMPLES[kind]}") from None
     except InvalidParameterValueException as error:
         raise StartError(str(error)) from None
-    if parameter.choices and value not in parameter.choices:
-        raise StartError(
-            f"parameter '{parameter.name}': expected one of {', '.join(parameter.choices)}; "
-            f"got '{value}'")
+    try:
+        parameter.require_choice(value)
+    except ValueError as error:
+        raise StartError(str(error)) from None
     return value
 
 

@@ -25,6 +25,8 @@ before it imports rclpy and numba, which take seconds.
 
 """
 
+from contextlib import contextmanager
+from contextlib import nullcontext
 import os
 import signal
 import socket
@@ -80,17 +82,34 @@ class SignalWatch:
         for number in SIGNALS:
             signal.signal(number, signal.SIG_IGN)
 
+    @contextmanager
+    def leaving_at_once(self):
+        """Let a signal end the process without further ado while the body runs."""
+        with self._lock:
+            if self.requested:
+                _leave()
+            wake, self._wake = self._wake, None
+        try:
+            yield
+        finally:
+            with self._lock:
+                self._wake = wake
+
     def _watch(self):
         while True:
             if not set(self._reader.recv(64)).intersection(SIGNALS):
                 continue
             with self._lock:
                 if self._wake is None:
-                    print('stopped while starting up', file=sys.stderr, flush=True)
-                    os._exit(0)
+                    _leave()
                 if not self.requested:
                     self._requested.set()
                     self._wake()
+
+
+def _leave():
+    print('stopped while loading or compiling', file=sys.stderr, flush=True)
+    os._exit(0)
 
 
 def _noticed_by_the_watch(number, frame):
@@ -107,6 +126,21 @@ def watch_signals():
         _watch = SignalWatch()
         _watch.install()
     return _watch
+
+
+def stop_requested():
+    """Return whether a signal has asked this process to stop."""
+    return _watch is not None and _watch.requested
+
+
+def leaving_at_once():
+    """
+    Let a signal end the process at once while the body of a ``with`` runs.
+
+    For work that cannot be interrupted, such as compiling, while there is nothing to lose.
+
+    """
+    return _watch.leaving_at_once() if _watch is not None else nullcontext()
 
 
 def run(create_node, name, args=None):

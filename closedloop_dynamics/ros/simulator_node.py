@@ -12,8 +12,16 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The node ``closedloop_simulator``: a scene simulated live, driven by torque commands."""
+"""
+The node ``closedloop_simulator``: a scene simulated live, driven by torque commands.
 
+A composition: ``modes`` decide when to advance, ``control`` has the services, ``stamps`` the
+time, ``messages`` what is published of a state, ``run_parameters`` and ``effect_parameters``
+what changes while it runs.
+
+"""
+
+from contextlib import contextmanager
 import time
 
 from closedloop_dynamics.errors import NumericalError
@@ -21,16 +29,23 @@ from closedloop_dynamics.errors import SimulationError
 from closedloop_dynamics.ros.commands import CommandError
 from closedloop_dynamics.ros.commands import TorqueCommand
 from closedloop_dynamics.ros.companions import Companions
+from closedloop_dynamics.ros.control import Control
 from closedloop_dynamics.ros.effect_parameters import EffectParameters
 from closedloop_dynamics.ros.loading import load_simulation
 from closedloop_dynamics.ros.messages import StateMessages
+from closedloop_dynamics.ros.modes import MODES
+from closedloop_dynamics.ros.pacing import Overload
 from closedloop_dynamics.ros.pacing import Pacer
 from closedloop_dynamics.ros.pacing import Throttle
 from closedloop_dynamics.ros.parameters import declare
 from closedloop_dynamics.ros.parameters import declare_fact
-from closedloop_dynamics.ros.parameters import Parameter
 from closedloop_dynamics.ros.process import run
 from closedloop_dynamics.ros.process import StartError
+from closedloop_dynamics.ros.run_parameters import RunParameters
+from closedloop_dynamics.ros.simulator_parameters import LOCKSTEP
+from closedloop_dynamics.ros.simulator_parameters import REALTIME
+from closedloop_dynamics.ros.simulator_parameters import SIMULATOR_PARAMETERS
+from closedloop_dynamics.ros.stamps import Stamps
 from geometry_msgs.msg import WrenchStamped
 import numpy as np
 from rclpy.clock import Clock
@@ -45,40 +60,15 @@ NAME = 'closedloop_simulator'
 # A reliable subscriber that stalls for a second at 1 kHz still gets everything.
 STATE_QOS = QoSProfile(depth=1000)
 COMMAND_QOS = QoSProfile(depth=10)
-# Share of a period that may go into computing; the rest is for messages.
-COMPUTING_SHARE = 0.8
 # Between two messages of one kind [s].
 MESSAGE_PERIOD = 5.0
-
-PARAMETERS = (
-    Parameter(
-        'scene', 'three_rrr',
-        'What to simulate: the name of a shipped scene, or the path of a scene file.'),
-    Parameter(
-        'publish_rate', 100.0,
-        'States and constraint forces published per second [Hz]; a command takes effect '
-        'within one period.', (0.1, 2000.0), read_only=False),
-    Parameter(
-        'step_size', 0.0,
-        "Step of the time integration [s]; 0: the scene's own.", (0.0, 0.1)),
-    Parameter(
-        'real_time_factor', 1.0,
-        'Simulated seconds per second of the steady clock [1].', (0.001, 1000.0),
-        read_only=False),
-    Parameter(
-        'command_timeout', 0.0,
-        'Torques fall to zero when no command arrived for so long [s of the steady clock]; '
-        '0: the last command holds for ever.', (0.0, 3600.0), read_only=False),
-    Parameter(
-        'wait_for_command', False,
-        'Keep the initial state, and publish it, until the first command arrives; otherwise a '
-        'machine with weight falls while its controller is starting.'),
-)
+# A state that does not change is published so often in simulated time [s of the steady clock].
+REPEAT_PERIOD = 1.0
 
 
 class SimulatorNode(Node):
     """
-    Advance a simulation with the steady clock and publish its state.
+    Advance a simulation and publish its state.
 
     Attributes
     ----------
@@ -86,9 +76,23 @@ class SimulatorNode(Node):
         None while the node wants to go on.
     simulation : Simulation
     command : TorqueCommand
+    mode : modes.RealTime, modes.AsFastAsPossible or modes.Lockstep
+        When to advance.
     pacer : Pacer
+        Simulated and elapsed time.
+    control : Control
+        Paused, waiting, running.
+    stamps : Stamps
+        The time that messages carry.
+    torque : ndarray, shape (nv,)
+        Command that acted in the latest steps [N m or N].
+    on_published : list of callables
+        Optional publishers: each is called with the stamp, a Time message, after a state was
+        published.
+    on_jump : list of callables
+        Called when the next state does not follow from the last by simulating.
     published : int
-        Messages published so far.
+        Messages published so far, of states and forces.
 
     """
 
@@ -96,31 +100,56 @@ class SimulatorNode(Node):
         super().__init__(NAME, **options)
         self.exit_code = None
         self.published = 0
-        values = declare(self, PARAMETERS)
+        self.on_published, self.on_jump = [], []
+        values = declare(self, SIMULATOR_PARAMETERS)
         self.command_timeout = values['command_timeout']
         self.simulation = simulation = load_simulation(
-            values['scene'], self.get_logger(), step_size=values['step_size'] or None)
+            values['scene'], self.get_logger(),
+            **{key: values[key] or None for key in ('step_size', 'integrator', 'stabilisation')})
         declare_fact(self, 'actuated_joints', simulation.actuated_joints,
                      'Order of the values of torque_command; told by the scene.')
         self._effects = EffectParameters(self, simulation)
         self.command = TorqueCommand(simulation.joint_names, simulation.actuated_joints)
         self._actuated = [
             simulation.joint_names.index(name) for name in simulation.actuated_joints]
-        self._tau = np.zeros(len(simulation.joint_names))
+        self.torque = np.zeros(len(simulation.joint_names))
+        self.stamps = Stamps(self, simulation, values['publish_clock'] or (
+            values['mode'] != REALTIME), values['publish_clock'])
         self.pacer = Pacer(simulation.step_size, values['real_time_factor'])
-        self._overload = _Overload(self.pacer)
+        self._overload = Overload(self.pacer, MESSAGE_PERIOD)
         self._rejection = Throttle(MESSAGE_PERIOD)
+        self._published_at = self._published_stamp = None
         self._create_topics()
-        self._companions = Companions(self)
-        self.add_post_set_parameters_callback(self._on_parameters)
-        self._set_rate(values['publish_rate'])
-        if not values['wait_for_command']:
-            self.pacer.start()
+        self.mode = self._build_mode(values)
+        self.control = Control(
+            self, values['wait_for_command'] and self.mode.name != LOCKSTEP, values['step_count'])
+        self._run_parameters = RunParameters(self, values['scene'])
+        self._timer = None
+        if self.control.running:
+            self.mode.start()
+        self.renew_timer()
+        # Optional publishers hook in here.
+        companions = Companions(self)
+        self.on_published.append(lambda stamp: companions.follow(stamp, self.torque))
+        self.on_jump.append(companions.jumped)
         self.get_logger().info(
-            f"simulating '{simulation.scene.name}' in steps of {simulation.step_size:g} s at "
-            f"{values['real_time_factor']:g} x real time; torque_command takes "
+            f"simulating '{simulation.scene.name}' in steps of {simulation.step_size:g} s, "
+            f'{self._pace(values)}; torque_command takes '
             f'{", ".join(simulation.actuated_joints) or "no joint"}'
-            f'{"" if self.pacer.running else "; waiting for the first command"}')
+            f'{"; waiting for the first command" if self.control.waiting else ""}')
+
+    def _build_mode(self, values):
+        mode = MODES[values['mode']](self, self.pacer)
+        try:
+            mode.set_rate(values['publish_rate'])
+        except ValueError as error:
+            raise StartError(str(error)) from None
+        return mode
+
+    def _pace(self, values):
+        if self.mode.name == REALTIME:
+            return f"at {values['real_time_factor']:g} x real time"
+        return f'mode {self.mode.name}'
 
     def _create_topics(self):
         cut_names = [cut.name for cut in self.simulation.cut_joints]
@@ -151,29 +180,39 @@ class SimulatorNode(Node):
         try:
             accept(*content, time.monotonic())
         except CommandError as error:
-            self._warn(self._rejection, f'{topic} rejected: {error}')
+            self.warn(self._rejection, f'{topic} rejected: {error}')
             return
-        if not self.pacer.running:
-            self.pacer.start()
+        self.control.on_command()
+        self.guarded(self.mode.take_command)
 
     def tick(self):
-        """Advance the simulation to the present and publish it."""
-        if self.command.expire(time.monotonic(), self.command_timeout):
+        """Let the mode advance the simulation, and what depends on the clock happen."""
+        if self.mode.name != LOCKSTEP and self.command.expire(
+                time.monotonic(), self.command_timeout):
             self.get_logger().warning(
                 f'no command for {self.command_timeout:g} s: all torques are zero until '
                 'the next one')
-        self._tau[self._actuated] = self.command.torque
+        dropped = self.pacer.dropped
+        self.guarded(self.mode.tick)
+        if self.pacer.dropped > dropped and self._overload.ready():
+            self.get_logger().warning(self._overload.message())
+
+    def guarded(self, action):
+        """Do something that may fail as simulations do; stop the node if it does."""
+        if self.exit_code is not None:
+            return
         try:
-            dropped = self.pacer.tick(self._advance, self._budget)
-            self.publish()
+            action()
         except SimulationError as error:
             self._timer.cancel()
             self.exit_code = 1
             self.get_logger().error(
                 f'simulation stopped at {self.simulation.time:.6g} s: {error}')
-            return
-        if dropped and self._overload.ready():
-            self.get_logger().warning(self._overload.message())
+
+    def advance(self, steps):
+        """Make steps under the torques in force."""
+        self.torque[self._actuated] = self.command.torque
+        self.simulation.advance(self.torque, steps)
 
     def publish(self):
         """
@@ -185,18 +224,33 @@ class SimulatorNode(Node):
             Instead of publishing forces that are not finite.
 
         """
-        simulation = self.simulation
+        simulation, stamp = self.simulation, self.stamps.now()
         forces = simulation.constraint_forces
         if not np.isfinite(forces).all():
             raise NumericalError('the constraint forces are not finite numbers')
-        self.messages.fill(
-            self.get_clock().now().nanoseconds, *simulation.measured(), simulation.effort,
-            forces)
-        self._state_publisher.publish(self.messages.joint_state)
+        self.messages.fill(stamp, *simulation.measured(), simulation.effort, forces)
+        # The clock first, the state last: who answers it knows the time and the forces.
+        self.stamps.publish()
         for publisher, message in zip(self._force_publishers, self.messages.wrenches):
             publisher.publish(message)
-        self._companions.follow(self.messages.joint_state.header.stamp, self._tau)
+        self._state_publisher.publish(self.messages.joint_state)
         self.published += 1 + len(self._force_publishers)
+        self._published_at, self._published_stamp = time.monotonic(), stamp
+        for publish in self.on_published:
+            publish(self.messages.stamp)
+
+    def jumped(self):
+        """Publish a state that does not follow from the last by simulating."""
+        self.mode.restart()
+        for note in self.on_jump:
+            note()
+        self.publish()
+
+    def refresh(self):
+        """Publish the state if it has a new stamp, or again, for latecomers, after a while."""
+        if (self.stamps.now() != self._published_stamp
+                or time.monotonic() - self._published_at >= REPEAT_PERIOD):
+            self.publish()
 
     def close(self):
         """Say what was done."""
@@ -208,53 +262,42 @@ class SimulatorNode(Node):
             f'commands: {book.accepted} accepted, {book.rejected} rejected, '
             f'{book.timed_out} timed out; {self.published} messages published')
 
-    def _advance(self, steps):
-        self.simulation.advance(self._tau, steps)
+    @contextmanager
+    def standing_still(self):
+        """Let no time pass for the simulation while the body runs."""
+        if self.control.running:
+            self.mode.stop()
+        try:
+            yield
+        finally:
+            if self.control.running:
+                self.mode.start()
 
-    def _set_rate(self, rate):
-        self._budget = COMPUTING_SHARE / rate
-        if hasattr(self, '_timer'):
+    def renew_timer(self):
+        """Tick as often as the mode wants now."""
+        if self._timer is not None:
             self.destroy_timer(self._timer)
         # A steady clock: neither a jump of the system's time nor a stopped
         # /clock may stop the simulation.
         self._timer = self.create_timer(
-            1.0 / rate, self.tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
+            self.mode.tick_period, self.tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
-    def _on_parameters(self, parameters):
-        for parameter in parameters:
-            if parameter.name == 'publish_rate':
-                self._set_rate(parameter.value)
-            elif parameter.name == 'real_time_factor':
-                self.pacer.real_time_factor = parameter.value
-            elif parameter.name == 'command_timeout':
-                self.command_timeout = parameter.value
+    def warn(self, throttle, message):
+        """
+        Log a warning, one per period of a throttle.
 
-    def _warn(self, throttle, message):
+        Parameters
+        ----------
+        throttle : Throttle
+            Of messages of this kind.
+        message : str
+            What to say.
+
+        """
         if throttle.ready():
             more = throttle.take_held_back()
             self.get_logger().warning(
                 f'{message} ({more} more since the last such message)' if more else message)
-
-
-class _Overload:
-    """The message of a machine that cannot keep up, with the factor since the last one."""
-
-    def __init__(self, pacer):
-        self.pacer = pacer
-        self._throttle = Throttle(MESSAGE_PERIOD)
-        self._simulated = self._elapsed = 0.0
-
-    def ready(self):
-        return self._throttle.ready()
-
-    def message(self):
-        pacer = self.pacer
-        achieved = (pacer.simulated - self._simulated) / (pacer.elapsed - self._elapsed)
-        self._simulated, self._elapsed = pacer.simulated, pacer.elapsed
-        return (
-            f'this machine cannot keep up: {achieved:.3g} x real time instead of '
-            f'{pacer.real_time_factor:g}; {pacer.dropped:.3f} s of simulated time dropped so far '
-            '(a larger step_size or a smaller real_time_factor helps)')
 
 
 def main(args=None):

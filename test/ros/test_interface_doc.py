@@ -18,7 +18,7 @@ from pathlib import Path
 
 from closedloop_dynamics.ros.companions import COMPANION_PARAMETERS
 from closedloop_dynamics.ros.recorder_node import PARAMETERS as RECORDER_PARAMETERS
-from closedloop_dynamics.ros.simulator_node import PARAMETERS as SIMULATOR_PARAMETERS
+from closedloop_dynamics.ros.simulator_parameters import SIMULATOR_PARAMETERS
 from closedloop_dynamics.ros.torque_source_parameters import TORQUE_SOURCE_PARAMETERS
 import pytest
 from rclpy.parameter import Parameter

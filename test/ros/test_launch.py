@@ -17,7 +17,7 @@
 import importlib.util
 from pathlib import Path
 
-from closedloop_dynamics.ros.simulator_node import PARAMETERS
+from closedloop_dynamics.ros.simulator_parameters import SIMULATOR_PARAMETERS as PARAMETERS
 import pytest
 
 LAUNCH_FILE = Path(__file__).resolve().parents[2] / 'launch' / 'simulate.launch.py'

@@ -48,7 +48,7 @@ def node(make_node, monkeypatch):
     node.states, node.warnings = [], []
     monkeypatch.setattr(node._state_publisher, 'publish', lambda message: node.states.append(
         (list(message.position), list(message.velocity), list(message.effort))))
-    monkeypatch.setattr(node, '_warn', lambda throttle, text: node.warnings.append(text))
+    monkeypatch.setattr(node, 'warn', lambda throttle, text: node.warnings.append(text))
     return node
 
 
@@ -198,7 +198,9 @@ def test_parameters_that_can_change_take_effect(node):
 
 
 @pytest.mark.parametrize('name, value', [
-    ('scene', 'four_bar'), ('step_size', 0.002), ('actuated_joints', ['theta_1']),
+    ('scene', 'four_bar'), ('mode', 'lockstep'), ('actuated_joints', ['theta_1']),
+    ('step_size', -0.002), ('integrator', 'magic'), ('integrator', 'scipy_radau'),
+    ('stabilisation', 'glue'), ('step_count', 0),
     ('publish_rate', 0.0), ('publish_rate', 1e9), ('real_time_factor', -1.0),
     ('real_time_factor', math.nan), ('command_timeout', -0.1), ('command_timeout', 'long')])
 def test_parameters_that_cannot_change_are_refused_with_a_reason(node, name, value):

@@ -1,0 +1,255 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""How simulated time advances: with the clock, as fast as possible, or command by command."""
+
+import math
+import time
+
+from closedloop_dynamics.ros.simulator_parameters import AS_FAST_AS_POSSIBLE
+from closedloop_dynamics.ros.simulator_parameters import LOCKSTEP
+from closedloop_dynamics.ros.simulator_parameters import REALTIME
+
+# Share of a tick that may go into computing; the rest is for messages.
+COMPUTING_SHARE = 0.8
+# However rarely states are published: signals and services are attended to so often [s].
+LONGEST_TICK = 0.1
+# As long as nothing else is to be done [s].
+IDLE_TICK = 0.05
+# A mode that runs as fast as possible attends to messages so often [s].
+SLICE = 0.005
+# Steps made at once, between which a signal may end the process. Always the same: splitting the
+# way differently would give error-controlled methods other last digits.
+PORTION = 200
+
+
+class RealTime:
+    """
+    Simulated time follows the steady clock times a factor.
+
+    Parameters
+    ----------
+    machine : object
+        With ``advance(steps)`` and ``refresh()``.
+    pacer : pacing.Pacer
+        Counts time.
+
+    Attributes
+    ----------
+    tick_period : float
+        [s] of the steady clock.
+    missed_ticks : int
+        Ticks that came so late that the next one was due.
+
+    """
+
+    name = REALTIME
+
+    def __init__(self, machine, pacer):
+        self._machine, self.pacer = machine, pacer
+        self.missed_ticks = 0
+        self._last_tick = None
+
+    def set_rate(self, rate):
+        """Publish ``rate`` times a second from now on."""
+        self._ticks = math.ceil(1.0 / (rate * LONGEST_TICK))
+        self._left = self._ticks
+        self.tick_period = 1.0 / (rate * self._ticks)
+        self._last_tick = None
+
+    def start(self):
+        """Let time run from now on."""
+        self._last_tick = None
+        self.pacer.start()
+
+    def stop(self):
+        """Let time stand still."""
+        self.pacer.stop()
+
+    def restart(self):
+        """Begin at another state; whether time runs stays."""
+
+    def take_command(self):
+        """Do nothing: a command acts from the next tick on."""
+
+    def tick(self):
+        """Advance to the present, and publish if it is time to."""
+        self._count_missed()
+        self.pacer.tick(self._machine.advance, COMPUTING_SHARE * self.tick_period)
+        self._left -= 1
+        if self._left <= 0:
+            self._left = self._ticks
+            self._machine.refresh()
+
+    def _count_missed(self):
+        now = self.pacer.clock()
+        if self._last_tick is not None:
+            self.missed_ticks += max(
+                0, math.floor((now - self._last_tick) / self.tick_period + 0.5) - 1)
+        self._last_tick = now
+
+
+class _Periodic:
+    """What the modes share in which a period is so many steps, whatever the clock says."""
+
+    missed_ticks = 0
+
+    def __init__(self, machine, pacer):
+        self._machine, self.pacer = machine, pacer
+        self.running = False
+
+    def set_rate(self, rate):
+        """Publish ``rate`` times per simulated second from now on."""
+        self._period = self._left = period_steps(rate, self.pacer.step_size)
+
+    def _advance(self, steps):
+        begin = self.pacer.clock()
+        while steps > 0:
+            portion = min(steps, PORTION)
+            self._machine.advance(portion)
+            steps -= portion
+            self.pacer.simulated += portion * self.pacer.step_size
+        self.pacer.elapsed += self.pacer.clock() - begin
+
+
+class AsFastAsPossible(_Periodic):
+    """
+    One period after the other, with messages attended to in between.
+
+    Parameters
+    ----------
+    machine : object
+        With ``advance(steps)``, ``publish()`` and ``refresh()``.
+    pacer : pacing.Pacer
+        Counts time.
+
+    """
+
+    name = AS_FAST_AS_POSSIBLE
+
+    @property
+    def tick_period(self):
+        """Return the time between ticks [s of the steady clock]."""
+        return 1e-4 if self.running else IDLE_TICK
+
+    def start(self):
+        """Let time run from now on."""
+        self.running = True
+
+    def stop(self):
+        """Let time stand still."""
+        self.running = False
+
+    def restart(self):
+        """Begin at another state; whether time runs stays."""
+        self._left = self._period
+
+    def take_command(self):
+        """Do nothing: a command acts from the next tick on."""
+
+    def tick(self):
+        """Advance for a while."""
+        if not self.running:
+            self._machine.refresh()
+            return
+        end = time.monotonic() + SLICE
+        while self.running and time.monotonic() < end:
+            steps = min(self._left, PORTION)
+            self._advance(steps)
+            self._left -= steps
+            if self._left == 0:
+                self._left = self._period
+                self._machine.publish()
+
+
+class Lockstep(_Periodic):
+    """
+    One period for each command, and nothing in between: the same run, bit for bit, every time.
+
+    Parameters
+    ----------
+    machine : object
+        With ``advance(steps)``, ``publish()`` and ``refresh()``.
+    pacer : pacing.Pacer
+        Counts time.
+
+    """
+
+    name = LOCKSTEP
+    tick_period = IDLE_TICK
+
+    def __init__(self, machine, pacer):
+        super().__init__(machine, pacer)
+        self._owed = False
+        self._answered = False
+
+    def start(self):
+        """Let commands advance the time; one that came meanwhile does so now."""
+        self.running = True
+        if self._owed:
+            self.take_command()
+
+    def stop(self):
+        """Let time stand still."""
+        self.running = False
+
+    def restart(self):
+        """Begin at another state, which nobody has answered."""
+        self._owed = self._answered = False
+
+    def take_command(self):
+        """Advance by a period and publish what that led to."""
+        self._owed = not self.running
+        if self.running:
+            self._answered = True
+            self._advance(self._period)
+            self._machine.publish()
+
+    def tick(self):
+        """Offer the state again as long as nobody has answered one."""
+        if not (self._answered and self.running):
+            self._machine.refresh()
+
+
+def period_steps(rate, step_size):
+    """
+    Return the steps in a publishing period.
+
+    Parameters
+    ----------
+    rate : float
+        Periods per simulated second [Hz].
+    step_size : float
+        [s].
+
+    Returns
+    -------
+    int
+
+    Raises
+    ------
+    ValueError
+        Where it is no whole number.
+
+    """
+    steps = round(1.0 / (rate * step_size))
+    if steps < 1 or abs(steps * rate * step_size - 1.0) > 1e-9:
+        raise ValueError(
+            f'publish_rate {rate:g} Hz: a period of {1.0 / rate:g} s is no whole number of steps '
+            f'of {step_size:g} s, which this mode needs; {1.0 / (max(steps, 1) * step_size):.10g} '
+            'Hz would do')
+    return steps
+
+
+MODES = {mode.name: mode for mode in (RealTime, AsFastAsPossible, Lockstep)}

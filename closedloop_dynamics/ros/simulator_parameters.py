@@ -1,0 +1,72 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Parameters of the simulator node."""
+
+from closedloop_dynamics.integration.registry import INTEGRATORS
+from closedloop_dynamics.integration.registry import SCIPY
+from closedloop_dynamics.integration.registry import STABILISATIONS
+from closedloop_dynamics.ros.parameters import Parameter
+
+REALTIME, AS_FAST_AS_POSSIBLE, LOCKSTEP = 'realtime', 'as_fast_as_possible', 'lockstep'
+# SciPy's take as long as they like: no signal would be heard meanwhile.
+LIVE_INTEGRATORS = tuple(
+    name for name, integrator in INTEGRATORS.items() if integrator.family != SCIPY)
+
+SIMULATOR_PARAMETERS = (
+    Parameter(
+        'scene', 'three_rrr',
+        'What to simulate: the name of a shipped scene, or the path of a scene file.'),
+    Parameter(
+        'mode', REALTIME,
+        'realtime: simulated time follows the steady clock. as_fast_as_possible: it runs as fast '
+        'as can be computed and received. lockstep: it advances by one publishing period for '
+        'each command.', choices=(REALTIME, AS_FAST_AS_POSSIBLE, LOCKSTEP)),
+    Parameter(
+        'publish_rate', 100.0,
+        'States and constraint forces published per second [Hz], of simulated time in the modes '
+        'as_fast_as_possible and lockstep; a command takes effect within one period.',
+        (0.1, 2000.0), read_only=False),
+    Parameter(
+        'step_size', 0.0,
+        "Step of the time integration [s]; 0: the scene's own.", (0.0, 0.1), read_only=False),
+    Parameter(
+        'integrator', '',
+        "Method of the time integration; empty: the scene's own.",
+        choices=('', *LIVE_INTEGRATORS), read_only=False),
+    Parameter(
+        'stabilisation', '',
+        "How the loops are kept closed; empty: the scene's own.",
+        choices=('', *STABILISATIONS), read_only=False),
+    Parameter(
+        'real_time_factor', 1.0,
+        'Simulated seconds per second of the steady clock [1], in the mode realtime.',
+        (0.001, 1000.0), read_only=False),
+    Parameter(
+        'command_timeout', 0.0,
+        'Torques fall to zero when no command arrived for so long [s of the steady clock]; '
+        '0: the last command holds for ever. Not in the mode lockstep.', (0.0, 3600.0),
+        read_only=False),
+    Parameter(
+        'wait_for_command', False,
+        'Keep the initial state, and publish it, until the first command arrives; otherwise a '
+        'machine with weight falls while its controller is starting.'),
+    Parameter(
+        'publish_clock', False,
+        'Publish simulated time on /clock, and stamp all messages with it.'),
+    Parameter(
+        'step_count', 1,
+        'Steps of the time integration that the service ~/step advances by [1].', (1, 100000),
+        read_only=False),
+)

@@ -1,0 +1,286 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Tests of what controls a running simulation, by calling the node's callbacks."""
+
+import math
+
+from closedloop_dynamics import Simulation
+from closedloop_dynamics.ros.process import StartError
+from closedloop_dynamics.ros.simulator_node import SimulatorNode
+import numpy as np
+import pytest
+from rclpy.parameter import Parameter
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+from std_srvs.srv import SetBool
+from std_srvs.srv import Trigger
+
+
+class FakeClock:
+    """A steady clock that moves when told."""
+
+    def __init__(self):
+        self.now = 50.0
+
+    def __call__(self):
+        return self.now
+
+
+@pytest.fixture
+def build(make_node, monkeypatch):
+    """Return a function that builds a node whose clock moves when told."""
+    def make(scene='three_rrr', **parameters):
+        node = make_node(SimulatorNode, scene=scene, **parameters)
+        node.clock = node.pacer.clock = FakeClock()
+        node.warnings, node.stamps_seen = [], []
+        if node.control.running:
+            node.mode.start()
+        node.on_published.append(
+            lambda stamp: node.stamps_seen.append(10 ** 9 * stamp.sec + stamp.nanosec))
+        monkeypatch.setattr(node, 'warn', lambda throttle, text: node.warnings.append(text))
+        return node
+    return make
+
+
+def advance(node, duration, ticks=1):
+    for _ in range(ticks):
+        node.clock.now += duration / ticks
+        node.tick()
+
+
+def trigger(callback):
+    return callback(Trigger.Request(), Trigger.Response())
+
+
+def pause(node, value=True):
+    return node.control.on_pause(SetBool.Request(data=value), SetBool.Response())
+
+
+def test_time_stands_still_while_paused_and_goes_on_without_a_jump(build):
+    node = build()
+    advance(node, 0.05, ticks=5)
+    assert pause(node).success
+    advance(node, 3.0, ticks=5)
+    assert node.simulation.time == pytest.approx(0.05)
+    assert 'not paused' in pause(node, False).message
+    advance(node, 0.05, ticks=5)
+    assert node.simulation.time == pytest.approx(0.1)
+    assert node.pacer.dropped == 0.0
+
+
+def test_steps_are_made_only_while_paused(build):
+    node = build(step_count=25)
+    response = trigger(node.control.on_step)
+    assert not response.success
+    assert '~/pause' in response.message
+    pause(node)
+    assert trigger(node.control.on_step).success
+    assert node.simulation.time == pytest.approx(0.025, abs=1e-15)
+    node.set_parameters([Parameter('step_count', value=1000)])
+    trigger(node.control.on_step)
+    reference = Simulation.from_scene('three_rrr')
+    reference.step(duration=1.025)
+    assert node.simulation.position.tolist() == reference.position.tolist()
+
+
+def test_reset_returns_to_the_start_without_torque_and_waits_again(build):
+    node = build(wait_for_command=True)
+    node.on_torque_command(Float64MultiArray(data=[5.0, 1.0, 2.0]))
+    advance(node, 0.1, ticks=10)
+    assert node.simulation.time > 0.09
+    response = trigger(node.control.on_reset)
+    assert response.success
+    assert 'waiting for the first command' in response.message
+    advance(node, 0.1, ticks=10)
+    assert node.simulation.time == 0.0
+    assert not node.simulation.effort.any()
+    start = Simulation.from_scene('three_rrr').position
+    assert node.simulation.position.tolist() == start.tolist()
+    node.on_torque_command(Float64MultiArray(data=[5.0, 1.0, 2.0]))
+    advance(node, 0.1, ticks=10)
+    assert node.simulation.time == pytest.approx(0.1)
+    assert node.command.accepted == 2
+
+
+def test_reset_leaves_a_pause_as_it_is(build):
+    node = build()
+    pause(node)
+    assert 'paused' in trigger(node.control.on_reset).message
+    advance(node, 0.1)
+    assert node.simulation.time == 0.0
+
+
+def test_state_of_all_joints_is_assembled(build):
+    node = build()
+    wanted = Simulation.from_scene('three_rrr')
+    wanted.step({'theta_1': 20.0}, 0.3)
+    names = list(wanted.joint_names)
+    # As a message of another node has them, in an order of its own, and rounded.
+    order = np.random.default_rng(1).permutation(len(names))
+    node.control.on_set_state(JointState(
+        name=[names[k] for k in order],
+        position=[round(wanted.position[k], 4) for k in order],
+        velocity=[round(wanted.velocity[k], 4) for k in order]))
+    assert node.warnings == []
+    assert node.control.states_set == 1
+    assert node.simulation.position == pytest.approx(wanted.position, abs=3e-4)
+    assert node.simulation.velocity == pytest.approx(wanted.velocity, abs=2e-3)
+    assert node.simulation.closure < 1e-12
+
+
+def test_joints_that_a_state_does_not_name_follow_those_it_names(build):
+    node = build('four_bar')
+    node.control.on_set_state(JointState(
+        name=['crank_joint'], position=[1.3], velocity=[2.0]))
+    index = node.simulation.joint_names.index('crank_joint')
+    assert node.simulation.position[index] == 1.3
+    assert node.simulation.velocity[index] == 2.0
+    assert node.simulation.closure < 1e-12
+
+
+@pytest.mark.parametrize('message, problem', [
+    (JointState(), 'names no joint'),
+    (JointState(name=['wheel'], position=[1.0]), "'wheel' is not a joint"),
+    (JointState(name=['theta_1', 'theta_1'], position=[1.0, 1.0]), 'twice'),
+    (JointState(name=['theta_1']), 'one position per name'),
+    (JointState(name=['theta_1'], position=[math.nan]), "position of 'theta_1' is nan"),
+    (JointState(name=['theta_1'], position=[1.0], velocity=[1.0, 2.0]), 'no velocity, or one'),
+    (JointState(name=['theta_1'], position=[1.0]), 'not a complete choice'),
+    (JointState(name=['theta_1', 'theta_6', 'theta_7'], position=[3.7, 0.5, 1.5]),
+     'cannot be assembled'),
+])
+def test_state_that_makes_no_sense_is_refused_with_the_reason_and_counted(
+        build, message, problem):
+    node = build()
+    advance(node, 0.02)
+    before = node.simulation.position.tolist(), node.simulation.velocity.tolist()
+    node.control.on_set_state(message)
+    assert (node.simulation.position.tolist(), node.simulation.velocity.tolist()) == before
+    assert node.control.states_refused == 1
+    assert node.warnings[0].startswith('set_state refused: ')
+    assert problem in node.warnings[0]
+
+
+def run_lockstep(node, disturb=lambda node: None):
+    """Drive a node in lockstep by a law of the state; return all states and stamps."""
+    states = []
+    for _ in range(50):
+        position = node.simulation.position
+        torque = np.sin(7.0 * position[[0, 5, 6]]) + 3.0
+        node.on_torque_command(Float64MultiArray(data=torque.tolist()))
+        disturb(node)
+        states.append(node.simulation.position.tobytes() + node.simulation.velocity.tobytes())
+    return states, node.stamps_seen
+
+
+@pytest.mark.parametrize('integrator', ['rk4', 'dop853'])
+def test_lockstep_is_the_same_bit_for_bit_whatever_happens_in_between(build, integrator):
+    def disturb(node):
+        node.tick()
+        node.simulation.report(), node.simulation.health, node.simulation.constraint_forces
+        node.clock.now += 17.0
+
+    runs = [run_lockstep(build(mode='lockstep', integrator=integrator), disturbance)
+            for disturbance in (lambda node: None, disturb)]
+    assert runs[0][0] == runs[1][0]
+    # The first tick of the second run published the state that nobody had answered yet.
+    assert runs[0][1] == [10_000_000 * k for k in range(1, 51)]
+    assert [stamp for stamp in runs[1][1] if stamp] == runs[0][1]
+
+
+def test_lockstep_after_a_reset_is_the_same_run_again(build):
+    node = build(mode='lockstep')
+    first = run_lockstep(node)[0]
+    trigger(node.control.on_reset)
+    assert run_lockstep(node)[0] == first
+
+
+def test_lockstep_needs_whole_periods(build):
+    with pytest.raises(StartError, match='whole number of steps'):
+        build(mode='lockstep', publish_rate=300.0)
+    node = build(mode='lockstep')
+    for name, value in (('publish_rate', 300.0), ('step_size', 0.003)):
+        result, = node.set_parameters([Parameter(name, value=value)])
+        assert not result.successful
+        assert 'whole number of steps' in result.reason
+    together = node.set_parameters_atomically([
+        Parameter('publish_rate', value=200.0), Parameter('step_size', value=0.0025)])
+    assert together.successful
+    node.on_torque_command(Float64MultiArray(data=[0.0, 0.0, 0.0]))
+    assert node.simulation.time == pytest.approx(0.005)
+
+
+def test_paused_lockstep_takes_the_command_when_it_goes_on(build):
+    node = build(mode='lockstep')
+    pause(node)
+    node.on_torque_command(Float64MultiArray(data=[0.0, 0.0, 0.0]))
+    assert node.simulation.time == 0.0
+    pause(node, False)
+    assert node.simulation.time == pytest.approx(0.01)
+
+
+def test_method_changes_while_time_runs(build):
+    node = build()
+    advance(node, 0.05, ticks=5)
+    before = node.simulation.position.tolist()
+    result = node.set_parameters_atomically([
+        Parameter('integrator', value='heun'), Parameter('step_size', value=0.0005),
+        Parameter('stabilisation', value='velocity_projection')])
+    assert result.successful
+    assert node.simulation.position.tolist() == before
+    assert node.simulation.time == pytest.approx(0.05)
+    advance(node, 0.05, ticks=5)
+    assert node.simulation.time == pytest.approx(0.1)
+    assert node.simulation.report().steps == 100
+    reference = Simulation.from_scene('three_rrr')
+    reference.step(duration=0.1)
+    assert node.simulation.position == pytest.approx(reference.position, abs=1e-4)
+    # Empty values are the scene's own again.
+    assert node.set_parameters_atomically([
+        Parameter('integrator', value=''), Parameter('step_size', value=0.0),
+        Parameter('stabilisation', value='')]).successful
+    method = node.simulation.scene.method
+    assert (method.integrator, method.step_size, method.stabilisation) == (
+        'rk4', 0.001, 'projection')
+
+
+def test_method_that_the_scene_is_too_stiff_for_is_refused(build, tmp_path):
+    scene = tmp_path / 'sprung.yaml'
+    scene.write_text(
+        'mechanism: slider_crank\n'
+        'initial:\n'
+        '  position: {crank_joint: 1.0472, rod_joint: -1.34, slider_joint: 0.3372}\n'
+        '  hold: [crank_joint]\n'
+        'effects:\n'
+        '  spring: {type: joint_spring, joint: crank_joint, stiffness: 5000.0, rest: 1.0}\n')
+    node = build(str(scene))
+    before = node.simulation.scene.method
+    result, = node.set_parameters([Parameter('step_size', value=0.05)])
+    assert not result.successful
+    assert 'stiff' in result.reason
+    assert node.simulation.scene.method == before
+    advance(node, 0.05, ticks=5)
+    assert node.exit_code is None
+
+
+def test_stamps_are_those_of_simulated_time_when_the_clock_is_published(build):
+    node = build(publish_clock=True, real_time_factor=0.5)
+    advance(node, 0.1, ticks=10)
+    assert node.stamps_seen[-1] == 50_000_000
+    pause(node)
+    seen = len(node.stamps_seen)
+    advance(node, 0.1, ticks=10)
+    # Nothing new: no flood of messages with one and the same stamp.
+    assert len(node.stamps_seen) == seen

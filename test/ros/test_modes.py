@@ -1,0 +1,129 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Tests of closedloop_dynamics.ros.modes with a machine that only counts."""
+
+from closedloop_dynamics.ros.modes import AsFastAsPossible
+from closedloop_dynamics.ros.modes import Lockstep
+from closedloop_dynamics.ros.modes import period_steps
+from closedloop_dynamics.ros.modes import RealTime
+from closedloop_dynamics.ros.pacing import Pacer
+import pytest
+
+
+class Machine:
+    """Counts steps; notes at how many of them it was asked to publish or to refresh."""
+
+    def __init__(self):
+        self.steps = 0
+        self.published, self.refreshed = [], []
+
+    def advance(self, steps):
+        self.steps += steps
+
+    def publish(self):
+        self.published.append(self.steps)
+
+    def refresh(self):
+        self.refreshed.append(self.steps)
+
+
+@pytest.fixture
+def machine():
+    return Machine()
+
+
+def build(kind, machine, rate, clock=lambda: 0.0, step_size=0.001):
+    mode = kind(machine, Pacer(step_size, clock=clock))
+    mode.set_rate(rate)
+    mode.start()
+    return mode
+
+
+def test_rare_publishing_does_not_make_ticks_rare(machine):
+    now = [0.0]
+    mode = build(RealTime, machine, 0.5, lambda: now[0])
+    assert mode.tick_period == pytest.approx(0.1)
+    for _ in range(40):
+        now[0] += mode.tick_period
+        mode.tick()
+    assert machine.steps == pytest.approx(4000, abs=1)
+    assert machine.refreshed == pytest.approx([2000, 4000], abs=1)
+
+
+def test_missed_ticks_are_counted_but_not_those_of_a_standstill(machine):
+    now = [0.0]
+    mode = build(RealTime, machine, 100.0, lambda: now[0])
+    for late in (0.01, 0.011, 0.033, 0.009):
+        now[0] += late
+        mode.tick()
+    # 0.033 s: three were due, of which one came.
+    assert mode.missed_ticks == 2
+    mode.stop()
+    now[0] += 5.0
+    mode.start()
+    mode.tick()
+    assert mode.missed_ticks == 2
+
+
+def test_as_fast_as_possible_publishes_every_period_of_simulated_time(machine):
+    mode = build(AsFastAsPossible, machine, 1.0)
+    while len(machine.published) < 3:
+        mode.tick()
+    assert machine.published[:3] == [1000, 2000, 3000]
+    mode.stop()
+    before = machine.steps
+    mode.tick()
+    assert machine.steps == before
+    assert machine.refreshed == [before]
+    assert mode.pacer.simulated == pytest.approx(1e-3 * before)
+
+
+def test_lockstep_advances_by_one_period_for_each_command_and_never_else(machine):
+    mode = build(Lockstep, machine, 100.0)
+    mode.tick()
+    assert (machine.steps, machine.refreshed) == (0, [0])
+    for _ in range(3):
+        mode.take_command()
+        mode.tick()
+    assert machine.published == [10, 20, 30]
+    # Whoever has begun to answer states gets each of them once.
+    assert machine.refreshed == [0]
+
+
+def test_lockstep_owes_the_period_of_a_command_that_came_during_a_pause(machine):
+    mode = build(Lockstep, machine, 100.0)
+    mode.stop()
+    mode.take_command()
+    mode.take_command()
+    assert machine.steps == 0
+    mode.start()
+    assert machine.published == [10]
+    mode.stop()
+    mode.take_command()
+    mode.restart()
+    mode.start()
+    assert machine.published == [10]
+
+
+@pytest.mark.parametrize('rate, step_size, steps', [
+    (100.0, 0.001, 10), (1000.0, 0.001, 1), (0.1, 0.001, 10000), (30.0, 1.0 / 3000.0, 100)])
+def test_period_is_a_whole_number_of_steps(rate, step_size, steps):
+    assert period_steps(rate, step_size) == steps
+
+
+@pytest.mark.parametrize('rate, advice', [(300.0, '333.33'), (2000.0, '1000 Hz')])
+def test_other_periods_are_refused_with_one_that_would_do(rate, advice):
+    with pytest.raises(ValueError, match=advice):
+        period_steps(rate, 0.001)
