@@ -75,8 +75,9 @@ class RunParameters:
 
     def _require_whole_periods(self, values):
         if self._node.mode.name != REALTIME and {'publish_rate', 'step_size'} & set(values):
-            period_steps(values.get('publish_rate', self._node.get_parameter('publish_rate').value),
-                         values.get('step_size', self._node.simulation.step_size))
+            node = self._node
+            period_steps(values.get('publish_rate', node.get_parameter('publish_rate').value),
+                         values.get('step_size', node.simulation.step_size))
 
     def _prepare(self, changes):
         node = self._node
