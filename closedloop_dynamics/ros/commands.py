@@ -43,6 +43,8 @@ class TorqueCommand:
     accepted, rejected, timed_out : int
         Commands followed, commands refused, and how often the torques fell to
         zero because no command came in time.
+    expired : bool
+        Whether they are zero because of that.
 
     """
 
@@ -52,6 +54,7 @@ class TorqueCommand:
         self.accepted = 0
         self.rejected = 0
         self.timed_out = 0
+        self.expired = False
         self._joint_names = frozenset(joint_names)
         self._index = {name: i for i, name in enumerate(self.actuated_joints)}
         self._last_arrival = None
@@ -133,15 +136,18 @@ class TorqueCommand:
         self._last_arrival = None
         self.torque[:] = 0.0
         self.timed_out += 1
+        self.expired = True
         return True
 
     def forget(self):
         """Let the torques fall to zero until the next command; the book stays."""
+        self.expired = False
         self._last_arrival = None
         self.torque[:] = 0.0
 
     def _follow(self, now):
         self.accepted += 1
+        self.expired = False
         self._last_arrival = now
 
     def _refusal(self, reason):

@@ -83,7 +83,7 @@ class Control:
         response.success = node.exit_code is None
         response.message = (
             f"back at the start of '{node.simulation.scene.name}', time 0"
-            f'{self._standing()}' if response.success else 'the simulation has stopped')
+            f'{self._but()}' if response.success else 'the simulation has stopped')
         node.get_logger().info(f'reset: {response.message}')
         return response
 
@@ -108,7 +108,7 @@ class Control:
         response.success = True
         response.message = (
             f'{"paused" if self.paused else "not paused"} at {node.simulation.time:.9g} s'
-            f'{self._standing() if not self.paused else ""}')
+            f'{self._but() if not self.paused else ""}')
         node.get_logger().info(response.message)
         return response
 
@@ -174,7 +174,11 @@ class Control:
         # Joints that are not named follow those that are.
         return position, velocity, tuple(names) if len(names) < len(joints) else ()
 
-    def _standing(self):
+    @property
+    def standing(self):
         """Return what keeps time from running, if anything does."""
-        return '; paused' if self.paused else (
-            '; waiting for the first command' if self.waiting else '')
+        return 'paused' if self.paused else (
+            'waiting for the first command' if self.waiting else '')
+
+    def _but(self):
+        return f'; {self.standing}' if self.standing else ''

@@ -16,29 +16,31 @@
 Entry points of the executables.
 
 Each watches for signals before it imports its node: the import takes seconds,
-and Ctrl-C must not end in a traceback there either.
+and Ctrl-C must not end in a traceback there either. And each leaves without Python's own
+clean-up, which takes seconds, too, with all that was compiled.
 
 """
 
+from closedloop_dynamics.ros.process import leave
 from closedloop_dynamics.ros.process import watch_signals
 
 
 def simulator():
-    """Run ``closedloop_simulator``; return its exit code."""
+    """Run ``closedloop_simulator``; end the process with its exit code."""
     watch_signals()
     from closedloop_dynamics.ros.simulator_node import main
-    return main()
+    leave(main())
 
 
 def torque_source():
-    """Run ``closedloop_torque_source``; return its exit code."""
+    """Run ``closedloop_torque_source``; end the process with its exit code."""
     watch_signals()
     from closedloop_dynamics.ros.torque_source_node import main
-    return main()
+    leave(main())
 
 
 def recorder():
-    """Run ``closedloop_recorder``; return its exit code."""
+    """Run ``closedloop_recorder``; end the process with its exit code."""
     watch_signals()
     from closedloop_dynamics.ros.recorder_node import main
-    return main()
+    leave(main())

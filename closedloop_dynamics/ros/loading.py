@@ -52,5 +52,7 @@ def load_simulation(scene, logger, **method):
         simulation.warm_up()
     except (ValueError, OSError, SimulationError) as error:
         raise StartError(f"scene '{scene}': {error}") from None
+    if simulation.method_report:
+        logger.info(simulation.method_report)
     logger.info(f'loaded in {time.monotonic() - begin:.1f} s')
     return simulation

@@ -12,25 +12,33 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Messages of the simulator: sized once, refilled at every tick."""
+"""What a simulator publishes of a state: joint states and constraint forces."""
 
-import math
+from array import array
 
 from builtin_interfaces.msg import Time
+from closedloop_dynamics.ros.process import StartError
+from closedloop_dynamics.ros.wire import WireMessage
 from geometry_msgs.msg import WrenchStamped
 import numpy as np
+from rclpy.exceptions import InvalidTopicNameException
+from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 
 WORLD_FRAME = 'world'
 NANOSECONDS = 10 ** 9
+# A reliable subscriber that stalls for a second at 1 kHz still gets everything.
+STATE_QOS = QoSProfile(depth=1000)
 
 
-class StateMessages:
+class StatePublisher:
     """
-    One JointState and one WrenchStamped per cut joint, sharing one stamp.
+    Publishes one JointState and one WrenchStamped per cut joint, with one stamp.
 
     Parameters
     ----------
+    node : rclpy.node.Node
+        Publishes.
     joint_names : sequence of str
         In the order of the joint coordinates.
     cut_names : sequence of str
@@ -39,33 +47,60 @@ class StateMessages:
     Attributes
     ----------
     stamp : builtin_interfaces.msg.Time
-    joint_state : sensor_msgs.msg.JointState
-    wrenches : tuple of geometry_msgs.msg.WrenchStamped
-        What body B exerts on body A of each cut joint, in world axes.
+        Of the latest messages.
+    published : int
+        Messages published so far.
+
+    Raises
+    ------
+    StartError
+        If the name of a cut joint cannot be part of a topic's name.
 
     """
 
-    def __init__(self, joint_names, cut_names):
-        self.stamp = Time()
-        self.joint_state = JointState()
-        self.joint_state.header.stamp = self.stamp
-        self.joint_state.name = list(joint_names)
-        self._position = self._sized('position')
-        self._velocity = self._sized('velocity')
-        self._effort = self._sized('effort')
-        self.wrenches = tuple(WrenchStamped() for _ in cut_names)
-        for wrench in self.wrenches:
-            wrench.header.stamp = self.stamp
-            wrench.header.frame_id = WORLD_FRAME
+    def __init__(self, node, joint_names, cut_names):
+        self.stamp, self.published = Time(), 0
+        self._names = list(joint_names)
+        self._state = WireMessage(self.joint_state, 3 * [len(joint_names)])
+        self._wrench = WireMessage(wrench_stamped, (6,))
+        # Forces of all cut joints as the messages have them: force, then torque.
+        self._wrenches = np.zeros((len(cut_names), 6))
+        self._state_publisher = node.create_publisher(JointState, 'joint_states', STATE_QOS)
+        try:
+            self._force_publishers = [
+                node.create_publisher(WrenchStamped, f'constraint_forces/{name}', STATE_QOS)
+                for name in cut_names]
+        except InvalidTopicNameException:
+            raise StartError(
+                'the name of a cut joint becomes part of a topic name, so it must be letters, '
+                'digits and underscores, not beginning with a digit; got '
+                f'{list(cut_names)}') from None
 
-    def _sized(self, field):
-        """Size an array field and return a view to fill it through."""
-        setattr(self.joint_state, field, [math.nan] * len(self.joint_state.name))
-        return np.frombuffer(getattr(self.joint_state, field))
-
-    def fill(self, nanoseconds, position, velocity, effort, constraint_forces):
+    def joint_state(self, sec, nanosec, position, velocity, effort):
         """
-        Write a state into the messages.
+        Return a JointState.
+
+        Parameters
+        ----------
+        sec, nanosec : int
+            The stamp.
+        position, velocity, effort : ndarray, shape (nv,)
+            Of the joints [rad or m, and per s; N m or N].
+
+        Returns
+        -------
+        sensor_msgs.msg.JointState
+
+        """
+        message = JointState(name=self._names, **{
+            key: array('d', values.tobytes()) for key, values in (
+                ('position', position), ('velocity', velocity), ('effort', effort))})
+        message.header.stamp = Time(sec=sec, nanosec=nanosec)
+        return message
+
+    def publish(self, nanoseconds, position, velocity, effort, constraint_forces):
+        """
+        Publish a state.
 
         Parameters
         ----------
@@ -74,15 +109,40 @@ class StateMessages:
         position, velocity, effort : ndarray, shape (nv,)
             Of the joints [rad or m, and per s; N m or N].
         constraint_forces : ndarray, shape (number of cut joints, 3)
-            Torque about z [N m] and force along x and y [N].
+            What body B exerts on body A: torque about z [N m], force along x and y [N].
 
         """
-        self.stamp.sec, self.stamp.nanosec = divmod(nanoseconds, NANOSECONDS)
-        self._position[:] = position
-        self._velocity[:] = velocity
-        self._effort[:] = effort
-        for message, (torque, force_x, force_y) in zip(
-                self.wrenches, constraint_forces.tolist()):
-            message.wrench.torque.z = torque
-            message.wrench.force.x = force_x
-            message.wrench.force.y = force_y
+        sec, nanosec = divmod(nanoseconds, NANOSECONDS)
+        self.stamp.sec, self.stamp.nanosec = sec, nanosec
+        self._wrenches[:, 5] = constraint_forces[:, 0]
+        self._wrenches[:, :2] = constraint_forces[:, 1:]
+        # The state last: who answers it knows the forces.
+        for publisher, wrench in zip(self._force_publishers, self._wrenches):
+            publisher.publish(self._wrench.filled(sec, nanosec, wrench))
+        self._state_publisher.publish(
+            self._state.filled(sec, nanosec, position, velocity, effort))
+        self.published += 1 + len(self._force_publishers)
+
+
+def wrench_stamped(sec, nanosec, values):
+    """
+    Return a WrenchStamped in world axes.
+
+    Parameters
+    ----------
+    sec, nanosec : int
+        The stamp.
+    values : ndarray, shape (6,)
+        Force along x, y, z [N], torque about them [N m].
+
+    Returns
+    -------
+    geometry_msgs.msg.WrenchStamped
+
+    """
+    message = WrenchStamped()
+    message.header.frame_id = WORLD_FRAME
+    message.header.stamp = Time(sec=sec, nanosec=nanosec)
+    force, torque = message.wrench.force, message.wrench.torque
+    force.x, force.y, force.z, torque.x, torque.y, torque.z = values.tolist()
+    return message

@@ -87,7 +87,7 @@ class SignalWatch:
         """Let a signal end the process without further ado while the body runs."""
         with self._lock:
             if self.requested:
-                _leave()
+                _leave_at_once()
             wake, self._wake = self._wake, None
         try:
             yield
@@ -101,13 +101,13 @@ class SignalWatch:
                 continue
             with self._lock:
                 if self._wake is None:
-                    _leave()
+                    _leave_at_once()
                 if not self.requested:
                     self._requested.set()
                     self._wake()
 
 
-def _leave():
+def _leave_at_once():
     print('stopped while loading or compiling', file=sys.stderr, flush=True)
     os._exit(0)
 
@@ -180,22 +180,40 @@ def run(create_node, name, args=None):
         rclpy.try_shutdown()
 
 
+def leave(code):
+    """
+    End the process at once.
+
+    Parameters
+    ----------
+    code : int
+        Exit code.
+
+    """
+    import rclpy
+    # Without this, the shared memory of DDS would stay behind.
+    rclpy.get_default_context().destroy()
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(code)
+
+
 def _run_in_context(create_node, name, watch):
+    from closedloop_dynamics.ros.spinning import build_executor
+    from closedloop_dynamics.ros.spinning import spin
     from rclpy.exceptions import NameValidationException
-    from rclpy.executors import SingleThreadedExecutor
     from rclpy.logging import get_logger
     try:
         node = create_node()
     except (StartError, NameValidationException) as error:
         get_logger(name).fatal(_one_line(error))
         return 2
-    executor = SingleThreadedExecutor()
+    executor = build_executor()
     executor.add_node(node)
     # An empty task is what makes a waiting spin_once() return.
     watch.on_stop(lambda: executor.create_task(_nothing))
     try:
-        while node.exit_code is None and not watch.requested:
-            executor.spin_once()
+        spin(executor, lambda: node.exit_code is not None or watch.requested)
     finally:
         watch.on_stop(_nothing)
         try:

@@ -30,9 +30,10 @@ from closedloop_dynamics.ros.commands import CommandError
 from closedloop_dynamics.ros.commands import TorqueCommand
 from closedloop_dynamics.ros.companions import Companions
 from closedloop_dynamics.ros.control import Control
+from closedloop_dynamics.ros.diagnostics import Diagnostics
 from closedloop_dynamics.ros.effect_parameters import EffectParameters
 from closedloop_dynamics.ros.loading import load_simulation
-from closedloop_dynamics.ros.messages import StateMessages
+from closedloop_dynamics.ros.messages import StatePublisher
 from closedloop_dynamics.ros.modes import MODES
 from closedloop_dynamics.ros.pacing import Overload
 from closedloop_dynamics.ros.pacing import Pacer
@@ -46,19 +47,15 @@ from closedloop_dynamics.ros.simulator_parameters import LOCKSTEP
 from closedloop_dynamics.ros.simulator_parameters import REALTIME
 from closedloop_dynamics.ros.simulator_parameters import SIMULATOR_PARAMETERS
 from closedloop_dynamics.ros.stamps import Stamps
-from geometry_msgs.msg import WrenchStamped
 import numpy as np
 from rclpy.clock import Clock
 from rclpy.clock import ClockType
-from rclpy.exceptions import InvalidTopicNameException
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
 NAME = 'closedloop_simulator'
-# A reliable subscriber that stalls for a second at 1 kHz still gets everything.
-STATE_QOS = QoSProfile(depth=1000)
 COMMAND_QOS = QoSProfile(depth=10)
 # Between two messages of one kind [s].
 MESSAGE_PERIOD = 5.0
@@ -91,15 +88,14 @@ class SimulatorNode(Node):
         published.
     on_jump : list of callables
         Called when the next state does not follow from the last by simulating.
-    published : int
-        Messages published so far, of states and forces.
+    states : StatePublisher
+        Joint states and constraint forces.
 
     """
 
     def __init__(self, **options):
         super().__init__(NAME, **options)
         self.exit_code = None
-        self.published = 0
         self.on_published, self.on_jump = [], []
         values = declare(self, SIMULATOR_PARAMETERS)
         self.command_timeout = values['command_timeout']
@@ -128,6 +124,7 @@ class SimulatorNode(Node):
         if self.control.running:
             self.mode.start()
         self.renew_timer()
+        self.diagnostics = Diagnostics(self)
         # Optional publishers hook in here.
         companions = Companions(self)
         self.on_published.append(lambda stamp: companions.follow(stamp, self.torque))
@@ -152,17 +149,8 @@ class SimulatorNode(Node):
         return f'mode {self.mode.name}'
 
     def _create_topics(self):
-        cut_names = [cut.name for cut in self.simulation.cut_joints]
-        self.messages = StateMessages(self.simulation.joint_names, cut_names)
-        self._state_publisher = self.create_publisher(JointState, 'joint_states', STATE_QOS)
-        try:
-            self._force_publishers = [
-                self.create_publisher(WrenchStamped, f'constraint_forces/{name}', STATE_QOS)
-                for name in cut_names]
-        except InvalidTopicNameException:
-            raise StartError(
-                'the name of a cut joint becomes part of a topic name, so it must be letters, '
-                f'digits and underscores, not beginning with a digit; got {cut_names}') from None
+        self.states = StatePublisher(
+            self, self.simulation.joint_names, [cut.name for cut in self.simulation.cut_joints])
         self.create_subscription(
             Float64MultiArray, 'torque_command', self.on_torque_command, COMMAND_QOS)
         self.create_subscription(
@@ -206,6 +194,7 @@ class SimulatorNode(Node):
         except SimulationError as error:
             self._timer.cancel()
             self.exit_code = 1
+            self.diagnostics.fail(str(error))
             self.get_logger().error(
                 f'simulation stopped at {self.simulation.time:.6g} s: {error}')
 
@@ -228,16 +217,12 @@ class SimulatorNode(Node):
         forces = simulation.constraint_forces
         if not np.isfinite(forces).all():
             raise NumericalError('the constraint forces are not finite numbers')
-        self.messages.fill(stamp, *simulation.measured(), simulation.effort, forces)
-        # The clock first, the state last: who answers it knows the time and the forces.
+        # The clock first: who answers the state knows the time.
         self.stamps.publish()
-        for publisher, message in zip(self._force_publishers, self.messages.wrenches):
-            publisher.publish(message)
-        self._state_publisher.publish(self.messages.joint_state)
-        self.published += 1 + len(self._force_publishers)
+        self.states.publish(stamp, *simulation.measured(), simulation.effort, forces)
         self._published_at, self._published_stamp = time.monotonic(), stamp
         for publish in self.on_published:
-            publish(self.messages.stamp)
+            publish(self.states.stamp)
 
     def jumped(self):
         """Publish a state that does not follow from the last by simulating."""
@@ -256,11 +241,14 @@ class SimulatorNode(Node):
         """Say what was done."""
         self._timer.cancel()
         pacer, book = self.pacer, self.command
+        if pacer.simulated > 0.0 and self.exit_code is None:
+            for line in str(self.simulation.report()).splitlines():
+                self.get_logger().info(line)
         self.get_logger().info(
             f'simulated {pacer.simulated:.3f} s in {pacer.elapsed:.3f} s, '
             f'{pacer.achieved:.3f} x real time, {pacer.dropped:.3f} s dropped; '
             f'commands: {book.accepted} accepted, {book.rejected} rejected, '
-            f'{book.timed_out} timed out; {self.published} messages published')
+            f'{book.timed_out} timed out; {self.states.published} messages published')
 
     @contextmanager
     def standing_still(self):

@@ -14,6 +14,8 @@
 
 """What time messages carry: that of the node's clock, or simulated time."""
 
+from builtin_interfaces.msg import Time
+from closedloop_dynamics.ros.wire import WireMessage
 from rclpy.qos import QoSProfile
 from rosgraph_msgs.msg import Clock
 
@@ -39,7 +41,8 @@ class Stamps:
 
     def __init__(self, node, simulation, simulated, publish_clock):
         self._node, self._simulation, self.simulated = node, simulation, simulated
-        self._clock = Clock()
+        self._clock = WireMessage(
+            lambda sec, nanosec: Clock(clock=Time(sec=sec, nanosec=nanosec)), ())
         self._publisher = node.create_publisher(
             Clock, '/clock', QoSProfile(depth=10)) if publish_clock else None
 
@@ -54,9 +57,13 @@ class Stamps:
             return self.simulated_nanoseconds
         return self._node.get_clock().now().nanoseconds
 
+    def message(self):
+        """Return the same as a message."""
+        sec, nanosec = divmod(self.now(), NANOSECONDS)
+        return Time(sec=sec, nanosec=nanosec)
+
     def publish(self):
         """Tell everybody the simulated time, if that was asked for."""
         if self._publisher is not None:
-            clock = self._clock.clock
-            clock.sec, clock.nanosec = divmod(self.simulated_nanoseconds, NANOSECONDS)
-            self._publisher.publish(self._clock)
+            self._publisher.publish(
+                self._clock.filled(*divmod(self.simulated_nanoseconds, NANOSECONDS)))

@@ -12,43 +12,102 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Tests of closedloop_dynamics.ros.messages."""
+"""Tests of closedloop_dynamics.ros.messages and wire: what goes over the wire."""
 
-from closedloop_dynamics.ros.messages import StateMessages
+from closedloop_dynamics.ros.messages import StatePublisher
+from closedloop_dynamics.ros.process import StartError
+from closedloop_dynamics.ros.stamps import Stamps
+from closedloop_dynamics.ros.wire import WireMessage
 from geometry_msgs.msg import WrenchStamped
 import numpy as np
+import pytest
+from rclpy.node import Node
 from rclpy.serialization import deserialize_message
-from rclpy.serialization import serialize_message
+from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 
 
-def test_filled_messages_carry_the_state_and_one_stamp():
-    messages = StateMessages(('a', 'b'), ('cut_1', 'cut_2'))
-    messages.fill(
-        12_345_678_901, np.array([1.0, 2.0]), np.array([3.0, 4.0]), np.array([5.0, 6.0]),
-        np.array([[0.5, 10.0, 20.0], [0.0, 30.0, 40.0]]))
-    state = deserialize_message(serialize_message(messages.joint_state), JointState)
-    assert state.name == ['a', 'b']
-    assert state.position.tolist() == [1.0, 2.0]
-    assert state.velocity.tolist() == [3.0, 4.0]
-    assert state.effort.tolist() == [5.0, 6.0]
-    wrenches = [deserialize_message(serialize_message(each), WrenchStamped)
-                for each in messages.wrenches]
-    for each in (state, *wrenches):
-        assert (each.header.stamp.sec, each.header.stamp.nanosec) == (12, 345_678_901)
-    assert [each.header.frame_id for each in wrenches] == ['world', 'world']
-    first, second = (each.wrench for each in wrenches)
-    assert (first.torque.z, first.force.x, first.force.y) == (0.5, 10.0, 20.0)
-    assert (second.torque.z, second.force.x, second.force.y) == (0.0, 30.0, 40.0)
-    for each in (first, second):
-        assert (each.force.z, each.torque.x, each.torque.y) == (0.0, 0.0, 0.0)
+class Recorder:
+    """Takes what a publisher is given, as a subscriber would see it."""
+
+    def __init__(self, kind):
+        self.kind, self.messages, self.raw = kind, [], 0
+
+    def publish(self, message):
+        if isinstance(message, bytes):
+            self.raw += 1
+            message = deserialize_message(message, self.kind)
+        self.messages.append(message)
 
 
-def test_refilling_allocates_no_new_arrays():
-    messages = StateMessages(('a',), ('cut_1',))
-    arrays = [messages.joint_state.position, messages.joint_state.effort]
-    for value in (1.0, 2.0):
-        messages.fill(0, [value], [value], [value], np.zeros((1, 3)))
-        assert messages.joint_state.position is arrays[0]
-        assert messages.joint_state.effort is arrays[1]
-        assert messages.joint_state.position[0] == value
+@pytest.fixture
+def publisher(make_node):
+    def build(joints=('a', 'b'), cuts=('cut_1', 'cut_2')):
+        publisher = StatePublisher(make_node(_Plain), joints, cuts)
+        publisher._state_publisher = Recorder(JointState)
+        publisher._force_publishers = [Recorder(WrenchStamped) for _ in cuts]
+        return publisher
+    return build
+
+
+class _Plain(Node):
+    def __init__(self, **options):
+        super().__init__('plain', **options)
+
+
+def check_state(publisher):
+    """Publish a state twice, the second time with other numbers, and check what was sent."""
+    for scale in (1.0, -3.0):
+        numbers = scale * np.arange(1.0, 7.0)
+        forces = scale * np.array([[0.5, 10.0, 20.0], [0.0, 30.0, 40.0]])
+        publisher.publish(12_345_678_901, numbers[:2], numbers[2:4], numbers[4:], forces)
+        state = publisher._state_publisher.messages[-1]
+        assert state.name == ['a', 'b']
+        assert [*state.position, *state.velocity, *state.effort] == numbers.tolist()
+        wrenches = [each.messages[-1] for each in publisher._force_publishers]
+        for each in (state, *wrenches):
+            assert (each.header.stamp.sec, each.header.stamp.nanosec) == (12, 345_678_901)
+        assert [each.header.frame_id for each in wrenches] == ['world', 'world']
+        for each, (torque, x, y) in zip(wrenches, forces):
+            wrench = each.wrench
+            assert (wrench.torque.z, wrench.force.x, wrench.force.y) == (torque, x, y)
+            assert (wrench.force.z, wrench.torque.x, wrench.torque.y) == (0.0, 0.0, 0.0)
+    assert publisher.published == 6
+
+
+def test_messages_carry_the_state_and_one_stamp(publisher):
+    publisher = publisher()
+    check_state(publisher)
+    assert publisher._state_publisher.raw == 2
+
+
+def test_they_carry_the_same_where_the_serialised_bytes_are_not_understood(
+        publisher, monkeypatch):
+    monkeypatch.setattr(WireMessage, '_place', lambda self, mark: None)
+    publisher = publisher()
+    check_state(publisher)
+    assert publisher._state_publisher.raw == 0
+
+
+def test_names_of_any_length_move_the_numbers_but_not_into_one_another(publisher):
+    for length in range(1, 18):
+        publisher_ = publisher(('x' * length, 'y'), ())
+        publisher_.publish(5, np.array([1.0, 2.0]), np.array([3.0, 4.0]), np.array([5.0, 6.0]),
+                           np.zeros((0, 3)))
+        state = publisher_._state_publisher.messages[-1]
+        assert state.name == ['x' * length, 'y']
+        assert [*state.position, *state.velocity, *state.effort] == [1, 2, 3, 4, 5, 6]
+
+
+def test_clock_carries_simulated_time(make_node):
+    simulation = type('Simulation', (), {'time': 3.25})()
+    stamps = Stamps(make_node(_Plain), simulation, True, True)
+    stamps._publisher = Recorder(Clock)
+    stamps.publish()
+    clock = stamps._publisher.messages[0].clock
+    assert (clock.sec, clock.nanosec) == (3, 250_000_000)
+
+
+def test_cut_joint_that_cannot_be_a_topic_is_refused(publisher):
+    with pytest.raises(StartError, match='letters, digits and underscores'):
+        publisher(cuts=('cut 1',))
