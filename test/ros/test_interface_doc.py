@@ -40,7 +40,7 @@ def in_yaml(value):
 def row(parameter):
     """Return the row of the table that describes a parameter."""
     kind = Parameter.Type.from_parameter_value(parameter.default).name.lower()
-    allowed = ', '.join(f'`{choice}`' for choice in parameter.choices)
+    allowed = ', '.join(f'`{in_yaml(choice)}`' for choice in parameter.choices)
     if parameter.limits:
         allowed = '{:g} to {:g}'.format(*parameter.limits)
     change = 'no' if parameter.read_only else 'yes'
