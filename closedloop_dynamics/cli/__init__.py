@@ -17,14 +17,16 @@
 import os
 import sys
 
-from . import accuracy, check, effects, formulations, recover, simulate, stability, urdf
+from . import (
+    accuracy, animate, check, effects, formulations, recover, replay, simulate, stability, urdf)
 from .command import HelpfulParser, UsageError
 from ..errors import SimulationError
 from ..mechanism.mechanism import MechanismError
 from ..scene import SceneError
 
-COMMANDS = (accuracy.COMMAND, check.COMMAND, effects.COMMAND, formulations.COMMAND,
-            recover.COMMAND, simulate.COMMAND, stability.COMMAND, urdf.COMMAND)
+COMMANDS = (accuracy.COMMAND, animate.COMMAND, check.COMMAND, effects.COMMAND,
+            formulations.COMMAND, recover.COMMAND, replay.COMMAND, simulate.COMMAND,
+            stability.COMMAND, urdf.COMMAND)
 
 FAILED, USAGE, INTERRUPTED, BROKEN_PIPE = 1, 2, 130, 141
 DESCRIPTION = """\

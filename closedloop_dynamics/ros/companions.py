@@ -82,12 +82,13 @@ class Companions:
             self._simulation = simulation
             self._tell_robot(simulation)
         told = simulation.scene, simulation.effects, simulation.enabled_effects
-        # Records that were not replaced are found equal without being compared.
+        # Records that were not replaced are found equal without being compared. What changed did
+        # so after the last state that was published.
         if told != self._told:
             scene, effects, enabled = self._told = told
             disabled = [name for name in effects if name not in enabled]
             self._scene.publish(String(data=scene_text(
-                scene, effects, disabled, simulated_time=simulation.time)))
+                scene, effects, disabled, after=self._log.index)))
 
     def _tell_robot(self, simulation):
         try:

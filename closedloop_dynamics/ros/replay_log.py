@@ -40,13 +40,18 @@ class ReplayLog:
     node : rclpy.node.Node
         Publishes.
 
+    Attributes
+    ----------
+    index : int
+        Of the last state, from 1.
+
     """
 
     def __init__(self, node):
         self._publisher = node.create_publisher(Float64MultiArray, 'replay_log', LOG_QOS)
         self._message = Float64MultiArray()
         self._values = self._names = None
-        self._index = self._jumps = 0
+        self.index = self._jumps = 0
         self._time = 0.0
 
     def jumped(self):
@@ -71,13 +76,13 @@ class ReplayLog:
         if time < self._time:
             self._jumps += 1
         self._time = time
-        self._index += 1
+        self.index += 1
         if not self._publisher.get_subscription_count():
             return
         if simulation.joint_names != self._names:
             self._size(simulation.joint_names)
         self._values[:len(COLUMNS)] = (
-            stamp.sec, stamp.nanosec, self._index, self._jumps, time)
+            stamp.sec, stamp.nanosec, self.index, self._jumps, time)
         self._values[len(COLUMNS):] = torque
         self._publisher.publish(self._message)
 

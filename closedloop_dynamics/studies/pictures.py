@@ -162,6 +162,43 @@ def positions(motion, title, point=None, count=5):
     return figure
 
 
+def deviations(result, title):
+    """
+    Draw how far recorded states are from those simulated again, over time.
+
+    Parameters
+    ----------
+    result : replay.Replay
+        What is drawn.
+    title : str
+        Above it.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    """
+    motion = result.recorded
+    forces = result.deviation('forces')
+    panels = [(f'{quantity} [{unit}]', np.abs(result.deviation(quantity)),
+               [joint.name for joint in motion.mechanism.joints])
+              for quantity, unit in (('position', 'rad, m'), ('velocity', 'rad/s, m/s'))]
+    if motion.mechanism.cut_joints:
+        panels.append(('force [N]', np.hypot(forces[..., 1], forces[..., 2]),
+                       [cut.name for cut in motion.mechanism.cut_joints]))
+    figure, rows = _panels(len(panels), title)
+    for axes, (label, values, names) in zip(rows, panels):
+        for k, name in enumerate(names):
+            axes.plot(motion.time, values[:, k], label=name, **_style(k))
+        # Zero and rounding side by side with what is visible.
+        largest = np.nanmax(values, initial=0.0)
+        axes.set_yscale('symlog', linthresh=1e-15)
+        axes.set_ylim(0.0, max(10.0 * largest, 1e-14))
+        axes.set_ylabel(label)
+        _legend_beside(axes)
+    return figure
+
+
 def spread_positions(poses, count):
     """
     Choose positions that differ most from each other; the last one is always among them.

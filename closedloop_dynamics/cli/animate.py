@@ -1,0 +1,119 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""``closedloop animate``: a run as a moving picture."""
+
+from pathlib import Path
+
+import numpy as np
+
+from .command import Command, positive, UsageError
+from ..scene import load_scene
+from ..studies.animation import Animation, AnimationError, frame_times, require_writable, write
+from ..studies.motion import Motion
+from ..studies.progress import announced, progress_bar
+from ..studies.recording import read_recording, RecordingError
+
+# More would take long, and fill a disk.
+MOST_FRAMES = 20_000
+
+
+def _add_arguments(parser):
+    parser.add_argument('recording', metavar='BAG_OR_CSV',
+                        help='a bag, or what `closedloop simulate --output` wrote')
+    parser.add_argument('--output', metavar='FILE', type=Path, required=True,
+                        help='where to write it: a .gif, or a .mp4 where ffmpeg is installed')
+    parser.add_argument('--overwrite', action='store_true', help='replace FILE if it exists')
+    parser.add_argument('--scene', metavar='SCENE',
+                        help='what was simulated (needed for a CSV file; default: as the bag '
+                             'tells)')
+    parser.add_argument('--namespace', metavar='NAME',
+                        help='of the simulator, where several are in the bag')
+    parser.add_argument('--point', metavar='NAME',
+                        help='whose path is drawn (default: the first one of the mechanism)')
+    parser.add_argument('--rate', metavar='HZ', type=positive, default=20.0,
+                        help='frames per second (default: 20)')
+    parser.add_argument('--speed', metavar='FACTOR', type=positive, default=1.0,
+                        help='seconds of motion per second; below 1: slow motion (default: 1)')
+    parser.add_argument('--start', metavar='SECONDS', type=float, default=0.0,
+                        help='time at which it begins (default: 0)')
+    parser.add_argument('--duration', metavar='SECONDS', type=positive,
+                        help='how much of the motion is shown (default: all)')
+
+
+def _run(arguments):
+    if arguments.output.exists() and not arguments.overwrite:
+        raise UsageError(f'--output: {arguments.output} exists; name another file, or add '
+                         '--overwrite')
+    scene = load_scene(arguments.scene) if arguments.scene else None
+    try:
+        require_writable(arguments.output)
+        recording = read_recording(arguments.recording, scene, arguments.namespace)
+    except (AnimationError, RecordingError) as error:
+        raise UsageError(str(error)) from None
+    motion = _chosen(recording.motion, arguments)
+    times = frame_times(motion, arguments.rate, arguments.speed)
+    if len(times) > MOST_FRAMES:
+        raise UsageError(f'expected at most {MOST_FRAMES} frames, got {len(times)}: choose a part '
+                         'with --start and --duration, or a greater --speed')
+    name = recording.scene.name
+    with announced('Preparing the picture ...'):
+        animation = Animation(motion, name, times, _point(motion.mechanism, arguments.point))
+    with progress_bar(len(times), 'frames', name) as bar:
+        write(animation, arguments.output, arguments.rate, lambda done: bar.update(done - bar.n))
+    print(f'{arguments.output}: {len(times)} frames, {motion.time[-1] - motion.time[0]:.3g} s of '
+          f'{name} at {arguments.speed:g} x its speed, '
+          f'{arguments.output.stat().st_size / 1e6:.2g} MB')
+    return 0
+
+
+def _chosen(motion, arguments):
+    """Return the part of a motion that is to be shown: of rising times, after the last reset."""
+    backwards = np.flatnonzero(np.diff(motion.time) < 0.0)
+    kept = np.arange(len(motion.time)) > (backwards[-1] if len(backwards) else -1)
+    kept &= np.concatenate([[True], np.diff(motion.time) != 0.0])
+    kept &= motion.time >= arguments.start
+    if arguments.duration is not None:
+        kept &= motion.time <= arguments.start + arguments.duration
+    if not kept.any():
+        raise UsageError(
+            f'--start, --duration: expected a part of the recording, {motion.time.min():g} to '
+            f'{motion.time.max():g} s; got none')
+    return Motion(motion.mechanism, *(
+        getattr(motion, name)[kept]
+        for name in ('time', 'position', 'velocity', 'effort', 'forces')))
+
+
+def _point(mechanism, name):
+    names = [point.name for point in mechanism.points]
+    if name is not None and name not in names:
+        raise UsageError(f'--point: expected one of {", ".join(names) or "none"}, got {name}')
+    return name
+
+
+COMMAND = Command(
+    name='animate',
+    summary='make an animation of a run, with the forces at the cut joints',
+    description="""\
+Draw a recorded or simulated run as a moving picture: the mechanism, the path of a point, the
+constraint forces as arrows and over time. What is shown after a reset is the run since then.
+""",
+    epilog="""\
+examples:
+  closedloop animate my_bag --output run.gif
+  closedloop simulate three_rrr --torque theta_1=5 --output run.csv
+  closedloop animate run.csv --scene three_rrr --output run.gif --speed 0.5
+""",
+    add_arguments=_add_arguments,
+    run=_run)

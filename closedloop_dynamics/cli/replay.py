@@ -1,0 +1,97 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""``closedloop replay``: simulate a recording again and compare."""
+
+from pathlib import Path
+import sys
+
+from .command import Command, positive, UsageError
+from ..scene import load_scene
+from ..studies import pictures
+from ..studies.progress import announced, progress_bar
+from ..studies.recording import read_recording, RecordingError
+from ..studies.replay import replay, table
+
+DIFFERENT = 1
+
+
+def _add_arguments(parser):
+    parser.add_argument('bag', metavar='BAG', help='directory of the bag, or one of its files')
+    parser.add_argument('--scene', metavar='SCENE',
+                        help='what was simulated (default: as the bag tells)')
+    parser.add_argument('--namespace', metavar='NAME',
+                        help='of the simulator, where several are in the bag')
+    parser.add_argument('--tolerance', metavar='ERROR', type=positive,
+                        help='exit with 1 if a position is further off [rad or m]')
+    parser.add_argument('--picture', metavar='FILE', type=Path,
+                        help='draw the deviations over time (.png, .svg, .pdf)')
+    parser.add_argument('--overwrite', action='store_true', help='replace FILE if it exists')
+
+
+def _run(arguments):
+    if arguments.picture and arguments.picture.exists() and not arguments.overwrite:
+        raise UsageError(f'--picture: {arguments.picture} exists; name another file, or add '
+                         '--overwrite')
+    scene = load_scene(arguments.scene) if arguments.scene else None
+    with announced('Reading and compiling ...'):
+        try:
+            recording = read_recording(arguments.bag, scene, arguments.namespace)
+        except RecordingError as error:
+            raise UsageError(str(error)) from None
+    count = len(recording.motion.time)
+    with progress_bar(count, 'states', recording.scene.name) as bar:
+        result = replay(recording, lambda done: bar.update(done - bar.n))
+    _tell(arguments, recording, result)
+    if arguments.picture:
+        title = f'{recording.scene.name}: recorded minus re-simulated'
+        pictures.deviations(result, title).savefig(arguments.picture)
+        print(f'picture in {arguments.picture}')
+    if arguments.tolerance is not None and not result.largest <= arguments.tolerance:
+        print(f'{arguments.prog}: positions are off by up to {result.largest:.3g}, more than '
+              f'{arguments.tolerance:g}', file=sys.stderr)
+        return DIFFERENT
+    return 0
+
+
+def _tell(arguments, recording, result):
+    motion = recording.motion
+    print(f'{arguments.bag}: {len(motion.time)} states of {recording.scene.name}, '
+          f'{motion.time.max() - motion.time.min():.6g} s, simulated again')
+    if not recording.finished:
+        print('the recording was cut short; what could be read of it is compared')
+    for time, why in result.starts:
+        print(f'  at {time:.6g} s: {why}')
+    for note in result.notes:
+        print(f'  note: {note}')
+    print(f'\n{table(result)}\n\nlargest deviation of a position: {result.largest:.3g} rad or m')
+
+
+COMMAND = Command(
+    name='replay',
+    summary='simulate a recording again and tell how far it is off',
+    description="""\
+Simulate again what was recorded, from the recorded commands, and compare positions,
+velocities, efforts and constraint forces of every state. The topics scene and replay_log
+of the simulator make this exact: on the same machine the deviations are zero, elsewhere
+those of rounding. Without replay_log, times are taken from the stamps and torques from the
+efforts, which shows the motion but not the last digits.
+""",
+    epilog="""\
+examples:
+  closedloop replay my_bag
+  closedloop replay my_bag --tolerance 1e-9 --picture deviations.png
+""",
+    add_arguments=_add_arguments,
+    run=_run)

@@ -1,0 +1,56 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""A bag recorded from real processes is replayed, animated, and drawn."""
+
+from test.ros.bags import read_with_rosbags
+
+from closedloop_dynamics.cli import main
+import numpy as np
+from PIL import Image
+import pytest
+
+SIMULATOR = 'closedloop_simulator'
+RECORDER = 'closedloop_recorder'
+SOURCE = 'closedloop_torque_source'
+
+
+@pytest.mark.parametrize('scene', ['three_rrr_payload_friction', 'carpet_scraper_on_carpet'])
+def test_a_recorded_run_is_met_exactly(processes, listener, tmp_path, capsys, scene):
+    recorder = processes.start(RECORDER, output='bag').wait_until_ready()
+    simulator = processes.start(SIMULATOR, scene=scene, wait_for_command='true')
+    simulator.wait_until_ready()
+    for topic in ('scene', 'robot_description', 'joint_states', 'replay_log'):
+        recorder.wait_for(f'/{topic}: first message')
+    source = processes.start(SOURCE, mode='sine', amplitude='[8.0]', frequency='[2.0]')
+    recorder.wait_for('/torque_command: first message')
+    bag = tmp_path / 'bag'
+    listener.wait(lambda: bag.stat() and sum(
+        path.stat().st_size for path in bag.glob('*.mcap')) > 400_000, 'some seconds of motion')
+    for process in (source, simulator, recorder):
+        assert process.stop() == 0
+    picture = tmp_path / 'deviations.png'
+    assert main(['replay', str(bag), '--tolerance', '1e-12', '--picture', str(picture)]) == 0
+    output = capsys.readouterr().out
+    assert f'states of {scene}' in output
+    assert 'largest deviation of a position: 0 rad or m' in output
+    assert 'note:' not in output
+    assert picture.stat().st_size > 10_000
+    moved = np.ptp([message.position for _, message in read_with_rosbags(bag)['/joint_states']],
+                   axis=0)
+    assert moved.max() > 0.1
+    animation = tmp_path / 'run.gif'
+    assert main(['animate', str(bag), '--output', str(animation), '--duration', '0.5']) == 0
+    with Image.open(animation) as frames:
+        assert frames.n_frames in (10, 11)

@@ -1,0 +1,157 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""A replay meets every recorded state to the last bit, and sees what does not fit."""
+
+from dataclasses import replace
+
+from closedloop_dynamics.scene import load_scene
+from closedloop_dynamics.simulation import Simulation
+from closedloop_dynamics.studies.motion import Motion
+from closedloop_dynamics.studies.recording import Log, Recording
+from closedloop_dynamics.studies.replay import replay, table
+import numpy as np
+import pytest
+
+# With drives, friction that remembers, and a sensor's noise among them.
+SCENES = ('carpet_scraper_on_carpet', 'four_bar', 'slider_crank', 'three_rrr',
+          'three_rrr_payload_friction')
+
+
+class Recorder:
+    """Does what simulator and recorder do, without messages."""
+
+    def __init__(self, scene):
+        self.simulation = Simulation(scene)
+        self.rows, self.jumps, self.index = [], 0, 0
+        self.changes = [(scene, {'after': 0, 'disabled': []})]
+        self.note(np.zeros(len(self.simulation.joint_names)))
+
+    def note(self, tau):
+        """Record the present state."""
+        simulation = self.simulation
+        self.index += 1
+        self.rows.append((
+            self.index, self.jumps, simulation.time, tau.copy(), *simulation.measured(),
+            simulation.effort, simulation.constraint_forces))
+
+    def advance(self, steps, torque):
+        """Advance as one tick does."""
+        tau = self.simulation.joint_torques(torque)
+        if steps:
+            self.simulation.advance(tau, steps)
+        self.note(tau)
+
+    def change(self, name, **values):
+        """Change an effect between two ticks."""
+        self.simulation.set_effect(name, **values)
+        off = [each for each in self.simulation.effects
+               if each not in self.simulation.enabled_effects]
+        scene = replace(self.changes[-1][0], effects=self.simulation.effects)
+        self.changes.append((scene, {'after': self.index, 'disabled': off}))
+
+    def recording(self, first=0, without=()):
+        """Return what a bag holds, from some state on."""
+        rows = [row for k, row in enumerate(self.rows) if k >= first and k not in without]
+        index, jumps, time, torque, *state = map(np.array, zip(*rows))
+        motion = Motion(self.simulation.mechanism, time, *state)
+        return Recording(motion, self.changes[0][0], self.changes,
+                         Log(index, jumps, time, torque))
+
+
+def drive(recorder, ticks, seed=3):
+    """Let a controller and a clock with jitter drive it."""
+    random = np.random.default_rng(seed)
+    count = len(recorder.simulation.actuated_joints)
+    torque = np.zeros(count)
+    for _ in range(ticks):
+        if random.random() < 0.6:
+            torque = random.normal(size=count)
+        recorder.advance(int(random.integers(0, 15)), torque)
+
+
+@pytest.mark.parametrize('scene', SCENES)
+def test_deviations_are_zero(scene):
+    recorder = Recorder(load_scene(scene))
+    drive(recorder, 60)
+    result = replay(recorder.recording())
+    for quantity in ('position', 'velocity', 'effort', 'forces'):
+        assert not result.deviation(quantity).any(), quantity
+    assert result.starts == [(0.0, 'from the initial state of the scene')]
+    assert 'joint' not in result.notes
+
+
+def test_resets_and_changed_effects_are_followed():
+    recorder = Recorder(load_scene('three_rrr_payload_friction'))
+    drive(recorder, 20)
+    recorder.change('gravity', acceleration=(0.0, -1.62))
+    drive(recorder, 20, seed=4)
+    recorder.change('gravity', enabled=False)
+    drive(recorder, 5, seed=5)
+    recorder.simulation.reset()
+    recorder.jumps += 1
+    drive(recorder, 20, seed=6)
+    result = replay(recorder.recording())
+    assert result.largest == 0.0
+    assert not result.deviation('forces').any()
+    assert [why for _, why in result.starts][1:] == ['after a reset']
+
+
+def test_late_recordings_and_states_set_from_outside_begin_anew():
+    recorder = Recorder(load_scene('three_rrr'))
+    drive(recorder, 20)
+    simulation = recorder.simulation
+    simulation.set_state(simulation.position + 0.01, simulation.velocity)
+    recorder.jumps += 1
+    recorder.note(np.zeros(7))
+    drive(recorder, 20, seed=8)
+    result = replay(recorder.recording(first=10))
+    # Closing the loops of a recorded state moves it by rounding, which the motion amplifies.
+    assert result.largest < 1e-9
+    assert [why for _, why in result.starts] == [
+        'from the first recorded state: the recording began later',
+        'a state was set from outside']
+
+
+def test_a_gap_is_told_and_costs_nothing_else():
+    recorder = Recorder(load_scene('three_rrr'))
+    drive(recorder, 40)
+    result = replay(recorder.recording(without=range(10, 14)))
+    assert result.largest < 1e-9
+    assert [why for _, why in result.starts][1:] == ['4 states and their commands are missing']
+
+
+def test_another_machine_is_noticed():
+    recorder = Recorder(load_scene('three_rrr'))
+    drive(recorder, 40)
+    honest = recorder.recording()
+    scene = load_scene('three_rrr')
+    bodies = [replace(body, mass=1.01 * body.mass) for body in scene.mechanism.bodies]
+    other = replace(scene, mechanism=replace(scene.mechanism, bodies=tuple(bodies)))
+    result = replay(replace(honest, scene=other, changes=[]))
+    assert result.largest > 1e-5
+    assert 'theta_1' in table(result) and 'cut_2 (force)' in table(result)
+
+
+def test_without_a_log_stamps_and_efforts_serve():
+    recorder = Recorder(load_scene('three_rrr'))
+    random = np.random.default_rng(1)
+    for _ in range(50):
+        recorder.advance(10, random.normal(size=3))
+    whole = recorder.recording()
+    motion = whole.motion
+    shaken = replace(motion, time=motion.time + random.uniform(0.0, 3e-4, len(motion.time)))
+    result = replay(replace(whole, log=None, motion=shaken))
+    assert result.largest < 1e-9
+    assert 'no replay_log' in result.notes[0]
