@@ -178,7 +178,7 @@ class Simulation(SimulationMotion):
         anew = self._try_effect(name, enabled, parameters)
         self._own[anew] = self._effects.initial[anew]
         self._driver.restart()
-        self._fresh = False
+        self._fresh, self._look = False, None
         if len(anew):
             self._feel_loads()
         self._accounts.jump(self._q, self.energy - before)

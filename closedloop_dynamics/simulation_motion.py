@@ -172,13 +172,15 @@ class SimulationMotion(SimulationState):
     def _compare(self, size):
         """Refuse to go on where energy has appeared from nowhere since the latest look."""
         look, self._look = self._look, None
+        balance = self.energy_balance
         try:
-            self._guard.check_energy(look.balance, self.energy_balance, self._state, size)
+            self._guard.check_energy(look.balance, balance, self._state, size)
         except SimulationError:
             self._state[:], self._fresh = look.state, False
             self._time_base, self._steps = look.time, 0
             self._driver.restart()
             raise
+        self._look = Look(balance, self._state.copy(), self.time)
 
     def _advance_unguarded(self, size, steps):
         self._fresh = False
@@ -368,7 +370,7 @@ class SimulationMotion(SimulationState):
         self._q[:], self._qd[:] = state
         self._effects.start_anew(self._own)
         self._driver.restart()
-        self._fresh = False
+        self._fresh, self._look = False, None
         self._feel_loads()
         self._accounts.jump(self._q, self.energy - before)
 

@@ -267,11 +267,12 @@ class SimulationState:
         Returns
         -------
         dict of str to float
-            Stored energy [J] and the effect's own readings, such as forces; SI units.
+            Stored energy; energy dissipated and its power, or work done, since the last reset,
+            where the effect has such; the effect's own readings, such as forces; SI units.
 
         """
         self._evaluate()
-        return self._effects.readings(name)
+        return self._effects.readings(name, self._own)
 
     def _assembled(self, position, velocity, hold):
         nv = len(self.joint_names)

@@ -97,6 +97,7 @@ class Composition:
         states = [state for law in self.laws for state in law.states]
         self.initial = np.array([state.initial for state in states], dtype=float)
         roles = np.array([state.role for state in states], dtype=int)
+        self._roles = roles
         self.own, self._dissipated, self._work = (
             np.flatnonzero(roles == role) for role in (OWN, DISSIPATED, WORK))
         self._update()
@@ -290,7 +291,7 @@ class Composition:
         """Return the work that effects did from outside so far [J]."""
         return float(states[self._work].sum())
 
-    def readings(self, name):
+    def readings(self, name, states):
         """
         Return what the law of an effect says of itself at the latest evaluation.
 
@@ -298,6 +299,8 @@ class Composition:
         ----------
         name : str
             Of a listed effect.
+        states : ndarray, shape (nz,)
+            The effects' states.
 
         Returns
         -------
@@ -308,8 +311,9 @@ class Composition:
             one_of(tuple(self.records), 'one of the effects listed in the scene')(name)
         if name not in self._rows:
             return {}
-        values = self._table.output[self._rows.index(name)]
-        return {'stored_energy': float(values[STORED]), **{
+        row = self._rows.index(name)
+        values = self._table.output[row]
+        return {'stored_energy': float(values[STORED]), **self._flows(row, states), **{
             key: float(value) for key, value in zip(self.records[name].READINGS, values[1:])}}
 
     def drive_rows(self):
@@ -318,6 +322,18 @@ class Composition:
                          if self.enabled[name] and hasattr(self.records[name], 'drives')],
                         dtype=int)
         return rows, self._table.index[rows, FIRST]
+
+    def _flows(self, row, states):
+        """Return what the effect of a row has dissipated, or done in work, and does now."""
+        first = self._table.index[row, STATE]
+        flows = {}
+        for place in range(first, first + len(self.laws[row].states)):
+            if self._roles[place] == DISSIPATED:
+                flows['dissipated_energy'] = float(states[place])
+                flows['dissipated_power'] = float(self._table.rates[place])
+            elif self._roles[place] == WORK:
+                flows['work'] = float(states[place])
+        return flows
 
     def efforts(self, tau):
         """Put what the drives really exert, at the latest evaluation, into joint torques."""

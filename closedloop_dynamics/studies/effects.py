@@ -197,15 +197,15 @@ def study_effects(scene, duration=2.0, torque=None, rates=None, rows=400,
     for k, (kind, names) in enumerate(types.items()):
         run = record(Simulation(_without(scene, names)), duration, rows, torque, rates)
         findings.append(Finding(
-            kind, tuple(names), _ratio(times['alone', kind], times['bare']),
-            _ratio(times['without', kind], times['whole']),
+            kind, tuple(names), ratio(times['alone', kind], times['bare']),
+            ratio(times['without', kind], times['whole']),
             *(float(np.abs(a - b).max(initial=0.0)) for a, b in (
                 (run.position, whole.position), (run.effort, whole.effort),
                 (run.force, whole.force),
                 (run.balance[:, :2].sum(axis=1), whole.balance[:, :2].sum(axis=1)))), run))
         progress(3 + k, parts)
     return Study(simulation, whole, tuple(findings), float(np.median(times['bare'])), *(
-        _ratio(times[key], times['bare']) for key in ('again', 'off', 'whole')))
+        ratio(times[key], times['bare']) for key in ('again', 'off', 'whole')))
 
 
 def record(simulation, duration, rows, torque=None, rates=None):
@@ -292,9 +292,21 @@ def _times(scene, types):
     return {key: np.array(values[1:]) for key, values in measured.items()}
 
 
-def _ratio(times, others):
-    """Return the median ratio of the times of each round, and what is to be thought of it."""
-    ratios = np.sort(times / others)
+def ratio(times, others):
+    """
+    Return the median ratio of times that were measured in turn, and its range.
+
+    Parameters
+    ----------
+    times, others : sequence of float
+        One of each round.
+
+    Returns
+    -------
+    Ratio
+
+    """
+    ratios = np.sort(np.divide(times, others))
     count = len(ratios)
     # Ranks between which the median lies in 95 of 100 cases, whatever the distribution is.
     out = max(0, int(0.5 * count - 0.98 * math.sqrt(count)))

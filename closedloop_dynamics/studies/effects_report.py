@@ -20,13 +20,14 @@ import numpy as np
 from .pictures import COLORS, DASHES, DOTS_PER_INCH
 from .tables import markdown_table, seconds, short, text_table, write_csv
 
-HEADER = ('effect', 'step alone', 'step without', 'position', 'effort', 'force', 'energy')
-UNITS = ('', 'x bare', 'x whole', '[rad, m]', '[N m, N]', '[N]', '[J]')
+HEADER = ('effect', 'step alone', 'step without', 'position', 'effort', 'force', 'energy',
+          'dissipated')
+UNITS = ('', 'x bare', 'x whole', '[rad, m]', '[N m, N]', '[N]', '[J]', '[J]')
 NOTE = (
     'step alone: time per step with these effects alone, over that without any; step without: of '
     'the scene\nwithout them, over the whole scene. Medians of short runs in turn, and how far '
     'they are uncertain.\nposition, effort, force (cut joints), energy (kinetic and stored): '
-    'the largest change that leaving them out makes.')
+    'the largest change that leaving them out makes; dissipated: by them, in the scene as it is.')
 
 
 def table(study, style=text_table):
@@ -49,7 +50,7 @@ def table(study, style=text_table):
     return style(header, [
         (label(finding), ratio(finding.alone), ratio(finding.without),
          *(short(value) for value in (finding.position, finding.effort, finding.force,
-                                      finding.energy)))
+                                      finding.energy, dissipated(study, finding))))
         for finding in study.findings])
 
 
@@ -69,6 +70,13 @@ def ratio(value):
     """Return a ratio of times with its uncertainty, in words."""
     digits = 2 if value.noise > 0.002 else 3
     return f'{value.value:.{digits}f} ± {max(value.noise, 10.0 ** -digits):.{digits}f}'
+
+
+def dissipated(study, finding):
+    """Return the energy that effects of one type dissipate in the scene as it is [J]."""
+    readings = (study.run.readings[name] for name in finding.names)
+    return float(sum(one['dissipated_energy'][-1] for one in readings
+                     if 'dissipated_energy' in one))
 
 
 def label(finding):
@@ -97,7 +105,8 @@ def write(study, directory):
     paths = [directory / name for name in file_names(study.simulation.scene)]
     name = study.simulation.scene.name
     write_csv(paths[0], [f'{key} {unit}'.strip() for key, unit in zip(HEADER, UNITS)], [
-        (label(f), f.alone.value, f.without.value, f.position, f.effort, f.force, f.energy)
+        (label(f), f.alone.value, f.without.value, f.position, f.effort, f.force, f.energy,
+         dissipated(study, f))
         for f in study.findings])
     paths[1].write_text(f'# What the effects of {name} cost and change\n\n'
                         f'{table(study, markdown_table)}\n\n{NOTE}\n\n{summary(study)}\n',

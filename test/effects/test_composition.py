@@ -124,6 +124,26 @@ def test_effects_that_are_absent_or_off_leave_identical_bits():
     assert np.array_equal(bare.multipliers, off.multipliers)
 
 
+def test_readings_of_all_effects_add_up_to_the_balance():
+    rng, mechanism, q, qd = cases.drawn('three_rrr')
+    simulation = simulated(mechanism, every_effect(rng, mechanism, q), q, qd, step_size=2e-4)
+    simulation.step([1.0, -1.0, 0.5], 0.1)
+    readings = {name: simulation.effect_readings(name) for name in simulation.effects}
+    dissipated = [each['dissipated_energy'] for each in readings.values()
+                  if 'dissipated_energy' in each]
+    assert len(dissipated) >= 5
+    balance = simulation.energy_balance
+    assert sum(dissipated) == pytest.approx(balance.dissipated, rel=1e-12)
+    before = readings['damping']
+    simulation.step([1.0, -1.0, 0.5], 2e-4)
+    after = simulation.effect_readings('damping')
+    assert after['dissipated_energy'] - before['dissipated_energy'] == pytest.approx(
+        1e-4 * (before['dissipated_power'] + after['dissipated_power']), rel=1e-3)
+    # The damping's own law.
+    rate = simulation.velocity[simulation.joint_names.index(simulation.effects['damping'].joint)]
+    assert after['dissipated_power'] == pytest.approx(0.3 * rate ** 2, rel=1e-12)
+
+
 def test_parameters_take_effect_at_the_next_step():
     simulation = simulated(block(), {'push': ExternalForce('center')}, [0.0])
     simulation.step(duration=0.1)

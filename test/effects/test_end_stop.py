@@ -55,7 +55,8 @@ def test_a_strong_damper_lets_go_without_pulling():
     simulation = simulated(block(), {'stop': stop}, [0.1], [-1.0])
     assert simulation.acceleration[0] == 0.0
     assert simulation.effect_readings('stop') == {
-        'stored_energy': pytest.approx(0.5), 'torque': -0.0, 'depth': 0.1}
+        'stored_energy': pytest.approx(0.5), 'torque': -0.0, 'depth': 0.1,
+        'dissipated_energy': 0.0, 'dissipated_power': pytest.approx(10.0)}
 
 
 @pytest.mark.parametrize('values', [

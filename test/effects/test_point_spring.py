@@ -55,7 +55,7 @@ def test_a_spring_to_the_world_pulls_along_its_line():
     assert np.allclose(simulation.acceleration, [24.0 / 1.5, 32.0 / 1.25, 0.0], atol=1e-12)
     assert simulation.effect_readings('cord') == {
         'stored_energy': pytest.approx(80.0), 'tension': pytest.approx(40.0),
-        'length': pytest.approx(5.0)}
+        'length': pytest.approx(5.0), 'dissipated_energy': 0.0, 'dissipated_power': 0.0}
 
 
 def test_points_that_meet_feel_no_force():

@@ -54,7 +54,7 @@ def test_ratios_know_their_range():
     inside = 0
     for _ in range(400):
         times = 1.3 * rng.lognormal(0.0, 0.1, 60)
-        ratio = effects._ratio(times, np.ones(60))
+        ratio = effects.ratio(times, np.ones(60))
         inside += ratio.low <= 1.3 <= ratio.high
     assert 0.91 < inside / 400 < 0.995
 
@@ -73,6 +73,12 @@ def test_the_carpet_asks_for_work(study):
     assert study.run.balance[-1, 2] == pytest.approx(25.0, abs=5.0)
     assert study.run.balance[-1, 3] > free.balance[-1, 3] + 20.0
     assert np.abs(study.run.balance[:, 4]).max() < 1e-3
+
+
+def test_losses_are_told_by_type(study):
+    losses = [effects_report.dissipated(study, finding) for finding in study.findings]
+    assert sum(losses) == pytest.approx(study.run.balance[-1, 2], rel=1e-9)
+    assert max(losses) == losses[3] > 20.0
 
 
 def test_table_files_and_pictures(study, tmp_path):
