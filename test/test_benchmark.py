@@ -76,3 +76,16 @@ def test_document_parts_are_measured(benchmark, tmp_path, monkeypatch):
     assert '* For 1e-06 over 1 s use dop853 with projection' in text
     assert '| rk4 | projection | subsystem |' in text
     assert (tmp_path / 'pictures' / 'accuracy_three_rrr.png').stat().st_size > 10000
+
+
+def test_all_hooks_of_effects_are_found(benchmark, tmp_path):
+    module = benchmark('effects_absent')
+    for name in module.HOOKED:
+        source = (ROOT / 'closedloop_dynamics' / 'integration' / name).read_text()
+        path = tmp_path / name
+        path.write_text(source)
+        found = module.cut_hooks(path)
+        assert found == source.count('    if effects is not None:\n')
+        cut = path.read_text()
+        compile(cut, name, 'exec')
+        assert 'effects is not None:' not in cut

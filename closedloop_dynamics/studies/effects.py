@@ -35,6 +35,8 @@ from ..simulation import Simulation
 
 # Steps of one measurement, and how often it is repeated.
 STEPS, REPEATS = 200, 60
+# Made before them, untimed: what ran before must not matter.
+RUN_IN = 50
 
 
 @dataclass(frozen=True)
@@ -278,18 +280,17 @@ def _times(scene, types):
     measured = {key: [] for key in variants}
     for simulation in variants.values():
         simulation.warm_up()
-    keys = list(variants)
-    for repeat in range(REPEATS + 1):
-        # Each begins as often as any other, and comes behind another each time.
-        for key in keys[repeat % len(keys):] + keys[:repeat % len(keys)]:
-            simulation = variants[key]
+    keys, shuffle = list(variants), np.random.default_rng(0)
+    for _ in range(REPEATS):
+        for k in shuffle.permutation(len(keys)):
+            simulation = variants[keys[k]]
             simulation.reset()
             tau = np.zeros(len(simulation.joint_names))
+            simulation.advance(tau, RUN_IN)
             start = process_time()
             simulation.advance(tau, STEPS)
-            measured[key].append((process_time() - start) / STEPS)
-    # The first round warms the caches.
-    return {key: np.array(values[1:]) for key, values in measured.items()}
+            measured[keys[k]].append((process_time() - start) / STEPS)
+    return {key: np.array(values) for key, values in measured.items()}
 
 
 def ratio(times, others):

@@ -27,7 +27,7 @@ NOTE = (
     'step alone: time per step with these effects alone, over that without any; step without: of '
     'the scene\nwithout them, over the whole scene. Medians of short runs in turn, and how far '
     'they are uncertain.\nposition, effort, force (cut joints), energy (kinetic and stored): '
-    'the largest change that leaving them out makes; dissipated: by them, in the scene as it is.')
+    'the largest change that leaving them out makes;\ndissipated: by them, in the scene as it is.')
 
 
 def table(study, style=text_table):
