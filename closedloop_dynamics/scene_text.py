@@ -28,7 +28,6 @@ from tempfile import TemporaryDirectory
 from .effects.registry import effect_type
 from .mechanism.validation import SECTIONS
 from .scene import load_scene, SceneError
-from .scene_records import Scene
 
 FORMAT = 1
 MECHANISM_FILE = 'mechanism.yaml'
@@ -110,14 +109,6 @@ def read_scene_text(text):
         (path.parent / MECHANISM_FILE).write_text(
             json.dumps(mechanism, ensure_ascii=False), encoding='utf-8')
         return replace(load_scene(path), name=name, path=None), facts
-
-
-def same_but_effects(first: Scene, second: Scene):
-    """Return whether two scenes differ in their effects, names and origins only."""
-    def rest(scene):
-        return scene.mechanism, scene.initial, scene.method
-
-    return rest(first) == rest(second)
 
 
 def _mechanism(mechanism):

@@ -15,8 +15,8 @@
 """
 What a simulator publishes beside its state: descriptions, a log for replays, markers.
 
-The node makes one ``Companions`` and calls ``follow()`` after every state. What nobody
-subscribes to costs next to nothing.
+The node makes one ``Companions``, which hooks itself in. What nobody subscribes to costs next
+to nothing.
 
 """
 
@@ -40,8 +40,8 @@ class Companions:
 
     Parameters
     ----------
-    node : rclpy.node.Node
-        Offers ``simulation``, which may be replaced while it runs.
+    node : simulator_node.SimulatorNode
+        Offers ``simulation`` and ``torque``, and calls what is put into its lists.
 
     """
 
@@ -54,8 +54,11 @@ class Companions:
         self._markers = Markers(node, values)
         self._simulation = self._told = None
         self._look()
+        node.on_published.append(self.follow)
+        node.on_advance.append(self.advancing)
+        node.on_jump.append(self._log.jumped)
 
-    def follow(self, stamp, torque):
+    def follow(self, stamp):
         """
         Go along with a state that was just published.
 
@@ -63,17 +66,15 @@ class Companions:
         ----------
         stamp : builtin_interfaces.msg.Time
             Of the state.
-        torque : ndarray, shape (nv,)
-            The command that acted in the steps that led to it [N m or N].
 
         """
         self._look()
-        self._log.follow(stamp, self._simulation, torque)
+        self._log.follow(stamp, self._simulation)
         self._markers.follow(stamp, self._simulation)
 
-    def jumped(self):
-        """Note that the next state does not follow from the last by simulating."""
-        self._log.jumped()
+    def advancing(self):
+        """Note that the simulation is about to advance under the node's ``torque``."""
+        self._log.advancing(self._simulation, self._node.torque)
 
     def _look(self):
         """Tell the descriptions when they are new: at the start, and after changes."""

@@ -169,8 +169,10 @@ class RecorderNode(Node):
             return None
 
     def _subscribe(self, topic, message_class, profile):
-        def on_message(data, info):
-            self._record(topic, data, info)
+        # Without the message's info, where the middleware tells when it came: the events executor
+        # of some builds fails with it. It runs this at once.
+        def on_message(data):
+            self._record(topic, data, time.time_ns())
 
         def on_loss(event):
             self.lost[topic] += event.total_count_change
@@ -179,14 +181,14 @@ class RecorderNode(Node):
             message_class, topic, on_message, profile, raw=True,
             event_callbacks=SubscriptionEventCallbacks(message_lost=on_loss))
 
-    def _record(self, topic, data, info):
+    def _record(self, topic, data, nanoseconds):
         if not self.received[topic]:
             self.get_logger().info(f'{topic}: first message, {self._type_of[topic]}')
             self._bag.add_topic(topic, self._type_of[topic], [
                 publisher.qos_profile
                 for publisher in self.get_publishers_info_by_topic(topic)])
         self.received[topic] += 1
-        self._bag.write(topic, info['received_timestamp'], data)
+        self._bag.write(topic, nanoseconds, data)
 
     def _take_the_rest(self):
         """Run callbacks until nothing more has arrived, at most for ``LAST_CALL``."""
@@ -194,7 +196,7 @@ class RecorderNode(Node):
         idle = 0
         while self.executor is not None and idle < 3 and time.monotonic() < deadline:
             before = self.received.total()
-            self.executor.spin_once(timeout_sec=0.0)
+            self.executor.spin_once(timeout_sec=0.001)
             idle = 0 if self.received.total() > before else idle + 1
 
     def _full_pattern(self, pattern):

@@ -26,14 +26,19 @@ LOG_QOS = QoSProfile(depth=1000)
 COLUMNS = ('stamp_sec', 'stamp_nanosec', 'index', 'jumps', 'simulated_time')
 
 
+# In place of the stamp, in an entry for a time at which no state was published.
+NO_STATE = -1
+
+
 class ReplayLog:
     """
     Publishes one entry for each state, as long as somebody subscribes.
 
     The stamps of states may follow the system's clock, and the efforts in them are those behind
     drives with limits and lag. What a replay needs is the simulated time, and the command
-    before the drives. ``index`` counts all states, so that a gap is seen; ``jumps`` counts the
-    resets and the states that were set from outside.
+    before the drives. Where the command changes between two states, an entry without a state
+    says up to when the old one acted. ``index`` counts the entries, so that a gap is
+    seen; ``jumps`` counts the resets and the states that were set from outside.
 
     Parameters
     ----------
@@ -43,14 +48,14 @@ class ReplayLog:
     Attributes
     ----------
     index : int
-        Of the last state, from 1.
+        Of the last entry, from 1.
 
     """
 
     def __init__(self, node):
         self._publisher = node.create_publisher(Float64MultiArray, 'replay_log', LOG_QOS)
         self._message = Float64MultiArray()
-        self._values = self._names = None
+        self._values = self._names = self._torque = None
         self.index = self._jumps = 0
         self._time = 0.0
 
@@ -58,7 +63,26 @@ class ReplayLog:
         """Note that the next state does not follow from the last by simulating."""
         self._jumps += 1
 
-    def follow(self, stamp, simulation, torque):
+    def advancing(self, simulation, torque):
+        """
+        Note the command of the steps that come now.
+
+        Parameters
+        ----------
+        simulation : Simulation
+            About to advance.
+        torque : ndarray, shape (nv,)
+            The command [N m or N].
+
+        """
+        if self._torque is None:
+            self._torque = torque.copy()
+        elif not np.array_equal(torque, self._torque):
+            if simulation.time > self._time:
+                self._note(NO_STATE, NO_STATE, simulation)
+            self._torque[:] = torque
+
+    def follow(self, stamp, simulation):
         """
         Publish the entry of a state.
 
@@ -68,10 +92,11 @@ class ReplayLog:
             Of the state.
         simulation : Simulation
             Which is in that state.
-        torque : ndarray, shape (nv,)
-            The command that acted in the steps that led to it [N m or N].
 
         """
+        self._note(stamp.sec, stamp.nanosec, simulation)
+
+    def _note(self, second, nanosecond, simulation):
         time = simulation.time
         if time < self._time:
             self._jumps += 1
@@ -81,9 +106,9 @@ class ReplayLog:
             return
         if simulation.joint_names != self._names:
             self._size(simulation.joint_names)
-        self._values[:len(COLUMNS)] = (
-            stamp.sec, stamp.nanosec, self.index, self._jumps, time)
-        self._values[len(COLUMNS):] = torque
+        self._values[:len(COLUMNS)] = second, nanosecond, self.index, self._jumps, time
+        if self._torque is not None:
+            self._values[len(COLUMNS):] = self._torque
         self._publisher.publish(self._message)
 
     def _size(self, names):

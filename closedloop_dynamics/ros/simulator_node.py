@@ -86,6 +86,8 @@ class SimulatorNode(Node):
     on_published : list of callables
         Optional publishers: each is called with the stamp, a Time message, after a state was
         published.
+    on_advance : list of callables
+        Called before steps are made under ``torque``.
     on_jump : list of callables
         Called when the next state does not follow from the last by simulating.
     states : StatePublisher
@@ -96,7 +98,7 @@ class SimulatorNode(Node):
     def __init__(self, **options):
         super().__init__(NAME, **options)
         self.exit_code = None
-        self.on_published, self.on_jump = [], []
+        self.on_published, self.on_advance, self.on_jump = [], [], []
         values = declare(self, SIMULATOR_PARAMETERS)
         self.command_timeout = values['command_timeout']
         self.simulation = simulation = load_simulation(
@@ -125,10 +127,8 @@ class SimulatorNode(Node):
             self.mode.start()
         self.renew_timer()
         self.diagnostics = Diagnostics(self)
-        # Optional publishers hook in here.
-        companions = Companions(self)
-        self.on_published.append(lambda stamp: companions.follow(stamp, self.torque))
-        self.on_jump.append(companions.jumped)
+        # Optional publishers hook themselves in.
+        self.companions = Companions(self)
         self.get_logger().info(
             f"simulating '{simulation.scene.name}' in steps of {simulation.step_size:g} s, "
             f'{self._pace(values)}; torque_command takes '
@@ -201,6 +201,8 @@ class SimulatorNode(Node):
     def advance(self, steps):
         """Make steps under the torques in force."""
         self.torque[self._actuated] = self.command.torque
+        for note in self.on_advance:
+            note()
         self.simulation.advance(self.torque, steps)
 
     def publish(self):

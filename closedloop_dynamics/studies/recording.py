@@ -37,16 +37,18 @@ class RecordingError(ValueError):
 @dataclass(frozen=True)
 class Log:
     """
-    Entries of ``replay_log``, one for each state.
+    Entries of ``replay_log``: one for each state, and one more where a command changed between.
 
     Attributes
     ----------
     index, jumps : ndarray of int, shape (n,)
-        Number of the state, and of the resets and states set from outside before it.
+        Number of the entry, and of the resets and states set from outside before it.
     time : ndarray, shape (n,)
         Simulated [s].
     torque : ndarray, shape (n, nv)
-        Commands that led to the states [N m or N].
+        Commands that acted from the entry before to this one [N m or N].
+    state : ndarray of int, shape (n,)
+        Index of the state at that time in the motion; -1 where there is none.
 
     """
 
@@ -54,6 +56,7 @@ class Log:
     jumps: np.ndarray
     time: np.ndarray
     torque: np.ndarray
+    state: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -147,7 +150,8 @@ def _read_bag(path, scene, namespace):
     log, rows = _log(messages.get(prefix + LOG, []), mechanism, stamps)
     values = [np.array([getattr(states[row], name) for row in rows])[:, order]
               for name in ('position', 'velocity', 'effort')]
-    time = log.time if log else (np.array(stamps) - stamps[0]) * NANOSECONDS
+    time = (log.time[log.state >= 0] if log
+            else (np.array(stamps) - stamps[0]) * NANOSECONDS)
     forces = _forces(messages, prefix + FORCES, mechanism, [stamps[row] for row in rows])
     return Recording(Motion(mechanism, time, *values, forces), scene, changes, log, bag.finished)
 
@@ -199,13 +203,15 @@ def _log(entries, mechanism, stamps):
     table = np.array([entry.data for entry in entries])
     log_stamps = [int(second) * 10 ** 9 + int(nanosecond) for second, nanosecond in (
         table[:, [place['stamp_sec'], place['stamp_nanosec']]])]
-    pairs = list(_matched(stamps, log_stamps))
+    # In the order of the log: entry and state.
+    pairs = list(_matched(log_stamps, stamps))
     if not pairs:
         return None, range(len(stamps))
-    rows, chosen = zip(*pairs)
-    table = table[list(chosen)]
+    state = np.full(len(table), -1)
+    chosen, rows = zip(*pairs)
+    state[list(chosen)] = np.arange(len(rows))
     return Log(table[:, place['index']].astype(int), table[:, place['jumps']].astype(int),
-               table[:, place['simulated_time']], table[:, joints]), rows
+               table[:, place['simulated_time']], table[:, joints], state), rows
 
 
 def _forces(messages, prefix, mechanism, stamps):

@@ -20,11 +20,11 @@ import numpy as np
 
 from .motion import Motion
 from .tables import short, text_table
-from ..scene_text import same_but_effects
 from ..simulation import Simulation
 
 # Beyond this share of a step, a time is no multiple of it.
 ROUNDING = 1e-6
+SENSORS = 'the scene has sensors: a start from a recorded state is one from what they measured'
 
 
 @dataclass(frozen=True)
@@ -92,13 +92,12 @@ def replay(recording, progress=lambda time: None):
         Where the re-simulation fails.
 
     """
-    player = (_Logged if recording.log is not None else _Stamped)(recording)
     motion, rows = recording.motion, []
-    for k in range(len(motion.time)):
-        player.go_to(k)
+    player = (_Stamped if recording.log is None else _Logged)(recording)
+    for _ in player.states():
         simulation = player.simulation
         rows.append((*simulation.measured(), simulation.effort, simulation.constraint_forces))
-        progress(k + 1)
+        progress(len(rows))
     simulated = Motion(motion.mechanism, motion.time, *(np.array(values) for values in zip(*rows)))
     return Replay(motion, simulated, player.starts, player.notes)
 
@@ -109,72 +108,80 @@ class _Logged:
     def __init__(self, recording):
         self._recording, self._log = recording, recording.log
         self._changes = list(recording.changes[1:])
-        first = recording.changes[0] if recording.changes else (recording.scene, {})
-        self._scene, self._off = first[0], set(first[1].get('disabled', ()))
-        self.simulation = _simulation(recording.scene, self._off)
+        self._scene, facts = (*recording.changes[:1], (recording.scene, {}))[0]
+        self.simulation = _simulation(recording.scene, facts.get('disabled', ()))
+        self._lost = True
         self.starts, self.notes = [], []
 
-    def go_to(self, k):
-        """Advance to the state of an entry, or start there anew."""
-        log, motion = self._log, self._recording.motion
-        before = k - 1
-        self._change(log.index[before] if k else log.index[0] - 1)
-        if k == 0:
-            known = log.jumps[0] == 0 and (log.index[0] == 1 or log.time[0] == 0.0)
-            if known:
-                self._reset(k)
-                self.starts.append((log.time[0], 'from the initial state of the scene'))
-            else:
-                self._set(k, 'from the first recorded state: the recording began later')
-        elif log.jumps[k] != log.jumps[before]:
-            if log.time[k] < log.time[before]:
-                self._reset(k)
-                self.starts.append((motion.time[k], 'after a reset'))
-            else:
-                self._set(k, 'a state was set from outside')
-        elif log.index[k] > log.index[before] + 1 and np.any(log.torque[k] != log.torque[before]):
-            self._set(k, f'{log.index[k] - log.index[before] - 1} states and their commands are '
-                      'missing')
+    def states(self):
+        """Go to the state of one entry after the other; yield after each that was recorded."""
+        for k, state in enumerate(self._log.state):
+            self._go_to(k, state)
+            if state >= 0:
+                yield
+
+    def _go_to(self, k, state):
+        """Advance to the time of an entry, or start there anew."""
+        log, before = self._log, max(k - 1, 0)
+        if k:
+            self._change(log.index[before])
+        jump = log.jumps[k] != log.jumps[before]
+        gap = log.index[k] - log.index[before] - 1
+        if k == 0 and log.jumps[0] == 0 and (log.index[0] == 1 or log.time[0] == 0.0):
+            self._reset(k, 'from the initial state of the scene')
+        elif jump and log.time[k] < log.time[before]:
+            self._reset(k, 'after a reset')
+        elif k == 0 or jump or self._lost or gap > 0 and np.any(
+                log.torque[k] != log.torque[before]):
+            why = ('from the first recorded state: the recording began later' if k == 0
+                   else 'a state was set from outside' if jump
+                   else f'{gap} entries with their commands are missing' if gap > 0
+                   else 'the first recorded state')
+            self._set(k, state, why)
         else:
             self._advance(k, log.time[k] - log.time[before])
 
     def _advance(self, k, duration):
-        steps = duration / self.simulation.step_size
+        torque, simulation = self._log.torque[k], self.simulation
+        steps = duration / simulation.step_size
         if abs(steps - round(steps)) > ROUNDING * max(1.0, steps):
-            self.simulation.step(self._log.torque[k][self._actuated()], duration)
+            simulation.step({name: torque[simulation.joint_names.index(name)]
+                             for name in simulation.actuated_joints}, duration)
         elif round(steps):
             # Without a step, a new command has not acted yet.
-            self.simulation.advance(self._log.torque[k], round(steps))
+            simulation.advance(torque, round(steps))
 
-    def _actuated(self):
-        return [self.simulation.joint_names.index(name)
-                for name in self.simulation.actuated_joints]
-
-    def _reset(self, k):
+    def _reset(self, k, why):
+        self._lost = False
         self.simulation.reset()
+        self.starts.append((float(self._log.time[k]), why))
         self._advance(k, self._log.time[k])
 
-    def _set(self, k, why):
+    def _set(self, k, state, why):
+        """Start from a recorded state; where the entry has none, at the next that has one."""
+        self._lost = state < 0
+        if self._lost:
+            return
         motion = self._recording.motion
-        self.simulation.set_state(motion.position[k], motion.velocity[k])
+        self.simulation.set_state(motion.position[state], motion.velocity[state])
         self.simulation.advance(self._log.torque[k], 0)
-        self.starts.append((motion.time[k], why))
+        self.starts.append((float(self._log.time[k]), why))
+        if SENSORS not in self.notes and any(
+                hasattr(effect, 'instrument') for effect in self.simulation.effects.values()):
+            self.notes.append(SENSORS)
 
     def _change(self, index):
-        """Apply changes of the scene that were told up to a state."""
+        """Apply changes of the scene that were told up to an entry."""
         while self._changes and self._changes[0][1].get('after', 0) <= index:
             scene, facts = self._changes.pop(0)
-            off = set(facts.get('disabled', ()))
-            simulation = self.simulation
-            if not same_but_effects(scene, self._scene):
-                self.simulation = _simulation(scene, off)
-                self.simulation.set_state(simulation.position, simulation.velocity)
-                self.notes.append(
-                    'the method was changed on the way: memories of effects (lag, friction) '
-                    'began anew there')
-            else:
-                _switch(simulation, scene.effects, off)
-            self._scene, self._off = scene, off
+            method = {field.name: getattr(scene.method, field.name)
+                      for field in fields(scene.method)
+                      if getattr(scene.method, field.name)
+                      != getattr(self._scene.method, field.name)}
+            if method:
+                self.simulation.prepare_method(**method)()
+            _switch(self.simulation, scene.effects, facts.get('disabled', ()))
+            self._scene = scene
 
 
 class _Stamped:
@@ -188,22 +195,21 @@ class _Stamped:
             'there is no replay_log in it: times are those of the stamps, rounded to whole steps, '
             'and torques the recorded efforts; record the topic replay_log for an exact replay']
         if len(recording.changes) > 1:
-            self.notes.append('effects were changed on the way, which is left out')
+            self.notes.append('the scene was changed on the way, which is left out')
         if any(hasattr(effect, 'drives') for effect in recording.scene.effects.values()):
             self.notes.append('the scene has drives: the efforts behind them are commanded')
-        self._steps = 0
 
-    def go_to(self, k):
-        """Advance to the time of a stamp."""
+    def states(self):
+        """Go from stamp to stamp; yield at each."""
         motion, simulation = self._motion, self.simulation
-        if k == 0:
-            simulation.set_state(motion.position[0], motion.velocity[0])
-            return
-        due = round(motion.time[k] / simulation.step_size)
-        torque = np.where([joint.actuated for joint in motion.mechanism.joints],
-                          motion.effort[k], 0.0)
-        simulation.advance(torque, max(0, due - self._steps))
-        self._steps = max(due, self._steps)
+        simulation.set_state(motion.position[0], motion.velocity[0])
+        actuated = [joint.actuated for joint in motion.mechanism.joints]
+        done = 0
+        for time, effort in zip(motion.time, motion.effort):
+            due = round(time / simulation.step_size)
+            simulation.advance(np.where(actuated, effort, 0.0), max(0, due - done))
+            done = max(due, done)
+            yield
 
 
 def _simulation(scene, off):

@@ -20,6 +20,7 @@ from builtin_interfaces.msg import Time
 from closedloop_dynamics.ros.markers import contact_force
 from closedloop_dynamics.ros.process import StartError
 from closedloop_dynamics.ros.replay_log import COLUMNS
+from closedloop_dynamics.ros.replay_log import NO_STATE
 from closedloop_dynamics.ros.simulator_node import SimulatorNode
 from closedloop_dynamics.scene import load_scene
 from closedloop_dynamics.scene_text import read_scene_text
@@ -92,20 +93,26 @@ def test_replay_log_tells_times_and_commands(simulator, listener):
     listener.wait(lambda: node.count_subscribers('replay_log'), 'subscription')
     node.publish()
     for torque in (0.5, -0.25):
-        node._tau[0] = torque
-        node.simulation.advance(node._tau, 7)
+        node.command.torque[:] = torque
+        node.advance(7)
         node.publish()
+    # A command that changes between two states.
+    node.advance(2)
+    node.command.torque[:] = 1.0
+    node.advance(3)
+    node.publish()
     node.simulation.reset()
     node.publish()
-    listener.wait(lambda: len(entries) == 4, 'four entries')
+    listener.wait(lambda: len(entries) == 6, 'six entries')
     names = entries[0].layout.dim[0].label.split()
     assert names == [*COLUMNS, *node.simulation.joint_names]
     table = dict(zip(names, np.array([entry.data for entry in entries]).T))
-    assert table['simulated_time'].tolist() == [0.0, 0.007, 0.014, 0.0]
-    assert np.diff(table['index']).tolist() == [1.0, 1.0, 1.0]
-    assert np.diff(table['jumps']).tolist() == [0.0, 0.0, 1.0]
-    assert table['crank_joint'].tolist()[1:3] == [0.5, -0.25]
-    stamp = node.messages.joint_state.header.stamp
+    assert table['simulated_time'].tolist() == [0.0, 0.007, 0.014, 0.016, 0.019, 0.0]
+    assert np.diff(table['index']).tolist() == [1.0] * 5
+    assert np.diff(table['jumps']).tolist() == [0.0, 0.0, 0.0, 0.0, 1.0]
+    assert table['crank_joint'].tolist()[1:5] == [0.5, -0.25, -0.25, 1.0]
+    assert (table['stamp_sec'] == NO_STATE).tolist() == [False, False, False, True, False, False]
+    stamp = node.states.stamp
     assert (table['stamp_sec'][-1], table['stamp_nanosec'][-1]) == (stamp.sec, stamp.nanosec)
 
 
@@ -132,7 +139,7 @@ def test_markers_are_where_the_machine_is(simulator, scene):
     simulation = node.simulation
     for _ in range(20):
         simulation.step(duration=0.01)
-        markers = by_name(node._companions._markers.array(Time(sec=3), simulation))
+        markers = by_name(node.companions._markers.array(Time(sec=3), simulation))
     strips = [each for each in markers['links'] if each.type == Marker.LINE_STRIP]
     assert len(strips) == len(simulation.mechanism.bodies)
     for marker, pose in zip(strips, simulation.body_poses):
@@ -164,7 +171,7 @@ def test_carpet_and_its_force_are_shown(simulator):
     while simulation.effect_readings('carpet')['depth'] < 1e-3:
         simulation.step({'theta_1': 20.0}, 0.01)
         assert simulation.time < 5.0
-    markers = by_name(node._companions._markers.array(Time(), simulation))
+    markers = by_name(node.companions._markers.array(Time(), simulation))
     line, = markers['contacts']
     assert xy(line.points)[:, 1] == pytest.approx([-0.216, -0.216])
     force, = markers['effects']
@@ -178,13 +185,13 @@ def test_carpet_and_its_force_are_shown(simulator):
         abs(readings['friction_force'] + readings['scraping_force']))
     # What ends is taken away in the viewer, too.
     simulation.set_effect('carpet', enabled=False)
-    first = node._companions._markers.array(Time(), simulation).markers[0]
+    first = node.companions._markers.array(Time(), simulation).markers[0]
     assert first.action == Marker.DELETEALL
 
 
 def test_nothing_is_drawn_when_nobody_looks(simulator, listener, context, monkeypatch):
     node = simulator(scene='four_bar', marker_rate=200.0)
-    markers = node._companions._markers
+    markers = node.companions._markers
     drawn = []
     array = markers.array
     monkeypatch.setattr(markers, 'array', lambda *of: drawn.append(1) or array(*of))
