@@ -46,20 +46,21 @@ def copies(directory):
     Parameters
     ----------
     directory : pathlib.Path
-        Empty; they are made here.
+        They are made here, unless it has them from an earlier run.
 
     Returns
     -------
     dict of str to module
 
     """
-    shutil.copytree(ROOT / 'config', directory / 'config')
-    for name in COPIES:
-        shutil.copytree(ROOT / 'closedloop_dynamics', directory / name,
-                        ignore=shutil.ignore_patterns('__pycache__'))
-    count = sum(cut_hooks(directory / COPIES[2] / 'integration' / name) for name in HOOKED)
-    if count < 5:
-        raise RuntimeError(f'only {count} hooks of effects were found to be cut out')
+    if not (directory / 'config').exists():
+        for name in COPIES:
+            shutil.copytree(ROOT / 'closedloop_dynamics', directory / name,
+                            ignore=shutil.ignore_patterns('__pycache__'))
+        count = sum(cut_hooks(directory / COPIES[2] / 'integration' / name) for name in HOOKED)
+        if count < 5:
+            raise RuntimeError(f'only {count} hooks of effects were found to be cut out')
+        shutil.copytree(ROOT / 'config', directory / 'config')
     sys.path.insert(0, str(directory))
     return {name: importlib.import_module(name) for name in COPIES}
 
@@ -134,13 +135,17 @@ def main(arguments=None):
                         help=f'scenes that list no force law (default: {", ".join(SCENES)})')
     parser.add_argument('--steps', type=int, default=2000, help='steps a round (default: 2000)')
     parser.add_argument('--repeats', type=int, default=100, help='rounds (default: 100)')
+    parser.add_argument('--directory', type=Path,
+                        help='where to keep the copies and what was compiled, so that a second '
+                             'run measures at once (default: nowhere)')
     options = parser.parse_args(arguments)
     print(f'{description()}\n')
     print('RK4 steps; ratios of times with the 95 % range of their medians')
     print(f'{"scene":24}{"step":>10}{"as it is / without hooks":>30}{"the same once more":>26}')
-    with tempfile.TemporaryDirectory() as directory:
-        os.environ['NUMBA_CACHE_DIR'] = str(Path(directory) / 'cache')
-        packages = copies(Path(directory))
+    with tempfile.TemporaryDirectory() as temporary:
+        directory = (options.directory or Path(temporary)).resolve()
+        os.environ['NUMBA_CACHE_DIR'] = str(directory / 'cache')
+        packages = copies(directory)
         ratio = importlib.import_module('as_it_is.studies.effects').ratio
         for scene in options.scenes:
             times = measure(packages, scene, options.steps, options.repeats)
