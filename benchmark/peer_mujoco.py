@@ -1,0 +1,171 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+MuJoCo, for the comparison in peers.py.
+
+Built for control and learning with contact: loops are soft "connect" equalities, springs that pull
+the cut point together. The settings here are the ones that gave the smallest errors among
+those tried: impedance at its upper bound, critically damped springs as stiff as the step allows,
+Newton's method with the one iteration that a quadratic cost needs, everything else switched off.
+
+"""
+
+from xml.sax.saxutils import quoteattr
+
+import mujoco
+import numpy as np
+from peer_cases import gravity, Run
+
+NAME = 'MuJoCo'
+HARDEST = 0.9999
+# Natural frequency of the loops' springs times the step size, the best of those tried.
+FREQUENCIES = {'RK4': (0.1, 0.3, 1.0), 'implicitfast': (0.1, 0.3)}
+STEPS = {'RK4': (5e-3, 2e-3, 1e-3, 5e-4, 2e-4, 1e-4, 5e-5, 2e-5),
+         'implicitfast': (2e-3, 1e-3, 2e-4, 1e-4, 2e-5)}
+QUICK_STEPS = (1e-3, 5e-4)
+# No spring for a time: rates are what they are, positions as well.
+SPRINGS_AT_REST = 1e3
+
+
+class Engine:
+    """
+    One scene in MuJoCo.
+
+    Parameters
+    ----------
+    scene : scene.Scene
+        With gravity alone, all joints and cut joints revolute.
+
+    """
+
+    name, version = NAME, mujoco.__version__
+    # Accelerations are off in proportion to this.
+    softness = 1.0 - HARDEST
+
+    def __init__(self, scene):
+        """Build the model."""
+        self._mechanism, self._gravity = scene.mechanism, gravity(scene)
+        self._model = self._build(1e-3, SPRINGS_AT_REST)
+        self._data = mujoco.MjData(self._model)
+
+    def _build(self, step, frequency, integrator='Euler', hardness=HARDEST):
+        model = mujoco.MjModel.from_xml_string(self._description(frequency, hardness))
+        model.opt.timestep = step
+        model.opt.integrator = getattr(
+            mujoco.mjtIntegrator, 'mjINT_' + integrator.upper())
+        # Given one anchor, MuJoCo finds the other at q = 0, where these loops are open.
+        for row, cut in zip(model.eq_data, self._mechanism.cut_joints):
+            row[:6] = *cut.point_a, 0.0, *cut.point_b, 0.0
+        return model
+
+    def _description(self, frequency, hardness):
+        """Return the mechanism in MuJoCo's XML, with every digit."""
+        children, bodies = {}, {body.name: body for body in self._mechanism.bodies}
+        for joint in self._mechanism.joints:
+            children.setdefault(joint.parent, []).append(joint)
+
+        def branch(parent):
+            return ''.join(
+                f'<body name={quoteattr(joint.child)} pos="{_numbers(*joint.position, 0)}" '
+                f'euler="0 0 {joint.angle!r}">{_inertial(bodies[joint.child])}'
+                f'<joint name={quoteattr(joint.name)} type="hinge" axis="0 0 1"/>'
+                f'{branch(joint.child)}</body>' for joint in children.get(parent, []))
+
+        springs = (f'solref="{-frequency ** 2!r} {-2.0 * frequency!r}" '
+                   f'solimp="{hardness!r} {hardness!r} 0.001 0.5 2"')
+        loops = ''.join(
+            f'<connect body1={quoteattr(_body(cut.body_a))} body2={quoteattr(_body(cut.body_b))} '
+            f'anchor="{_numbers(*cut.point_a, 0)}" {springs}/>'
+            for cut in self._mechanism.cut_joints)
+        return (
+            '<mujoco><compiler angle="radian"/>'
+            f'<option gravity="{_numbers(*self._gravity, 0)}" solver="Newton" iterations="1" '
+            'tolerance="1e-14" jacobian="dense"><flag contact="disable" refsafe="disable" '
+            'limit="disable" frictionloss="disable" actuation="disable" spring="disable" '
+            'damper="disable"/></option>'
+            f'<worldbody>{branch("ground")}</worldbody><equality>{loops}</equality></mujoco>')
+
+    def _start(self, model, data, q, qd, tau):
+        mujoco.mj_resetData(model, data)
+        data.qpos[:], data.qvel[:], data.qfrc_applied[:] = q, qd, tau
+
+    def acceleration(self, q, qd, tau, softness=None):
+        """Return joint accelerations, shape (nv,)."""
+        model = self._model if softness is None else self._build(
+            1e-3, SPRINGS_AT_REST, hardness=1.0 - softness)
+        self._start(model, self._data, q, qd, tau)
+        mujoco.mj_forward(model, self._data)
+        return self._data.qacc.copy()
+
+    def timings(self, q, qd, tau):
+        """Return {what: function of a number of evaluations or steps}."""
+        model, data = self._build(1e-3, 100.0), mujoco.MjData(self._model)
+
+        def forward(count):
+            for _ in range(count):
+                mujoco.mj_forward(model, data)
+
+        def steps(count):
+            # Not further from the state than a thousandth of a second.
+            model.opt.timestep = 1e-3 / count
+            self._start(model, data, q, qd, tau)
+            mujoco.mj_step(model, data, count)
+
+        def single_steps(count):
+            model.opt.timestep = 1e-3 / count
+            self._start(model, data, q, qd, tau)
+            for _ in range(count):
+                mujoco.mj_step(model, data)
+
+        self._start(model, data, q, qd, tau)
+        return {'mj_forward, from Python': forward, 'mj_step (Euler), C loop': steps,
+                'mj_step (Euler), from Python': single_steps}
+
+    def runs(self, case, quick):
+        """Return the runs of a case."""
+        runs = []
+        for integrator, frequencies in FREQUENCIES.items():
+            for step in QUICK_STEPS if quick else STEPS[integrator]:
+                for frequency in frequencies[:1] if quick else frequencies:
+                    runs.append(Run(
+                        NAME, integrator, f'step {step:g} s, springs {frequency:g} / step',
+                        self._motion(case, step, frequency / step, integrator)))
+        return runs
+
+    def _motion(self, case, step, frequency, integrator):
+        model = self._build(step, frequency, integrator)
+        data = mujoco.MjData(model)
+
+        def execute():
+            self._start(model, data, case.q, case.qd, case.tau)
+            mujoco.mj_step(model, data, round(case.duration / step))
+            # On bad values MuJoCo starts anew by itself.
+            if data.warning[mujoco.mjtWarning.mjWARN_BADQACC].number:
+                return np.full(len(case.q), np.nan)
+            return data.qpos.copy()
+        return execute
+
+
+def _inertial(body):
+    return (f'<inertial mass="{body.mass!r}" pos="{_numbers(*body.center_of_mass, 0)}" '
+            f'diaginertia="{_numbers(*3 * [body.inertia])}"/>')
+
+
+def _numbers(*values):
+    return ' '.join(repr(float(value)) for value in values)
+
+
+def _body(name):
+    return 'world' if name == 'ground' else name

@@ -1,0 +1,91 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""This project's simulator, for the comparison in peers.py."""
+
+from machine import commit
+import numpy as np
+from peer_cases import Run, simulation
+
+from closedloop_dynamics.simulation import Simulation  # noqa: I100
+from closedloop_dynamics.studies.formulations import evaluate_again
+
+NAME = 'closedloop_dynamics'
+TOLERANCES = tuple(10.0 ** -k for k in range(2, 14))
+QUICK_TOLERANCES = tuple(10.0 ** -k for k in range(3, 13, 3))
+STEPS = (1e-2, 5e-3, 2e-3, 1e-3, 5e-4, 2e-4, 1e-4, 5e-5)
+QUICK_STEPS = (1e-2, 1e-3)
+
+
+class Engine:
+    """
+    Our simulator of one scene.
+
+    Parameters
+    ----------
+    scene : scene.Scene
+        With gravity alone.
+
+    """
+
+    name, version = NAME, commit()
+    softness = None
+
+    def __init__(self, scene):
+        """Build the model."""
+        self._scene, self._simulation = scene, Simulation(scene)
+
+    def acceleration(self, q, qd, tau):
+        """Return joint accelerations, shape (nv,)."""
+        system = self._simulation.system
+        system.tau[:] = tau
+        evaluate_again(system, q, qd, 1)
+        return system.qdd.copy()
+
+    def timings(self, q, qd, tau):
+        """Return {what: function of a number of evaluations}."""
+        one = self._simulation
+        one.system.tau[:] = tau
+        actuated = np.array([joint.actuated for joint in one.mechanism.joints])
+        torque = tau[actuated]
+
+        def call(count):
+            for _ in range(count):
+                one.forward_dynamics(q, qd, torque)
+
+        return {'evaluation, compiled loop': lambda count: evaluate_again(
+                    one.system, q, qd, count),
+                'evaluation, from Python': call}
+
+    def runs(self, case, quick):
+        """Return the runs of a case."""
+        runs = []
+        for value in QUICK_TOLERANCES if quick else TOLERANCES:
+            one = simulation(case.scene, 'dop853', value, case.duration)
+            runs.append(Run(NAME, 'DOP853', f'tolerance {value:.0e}', _motion(one, case, 1)))
+        for value in QUICK_STEPS if quick else STEPS:
+            one = simulation(case.scene, 'rk4', value, case.duration, adaptive=False)
+            runs.append(Run(NAME, 'RK4', f'step {value:g} s', _motion(
+                one, case, round(case.duration / value))))
+        return runs
+
+
+def _motion(one, case, steps):
+    """Return a function that computes the motion of a case."""
+    def execute():
+        one.reset()
+        one.monitor.sampling = False
+        one.advance(case.tau, steps)
+        return one.position
+    return execute

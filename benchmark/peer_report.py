@@ -1,0 +1,198 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""What peers.py measured: tables, CSV files, a picture."""
+
+import math
+import sys
+
+from machine import ROOT
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+sys.path.insert(0, str(ROOT))
+
+from closedloop_dynamics.studies.tables import (  # noqa: E402,I100
+    markdown_table, seconds, text_table, write_csv)
+
+OURS = 'closedloop_dynamics'
+TARGETS = (1e-2, 1e-3, 1e-4, 1e-6, 1e-8, 1e-10)
+# Okabe and Ito's palette, one colour an engine; markers and dashes tell its lines apart.
+COLORS = {OURS: '#0072B2', 'Pinocchio': '#D55E00', 'MuJoCo': '#009E73', 'Exudyn': '#CC79A7'}
+STYLES = (('o', '-'), ('s', '--'), ('D', ':'))
+DOTS_PER_INCH = 120
+
+
+def write_csv_files(result, directory):
+    """Write what was measured as CSV files."""
+    write_csv(directory / 'peers_evaluation.csv', ('scene', 'engine', 'what', 'best', 'median'), [
+        (scene, row['engine'], row['what'], row['best'], row['median'])
+        for scene, rows in result['evaluation'].items() for row in rows])
+    keys = ('case', 'engine', 'line', 'setting', 'error', 'closure', 'best', 'median')
+    write_csv(directory / 'peers_motions.csv', keys, [
+        tuple(row[key] for key in keys) for row in result['motions']])
+
+
+def agreement_table(result, make=markdown_table):
+    """Return how far accelerations differ from ours."""
+    scenes = list(result['agreement'])
+    rows = []
+    for parts in zip(*result['agreement'].values()):
+        cells = [f'{part["error"]:.0e}' + (
+            f' (hard limit: {part["extrapolated"]:.0e})' if 'extrapolated' in part else '')
+            for part in parts]
+        rows.append((f'{parts[0]["engine"]} {parts[0]["version"]}', *cells))
+    return make(('simulator', *scenes), rows)
+
+
+def evaluation_table(result, make=markdown_table):
+    """Return the times of an evaluation or step, ours first, and how many times ours."""
+    scenes = list(result['evaluation'])
+    ours = {scene: min(row['best'] for row in rows if row['engine'] == OURS)
+            for scene, rows in result['evaluation'].items()}
+    rows = []
+    for parts in zip(*result['evaluation'].values()):
+        cells = []
+        for scene, part in zip(scenes, parts):
+            cells += [f'{seconds(part["best"])} / {seconds(part["median"])}',
+                      f'{part["best"] / ours[scene]:.1f}']
+        rows.append((part['engine'], part['what'], *cells))
+    header = [cell for scene in scenes for cell in (f'{scene}, best / median', 'times ours')]
+    return make(('simulator', 'what', *header), rows)
+
+
+def cheapest(rows, target):
+    """Return the cheapest row within a target, None where there is none."""
+    reached = [row for row in rows if row['error'] <= target]
+    return min(reached, key=lambda row: row['best']) if reached else None
+
+
+def motion_table(result, make=markdown_table):
+    """Return, for each case and error, what each simulator's best way costs."""
+    engines = list(dict.fromkeys(row['engine'] for row in result['motions']))
+    rows = []
+    for case in result['cases']:
+        chosen = [row for row in result['motions'] if row['case'] == case['name']]
+        for target in TARGETS:
+            if target < 10.0 * case['uncertainty']:
+                continue
+            best = {engine: cheapest([row for row in chosen if row['engine'] == engine], target)
+                    for engine in engines}
+            ours = best.get(OURS)
+            peers = [row for engine, row in best.items() if row and engine != OURS]
+            ratio = '-'
+            if ours and peers:
+                ratio = f'{min(row["best"] for row in peers) / ours["best"]:.1f}'
+            rows.append((case['name'], f'{target:.0e}', *(
+                _motion_cell(best[engine]) for engine in engines), ratio))
+    return make(('motion', 'error within [rad]', *engines, 'best peer / ours'), rows)
+
+
+def _motion_cell(row):
+    if row is None:
+        return 'not reached'
+    return f'{seconds(row["best"])} ({row["line"]}, {row["setting"]})'
+
+
+def closure_table(result, make=markdown_table):
+    """Return how far the loops are open at the end of each line's most exact run."""
+    rows = []
+    for case in result['cases']:
+        chosen = [row for row in result['motions']
+                  if row['case'] == case['name'] and math.isfinite(row['error'])]
+        for engine, line in dict.fromkeys((row['engine'], row['line']) for row in chosen):
+            row = min((row for row in chosen if (row['engine'], row['line']) == (engine, line)),
+                      key=lambda row: row['error'])
+            rows.append((case['name'], engine, line, row['setting'], f'{row["error"]:.1e}',
+                         f'{row["closure"]:.1e}', seconds(row['best'])))
+    return make(('motion', 'simulator', 'integrator', 'its most exact run', 'error [rad]',
+                 'loops open by [m]', 'CPU time per simulated second'), rows)
+
+
+def text(result):
+    """Return everything for a terminal."""
+    uncertain = '; '.join(f'{case["name"]} {case["uncertainty"]:.0e} rad'
+                          for case in result['cases'])
+    return '\n\n'.join((
+        result['machine'],
+        'Largest relative difference of accelerations at random states:\n'
+        + agreement_table(result, text_table),
+        'CPU time of one evaluation or step:\n' + evaluation_table(result, text_table),
+        'CPU time per simulated second for an error at the end:\n'
+        + motion_table(result, text_table),
+        f'Two methods differ in the reference by: {uncertain}.'))
+
+
+def picture(result):
+    """
+    Draw error against cost, one panel a case.
+
+    Parameters
+    ----------
+    result : dict
+        Of ``peers.measure``.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    """
+    cases = result['cases']
+    columns = min(3, len(cases))
+    lines = -(-len(cases) // columns)
+    figure = Figure(figsize=(4.3 * columns, 3.9 * lines + 0.9), dpi=DOTS_PER_INCH,
+                    layout='constrained')
+    panels = figure.subplots(lines, columns, sharex=True, sharey=True, squeeze=False)
+    for axes, case in zip(panels.flat, cases):
+        _panel(axes, case, [row for row in result['motions'] if row['case'] == case['name']])
+    for axes in panels[-1]:
+        axes.set_xlabel('CPU time for one simulated second')
+    for axes in panels[:, 0]:
+        axes.set_ylabel('error at the end [rad]')
+    handles, labels = panels[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc='outside lower center', ncols=4 if columns > 2 else 2,
+                  frameon=False, fontsize=8)
+    return figure
+
+
+def _panel(axes, case, rows):
+    axes.set_title(case['name'], fontsize=10)
+    axes.set_xscale('log')
+    axes.set_yscale('log')
+    for engine in dict.fromkeys(row['engine'] for row in rows):
+        own = [row for row in rows if row['engine'] == engine]
+        for line, (marker, dashes) in zip(dict.fromkeys(row['line'] for row in own), STYLES):
+            chosen = _front([row for row in own if row['line'] == line])
+            axes.plot([row['best'] for row in chosen], [row['error'] for row in chosen],
+                      color=COLORS.get(engine, '#333333'), marker=marker, linestyle=dashes,
+                      markersize=3.5, linewidth=1.3, label=f'{engine}: {line}')
+    axes.axhspan(1e-30, max(case['uncertainty'], 1e-16), color='#999999', alpha=0.25, linewidth=0)
+    axes.set_ylim(1e-13, 10.0)
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: seconds(value)))
+    axes.yaxis.set_major_locator(LogLocator(numticks=16))
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_minor_formatter(NullFormatter())
+    axes.tick_params(labelsize=8)
+    axes.grid(which='major', color='#dddddd', linewidth=0.7)
+    axes.set_axisbelow(True)
+
+
+def _front(rows):
+    """Return the rows that no other row beats in both error and cost, by cost."""
+    front, least = [], math.inf
+    for row in sorted(rows, key=lambda row: row['best']):
+        if row['error'] < least:
+            front.append(row)
+            least = row['error']
+    return front

@@ -1,0 +1,278 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+This simulator beside its peers: Pinocchio, MuJoCo and Exudyn on the same mechanisms.
+
+Builds the 3-RRR and the carpet scraper in each of them from the same description, shows that all
+compute the same accelerations, then measures in one run, in turn, on one thread: the time of
+an evaluation or a step, and error against CPU time of whole motions. Needs the packages of the
+extra ``bench``; a simulator that is not installed is left out.
+
+"""
+
+import argparse
+import importlib
+import json
+import math
+import os
+from pathlib import Path
+import statistics
+import sys
+import time
+
+# Before anything loads a library that has threads of its own.
+for _name in ('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS', 'MKL_NUM_THREADS'):
+    os.environ[_name] = '1'
+
+from machine import description, ROOT  # noqa: E402,I100
+import numpy as np  # noqa: E402
+import peer_cases  # noqa: E402
+import peer_report  # noqa: E402
+from tqdm import tqdm  # noqa: E402
+
+SCENES = ('three_rrr', 'carpet_scraper')
+ENGINES = ('peer_ours', 'peer_pinocchio', 'peer_mujoco', 'peer_exudyn')
+BASE_TORQUES = {'theta_1': 5.0, 'theta_6': -3.0, 'theta_7': 2.0}
+# Name, scene, constant torques [N m], duration [s].
+CASES = (
+    ('3-RRR, driven, 1 s', 'three_rrr', BASE_TORQUES, 1.0),
+    ('3-RRR, released, 1 s', 'three_rrr', {}, 1.0),
+    ('scraper, driven, 1 s', 'carpet_scraper', {'theta_1': 2.0}, 1.0),
+    ('3-RRR, driven, 2 s', 'three_rrr', BASE_TORQUES, 2.0),
+    ('3-RRR, released, 2 s', 'three_rrr', {}, 2.0),
+    ('scraper, released, 1 s', 'carpet_scraper', {}, 1.0),
+)
+QUICK_CASES = CASES[:1]
+STATES, QUICK_STATES = 20, 3
+ROUNDS, QUICK_ROUNDS = 15, 3
+# Timing: calls at once take about this long [s].
+PORTION = 4e-3
+# Whole motions: rounds over all of them in turn, within this time [s]; those that take longer than
+# LONG are run in the first rounds alone.
+MOTION_ROUNDS, QUICK_MOTION_ROUNDS = 7, 2
+LONG, LONG_ROUNDS = 0.1, 2
+# Dearer runs are not made: the first run of a line that costs more ends it [s].
+LONGEST, QUICK_LONGEST = 0.7, 0.2
+
+
+def engines(scene, chosen=ENGINES):
+    """Return the simulators that are installed, holding the mechanism of a scene."""
+    result = []
+    for name in chosen:
+        try:
+            result.append(importlib.import_module(name).Engine(scene))
+        except ImportError as error:
+            print(f'{name} is left out: {error}. pip install -e .[bench] installs all.')
+    return result
+
+
+def agreement(scene, built, count):
+    """
+    Compare accelerations at random assembled states, under random torques.
+
+    Parameters
+    ----------
+    scene : scene.Scene
+        With gravity alone.
+    built : list of engines
+        Ours among them, compared with the referee as well.
+    count : int
+        States.
+
+    Returns
+    -------
+    list of dict
+        Largest relative error of each engine; for a soft one also what is left of it when
+        extrapolated to hard loops.
+
+    """
+    referee, rows = peer_cases.Referee(scene), []
+    states = peer_cases.random_states(scene, count)
+    truth = [referee.acceleration(*state) for state in states]
+    for engine in built:
+        values = [engine.acceleration(*state) for state in states]
+        row = {'engine': engine.name, 'version': engine.version, 'error': _relative(values, truth)}
+        if engine.softness:
+            softer = [engine.acceleration(*state, softness=2.0 * engine.softness)
+                      for state in states]
+            row['extrapolated'] = _relative(
+                [2.0 * a - b for a, b in zip(values, softer)], truth)
+        rows.append(row)
+    return rows
+
+
+def _relative(values, truth):
+    return max(float(np.abs(a - b).max() / np.abs(b).max()) for a, b in zip(values, truth))
+
+
+def evaluation_times(scene, built, rounds):
+    """
+    Time evaluations and steps, all in turn.
+
+    Parameters
+    ----------
+    scene : scene.Scene
+        With gravity alone.
+    built : list of engines
+        To be timed.
+    rounds : int
+        How often.
+
+    Returns
+    -------
+    list of dict
+        Best and median time of one evaluation or step [s].
+
+    """
+    state = peer_cases.random_states(scene, 1)[0]
+    tasks = [(engine.name, what, function) for engine in built
+             for what, function in engine.timings(*state).items()]
+    counts = [_calibrated(function) for _, _, function in tasks]
+    times = [[] for _ in tasks]
+    for _ in range(rounds):
+        for (_, _, function), count, measured in zip(tasks, counts, times):
+            measured.append(_timed(function, count) / count)
+    return [{'engine': engine, 'what': what, 'best': min(measured),
+             'median': statistics.median(measured)}
+            for (engine, what, _), measured in zip(tasks, times)]
+
+
+def _calibrated(function):
+    """Return how many calls take about PORTION."""
+    _timed(function, 10)
+    return max(10, round(PORTION / (_timed(function, 100) / 100)))
+
+
+def _timed(function, *arguments):
+    """Return the CPU time of a call [s], all threads counted."""
+    getattr(function, 'prepare', lambda: None)()
+    begin = time.process_time()
+    function(*arguments)
+    return time.process_time() - begin
+
+
+def motions(case, built, quick, progress):
+    """
+    Compute a motion in every way, then time all of them in turn.
+
+    Parameters
+    ----------
+    case : peer_cases.Case
+        The motion.
+    built : list of engines
+        To compute it.
+    quick : bool
+        Fewer and coarser runs.
+    progress : callable
+        Called after each round.
+
+    Returns
+    -------
+    list of dict
+        One row a run: error at the end [rad], closure there [m], CPU time per simulated second
+        (best and median).
+
+    """
+    referee, rows, runs, ended = peer_cases.Referee(case.scene), [], [], {}
+    for run in (run for engine in built for run in engine.runs(case, quick)):
+        name = (run.engine, run.line, run.setting.partition(',')[2])
+        if ended.get(name):
+            continue
+        cost, end = _run(run)
+        ended[name] = cost > (QUICK_LONGEST if quick else LONGEST)
+        row = {'case': case.name, 'engine': run.engine, 'line': run.line, 'setting': run.setting,
+               'error': float(np.abs(end - case.end).max()), 'closure': math.nan, 'cost': [cost]}
+        if math.isfinite(row['error']):
+            row['closure'] = referee.closure(end)
+        rows.append(row)
+        runs.append(run)
+    for number in range(QUICK_MOTION_ROUNDS if quick else MOTION_ROUNDS):
+        for run, row in zip(runs, rows):
+            if number < LONG_ROUNDS or row['cost'][0] < LONG:
+                row['cost'].append(_run(run)[0])
+        progress()
+    for row in rows:
+        # The first run may compile, or warm up.
+        costs = [cost / case.duration for cost in row.pop('cost')[1:]]
+        row.update(best=min(costs), median=statistics.median(costs))
+    return rows
+
+
+def _run(run):
+    """Return CPU time and end of a run."""
+    if run.prepare:
+        run.prepare()
+    begin = time.process_time()
+    end = run.execute()
+    return time.process_time() - begin, end
+
+
+def measure(quick=False, chosen=ENGINES):
+    """
+    Measure everything.
+
+    Parameters
+    ----------
+    quick : bool
+        To see that it runs: the numbers are rough.
+    chosen : sequence of str
+        Modules of the simulators.
+
+    Returns
+    -------
+    dict
+        As written to the JSON file.
+
+    """
+    result = {'machine': description(), 'quick': quick, 'agreement': {}, 'evaluation': {},
+              'cases': [], 'motions': []}
+    built = {name: engines(peer_cases.load_scene(name), chosen) for name in SCENES}
+    for name, simulators in built.items():
+        scene = peer_cases.load_scene(name)
+        result['agreement'][name] = agreement(scene, simulators,
+                                              QUICK_STATES if quick else STATES)
+        result['evaluation'][name] = evaluation_times(scene, simulators,
+                                                      QUICK_ROUNDS if quick else ROUNDS)
+    cases = QUICK_CASES if quick else CASES
+    rounds = QUICK_MOTION_ROUNDS if quick else MOTION_ROUNDS
+    with tqdm(total=len(cases) * rounds, desc='motions', disable=None) as bar:
+        for arguments in cases:
+            case = peer_cases.build_case(*arguments)
+            result['cases'].append({'name': case.name, 'duration': case.duration,
+                                    'uncertainty': case.uncertainty})
+            result['motions'] += motions(case, built[arguments[1]], quick, bar.update)
+    return result
+
+
+def main(arguments=None):
+    """Run the comparison."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument('--quick', action='store_true', help='see that it runs: rough numbers')
+    parser.add_argument('--output', type=Path, default=ROOT / 'benchmark_output',
+                        metavar='DIR', help='where results go (default: %(default)s)')
+    options = parser.parse_args(arguments)
+    result = measure(options.quick)
+    options.output.mkdir(parents=True, exist_ok=True)
+    (options.output / 'peers.json').write_text(json.dumps(result, indent=1))
+    peer_report.write_csv_files(result, options.output)
+    peer_report.picture(result).savefig(options.output / 'peers.png')
+    print(peer_report.text(result))
+    print(f'\nwritten: {options.output}/peers.json, peers_evaluation.csv, peers_motions.csv, '
+          'peers.png')
+    return 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())
