@@ -108,13 +108,14 @@ class Assembler:
 
         """
         q = np.array(guess, dtype=float)
-        free = self._free(hold)
-        metric = self._metric(q, free)
+        free, metric = self._free(hold), None
         psi = self.closure(q)
         for _ in range(MOST_ITERATIONS):
             error = np.abs(psi).max(initial=0.0)
             if error <= 0.01 * TOLERANCE * self.extent:
                 break
+            # Dense, and so for mechanisms of a thousand joints only where there is need.
+            metric = self._metric(q, free) if metric is None else metric
             q, psi, better = self._correct(q, psi, free, metric)
             if not better:
                 break
@@ -153,6 +154,8 @@ class Assembler:
         free = self._free(hold)
         if len(hold) > 0:
             qd[free] = 0.0
+        if not qd.any():
+            return qd
         jac = self.jacobian(q)
         rate = jac @ qd
         qd[free] -= _least_change(jac[:, free], rate, self._metric(q, free))
@@ -189,6 +192,7 @@ class Assembler:
                 'projection.')
 
     def _free(self, hold):
+        hold = set(hold)
         return np.array([k for k, name in enumerate(self.mechanism.joint_names)
                          if name not in hold], dtype=int)
 

@@ -106,7 +106,8 @@ def _cut_arrays(mechanism, decomposition, tree, body_row):
         joint = mechanism.cut_joints[index]
         a, b = body_row[joint.body_a], body_row[joint.body_b]
         path_a, path_b = _path(tree, a), _path(tree, b)
-        common = [row for row in path_a if row in set(path_b)]
+        shared = set(path_b)
+        common = [row for row in path_a if row in shared]
         own_a = path_a[:len(path_a) - len(common)]
         own_b = path_b[:len(path_b) - len(common)]
         start = len(slots)
