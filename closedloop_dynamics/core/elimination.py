@@ -31,6 +31,9 @@ from .types import (
 # equations 0.01 rad from dependent) passes errors of a stage's positions into the
 # accelerations a hundredfold: the rank-revealing path takes over, which weighs them.
 POOR_PIVOT = 1e-4
+# Of many joints in a row small pivots are the size, not the configuration: the smallest one of a
+# regular ladder or chain is 0.3 / nv or 0.9 / nv. From so many joints on the limit falls likewise.
+MANY_JOINTS = 100.0
 
 
 @inlined
@@ -127,7 +130,7 @@ def factorize(model, work):
     work.health[RANK] = column.shape[0] - 1
     if smallest < work.health[SMALLEST_PIVOT_EVER]:
         work.health[SMALLEST_PIVOT_EVER] = smallest
-    return smallest >= POOR_PIVOT
+    return smallest >= POOR_PIVOT * min(1.0, MANY_JOINTS / model.tree.shape[0])
 
 
 @inlined
