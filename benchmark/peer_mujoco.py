@@ -38,6 +38,9 @@ QUICK_STEPS = (1e-3, 5e-4)
 # No spring for a time: rates are what they are, positions as well.
 SPRINGS_AT_REST = 1e3
 
+# What goes wrong shows in the result; no file MUJOCO_LOG.TXT is wanted.
+mujoco.set_mju_user_warning(lambda message: None)
+
 
 class Engine:
     """

@@ -86,6 +86,51 @@ def chain(links):
     return Mechanism(f'chain_{links}', bodies, tuple(joints), (cut,)), position
 
 
+def star(loops, arms=8, angle=0.5):
+    """
+    Build ladders that meet at one crank: a star of subsystems.
+
+    The subsystem in the middle touches as many cut joints as there are arms, every other one two.
+    All cranks turn alike, as in a ladder.
+
+    Parameters
+    ----------
+    loops : int
+        Of each arm, at least 1.
+    arms : int
+        Ladders, evenly around the crank in the middle.
+    angle : float
+        Of all cranks [rad].
+
+    Returns
+    -------
+    mechanism : Mechanism
+        With 2 arms loops + 1 joints and one equation less.
+    position : tuple of floats
+        Coordinates that close the loops.
+
+    """
+    bodies, cuts = [_bar('hub', 1.0)], []
+    joints = [Joint('pivot', REVOLUTE, GROUND, 'hub', (0.0, 0.0), actuated=True)]
+    position = [angle]
+    for arm in range(arms):
+        turn = 2.0 * math.pi * arm / arms
+        x, y = math.cos(turn), math.sin(turn)
+        before = 'hub'
+        for k in range(1, loops + 1):
+            crank, coupler = f'crank_{arm}_{k}', f'coupler_{arm}_{k}'
+            bodies += [_bar(crank, 1.0), _bar(coupler, 1.0)]
+            joints += [
+                Joint(f'pivot_{arm}_{k}', REVOLUTE, GROUND, crank, (k * x, k * y)),
+                Joint(f'tip_{arm}_{k}', REVOLUTE, before, coupler, (1.0, 0.0))]
+            position += [angle, turn - angle]
+            cuts.append(CutJoint(f'cut_{arm}_{k}', REVOLUTE, coupler, crank, (1.0, 0.0),
+                                 (1.0, 0.0)))
+            before = crank
+    mechanism = Mechanism(f'star_{arms}_{loops}', tuple(bodies), tuple(joints), tuple(cuts))
+    return mechanism, tuple(position)
+
+
 def _bar(name, length, mass=1.0):
     """Return a uniform bar along its x axis."""
     return Body(name, mass, (0.5 * length, 0.0), mass * length ** 2 / 12.0)

@@ -1,0 +1,210 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Cost and memory as mechanisms grow to ten thousand joints: ladders, stars, chains.
+
+Measures, per joint: the time of an evaluation inside compiled code, the memory of model
+and workspace, the time to set a mechanism up. All sizes are timed in turn, one thread, CPU time.
+
+"""
+
+import argparse
+import json
+from pathlib import Path
+import statistics
+import sys
+import time
+
+from machine import description, ROOT
+from matplotlib.figure import Figure
+import numpy as np
+
+sys.path.insert(0, str(ROOT))
+
+from closedloop_dynamics.core.types import RANK  # noqa: E402,I100
+from closedloop_dynamics.integration.system import build_system, evaluate  # noqa: E402
+from closedloop_dynamics.mechanism.decomposition import decompose  # noqa: E402
+from closedloop_dynamics.mechanism.families import chain, ladder, star  # noqa: E402
+from closedloop_dynamics.mechanism.validation import validate_mechanism  # noqa: E402
+from closedloop_dynamics.modeling import build_model  # noqa: E402
+from closedloop_dynamics.studies.formulations import evaluate_again  # noqa: E402
+from closedloop_dynamics.studies.tables import markdown_table, seconds, text_table  # noqa: E402
+
+# Label: builder, and its sizes for 10 to 10,000 joints.
+FAMILIES = {
+    'ladder': (ladder, (5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000)),
+    'star': (star, (1, 2, 3, 6, 12, 30, 60, 125, 312, 625)),
+    'chain': (chain, (10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10000)),
+}
+WORDS = {'ladder': 'ladder of N four-bars', 'star': 'star: eight ladders meet at one crank',
+         'chain': 'chain of N links hung up at both ends'}
+QUICK_LARGEST = 300
+# Timing: evaluations that take so long together [s], in so many turns.
+PORTION, TURNS, QUICK_TURNS = 4e-3, 25, 3
+COLORS = {'ladder': ('#0072B2', 'o'), 'star': ('#D55E00', 's'), 'chain': ('#009E73', 'D')}
+FROM = 10
+
+
+def build(family, size):
+    """
+    Set a member of a family up, moving and driven.
+
+    Parameters
+    ----------
+    family : str
+        A key of ``FAMILIES``.
+    size : int
+        As its builder counts.
+
+    Returns
+    -------
+    row : dict
+        Joints, equations, fill, bytes, set-up time [s].
+    task : tuple
+        What ``evaluate_again`` takes, without the number.
+
+    """
+    mechanism, position = FAMILIES[family][0](size)
+    begin = time.process_time()
+    mechanism = validate_mechanism(mechanism)
+    decomposition = decompose(mechanism)
+    model = build_model(mechanism, decomposition=decomposition)
+    system = build_system(model)
+    setup = time.process_time() - begin
+    joints = len(mechanism.joints)
+    # Cranks turn alike, couplers do not turn at all: the rates close the loops.
+    rates = np.array([0.0] * joints)
+    if family != 'chain':
+        for k, joint in enumerate(mechanism.joints):
+            rates[k] = 1.0 if joint.name.startswith('pivot') else -1.0
+    system.tau[:] = np.random.default_rng(1).uniform(-1.0, 1.0, joints)
+    q = np.array(position)
+    evaluate(system, q, rates)
+    work = system.work
+    row = {'family': family, 'size': size, 'joints': joints,
+           'equations': mechanism.number_of_equations, 'fill': decomposition.fill,
+           'entries': len(model.row), 'setup': setup,
+           'bytes': sum(part.nbytes for part in (*model, *work)),
+           'full rank': bool(work.health[RANK] == mechanism.number_of_equations)}
+    return row, (system, q, rates)
+
+
+def measure(quick=False):
+    """
+    Measure all families.
+
+    Parameters
+    ----------
+    quick : bool
+        Small ones alone, and rough numbers.
+
+    Returns
+    -------
+    dict
+        As written to the JSON file.
+
+    """
+    rows, tasks = [], []
+    for family, (_, sizes) in FAMILIES.items():
+        for size in sizes:
+            if quick and size > QUICK_LARGEST:
+                continue
+            row, task = build(family, size)
+            evaluate_again(*task, 1)
+            count = max(1, round(PORTION / max(_timed(task, 3) / 3.0, 1e-7)))
+            rows.append(row)
+            tasks.append((task, count, []))
+    for _ in range(QUICK_TURNS if quick else TURNS):
+        for task, count, times in tasks:
+            times.append(_timed(task, count) / count)
+    for row, (_, _, times) in zip(rows, tasks):
+        row.update(best=min(times), median=statistics.median(times))
+    return {'machine': description(), 'quick': quick, 'rows': rows}
+
+
+def _timed(task, count):
+    begin = time.thread_time()
+    evaluate_again(*task, count)
+    return time.thread_time() - begin
+
+
+def growth(result):
+    """Return, for each family, how the time per joint changes from ten joints on."""
+    lines = []
+    for family in FAMILIES:
+        rows = [row for row in result['rows']
+                if row['family'] == family and row['joints'] >= FROM]
+        costs = {row['joints']: row['best'] / row['joints'] for row in rows}
+        first, last = costs[min(costs)], costs[max(costs)]
+        lines.append(
+            f'* {WORDS[family]}: {1e9 * first:.0f} ns per joint at {min(costs)} joints, '
+            f'{1e9 * last:.0f} ns at {max(costs)} ({last / first:.2f} times); between '
+            f'{1e9 * min(costs.values()):.0f} and {1e9 * max(costs.values()):.0f} ns.')
+    return '\n'.join(lines)
+
+
+def table(result, make=markdown_table):
+    """Return the rows as a table."""
+    return make(
+        ('mechanism', 'joints', 'equations', 'blocks filled in', 'evaluation', 'per joint',
+         'memory per joint', 'set-up', 'set-up per joint'),
+        [(row['family'], str(row['joints']), str(row['equations']), str(row['fill']),
+          seconds(row['best']), f'{1e9 * row["best"] / row["joints"]:.0f} ns',
+          f'{row["bytes"] / row["joints"]:.0f} B', seconds(row['setup']),
+          seconds(row['setup'] / row['joints'])) for row in result['rows']])
+
+
+def picture(result):
+    """Draw time and memory per joint over the number of joints."""
+    figure = Figure(figsize=(9.6, 3.9), dpi=120, layout='constrained')
+    time_axes, memory_axes = figure.subplots(1, 2)
+    for family, (color, marker) in COLORS.items():
+        rows = [row for row in result['rows'] if row['family'] == family]
+        joints = [row['joints'] for row in rows]
+        style = {'color': color, 'marker': marker, 'markersize': 4.5, 'linewidth': 1.4}
+        time_axes.plot(joints, [1e9 * row['best'] / row['joints'] for row in rows],
+                       label=WORDS[family], **style)
+        memory_axes.plot(joints, [row['bytes'] / row['joints'] for row in rows], **style)
+    for axes, title in ((time_axes, 'CPU time of one evaluation, per joint [ns]'),
+                        (memory_axes, 'model and workspace, per joint [bytes]')):
+        axes.set_xscale('log')
+        axes.set_ylim(0.0, None)
+        axes.set_xlabel('joints')
+        axes.set_title(title, fontsize=10)
+        axes.grid(color='#dddddd', linewidth=0.7)
+        axes.set_axisbelow(True)
+        axes.tick_params(labelsize=8)
+    figure.legend(loc='outside lower center', ncols=3, frameon=False, fontsize=8.5)
+    return figure
+
+
+def main(arguments=None):
+    """Run the benchmark."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument('--quick', action='store_true', help='small ones alone, rough numbers')
+    parser.add_argument('--output', type=Path, default=ROOT / 'benchmark_output',
+                        metavar='DIR', help='where results go (default: %(default)s)')
+    options = parser.parse_args(arguments)
+    result = measure(options.quick)
+    options.output.mkdir(parents=True, exist_ok=True)
+    (options.output / 'size.json').write_text(json.dumps(result, indent=1))
+    picture(result).savefig(options.output / 'size.png')
+    print(result['machine'], table(result, text_table), growth(result), sep='\n\n')
+    print(f'\nwritten: {options.output}/size.json, size.png')
+    return 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())
