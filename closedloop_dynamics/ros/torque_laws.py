@@ -53,6 +53,10 @@ class Wave:
         pulsation = 2 * np.pi * self.frequency
         return self.amplitude * pulsation * np.cos(pulsation * time + self.phase)
 
+    def acceleration(self, time):
+        """Return its second derivative with respect to time."""
+        return -(2 * np.pi * self.frequency) ** 2 * self.value(time)
+
 
 @dataclass(frozen=True)
 class Reference:
@@ -95,6 +99,10 @@ class Reference:
         wave = self.wave.value(time) - self.wave.value(0.0)
         return origin + self.velocity * time + wave, self.velocity + self.wave.rate(time)
 
+    def acceleration(self, time):
+        """Return the acceleration at a time [rad/s^2 or m/s^2]."""
+        return self.wave.acceleration(time)
+
 
 class ProportionalDerivative:
     """
@@ -107,7 +115,7 @@ class ProportionalDerivative:
 
     Parameters
     ----------
-    reference : Reference
+    reference : Reference or studies.circle.Circle
     kp, kd, ki : ndarray, shape (n,)
         [N m/rad], [N m s/rad] and [N m/(rad s)], of a joint with kp = 0
         [N m/rad].
@@ -115,11 +123,15 @@ class ProportionalDerivative:
         [N m].
     limit : ndarray, shape (n,)
         Largest magnitude of the torque [N m]; infinite: none.
+    inertia : float
+        By which the acceleration of the reference is multiplied, to be added: 1 where the
+        torques are taken for accelerations.
 
     """
 
-    def __init__(self, reference, kp, kd, ki, feedforward, limit):
+    def __init__(self, reference, kp, kd, ki, feedforward, limit, inertia=0.0):
         self.reference = reference
+        self.inertia = inertia
         self.kp, self.kd, self.ki = kp, kd, ki
         self.feedforward = feedforward
         self.limit = limit
@@ -153,6 +165,8 @@ class ProportionalDerivative:
         self._last = time
         wanted = (self.feedforward + self.kp * error + self.kd * error_rate
                   + self.ki * integral)
+        if self.inertia:
+            wanted = wanted + self.inertia * self.reference.acceleration(time - self._first)
         torque = np.clip(wanted, -self.limit, self.limit)
         winding_up = (wanted != torque) & (self.ki * integrand * wanted > 0.0)
         self._integral = np.where(winding_up, self._integral, integral)

@@ -21,6 +21,8 @@ from closedloop_dynamics.ros.process import StartError
 from closedloop_dynamics.ros.torque_laws import ProportionalDerivative
 from closedloop_dynamics.ros.torque_laws import Reference
 from closedloop_dynamics.ros.torque_laws import Wave
+from closedloop_dynamics.studies.circle import Circle
+from closedloop_dynamics.studies.circle import CircleError
 import numpy as np
 
 _PER_JOINT = 'One value for all joints, or one per joint.'
@@ -63,6 +65,14 @@ TORQUE_SOURCE_PARAMETERS = (
     Parameter('move_frequency', [0.25], f'pd: its frequency [Hz]. {_PER_JOINT}'),
     Parameter('move_phase', [0.0], 'pd: its phase [rad]; the reference begins at '
               f'target_position whatever the phase. {_PER_JOINT}'),
+    Parameter('circle_point', '', 'computed_torque: named point that goes round a circle, from '
+              'rest where the scene begins, its body keeping its angle; in place of target_* and '
+              'move_*. The mechanism needs two or three degrees of freedom.'),
+    Parameter('circle_radius', 0.1, 'Radius of the circle [m].', (1e-6, 1e3)),
+    Parameter('circle_frequency', 0.25, 'Turns per second, after the first one [Hz].',
+              (1e-6, 1e3)),
+    Parameter('circle_phase', 0.0, 'Where on the circle the point begins, seen from its centre '
+              '[rad].', (-10.0, 10.0)),
     Parameter('feedforward', [0.0],
               f'pd, computed_torque: torque added always [N m or N]. {_PER_JOINT}'),
     Parameter('torque_limit', [0.0],
@@ -122,10 +132,7 @@ def closed_loop(values, joints, simulation=None):
         If a parameter does not fit the joints.
 
     """
-    reference = Reference(
-        _spread(values, 'target_position', joints, nan_allowed=True),
-        _spread(values, 'target_velocity', joints),
-        _wave(values, 'move_', joints))
+    reference = _reference(values, joints, simulation)
     gains = [_not_negative(values, name, joints) for name in ('kp', 'kd', 'ki')]
     if not np.any(gains):
         raise StartError(f"mode '{values['mode']}' needs a gain: kp, kd and ki are all zero")
@@ -135,8 +142,25 @@ def closed_loop(values, joints, simulation=None):
     if simulation is None:
         return ProportionalDerivative(reference, *gains, feedforward, limit)
     none = np.zeros_like(limit)
-    controller = ProportionalDerivative(reference, *gains, none, none + np.inf)
+    controller = ProportionalDerivative(reference, *gains, none, none + np.inf, inertia=1.0)
     return ComputedTorque(simulation, controller, feedforward, limit)
+
+
+def _reference(values, joints, simulation):
+    if not values['circle_point']:
+        return Reference(
+            _spread(values, 'target_position', joints, nan_allowed=True),
+            _spread(values, 'target_velocity', joints),
+            _wave(values, 'move_', joints))
+    if simulation is None:
+        raise StartError("parameter 'circle_point': a circle needs mode 'computed_torque', which "
+                         f"knows the mechanism; got mode '{values['mode']}'")
+    try:
+        return Circle(
+            simulation.mechanism, simulation.position, values['circle_point'],
+            *(values[f'circle_{key}'] for key in ('radius', 'frequency', 'phase')), joints)
+    except CircleError as error:
+        raise StartError(f"parameters 'circle_*': {error}") from None
 
 
 def _spread(values, name, joints, nan_allowed=False):

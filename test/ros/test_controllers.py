@@ -1,0 +1,126 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The controllers to start from: how well they track, in lockstep and with the clock."""
+
+from pathlib import Path
+
+from closedloop_dynamics.ros.torque_source_parameters import closed_loop
+from closedloop_dynamics.ros.torque_source_parameters import TORQUE_SOURCE_PARAMETERS
+from closedloop_dynamics.simulation import Simulation
+from closedloop_dynamics.studies.motion import body_poses
+from closedloop_dynamics.studies.motion import named_point
+import numpy as np
+import pytest
+from rclpy.parameter import parameter_dict_from_yaml_file
+from rclpy.parameter import parameter_value_to_python
+from rclpy.qos import QoSProfile
+from sensor_msgs.msg import JointState
+
+CONTROLLERS = Path(__file__).resolve().parents[2] / 'config' / 'controllers'
+SIMULATOR, SOURCE = 'closedloop_simulator', 'closedloop_torque_source'
+SPEED = 4.71238898038469
+
+
+def law_of(name):
+    """Return the law of a shipped controller and a simulation to drive."""
+    values = {parameter.name: parameter.default for parameter in TORQUE_SOURCE_PARAMETERS}
+    messages = parameter_dict_from_yaml_file(
+        str(CONTROLLERS / f'{name}.yaml'), target_nodes=[f'/**/{SOURCE}'])
+    values.update({key: parameter_value_to_python(message.value)
+                   for key, message in messages.items()})
+    simulation = Simulation.from_scene(values['scene'])
+    return closed_loop(values, simulation.actuated_joints, simulation), Simulation.from_scene(
+        values['scene'])
+
+
+def run_lockstep(name, period, duration):
+    """Return times, joint positions and velocities of a controlled run, state by state."""
+    law, simulation = law_of(name)
+    rows = []
+    while simulation.time < duration:
+        rows.append((simulation.time, simulation.position, simulation.velocity))
+        simulation.step(law.torque(*rows[-1]), period)
+    return [np.array(column) for column in zip(*rows)]
+
+
+def misses(mechanism, position, center):
+    """Return how far the platform's centre is from the circle [m]."""
+    places = named_point(mechanism, body_poses(mechanism, position), 'platform_center')
+    return np.abs(np.hypot(*(places - center).T) - 0.12)
+
+
+def center_of(name):
+    law, simulation = law_of(name)
+    return law._controller.reference.center, simulation.mechanism
+
+
+# What doc/look.md states.
+@pytest.mark.parametrize('rate, largest', [(100, 2e-5), (1000, 2e-7)])
+def test_platform_follows_its_circle(rate, largest):
+    center, mechanism = center_of('three_rrr_circle')
+    _, position, _ = run_lockstep('three_rrr_circle', 1.0 / rate, 6.0)
+    assert misses(mechanism, position, center).max() < largest
+    place = named_point(mechanism, body_poses(mechanism, position), 'platform_center')
+    assert np.ptp(place[:, 0]) > 0.2
+
+
+@pytest.mark.parametrize('rate, largest', [(100, 0.16), (500, 0.007)])
+def test_crank_keeps_its_speed(rate, largest):
+    time, _, velocity = run_lockstep('carpet_scraper_speed', 1.0 / rate, 5.0)
+    assert np.abs(velocity[time > 1.5, 0] - SPEED).max() < largest
+
+
+def run_processes(processes, listener, name, mode, count):
+    """Return what the nodes publish in a run: stamps [s], positions, velocities."""
+    states = []
+    listener.node.create_subscription(
+        JointState, 'joint_states', states.append, QoSProfile(depth=10000))
+    arguments = ['--ros-args', '--params-file', str(CONTROLLERS / f'{name}.yaml')]
+    simulator = processes.start(SIMULATOR, arguments=arguments, mode=mode)
+    simulator.wait_until_ready()
+    listener.wait(lambda: states, 'the first state')
+    source = processes.start(SOURCE, arguments=arguments)
+    listener.wait(lambda: len(moving(states)) > count, 'states')
+    assert source.stop() == 0
+    assert simulator.stop() == 0
+    chosen = moving(states)[:count]
+    return [np.array(column) for column in zip(*((
+        each.header.stamp.sec + 1e-9 * each.header.stamp.nanosec, each.position, each.velocity)
+        for each in chosen))]
+
+
+def moving(states):
+    """Return the states from the last one at rest on."""
+    first = next((k for k, each in enumerate(states)
+                  if list(each.position) != list(states[0].position)), len(states))
+    return states[max(0, first - 1):]
+
+
+@pytest.mark.parametrize('mode, largest', [('lockstep', 2e-5), ('realtime', 2e-3)])
+def test_nodes_lead_the_platform_round(processes, listener, mode, largest):
+    center, mechanism = center_of('three_rrr_circle')
+    _, position, _ = run_processes(processes, listener, 'three_rrr_circle', mode, 450)
+    assert misses(mechanism, position, center).max() < largest
+    place = named_point(mechanism, body_poses(mechanism, position), 'platform_center')
+    assert np.ptp(place[:, 1]) > 0.1
+
+
+def test_in_lockstep_nodes_do_what_one_process_does(processes, listener):
+    time, position, _ = run_processes(
+        processes, listener, 'carpet_scraper_speed', 'lockstep', 150)
+    times, positions, _ = run_lockstep('carpet_scraper_speed', 0.01, 1.5)
+    assert np.abs(time - times[:150]).max() < 1e-9
+    # Times are whole nanoseconds there, which moves the last digits.
+    np.testing.assert_allclose(position, positions[:150], atol=1e-11)
