@@ -24,25 +24,22 @@ is measured.
 
 """
 
+import argparse
+from collections import Counter
+import json
+import math
 import os
+from pathlib import Path
+import subprocess
+import sys
+import time
 
-os.environ.setdefault('NUMBA_DISABLE_JIT', '0')
-
-import argparse  # noqa: E402,I100
-from collections import Counter  # noqa: E402
-import json  # noqa: E402
-import math  # noqa: E402
-from pathlib import Path  # noqa: E402
-import subprocess  # noqa: E402
-import sys  # noqa: E402
-import time  # noqa: E402
-
-from machine import description, ROOT  # noqa: E402
-import numpy as np  # noqa: E402
+from machine import description, ROOT
+import numpy as np
 
 sys.path.insert(0, str(ROOT))
 
-from closedloop_dynamics.core import forward_dynamics as dynamics  # noqa: E402
+from closedloop_dynamics.core import forward_dynamics as dynamics  # noqa: E402,I100
 from closedloop_dynamics.core import kinematics, loop_closure  # noqa: E402
 from closedloop_dynamics.core.compiled import compiled  # noqa: E402
 from closedloop_dynamics.core.types import allocate  # noqa: E402

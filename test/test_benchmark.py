@@ -15,10 +15,13 @@
 """The benchmarks run, and the document they fill has a place for all that they measure."""
 
 import importlib
+import json
+import math
 from pathlib import Path
 import re
 import sys
 
+import numpy as np
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -89,3 +92,111 @@ def test_all_hooks_of_effects_are_found(benchmark, tmp_path):
         cut = path.read_text()
         compile(cut, name, 'exec')
         assert 'effects is not None:' not in cut
+
+
+@pytest.fixture(scope='module')
+def quick_results(tmp_path_factory):
+    """Run every part of the performance document quickly; return where the results are."""
+    output = tmp_path_factory.mktemp('benchmark_output')
+    sys.path.insert(0, str(BENCHMARKS))
+    try:
+        importlib.import_module('make_performance_doc').measure(
+            ('operation_count', 'size', 'startup'), output, True, sys.executable)
+        peers = importlib.import_module('peers')
+        # The others need a minute, and may not be installed: test_peers_agree looks at them.
+        result = peers.measure(True, ('peer_ours',))
+        (output / 'peers.json').write_text(json.dumps(result))
+        report = importlib.import_module('peer_report')
+        report.write_csv_files(result, output)
+        report.picture(result).savefig(output / 'peers.png')
+        assert 'three_rrr' in report.text(result)
+    finally:
+        sys.path.remove(str(BENCHMARKS))
+    return output
+
+
+def test_performance_document_is_filled(benchmark, quick_results, tmp_path):
+    document = benchmark('make_performance_doc')
+    path = tmp_path / 'performance.md'
+    path.write_text((ROOT / 'doc' / 'performance.md').read_text())
+    assert document.main(['--measured', '--output', str(quick_results),
+                          '--document', str(path)]) == 0
+    text = path.read_text()
+    texts = document.passages(quick_results, document.PARTS)
+    assert text.count('<!-- begin') == len(texts)
+    for name in texts:
+        assert f'<!-- begin {name} -->' in text
+    for picture in ('peers', 'size'):
+        assert (tmp_path / 'pictures' / f'performance_{picture}.png').stat().st_size > 10000
+        assert f'(pictures/performance_{picture}.png)' in text
+
+
+def test_quick_results_make_sense(quick_results):
+    sizes = json.loads((quick_results / 'size.json').read_text())['rows']
+    assert {row['family'] for row in sizes} == {'ladder', 'star', 'chain'}
+    assert all(row['best'] > 0.0 and row['full rank'] for row in sizes)
+    counts = json.loads((quick_results / 'operation_count.json').read_text())['counts']
+    for part in counts.values():
+        assert all(part['chain'][kind] <= part['needed'][kind] <= part['executed'][kind]
+                   for kind in part['needed'])
+    # One articulated inertia a joint, one pivot a closure equation: two each, as executed
+    # (a pivot is compared with its scale, too), one each, as needed.
+    assert counts['three_rrr']['executed']['divide'] == 7 + 2 * 4
+    assert counts['three_rrr']['needed']['sine and cosine'] == 7
+    start, = json.loads((quick_results / 'startup.json').read_text())['rows']
+    assert start['import'] > 0.0 and start['memory'] > 2 ** 20
+    motions = json.loads((quick_results / 'peers.json').read_text())['motions']
+    assert min(row['error'] for row in motions) < 1e-8
+
+
+def test_counted_numbers_are_folded(benchmark):
+    count = benchmark('operation_count')
+    tape = count.Tape()
+    x, y = tape.variable(2.0), tape.variable(3.0)
+    assert (x * 1.0) is x and (0.0 + x) is x and (x - 0.0) is x
+    assert (x * 0.0) == 0.0 and (x * 0.0).constant
+    assert (x * y) is (y * x) and (x + y) is (y + x)
+    cosine = tape.function('cos')
+    result = (x + y) * cosine(x) + 0.0 * cosine(y) - 1.0 / x
+    needed, chain = count._needed([result])
+    assert count.kinds(needed) == {
+        'add': 2, 'multiply': 1, 'divide': 1, 'sine and cosine': 1}
+    assert count.kinds(chain) == {
+        'add': 1, 'multiply': 1, 'divide': 0, 'sine and cosine': 1}
+    assert result == pytest.approx(5.0 * math.cos(2.0) - 0.5)
+
+
+def test_comparison_notices_what_is_slower(benchmark):
+    compare = benchmark('compare')
+    rng = np.random.default_rng(3)
+    base = 1e-6 * rng.uniform(1.0, 1.3, 25)
+    times = {'same': (base, base * rng.uniform(0.98, 1.02, 25)),
+             'slower': (base, 1.2 * base), 'faster': (base, 0.8 * base)}
+    result = {'machine': 'one', 'commits': ['a', 'b'],
+              'times': {task: [list(part) for part in both] for task, both in times.items()}}
+    assert {task: row['verdict'] for task, row in compare.summary(result).items()} == {
+        'same': '', 'slower': 'slower', 'faster': 'faster'}
+    assert '1.200 (1.200 to 1.200) slower' in compare.report(result)
+
+
+@pytest.mark.slow
+def test_comparison_runs_two_commits(benchmark, tmp_path):
+    if not (ROOT / '.git').exists():
+        pytest.skip('not in a checkout')
+    path = tmp_path / 'comparison.json'
+    assert benchmark('compare').main(
+        ['HEAD', '--quick', '--task', 'evaluation three_rrr', '--output', str(path)]) in (0, 1)
+    result = json.loads(path.read_text())
+    assert len(result['times']['evaluation three_rrr'][1]) == 3
+
+
+@pytest.mark.parametrize('engine', ['peer_pinocchio', 'peer_mujoco', 'peer_exudyn'])
+def test_peers_agree(benchmark, engine):
+    pytest.importorskip({'peer_pinocchio': 'pinocchio', 'peer_mujoco': 'mujoco',
+                         'peer_exudyn': 'exudyn'}[engine])
+    peers = benchmark('peers')
+    for name in peers.SCENES:
+        scene = benchmark('peer_cases').load_scene(name)
+        row, = peers.agreement(scene, peers.engines(scene, (engine,)), 3)
+        assert row.get('extrapolated', row['error']) < 1e-4
+        assert row['error'] < 2e-2

@@ -1,0 +1,118 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+The tasks of compare.py, run with the files of whichever commit is on the path.
+
+Its arguments name tasks, all when there are none. Prints their names, then for each name that it
+reads the CPU time of one call. Of the package
+it uses only what has long been there; a task that this commit does not know is left out.
+
+"""
+
+import json
+import sys
+import time
+
+from closedloop_dynamics import Simulation
+
+# A measurement takes about so long [s].
+PORTION = 5e-3
+
+
+def evaluation(scene):
+    """Return one evaluation of the accelerations inside compiled code."""
+    from closedloop_dynamics.studies.formulations import evaluate_again
+    one = Simulation.from_scene(scene)
+    q, qd = one.position, one.velocity
+    return lambda count: evaluate_again(one.system, q, qd, count)
+
+
+def python_call(scene):
+    """Return one evaluation called from Python."""
+    one = Simulation.from_scene(scene)
+    q, qd = one.position, one.velocity
+
+    def call(count):
+        for _ in range(count):
+            one.forward_dynamics(q, qd)
+    return call
+
+
+def steps(scene, **method):
+    """Return one step of a long run."""
+    one = Simulation.from_scene(scene, **method)
+    tau = one.joint_torques(None)
+
+    def run(count):
+        one.reset()
+        one.advance(tau, count)
+    return run
+
+
+def large_ladder():
+    """Return one evaluation of a ladder of 201 joints."""
+    from closedloop_dynamics.studies.formulations import evaluate_again, growing_case
+    from closedloop_dynamics.integration.system import build_system
+    from closedloop_dynamics.modeling import build_model
+    case = growing_case('ladder', 100)
+    system = build_system(build_model(case.mechanism))
+    return lambda count: evaluate_again(system, case.q, case.qd, count)
+
+
+TASKS = {
+    'evaluation three_rrr': lambda: evaluation('three_rrr'),
+    'evaluation carpet_scraper': lambda: evaluation('carpet_scraper'),
+    'evaluation on_carpet': lambda: evaluation('carpet_scraper_on_carpet'),
+    'evaluation ladder of 201 joints': large_ladder,
+    'Python call three_rrr': lambda: python_call('three_rrr'),
+    'RK4 step three_rrr': lambda: steps('three_rrr', integrator='rk4', step_size=1e-3),
+    'RK4 step carpet_scraper': lambda: steps('carpet_scraper', integrator='rk4', step_size=1e-3),
+    'DOP853 ms three_rrr': lambda: steps(
+        'three_rrr', integrator='dop853', step_size=1e-3, tolerance=1e-8),
+}
+
+
+def prepared(chosen):
+    """Return {task: (function of a number of calls, that number)}, compiled."""
+    result = {}
+    for name, build in TASKS.items():
+        if chosen and name not in chosen:
+            continue
+        try:
+            function = build()
+            function(3)
+        except Exception as error:  # noqa: B902
+            print(f'{name} is left out: {error!r}', file=sys.stderr)
+            continue
+        begin = time.process_time()
+        function(50)
+        result[name] = function, max(10, round(
+            PORTION / max((time.process_time() - begin) / 50, 1e-8)))
+    return result
+
+
+def main():
+    """Answer, line by line."""
+    tasks = prepared(sys.argv[1:])
+    print(json.dumps(list(tasks)), flush=True)
+    for line in sys.stdin:
+        function, count = tasks[line.strip()]
+        begin = time.process_time()
+        function(count)
+        print((time.process_time() - begin) / count, flush=True)
+
+
+if __name__ == '__main__':
+    main()

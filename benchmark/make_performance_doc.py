@@ -1,0 +1,146 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Measure all that doc/performance.md shows, and put it there.
+
+Runs peers.py, operation_count.py, size.py and startup.py one after the other, each in a process of
+its own, then writes doc/pictures/performance_*.* and fills the passages of the document between
+``<!-- begin NAME -->`` and ``<!-- end NAME -->``; the text around them stays.
+
+"""
+
+import argparse
+import datetime
+import json
+from pathlib import Path
+import shutil
+import subprocess
+import sys
+
+from machine import ROOT
+from make_accuracy_doc import filled
+import operation_count
+import peer_report
+import size
+import startup
+
+PARTS = ('peers', 'operation_count', 'size', 'startup')
+# The rows of the table of sizes that the document shows.
+SHOWN = 10
+
+
+def measure(parts, output, quick, peers_python):
+    """
+    Run the benchmarks.
+
+    Parameters
+    ----------
+    parts : sequence of str
+        Of ``PARTS``.
+    output : pathlib.Path
+        Where they write their results.
+    quick : bool
+        To see that they run.
+    peers_python : str
+        Interpreter that has the packages of the extra ``bench``.
+
+    """
+    for part in parts:
+        python = peers_python if part == 'peers' else sys.executable
+        print(f'{part} ...', file=sys.stderr, flush=True)
+        subprocess.run(
+            [python, str(ROOT / 'benchmark' / f'{part}.py'), '--output', str(output),
+             *(['--quick'] if quick else [])], check=True, stdout=subprocess.DEVNULL)
+
+
+def peers_passages(result):
+    """Return the passages on the other simulators."""
+    uncertain = max(case['uncertainty'] for case in result['cases'])
+    return {
+        'peers agreement': peer_report.agreement_table(result),
+        'peers evaluation': peer_report.evaluation_table(result),
+        'peers motions': peer_report.motion_table(result),
+        'peers reference': 'The two methods behind the reference differ by '
+                           f'{uncertain:.0e} rad at most.',
+        'peers closure': peer_report.closure_table(
+            {**result, 'cases': result['cases'][:1]})}
+
+
+def operation_passages(result):
+    """Return the passages on operations."""
+    core = '' if result['quick'] else operation_count.core_text(result)
+    return {'operations table': operation_count.table(result), 'operations core': core}
+
+
+def size_passages(result):
+    """Return the passages on size."""
+    last = {}
+    for row in result['rows']:
+        last.setdefault(row['family'], []).append(row)
+    rows = [row for family in last.values() for row in family[:1] + family[1::2][-SHOWN:]]
+    return {'size growth': size.growth(result),
+            'size table': size.table({**result, 'rows': rows})}
+
+
+def passages(output, parts):
+    """Return {name of a passage: its text} from the results of benchmarks."""
+    results = {part: json.loads((output / f'{part}.json').read_text()) for part in parts}
+    builders = {'peers': peers_passages, 'operation_count': operation_passages,
+                'size': size_passages,
+                'startup': lambda result: {'startup table': startup.table(result)}}
+    texts = {}
+    for part, result in results.items():
+        texts.update(builders[part](result))
+        texts[f'{part} machine'] = (
+            f'Measured on {datetime.date.today().isoformat()}: {result["machine"]}.' + (
+                ' Quick version: rough numbers.' if result['quick'] else ''))
+    return texts
+
+
+def copy_pictures(output, pictures, parts):
+    """Copy pictures and CSV files to the document's."""
+    names = {'peers': ('peers.png', 'peers_evaluation.csv', 'peers_motions.csv'),
+             'size': ('size.png',)}
+    for name in (name for part in parts for name in names.get(part, ())):
+        shutil.copyfile(output / name, pictures / f'performance_{name}')
+
+
+def main(arguments=None):
+    """Measure and write."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument('--quick', action='store_true', help='see that it runs: rough numbers')
+    parser.add_argument('--only', action='append', choices=PARTS, help='this part alone')
+    parser.add_argument('--measured', action='store_true',
+                        help='measure nothing, take what lies in the output directory')
+    parser.add_argument('--peers-python', default=sys.executable, metavar='PYTHON',
+                        help='interpreter with the packages of the extra bench '
+                        '(default: this one)')
+    parser.add_argument('--output', type=Path, default=ROOT / 'benchmark_output',
+                        metavar='DIR', help='where results go (default: %(default)s)')
+    parser.add_argument('--document', type=Path, default=ROOT / 'doc' / 'performance.md')
+    options = parser.parse_args(arguments)
+    parts = options.only or PARTS
+    if not options.measured:
+        measure(parts, options.output, options.quick, options.peers_python)
+    texts = passages(options.output, parts)
+    pictures = options.document.parent / 'pictures'
+    pictures.mkdir(exist_ok=True)
+    copy_pictures(options.output, pictures, parts)
+    options.document.write_text(filled(options.document.read_text(), texts))
+    return 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())
