@@ -12,44 +12,226 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Tests of the launch files, where ``launch`` is installed (PyPI has none for Jazzy)."""
+"""
+Tests of the launch files: what they start, for which arguments.
+
+PyPI has no ``launch`` for Jazzy. So stand-ins of its classes, which only keep what they are
+given, tell what would be started; where the real one is installed, it starts the nodes, too.
+
+"""
 
 import importlib.util
+import json
 from pathlib import Path
+import sys
+from types import ModuleType, SimpleNamespace
 
-from closedloop_dynamics.ros.simulator_parameters import SIMULATOR_PARAMETERS as PARAMETERS
+from closedloop_dynamics.bags.reading import Bag
+from closedloop_dynamics.config import shipped_names, shipped_path
+from closedloop_dynamics.mechanism.reader import read_mechanism
+from closedloop_dynamics.ros.simulator_parameters import SIMULATOR_PARAMETERS
+from closedloop_dynamics.urdf import urdf
 import pytest
 
-LAUNCH_FILE = Path(__file__).resolve().parents[2] / 'launch' / 'simulate.launch.py'
+FOLDER = Path(__file__).resolve().parents[2] / 'launch'
+STAND_INS = {
+    'launch': ['LaunchDescription'],
+    'launch.actions': ['DeclareLaunchArgument', 'GroupAction', 'IncludeLaunchDescription',
+                       'LogInfo', 'OpaqueFunction', 'Shutdown'],
+    'launch.conditions': ['IfCondition'],
+    'launch.launch_description_sources': ['PythonLaunchDescriptionSource'],
+    'launch.substitutions': ['LaunchConfiguration', 'PythonExpression'],
+    'launch_ros': [], 'launch_ros.actions': ['Node'],
+    'launch_ros.parameter_descriptions': ['ParameterValue'],
+}
 
-pytest.importorskip('launch_ros', reason='needs ros2 launch, which comes with ROS 2 only')
+
+class StandIn:
+    """Keeps what it is given."""
+
+    def __init__(self, *given, **named):
+        self.given, self.named = given, named
+
+    def __getattr__(self, name):
+        return self.named[name]
+
+    def perform(self, context):
+        """Return the value of a launch argument."""
+        return context[self.given[0]]
 
 
-@pytest.fixture
-def launch_file():
-    spec = importlib.util.spec_from_file_location('simulate_launch', LAUNCH_FILE)
+def load(name):
+    spec = importlib.util.spec_from_file_location(name, FOLDER / f'{name}.launch.py')
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
 
 
-def test_arguments_are_the_parameters_of_the_simulator(launch_file):
-    told = {name: (kind, default) for name, kind, default, _ in launch_file.PARAMETERS}
-    assert told == {
-        parameter.name: (type(parameter.default), in_yaml(parameter.default))
-        for parameter in PARAMETERS}
+@pytest.fixture
+def stand_ins(monkeypatch):
+    for name, classes in STAND_INS.items():
+        module = ModuleType(name)
+        for each in classes:
+            setattr(module, each, type(each, (StandIn,), {}))
+        monkeypatch.setitem(sys.modules, name, module)
 
 
-def in_yaml(value):
-    return str(value).lower() if isinstance(value, bool) else str(value)
+@pytest.fixture
+def simulate(stand_ins):
+    """Return a function that tells what simulate.launch.py starts for arguments."""
+    module = load('simulate')
+    *declared, opaque = module.generate_launch_description().given[0]
+    defaults = {each.given[0]: each.default_value for each in declared}
+
+    def nodes(**arguments):
+        assert set(arguments) <= set(defaults)
+        return opaque.function({**defaults, **arguments})
+
+    nodes.declared = declared
+    return nodes
 
 
-def test_one_node_is_started_with_these_arguments(launch_file):
-    from launch.actions import DeclareLaunchArgument
-    from launch_ros.actions import Node
-    entities = launch_file.generate_launch_description().entities
-    names = [each.name for each in entities if isinstance(each, DeclareLaunchArgument)]
-    assert names == ['namespace', *(name for name, *_ in launch_file.PARAMETERS)]
-    node, = (each for each in entities if isinstance(each, Node))
-    assert node.node_package == 'closedloop_dynamics'
-    assert node.node_executable == 'closedloop_simulator'
+def executables(nodes):
+    return [node.executable for node in nodes]
+
+
+def test_every_parameter_of_the_simulator_is_an_argument(simulate):
+    described = {each.given[0]: each.description for each in simulate.declared}
+    for parameter in SIMULATOR_PARAMETERS:
+        assert parameter.description in described[parameter.name]
+    assert {'drive', 'record', 'rviz', 'rate', 'namespace', 'scene'} <= set(described)
+
+
+def test_one_simulator_is_started_without_arguments(simulate):
+    node, = simulate()
+    assert (node.package, node.executable) == ('closedloop_dynamics', 'closedloop_simulator')
+    assert node.parameters == [{'scene': 'three_rrr', 'marker_frame': 'world'}]
+
+
+def test_arguments_have_the_types_of_the_parameters(simulate):
+    node, = simulate(scene='four_bar', rate='200', wait_for_command='true', step_count='5',
+                     step_size='1e-3', namespace='cell', mode='lockstep')
+    values = node.parameters[-1]
+    assert values == {
+        'scene': 'four_bar', 'publish_rate': 200.0, 'wait_for_command': True, 'step_count': 5,
+        'step_size': 0.001, 'mode': 'lockstep', 'marker_frame': 'world'}
+    assert {type(parameter.default) for parameter in SIMULATOR_PARAMETERS} == set(
+        map(type, values.values()))
+    assert node.namespace == 'cell'
+
+
+@pytest.mark.parametrize('name, value, problem', [
+    ('rate', 'fast', 'publish_rate: expected a number'),
+    ('wait_for_command', 'maybe', 'expected true or false'),
+    ('drive', 'nobody', 'three_rrr_circle')])
+def test_wrong_arguments_are_named(simulate, name, value, problem):
+    with pytest.raises(RuntimeError, match=problem):
+        simulate(**{name: value})
+
+
+@pytest.mark.parametrize('drive', ['three_rrr_circle', 'carpet_scraper_speed', 'three_rrr'])
+def test_a_drive_brings_its_torque_source(simulate, drive):
+    simulator, source = simulate(drive=drive)
+    assert executables([simulator, source]) == [
+        'closedloop_simulator', 'closedloop_torque_source']
+    assert Path(simulator.parameters[0]).is_file()
+    # The scene is the file's.
+    assert 'scene' not in simulator.parameters[-1]
+    assert source.parameters[0] == simulator.parameters[0]
+
+
+def test_recorder_is_started_when_asked_for(simulate):
+    *_, recorder = simulate(record='true', namespace='left')
+    assert (recorder.executable, recorder.namespace) == ('closedloop_recorder', 'left')
+    assert recorder.parameters == [{'output': ''}]
+    *_, recorder = simulate(record='my_bag')
+    assert recorder.parameters == [{'output': 'my_bag'}]
+
+
+@pytest.mark.parametrize('arguments, mechanism', [
+    ({'scene': 'slider_crank'}, 'slider_crank'), ({}, 'three_rrr'),
+    ({'drive': 'carpet_scraper_speed'}, 'carpet_scraper')])
+def test_viewer_is_given_the_machine(simulate, arguments, mechanism):
+    *_, publisher, viewer = simulate(rviz='true', **arguments)
+    assert executables([publisher, viewer]) == ['robot_state_publisher', 'rviz2']
+    description = publisher.parameters[0]['robot_description']
+    assert description.given[0] == urdf(read_mechanism(shipped_path('mechanisms', mechanism)))
+    assert Path(viewer.arguments[-1]).is_file()
+
+
+def test_two_mechanisms_stand_apart(stand_ins, simulate):
+    entities = load('two_mechanisms').generate_launch_description().given[0]
+    kinds = [type(each).__name__ for each in entities]
+    assert kinds.count('GroupAction') == 2
+    arguments = [dict(each.given[0][0].launch_arguments) for each in entities
+                 if type(each).__name__ == 'GroupAction']
+    assert [each['namespace'] for each in arguments] == ['left', 'right']
+    declared = {each.given[0] for each in simulate.declared}
+    for each in arguments:
+        assert set(each) <= declared
+        assert each['marker_frame'] == f"{each['namespace']}/world"
+        plain = {key: value for key, value in each.items() if isinstance(value, str)}
+        assert executables(simulate(**plain)) == [
+            'closedloop_simulator', 'closedloop_torque_source']
+    shown = [each for each in entities if type(each).__name__ == 'Node']
+    assert {each.package for each in shown} == {'tf2_ros', 'rviz2'}
+    assert all('condition' in each.named for each in shown)
+
+
+def test_shipped_views_look_at_what_is_published():
+    folder = shipped_path('scenes', 'x').parents[1]
+    for name, prefixes in (('mechanism', ['']), ('two_mechanisms', ['left/', 'right/'])):
+        text = (folder / 'rviz' / f'{name}.rviz').read_text()
+        for prefix in prefixes:
+            for topic in ('robot_description', 'visualization_marker_array'):
+                assert f'Value: {prefix}{topic}\n' in text
+        assert 'Fixed Frame: world' in text
+    layout = json.loads((folder / 'foxglove' / 'mechanism.json').read_text())
+    panels = layout['configById']
+    assert '/visualization_marker_array' in panels['3D!machine']['topics']
+
+    def leaves(node):
+        return [node] if isinstance(node, str) else leaves(node['first']) + leaves(node['second'])
+
+    assert sorted(leaves(layout['layout'])) == sorted(panels)
+
+
+def test_drives_and_controllers_have_names_of_their_own():
+    assert not set(shipped_names('controllers')) & set(shipped_names('drives'))
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+def test_real_launch_starts_and_ends_all(tmp_path, monkeypatch, domain):
+    """Needs ``launch`` and ``launch_ros``, and the package installed where they look."""
+    pytest.importorskip('launch_ros', reason='comes with ROS 2 only')
+    from ament_index_python.packages import get_package_prefix, PackageNotFoundError
+    import launch
+    from launch.launch_description_sources import PythonLaunchDescriptionSource
+    try:
+        get_package_prefix('closedloop_dynamics')
+    except PackageNotFoundError:
+        pytest.skip('the package is not installed with colcon')
+    monkeypatch.chdir(tmp_path)
+    service = launch.LaunchService()
+    watch = SimpleNamespace(left=600)
+
+    def until_recorded(context):
+        bags = [Path('left'), Path('right')]
+        sizes = [sum(path.stat().st_size for path in bag.glob('*.mcap')) for bag in bags]
+        watch.left -= 1
+        if min(sizes) > 100_000 or watch.left == 0:
+            return [launch.actions.Shutdown(reason='enough was recorded')]
+        return [launch.actions.TimerAction(period=0.5, actions=[
+            launch.actions.OpaqueFunction(function=until_recorded)])]
+
+    service.include_launch_description(launch.LaunchDescription([
+        launch.actions.IncludeLaunchDescription(
+            PythonLaunchDescriptionSource(str(FOLDER / 'two_mechanisms.launch.py')),
+            launch_arguments=[('record', 'true')]),
+        launch.actions.OpaqueFunction(function=until_recorded)]))
+    assert service.run() == 0
+    for name in ('left', 'right'):
+        bag = Bag(tmp_path / name)
+        assert bag.finished
+        assert f'/{name}/joint_states' in {topic for topic, *_ in bag.messages()}
