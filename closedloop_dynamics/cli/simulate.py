@@ -17,10 +17,9 @@
 from contextlib import contextmanager
 import math
 from pathlib import Path
-import signal
 import sys
 
-from .command import assignment, Command, mapping, positive, UsageError
+from .command import assignment, Command, mapping, positive, signals, UsageError
 from ..errors import AssemblyError, SimulationError
 from ..integration.registry import ADAPTIVE, INTEGRATORS, STABILISATIONS
 from ..scene_records import AUTO, FORMULATIONS
@@ -68,7 +67,7 @@ def _add_arguments(parser):
 def _run(arguments):
     simulation, torque = _prepared(arguments)
     report, failure = Report(), None
-    with _opened(arguments.output, arguments.overwrite) as write, _signals() as received, \
+    with _opened(arguments.output, arguments.overwrite) as write, signals() as received, \
             progress_bar(arguments.duration, 's', simulation.scene.name) as bar:
 
         def on_row(values):
@@ -138,25 +137,6 @@ def _opened(output, overwrite):
                 yield lambda line: file.write(line + '\n')
         except OSError as error:
             raise OSError(f'cannot write {output}: {error.strerror}') from None
-
-
-@contextmanager
-def _signals():
-    """Yield a list for SIGINT and SIGTERM, which then do not end a row half-way."""
-    received = []
-
-    def on_signal(number, frame):
-        received.append(number)
-        if len(received) > 1:
-            raise KeyboardInterrupt
-
-    numbers = (signal.SIGINT, signal.SIGTERM)
-    before = [signal.signal(number, on_signal) for number in numbers]
-    try:
-        yield received
-    finally:
-        for number, handler in zip(numbers, before):
-            signal.signal(number, handler)
 
 
 def _summary(simulation, report, arguments):

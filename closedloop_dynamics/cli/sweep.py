@@ -1,0 +1,186 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""``closedloop sweep``: many simulations with different numbers, into one file."""
+
+import sys
+
+import numpy as np
+
+from .command import assignment, Command, mapping, positive, signals, UsageError
+from ..mechanism.fields import FieldError
+from ..recording import QUANTITIES, STATE
+from ..studies.progress import progress_bar
+from ..sweep import sweep
+from ..sweep.parameters import FORMS, parse
+
+FAILED = 1
+NOTHING = 'nothing'
+MOST_REASONS = 5
+
+
+def _add_arguments(parser):
+    parser.add_argument('scene', metavar='SCENE',
+                        help='a shipped scene by its name, or a YAML file')
+    parser.add_argument('--output', required=True, metavar='FILE',
+                        help='where the results go: FILE.nc (NetCDF), FILE.zarr or FILE.parquet')
+    what = parser.add_argument_group('what is varied')
+    what.add_argument('--vary', action='append', default=[], metavar='KEY=VALUES',
+                      help=f'a number of the scene or its mechanism by its key path, and '
+                           f'{FORMS}; may be repeated')
+    what.add_argument('--samples', type=_count, default=1, metavar='N',
+                      help='draws from the distributions, at each point of the grid (default: 1)')
+    what.add_argument('--seed', type=_count, default=0, metavar='N',
+                      help='of the draws; the same seed draws the same (default: 0)')
+    run = parser.add_argument_group('what is run')
+    run.add_argument('--duration', type=positive, default=2.0, metavar='SECONDS',
+                     help='simulated time of each sample (default: 2)')
+    run.add_argument('--torque', type=assignment, action='append', default=[],
+                     metavar='JOINT=VALUE',
+                     help='constant torque of an actuated joint [N m], or force of a prismatic '
+                          'one [N]; may be repeated (default: none)')
+    run.add_argument('--torques', metavar='FILE.npy',
+                     help='sequences of torques instead: an array of NumPy of shape (rows, '
+                          'actuated joints) or (samples, rows, actuated joints); the rows act for '
+                          'equal parts of the duration')
+    kept = parser.add_argument_group('what is kept')
+    kept.add_argument('--rate', type=positive, default=100.0, metavar='HZ',
+                      help='instants per simulated second that are kept or looked at '
+                           '(default: 100)')
+    kept.add_argument('--keep', action='append', choices=(*QUANTITIES, NOTHING),
+                      metavar='QUANTITY',
+                      help=f'of every instant, beside the final values and the peaks, which always '
+                           f'are kept: {", ".join(QUANTITIES)}, or {NOTHING}; may be repeated '
+                           f'(default: {", ".join(STATE)})')
+    kept.add_argument('--resume', action='store_true',
+                      help='go on where the file ends, if there is one')
+    kept.add_argument('--overwrite', action='store_true', help='replace the file if it exists')
+    where = parser.add_argument_group('where it is computed')
+    where.add_argument('--workers', type=_count, metavar='N',
+                       help='processes on this machine (default: one for each of its processors)')
+    where.add_argument('--scheduler', metavar='ADDRESS',
+                       help='scheduler of a Dask cluster to compute on instead, such as '
+                            'tcp://192.0.2.1:8786')
+
+
+def _count(text):
+    """Convert an option's value to a whole number >= 0."""
+    if not text.isdecimal():
+        raise ValueError
+    return int(text)
+
+
+_count.__name__ = 'whole number'
+
+
+def _run(arguments):
+    keep = STATE if arguments.keep is None else tuple(
+        dict.fromkeys(name for name in arguments.keep if name != NOTHING))
+    with signals() as received, _Progress(arguments.scene) as progress:
+        try:
+            outcome = sweep(
+                arguments.scene, [parse(text) for text in arguments.vary], arguments.output,
+                samples=arguments.samples, seed=arguments.seed, duration=arguments.duration,
+                rate=arguments.rate, torque=mapping(arguments.torque, '--torque'),
+                torques=_sequences(arguments.torques), keep=keep, resume=arguments.resume,
+                overwrite=arguments.overwrite, workers=arguments.workers,
+                scheduler=arguments.scheduler, on_progress=progress.show,
+                keep_going=lambda: not received)
+        except FieldError as error:
+            raise UsageError(str(error)) from None
+    if not outcome.finished:
+        print(f'{arguments.prog}: interrupted; what is written is kept, and the same command with '
+              '--resume goes on', file=sys.stderr)
+    print(_summary(outcome, arguments))
+    if received:
+        return 128 + received[0]
+    return FAILED if outcome.failed == outcome.done > 0 else 0
+
+
+class _Progress:
+    """A bar that appears when it is known how much there is to do."""
+
+    def __init__(self, name):
+        self._name, self._bar = name, None
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *error):
+        if self._bar is not None:
+            self._bar.close()
+
+    def show(self, outcome):
+        """Show how far the sweep is."""
+        if self._bar is None:
+            self._bar = progress_bar(outcome.samples, 'samples', self._name)
+        if outcome.failed:
+            self._bar.set_description(f'{self._name} ({outcome.failed} failed)', refresh=False)
+        self._bar.update(outcome.before + outcome.done - self._bar.n)
+
+
+def _sequences(path):
+    """Return the array of a file, or None."""
+    if path is None:
+        return None
+    try:
+        return np.load(path, allow_pickle=False)
+    except (OSError, ValueError) as error:
+        raise UsageError(f'--torques: expected a file of one array, as numpy.save writes it, got '
+                         f'{path}: {getattr(error, "strerror", None) or error}') from None
+
+
+def _summary(outcome, arguments):
+    there = outcome.before + outcome.done
+    lines = [f'{arguments.output}: {there} of {outcome.samples} samples'
+             + (f', {outcome.before} of them from before' if outcome.before else '')]
+    if outcome.failed:
+        lines.append(f'  failed    {outcome.failed} of {outcome.done}; the file says why of each:')
+        lines += [f'  {count:8}  {reason}'
+                  for reason, count in outcome.reasons.most_common(MOST_REASONS)]
+        rest = len(outcome.reasons) - MOST_REASONS
+        lines += [f'            and {rest} other reasons'] if rest > 0 else []
+    return '\n'.join(lines)
+
+
+COMMAND = Command(
+    name='sweep',
+    summary='run a scene many times with different numbers, into one file',
+    description="""\
+Simulate a scene many times: with different masses, lengths, effects, starts,
+methods or torques, in parallel. Any number of the scene and its mechanism is
+varied by its key path, as it stands in the files:
+
+  mechanism.bodies.crank.mass       mechanism.joints.elbow.position.0
+  effects.gravity.acceleration.1    initial.velocity.theta_1
+  method.step_size                  torque.theta_1 (a constant torque)
+
+Values are FROM:TO:COUNT (evenly spaced, both included) or VALUE,VALUE,...: several
+such keys span a grid. Or they are drawn, --samples times at each point of the
+grid: uniform:FROM:TO, loguniform:FROM:TO, normal:MEAN:DEVIATION.
+
+A sample that fails is marked so, with its reason, and stops nothing. Ctrl-C
+leaves a valid file, which --resume goes on with; the same command gives the same
+numbers, however often it was interrupted and wherever it runs.
+""",
+    epilog="""\
+examples:
+  closedloop sweep four_bar --vary mechanism.bodies.crank.mass=0.5:2:4 --output mass.nc
+  closedloop sweep three_rrr --vary mechanism.bodies.platform.mass=normal:8:0.4 \\
+      --vary torque.theta_1=0,5 --samples 500 --seed 7 --output monte_carlo.zarr
+
+Exit code 1 where no sample succeeded. doc/sweep.md tells what is in the file.
+""",
+    add_arguments=_add_arguments,
+    run=_run)

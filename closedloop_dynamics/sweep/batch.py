@@ -1,0 +1,201 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Run some samples of a sweep: what every worker does, wherever it is."""
+
+from dataclasses import dataclass
+from typing import Tuple
+
+import numpy as np
+
+from .plan import TORQUE
+from ..errors import SimulationError
+from ..key_paths import changed
+from ..recording import is_plain, nothing, QUANTITIES, record, Schedule
+from ..scene_records import Scene
+from ..simulation import Simulation
+
+# What the summary of a sample is made of.
+SUMMARISED = tuple(name for name in QUANTITIES if name != 'acceleration')
+DONE, FAILED = 1, 2
+
+
+@dataclass(frozen=True)
+class Job:
+    """
+    What all samples of a sweep have in common.
+
+    Attributes
+    ----------
+    scene : Scene
+    paths : tuple of tuple of str
+        What varies.
+    schedule : Schedule
+    keep : tuple of str
+        Quantities kept at every instant.
+
+    """
+
+    scene: Scene
+    paths: Tuple[Tuple[str, ...], ...]
+    schedule: Schedule
+    keep: Tuple[str, ...]
+
+
+@dataclass
+class Batch:
+    """
+    The results of some samples, in one array for each variable.
+
+    Attributes
+    ----------
+    samples : ndarray of int, shape (n,)
+        Their places in the sweep.
+    values : dict of str to ndarray, shape (n, ...)
+        By the names of ``layout.variables``.
+    status : ndarray of int, shape (n,)
+        ``DONE`` or ``FAILED``.
+    reasons : list of str
+        Why a sample failed; empty where it did not.
+
+    """
+
+    samples: np.ndarray
+    values: dict
+    status: np.ndarray
+    reasons: list
+
+
+def run_batch(job, samples, values, torques):
+    """
+    Run samples one after the other.
+
+    Parameters
+    ----------
+    job : Job
+        What they have in common.
+    samples : ndarray of int, shape (n,)
+        Their places in the sweep.
+    values : ndarray, shape (n, number of varied keys)
+        What they differ in.
+    torques : ndarray, shape (rows, na) or (n, rows, na), or None
+        [N m or N].
+
+    Returns
+    -------
+    Batch
+        With a failed sample's reason; no sample raises.
+
+    """
+    source = _Source(job)
+    results, reasons = [], []
+    for k, row in enumerate(values):
+        own = torques[k] if torques is not None and torques.ndim == 3 else torques
+        result, failure = _sample(job, source, row, own)
+        results.append(result)
+        reasons.append(failure or '')
+    return Batch(
+        np.asarray(samples), {name: np.array([result[name] for result in results])
+                              for name in results[0]},
+        np.array([FAILED if reason else DONE for reason in reasons], dtype=np.int8), reasons)
+
+
+def failed(job, samples, reason):
+    """Return the batch of samples that gave no result at all."""
+    wanted = dict.fromkeys((*SUMMARISED, *job.keep))
+    empty = summary(job, nothing(wanted, job.scene.mechanism, job.schedule.instants))
+    return Batch(np.asarray(samples),
+                 {name: np.array([value] * len(samples)) for name, value in empty.items()},
+                 np.full(len(samples), FAILED, dtype=np.int8), [reason] * len(samples))
+
+
+def _sample(job, source, row, torques):
+    """Return the results of a sample by name, and why it failed or None."""
+    wanted = tuple(dict.fromkeys((*SUMMARISED, *job.keep)))
+    values = nothing(wanted, job.scene.mechanism, job.schedule.instants)
+    try:
+        simulation, torque = source.simulation(row)
+        if torques is None:
+            torques = np.zeros((1, len(simulation.actuated_joints)))
+        if torque:
+            torques = torques.copy()
+            for joint, value in torque.items():
+                torques[:, simulation.actuated_joints.index(joint)] = value
+        done = record(simulation, torques, job.schedule, wanted)
+        values, failure = done.values, done.failure
+    except (SimulationError, ValueError) as error:
+        failure = str(error)
+    except Exception as error:
+        # Whatever it is, the other samples of the sweep shall not be lost by it.
+        failure = f'{type(error).__name__}: {error}'
+    return summary(job, values), failure
+
+
+def summary(job, values):
+    """
+    Return the variables of one sample: what is kept, how it ends, its peaks.
+
+    Parameters
+    ----------
+    job : Job
+        What is kept.
+    values : dict of str to ndarray, shape (instants, ...)
+        All that is summarised.
+
+    Returns
+    -------
+    dict of str to ndarray
+
+    """
+    wrenches = values['constraint_forces']
+    forces = np.hypot(wrenches[:, :, 1], wrenches[:, :, 2])
+    return {
+        **{name: values[name] for name in job.keep},
+        'final_position': values['position'][-1], 'final_velocity': values['velocity'][-1],
+        'initial_energy': values['energy'][0], 'final_energy': values['energy'][-1],
+        'peak_force': _peak(forces), 'peak_moment': _peak(np.abs(wrenches[:, :, 0])),
+        'peak_effort': _peak(np.abs(values['effort'])), 'peak_closure': _peak(values['closure'])}
+
+
+def _peak(values):
+    """Return the largest values over the instants that were reached; NaN where none was."""
+    reached = ~np.isnan(values).reshape(len(values), -1).any(axis=1)
+    return values[reached].max(axis=0) if reached.any() else np.full(values.shape[1:], np.nan)
+
+
+class _Source:
+    """Simulations of changed scenes; the same one again where nothing changes."""
+
+    def __init__(self, job):
+        self._job, self._values, self._simulation = job, None, None
+
+    def simulation(self, row):
+        """Return a simulation at its start, and torques by joint that are varied."""
+        values, torque = {}, {}
+        for path, value in zip(self._job.paths, row.tolist()):
+            if path[0] == TORQUE:
+                torque[path[1]] = value
+            else:
+                values[path] = value
+        if self._simulation is not None and values == self._values:
+            self._simulation.reset()
+        else:
+            self._simulation = None
+            simulation = Simulation(changed(self._job.scene, values))
+            simulation.monitor.sampling = False
+            self._values = values
+            if not is_plain(simulation):
+                return simulation, torque
+            self._simulation = simulation
+        return self._simulation, torque

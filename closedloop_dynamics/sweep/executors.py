@@ -1,0 +1,264 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Where batches are computed: here, in worker processes of this machine, or by another engine.
+
+An engine offers ``submit``, which returns a ``concurrent.futures.Future``, ``limit()`` (how many
+of these shall be on their way), ``renew()`` after its workers were lost, and ``close()``.
+
+"""
+
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+import importlib
+import multiprocessing
+import os
+import signal
+import threading
+import time
+
+from ..errors import SimulationError
+
+# Between two looks how many workers a cluster has [s].
+LOOK_EVERY = 5.0
+# For a scheduler to answer [s].
+PATIENCE = 10
+
+
+class EngineError(SimulationError):
+    """Workers that cannot be started, or are gone for good."""
+
+
+class Inline:
+    """This process itself."""
+
+    def submit(self, function, *arguments):
+        """Call the function at once."""
+        future = Future()
+        try:
+            future.set_result(function(*arguments))
+        except Exception as error:
+            future.set_exception(error)
+        return future
+
+    def limit(self):
+        """Return one: there is nothing to be kept busy meanwhile."""
+        return 1
+
+    def renew(self):
+        """Nothing can be lost."""
+
+    def close(self):
+        """Nothing is held."""
+
+
+class Processes:
+    """
+    Worker processes on this machine.
+
+    Parameters
+    ----------
+    workers : int
+        How many.
+
+    """
+
+    def __init__(self, workers):
+        """Start when the first work comes."""
+        self._workers = workers
+        # Never a plain fork: this process has threads. A server forks what it has imported.
+        forkserver = 'forkserver' in multiprocessing.get_all_start_methods()
+        self._context = multiprocessing.get_context('forkserver' if forkserver else 'spawn')
+        if forkserver:
+            self._context.set_forkserver_preload(['closedloop_dynamics.sweep.batch'])
+        self._pool = self._new()
+
+    def _new(self):
+        return ProcessPoolExecutor(self._workers, self._context, initializer=_begin)
+
+    def submit(self, function, *arguments):
+        """Hand over work."""
+        try:
+            return self._pool.submit(function, *arguments)
+        except BrokenProcessPool as error:
+            future = Future()
+            future.set_exception(error)
+            return future
+
+    def limit(self):
+        """Return how many batches keep the workers busy."""
+        return 2 * self._workers
+
+    def renew(self):
+        """
+        Start new workers, all work on its way being lost.
+
+        Raises
+        ------
+        EngineError
+            Where they do not even begin.
+
+        """
+        self.close()
+        self._pool = self._new()
+        try:
+            self._pool.submit(os.getpid).result()
+        except BrokenProcessPool:
+            raise EngineError(
+                'The worker processes end as soon as they begin. In a script, call sweep below '
+                "if __name__ == '__main__'; otherwise look whether the system kills them, or "
+                'take one worker, which is this process.') from None
+
+    def close(self):
+        """End the workers, whatever they are at."""
+        processes = list((getattr(self._pool, '_processes', None) or {}).values())
+        self._pool.shutdown(wait=False, cancel_futures=True)
+        for process in processes:
+            process.terminate()
+        for process in processes:
+            process.join()
+
+
+def _begin():
+    """Leave Ctrl-C to the parent, and end when it is gone."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = multiprocessing.parent_process()
+
+    def watch():
+        parent.join()
+        os._exit(1)
+
+    if parent is not None:
+        threading.Thread(target=watch, daemon=True).start()
+
+
+class Handed:
+    """
+    An executor that was handed in; it is not shut down.
+
+    Parameters
+    ----------
+    executor : concurrent.futures.Executor or the like
+        With ``submit``, whose functions run where this package is installed.
+
+    """
+
+    def __init__(self, executor):
+        """Take it as it is."""
+        self._executor = executor
+
+    def submit(self, function, *arguments):
+        """Hand over work."""
+        return self._executor.submit(function, *arguments)
+
+    def limit(self):
+        """Return how many batches keep the workers busy."""
+        workers = getattr(self._executor, '_max_workers', None) or os.cpu_count() or 1
+        return 2 * workers + 2
+
+    def renew(self):
+        """Refuse: what is broken is not ours to mend."""
+        raise EngineError('The executor has lost its workers and takes no more work. What is '
+                          'written is kept: go on with resume, and another executor.')
+
+    def close(self):
+        """Leave it to whoever made it."""
+
+
+class Cluster(Handed):
+    """
+    A cluster of Dask.
+
+    Parameters
+    ----------
+    address : str
+        Of its scheduler, such as ``tcp://192.0.2.1:8786``.
+
+    """
+
+    def __init__(self, address):
+        """Connect."""
+        try:
+            distributed = importlib.import_module('distributed')
+        except ImportError as error:
+            raise EngineError('The scheduler of a cluster is reached by the Python package '
+                              f'distributed, which cannot be used here ({error}). Install it: pip '
+                              'install distributed') from None
+        try:
+            self._client = distributed.Client(
+                address, set_as_default=False, timeout=PATIENCE)
+        except (OSError, ValueError) as error:
+            raise EngineError(f'No scheduler answers at {address}: {error}. Start one with: dask '
+                              'scheduler') from None
+        super().__init__(self._client.get_executor(pure=False))
+        self._looked, self._limit = -LOOK_EVERY, 2
+
+    def limit(self):
+        """Return how many batches keep the workers busy that are there now."""
+        if time.monotonic() - self._looked > LOOK_EVERY:
+            self._looked = time.monotonic()
+            self._limit = 2 * sum(self._client.nthreads().values()) + 2
+        return self._limit
+
+    def renew(self):
+        """Refuse to go on without the scheduler."""
+        if self._client.status != 'running':
+            raise EngineError('The scheduler of the cluster is gone. What is written is kept: go '
+                              'on with resume when it is back.')
+
+    def close(self):
+        """Disconnect; what is on its way there is given up."""
+        self._client.close()
+
+
+@contextmanager
+def engine_for(batches, workers=None, scheduler=None, executor=None):
+    """
+    Yield what computes a sweep, and close it.
+
+    Parameters
+    ----------
+    batches : int
+        How many there are at most.
+    workers : int or None
+        Processes on this machine; None: as many as it has processors.
+    scheduler : str or None
+        Address of a Dask cluster.
+    executor : object or None
+        Like ``concurrent.futures.Executor``.
+
+    Yields
+    ------
+    Inline, Processes, Cluster or Handed
+
+    """
+    engine = _engine(batches, workers, scheduler, executor)
+    try:
+        yield engine
+    finally:
+        engine.close()
+
+
+def _engine(batches, workers, scheduler, executor):
+    if executor is not None:
+        return Handed(executor)
+    if scheduler is not None:
+        return Cluster(scheduler)
+    if workers is None:
+        workers = (len(os.sched_getaffinity(0)) if hasattr(os, 'sched_getaffinity')
+                   else os.cpu_count() or 1)
+    workers = min(workers, batches)
+    return Processes(workers) if workers > 1 else Inline()

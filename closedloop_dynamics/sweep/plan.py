@@ -1,0 +1,249 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""A sweep as data: every sample's numbers follow from its place in it."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+import hashlib
+import math
+from typing import Optional, Tuple
+
+import numpy as np
+
+from ..key_paths import resolve
+from ..mechanism.fields import among, at, FieldError, nearest
+from ..recording import checked_quantities, Schedule, STATE
+from ..scene_records import Scene
+
+TORQUE = 'torque'
+
+
+@dataclass(frozen=True)
+class Plan:
+    """
+    All that decides the results of a sweep.
+
+    Attributes
+    ----------
+    scene : Scene
+        What the samples have in common.
+    variations : tuple of Grid and Random
+        What they differ in.
+    draws : int
+        From the distributions, at each point of the grid.
+    seed : int
+        Of the draws.
+    duration : float
+        [s].
+    rate : float
+        Instants per second [Hz].
+    torques : ndarray, shape (rows, na) or (samples, rows, na), or None
+        Of the actuated joints [N m or N], for equal parts of the duration; none where None.
+    keep : tuple of str
+        Quantities kept at every instant; of ``recording.QUANTITIES``.
+
+    """
+
+    scene: Scene
+    variations: Tuple = ()
+    draws: int = 1
+    seed: int = 0
+    duration: float = 2.0
+    rate: float = 100.0
+    torques: Optional[np.ndarray] = None
+    keep: Tuple[str, ...] = STATE
+
+    def __post_init__(self):
+        """Refuse what cannot be run, whatever the sample."""
+        object.__setattr__(self, 'keep', checked_quantities(self.keep))
+        keys = [variation.key for variation in self.variations]
+        for key in keys:
+            if keys.count(key) > 1:
+                raise FieldError('it varied once', f'it {keys.count(key)} times', path=(key,))
+        for name, lowest in (('draws', 1), ('seed', 0)):
+            if getattr(self, name) < lowest:
+                raise FieldError(f'a whole number, {lowest} or more', repr(getattr(self, name)),
+                                 path=('samples' if name == 'draws' else name,))
+        if self.draws > 1 and not any(each.random for each in self.variations):
+            raise FieldError('a distribution to draw from, such as KEY=uniform:FROM:TO, or 1',
+                             str(self.draws), 'a grid alone has one sample at each point',
+                             ('samples',))
+        self.paths, self.schedule, self._check_torques()
+
+    @cached_property
+    def paths(self):
+        """Return the keys of each varied key path; a torque's is ('torque', joint)."""
+        return tuple(self._path(variation.key) for variation in self.variations)
+
+    def _path(self, key):
+        word, _, joint = key.partition('.')
+        if word != TORQUE:
+            return resolve(self.scene, key)
+        joints = self.scene.mechanism.actuated_joints
+        if joint not in joints:
+            raise FieldError(f'{TORQUE}. and one of the actuated joints {among(joints)}',
+                             repr(joint), nearest(joint, joints), (key,))
+        if self.torques is not None and self.torques.shape[-2] > 1:
+            raise FieldError('constant torques where one is varied', 'sequences of them',
+                             path=(key,))
+        return TORQUE, joint
+
+    @property
+    def shape(self):
+        """Return the lengths of the grids."""
+        return tuple(len(each.values) for each in self.variations if not each.random)
+
+    @property
+    def samples(self):
+        """Return how many there are: the points of the grid times the draws."""
+        return math.prod(self.shape) * self.draws
+
+    @cached_property
+    def _columns(self):
+        return [each.draws(self.draws, self.seed) if each.random else np.array(each.values)
+                for each in self.variations]
+
+    def values(self, samples):
+        """
+        Return the varied numbers of some samples.
+
+        Parameters
+        ----------
+        samples : sequence of int
+            Their places.
+
+        Returns
+        -------
+        ndarray, shape (number of samples, number of variations)
+
+        """
+        samples = np.asarray(samples, dtype=int)
+        points = iter(np.unravel_index(samples // self.draws, self.shape) if self.shape else ())
+        return np.array([
+            column[samples % self.draws if each.random else next(points)]
+            for each, column in zip(self.variations, self._columns)],
+            dtype=float).reshape(len(self.variations), len(samples)).T
+
+    def torques_of(self, samples):
+        """Return the torques of some samples, or those of all, or None."""
+        if self.torques is None or self.torques.ndim == 2:
+            return self.torques
+        return self.torques[np.asarray(samples, dtype=int)]
+
+    @cached_property
+    def schedule(self):
+        """Return when torques change and instants are kept: a ``recording.Schedule``."""
+        for name in ('duration', 'rate'):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value > 0.0):
+                raise FieldError('a finite number > 0', repr(value), path=(name,))
+        instants = _whole(self.duration * self.rate)
+        if not instants:
+            raise FieldError(f'a multiple of the time between two instants, {1 / self.rate:g} s',
+                             f'{self.duration:g}', path=('duration',))
+        rows = 1 if self.torques is None else self.torques.shape[-2]
+        finest, coarsest = max(instants, rows), min(instants, rows)
+        if finest % coarsest:
+            raise FieldError(
+                f'as many rows as there are instants ({instants}), or a multiple or a whole part '
+                'of that', str(rows), path=('torques',))
+        interval = 1.0 / self.rate if instants >= rows else self.duration / rows
+        return Schedule(interval, finest, finest // rows, finest // instants)
+
+    @property
+    def times(self):
+        """Return the times of the instants [s]."""
+        return np.arange(self.schedule.instants) / self.rate
+
+    def _check_torques(self):
+        if self.torques is None:
+            return
+        count = len(self.scene.mechanism.actuated_joints)
+        shape = self.torques.shape
+        if len(shape) not in (2, 3) or shape[-1] != count or (
+                len(shape) == 3 and shape[0] != self.samples):
+            raise FieldError(
+                f'shape (rows, {count}) or ({self.samples} samples, rows, {count}), with the '
+                'actuated joints last', str(shape), path=('torques',))
+        if not np.isfinite(self.torques).all():
+            raise FieldError('finite numbers', 'others among them', path=('torques',))
+
+    def identity(self):
+        """
+        Return what two sweeps of the same results have in common, as plain data.
+
+        Returns
+        -------
+        dict of str to str
+
+        """
+        torques = b'' if self.torques is None else np.ascontiguousarray(self.torques).tobytes()
+        return {
+            'scene': self.scene.name,
+            'contents of scene and mechanism': _digest(
+                repr(replace(self.scene, path=None)).encode()),
+            'vary': '; '.join(map(repr, self.variations)),
+            'samples': str(self.draws), 'seed': str(self.seed),
+            'duration': repr(self.duration), 'rate': repr(self.rate),
+            'torques': _digest(torques), 'keep': ', '.join(self.keep)}
+
+
+def combined(torque, torques, scene):
+    """
+    Return constant torques by joint, or sequences of them, as an array.
+
+    Parameters
+    ----------
+    torque : mapping of str to float
+        By actuated joint; may be empty.
+    torques : array_like or None
+        Sequences.
+    scene : Scene
+        What they act on.
+
+    Returns
+    -------
+    ndarray or None
+
+    Raises
+    ------
+    FieldError
+
+    """
+    if torques is not None:
+        if torque:
+            raise FieldError('either constant torques or sequences', 'both', path=('torques',))
+        return np.asarray(torques, dtype=float)
+    if not torque:
+        return None
+    joints = scene.mechanism.actuated_joints
+    row = np.zeros((1, len(joints)))
+    for joint, value in torque.items():
+        with at('torque'):
+            if joint not in joints:
+                raise FieldError(f'one of the actuated joints {among(joints)}', repr(joint),
+                                 nearest(joint, joints))
+        row[0, joints.index(joint)] = value
+    return row
+
+
+def _whole(value):
+    """Return a whole number that a value is but for rounding, or 0."""
+    whole = round(value)
+    return whole if abs(whole - value) <= 1e-9 * max(value, 1.0) else 0
+
+
+def _digest(data):
+    return hashlib.sha256(data).hexdigest()[:16] if data else 'none'

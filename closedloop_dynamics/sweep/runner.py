@@ -1,0 +1,183 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""A sweep from its description to its file."""
+
+from collections import Counter
+from dataclasses import dataclass, field
+import re
+
+import numpy as np
+
+from .batch import FAILED, Job
+from .dispatch import dispatched
+from .executors import engine_for
+from .layout import Layout
+from .parameters import variation
+from .plan import combined, Plan
+from .storage import checked_path, opened
+from ..mechanism.fields import FieldError
+from ..recording import STATE
+from ..scene import load_scene
+from ..scene_records import Scene
+
+# Samples in a batch: so many batches, so many samples, so much memory [B] at most.
+BATCHES, LARGEST_BATCH, MOST_BYTES = 64, 64, 64_000_000
+NUMBER = re.compile(r'(?<![\w.])-?\d+\.?\d*(e[-+]?\d+)?(?!\w)')
+
+
+@dataclass
+class Outcome:
+    """
+    What became of a sweep.
+
+    Attributes
+    ----------
+    samples : int
+        Of the whole sweep.
+    before : int
+        That were there already.
+    done : int
+        Computed now, failed ones among them.
+    failed : int
+        Of these.
+    reasons : collections.Counter
+        Why they failed, without the numbers in it.
+
+    """
+
+    samples: int
+    before: int = 0
+    done: int = 0
+    failed: int = 0
+    reasons: Counter = field(default_factory=Counter)
+
+    @property
+    def finished(self):
+        """Return whether every sample is there."""
+        return self.before + self.done == self.samples
+
+
+def sweep(scene, vary, output, *, samples=1, seed=0, duration=2.0, rate=100.0, torque=None,
+          torques=None, keep=STATE, resume=False, overwrite=False, workers=None, scheduler=None,
+          executor=None, on_progress=None, keep_going=lambda: True):
+    """
+    Run many simulations of one scene with different numbers, and write what they do to a file.
+
+    Parameters
+    ----------
+    scene : Scene, str or pathlib.Path
+        As ``load_scene`` takes it.
+    vary : mapping of str to str or sequence of float, or sequence of Grid and Random
+        What is varied, by key path: the forms of the command line, or the values of a grid.
+    output : str or pathlib.Path
+        Ends with .nc, .zarr or .parquet.
+    samples : int
+        Draws from the distributions, at each point of the grid.
+    seed : int
+        Of the draws.
+    duration, rate : float
+        Simulated time [s], and instants per second [Hz].
+    torque : mapping of str to float, optional
+        Constant torques of actuated joints [N m or N].
+    torques : array_like, optional
+        Sequences of them, for equal parts of the duration: shape (rows, number of actuated
+        joints), or (samples, rows, number of actuated joints).
+    keep : sequence of str
+        Quantities kept at every instant, of ``recording.QUANTITIES``; the final values and a
+        summary always are.
+    resume : bool
+        Go on where a file is there already, of the same sweep.
+    overwrite : bool
+        Replace a file that is there.
+    workers : int, optional
+        Processes on this machine; as many as it has processors when not given.
+    scheduler : str, optional
+        Address of a Dask cluster to run on instead.
+    executor : concurrent.futures.Executor or the like, optional
+        To run on instead; it is not shut down.
+    on_progress : callable, optional
+        Takes the ``Outcome`` so far, after every batch.
+    keep_going : callable
+        Asked again and again; the sweep ends early, its file valid, where it returns False.
+
+    Returns
+    -------
+    Outcome
+
+    Raises
+    ------
+    SceneError, FieldError
+        For what makes no sense; nothing is written.
+    StorageError, EngineError
+        For a file that cannot be written, and workers that are gone.
+
+    """
+    scene = scene if isinstance(scene, Scene) else load_scene(scene)
+    if hasattr(vary, 'items'):
+        vary = [variation(key, what) for key, what in vary.items()]
+    plan = Plan(scene, tuple(vary), samples, seed, float(duration), float(rate),
+                combined(torque, torques, scene), tuple(keep))
+    path = checked_path(output)
+    if workers is not None and (workers != int(workers) or workers < 1):
+        raise FieldError('a whole number > 0', repr(workers), path=('workers',))
+    layout = Layout(plan, 1)
+    layout.batch = batch_size(layout)
+    batches = -(-plan.samples // layout.batch)
+    with engine_for(batches, workers, scheduler, executor) as engine, \
+            opened(path, layout, resume, overwrite) as storage:
+        missing = np.flatnonzero(~storage.done())
+        outcome = Outcome(plan.samples, plan.samples - len(missing))
+        if len(missing):
+            _compute(plan, layout, storage, engine, missing, outcome, on_progress, keep_going)
+    return outcome
+
+
+def _compute(plan, layout, storage, engine, missing, outcome, on_progress, keep_going):
+    """Compute the missing samples, write them as they come."""
+    job = Job(plan.scene, plan.paths, plan.schedule, plan.keep)
+    # Those of one batch lie together in the file, whichever of them are missing.
+    starts = np.flatnonzero(np.diff(missing // layout.batch)) + 1
+    tasks = np.split(missing, starts)
+    for batch in dispatched(engine, job, plan, tasks, keep_going):
+        storage.write(batch)
+        outcome.done += len(batch.samples)
+        outcome.failed += int((batch.status == FAILED).sum())
+        outcome.reasons.update(_kind(reason) for reason in batch.reasons if reason)
+        if on_progress is not None:
+            on_progress(outcome)
+
+
+def batch_size(layout):
+    """
+    Return how many samples are computed and written at once.
+
+    Parameters
+    ----------
+    layout : Layout
+        Of the sweep.
+
+    Returns
+    -------
+    int
+        The same for the same sweep, wherever it runs.
+
+    """
+    most = MOST_BYTES // layout.bytes_per_sample()
+    return int(max(1, min(layout.samples // BATCHES, LARGEST_BATCH, most)))
+
+
+def _kind(reason):
+    """Return a reason without its numbers, which differ from sample to sample."""
+    return NUMBER.sub('...', reason)
