@@ -158,7 +158,7 @@ update_environment() {
   if [[ $wanted == test && $(cat -- "$venv/.test" 2>/dev/null) != "$test_key" ]]; then
     touch -- "$venv/.incomplete"
     [[ ! -e $venv/constraints.txt ]] || constraints=$venv/constraints.txt
-    say "Installing what the tests need (15 MB)"
+    say "Installing what the tests need (45 MB)"
     pip_install --requirement "$requirements/test.txt"
     printf '%s\n' "$test_key" > "$venv/.test"
     rm -- "$venv/.incomplete"

@@ -60,9 +60,9 @@ def _add_arguments(parser):
                            '(default: 100)')
     kept.add_argument('--keep', action='append', choices=(*QUANTITIES, NOTHING),
                       metavar='QUANTITY',
-                      help=f'of every instant, beside the final values and the peaks, which always '
-                           f'are kept: {", ".join(QUANTITIES)}, or {NOTHING}; may be repeated '
-                           f'(default: {", ".join(STATE)})')
+                      help='of every instant, beside the final values and the peaks, which are '
+                           f'always kept: {", ".join(QUANTITIES)}, or {NOTHING}; may be '
+                           f'repeated (default: {", ".join(STATE)})')
     kept.add_argument('--resume', action='store_true',
                       help='go on where the file ends, if there is one')
     kept.add_argument('--overwrite', action='store_true', help='replace the file if it exists')

@@ -105,25 +105,13 @@ def dispatched(engine, job, plan, tasks, keep_going):
             done, _ = wait(running, timeout=LOOK_EVERY, return_when=FIRST_COMPLETED)
             broken = False
             for future in done:
-                task = running.pop(future)
-                try:
-                    batch = future.result()
-                except (Exception, CancelledError) as error:
-                    broken = broken or isinstance(error, (BrokenExecutor, CancelledError))
-                    yield from _lost(task, error, job, again)
-                else:
-                    yield batch
+                broken = (yield from _result(future, running.pop(future), job, again)) or broken
             if broken:
                 # The others on their way are lost with the pool.
-                wait(running)
-                for future, task in running.items():
-                    try:
-                        batch = future.result()
-                    except (Exception, CancelledError) as error:
-                        yield from _lost(task, error, job, again)
-                    else:
-                        yield batch
-                running.clear()
+                wait(running, timeout=LOOK_EVERY)
+                for future in list(running):
+                    future.cancel()
+                    yield from _result(future, running.pop(future), job, again)
                 engine.renew()
             hand_out()
     finally:
@@ -136,12 +124,27 @@ def _next(fresh):
     return None if samples is None else Task(samples)
 
 
+def _result(future, task, job, again):
+    """Yield a batch, or see to a lost task; return whether all other work is lost, too."""
+    try:
+        batch = future.result(0)
+    except (CancelledError, TimeoutError):
+        # Nothing is known against these samples.
+        again.append(task)
+        return True
+    except Exception as error:
+        yield from _lost(task, error, job, again)
+        return isinstance(error, BrokenExecutor)
+    yield batch
+    return False
+
+
 def _lost(task, error, job, again):
     """Put a task back, sample by sample the second time; give it up the third."""
     lost = task.lost + 1
     if task.suspect:
-        yield failed(job, task.samples,
-                     f'the worker that ran it was lost, each time: {error or type(error).__name__}')
+        reason = str(error) or type(error).__name__
+        yield failed(job, task.samples, f'the worker that ran it was lost, each time: {reason}')
     elif lost == 1:
         again.append(Task(task.samples, lost))
     else:

@@ -204,20 +204,24 @@ class Cluster(Handed):
             raise EngineError(f'No scheduler answers at {address}: {error}. Start one with: dask '
                               'scheduler') from None
         super().__init__(self._client.get_executor(pure=False))
-        self._looked, self._limit = -LOOK_EVERY, 2
+        self._looked, self._limit, self._seen = -LOOK_EVERY, 2, time.monotonic()
 
     def limit(self):
         """Return how many batches keep the workers busy that are there now."""
-        if time.monotonic() - self._looked > LOOK_EVERY:
-            self._looked = time.monotonic()
+        now = time.monotonic()
+        if self._client.status == 'running':
+            self._seen = now
+        elif now - self._seen > PATIENCE:
+            self.renew()
+        if now - self._looked > LOOK_EVERY and self._seen == now:
+            self._looked = now
             self._limit = 2 * sum(self._client.nthreads().values()) + 2
         return self._limit
 
     def renew(self):
         """Refuse to go on without the scheduler."""
-        if self._client.status != 'running':
-            raise EngineError('The scheduler of the cluster is gone. What is written is kept: go '
-                              'on with resume when it is back.')
+        raise EngineError('The scheduler of the cluster is gone, or has cancelled the work. What '
+                          'is written is kept: go on with resume when it is back.')
 
     def close(self):
         """Disconnect; what is on its way there is given up."""

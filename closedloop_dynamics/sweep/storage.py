@@ -16,8 +16,8 @@
 Where results go: a NetCDF file, a Zarr or a Parquet directory, chosen by the name's ending.
 
 Each kind offers ``create(path, layout)`` and ``open(path, layout)``, ``done()`` (which samples
-are there), ``write(batch)`` and ``close()``. A batch is written whole, marked as done last: whatever
-ends the program, what is marked is there.
+are there), ``write(batch)`` and ``close()``. A batch is written whole, and marked as done last:
+whatever ends the program, what is marked is there.
 
 """
 

@@ -1,0 +1,69 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""What sweeps leave, read back without the package: NetCDF, Zarr and Parquet alike."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+ENVIRONMENT = {**os.environ, 'PYTHONPATH': str(ROOT)}
+LIBRARIES = {'.nc': 'netCDF4', '.zarr': 'zarr', '.parquet': 'pyarrow'}
+
+
+def need(suffix):
+    """Skip the test where the library of a kind is not installed."""
+    return pytest.importorskip(LIBRARIES[suffix])
+
+
+def read(path):
+    """Return all numbers of a file by name, and the reasons of failures as a list."""
+    return {'.nc': read_netcdf, '.zarr': read_zarr, '.parquet': read_parquet}[path.suffix](path)
+
+
+def read_netcdf(path):
+    import netCDF4
+    with netCDF4.Dataset(path) as file:
+        file.set_auto_mask(False)
+        arrays = {name: variable[:] for name, variable in file.variables.items()}
+    arrays.pop('joint'), arrays.pop('cut_joint'), arrays.pop('component')
+    return arrays
+
+
+def read_zarr(path):
+    import zarr
+    group = zarr.open_group(path, mode='r')
+    return {name: array[:] for name, array in group.arrays()
+            if name not in ('joint', 'cut_joint', 'component')}
+
+
+def read_parquet(path):
+    """Return the columns, in the order of samples, lists as arrays."""
+    from pyarrow import parquet
+    table = parquet.read_table(path).sort_by('sample')
+    arrays = {}
+    for name in table.column_names:
+        values = table[name].to_pylist()
+        arrays[name] = np.array(values)
+    return arrays
+
+
+def assert_same(one, other):
+    """Check that two files hold the same, bit for bit."""
+    assert set(one) == set(other)
+    for name, values in one.items():
+        np.testing.assert_array_equal(values, other[name], name)

@@ -1,0 +1,113 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Workers killed in the middle of a sweep: no sample lost, none doubled, the same numbers."""
+
+import multiprocessing
+import os
+import signal
+from test.sweep.files import assert_same, read
+
+from closedloop_dynamics.sweep import storage_netcdf, sweep
+from closedloop_dynamics.sweep.executors import EngineError
+import numpy as np
+import pytest
+
+pytest.importorskip('netCDF4')
+
+VARY = {'mechanism.bodies.crank.mass': 'uniform:1:2', 'torque.crank_joint': [0.0, 0.5, -900.0]}
+OPTIONS = {'samples': 12, 'duration': 0.3}
+
+
+@pytest.fixture
+def written(monkeypatch):
+    """Return the samples that are written, as they are."""
+    samples = []
+    write = storage_netcdf.NetCDF.write
+
+    def noted(self, batch):
+        samples.extend(batch.samples.tolist())
+        write(self, batch)
+
+    monkeypatch.setattr(storage_netcdf.NetCDF, 'write', noted)
+    return samples
+
+
+def assert_complete(path, written):
+    """Check that every sample was written once, and is what one process makes of it."""
+    assert sorted(written) == list(range(36))
+    alone = path.with_name('alone.nc')
+    sweep('four_bar', VARY, alone, **OPTIONS, workers=1)
+    assert_same(read(path), read(alone))
+    assert np.isfinite(read(path)['final_position'][:24]).all()
+
+
+def test_a_killed_process_loses_no_sample(tmp_path, written):
+    before = set(multiprocessing.active_children())
+    killed = []
+
+    def kill_one(outcome):
+        if outcome.done >= 6 and not killed:
+            worker = (set(multiprocessing.active_children()) - before).pop()
+            os.kill(worker.pid, signal.SIGKILL)
+            killed.append(worker)
+
+    path = tmp_path / 'results.nc'
+    outcome = sweep('four_bar', VARY, path, **OPTIONS, workers=2, on_progress=kill_one)
+    assert killed and outcome.finished
+    assert_complete(path, written)
+    assert not set(multiprocessing.active_children()) - before
+
+
+@pytest.mark.slow
+def test_a_killed_worker_of_a_cluster_loses_no_sample(tmp_path, written):
+    distributed = pytest.importorskip('distributed')
+    path = tmp_path / 'results.nc'
+    killed = []
+    with distributed.LocalCluster(
+            n_workers=3, threads_per_worker=1, processes=True, dashboard_address=None,
+            silence_logs=50) as cluster:
+        with distributed.Client(cluster, set_as_default=False) as client:
+            workers = client.run(os.getpid)
+
+        def kill_one(outcome):
+            if outcome.done >= 6 and not killed:
+                killed.append(next(iter(workers.values())))
+                os.kill(killed[0], signal.SIGKILL)
+
+        outcome = sweep('four_bar', VARY, path, **OPTIONS, on_progress=kill_one,
+                        scheduler=cluster.scheduler_address)
+    assert killed and outcome.finished
+    assert_complete(path, written)
+
+
+@pytest.mark.slow
+def test_a_scheduler_that_is_gone_leaves_what_was_done(tmp_path, written):
+    distributed = pytest.importorskip('distributed')
+    path = tmp_path / 'results.nc'
+    with distributed.LocalCluster(
+            n_workers=1, threads_per_worker=1, processes=True, dashboard_address=None,
+            silence_logs=50) as cluster:
+
+        def end(outcome):
+            if outcome.done == 4:
+                cluster.close()
+
+        with pytest.raises(EngineError, match='scheduler'):
+            sweep('four_bar', VARY, path, **OPTIONS, scheduler=cluster.scheduler_address,
+                  on_progress=end)
+    assert 4 <= len(written) < 36
+    again = sweep('four_bar', VARY, path, **OPTIONS, workers=1, resume=True)
+    assert again.done < 36 and again.finished
+    assert_complete(path, written)
