@@ -128,8 +128,9 @@ def _result(future, task, job, again):
     """Yield a batch, or see to a lost task; return whether all other work is lost, too."""
     try:
         batch = future.result(0)
-    except (CancelledError, TimeoutError):
-        # Nothing is known against these samples.
+    except (CancelledError, OSError):
+        # The connection to the engine, or the time to wait for a pool that is lost: nothing that
+        # tells against these samples.
         again.append(task)
         return True
     except Exception as error:

@@ -215,7 +215,10 @@ class Cluster(Handed):
             self.renew()
         if now - self._looked > LOOK_EVERY and self._seen == now:
             self._looked = now
-            self._limit = 2 * sum(self._client.nthreads().values()) + 2
+            try:
+                self._limit = 2 * sum(self._client.nthreads().values()) + 2
+            except OSError:
+                self.renew()
         return self._limit
 
     def renew(self):

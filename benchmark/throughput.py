@@ -1,0 +1,178 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+How many steps per second many simulations make: rollouts here and in MuJoCo, and sweeps.
+
+The same work for both: samples of one scene, each from the same start under torques of
+its own that change at every step of 1 ms, all states returned. MuJoCo holds the loops by springs,
+so its error is measured, too: positions after the last step against a run here with
+steps ten times smaller.
+
+    python benchmark/throughput.py                     three_rrr, 256 samples of 1000 steps
+    python benchmark/throughput.py --sweep             and sweeps with a mass that varies
+
+"""
+
+import argparse
+import os
+from pathlib import Path
+import sys
+import tempfile
+import time
+
+from machine import description, ROOT
+import numpy as np
+
+sys.path.insert(0, str(ROOT))
+
+from closedloop_dynamics.scene import load_scene  # noqa: E402,I100
+from closedloop_dynamics.simulation import Simulation  # noqa: E402
+from closedloop_dynamics.sweep import sweep  # noqa: E402
+
+STEP = 1e-3
+# MuJoCo's integrator, natural frequency of its loops' springs times the step.
+MUJOCO = (('RK4', 1.0), ('implicitfast', 0.3), ('Euler', 0.3))
+METHODS = (('rk4', 'projection'), ('heun', 'projection'), ('semi_implicit_euler', 'projection'),
+           ('semi_implicit_euler', 'velocity_projection'))
+
+
+def best(function, repeats):
+    """Return the shortest of several times [s]."""
+    times = []
+    for _ in range(repeats):
+        begin = time.perf_counter()
+        function()
+        times.append(time.perf_counter() - begin)
+    return min(times)
+
+
+def torques_for(scene, samples, steps):
+    """Return random torques, shape (samples, steps, actuated joints)."""
+    count = len(scene.mechanism.actuated_joints)
+    return np.random.default_rng(0).normal(0.0, 2.0, (samples, steps, count))
+
+
+def ours(scene, torques, threads, repeats):
+    """Yield (what, {threads: steps per second}, final positions) for each method."""
+    for integrator, stabilisation in METHODS:
+        simulation = Simulation.from_scene(
+            scene.name, integrator=integrator, stabilisation=stabilisation, step_size=STEP)
+        final = simulation.rollout(torques).position[:, -1]
+        speeds = {count: torques.shape[0] * torques.shape[1] / best(
+            lambda: simulation.rollout(torques, threads=count), repeats) for count in threads}
+        yield f'closedloop_dynamics, {integrator}, {stabilisation}', speeds, final
+
+
+def mujocos(scene, torques, threads, repeats):
+    """Yield the same for MuJoCo."""
+    import mujoco
+    from mujoco import rollout
+    from peer_mujoco import Engine
+    engine = Engine(scene)
+    start = Simulation(scene)
+    places = [scene.mechanism.joint_names.index(name) for name in start.actuated_joints]
+    applied = np.zeros((*torques.shape[:2], len(start.joint_names)))
+    applied[:, :, places] = torques
+    for integrator, frequency in MUJOCO:
+        model = engine._build(STEP, frequency / STEP, integrator)
+        spec = mujoco.mjtState.mjSTATE_FULLPHYSICS
+        initial = np.zeros(mujoco.mj_stateSize(model, spec))
+        nv = model.nv
+        initial[1:1 + nv], initial[1 + nv:1 + 2 * nv] = start.position, start.velocity
+        initial = np.tile(initial, (len(torques), 1))
+        # The arrays for the results are made before: only computing is timed.
+        state = np.zeros((*torques.shape[:2], initial.shape[1]))
+        sensors = np.zeros((*torques.shape[:2], model.nsensordata))
+        control = int(mujoco.mjtState.mjSTATE_QFRC_APPLIED)
+
+        def run(count):
+            rollout.rollout(
+                model, [mujoco.MjData(model) for _ in range(count)], initial, applied,
+                control_spec=control, state=state, sensordata=sensors, persistent_pool=True)
+
+        run(threads[0])
+        final = state[:, -1, 1:1 + nv].copy()
+        speeds = {count: torques.shape[0] * torques.shape[1] / best(lambda: run(count), repeats)
+                  for count in threads}
+        yield f'MuJoCo {mujoco.__version__} rollout, {integrator}', speeds, final
+
+
+def reference(scene, torques):
+    """Return the final positions of steps ten times smaller."""
+    simulation = Simulation.from_scene(scene.name, step_size=STEP / 10)
+    steps = 10 * torques.shape[1]
+    return simulation.rollout(torques, steps=steps, every=steps).position[:, -1]
+
+
+def sweeps(scene, samples, threads, repeats):
+    """Yield (what, {workers: samples per second}): a mass varies, so that models differ."""
+    key = f'mechanism.bodies.{scene.mechanism.bodies[0].name}.mass'
+    masses = np.linspace(1.0, 5.0, samples)
+    simulation = Simulation.from_scene(scene.name)
+    steps = round(1.0 / simulation.step_size)
+
+    def threaded(count):
+        simulation.rollout(steps=steps, every=steps, parameters={key: masses}, threads=count)
+
+    def processes(count):
+        with tempfile.TemporaryDirectory() as directory:
+            sweep(scene, {key: masses}, Path(directory) / 'a.nc', duration=1.0, keep=(),
+                  workers=count)
+
+    yield 'rollout with parameters, threads', {
+        count: samples / best(lambda: threaded(count), repeats) for count in threads}
+    # The start of the workers, a few seconds, belongs to it; more samples hide it.
+    yield 'sweep to NetCDF, processes', {
+        count: samples / best(lambda: processes(count), 1) for count in threads}
+
+
+def main(argv=None):
+    """Print a table; see the module."""
+    parser = argparse.ArgumentParser(description=__doc__,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument('--scene', default='three_rrr')
+    parser.add_argument('--samples', type=int, default=256)
+    parser.add_argument('--steps', type=int, default=1000)
+    parser.add_argument('--threads', type=int, nargs='+', default=sorted({1, os.cpu_count()}))
+    parser.add_argument('--repeats', type=int, default=3)
+    parser.add_argument('--without-mujoco', action='store_true')
+    parser.add_argument('--sweep', action='store_true')
+    arguments = parser.parse_args(argv)
+    scene = load_scene(arguments.scene)
+    torques = torques_for(scene, arguments.samples, arguments.steps)
+    print(f'{description()}\n{arguments.samples} samples of {arguments.scene}, '
+          f'{arguments.steps} steps of {STEP:g} s\n')
+    threads = arguments.threads
+    print('| | ' + ' | '.join(f'{count} thread{"s" * (count > 1)} [steps/s]' for count in threads)
+          + ' | error of positions, median [rad] |')
+    print('|---|' + '---|' * (len(threads) + 1))
+    exact = reference(scene, torques)
+    sources = [ours] if arguments.without_mujoco else [ours, mujocos]
+    for source in sources:
+        for what, speeds, final in source(scene, torques, threads, arguments.repeats):
+            error = np.median(np.abs(final - exact).max(axis=1))
+            print(f'| {what} | ' + ' | '.join(f'{speeds[count]:,.0f}' for count in threads)
+                  + f' | {error:.1e} |', flush=True)
+    if arguments.sweep:
+        print('\n| | ' + ' | '.join(f'{count} [samples/s]' for count in threads) + ' |\n|---|'
+              + '---|' * len(threads))
+        for what, speeds in sweeps(scene, arguments.samples, threads, arguments.repeats):
+            print(f'| {what} | ' + ' | '.join(f'{speeds[count]:,.1f}' for count in threads) + ' |',
+                  flush=True)
+    return 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())
