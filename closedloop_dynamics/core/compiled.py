@@ -79,3 +79,26 @@ def merged(function):
 
     """
     return _compile(function, inline='always')
+
+
+@inlined
+def choose(condition, yes, no):
+    """
+    Return one of two numbers, without a branch where the processor can.
+
+    Kernels choose by it between values that depend on the state: then they can be unrolled
+    (``straight_line``), for which branches may depend on topology alone.
+
+    Parameters
+    ----------
+    condition : bool
+        What decides.
+    yes, no : float
+        Both are computed.
+
+    Returns
+    -------
+    float
+
+    """
+    return yes if condition else no

@@ -22,7 +22,7 @@ joint's rows are neighbours, so the block pivots are its 2 x 2 or 3 x 3 blocks.
 
 """
 
-from .compiled import inlined
+from .compiled import choose, inlined
 from .types import (
     CUT_PRISMATIC, CUT_TYPE, RANK, ROW, ROWS, SLOT_A, SLOT_END, SMALLEST_PIVOT,
     SMALLEST_PIVOT_EVER)
@@ -123,13 +123,12 @@ def factorize(model, work):
                 factor[t] = scatter[row[t]]
         ratio = factor[first] / scale[j]
         # Written so that a NaN (0/0: an equation no motion can change) counts as poor.
-        if not ratio >= smallest:
-            smallest = ratio if ratio > 0.0 else 0.0
+        smallest = choose(ratio >= smallest, smallest, choose(ratio > 0.0, ratio, 0.0))
         inverse[j] = 1.0 / factor[first]
     work.health[SMALLEST_PIVOT] = smallest
     work.health[RANK] = column.shape[0] - 1
-    if smallest < work.health[SMALLEST_PIVOT_EVER]:
-        work.health[SMALLEST_PIVOT_EVER] = smallest
+    ever = work.health[SMALLEST_PIVOT_EVER]
+    work.health[SMALLEST_PIVOT_EVER] = choose(smallest < ever, smallest, ever)
     return smallest >= POOR_PIVOT * min(1.0, MANY_JOINTS / model.tree.shape[0])
 
 

@@ -26,6 +26,7 @@ from dataclasses import replace
 import numpy as np
 
 from .table import build_table, DISSIPATED, fill_row, FIRST, LOADED, OWN, STATE, STORED, WORK
+from ..core import straight_line
 from ..core.types import TYPE
 from ..mechanism.checks import boolean, one_of
 from ..mechanism.fields import at, FieldError, keys_of, mapping
@@ -90,7 +91,7 @@ class Composition:
     def __init__(self, effects, model, machine):
         """Keep the bare model, change it, collect the laws."""
         self.records, self.enabled = dict(effects), dict.fromkeys(effects, True)
-        self._model, self._machine, self._table = model, machine, None
+        self._model, self._machine, self._table, self._system = model, machine, None, None
         self._bare = model.body.copy(), model.tree[:, TYPE].copy(), model.gravity.copy()
         self._rows = [name for name, record in effects.items() if hasattr(record, 'law')]
         self.laws = tuple(effects[name].law(machine) for name in self._rows)
@@ -118,7 +119,7 @@ class Composition:
             Empty where there are no laws.
 
         """
-        self._table = system.effects
+        self._table, self._system = system.effects, system
         if self._table is None:
             self._table = build_table((), system.tau, 0)
         return self._table
@@ -131,6 +132,8 @@ class Composition:
         for record in active:
             if hasattr(record, 'change'):
                 record.change(model, self._machine)
+        if self._system is not None:
+            straight_line.relink(model, self._system.linkage)
         self.drives = {}
         for record in active:
             if hasattr(record, 'drives'):

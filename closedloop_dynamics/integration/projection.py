@@ -16,10 +16,11 @@
 
 import numpy as np
 
-from .system import CLOSURE_LIMIT, CLOSURE_TOLERANCE
+from .system import careful_correction, CLOSURE_LIMIT, CLOSURE_TOLERANCE
 from ..core import (
     articulated_inertia, elimination, independent, kinematics, loop_closure, rank_revealing)
-from ..core.compiled import compiled, merged
+from ..core.compiled import compiled, inlined, merged
+from ..core.straight_line import linkage as links
 from ..core.types import CLOSURE, PROJECTION_ITERATIONS, RHS
 from ..effects.dispatch import settle
 
@@ -30,6 +31,19 @@ NONE, BAUMGARTE, VELOCITY, PROJECTION, INDEPENDENT = range(5)
 MOST_CORRECTIONS = 8
 # Closure tolerance near a singular configuration, against the ordinary one.
 SHARPER = 1e-3
+
+
+@compiled
+def _factor_by_loops(linkage, system, q, qd):
+    """Prepare corrections by the kernels' loops, where nothing is unrolled."""
+    if linkage is None:
+        model, work = system.model, system.work
+        kinematics.outward(model, q, qd, work)
+        articulated_inertia.inward(model, system.tau, work)
+        loop_closure.update(model, work, True)
+        elimination.assemble(model, work)
+        return elimination.factorize(model, work)
+    return links.call(linkage, links.CORRECTION, q, qd) != 0
 
 
 @compiled
@@ -50,15 +64,43 @@ def factor_configuration(system, q, qd):
         Whether the closure equations are independent there.
 
     """
-    model, work = system.model, system.work
-    kinematics.outward(model, q, qd, work)
-    articulated_inertia.inward(model, system.tau, work)
-    loop_closure.update(model, work, True)
-    elimination.assemble(model, work)
-    return elimination.factorize(model, work)
+    return _factor_by_loops(system.linkage, system, q, qd)
 
 
-@merged
+@inlined
+def _correct_by_loops(linkage, system, independent, level, q, qd, out):
+    """Solve for a correction by the kernels' loops, where nothing is unrolled."""
+    if linkage is None:
+        model, work = system.model, system.work
+        if not independent:
+            careful_correction(model, work, level, q, qd, out)
+            return
+        right = work.right
+        for k in range(right.shape[0]):
+            right[k] = (-work.closure[k] if level == rank_revealing.POSITION
+                        else -work.closure_rate[k])
+        elimination.solve(model, work, right)
+        for i in range(work.body.shape[0]):
+            work.body[i, RHS] = 0.0
+        loop_closure.apply(model, work, right)
+        articulated_inertia.outward_acceleration(model, work, out)
+
+
+@inlined
+def _correct_unrolled(linkage, system, independent, level, q, qd, out):
+    """Take a correction from what the unrolled routine has left."""
+    if linkage is not None:
+        if independent:
+            row = 0 if level == rank_revealing.POSITION else 1
+            for i in range(out.shape[0]):
+                out[i] = system.corrections[row, i]
+        elif level == rank_revealing.POSITION:
+            links.call(linkage, links.CAREFUL_POSITION, q, qd)
+        else:
+            links.call(linkage, links.CAREFUL_VELOCITY, q, qd)
+
+
+@compiled
 def correction(system, independent, level, q, qd, out):
     """
     Compute -I^-1 J^T (J I^-1 J^T)^+ times the error, the least change in the mass metric.
@@ -74,22 +116,11 @@ def correction(system, independent, level, q, qd, out):
     q, qd : ndarray, shape (nv,)
         As for ``factor_configuration``.
     out : ndarray, shape (nv,)
-        Written in place.
+        Written in place; must be ``system.qdd``.
 
     """
-    model, work = system.model, system.work
-    if not independent:
-        kinematics.outward(model, q, qd, work)
-        rank_revealing.correct(model, work, level, out)
-        return
-    right = work.right
-    for k in range(right.shape[0]):
-        right[k] = -work.closure[k] if level == rank_revealing.POSITION else -work.closure_rate[k]
-    elimination.solve(model, work, right)
-    for i in range(work.body.shape[0]):
-        work.body[i, RHS] = 0.0
-    loop_closure.apply(model, work, right)
-    articulated_inertia.outward_acceleration(model, work, out)
+    _correct_by_loops(system.linkage, system, independent, level, q, qd, out)
+    _correct_unrolled(system.linkage, system, independent, level, q, qd, out)
 
 
 @compiled

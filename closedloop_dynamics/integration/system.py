@@ -18,11 +18,12 @@ from typing import NamedTuple, Optional
 
 import numpy as np
 
-from ..core import kinematics, rank_revealing
+from ..core import kinematics, rank_revealing, straight_line
 from ..core.compiled import compiled, inlined, merged
 from ..core.formulations import accelerate_dense, allocate_dense, DenseWorkspace, SUBSYSTEM
 from ..core.forward_dynamics import accelerate
 from ..core.independent import allocate_partition, close, Partition
+from ..core.straight_line import linkage as links
 from ..core.types import allocate, Model, Workspace
 from ..effects import dispatch, joint_reaction
 from ..effects.table import build_table, EffectTable
@@ -30,6 +31,10 @@ from ..effects.table import build_table, EffectTable
 # Columns of System.settings: which formulation, Baumgarte's decay rate [1/s] (0: none), the
 # closure error [m, rad] that projection leaves and the one at which it gives up.
 FORMULATION, BAUMGARTE, CLOSURE_TOLERANCE, CLOSURE_LIMIT = range(4)
+
+# Unrolled code grows with the mechanism: beyond this number of bodies it takes too long to
+# compile and falls out of the fastest memory.
+MOST_UNROLLED_BODIES = 24
 
 
 class System(NamedTuple):
@@ -55,6 +60,10 @@ class System(NamedTuple):
         Joint torques of commands and effects; ``tau`` itself where no effect is listed.
     effects : EffectTable or None
         What acts on the mechanism beside the commanded torques.
+    linkage : ndarray of int or None
+        Of the routines unrolled for this mechanism; None where the kernels' loops do the work.
+    corrections : ndarray, shape (2, nv)
+        Of coordinates and rates, as unrolled routines leave them.
 
     """
 
@@ -68,10 +77,16 @@ class System(NamedTuple):
     lam: np.ndarray
     applied: np.ndarray
     effects: Optional[EffectTable]
+    linkage: Optional[np.ndarray]
+    corrections: np.ndarray
+
+    def __reduce__(self):
+        """Copy and pickle without addresses, which hold for these very arrays."""
+        return _relinked, (*self._replace(linkage=None), self.linkage is not None)
 
 
 def build_system(model, formulation=SUBSYSTEM, baumgarte=0.0, extent=1.0, independent=False,
-                 laws=()):
+                 laws=(), unrolled=None):
     """
     Allocate a system.
 
@@ -89,6 +104,9 @@ def build_system(model, formulation=SUBSYSTEM, baumgarte=0.0, extent=1.0, indepe
         Whether to integrate independent coordinates.
     laws : sequence of effects.table.Law
         Of the effects that act.
+    unrolled : bool, optional
+        Whether to unroll the kernels for this mechanism; where not said, if there is a compiler,
+        few bodies, and the subsystem-level formulation.
 
     Returns
     -------
@@ -96,16 +114,75 @@ def build_system(model, formulation=SUBSYSTEM, baumgarte=0.0, extent=1.0, indepe
 
     """
     nv, nc = len(model.tree) - 1, len(model.column) - 1
+    if unrolled is None:
+        unrolled = (straight_line.available() and formulation == SUBSYSTEM
+                    and nv <= MOST_UNROLLED_BODIES)
     # Closure errors of 1e-12 of the size are rounding; one of 1e-5 of it is an open loop.
     settings = np.array([formulation, baumgarte, 1e-12 * extent, 1e-5 * extent])
     tau = np.zeros(nv)
     effects = build_table(laws, tau, nv) if len(laws) > 0 else None
-    return System(
+    system = System(
         model=model, work=allocate(model),
         dense=None if formulation == SUBSYSTEM else allocate_dense(model, formulation),
         partition=allocate_partition(model) if independent else None,
         settings=settings, tau=tau, qdd=np.zeros(nv), lam=np.zeros(nc),
-        applied=tau if effects is None else effects.applied, effects=effects)
+        applied=tau if effects is None else effects.applied, effects=effects, linkage=None,
+        corrections=np.zeros((2, nv)))
+    return linked(system) if unrolled else system
+
+
+def linked(system):
+    """
+    Return a system whose evaluations are unrolled.
+
+    Parameters
+    ----------
+    system : System
+        Of the subsystem-level formulation.
+
+    Returns
+    -------
+    System
+        With the same arrays.
+
+    """
+    model, work = system.model, system.work
+    linkage = links.connect(
+        {links.BODY: model.body, links.GRAVITY: model.gravity, links.CUT_POINT: model.cut_point,
+         links.TAU: system.applied, links.SETTINGS: system.settings, links.QDD: system.qdd,
+         links.LAM: system.lam, links.HEALTH: work.health, links.WORK_BODY: work.body,
+         links.CLOSURE: work.closure, links.CLOSURE_RATE: work.closure_rate,
+         links.CORRECTIONS: system.corrections},
+        _careful_routines(system._replace(linkage=None)))
+    system = system._replace(linkage=linkage)
+    straight_line.relink(model, linkage)
+    return system
+
+
+def _relinked(*fields):
+    """Build a copied or unpickled system."""
+    system = System(*fields[:-1])
+    return linked(system) if fields[-1] else system
+
+
+def _careful_routines(system):
+    """Return the rank-revealing path as functions of q and qd, compiled when first called."""
+    nan = np.nan
+
+    def acceleration(q, qd):
+        system.qdd[:] = nan
+        careful_acceleration(system, q, qd)
+
+    def position(q, qd):
+        system.qdd[:] = nan
+        careful_correction(system.model, system.work, rank_revealing.POSITION, q, qd, system.qdd)
+
+    def velocity(q, qd):
+        system.qdd[:] = nan
+        careful_correction(system.model, system.work, rank_revealing.VELOCITY, q, qd, system.qdd)
+
+    return {links.CAREFUL_ACCELERATION: acceleration, links.CAREFUL_POSITION: position,
+            links.CAREFUL_VELOCITY: velocity}
 
 
 def number_of_states(system):
@@ -177,9 +254,98 @@ def _give_rates(effects, nv, out):
 
 
 @compiled
+def careful_acceleration(system, q, qd):
+    """
+    Compute accelerations and multipliers by the rank-revealing path.
+
+    Parameters
+    ----------
+    system : System
+        What moves.
+    q, qd : ndarray, shape (nv,)
+        Joint coordinates and rates.
+
+    """
+    kinematics.outward(system.model, q, qd, system.work)
+    _apply_effects(system.effects, system.work, q, qd, system.tau)
+    rank_revealing.accelerate(system.model, system.work, system.applied,
+                              system.settings[BAUMGARTE], q, qd, system.qdd, system.lam)
+
+
+@compiled
+def careful_correction(model, work, level, q, qd, out):
+    """
+    Compute the least correction of positions or rates by the rank-revealing path.
+
+    Parameters
+    ----------
+    model : Model
+        Constant arrays of the mechanism.
+    work : Workspace
+        Scratch of the evaluation.
+    level : int
+        ``rank_revealing.POSITION`` or ``VELOCITY``.
+    q, qd : ndarray, shape (nv,)
+        Joint coordinates and rates.
+    out : ndarray, shape (nv,)
+        Written in place.
+
+    """
+    kinematics.outward(model, q, qd, work)
+    rank_revealing.correct(model, work, level, out)
+
+
+@compiled
+def _evaluate_by_loops(linkage, system, q, qd):
+    """Evaluate a state by the kernels' loops, where nothing is unrolled."""
+    if linkage is None:
+        model, work, formulation = system.model, system.work, int(system.settings[FORMULATION])
+        kinematics.outward(model, q, qd, work)
+        _apply_effects(system.effects, work, q, qd, system.tau)
+        if formulation == SUBSYSTEM:
+            if not accelerate(model, work, system.applied, system.settings[BAUMGARTE],
+                              system.qdd, system.lam):
+                # The elimination has used up what the outward recursion and the effects left.
+                careful_acceleration(system, q, qd)
+        else:
+            _accelerate_dense(system.dense, model, work, formulation, system.applied,
+                              system.settings[BAUMGARTE], system.qdd, system.lam)
+        _feel_reactions(system.effects, model, work, system.qdd, system.lam)
+
+
+@inlined
+def _evaluate_unrolled(linkage, system, q, qd):
+    """Evaluate a state by unrolled routines, where there are any."""
+    if linkage is not None:
+        links.call(linkage, links.OUTWARD, q, qd)
+        _apply_effects(system.effects, system.work, q, qd, system.tau)
+        if links.call(linkage, links.ACCELERATION, q, qd) == 0:
+            links.call(linkage, links.CAREFUL_ACCELERATION, q, qd)
+        _feel_reactions(system.effects, system.model, system.work, system.qdd, system.lam)
+
+
+@inlined
+def _evaluate_bare(linkage, effects, q, qd):
+    """Evaluate a state at once, where routines are unrolled and no effect is listed."""
+    if linkage is not None:
+        if effects is None:
+            if links.call(linkage, links.EVALUATION, q, qd) == 0:
+                links.call(linkage, links.CAREFUL_ACCELERATION, q, qd)
+
+
+@inlined
+def _evaluate_among_effects(effects, system, q, qd):
+    """Evaluate a state in parts, where effects are listed."""
+    if effects is not None:
+        _evaluate_unrolled(system.linkage, system, q, qd)
+
+
+@compiled
 def evaluate(system, q, qd):
     """
     Compute the accelerations and multipliers of a state into ``system.qdd`` and ``system.lam``.
+
+    Poses, velocities and closure errors are left in ``system.work``, too.
 
     Parameters
     ----------
@@ -189,21 +355,8 @@ def evaluate(system, q, qd):
         Joint coordinates and rates.
 
     """
-    model, work, formulation = system.model, system.work, int(system.settings[FORMULATION])
-    kinematics.outward(model, q, qd, work)
-    _apply_effects(system.effects, work, q, qd, system.tau)
-    if formulation == SUBSYSTEM:
-        if not accelerate(model, work, system.applied, system.settings[BAUMGARTE], system.qdd,
-                          system.lam):
-            # The elimination has used up what the outward recursion and the effects left.
-            kinematics.outward(model, q, qd, work)
-            _apply_effects(system.effects, work, q, qd, system.tau)
-            rank_revealing.accelerate(model, work, system.applied, system.settings[BAUMGARTE],
-                                      q, qd, system.qdd, system.lam)
-    else:
-        _accelerate_dense(system.dense, model, work, formulation, system.applied,
-                          system.settings[BAUMGARTE], system.qdd, system.lam)
-    _feel_reactions(system.effects, model, work, system.qdd, system.lam)
+    _evaluate_unrolled(system.linkage, system, q, qd)
+    _evaluate_by_loops(system.linkage, system, q, qd)
 
 
 @merged
@@ -226,7 +379,10 @@ def derivative(system, state, out):
     _close(system.partition, system.model, system.work, state[:nv], state[nv:2 * nv],
            system.settings[CLOSURE_TOLERANCE])
     _take_states(system.effects, state, nv)
-    evaluate(system, state[:nv], state[nv:2 * nv])
+    q, qd = state[:nv], state[nv:2 * nv]
+    _evaluate_bare(system.linkage, system.effects, q, qd)
+    _evaluate_among_effects(system.effects, system, q, qd)
+    _evaluate_by_loops(system.linkage, system, q, qd)
     for i in range(nv):
         out[i] = state[nv + i]
         out[nv + i] = system.qdd[i]

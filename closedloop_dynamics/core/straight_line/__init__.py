@@ -1,0 +1,28 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Kernels unrolled for the topology of one mechanism.
+
+The loops of ``core`` serve every mechanism; a mechanism of a few bodies spends most of its time
+in them on indices. Here the same kernels are run once on symbols (``trace``), and the
+arithmetic that they leave behind is compiled (``emit``) to routines that compiled code calls by
+their address (``linkage``): one more second at the first start, a third of the time ever after.
+
+"""
+
+from .linkage import available, call
+from .routines import relink
+
+__all__ = ['available', 'call', 'relink']

@@ -1,0 +1,240 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""From unrolled arithmetic to machine code, by the LLVM that numba brings along."""
+
+import hashlib
+import os
+import tempfile
+
+from llvmlite import binding, ir
+
+from . import sincos
+from .trace import (
+    ADD, BOTH, CHOOSE, COSINE, DIVIDE, GREATER_EQUAL, LESS, LOAD, MULTIPLY, NEGATE, SINE,
+    SUBTRACT)
+
+_DOUBLE, _WORD = ir.DoubleType(), ir.IntType(64)
+_FUNCTION = ir.FunctionType(_WORD, [_WORD.as_pointer()] + 2 * [_DOUBLE.as_pointer()])
+# A multiplication and an addition may become one instruction that rounds once.
+_FLAGS = ('contract',)
+_ARITHMETIC = {ADD: 'fadd', SUBTRACT: 'fsub', MULTIPLY: 'fmul', DIVIDE: 'fdiv'}
+
+
+class Routine:
+    """
+    Arithmetic with its inputs and outputs.
+
+    Parameters
+    ----------
+    name : str
+        Of the machine code's symbol.
+    tape : Tape
+        The arithmetic.
+    outputs : sequence of (input, place, value)
+        What is stored where.
+
+    Notes
+    -----
+    An input is the place of an array's address in the linkage, or Q or QD: the arguments.
+
+    """
+
+    def __init__(self, name, tape, outputs):
+        """Keep what is needed for the outputs."""
+        self.name, self.tape, self.outputs = name, tape, outputs
+
+    def needed(self):
+        """
+        Return which operations the outputs and the guard depend on.
+
+        Returns
+        -------
+        list of bool
+
+        """
+        operations = self.tape.operations
+        use = [False] * len(operations)
+        for value in [value for _, _, value in self.outputs] + [self.tape.guard]:
+            if hasattr(value, 'place'):
+                use[value.place] = True
+        for place in range(len(operations) - 1, -1, -1):
+            if use[place] and operations[place][0] != LOAD:
+                for operand in operations[place][1:]:
+                    if isinstance(operand, int):
+                        use[operand] = True
+        return use
+
+
+Q, QD = -1, -2
+
+
+class _Writer:
+    """Writes one routine as LLVM's intermediate representation."""
+
+    def __init__(self, module, routine):
+        self.routine = routine
+        self.function = ir.Function(module, _FUNCTION, routine.name)
+        self.builder = ir.IRBuilder(self.function.append_basic_block())
+        self.values, self.pointers = {}, {}
+
+    def number(self, operand):
+        if isinstance(operand, int):
+            return self.values[operand]
+        return ir.Constant(_DOUBLE, operand)
+
+    def address(self, source, place):
+        if source not in self.pointers:
+            linkage, q, qd = self.function.args
+            if source in (Q, QD):
+                self.pointers[source] = q if source == Q else qd
+            else:
+                self.pointers[source] = self.builder.inttoptr(
+                    self.builder.load(self.builder.gep(linkage, [_WORD(source)])),
+                    _DOUBLE.as_pointer())
+        return self.builder.gep(self.pointers[source], [_WORD(place)])
+
+    def write(self):
+        operations, use = self.routine.tape.operations, self.routine.needed()
+        angles = sorted({operation[1] for place, operation in enumerate(operations)
+                         if use[place] and operation[0] in (SINE, COSINE)})
+        first = _needed_for(operations, angles)
+        for place in sorted(first):
+            self.values[place] = self.operation(*operations[place])
+        self.turn(operations, angles)
+        for place, operation in enumerate(operations):
+            if use[place] and place not in self.values:
+                self.values[place] = self.operation(*operation)
+        for source, place, value in self.routine.outputs:
+            known = value.place if hasattr(value, 'place') else float(value)
+            self.builder.store(self.number(known), self.address(source, place))
+        guard = self.routine.tape.guard
+        good = _WORD(1) if guard is None else self.builder.zext(self.values[guard.place], _WORD)
+        self.builder.ret(good)
+
+    def turn(self, operations, angles):
+        """Compute all sines and cosines at once, in vectors."""
+        if not angles:
+            return
+        sines, cosines = sincos.write(
+            self.builder, [self.values[angle] for angle in angles])
+        by_angle = {angle: n for n, angle in enumerate(angles)}
+        for place, operation in enumerate(operations):
+            if operation[0] in (SINE, COSINE) and operation[1] in by_angle:
+                values = sines if operation[0] == SINE else cosines
+                self.values[place] = values[by_angle[operation[1]]]
+
+    def operation(self, kind, *operands):
+        builder = self.builder
+        if kind == LOAD:
+            return builder.load(self.address(*operands))
+        numbers = [self.number(operand) for operand in operands]
+        if kind in _ARITHMETIC:
+            return getattr(builder, _ARITHMETIC[kind])(*numbers, flags=_FLAGS)
+        if kind == NEGATE:
+            return builder.fneg(*numbers)
+        if kind == LESS:
+            return builder.fcmp_ordered('<', *numbers)
+        if kind == GREATER_EQUAL:
+            return builder.fcmp_ordered('>=', *numbers)
+        if kind == BOTH:
+            return builder.and_(*numbers)
+        assert kind == CHOOSE
+        return builder.select(*numbers)
+
+
+def _needed_for(operations, places):
+    """Return all places that some depend on, themselves included."""
+    found, rest = set(), list(places)
+    while rest:
+        place = rest.pop()
+        if place not in found:
+            found.add(place)
+            if operations[place][0] != LOAD:
+                rest.extend(o for o in operations[place][1:] if isinstance(o, int))
+    return found
+
+
+# Machine code in use: it must stay where it is as long as the process lives.
+_engines = []
+
+
+def machine_code(key, routines):
+    """
+    Return the addresses of routines, compiled now or by an earlier process.
+
+    Parameters
+    ----------
+    key : bytes
+        What the routines depend on.
+    routines : callable
+        Returns the list of Routine; called only where nothing is cached.
+
+    Returns
+    -------
+    callable
+        From a routine's name to its address.
+
+    """
+    binding.initialize_native_target()
+    binding.initialize_native_asmprinter()
+    target = binding.Target.from_default_triple()
+    cpu, features = binding.get_host_cpu_name(), binding.get_host_cpu_features().flatten()
+    machine = target.create_target_machine(cpu=cpu, features=features, opt=3)
+    digest = hashlib.sha256(repr(
+        (key, cpu, features, binding.llvm_version_info)).encode()).hexdigest()[:32]
+    path = os.path.join(_cache_directory(), f'straight_line.{digest}.o')
+    # An engine needs a module to start from; the code itself is added as an object.
+    engine = binding.create_mcjit_compiler(binding.parse_assembly(''), machine)
+    code = _read(path)
+    if code is None:
+        module = ir.Module()
+        module.triple = target.triple
+        for routine in routines():
+            _Writer(module, routine).write()
+        parsed = binding.parse_assembly(str(module))
+        parsed.verify()
+        code = machine.emit_object(parsed)
+        _write(path, code)
+    engine.add_object_file(binding.ObjectFileRef.from_data(code))
+    engine.finalize_object()
+    _engines.append(engine)
+    return engine.get_function_address
+
+
+def _cache_directory():
+    from numba import config
+    if config.CACHE_DIR:
+        return config.CACHE_DIR
+    return os.path.join(os.environ.get('XDG_CACHE_HOME') or os.path.expanduser('~/.cache'),
+                        'closedloop_dynamics')
+
+
+def _read(path):
+    try:
+        with open(path, 'rb') as file:
+            return file.read()
+    except OSError:
+        return None
+
+
+def _write(path, code):
+    """Keep code for later processes; without a place to keep it, each compiles its own."""
+    try:
+        os.makedirs(os.path.dirname(path), exist_ok=True)
+        with tempfile.NamedTemporaryFile(dir=os.path.dirname(path), delete=False) as file:
+            file.write(code)
+        os.replace(file.name, path)
+    except OSError:
+        pass

@@ -1,0 +1,164 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+How compiled code calls routines of which it knows only the address.
+
+A linkage is an array of integers: the addresses of the routines of one mechanism, then those of
+the arrays that they work on. A routine is called with it and with a state, and
+returns whether its results are good.
+
+"""
+
+import ctypes
+import weakref
+
+import numpy as np
+
+try:
+    from llvmlite import ir
+    from numba import config, types
+    from numba.extending import intrinsic
+except ImportError:
+    config = None
+
+# Addresses of unrolled routines: of a state the accelerations and multipliers; the outward
+# recursion alone, and what follows it; the corrections that close the loops.
+(EVALUATION, OUTWARD, ACCELERATION, CORRECTION,
+ # Addresses of the rank-revealing path, which need not be compiled before it is needed.
+ CAREFUL_ACCELERATION, CAREFUL_POSITION, CAREFUL_VELOCITY) = range(7)
+# Addresses of arrays.
+(BODY, GRAVITY, CUT_POINT, TAU, SETTINGS, QDD, LAM, HEALTH, WORK_BODY, CLOSURE, CLOSURE_RATE,
+ CORRECTIONS) = range(7, 19)
+LINKAGE_COLUMNS = 19
+# Place of Baumgarte's rate in the settings.
+SETTINGS_BAUMGARTE = 1
+
+_SIGNATURE = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p)
+
+
+def available():
+    """
+    Tell whether there is a compiler.
+
+    Returns
+    -------
+    bool
+
+    """
+    return config is not None and not config.DISABLE_JIT
+
+
+if config is not None:
+    @intrinsic
+    def call(typingctx, linkage, which, q, qd):
+        """
+        Call a routine of a linkage.
+
+        Parameters
+        ----------
+        typingctx
+            Of numba.
+        linkage : ndarray of int
+            As ``connect`` returns it.
+        which : int
+            Place of the routine's address in it.
+        q, qd : ndarray, shape (nv,)
+            Joint coordinates and rates.
+
+        Returns
+        -------
+        int
+            0 where the routine could not do its work.
+
+        """
+        signature = types.int64(linkage, types.intp, q, qd)
+
+        def generate(context, builder, signature, arguments):
+            word = ir.IntType(64)
+            arrays = [context.make_array(signature.args[n])(context, builder, arguments[n]).data
+                      for n in (0, 2, 3)]
+            function = ir.FunctionType(word, [array.type for array in arrays])
+            address = builder.load(builder.gep(arrays[0], [arguments[1]]))
+            return builder.call(builder.inttoptr(address, function.as_pointer()), arrays)
+
+        return signature, generate
+else:
+    def call(linkage, which, q, qd):
+        """Refuse: without a compiler nothing is linked."""
+        raise RuntimeError('no routine can be linked without numba')
+
+
+def function(linkage, which):
+    """
+    Return a routine as a function that Python calls, quicker than any compiled kernel.
+
+    Parameters
+    ----------
+    linkage : ndarray of int
+        As ``connect`` returns it.
+    which : int
+        Place of the routine's address in it.
+
+    Returns
+    -------
+    callable
+        Of the addresses of linkage, q and qd.
+
+    """
+    return _SIGNATURE(int(linkage[which]))
+
+
+# What linkages that are alive call back.
+_callbacks = {}
+
+
+def connect(arrays, careful):
+    """
+    Return a linkage without unrolled routines.
+
+    Parameters
+    ----------
+    arrays : dict of int to ndarray
+        From the places BODY to CORRECTIONS; they must live as long as the linkage is used.
+    careful : dict of int to callable
+        From CAREFUL_ACCELERATION, CAREFUL_POSITION and CAREFUL_VELOCITY; called with q and qd.
+
+    Returns
+    -------
+    ndarray of int, shape (LINKAGE_COLUMNS,)
+
+    """
+    linkage = np.zeros(LINKAGE_COLUMNS, dtype=np.int64)
+    for place, array in arrays.items():
+        linkage[place] = array.ctypes.data
+    nv = len(arrays[QDD])
+    kept = {}
+    for place, function in careful.items():
+        kept[place] = _SIGNATURE(_on_arrays(function, nv))
+        linkage[place] = ctypes.cast(kept[place], ctypes.c_void_p).value
+    _callbacks[id(linkage)] = kept
+    weakref.finalize(linkage, _callbacks.pop, id(linkage))
+    return linkage
+
+
+def _on_arrays(function, nv):
+    """Return a function of addresses that calls one of arrays."""
+    vector = ctypes.c_double * nv
+
+    def called(linkage, q, qd):
+        function(np.frombuffer(vector.from_address(q)), np.frombuffer(vector.from_address(qd)))
+        return 1
+
+    return called

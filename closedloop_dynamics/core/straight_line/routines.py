@@ -1,0 +1,196 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""What is unrolled: the evaluation of a state and the correction of one that has drifted."""
+
+import functools
+import hashlib
+import pathlib
+
+import numpy as np
+
+from . import emit
+from .linkage import (
+    ACCELERATION, BODY, CLOSURE, CLOSURE_RATE, CORRECTION, CORRECTIONS, CUT_POINT, EVALUATION,
+    GRAVITY, HEALTH, LAM, OUTWARD, QDD, SETTINGS, SETTINGS_BAUMGARTE, TAU, WORK_BODY)
+from .trace import LOAD, Tape, unrolled
+from .. import articulated_inertia, elimination, forward_dynamics, kinematics, loop_closure
+from ..types import COS, HEALTH_COLUMNS, RHS, TYPE, WORK_COLUMNS, Workspace
+
+NAMES = {EVALUATION: 'evaluation', OUTWARD: 'outward', ACCELERATION: 'acceleration',
+         CORRECTION: 'correction'}
+
+
+@functools.cache
+def _sources():
+    """Return a digest of all kernels: unrolled code is as old as they are."""
+    here = pathlib.Path(__file__).parent
+    digest = hashlib.sha256()
+    for path in sorted([*here.glob('*.py'), *here.parent.glob('*.py')]):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+def topology(model):
+    """
+    Return what the routines of a mechanism depend on.
+
+    Parameters
+    ----------
+    model : Model
+        Constant arrays of the mechanism. Masses, lengths and gravity may change later.
+
+    Returns
+    -------
+    tuple
+
+    """
+    arrays = (model.tree[:, :TYPE + 1], model.cut, model.slot_body, model.pair, model.block,
+              model.column, model.row, model.entry, model.dependency, model.dependency_place)
+    return tuple((array.shape, array.tobytes()) for array in arrays)
+
+
+_addresses = {}
+
+
+def addresses(model):
+    """
+    Return the addresses of a mechanism's routines, compiled where nobody has before.
+
+    Parameters
+    ----------
+    model : Model
+        Constant arrays of the mechanism.
+
+    Returns
+    -------
+    dict of int to int
+        From EVALUATION, OUTWARD, ACCELERATION and CORRECTION.
+
+    """
+    key = topology(model)
+    if key not in _addresses:
+        find = emit.machine_code(
+            (key, _sources()), lambda: [_Unrolling(model).routine(which) for which in NAMES])
+        _addresses[key] = {which: find(name) for which, name in NAMES.items()}
+    return _addresses[key]
+
+
+def relink(model, linkage):
+    """
+    Give a linkage the routines of a model, also when its topology has changed.
+
+    Parameters
+    ----------
+    model : Model
+        Constant arrays of the mechanism.
+    linkage : ndarray of int or None
+        Changed in place; None where nothing is unrolled.
+
+    """
+    if linkage is not None:
+        for which, address in addresses(model).items():
+            linkage[which] = address
+
+
+class _Unrolling:
+    """One mechanism with symbols in the place of all numbers that may change."""
+
+    def __init__(self, model):
+        self.tape = Tape()
+        self.bodies, self.nv, self.nc = (
+            len(model.tree), len(model.tree) - 1, len(model.column) - 1)
+        self.model = model._replace(
+            body=self.symbols(BODY, model.body.shape), gravity=self.symbols(GRAVITY, (2,)),
+            cut_point=self.symbols(CUT_POINT, model.cut_point.shape))
+        slots = len(model.slot_body)
+        self.work = Workspace(
+            body=_zeros(self.bodies, WORK_COLUMNS), response=_zeros(slots, 3),
+            response_scaled=_zeros(slots, 3), factor=_zeros(len(model.row)),
+            scale=_zeros(self.nc), pivot_inverse=_zeros(self.nc), right=_zeros(self.nc),
+            scatter=_zeros(self.nc), closure=_zeros(self.nc), closure_rate=_zeros(self.nc),
+            bias=_zeros(self.nc), health=self.symbols(HEALTH, (HEALTH_COLUMNS,)))
+        self.q, self.qd = self.symbols(emit.Q, (self.nv,)), self.symbols(emit.QD, (self.nv,))
+        self.outputs = []
+
+    def symbols(self, source, shape):
+        """Return an array of numbers to be read from an input."""
+        array = np.empty(shape, dtype=object)
+        for place in range(array.size):
+            array.flat[place] = self.tape.put(LOAD, source, place)
+        return array
+
+    def store(self, source, values, first=0):
+        """Note that an array goes to an output, but for what was read from there."""
+        for place, value in enumerate(values.flat, start=first):
+            if not (hasattr(value, 'place')
+                    and self.tape.operations[value.place] == (LOAD, source, place)):
+                self.outputs.append((source, place, value))
+
+    def routine(self, which):
+        """Return one of the routines; an unrolling serves for one."""
+        getattr(self, NAMES[which])()
+        return emit.Routine(NAMES[which], self.tape, self.outputs)
+
+    def evaluation(self):
+        """Accelerations and multipliers of a state where nothing but gravity and torques acts."""
+        unrolled(kinematics.outward)(self.model, self.q, self.qd, self.work)
+        self.accelerate()
+
+    def outward(self):
+        """Poses, velocities and forces of inertia: what effects work on."""
+        unrolled(kinematics.outward)(self.model, self.q, self.qd, self.work)
+        self.store(WORK_BODY, self.work.body)
+
+    def acceleration(self):
+        """Accelerations and multipliers after ``outward`` and the effects."""
+        self.work.body[1:] = self.symbols(WORK_BODY, self.work.body.shape)[1:]
+        self.work.body[0, COS] = 1.0
+        self.accelerate()
+        self.store(CLOSURE, self.work.closure)
+        self.store(CLOSURE_RATE, self.work.closure_rate)
+
+    def accelerate(self):
+        """Unroll the forward dynamics."""
+        baumgarte = self.symbols(SETTINGS, (SETTINGS_BAUMGARTE + 1,))[-1]
+        tau, qdd, lam = self.symbols(TAU, (self.nv,)), _zeros(self.nv), _zeros(self.nc)
+        unrolled(forward_dynamics.accelerate)(
+            self.model, self.work, tau, baumgarte, qdd, lam)
+        self.store(QDD, qdd)
+        self.store(LAM, lam)
+        self.store(HEALTH, self.work.health)
+
+    def correction(self):
+        """Least changes of coordinates and of rates that close the loops, one after the other."""
+        model, work = self.model, self.work
+        known = {}
+        unrolled(kinematics.outward, known)(model, self.q, self.qd, work)
+        unrolled(articulated_inertia.inward, known)(model, _zeros(self.nv), work)
+        unrolled(loop_closure.update, known)(model, work, True)
+        unrolled(elimination.assemble, known)(model, work)
+        bool(unrolled(elimination.factorize, known)(model, work))
+        for n, error in enumerate((work.closure, work.closure_rate)):
+            right, out = -error, _zeros(self.nv)
+            unrolled(elimination.solve, known)(model, work, right)
+            work.body[:, RHS] = 0.0
+            unrolled(loop_closure.apply, known)(model, work, right)
+            unrolled(articulated_inertia.outward_acceleration, known)(model, work, out)
+            self.store(CORRECTIONS, out, n * self.nv)
+        self.store(CLOSURE, work.closure)
+        self.store(CLOSURE_RATE, work.closure_rate)
+        self.store(HEALTH, work.health)
+
+
+def _zeros(*shape):
+    return np.full(shape, 0.0, dtype=object)

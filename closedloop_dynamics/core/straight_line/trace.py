@@ -1,0 +1,242 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Unroll kernels for one topology: run them on symbols and keep the arithmetic.
+
+The kernels of ``core`` are loops over a mechanism described by arrays. Run with these arrays
+as they are, but with symbols in the place of numbers, they leave behind the list of additions
+and multiplications that this one mechanism needs: no loop, no index, no zero added.
+
+"""
+
+import types
+
+from ..compiled import choose
+
+# Operations. A LOAD names an input and the place in it; a SINE and a COSINE their angle.
+(LOAD, ADD, SUBTRACT, MULTIPLY, DIVIDE, NEGATE, SINE, COSINE, LESS, GREATER_EQUAL, CHOOSE,
+ BOTH) = range(12)
+
+
+class Tape:
+    """
+    The arithmetic seen so far.
+
+    Attributes
+    ----------
+    operations : list of tuple
+        (operation, operands...); an operand is the place of an earlier operation or a float.
+    guard : Symbol or None
+        What must hold for the results to be right: the branches that were taken.
+
+    """
+
+    def __init__(self):
+        """Begin an empty tape."""
+        self.operations, self.guard, self._known = [], None, {}
+
+    def put(self, *operation):
+        """Return the symbol of an operation, an old one where there is the same already."""
+        place = self._known.setdefault(operation, len(self.operations))
+        if place == len(self.operations):
+            self.operations.append(operation)
+        return Symbol(self, place)
+
+
+def _operand(value):
+    return value.place if isinstance(value, Symbol) else float(value)
+
+
+def _is(value, number):
+    return not isinstance(value, Symbol) and value == number
+
+
+class Symbol:
+    """
+    A number that is not known yet.
+
+    Parameters
+    ----------
+    tape : Tape
+        Where its operation is kept.
+    place : int
+        Of the operation.
+
+    """
+
+    __slots__ = ('place', 'tape')
+
+    def __init__(self, tape, place):
+        """Name the result of an operation."""
+        self.tape, self.place = tape, place
+
+    def _put(self, operation, *operands):
+        return self.tape.put(operation, *map(_operand, operands))
+
+    def __add__(self, other):
+        """Add; nothing where the other is zero."""
+        if _is(other, 0.0):
+            return self
+        if isinstance(other, Symbol) and other._operation() == NEGATE:
+            return self - other._negated()
+        return self._put(ADD, self, other)
+
+    def __radd__(self, other):
+        """Add to a number."""
+        return self + other
+
+    def __sub__(self, other):
+        """Subtract; nothing where the other is zero."""
+        if _is(other, 0.0):
+            return self
+        if isinstance(other, Symbol) and other._operation() == NEGATE:
+            return self + other._negated()
+        return self._put(SUBTRACT, self, other)
+
+    def __rsub__(self, other):
+        """Subtract from a number."""
+        return -self if _is(other, 0.0) else self._put(SUBTRACT, other, self)
+
+    def __mul__(self, other):
+        """Multiply; a zero or a one decides alone."""
+        if _is(other, 0.0):
+            return 0.0
+        if _is(other, 1.0):
+            return self
+        if _is(other, -1.0):
+            return -self
+        if self._operation() == NEGATE:
+            return -(self._negated() * other)
+        if isinstance(other, Symbol) and other._operation() == NEGATE:
+            return -(self * other._negated())
+        first, second = _operand(self), _operand(other)
+        if isinstance(second, int) and second < first:
+            first, second = second, first
+        return self.tape.put(MULTIPLY, first, second)
+
+    def __rmul__(self, other):
+        """Multiply a number."""
+        return self * other
+
+    def __truediv__(self, other):
+        """Divide."""
+        return self._put(DIVIDE, self, other)
+
+    def __rtruediv__(self, other):
+        """Divide a number."""
+        return self._put(DIVIDE, other, self)
+
+    def __neg__(self):
+        """Negate; twice is nothing."""
+        return self._negated() if self._operation() == NEGATE else self._put(NEGATE, self)
+
+    def __lt__(self, other):
+        """Compare."""
+        return self._put(LESS, self, other)
+
+    def __gt__(self, other):
+        """Compare."""
+        return self._put(LESS, other, self)
+
+    def __ge__(self, other):
+        """Compare; false for a NaN, as always."""
+        return self._put(GREATER_EQUAL, self, other)
+
+    def __bool__(self):
+        """Take the branch, and remember that the results hold only there."""
+        guard = self.tape.guard
+        self.tape.guard = self if guard is None else guard._put(BOTH, guard, self)
+        return True
+
+    def _operation(self):
+        return self.tape.operations[self.place][0]
+
+    def _negated(self):
+        return Symbol(self.tape, self.tape.operations[self.place][1])
+
+
+def sine(angle):
+    """Return the sine of a symbol."""
+    return angle._put(SINE, angle)
+
+
+def cosine(angle):
+    """Return the cosine of a symbol."""
+    return angle._put(COSINE, angle)
+
+
+def chosen(condition, yes, no):
+    """Return one of two values, as ``compiled.choose`` does."""
+    return condition._put(CHOOSE, condition, yes, no)
+
+
+def larger(first, second):
+    """Return the larger of two numbers, as ``max`` does."""
+    if first is second or not (isinstance(first, Symbol) or isinstance(second, Symbol)):
+        return max(first, second)
+    return chosen(second > first, second, first)
+
+
+_MATH = types.SimpleNamespace(sin=sine, cos=cosine)
+
+
+class _Unrolled:
+    """A module of kernels, each made to work on symbols when it is asked for."""
+
+    def __init__(self, module, known):
+        self._module, self._known = module, known
+
+    def __getattr__(self, name):
+        return _translate(getattr(self._module, name), self._known)
+
+
+def _translate(value, known):
+    if value is choose:
+        return chosen
+    function = getattr(value, 'py_func', None)
+    if function is not None:
+        return unrolled(value, known)
+    if isinstance(value, types.ModuleType):
+        return _MATH if value.__name__ == 'math' else _Unrolled(value, known)
+    return value
+
+
+def unrolled(kernel, known=None):
+    """
+    Return a kernel as a Python function that works on arrays of symbols.
+
+    Parameters
+    ----------
+    kernel : numba dispatcher
+        One that branches on topology only, and chooses by ``choose``.
+    known : dict, optional
+        Kernels translated before.
+
+    Returns
+    -------
+    function
+
+    """
+    known = {} if known is None else known
+    function = kernel.py_func
+    if function not in known:
+        names = {'max': larger, '__builtins__': function.__globals__['__builtins__']}
+        copy = types.FunctionType(
+            function.__code__, names, function.__name__, function.__defaults__)
+        known[function] = copy
+        for name in function.__code__.co_names:
+            if name in function.__globals__:
+                names[name] = _translate(function.__globals__[name], known)
+    return known[function]
