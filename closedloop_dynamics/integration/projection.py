@@ -34,16 +34,24 @@ SHARPER = 1e-3
 
 
 @compiled
-def _factor_by_loops(linkage, system, q, qd):
+def _factor_by_loops(by_loops, system, q, qd):
     """Prepare corrections by the kernels' loops, where nothing is unrolled."""
-    if linkage is None:
+    if by_loops is not None:
         model, work = system.model, system.work
         kinematics.outward(model, q, qd, work)
         articulated_inertia.inward(model, system.tau, work)
         loop_closure.update(model, work, True)
         elimination.assemble(model, work)
         return elimination.factorize(model, work)
-    return links.call(linkage, links.CORRECTION, q, qd) != 0
+    return False
+
+
+@inlined
+def _factor_unrolled(linkage, q, qd):
+    """Prepare corrections by the unrolled routine, where there is one."""
+    if linkage is not None:
+        return links.call(linkage, links.CORRECTION, q, qd) != 0
+    return False
 
 
 @compiled
@@ -64,13 +72,14 @@ def factor_configuration(system, q, qd):
         Whether the closure equations are independent there.
 
     """
-    return _factor_by_loops(system.linkage, system, q, qd)
+    return _factor_unrolled(system.linkage, q, qd) or _factor_by_loops(
+        system.by_loops, system, q, qd)
 
 
 @inlined
-def _correct_by_loops(linkage, system, independent, level, q, qd, out):
+def _correct_by_loops(by_loops, system, independent, level, q, qd, out):
     """Solve for a correction by the kernels' loops, where nothing is unrolled."""
-    if linkage is None:
+    if by_loops is not None:
         model, work = system.model, system.work
         if not independent:
             careful_correction(model, work, level, q, qd, out)
@@ -119,7 +128,7 @@ def correction(system, independent, level, q, qd, out):
         Written in place; must be ``system.qdd``.
 
     """
-    _correct_by_loops(system.linkage, system, independent, level, q, qd, out)
+    _correct_by_loops(system.by_loops, system, independent, level, q, qd, out)
     _correct_unrolled(system.linkage, system, independent, level, q, qd, out)
 
 

@@ -37,6 +37,9 @@ FORMULATION, BAUMGARTE, CLOSURE_TOLERANCE, CLOSURE_LIMIT = range(4)
 MOST_UNROLLED_BODIES = 24
 
 
+_BY_LOOPS = np.zeros(0)
+
+
 class System(NamedTuple):
     """
     One mechanism with all that an evaluation of its motion reads and writes.
@@ -62,6 +65,8 @@ class System(NamedTuple):
         What acts on the mechanism beside the commanded torques.
     linkage : ndarray of int or None
         Of the routines unrolled for this mechanism; None where the kernels' loops do the work.
+    by_loops : ndarray of no length, or None
+        None where there is a linkage: a branch is dropped only for what is None.
     corrections : ndarray, shape (2, nv)
         Of coordinates and rates, as unrolled routines leave them.
 
@@ -78,11 +83,13 @@ class System(NamedTuple):
     applied: np.ndarray
     effects: Optional[EffectTable]
     linkage: Optional[np.ndarray]
+    by_loops: Optional[np.ndarray]
     corrections: np.ndarray
 
     def __reduce__(self):
         """Copy and pickle without addresses, which hold for these very arrays."""
-        return _relinked, (*self._replace(linkage=None), self.linkage is not None)
+        return _relinked, (
+            *self._replace(linkage=None, by_loops=_BY_LOOPS), self.linkage is not None)
 
 
 def build_system(model, formulation=SUBSYSTEM, baumgarte=0.0, extent=1.0, independent=False,
@@ -127,7 +134,7 @@ def build_system(model, formulation=SUBSYSTEM, baumgarte=0.0, extent=1.0, indepe
         partition=allocate_partition(model) if independent else None,
         settings=settings, tau=tau, qdd=np.zeros(nv), lam=np.zeros(nc),
         applied=tau if effects is None else effects.applied, effects=effects, linkage=None,
-        corrections=np.zeros((2, nv)))
+        by_loops=_BY_LOOPS, corrections=np.zeros((2, nv)))
     return linked(system) if unrolled else system
 
 
@@ -153,8 +160,8 @@ def linked(system):
          links.LAM: system.lam, links.HEALTH: work.health, links.WORK_BODY: work.body,
          links.CLOSURE: work.closure, links.CLOSURE_RATE: work.closure_rate,
          links.CORRECTIONS: system.corrections},
-        _careful_routines(system._replace(linkage=None)))
-    system = system._replace(linkage=linkage)
+        _careful_routines(system._replace(linkage=None, by_loops=_BY_LOOPS)))
+    system = system._replace(linkage=linkage, by_loops=None)
     straight_line.relink(model, linkage)
     return system
 
@@ -296,9 +303,9 @@ def careful_correction(model, work, level, q, qd, out):
 
 
 @compiled
-def _evaluate_by_loops(linkage, system, q, qd):
+def _evaluate_by_loops(by_loops, system, q, qd):
     """Evaluate a state by the kernels' loops, where nothing is unrolled."""
-    if linkage is None:
+    if by_loops is not None:
         model, work, formulation = system.model, system.work, int(system.settings[FORMULATION])
         kinematics.outward(model, q, qd, work)
         _apply_effects(system.effects, work, q, qd, system.tau)
@@ -356,7 +363,7 @@ def evaluate(system, q, qd):
 
     """
     _evaluate_unrolled(system.linkage, system, q, qd)
-    _evaluate_by_loops(system.linkage, system, q, qd)
+    _evaluate_by_loops(system.by_loops, system, q, qd)
 
 
 @merged
@@ -382,7 +389,7 @@ def derivative(system, state, out):
     q, qd = state[:nv], state[nv:2 * nv]
     _evaluate_bare(system.linkage, system.effects, q, qd)
     _evaluate_among_effects(system.effects, system, q, qd)
-    _evaluate_by_loops(system.linkage, system, q, qd)
+    _evaluate_by_loops(system.by_loops, system, q, qd)
     for i in range(nv):
         out[i] = state[nv + i]
         out[nv + i] = system.qdd[i]
