@@ -17,7 +17,7 @@
 from dataclasses import replace
 
 from .errors import StiffnessError
-from .integration.system import evaluate
+from .integration.system import Probe
 from .inverse_dynamics import InverseDynamics
 from .rollout import rollout
 from .scene import load_scene
@@ -58,6 +58,7 @@ class Simulation(SimulationMotion):
         super().__init__(scene)
         self._inverse = InverseDynamics(
             self.mechanism, self.system, self._effects, self._table)
+        self._probe = Probe(self.system)
 
     @classmethod
     def from_scene(cls, name_or_path, **method):
@@ -244,11 +245,13 @@ class Simulation(SimulationMotion):
 
         """
         nv, system = len(self.joint_names), self.system
-        q, qd = _vector('position', position, nv), _vector('velocity', velocity, nv)
-        applied = system.tau.copy()
-        system.tau[:] = self.joint_torques(torque)
+        probe = self._probe
+        probe.q[:] = _vector('position', position, nv)
+        probe.qd[:] = _vector('velocity', velocity, nv)
+        tau, applied = self.joint_torques(torque), system.tau.copy()
+        system.tau[:] = tau
         self._table.states[:] = self._own
-        evaluate(system, q, qd)
+        probe.evaluate()
         system.tau[:] = applied
         self._fresh = False
         return system.qdd.copy(), system.lam.copy()

@@ -26,7 +26,7 @@ from .errors import ClosureError, NumericalError, SimulationError
 from .integration.advance import DONE, NOT_FINITE, OPEN_LOOP
 from .integration.drivers import build_driver
 from .integration.registry import INTEGRATORS, SCIPY
-from .integration.system import BAUMGARTE, CLOSURE_LIMIT
+from .integration.system import BAUMGARTE, CLOSURE_LIMIT, warm_up_careful
 from .monitor import Monitor
 from .scene_records import AUTO
 from .simulation_state import SimulationState
@@ -233,13 +233,14 @@ class SimulationMotion(SimulationState):
                                      f'({", ".join(self.actuated_joints)}), got {name!r}')
                 tau[self.joint_names.index(name)] = value
         else:
-            values = np.asarray(torque, dtype=float)
+            values = np.array(torque, dtype=float)
             if values.shape != (len(self._actuated),):
                 raise ValueError(
                     f'torque: expected {len(self._actuated)} values, for '
                     f'{", ".join(self.actuated_joints)}; got shape {values.shape}')
             tau[self._actuated] = values
-        if not np.isfinite(tau).all():
+        # The sum of squares is finite where all are, and quicker to tell; it may overflow alone.
+        if not (math.isfinite(tau.dot(tau)) or np.isfinite(tau).all()):
             raise ValueError(f'torque: expected finite numbers, got {torque!r}')
         return tau
 
@@ -375,9 +376,16 @@ class SimulationMotion(SimulationState):
         self._accounts.jump(self._q, self.energy - before)
 
     def warm_up(self):
-        """Compile all that a run needs, leaving the state as it is."""
+        """
+        Compile all that a run needs, leaving the state as it is.
+
+        The rank-revealing path too, which the run needs only where it meets a singular
+        configuration: it must not stand still there.
+
+        """
         self._driver.driver.advance(self._state.copy(), self.time, 1e-9, 1)
         self._driver.restart()
+        warm_up_careful(self.system, self._q, self._qd)
         self._fresh = False
         self.constraint_forces, self.energy, self.closure
 

@@ -366,6 +366,64 @@ def evaluate(system, q, qd):
     _evaluate_by_loops(system.by_loops, system, q, qd)
 
 
+def warm_up_careful(system, q, qd):
+    """
+    Compile the rank-revealing path, where an evaluation may need it.
+
+    Parameters
+    ----------
+    system : System
+        What moves; its accelerations and multipliers are written.
+    q, qd : ndarray, shape (nv,)
+        Any state that closes the loops.
+
+    """
+    if system.linkage is not None and len(system.lam):
+        count = system.work.health.copy()
+        system = system._replace(linkage=None, by_loops=_BY_LOOPS)
+        careful_acceleration(system, q, qd)
+        for level in (rank_revealing.POSITION, rank_revealing.VELOCITY):
+            careful_correction(system.model, system.work, level, q, qd, system.qdd)
+        system.work.health[:] = count
+
+
+class Probe:
+    """
+    Evaluations asked for from Python, one at a time.
+
+    A compiled kernel called from Python spends several times its own time on unpacking the
+    system; an unrolled routine is handed three addresses.
+
+    Parameters
+    ----------
+    system : System
+        What moves.
+
+    """
+
+    def __init__(self, system):
+        """Allocate a state to evaluate."""
+        self._system = system
+        self.q, self.qd = np.zeros((2, len(system.qdd)))
+        self._address, self._routine, self._pointers = 0, None, ()
+        self._quick = system.linkage is not None and system.effects is None
+
+    def evaluate(self):
+        """Evaluate the state in ``q`` and ``qd`` into ``system.qdd`` and ``system.lam``."""
+        system = self._system
+        if not self._quick:
+            evaluate(system, self.q, self.qd)
+            return
+        if self._address != system.linkage[links.EVALUATION]:
+            self._address = int(system.linkage[links.EVALUATION])
+            self._routine = links.function(system.linkage, links.EVALUATION)
+            self._pointers = tuple(
+                array.ctypes.data for array in (system.linkage, self.q, self.qd))
+        if not self._routine(*self._pointers):
+            careful_acceleration(
+                system._replace(linkage=None, by_loops=_BY_LOOPS), self.q, self.qd)
+
+
 @merged
 def derivative(system, state, out):
     """
