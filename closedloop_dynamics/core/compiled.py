@@ -25,10 +25,13 @@ except ImportError:
         'slower. Install numba for real-time simulation.', RuntimeWarning, stacklevel=2)
 
 
-def _compile(function, **options):
+def _compile(function, allocates=False, **options):
     """Return ``function`` compiled, or without numba as it is."""
     if numba is None:
         return function
+    # Without numba's runtime no array can be made, and none is counted: the counting of the
+    # arrays of a model and a workspace takes longer than many a kernel.
+    options['_nrt'] = allocates
     # Unpacking a model and a workspace from Python is as much code as many a kernel: private
     # kernels, which only kernels call, go without; and nothing is called from C.
     return numba.njit(
@@ -45,6 +48,19 @@ def compiled(function):
 
     """
     return _compile(function)
+
+
+def allocating(function):
+    """
+    Compile like ``compiled`` what makes arrays: nothing that each step needs.
+
+    Parameters
+    ----------
+    function : function
+        The rank-revealing path, which is taken rarely.
+
+    """
+    return _compile(function, allocates=True)
 
 
 def inlined(function):

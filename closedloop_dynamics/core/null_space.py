@@ -26,7 +26,7 @@ the motions that the loops allow carry inertia. Dense, O(n^3).
 
 import numpy as np
 
-from .compiled import compiled
+from .compiled import allocating
 from .types import CUT_PRISMATIC, CUT_ROW, CUT_TYPE, ROWS
 
 # What is asked for: a change of positions, of rates, or accelerations.
@@ -48,7 +48,7 @@ NOTHING = 1e-12
 NO_INERTIA = 1e-14
 
 
-@compiled
+@allocating
 def scales(model, jac, row_scale, column_scale):
     """
     Scale J so that each column's, then each cut joint's largest entry is 1.
@@ -87,7 +87,7 @@ def scales(model, jac, row_scale, column_scale):
                 row_scale[i] = 1.0 / most if most > NOTHING else 1.0
 
 
-@compiled
+@allocating
 def _motion(taken, singular, right_vectors, wanted, column_scale, gim, force, out):
     """
     Find the motion that the taken equations and, beyond them, least constraint ask for.
@@ -138,7 +138,7 @@ def _motion(taken, singular, right_vectors, wanted, column_scale, gim, force, ou
     return determined
 
 
-@compiled
+@allocating
 def _worth_taking(level, singular, residual, gap, drift, gap_along, drift_along, speed, size):
     """
     Decide on one equation near a singular configuration.
@@ -182,7 +182,7 @@ def _worth_taking(level, singular, residual, gap, drift, gap_along, drift_along,
     return residual > DOUBT * error
 
 
-@compiled
+@allocating
 def solve(model, jac, gim, right, force, psi, rate, speed, level, motion, lam):
     """
     Solve J x = right, I x = force + J^T lambda with the equations that can be told apart.
@@ -275,7 +275,7 @@ def solve(model, jac, gim, right, force, psi, rate, speed, level, motion, lam):
     return rank, weakest
 
 
-@compiled
+@allocating
 def _least_norm(left, taken, row_scale, lam):
     """Remove from the multipliers what the equations left out would not notice."""
     nc = lam.shape[0]

@@ -32,7 +32,7 @@ accelerations are smooth along a branch, though the equations lose them for an i
 import numpy as np
 
 from . import kinematics
-from .compiled import compiled
+from .compiled import allocating
 from .forward_dynamics import constraint_right_side, to_user_order
 from .inverse_dynamics import tree_torque
 from .jacobian import constraint_jacobian, generalized_inertia_matrix
@@ -52,7 +52,7 @@ ASIDE = 0.03
 OUTER, INNER = -1.0 / 6.0, 4.0 / 6.0
 
 
-@compiled
+@allocating
 def _fastest(work):
     """Return the largest angular velocity of any body [rad/s]."""
     most = 0.0
@@ -61,7 +61,7 @@ def _fastest(work):
     return most
 
 
-@compiled
+@allocating
 def _largest(values):
     """Return the largest absolute value, NaN if there is one."""
     most = 0.0
@@ -71,7 +71,7 @@ def _largest(values):
     return most
 
 
-@compiled
+@allocating
 def _solve_here(model, work, tau, beside, qdd, lam):
     """
     Compute accelerations and multipliers of the state and the forces in the workspace.
@@ -106,7 +106,7 @@ def _solve_here(model, work, tau, beside, qdd, lam):
     return rank, weakest, largest
 
 
-@compiled
+@allocating
 def accelerate(model, work, tau, baumgarte, q, qd, qdd, lam):
     """
     Compute accelerations and multipliers, as ``forward_dynamics.accelerate`` does.
@@ -174,7 +174,7 @@ def accelerate(model, work, tau, baumgarte, q, qd, qdd, lam):
     update(model, work, False)
 
 
-@compiled
+@allocating
 def _solve_beside(model, work, tau, beside, q, qd, time, applied, size, near, near_rate, qdd, lam):
     """
     Compute accelerations on the branch, ``time`` ahead of a state and under its forces.
@@ -195,7 +195,7 @@ def _solve_beside(model, work, tau, beside, q, qd, time, applied, size, near, ne
     return rank, weakest if error <= SETTLED * size else 0.0
 
 
-@compiled
+@allocating
 def _settle(model, work, q, qd, size):
     """Bring a state onto the branch next to it, as far as can be told; return what is left."""
     change = np.zeros(q.shape[0])
@@ -214,7 +214,7 @@ def _settle(model, work, q, qd, size):
     return _largest(work.closure)
 
 
-@compiled
+@allocating
 def correct(model, work, level, out):
     """
     Compute the least change of positions or rates, in the mass metric, that closes the loops.

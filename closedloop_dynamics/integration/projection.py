@@ -54,7 +54,7 @@ def _factor_unrolled(linkage, q, qd):
     return False
 
 
-@compiled
+@inlined
 def factor_configuration(system, q, qd):
     """
     Prepare corrections at a state: closure errors, responses, factors.
@@ -76,7 +76,7 @@ def factor_configuration(system, q, qd):
         system.by_loops, system, q, qd)
 
 
-@inlined
+@compiled
 def _correct_by_loops(by_loops, system, independent, level, q, qd, out):
     """Solve for a correction by the kernels' loops, where nothing is unrolled."""
     if by_loops is not None:
@@ -109,7 +109,7 @@ def _correct_unrolled(linkage, system, independent, level, q, qd, out):
             links.call(linkage, links.CAREFUL_VELOCITY, q, qd)
 
 
-@compiled
+@inlined
 def correction(system, independent, level, q, qd, out):
     """
     Compute -I^-1 J^T (J I^-1 J^T)^+ times the error, the least change in the mass metric.
@@ -132,7 +132,7 @@ def correction(system, independent, level, q, qd, out):
     _correct_unrolled(system.linkage, system, independent, level, q, qd, out)
 
 
-@compiled
+@inlined
 def largest(values):
     """Return the largest absolute value, NaN if there is one."""
     most = 0.0
@@ -224,7 +224,7 @@ def stabilise(system, stabilisation, state):
     return project(system, state[:nv], state[nv:2 * nv], stabilisation == PROJECTION)
 
 
-@compiled
+@inlined
 def all_finite(values):
     """Return whether no value is infinite or NaN."""
     for value in values:

@@ -15,7 +15,7 @@
 """One step of any explicit Runge-Kutta method, its error estimate and its dense output."""
 
 from .system import derivative
-from ..core.compiled import compiled, merged
+from ..core.compiled import compiled, inlined, merged
 
 
 @merged
@@ -48,7 +48,7 @@ def step(system, tableau, state, step_size, slopes, stage, out):
     combine(tableau.b, steps, state, step_size, slopes, out)
 
 
-@compiled
+@inlined
 def combine(weights, count, state, step_size, slopes, out):
     """Compute ``state`` + ``step_size`` times the first ``count`` slopes, weighted."""
     for i in range(state.shape[0]):

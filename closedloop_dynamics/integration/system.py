@@ -19,7 +19,7 @@ from typing import NamedTuple, Optional
 import numpy as np
 
 from ..core import kinematics, rank_revealing, straight_line
-from ..core.compiled import compiled, inlined, merged
+from ..core.compiled import allocating, compiled, inlined, merged
 from ..core.formulations import accelerate_dense, allocate_dense, DenseWorkspace, SUBSYSTEM
 from ..core.forward_dynamics import accelerate
 from ..core.independent import allocate_partition, close, Partition
@@ -260,7 +260,7 @@ def _give_rates(effects, nv, out):
             out[2 * nv + k] = effects.rates[k]
 
 
-@compiled
+@allocating
 def careful_acceleration(system, q, qd):
     """
     Compute accelerations and multipliers by the rank-revealing path.
@@ -279,7 +279,7 @@ def careful_acceleration(system, q, qd):
                               system.settings[BAUMGARTE], q, qd, system.qdd, system.lam)
 
 
-@compiled
+@allocating
 def careful_correction(model, work, level, q, qd, out):
     """
     Compute the least correction of positions or rates by the rank-revealing path.

@@ -74,7 +74,8 @@ def test_one_call_from_state_to_accelerations_does_the_same_and_is_counted(drawn
     found = np.empty(engine.nv), np.empty(engine.nc)
     forward_dynamics.forward_dynamics(engine.model, engine.work, q, qd, tau, *found)
     for one, other in zip(found, expected):
-        assert np.array_equal(one, other)
+        # Unrolled or not: the same sums, rounded differently where one instruction does both.
+        assert_agree(one, other, SOLVE)
     assert engine.work.health[EVALUATIONS] == before + 1.0
 
 

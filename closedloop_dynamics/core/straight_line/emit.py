@@ -222,11 +222,13 @@ def _cache_directory():
 
 
 def _read(path):
+    """Return cached code, None where there is none that is whole."""
     try:
         with open(path, 'rb') as file:
-            return file.read()
+            digest, code = file.read(32), file.read()
     except OSError:
         return None
+    return code if hashlib.sha256(code).digest() == digest else None
 
 
 def _write(path, code):
@@ -234,7 +236,7 @@ def _write(path, code):
     try:
         os.makedirs(os.path.dirname(path), exist_ok=True)
         with tempfile.NamedTemporaryFile(dir=os.path.dirname(path), delete=False) as file:
-            file.write(code)
+            file.write(hashlib.sha256(code).digest() + code)
         os.replace(file.name, path)
     except OSError:
         pass

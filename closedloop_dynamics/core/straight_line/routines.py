@@ -26,7 +26,7 @@ from .linkage import (
     GRAVITY, HEALTH, LAM, OUTWARD, QDD, SETTINGS, SETTINGS_BAUMGARTE, TAU, WORK_BODY)
 from .trace import LOAD, Tape, unrolled
 from .. import articulated_inertia, elimination, forward_dynamics, kinematics, loop_closure
-from ..types import COS, HEALTH_COLUMNS, RHS, TYPE, WORK_COLUMNS, Workspace
+from ..types import AX, AY, COS, HEALTH_COLUMNS, RHS, TYPE, WORK_COLUMNS, Workspace
 
 NAMES = {EVALUATION: 'evaluation', OUTWARD: 'outward', ACCELERATION: 'acceleration',
          CORRECTION: 'correction'}
@@ -155,8 +155,11 @@ class _Unrolling:
 
     def acceleration(self):
         """Accelerations and multipliers after ``outward`` and the effects."""
-        self.work.body[1:] = self.symbols(WORK_BODY, self.work.body.shape)[1:]
+        body = self.symbols(WORK_BODY, self.work.body.shape)
+        self.work.body[1:] = body[1:]
+        # Of the ground, only gravity is not known already.
         self.work.body[0, COS] = 1.0
+        self.work.body[0, AX:AY + 1] = body[0, AX:AY + 1]
         self.accelerate()
         self.store(CLOSURE, self.work.closure)
         self.store(CLOSURE_RATE, self.work.closure_rate)

@@ -49,7 +49,9 @@ class Tape:
 
     def put(self, *operation):
         """Return the symbol of an operation, an old one where there is the same already."""
-        place = self._known.setdefault(operation, len(self.operations))
+        # The number 2.0 is not the result of operation 2.
+        key = operation, *map(type, operation)
+        place = self._known.setdefault(key, len(self.operations))
         if place == len(self.operations):
             self.operations.append(operation)
         return Symbol(self, place)

@@ -1,0 +1,199 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Unrolled routines do what the kernels' loops do, for every topology and at any angle."""
+
+import copy
+import ctypes
+import math
+import pickle
+
+from closedloop_dynamics.core.straight_line import emit, linkage, routines
+from closedloop_dynamics.core.straight_line.trace import cosine, LOAD, sine, Tape
+from closedloop_dynamics.core.types import REVOLUTE_ARMATURE, TYPE
+from closedloop_dynamics.integration.projection import stabilise
+from closedloop_dynamics.integration.system import build_system, derivative, evaluate
+from closedloop_dynamics.modeling import build_model
+import numba
+import numpy as np
+import pytest
+
+from ..reference import cases
+from ..reference.compare import assert_agree, SOLVE
+
+PROJECTION = 3
+
+
+@numba.njit
+def slope(system, state, out):
+    derivative(system, state, out)
+
+
+@numba.njit
+def closed(system, stabilisation, state):
+    return stabilise(system, stabilisation, state)
+
+
+def systems(mechanism, **options):
+    """Return the same system twice: unrolled, and by loops."""
+    model = build_model(mechanism, (0.3, -9.81))
+    return [build_system(copy.deepcopy(model), unrolled=unrolled, **options)
+            for unrolled in (True, False)]
+
+
+def test_evaluations_agree(drawn):
+    rng, mechanism, q, qd = drawn
+    tau = rng.normal(size=len(q))
+    results = []
+    for system in systems(mechanism, baumgarte=3.0):
+        system.tau[:] = tau
+        out = np.zeros(2 * len(q))
+        slope(system, np.concatenate([q, qd]), out)
+        assert_agree(out[:len(q)], qd, SOLVE)
+        # What is asked for from Python leaves poses and closure errors, too.
+        evaluate(system, q, qd)
+        assert_agree(system.qdd, out[len(q):], SOLVE)
+        results.append((system.qdd, system.lam, system.work.closure_rate,
+                        system.work.body[:, :12], system.work.health[[0, 2]]))
+    for one, other in zip(*results):
+        assert_agree(one, other, SOLVE, smallest=1.0)
+
+
+def test_corrections_agree(drawn):
+    rng, mechanism, q, qd = drawn
+    start = np.concatenate([q, qd]) + 1e-4 * rng.normal(size=2 * len(q))
+    ends = []
+    for system in systems(mechanism):
+        state = start.copy()
+        assert closed(system, PROJECTION, state)
+        assert np.abs(system.work.closure).max(initial=0.0) < 1e-11
+        ends.append(state)
+    assert_agree(*ends, 1e-9)
+    if mechanism.cut_joints:
+        assert np.abs(ends[0] - start).max() > 1e-6
+
+
+def test_change_of_parameters_is_seen_and_a_rotor_links_anew():
+    rng, mechanism, q, qd = cases.drawn('three_rrr')
+    pair = systems(mechanism)
+    for change in range(3):
+        for system in pair:
+            if change == 1:
+                system.model.body[2, :4] *= 1.5
+                system.model.gravity[0] = 2.0
+            if change == 2:
+                system.model.tree[3, TYPE], system.model.body[3, 7] = REVOLUTE_ARMATURE, 0.7
+                routines.relink(system.model, system.linkage)
+            evaluate(system, q, qd)
+        if change:
+            assert np.abs(pair[0].qdd - before).max() > 1e-3
+        assert_agree(pair[0].qdd, pair[1].qdd, SOLVE)
+        before = pair[0].qdd.copy()
+
+
+@pytest.mark.parametrize('duplicate', [
+    copy.deepcopy, lambda system: pickle.loads(pickle.dumps(system))], ids=['copy', 'pickle'])
+def test_copies_work_on_arrays_of_their_own(duplicate):
+    rng, mechanism, q, qd = cases.drawn('three_rrr')
+    system = build_system(build_model(mechanism))
+    evaluate(system, q, qd)
+    expected, other = system.qdd.copy(), duplicate(system)
+    system.qdd[:] = 7.0
+    assert other.applied is other.tau
+    evaluate(other, q, qd)
+    assert np.array_equal(other.qdd, expected)
+    assert np.all(system.qdd == 7.0)
+
+
+def test_linkages_let_go_of_what_they_call():
+    rng, mechanism, q, qd = cases.drawn('four_bar')
+    before = len(linkage._callbacks)
+    system = build_system(build_model(mechanism))
+    assert len(linkage._callbacks) == before + 1
+    del system
+    assert len(linkage._callbacks) == before
+
+
+def test_machine_code_is_read_back(tmp_path, monkeypatch):
+    monkeypatch.setattr(numba.config, 'CACHE_DIR', str(tmp_path))
+    made = []
+
+    def halves():
+        made.append(True)
+        tape = Tape()
+        value = tape.put(LOAD, emit.Q, 0)
+        return [emit.Routine('half', tape, [(emit.QD, 0, value * 0.5)])]
+
+    for _ in range(2):
+        half = run(emit.machine_code(('test', 1), halves)('half'), np.array([3.0]), np.zeros(1))
+        assert half[0] == 1.5
+    assert len(made) == 1
+    # A file cut short by a full disk is no code: it is made again.
+    path, = tmp_path.iterdir()
+    path.write_bytes(path.read_bytes()[:100])
+    assert run(emit.machine_code(('test', 1), halves)('half'), np.ones(1), np.zeros(1))[0] == 0.5
+    assert len(made) == 2
+
+
+def run(address, inputs, outputs):
+    """Call a routine that needs no linkage."""
+    function = ctypes.CFUNCTYPE(ctypes.c_int64, *3 * [ctypes.c_void_p])(address)
+    function(None, inputs.ctypes.data, outputs.ctypes.data)
+    return outputs
+
+
+@pytest.fixture(scope='module')
+def turned():
+    """Return a function to the sines and cosines of seven angles."""
+    def waves():
+        tape = Tape()
+        angles = [tape.put(LOAD, emit.Q, k) for k in range(7)]
+        return [emit.Routine('waves', tape, [
+            (emit.QD, 2 * k + n, (sine, cosine)[n](angle))
+            for k, angle in enumerate(angles) for n in range(2)])]
+
+    address = emit.machine_code(('test of sines', 1), waves)('waves')
+    return lambda angles: run(address, np.array(angles), np.zeros(14)).reshape(7, 2)
+
+
+def exact(angles):
+    """Return sines and cosines of the C library, which rounds almost always correctly."""
+    return np.array([[math.sin(angle), math.cos(angle)] for angle in angles])
+
+
+@pytest.mark.parametrize('size', [1e-300, 1e-8, 0.1, 1.0, 10.0, 1e3, 1e6])
+def test_sines_and_cosines_are_those_of_the_library(turned, size):
+    rng = np.random.default_rng(int(-math.log10(size)) % 100)
+    for _ in range(2000):
+        angles = size * rng.uniform(-1.5, 1.5, 7)
+        expected = exact(angles)
+        # One unit in the last place; near a zero pi/2's parts left out, times the turns.
+        assert np.all(np.abs(turned(angles) - expected)
+                      <= 2.3e-16 * np.abs(expected) + 1e-17 + 1e-23 * size)
+
+
+def test_sines_near_multiples_of_a_quarter_turn(turned):
+    for turns in range(-30000, 30000, 7):
+        angles = (turns + np.arange(7)) * (math.pi / 2)
+        expected = exact(angles)
+        assert np.all(np.abs(turned(angles) - expected) <= 2.3e-16 * np.abs(expected) + 1e-17)
+
+
+@pytest.mark.parametrize('odd', [2e6, -1e9, 1e22, math.inf, -math.inf, math.nan])
+def test_angles_beyond_the_vectors_reach_are_left_to_the_library(turned, odd):
+    angles = np.array([0.5, odd, 1.0, -2.0, 3.0, 0.0, 1e6])
+    found = turned(angles)
+    with np.errstate(invalid='ignore'):
+        expected = np.stack([np.sin(angles), np.cos(angles)], axis=1)
+    assert np.allclose(found, expected, rtol=2.3e-16, atol=0.0, equal_nan=True)
