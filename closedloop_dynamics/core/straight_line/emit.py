@@ -14,8 +14,10 @@
 
 """From unrolled arithmetic to machine code, by the LLVM that numba brings along."""
 
+import functools
 import hashlib
 import os
+import pathlib
 import tempfile
 
 from llvmlite import binding, ir
@@ -166,6 +168,16 @@ def _needed_for(operations, places):
     return found
 
 
+@functools.cache
+def _sources():
+    """Return a digest of all kernels: unrolled code is as old as they are."""
+    here = pathlib.Path(__file__).parent
+    digest = hashlib.sha256()
+    for path in sorted([*here.glob('*.py'), *here.parent.glob('*.py')]):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
 # Machine code in use: it must stay where it is as long as the process lives.
 _engines = []
 
@@ -193,7 +205,7 @@ def machine_code(key, routines):
     cpu, features = binding.get_host_cpu_name(), binding.get_host_cpu_features().flatten()
     machine = target.create_target_machine(cpu=cpu, features=features, opt=3)
     digest = hashlib.sha256(repr(
-        (key, cpu, features, binding.llvm_version_info)).encode()).hexdigest()[:32]
+        (key, _sources(), cpu, features, binding.llvm_version_info)).encode()).hexdigest()[:32]
     path = os.path.join(_cache_directory(), f'straight_line.{digest}.o')
     # An engine needs a module to start from; the code itself is added as an object.
     engine = binding.create_mcjit_compiler(binding.parse_assembly(''), machine)

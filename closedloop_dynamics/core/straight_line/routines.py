@@ -14,10 +14,6 @@
 
 """What is unrolled: the evaluation of a state and the correction of one that has drifted."""
 
-import functools
-import hashlib
-import pathlib
-
 import numpy as np
 
 from . import emit
@@ -30,16 +26,6 @@ from ..types import AX, AY, COS, HEALTH_COLUMNS, RHS, TYPE, WORK_COLUMNS, Worksp
 
 NAMES = {EVALUATION: 'evaluation', OUTWARD: 'outward', ACCELERATION: 'acceleration',
          CORRECTION: 'correction'}
-
-
-@functools.cache
-def _sources():
-    """Return a digest of all kernels: unrolled code is as old as they are."""
-    here = pathlib.Path(__file__).parent
-    digest = hashlib.sha256()
-    for path in sorted([*here.glob('*.py'), *here.parent.glob('*.py')]):
-        digest.update(path.read_bytes())
-    return digest.hexdigest()
 
 
 def topology(model):
@@ -82,7 +68,7 @@ def addresses(model):
     key = topology(model)
     if key not in _addresses:
         find = emit.machine_code(
-            (key, _sources()), lambda: [_Unrolling(model).routine(which) for which in NAMES])
+            key, lambda: [_Unrolling(model).routine(which) for which in NAMES])
         _addresses[key] = {which: find(name) for which, name in NAMES.items()}
     return _addresses[key]
 

@@ -121,6 +121,10 @@ def _polynomials(builder, angle, vector):
     x = builder.fsub(near, part)
     tail = builder.fsub(builder.fsub(builder.fsub(near, x), part),
                         times(turns, constant(_PARTS[2])))
+    # Both series take the tail to first order only: it must be the rounding of x.
+    coarse = x
+    x = builder.fadd(coarse, tail)
+    tail = builder.fadd(builder.fsub(coarse, x), tail)
     z = times(x, x)
     series = constant(_SINE[0])
     for coefficient in _SINE[1:-1]:
