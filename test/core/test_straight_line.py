@@ -20,7 +20,7 @@ import math
 import pickle
 
 from closedloop_dynamics.core.straight_line import emit, linkage, routines
-from closedloop_dynamics.core.straight_line.trace import cosine, LOAD, sine, Tape
+from closedloop_dynamics.core.straight_line.tape import cosine, LOAD, sine, Tape
 from closedloop_dynamics.core.types import REVOLUTE_ARMATURE, TYPE
 from closedloop_dynamics.integration.projection import stabilise
 from closedloop_dynamics.integration.system import build_system, derivative, evaluate
@@ -86,7 +86,7 @@ def test_corrections_agree(drawn):
 
 def test_change_of_parameters_is_seen_and_a_rotor_links_anew():
     rng, mechanism, q, qd = cases.drawn('three_rrr')
-    pair = systems(mechanism)
+    pair, before = systems(mechanism), None
     for change in range(3):
         for system in pair:
             if change == 1:

@@ -16,7 +16,7 @@
 Kernels unrolled for the topology of one mechanism.
 
 The loops of ``core`` serve every mechanism; a mechanism of a few bodies spends most of its time
-in them on indices. Here the same kernels are run once on symbols (``trace``), and the
+in them on indices. Here the same kernels are run once on symbols (``tape``), and the
 arithmetic that they leave behind is compiled (``emit``) to routines that compiled code calls by
 their address (``linkage``): one more second at the first start, a third of the time ever after.
 

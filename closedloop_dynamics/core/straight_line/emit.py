@@ -23,7 +23,7 @@ import tempfile
 from llvmlite import binding, ir
 
 from . import sincos
-from .trace import (
+from .tape import (
     ADD, BOTH, CHOOSE, COSINE, DIVIDE, GREATER_EQUAL, LESS, LOAD, MULTIPLY, NEGATE, SINE,
     SUBTRACT)
 

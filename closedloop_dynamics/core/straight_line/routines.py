@@ -20,7 +20,7 @@ from . import emit
 from .linkage import (
     ACCELERATION, BODY, CLOSURE, CLOSURE_RATE, CORRECTION, CORRECTIONS, CUT_POINT, EVALUATION,
     GRAVITY, HEALTH, LAM, OUTWARD, QDD, SETTINGS, SETTINGS_BAUMGARTE, TAU, WORK_BODY)
-from .trace import LOAD, Tape, unrolled
+from .tape import LOAD, Tape, unrolled
 from .. import articulated_inertia, elimination, forward_dynamics, kinematics, loop_closure
 from ..types import AX, AY, COS, HEALTH_COLUMNS, RHS, TYPE, WORK_COLUMNS, Workspace
 
