@@ -21,7 +21,7 @@ import numpy as np
 from .advance import advance, DONE
 from .projection import largest
 from .system import evaluate, number_of_states
-from ..core.compiled import compiled, released
+from ..core.compiled import compiled, inlined, released
 from ..core.energy import kinetic_energy, potential_energy
 from ..core.types import ALPHA
 from ..effects.table import STORED
@@ -101,17 +101,24 @@ def _set_states(effects, state, nv):
             effects.states[k] = state[2 * nv + k]
 
 
+@inlined
+def _copy(values, out):
+    """Copy numbers: without numba's runtime no array is assigned as a whole."""
+    for k in range(out.shape[0]):
+        out[k] = values[k]
+
+
 @compiled
 def _note(system, state, tape, instant):
     """Write one instant."""
     nv, work = system.qdd.shape[0], system.work
-    tape.state[instant] = state
+    _copy(state, tape.state[instant])
     if tape.qdd.shape[0] == 0:
         return
     _set_states(system.effects, state, nv)
     evaluate(system, state[:nv], state[nv:2 * nv])
-    tape.qdd[instant] = system.qdd
-    tape.lam[instant] = system.lam
+    _copy(system.qdd, tape.qdd[instant])
+    _copy(system.lam, tape.lam[instant])
     tape.scalars[instant, 0] = largest(work.closure)
     tape.scalars[instant, 1] = kinetic_energy(system.model, work, state[nv:2 * nv])
     tape.scalars[instant, 2] = potential_energy(system.model, work)
@@ -153,12 +160,12 @@ def march(system, tableau, stabilisation, state, step_size, torque, hold, every,
         Steps completed.
 
     """
-    system.tau[:] = torque[0]
+    _copy(torque[0], system.tau)
     _note(system, state, tape, 0)
     done = 0
     while done < steps:
         if done % hold == 0:
-            system.tau[:] = torque[done // hold]
+            _copy(torque[done // hold], system.tau)
         portion = min(hold - done % hold, every - done % every)
         status, made = advance(
             system, tableau, stabilisation, state, step_size, min(portion, steps - done), scratch)
