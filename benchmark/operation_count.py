@@ -273,7 +273,7 @@ def cases():
 
 
 @compiled
-def _dependent(kind, x, count):
+def dependent(kind, x, count):
     """Make a chain of dependent operations of one kind."""
     if kind == 0:
         for _ in range(count):
@@ -291,13 +291,23 @@ def _dependent(kind, x, count):
 
 
 @compiled
-def _independent(x, count):
-    """Make eight chains of multiplying and adding side by side."""
-    a, b, c, d, e, f, g, h = x, x + 1.0, x + 2.0, x + 3.0, x + 4.0, x + 5.0, x + 6.0, x + 7.0
-    for _ in range(count):
-        a, b, c, d = a * 0.999 + x, b * 0.999 + x, c * 0.999 + x, d * 0.999 + x
-        e, f, g, h = e * 0.999 + x, f * 0.999 + x, g * 0.999 + x, h * 0.999 + x
-    return a + b + c + d + e + f + g + h
+def independent(kind, x, count):
+    """Make operations of one kind that need not wait for one another; 16 or one in a turn."""
+    total = x
+    if kind == 0:
+        a, b, c, d, e, f, g, h = x, x + 1.0, x + 2.0, x + 3.0, x + 4.0, x + 5.0, x + 6.0, x + 7.0
+        for _ in range(count):
+            a, b, c, d = a * 0.999 + x, b * 0.999 + x, c * 0.999 + x, d * 0.999 + x
+            e, f, g, h = e * 0.999 + x, f * 0.999 + x, g * 0.999 + x, h * 0.999 + x
+        total = a + b + c + d + e + f + g + h
+    elif kind == 1:
+        for k in range(count):
+            total += 1.0 / (x + k)
+    else:
+        for k in range(count):
+            angle = x + 1e-3 * k
+            total += math.cos(angle) - math.sin(angle)
+    return total
 
 
 def core_speed():
@@ -311,11 +321,13 @@ def core_speed():
             times.append((time.thread_time() - begin) / number)
         return min(times)
 
-    add = best(_dependent, 0, 1.0)
-    return {'add': add, 'multiply': best(_dependent, 1, 1.0),
-            'divide': best(_dependent, 2, 1.0) - add,
-            'sine and cosine': best(_dependent, 3, 1.0) - add,
-            'side by side': best(_independent, 0.5) / 16.0}
+    add, pair = best(dependent, 0, 1.0), best(independent, 0, 0.5) / 16.0
+    chain = {'add': add, 'multiply': best(dependent, 1, 1.0),
+             'divide': best(dependent, 2, 1.0) - add,
+             'sine and cosine': best(dependent, 3, 1.0) - add}
+    side_by_side = {'add': pair, 'multiply': pair, 'divide': best(independent, 1, 0.5),
+                    'sine and cosine': best(independent, 2, 0.5)}
+    return {'chain': chain, 'side by side': side_by_side}
 
 
 def measured_times():
@@ -375,16 +387,12 @@ def bounds(result, name):
     Returns
     -------
     chain, work : float
-        Of the longest chain of dependent operations; of all operations, those of the
-        chains' kinds side by side.
+        Of the longest chain of dependent operations; of all operations side by side.
 
     """
     core, counts = result['core'], result['counts'][name]
-    chain = sum(core[kind] * counts['chain'][kind] for kind in KINDS)
-    needed = counts['needed']
-    work = core['side by side'] * (needed['add'] + needed['multiply']) + sum(
-        0.4 * core[kind] * needed[kind] for kind in ('divide', 'sine and cosine'))
-    return chain, work
+    return (sum(core['chain'][kind] * counts['chain'][kind] for kind in KINDS),
+            sum(core['side by side'][kind] * counts['needed'][kind] for kind in KINDS))
 
 
 def table(result, make=markdown_table):
@@ -409,12 +417,12 @@ def _counts(counts):
 
 def core_text(result):
     """Return what single operations take."""
-    core = result['core']
-    return ('On this core a dependent addition takes ' + ', a multiplication '.join(
-        f'{1e9 * core[kind]:.2f} ns' for kind in ('add', 'multiply')) + (
-        f', a division {1e9 * core["divide"]:.1f} ns, sine and cosine of an angle '
-        f'{1e9 * core["sine and cosine"]:.1f} ns; multiplications and additions side by side '
-        f'{1e9 * core["side by side"]:.2f} ns each.'))
+    names = {'add': 'an addition', 'multiply': 'a multiplication', 'divide': 'a division',
+             'sine and cosine': "sine and cosine (the mathematical library's)"}
+    return 'On this core, in a chain and side by side: ' + ', '.join(
+        f'{name} {1e9 * result["core"]["chain"][kind]:.2f} and '
+        f'{1e9 * result["core"]["side by side"][kind]:.2f} ns'
+        for kind, name in names.items()) + '.'
 
 
 def main(arguments=None):

@@ -150,13 +150,16 @@ def _elimination_order(neighbours):
 def _small_elimination_order(neighbours):
     """Eliminate a cut joint that has the fewest neighbours left, and join these; again."""
     left = {a: set(others) for a, others in enumerate(neighbours)}
+    # Among equals the one that has waited longest: what follows need not wait for the last one.
+    changed = dict.fromkeys(left, -1)
     order = []
     while left:
-        a = min(left, key=lambda cut: len(left[cut]))
+        a = min(left, key=lambda cut: (len(left[cut]), changed[cut]))
         others = left.pop(a)
         for b in others:
             left[b] |= others
             left[b] -= {a, b}
+            changed[b] = len(order)
         order.append(a)
     return tuple(order)
 
