@@ -59,12 +59,12 @@ STATES, QUICK_STATES = 20, 3
 ROUNDS, QUICK_ROUNDS = 15, 3
 # Timing: calls at once take about this long [s].
 PORTION = 4e-3
-# Whole motions: rounds over all of them in turn, within this time [s]; those that take longer than
-# LONG are run in the first rounds alone.
-MOTION_ROUNDS, QUICK_MOTION_ROUNDS = 7, 2
-LONG, LONG_ROUNDS = 0.1, 2
-# Dearer runs are not made: the first run of a line that costs more ends it [s].
-LONGEST, QUICK_LONGEST = 0.7, 0.2
+# Whole motions: rounds over all of them in turn; those that take longer than LONG [s] are run in
+# the first ones alone.
+MOTION_ROUNDS, QUICK_MOTION_ROUNDS = 6, 2
+LONG, LONG_ROUNDS = 0.08, 1
+# The first run of a line that costs more ends it [s].
+LONGEST, QUICK_LONGEST = 0.4, 0.2
 
 
 def engines(scene, chosen=ENGINES):
