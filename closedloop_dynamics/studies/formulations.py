@@ -22,8 +22,10 @@ import time
 import numpy as np
 
 from .formulation_errors import exact_dynamics
+from ..core import straight_line
 from ..core.compiled import compiled
-from ..integration.system import build_system, evaluate
+from ..core.formulations import SUBSYSTEM
+from ..integration.system import build_system, evaluate, MOST_UNROLLED_BODIES
 from ..mechanism.families import chain, ladder
 from ..modeling import build_model
 from ..simulation import FORMULATIONS, Simulation
@@ -38,6 +40,11 @@ LONGEST = 1.0
 # Timing: this many turns, each of evaluations that take this long together [s].
 TURNS, FEW_TURNS, TURN_TIME = 7, 3, 2e-3
 GROWTH = 3.0
+
+# What is compared: the formulations, all by loops, and the subsystem-level one as it runs.
+UNROLLED = 'unrolled'
+VARIANTS = {**{name: (formulation, False) for name, formulation in FORMULATIONS.items()},
+            UNROLLED: (SUBSYSTEM, straight_line.available())}
 
 
 @dataclass(frozen=True)
@@ -187,11 +194,13 @@ def _measured(case, expected):
     model = build_model(mechanism)
     exact = exact_dynamics(mechanism, case.q, case.qd, case.tau)
     systems, errors, times = {}, {}, {}
-    for name, formulation in FORMULATIONS.items():
+    for name, (formulation, unrolled) in VARIANTS.items():
+        if unrolled and len(mechanism.joints) > MOST_UNROLLED_BODIES:
+            continue
         size, last = expected.get((case.family, name), (case.size, 0.0))
         if last * (case.size / size) ** GROWTH > LONGEST:
             continue
-        system = build_system(model, formulation)
+        system = build_system(model, formulation, unrolled=unrolled)
         system.tau[:] = case.tau
         evaluate(system, case.q, case.qd)
         errors[name] = [_relative(value, reference) for value, reference in zip(
@@ -204,7 +213,7 @@ def _measured(case, expected):
                 continue
             times.setdefault(name, []).append(_time(system, case, repeats) / repeats)
     rows = []
-    for name in FORMULATIONS:
+    for name in VARIANTS:
         if name not in systems:
             rows.append(Row(*sizes, name))
             continue

@@ -19,13 +19,13 @@ import math
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from .formulations import exponent, FAMILIES, LONGEST, SCENES
+from .formulations import exponent, FAMILIES, LONGEST, SCENES, UNROLLED
 from .tables import seconds
 
 DOTS_PER_INCH = 120
 # Okabe and Ito's palette; markers tell the lines apart without it.
 STYLES = {'subsystem': ('#0072B2', 'o', '-'), 'system': ('#D55E00', 's', '--'),
-          'augmented': ('#009E73', 'D', ':')}
+          'augmented': ('#009E73', 'D', ':'), UNROLLED: ('#56B4E9', '^', '-')}
 HEADINGS = {'ladder': 'N four-bar loops side by side', 'chain': 'N links hung up at both ends'}
 SIZES = {'ladder': 'loops N', 'chain': 'links N'}
 
@@ -65,7 +65,7 @@ def growth(rows):
     for axes in panels[:, 0]:
         axes.yaxis.set_major_locator(LogLocator(numticks=12))
     handles, labels = panels[0, 2].get_legend_handles_labels()
-    figure.legend(handles, labels, loc='outside lower center', ncols=3, frameon=False, fontsize=9)
+    figure.legend(handles, labels, loc='outside lower center', ncols=4, frameon=False, fontsize=9)
     return figure
 
 
@@ -87,7 +87,7 @@ def _line_panels(panels, rows):
         error_axes.plot(sizes, [_error(row) for row in chosen], **style)
         power = exponent(chosen)
         if not math.isnan(power):
-            growth_lines.append((f'{name} level: time ~ N$^{{{power:.1f}}}$', color))
+            growth_lines.append((f'{_label(name)}: time ~ N$^{{{power:.1f}}}$', color))
     for number, (text, color) in enumerate(growth_lines):
         time_axes.annotate(text, (0.03, 0.84 - 0.07 * number), xycoords='axes fraction',
                            fontsize=9, color=color)
@@ -101,15 +101,19 @@ def _line_panels(panels, rows):
 def _scene_panels(panels, rows):
     """Draw the same for the mechanisms of the scenes, as points."""
     panels[0].set_title('shipped mechanisms', fontsize=10)
-    panels[0].set_ylim(5e-7, 3.0 * LONGEST)
+    panels[0].set_ylim(1e-7, 3.0 * LONGEST)
     for number, (name, (color, marker, _)) in enumerate(STYLES.items()):
         chosen = [row for row in rows if row.formulation == name]
-        places = [SCENES.index(row.family) + 0.2 * (number - 1) for row in chosen]
+        places = [SCENES.index(row.family) + 0.2 * (number - 1.5) for row in chosen]
         style = {'color': color, 'marker': marker, 'linestyle': '', 'markersize': 6}
-        panels[0].plot(places, [row.time for row in chosen], label=f'{name} level', **style)
+        panels[0].plot(places, [row.time for row in chosen], label=_label(name), **style)
         panels[1].plot(places, [_error(row) for row in chosen], **style)
     panels[1].set_xticks(range(len(SCENES)), [name.replace('_', '\n') for name in SCENES])
     panels[1].set_xlim(-0.6, len(SCENES) - 0.4)
+
+
+def _label(name):
+    return 'subsystem level, unrolled' if name == UNROLLED else f'{name} level'
 
 
 def _error(row):

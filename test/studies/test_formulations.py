@@ -24,10 +24,9 @@ from closedloop_dynamics.mechanism.mechanism import PRISMATIC
 from closedloop_dynamics.mechanism.validation import validate_mechanism
 from closedloop_dynamics.modeling import build_model
 from closedloop_dynamics.scene import load_scene
-from closedloop_dynamics.simulation import FORMULATIONS
 from closedloop_dynamics.studies.formulation_errors import exact_dynamics
 from closedloop_dynamics.studies.formulations import (
-    exponent, growing_case, Row, scene_case, study_formulations)
+    exponent, growing_case, Row, scene_case, study_formulations, VARIANTS)
 from closedloop_dynamics.studies.formulations_picture import growth
 from closedloop_dynamics.studies.formulations_report import growth_text, table
 import numpy as np
@@ -85,7 +84,7 @@ def test_study_measures_every_formulation_of_every_size(tmp_path):
     rows = study_formulations(3, quick=True, progress=lambda *parts: calls.append(parts))
     assert {(row.family, row.size) for row in rows} == {
         ('three_rrr', 7), ('carpet_scraper', 7), ('ladder', 1), ('ladder', 3), ('chain', 3)}
-    assert len(rows) == 5 * len(FORMULATIONS)
+    assert len(rows) == 5 * len(VARIANTS)
     assert calls[0] == (0, 5) and calls[-1] == (5, 5)
     for row in rows:
         assert 0.0 < row.time < 0.1
@@ -108,7 +107,7 @@ def test_command_writes_table_and_picture(capsys, tmp_path):
     assert 'ladder' in capsys.readouterr().out
     with open(tmp_path / 'out' / 'formulations.csv') as file:
         header, *rows = csv.reader(file)
-    assert header[0] == 'mechanism' and len(rows) == 3 * len(FORMULATIONS)
+    assert header[0] == 'mechanism' and len(rows) == 3 * len(VARIANTS)
     assert (tmp_path / 'out' / 'formulations.png').stat().st_size > 10000
     assert main(arguments) == 2
     assert 'exists' in capsys.readouterr().err
