@@ -18,7 +18,6 @@ from collections import Counter
 import time
 
 from closedloop_dynamics.ros.demo_processes import DemoError
-from closedloop_dynamics.ros.parameters import declare_fact
 from geometry_msgs.msg import WrenchStamped
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
@@ -80,14 +79,6 @@ class Observer:
             name in {info.node_name for info in
                      self._node.get_subscriptions_info_by_topic(subscription.topic_name)}
             for subscription in self._subscriptions)
-
-    def has_publisher(self, topic):
-        """Return whether somebody is going to publish on a topic."""
-        return self._node.count_publishers(topic) > 0
-
-    def tell_joints(self, joints):
-        """Answer from now on when a torque source asks for the joints to drive."""
-        declare_fact(self._node, 'actuated_joints', joints, 'For the torque source.')
 
     def stop_listening(self):
         """Leave the processor to the others; only their processes are watched from now on."""

@@ -47,10 +47,10 @@ def wanted_motion(motion, aim):
 
     Notes
     -----
-    The torque source starts its reference with the first state that it receives. Its first
-    commands may be lost while DDS has not told the simulator of it, so the motion begins some
-    time later; how much is found from the motion, as the shift that fits best. It is never
-    negative, so that a joint that lags behind is not made to look better.
+    The torque source starts its reference with the first state that it answers; the motion
+    begins when that answer has arrived, which may be a period later. How much is found from the
+    motion, as the shift that fits best. It is never negative, so that a joint that lags behind
+    is not made to look better.
 
     """
     position, velocity = (np.full_like(motion.position, np.nan) for _ in range(2))

@@ -25,7 +25,6 @@ from closedloop_dynamics.studies.progress import progress_bar
 
 # For nodes that compile at their first start, and for nodes that only have to find each other [s].
 COMPILING, FINDING = 600.0, 60.0
-STATES_BEFORE_MOTION = 100
 
 
 def run_nodes(scene, drive, namespace, duration, directory):
@@ -73,9 +72,10 @@ def run_nodes(scene, drive, namespace, duration, directory):
             f'the first messages at {RECORDER}', FINDING)
         source = None
         if drive.parameters:
+            # It begins when simulator, recorder and the observer here hear it.
             source = programs.start(
-                TORQUE_SOURCE, (*here, *drive.arguments, '-p', f'simulator:={observer.NAME}'))
-            _let_begin(observer, scene.mechanism.actuated_joints)
+                TORQUE_SOURCE, (*here, *drive.arguments, '-p', 'wait_for_subscribers:=3'))
+            observer.wait(lambda: observer.seen['torque_command'], 'the first torque', COMPILING)
         observer.stop_listening()
         _let_run(observer, duration, scene.name)
         # The recorder first: what the simulator does without its torques is no part of the show.
@@ -84,23 +84,6 @@ def run_nodes(scene, drive, namespace, duration, directory):
         if source is not None:
             source.stop(signal.SIGTERM)
         return simulator.last_words()
-
-
-def _let_begin(observer, joints):
-    """
-    Let the torque source begin, and with it the simulator, when all should know each other.
-
-    It asks this process for its joints, as it would ask the simulator, and waits for the answer.
-    Meanwhile the recorder has time to find it; nobody can ask DDS whether it has.
-
-    """
-    observer.wait(lambda: observer.has_publisher('torque_command'),
-                  f'the start of {TORQUE_SOURCE}', COMPILING)
-    enough = observer.seen['joint_states'] + STATES_BEFORE_MOTION
-    observer.wait(lambda: observer.seen['joint_states'] >= enough or observer.seen[
-        'torque_command'], f'a steady flow from {SIMULATOR}', FINDING)
-    observer.tell_joints(joints)
-    observer.wait(lambda: observer.seen['torque_command'], 'the first torque', FINDING)
 
 
 def _let_run(observer, duration, name):

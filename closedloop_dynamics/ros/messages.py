@@ -15,18 +15,22 @@
 """What a simulator publishes of a state: joint states and constraint forces."""
 
 from array import array
+import time
 
 from builtin_interfaces.msg import Time
 from closedloop_dynamics.ros.process import StartError
 from closedloop_dynamics.ros.wire import WireMessage
 from geometry_msgs.msg import WrenchStamped
 import numpy as np
+from rclpy.duration import Duration
 from rclpy.exceptions import InvalidTopicNameException
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 
 WORLD_FRAME = 'world'
 NANOSECONDS = 10 ** 9
+# For subscribers to receive what was published: to wait at once, and all in all [s].
+PATIENCE, GIVE_UP = Duration(seconds=0.02), 2.0
 # A reliable subscriber that stalls for a second at 1 kHz still gets everything.
 STATE_QOS = QoSProfile(depth=1000)
 
@@ -60,6 +64,7 @@ class StatePublisher:
 
     def __init__(self, node, joint_names, cut_names):
         self.stamp, self.published = Time(), 0
+        self._stuck_since = None
         self._names = list(joint_names)
         self._state = WireMessage(self.joint_state, 3 * [len(joint_names)])
         self._wrench = WireMessage(wrench_stamped, (6,))
@@ -122,6 +127,23 @@ class StatePublisher:
         self._state_publisher.publish(
             self._state.filled(sec, nanosec, position, velocity, effort))
         self.published += 1 + len(self._force_publishers)
+
+
+    def is_received(self):
+        """
+        Return whether reliable subscribers have received everything, waiting a little for it.
+
+        Of one that does not answer for long, such as a process that was stopped, it is no longer
+        expected.
+
+        """
+        now = time.monotonic()
+        if all(publisher.wait_for_all_acked(PATIENCE)
+               for publisher in (self._state_publisher, *self._force_publishers)):
+            self._stuck_since = None
+            return True
+        self._stuck_since = self._stuck_since or now
+        return now - self._stuck_since > GIVE_UP
 
 
 def wrench_stamped(sec, nanosec, values):

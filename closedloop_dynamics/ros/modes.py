@@ -29,6 +29,8 @@ LONGEST_TICK = 0.1
 IDLE_TICK = 0.05
 # A mode that runs as fast as possible attends to messages so often [s].
 SLICE = 0.005
+# States published between two looks whether reliable subscribers have received them.
+LOOK_EVERY = 200
 # Steps made at once, between which a signal may end the process. Always the same: splitting the
 # way differently would give error-controlled methods other last digits.
 PORTION = 200
@@ -127,16 +129,22 @@ class AsFastAsPossible(_Periodic):
     """
     One period after the other, with messages attended to in between.
 
+    It waits for reliable subscribers, so that none misses a state.
+
     Parameters
     ----------
     machine : object
-        With ``advance(steps)``, ``publish()`` and ``refresh()``.
+        With ``advance(steps)``, ``publish()``, ``refresh()`` and ``is_received()``.
     pacer : pacing.Pacer
         Counts time.
 
     """
 
     name = AS_FAST_AS_POSSIBLE
+
+    def __init__(self, machine, pacer):
+        super().__init__(machine, pacer)
+        self._on_the_way = 0
 
     @property
     def tick_period(self):
@@ -163,14 +171,19 @@ class AsFastAsPossible(_Periodic):
         if not self.running:
             self._machine.refresh()
             return
+        if self._on_the_way >= LOOK_EVERY:
+            if not self._machine.is_received():
+                return
+            self._on_the_way = 0
         end = time.monotonic() + SLICE
-        while self.running and time.monotonic() < end:
+        while self.running and self._on_the_way < LOOK_EVERY and time.monotonic() < end:
             steps = min(self._left, PORTION)
             self._advance(steps)
             self._left -= steps
             if self._left == 0:
                 self._left = self._period
                 self._machine.publish()
+                self._on_the_way += 1
 
 
 class Lockstep(_Periodic):

@@ -226,6 +226,10 @@ class SimulatorNode(Node):
         for publish in self.on_published:
             publish(self.states.stamp)
 
+    def is_received(self):
+        """Return whether reliable subscribers have received all states."""
+        return self.states.is_received()
+
     def jumped(self):
         """Publish a state that does not follow from the last by simulating."""
         self.mode.restart()

@@ -44,6 +44,9 @@ QUESTION_PERIOD = 0.1
 FEEDBACK_MODES = ('pd', 'computed_torque')
 # Between two messages of one kind [s].
 MESSAGE_PERIOD = 5.0
+# A state with the stamp of the one before is the same again: answered again only if the first
+# answer seems to be lost, after so long [s].
+LOST = 0.5
 
 
 class TorqueSourceNode(Node):
@@ -68,6 +71,8 @@ class TorqueSourceNode(Node):
         self.joints = ()
         self._values = declare(self, TORQUE_SOURCE_PARAMETERS)
         self._complaint = Throttle(MESSAGE_PERIOD)
+        self._expected = self._values['wait_for_subscribers']
+        self._answered = None
         self._read_names = self._read_indices = None
         self._timer = self._simulation = None
         joints = tuple(name for name in self._values['joints'] if name)
@@ -86,6 +91,8 @@ class TorqueSourceNode(Node):
 
     def on_joint_states(self, message):
         """Answer a state with a command."""
+        if not self._is_heard() or self._is_answered(message.header.stamp):
+            return
         problem = self._read(message)
         if problem:
             if self._complaint.ready():
@@ -94,7 +101,31 @@ class TorqueSourceNode(Node):
         self._publish(self._law.torque(
             Time.from_msg(message.header.stamp).nanoseconds * 1e-9,
             np.array(message.position)[self._read_indices],
-            np.array(message.velocity)[self._read_indices]))
+            np.array(message.velocity)[self._read_indices]), message.header.stamp)
+
+    def _is_heard(self):
+        """Return whether all that are to hear the commands do."""
+        if self._expected:
+            count = self._publisher.get_subscription_count()
+            if count < self._expected:
+                if self._complaint.ready():
+                    self.get_logger().info(
+                        f'waiting for {self._expected} subscribers of '
+                        f"'{self._publisher.topic_name}', there are {count} "
+                        '(wait_for_subscribers)')
+                return False
+            # Once begun, it goes on whoever leaves.
+            self._expected = 0
+        return True
+
+    def _is_answered(self, stamp):
+        """Return whether a state with this stamp was answered just now; if not, it will be."""
+        stamp, now = (stamp.sec, stamp.nanosec), time.monotonic()
+        if self._answered is not None and self._answered[0] == stamp and (
+                now - self._answered[1] < LOST):
+            return True
+        self._answered = stamp, now
+        return False
 
     def close(self):
         """Say what was done."""
@@ -161,15 +192,18 @@ class TorqueSourceNode(Node):
         self._law_for([f'joint {i + 1}' for i in range(longest)])
 
     def _on_timer(self):
+        if not self._is_heard():
+            return
         now = time.monotonic()
         if self._epoch is None:
             self._epoch = now
         self._publish(self._law(now - self._epoch))
 
-    def _publish(self, torque):
+    def _publish(self, torque, stamp=None):
         values = array('d', torque.tobytes())
         if isinstance(self._command, JointState):
-            self._command.header.stamp = self.get_clock().now().to_msg()
+            # An answer carries the stamp of the state that it answers.
+            self._command.header.stamp = stamp or self.get_clock().now().to_msg()
             self._command.effort = values
         else:
             self._command.data = values

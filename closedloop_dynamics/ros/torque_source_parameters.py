@@ -45,6 +45,10 @@ TORQUE_SOURCE_PARAMETERS = (
         'simulator', 'closedloop_simulator',
         'Name of the simulator node to ask for its actuated_joints, relative to the namespace.'),
     Parameter(
+        'wait_for_subscribers', 1,
+        'Begin when so many have subscribed to the command [1], so that nobody misses the first '
+        'one; 0: at once.', (0, 100)),
+    Parameter(
         'rate', 100.0, 'Commands per second of constant and sine [Hz]; the others send one for '
         'each state received.', (0.1, 2000.0)),
     Parameter('torque', [0.0], f'constant, and the mean of sine [N m or N]. {_PER_JOINT}'),

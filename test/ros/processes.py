@@ -15,6 +15,7 @@
 """Real processes of the package's executables, with their output and exit codes."""
 
 import os
+from pathlib import Path
 import signal
 import subprocess
 import sys
@@ -33,6 +34,12 @@ READY = {
     'closedloop_torque_source': 'driving',
     'closedloop_recorder': 'recording',
 }
+
+
+def memory(process):
+    """Return the resident memory of a process [bytes]."""
+    pages = int(Path(f'/proc/{process.popen.pid}/statm').read_text().split()[1])
+    return pages * os.sysconf('SC_PAGE_SIZE')
 
 
 class Process:
@@ -91,7 +98,7 @@ class Processes:
 
     def __init__(self, directory, environment):
         self._directory = directory
-        self._environment = environment
+        self.environment = environment
         self._started = []
 
     def start(self, executable, namespace=None, arguments=(), remap=(), **parameters):
@@ -123,7 +130,7 @@ class Processes:
         for name, value in parameters.items():
             command += ['-p', f'{name}:={value}']
         output = self._directory / f'{len(self._started)}_{executable}.log'
-        process = Process(executable, command, output, self._environment, self._directory)
+        process = Process(executable, command, output, self.environment, self._directory)
         self._started.append(process)
         return process
 

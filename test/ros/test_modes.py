@@ -16,6 +16,7 @@
 
 from closedloop_dynamics.ros.modes import AsFastAsPossible
 from closedloop_dynamics.ros.modes import Lockstep
+from closedloop_dynamics.ros.modes import LOOK_EVERY
 from closedloop_dynamics.ros.modes import period_steps
 from closedloop_dynamics.ros.modes import RealTime
 from closedloop_dynamics.ros.pacing import Pacer
@@ -34,6 +35,9 @@ class Machine:
 
     def publish(self):
         self.published.append(self.steps)
+
+    def is_received(self):
+        return True
 
     def refresh(self):
         self.refreshed.append(self.steps)
@@ -88,6 +92,17 @@ def test_as_fast_as_possible_publishes_every_period_of_simulated_time(machine):
     assert machine.steps == before
     assert machine.refreshed == [before]
     assert mode.pacer.simulated == pytest.approx(1e-3 * before)
+
+
+def test_as_fast_as_possible_waits_for_its_subscribers(machine):
+    mode = build(AsFastAsPossible, machine, 1000.0)
+    machine.is_received = lambda: False
+    for _ in range(20):
+        mode.tick()
+    assert len(machine.published) == LOOK_EVERY
+    machine.is_received = lambda: True
+    mode.tick()
+    assert len(machine.published) > LOOK_EVERY
 
 
 def test_lockstep_advances_by_one_period_for_each_command_and_never_else(machine):

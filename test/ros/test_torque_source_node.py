@@ -26,6 +26,7 @@ from sensor_msgs.msg import JointState
 def make_source(make_node, monkeypatch):
     """Return a function that creates a torque source whose commands are kept."""
     def make(**parameters):
+        parameters.setdefault('wait_for_subscribers', 0)
         node = make_node(TorqueSourceNode, **parameters)
         node.sent = []
         monkeypatch.setattr(node._publisher, 'publish', lambda message: node.sent.append(
@@ -83,6 +84,50 @@ def test_pd_without_target_holds_where_it_began(make_source):
     source.on_joint_states(state(5.0, [0.5], [0.0], names=['a']))
     source.on_joint_states(state(5.1, [0.7], [0.0], names=['a']))
     assert source.sent == [[0.0], [pytest.approx(-2.0)]]
+
+
+@pytest.mark.parametrize('parameters', [
+    {'mode': 'pd', 'kp': [10.0]}, {'mode': 'constant', 'torque': [3.0]}])
+def test_nothing_is_sent_until_all_that_are_to_hear_it_do(make_source, monkeypatch, parameters):
+    source = make_source(joints=['a'], wait_for_subscribers=2, **parameters)
+    count = [0]
+    monkeypatch.setattr(source._publisher, 'get_subscription_count', lambda: count[0])
+
+    def look(time):
+        if source._values['mode'] == 'pd':
+            source.on_joint_states(state(time, [time], [0.0], names=['a']))
+        else:
+            source._on_timer()
+
+    for count[0] in (0, 1):
+        look(1.0 + count[0])
+    assert source.sent == []
+    count[0] = 2
+    look(3.0)
+    # The reference begins where the joint is when the first command goes out.
+    assert source.sent == [[0.0]] or source.sent == [[3.0]]
+    # Once begun, it goes on whoever leaves.
+    count[0] = 0
+    look(4.0)
+    assert len(source.sent) == 2
+
+
+def test_state_that_is_only_repeated_is_answered_once(make_source, monkeypatch):
+    source = make_source(mode='pd', joints=['a'], kp=[10.0], target_position=[1.0])
+    now = [100.0]
+    monkeypatch.setattr(
+        'closedloop_dynamics.ros.torque_source_node.time.monotonic', lambda: now[0])
+    for now[0], time in ((100.0, 0.0), (100.1, 0.0), (100.2, 0.1), (100.3, 0.1), (101.3, 0.1)):
+        source.on_joint_states(state(time, [0.5], [0.0], names=['a']))
+    # Unless the answer seems to have been lost.
+    assert len(source.sent) == 3
+
+
+def test_answer_by_name_carries_the_stamp_of_the_state(make_source, monkeypatch):
+    source = make_source(mode='pd', joints=['a'], kp=[10.0])
+    source.on_joint_states(state(12.5, [0.5], [0.0], names=['a']))
+    stamp = source._command.header.stamp
+    assert (stamp.sec, stamp.nanosec) == (12, 500_000_000)
 
 
 @pytest.mark.parametrize('message', [

@@ -1,0 +1,171 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+How evenly, at what cost, and how completely a simulator publishes at a rate.
+
+Starts a real simulator, subscribes to its states and to the force of every cut joint
+(reliably), and prints for each rate: what was achieved, how far the periods between states were
+off, the share of a core that the simulator took, and how many messages were lost on the way, by
+the numbers that the publisher gives them. With ``--record`` the package's recorder listens, too.
+
+"""
+
+import argparse
+from collections import Counter
+import os
+from pathlib import Path
+import struct
+import subprocess
+import sys
+import tempfile
+import time
+
+from machine import description, ROOT
+import numpy as np
+import rclpy
+
+sys.path.insert(0, str(ROOT))
+
+from closedloop_dynamics.ros.spinning import build_executor, spin  # noqa: E402,I100
+from closedloop_dynamics.scene import load_scene  # noqa: E402
+from geometry_msgs.msg import WrenchStamped  # noqa: E402
+from rclpy.qos import QoSProfile  # noqa: E402
+from sensor_msgs.msg import JointState  # noqa: E402
+
+# Where the stamp is in a serialised message with a header.
+STAMP = struct.Struct('=iI')
+STAMP_AT = 4
+
+
+class Subscriber:
+    """Counts messages, keeps stamps of states, and finds gaps in the publishers' numbering."""
+
+    def __init__(self, scene):
+        self.context = rclpy.Context()
+        rclpy.init(context=self.context)
+        self.node = rclpy.create_node('node_rate', context=self.context)
+        self.executor = build_executor(self.context)
+        self.executor.add_node(self.node)
+        self.stamps, self.received, self.lost, self._last = [], Counter(), Counter(), {}
+        topics = {f'constraint_forces/{cut.name}': WrenchStamped
+                  for cut in load_scene(scene).mechanism.cut_joints}
+        for topic, kind in {'joint_states': JointState, **topics}.items():
+            self.node.create_subscription(
+                kind, topic, self._taker(topic), QoSProfile(depth=5000), raw=True)
+
+    def _taker(self, topic):
+        def take(data, info):
+            number = info['publication_sequence_number']
+            self.lost[topic] += max(0, number - self._last.get(topic, number - 1) - 1)
+            self._last[topic] = number
+            self.received[topic] += 1
+            if topic == 'joint_states':
+                sec, nanosec = STAMP.unpack_from(data, STAMP_AT)
+                self.stamps.append(sec + 1e-9 * nanosec)
+        return take
+
+    def spin(self, over):
+        spin(self.executor, over)
+
+    def clear(self):
+        """Count from here on."""
+        self.stamps.clear()
+        self.received.clear()
+        self.lost.clear()
+
+    def close(self):
+        self.executor.shutdown()
+        self.node.destroy_node()
+        rclpy.try_shutdown(context=self.context)
+
+
+def cpu_time(process):
+    """Return the CPU time of a process [s]."""
+    fields = Path(f'/proc/{process.pid}/stat').read_text().rpartition(')')[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf('SC_CLK_TCK')
+
+
+def start(executable, *parameters):
+    """Start an executable of the package."""
+    code = (f'import sys; from closedloop_dynamics.ros import executables; '
+            f'sys.exit(executables.{executable}())')
+    arguments = [each for parameter in parameters for each in ('-p', parameter)]
+    return subprocess.Popen(
+        [sys.executable, '-c', code, '--ros-args', '--log-level', 'warn', *arguments],
+        env={**os.environ, 'PYTHONPATH': f'{ROOT}:{os.environ.get("PYTHONPATH", "")}'})
+
+
+def measure(scene, rate, duration, record):
+    """Return the line of one rate."""
+    subscriber = Subscriber(scene)
+    processes = []
+    with tempfile.TemporaryDirectory() as directory:
+        if record:
+            processes.append(start('recorder', f'output:={directory}/bag'))
+        processes.append(start('simulator', f'scene:={scene}', f'publish_rate:={rate}'))
+        simulator = processes[-1]
+        try:
+            subscriber.spin(lambda: len(subscriber.stamps) > 3 * rate)
+            subscriber.clear()
+            before, begin = cpu_time(simulator), time.monotonic()
+            own = time.process_time()
+            subscriber.spin(lambda: time.monotonic() - begin > duration)
+            elapsed = time.monotonic() - begin
+            share = (cpu_time(simulator) - before) / elapsed
+            own = (time.process_time() - own) / elapsed
+        finally:
+            for process in reversed(processes):
+                process.terminate()
+                process.wait()
+    subscriber.close()
+    off = 1e3 * np.abs(np.diff(subscriber.stamps) - 1.0 / rate)
+    p50, p99 = np.percentile(off, (50, 99))
+    return (f'{scene:20}{rate:8.0f}{len(subscriber.stamps) / elapsed:10.1f}{p50:9.3f}{p99:9.3f}'
+            f'{off.max():9.2f}{100.0 * share:8.1f}{100.0 * own:12.1f}'
+            f'{subscriber.received.total():11}{subscriber.lost.total():7}')
+
+
+def main(argv=None):
+    """
+    Print the table.
+
+    Parameters
+    ----------
+    argv : list of str, optional
+        Arguments without the program's name; ``sys.argv[1:]`` when not given.
+
+    Returns
+    -------
+    int
+        Exit code.
+
+    """
+    parser = argparse.ArgumentParser(description=__doc__.strip().splitlines()[0])
+    parser.add_argument('--scene', default='carpet_scraper', help='default: %(default)s')
+    parser.add_argument('--rates', type=float, nargs='+', default=[1000.0], help='[Hz]')
+    parser.add_argument('--duration', type=float, default=10.0, help='of each [s]')
+    parser.add_argument('--record', action='store_true', help='with the recorder beside it')
+    arguments = parser.parse_args(argv)
+    os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+    print(f'{description()}\nperiods: |period - nominal| [ms]; CPU: share of a core [%]')
+    print(f'{"scene":20}{"rate":>8}{"achieved":>10}{"p50":>9}{"p99":>9}{"max":>9}{"CPU":>8}'
+          f'{"subscriber":>12}{"received":>11}{"lost":>7}')
+    for rate in arguments.rates:
+        print(measure(arguments.scene, rate, arguments.duration, arguments.record), flush=True)
+    return 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,168 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Control, time and diagnostics of a simulator as a process of its own, over DDS."""
+
+from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import WrenchStamped
+import numpy as np
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
+from rclpy.time import Time
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+from std_srvs.srv import SetBool
+from std_srvs.srv import Trigger
+
+SIMULATOR = 'closedloop_simulator'
+
+
+def stamp(message):
+    """Return the stamp of a message [ns]."""
+    return Time.from_msg(message.header.stamp).nanoseconds
+
+
+def test_run_is_paused_stepped_moved_and_reset(processes, listener):
+    simulator = processes.start(SIMULATOR, scene='three_rrr', publish_clock='true')
+    simulator.wait_until_ready()
+    states = listener.listen('joint_states', JointState)
+    assert 'time runs' in listener.call(Trigger, f'{SIMULATOR}/step', Trigger.Request()).message
+    message = listener.call(SetBool, f'{SIMULATOR}/pause', SetBool.Request(data=True)).message
+    assert message.startswith('paused at ')
+    before = round(1e9 * float(message.split()[2]))
+    listener.call(SetParameters, f'{SIMULATOR}/set_parameters', SetParameters.Request(parameters=[
+        Parameter('step_count', value=50).to_parameter_msg()]))
+    assert listener.call(Trigger, f'{SIMULATOR}/step', Trigger.Request()).success
+    listener.wait(lambda: stamp(states[-1]) == before + 50_000_000, 'the state 50 steps later')
+    mover = listener.publisher(f'{SIMULATOR}/set_state', JointState)
+    mover.publish(JointState(name=['theta_1', 'theta_6', 'theta_7'],
+                             position=[1.1, 4.1, 5.8]))
+    listener.wait(lambda: states[-1].position[0] == 1.1, 'the state that was set')
+    mover.publish(JointState(name=['theta_1'], position=[1.2]))
+    simulator.wait_for('set_state refused: Holding theta_1 is not a complete choice')
+    assert listener.call(Trigger, f'{SIMULATOR}/reset', Trigger.Request()).success
+    listener.wait(lambda: stamp(states[-1]) == 0, 'the initial state')
+    assert 'not paused' in listener.call(
+        SetBool, f'{SIMULATOR}/pause', SetBool.Request(data=False)).message
+    listener.wait(lambda: stamp(states[-1]) > 0, 'motion')
+    assert simulator.stop() == 0
+
+
+def test_clock_is_ahead_of_every_state_and_follows_the_factor(processes, listener):
+    clocks = listener.listen('/clock', Clock)
+    states = listener.listen('joint_states', JointState)
+    simulator = processes.start(
+        SIMULATOR, scene='four_bar', publish_clock='true', real_time_factor='0.5')
+    simulator.wait_until_ready()
+    listener.wait(lambda: len(states) > 100, 'states')
+    assert simulator.stop() == 0
+    told = {Time.from_msg(message.clock).nanoseconds for message in clocks}
+    stamps = [stamp(message) for message in states]
+    assert set(stamps[5:]) <= told
+    assert stamps == sorted(set(stamps))
+    # Steps of 1 ms, half as many as milliseconds have passed.
+    assert all(value % 1_000_000 == 0 for value in stamps)
+    assert 'at 0.5 x real time' in simulator.output
+
+
+def test_node_with_use_sim_time_lives_in_simulated_time(processes, listener):
+    processes.start(SIMULATOR, scene='four_bar', publish_clock='true', real_time_factor='5.0')
+    listener.node.set_parameters([Parameter('use_sim_time', value=True)])
+    ticks = []
+    listener.node.create_timer(1.0, lambda: ticks.append(
+        listener.node.get_clock().now().nanoseconds * 1e-9))
+    listener.wait(lambda: len(ticks) >= 3, 'three seconds of simulated time')
+    assert ticks[2] - ticks[0] > 1.5
+
+
+def run_in_lockstep(processes, listener, count, **parameters):
+    """Drive a simulator in lockstep by a law of the state; return the bytes of all states."""
+    simulator = processes.start(SIMULATOR, scene='three_rrr', mode='lockstep', **parameters)
+    simulator.wait_until_ready()
+    seen = {'states': [], 'forces': []}
+    publisher = listener.publisher('torque_command', Float64MultiArray)
+
+    def answer(message):
+        if seen['states'] and stamp(message) == seen['states'][-1][0]:
+            return
+        numbers = np.concatenate([message.position, message.velocity, message.effort])
+        seen['states'].append((stamp(message), numbers.tobytes()))
+        torque = np.sin(5.0 * np.array(message.position)[[0, 5, 6]])
+        publisher.publish(Float64MultiArray(data=torque.tolist()))
+
+    subscriptions = [
+        listener.node.create_subscription(JointState, 'joint_states', answer, 10),
+        listener.node.create_subscription(
+            WrenchStamped, 'constraint_forces/cut_1',
+            lambda message: seen['forces'].append(message.wrench.force.x), 1000)]
+    listener.wait(lambda: len(seen['states']) >= count, f'{count} states')
+    assert simulator.stop() == 0
+    for each in subscriptions:
+        listener.node.destroy_subscription(each)
+    listener.node.destroy_publisher(publisher)
+    return seen['states'][:count]
+
+
+def test_controller_in_lockstep_sees_the_same_run_every_time(processes, listener):
+    first, second = (run_in_lockstep(processes, listener, 200) for _ in range(2))
+    assert first == second
+    assert [time for time, _ in first] == [10_000_000 * k for k in range(200)]
+
+
+def test_as_fast_as_possible_is_faster_than_the_clock_and_loses_nothing(processes, listener):
+    states = listener.listen('joint_states', JointState)
+    simulator = processes.start(
+        SIMULATOR, scene='three_rrr', mode='as_fast_as_possible', wait_for_command='true')
+    simulator.wait_until_ready()
+    publisher = listener.publisher('torque_command', Float64MultiArray)
+    publisher.publish(Float64MultiArray(data=[0.0, 0.0, 0.0]))
+    listener.wait(lambda: len(states) > 2000, '2000 states')
+    assert simulator.stop() == 0
+    assert float(simulator.output.split('simulated ')[-1].split()[5]) > 2.0
+    stamps = sorted({stamp(message) for message in states})
+    assert stamps == [10_000_000 * k for k in range(len(stamps))]
+
+
+def test_diagnostics_tell_how_the_run_goes(processes, listener):
+    messages = listener.listen('/diagnostics', DiagnosticArray)
+    simulator = processes.start(
+        SIMULATOR, namespace='/cell', scene='three_rrr', integrator='heun', step_size='0.0005')
+    simulator.wait_until_ready()
+    bad = listener.publisher('/cell/torque_command', Float64MultiArray)
+
+    def levels(name):
+        return [status.level for message in messages for status in message.status
+                if status.name == f'cell/{SIMULATOR}: {name}']
+
+    listener.wait(lambda: len(messages) >= 2, 'two rounds')
+    told = {status.name.split(': ')[1]: {pair.key: pair.value for pair in status.values}
+            for status in messages[-1].status}
+    assert set(told) == {
+        'time', 'method', 'closure', 'energy', 'elimination', 'commands', 'effects'}
+    assert told['time']['mode'] == 'realtime'
+    assert told['method']['method'] == 'heun, projection'
+    assert float(told['method']['step size [s]']) == 0.0005
+    assert float(told['method']['compute time per step [us]']) > 0.0
+    assert float(told['closure']['closure error [m or rad]']) < 1e-10
+    assert told['effects']['gravity'] == 'gravity'
+    assert told['commands']['accepted'] == '0'
+    assert set(levels('closure')) == {DiagnosticStatus.OK}
+    seen = len(levels('commands'))
+    bad.publish(Float64MultiArray(data=[1.0]))
+    listener.wait(lambda: DiagnosticStatus.WARN in levels('commands')[seen:], 'a warning')
+    assert simulator.stop() == 0
+    # What the method cost is told at the end, too.
+    assert '% of real time (heun, projection' in simulator.output
