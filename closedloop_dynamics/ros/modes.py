@@ -88,7 +88,8 @@ class RealTime:
     def tick(self):
         """Advance to the present, and publish if it is time to."""
         self._count_missed()
-        self.pacer.tick(self._machine.advance, COMPUTING_SHARE * self.tick_period)
+        if self.pacer.running:
+            self.pacer.tick(self._machine.advance, COMPUTING_SHARE * self.tick_period)
         self._left -= 1
         if self._left <= 0:
             self._left = self._ticks

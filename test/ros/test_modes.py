@@ -81,6 +81,18 @@ def test_missed_ticks_are_counted_but_not_those_of_a_standstill(machine):
     assert mode.missed_ticks == 2
 
 
+def test_nothing_that_was_due_is_made_up_for_while_time_stands_still(machine):
+    now = [0.0]
+    mode = build(RealTime, machine, 100.0, lambda: now[0])
+    now[0] += 0.0105
+    mode.stop()
+    mode.tick()
+    assert machine.steps == 0
+    mode.start()
+    mode.tick()
+    assert machine.steps == 10
+
+
 def test_as_fast_as_possible_publishes_every_period_of_simulated_time(machine):
     mode = build(AsFastAsPossible, machine, 1.0)
     while len(machine.published) < 3:
