@@ -128,7 +128,6 @@ class StatePublisher:
             self._state.filled(sec, nanosec, position, velocity, effort))
         self.published += 1 + len(self._force_publishers)
 
-
     def is_received(self):
         """
         Return whether reliable subscribers have received everything, waiting a little for it.

@@ -16,6 +16,7 @@
 
 import math
 import signal
+from test.ros.processes import memory
 import time
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -33,7 +34,6 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from std_msgs.msg import String
-from test.ros.processes import memory
 
 SIMULATOR = 'closedloop_simulator'
 # What the package promises for the end of a process [s].

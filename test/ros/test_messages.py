@@ -51,6 +51,7 @@ def publisher(make_node):
 
 
 class _Plain(Node):
+
     def __init__(self, **options):
         super().__init__('plain', **options)
 
