@@ -136,12 +136,13 @@ class Engine:
 
     def _scipy(self, case, tolerance):
         n = len(case.q)
-        start, rate = np.concatenate([case.q, case.qd]), np.empty(2 * n)
+        start = np.concatenate([case.q, case.qd])
 
         def derivative(_, state):
-            rate[:n] = state[n:]
-            rate[n:] = self.acceleration(state[:n], state[n:], case.tau)
-            return rate
+            # An array of its own each time: SciPy keeps the last one.
+            return np.concatenate([state[n:], pin.constraintDynamics(
+                self._model, self._data, state[:n], state[n:], case.tau, self._constraints,
+                self._constraint_data, self._settings)])
 
         def execute():
             return solve_ivp(derivative, (0.0, case.duration), start, method='DOP853',
