@@ -26,7 +26,7 @@ from .errors import ClosureError, NumericalError, SimulationError
 from .integration.advance import DONE, NOT_FINITE, OPEN_LOOP
 from .integration.drivers import build_driver
 from .integration.registry import INTEGRATORS, SCIPY
-from .integration.system import BAUMGARTE, CLOSURE_LIMIT, warm_up_careful
+from .integration.system import BAUMGARTE, CLOSURE_LIMIT
 from .monitor import Monitor
 from .scene_records import AUTO
 from .simulation_state import SimulationState
@@ -379,13 +379,12 @@ class SimulationMotion(SimulationState):
         """
         Compile all that a run needs, leaving the state as it is.
 
-        The rank-revealing path too, which the run needs only where it meets a singular
-        configuration: it must not stand still there.
+        Not the rank-revealing path, which takes several times as long as all the rest: that is
+        compiled, once for an installation, where a mechanism first needs it.
 
         """
         self._driver.driver.advance(self._state.copy(), self.time, 1e-9, 1)
         self._driver.restart()
-        warm_up_careful(self.system, self._q, self._qd)
         self._fresh = False
         self.constraint_forces, self.energy, self.closure
 

@@ -132,7 +132,7 @@ class Composition:
         for record in active:
             if hasattr(record, 'change'):
                 record.change(model, self._machine)
-        if self._system is not None:
+        if self._system is not None and self._system.unrolled is not None:
             straight_line.relink(model, self._system.linkage)
         self.drives = {}
         for record in active:

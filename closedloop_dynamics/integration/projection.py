@@ -16,7 +16,7 @@
 
 import numpy as np
 
-from .system import careful_correction, CLOSURE_LIMIT, CLOSURE_TOLERANCE
+from .system import CLOSURE_LIMIT, CLOSURE_TOLERANCE
 from ..core import (
     articulated_inertia, elimination, independent, kinematics, loop_closure, rank_revealing)
 from ..core.compiled import compiled, inlined, merged
@@ -47,9 +47,9 @@ def _factor_by_loops(by_loops, system, q, qd):
 
 
 @inlined
-def _factor_unrolled(linkage, q, qd):
+def _factor_unrolled(unrolled, linkage, q, qd):
     """Prepare corrections by the unrolled routine, where there is one."""
-    if linkage is not None:
+    if unrolled is not None:
         return links.call(linkage, links.CORRECTION, q, qd) != 0
     return False
 
@@ -72,18 +72,15 @@ def factor_configuration(system, q, qd):
         Whether the closure equations are independent there.
 
     """
-    return _factor_unrolled(system.linkage, q, qd) or _factor_by_loops(
+    return _factor_unrolled(system.unrolled, system.linkage, q, qd) or _factor_by_loops(
         system.by_loops, system, q, qd)
 
 
 @compiled
-def _correct_by_loops(by_loops, system, independent, level, q, qd, out):
+def _correct_by_loops(by_loops, system, level, out):
     """Solve for a correction by the kernels' loops, where nothing is unrolled."""
     if by_loops is not None:
         model, work = system.model, system.work
-        if not independent:
-            careful_correction(model, work, level, q, qd, out)
-            return
         right = work.right
         for k in range(right.shape[0]):
             right[k] = (-work.closure[k] if level == rank_revealing.POSITION
@@ -96,17 +93,12 @@ def _correct_by_loops(by_loops, system, independent, level, q, qd, out):
 
 
 @inlined
-def _correct_unrolled(linkage, system, independent, level, q, qd, out):
+def _correct_unrolled(unrolled, corrections, level, out):
     """Take a correction from what the unrolled routine has left."""
-    if linkage is not None:
-        if independent:
-            row = 0 if level == rank_revealing.POSITION else 1
-            for i in range(out.shape[0]):
-                out[i] = system.corrections[row, i]
-        elif level == rank_revealing.POSITION:
-            links.call(linkage, links.CAREFUL_POSITION, q, qd)
-        else:
-            links.call(linkage, links.CAREFUL_VELOCITY, q, qd)
+    if unrolled is not None:
+        row = 0 if level == rank_revealing.POSITION else 1
+        for i in range(out.shape[0]):
+            out[i] = corrections[row, i]
 
 
 @inlined
@@ -128,8 +120,13 @@ def correction(system, independent, level, q, qd, out):
         Written in place; must be ``system.qdd``.
 
     """
-    _correct_by_loops(system.by_loops, system, independent, level, q, qd, out)
-    _correct_unrolled(system.linkage, system, independent, level, q, qd, out)
+    if independent:
+        _correct_by_loops(system.by_loops, system, level, out)
+        _correct_unrolled(system.unrolled, system.corrections, level, out)
+    elif level == rank_revealing.POSITION:
+        links.call(system.linkage, links.CAREFUL_POSITION, q, qd)
+    else:
+        links.call(system.linkage, links.CAREFUL_VELOCITY, q, qd)
 
 
 @inlined

@@ -37,7 +37,8 @@ FORMULATION, BAUMGARTE, CLOSURE_TOLERANCE, CLOSURE_LIMIT = range(4)
 MOST_UNROLLED_BODIES = 24
 
 
-_BY_LOOPS = np.zeros(0)
+# What stands for yes where None stands for no.
+_YES = np.zeros(0)
 
 
 class System(NamedTuple):
@@ -63,10 +64,11 @@ class System(NamedTuple):
         Joint torques of commands and effects; ``tau`` itself where no effect is listed.
     effects : EffectTable or None
         What acts on the mechanism beside the commanded torques.
-    linkage : ndarray of int or None
-        Of the routines unrolled for this mechanism; None where the kernels' loops do the work.
-    by_loops : ndarray of no length, or None
-        None where there is a linkage: a branch is dropped only for what is None.
+    linkage : ndarray of int
+        Of the routines that are called by their address: the rank-revealing path, and those
+        unrolled for this mechanism.
+    unrolled, by_loops : ndarray of no length, or None
+        Which way evaluations go; the other one is None, as a branch is dropped only for that.
     corrections : ndarray, shape (2, nv)
         Of coordinates and rates, as unrolled routines leave them.
 
@@ -82,14 +84,14 @@ class System(NamedTuple):
     lam: np.ndarray
     applied: np.ndarray
     effects: Optional[EffectTable]
-    linkage: Optional[np.ndarray]
+    linkage: np.ndarray
+    unrolled: Optional[np.ndarray]
     by_loops: Optional[np.ndarray]
     corrections: np.ndarray
 
     def __reduce__(self):
         """Copy and pickle without addresses, which hold for these very arrays."""
-        return _relinked, (
-            *self._replace(linkage=None, by_loops=_BY_LOOPS), self.linkage is not None)
+        return _relinked, tuple(self._replace(linkage=None))
 
 
 def build_system(model, formulation=SUBSYSTEM, baumgarte=0.0, extent=1.0, independent=False,
@@ -134,25 +136,13 @@ def build_system(model, formulation=SUBSYSTEM, baumgarte=0.0, extent=1.0, indepe
         partition=allocate_partition(model) if independent else None,
         settings=settings, tau=tau, qdd=np.zeros(nv), lam=np.zeros(nc),
         applied=tau if effects is None else effects.applied, effects=effects, linkage=None,
-        by_loops=_BY_LOOPS, corrections=np.zeros((2, nv)))
-    return linked(system) if unrolled else system
+        unrolled=_YES if unrolled else None, by_loops=None if unrolled else _YES,
+        corrections=np.zeros((2, nv)))
+    return _linked(system)
 
 
-def linked(system):
-    """
-    Return a system whose evaluations are unrolled.
-
-    Parameters
-    ----------
-    system : System
-        Of the subsystem-level formulation.
-
-    Returns
-    -------
-    System
-        With the same arrays.
-
-    """
+def _linked(system):
+    """Return a system with the addresses of its own arrays and routines."""
     model, work = system.model, system.work
     linkage = links.connect(
         {links.BODY: model.body, links.GRAVITY: model.gravity, links.CUT_POINT: model.cut_point,
@@ -160,33 +150,35 @@ def linked(system):
          links.LAM: system.lam, links.HEALTH: work.health, links.WORK_BODY: work.body,
          links.CLOSURE: work.closure, links.CLOSURE_RATE: work.closure_rate,
          links.CORRECTIONS: system.corrections},
-        _careful_routines(system._replace(linkage=None, by_loops=_BY_LOOPS)))
-    system = system._replace(linkage=linkage, by_loops=None)
-    straight_line.relink(model, linkage)
-    return system
+        _careful_routines(system))
+    if system.unrolled is not None:
+        straight_line.relink(model, linkage)
+    return system._replace(linkage=linkage)
 
 
 def _relinked(*fields):
     """Build a copied or unpickled system."""
-    system = System(*fields[:-1])
-    return linked(system) if fields[-1] else system
+    return _linked(System(*fields))
 
 
 def _careful_routines(system):
     """Return the rank-revealing path as functions of q and qd, compiled when first called."""
-    nan = np.nan
+    model, work, effects, settings, qdd = (
+        system.model, system.work, system.effects, system.settings, system.qdd)
+    tau, applied, lam = system.tau, system.applied, system.lam
 
+    # What fails leaves NaN behind, which the integrators tell.
     def acceleration(q, qd):
-        system.qdd[:] = nan
-        careful_acceleration(system, q, qd)
+        qdd[:] = np.nan
+        careful_acceleration(model, work, effects, settings, tau, applied, q, qd, qdd, lam)
 
     def position(q, qd):
-        system.qdd[:] = nan
-        careful_correction(system.model, system.work, rank_revealing.POSITION, q, qd, system.qdd)
+        qdd[:] = np.nan
+        careful_correction(model, work, rank_revealing.POSITION, q, qd, qdd)
 
     def velocity(q, qd):
-        system.qdd[:] = nan
-        careful_correction(system.model, system.work, rank_revealing.VELOCITY, q, qd, system.qdd)
+        qdd[:] = np.nan
+        careful_correction(model, work, rank_revealing.VELOCITY, q, qd, qdd)
 
     return {links.CAREFUL_ACCELERATION: acceleration, links.CAREFUL_POSITION: position,
             links.CAREFUL_VELOCITY: velocity}
@@ -261,22 +253,21 @@ def _give_rates(effects, nv, out):
 
 
 @allocating
-def careful_acceleration(system, q, qd):
+def careful_acceleration(model, work, effects, settings, tau, applied, q, qd, qdd, lam):
     """
     Compute accelerations and multipliers by the rank-revealing path.
 
     Parameters
     ----------
-    system : System
-        What moves.
+    model, work, effects, settings, tau, applied, qdd, lam
+        As a ``System`` has them.
     q, qd : ndarray, shape (nv,)
         Joint coordinates and rates.
 
     """
-    kinematics.outward(system.model, q, qd, system.work)
-    _apply_effects(system.effects, system.work, q, qd, system.tau)
-    rank_revealing.accelerate(system.model, system.work, system.applied,
-                              system.settings[BAUMGARTE], q, qd, system.qdd, system.lam)
+    kinematics.outward(model, q, qd, work)
+    _apply_effects(effects, work, q, qd, tau)
+    rank_revealing.accelerate(model, work, applied, settings[BAUMGARTE], q, qd, qdd, lam)
 
 
 @allocating
@@ -313,7 +304,7 @@ def _evaluate_by_loops(by_loops, system, q, qd):
             if not accelerate(model, work, system.applied, system.settings[BAUMGARTE],
                               system.qdd, system.lam):
                 # The elimination has used up what the outward recursion and the effects left.
-                careful_acceleration(system, q, qd)
+                links.call(system.linkage, links.CAREFUL_ACCELERATION, q, qd)
         else:
             _accelerate_dense(system.dense, model, work, formulation, system.applied,
                               system.settings[BAUMGARTE], system.qdd, system.lam)
@@ -321,9 +312,10 @@ def _evaluate_by_loops(by_loops, system, q, qd):
 
 
 @inlined
-def _evaluate_unrolled(linkage, system, q, qd):
+def _evaluate_unrolled(unrolled, system, q, qd):
     """Evaluate a state by unrolled routines, where there are any."""
-    if linkage is not None:
+    if unrolled is not None:
+        linkage = system.linkage
         links.call(linkage, links.OUTWARD, q, qd)
         _apply_effects(system.effects, system.work, q, qd, system.tau)
         if links.call(linkage, links.ACCELERATION, q, qd) == 0:
@@ -332,9 +324,9 @@ def _evaluate_unrolled(linkage, system, q, qd):
 
 
 @inlined
-def _evaluate_bare(linkage, effects, q, qd):
+def _evaluate_bare(unrolled, linkage, effects, q, qd):
     """Evaluate a state at once, where routines are unrolled and no effect is listed."""
-    if linkage is not None:
+    if unrolled is not None:
         if effects is None:
             if links.call(linkage, links.EVALUATION, q, qd) == 0:
                 links.call(linkage, links.CAREFUL_ACCELERATION, q, qd)
@@ -344,7 +336,7 @@ def _evaluate_bare(linkage, effects, q, qd):
 def _evaluate_among_effects(effects, system, q, qd):
     """Evaluate a state in parts, where effects are listed."""
     if effects is not None:
-        _evaluate_unrolled(system.linkage, system, q, qd)
+        _evaluate_unrolled(system.unrolled, system, q, qd)
 
 
 @compiled
@@ -362,29 +354,8 @@ def evaluate(system, q, qd):
         Joint coordinates and rates.
 
     """
-    _evaluate_unrolled(system.linkage, system, q, qd)
+    _evaluate_unrolled(system.unrolled, system, q, qd)
     _evaluate_by_loops(system.by_loops, system, q, qd)
-
-
-def warm_up_careful(system, q, qd):
-    """
-    Compile the rank-revealing path, where an evaluation may need it.
-
-    Parameters
-    ----------
-    system : System
-        What moves; its accelerations and multipliers are written.
-    q, qd : ndarray, shape (nv,)
-        Any state that closes the loops.
-
-    """
-    if system.linkage is not None and len(system.lam):
-        count = system.work.health.copy()
-        system = system._replace(linkage=None, by_loops=_BY_LOOPS)
-        careful_acceleration(system, q, qd)
-        for level in (rank_revealing.POSITION, rank_revealing.VELOCITY):
-            careful_correction(system.model, system.work, level, q, qd, system.qdd)
-        system.work.health[:] = count
 
 
 class Probe:
@@ -406,7 +377,7 @@ class Probe:
         self._system = system
         self.q, self.qd = np.zeros((2, len(system.qdd)))
         self._address, self._routine, self._pointers = 0, None, ()
-        self._quick = system.linkage is not None and system.effects is None
+        self._quick = system.unrolled is not None and system.effects is None
 
     def evaluate(self):
         """Evaluate the state in ``q`` and ``qd`` into ``system.qdd`` and ``system.lam``."""
@@ -420,8 +391,7 @@ class Probe:
             self._pointers = tuple(
                 array.ctypes.data for array in (system.linkage, self.q, self.qd))
         if not self._routine(*self._pointers):
-            careful_acceleration(
-                system._replace(linkage=None, by_loops=_BY_LOOPS), self.q, self.qd)
+            links.run(system.linkage, links.CAREFUL_ACCELERATION, self.q, self.qd)
 
 
 @merged
@@ -445,7 +415,7 @@ def derivative(system, state, out):
            system.settings[CLOSURE_TOLERANCE])
     _take_states(system.effects, state, nv)
     q, qd = state[:nv], state[nv:2 * nv]
-    _evaluate_bare(system.linkage, system.effects, q, qd)
+    _evaluate_bare(system.unrolled, system.linkage, system.effects, q, qd)
     _evaluate_among_effects(system.effects, system, q, qd)
     _evaluate_by_loops(system.by_loops, system, q, qd)
     for i in range(nv):

@@ -23,6 +23,23 @@ their address (``linkage``): one more second at the first start, a third of the 
 """
 
 from .linkage import available, call
-from .routines import relink
 
 __all__ = ['available', 'call', 'relink']
+
+
+def relink(model, linkage):
+    """
+    Give a linkage the routines of a model, also when its topology has changed.
+
+    Parameters
+    ----------
+    model : core.types.Model
+        Constant arrays of the mechanism.
+    linkage : ndarray of int
+        Changed in place.
+
+    """
+    # Here, as there may be no compiler.
+    from .routines import addresses
+    for which, address in addresses(model).items():
+        linkage[which] = address

@@ -60,7 +60,7 @@ def available():
     return config is not None and not config.DISABLE_JIT
 
 
-if config is not None:
+if available():
     @intrinsic
     def call(typingctx, linkage, which, q, qd):
         """
@@ -96,8 +96,8 @@ if config is not None:
         return signature, generate
 else:
     def call(linkage, which, q, qd):
-        """Refuse: without a compiler nothing is linked."""
-        raise RuntimeError('no routine can be linked without numba')
+        """Call a routine of a linkage; without a compiler that is a function of Python's."""
+        return run(linkage, which, q, qd)
 
 
 def function(linkage, which):
@@ -120,8 +120,31 @@ def function(linkage, which):
     return _SIGNATURE(int(linkage[which]))
 
 
-# What linkages that are alive call back.
+# What linkages that are alive call back: as functions of addresses, and as they are.
 _callbacks = {}
+
+
+def run(linkage, which, q, qd):
+    """
+    Call the rank-revealing path from Python.
+
+    Parameters
+    ----------
+    linkage : ndarray of int
+        As ``connect`` returns it.
+    which : int
+        Place of the routine's address in it.
+    q, qd : ndarray, shape (nv,)
+        Joint coordinates and rates.
+
+    Returns
+    -------
+    int
+        1: it always does its work.
+
+    """
+    _callbacks[id(linkage)][1][which](q, qd)
+    return 1
 
 
 def connect(arrays, careful):
@@ -148,7 +171,7 @@ def connect(arrays, careful):
     for place, function in careful.items():
         kept[place] = _SIGNATURE(_on_arrays(function, nv))
         linkage[place] = ctypes.cast(kept[place], ctypes.c_void_p).value
-    _callbacks[id(linkage)] = kept
+    _callbacks[id(linkage)] = kept, careful
     weakref.finalize(linkage, _callbacks.pop, id(linkage))
     return linkage
 

@@ -73,23 +73,6 @@ def addresses(model):
     return _addresses[key]
 
 
-def relink(model, linkage):
-    """
-    Give a linkage the routines of a model, also when its topology has changed.
-
-    Parameters
-    ----------
-    model : Model
-        Constant arrays of the mechanism.
-    linkage : ndarray of int or None
-        Changed in place; None where nothing is unrolled.
-
-    """
-    if linkage is not None:
-        for which, address in addresses(model).items():
-            linkage[which] = address
-
-
 class _Unrolling:
     """One mechanism with symbols in the place of all numbers that may change."""
 
