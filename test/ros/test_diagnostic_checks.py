@@ -1,0 +1,96 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Tests of the levels that diagnostics give to numbers."""
+
+from dataclasses import replace
+import math
+from pathlib import Path
+
+from closedloop_dynamics.effects.accounts import EnergyBalance
+from closedloop_dynamics.health import Health
+from closedloop_dynamics.monitor import RunReport
+from closedloop_dynamics.ros import diagnostic_checks as checks
+from closedloop_dynamics.ros.diagnostic_checks import ERROR
+from closedloop_dynamics.ros.diagnostic_checks import OK
+from closedloop_dynamics.ros.diagnostic_checks import WARN
+import pytest
+
+DOCUMENT = Path(__file__).resolve().parents[2] / 'doc' / 'interface.md'
+REPORT = RunReport('rk4, projection', 10.0, 10000, 0.1, 1e-10, 1e-13, 1e-9, 40000)
+HEALTH = Health(0.5, 0.4, 4, 4, 0, 40000, 1, 1e-13)
+BOOK = {'accepted': 5, 'rejected': 0, 'timed out': 0, 'states set': 0, 'states refused': 0}
+
+
+@pytest.mark.parametrize('factor, missed, level', [
+    (1.0, 0, OK), (0.96, 0, OK), (0.94, 0, WARN), (0.49, 0, ERROR), (1.0, 4, OK), (1.0, 6, WARN)])
+def test_simulated_time_that_lags_behind_is_told(factor, missed, level):
+    now = {'factor': 2.0 * factor, 'dropped': 0.0, 'missed': missed, 'ticks': 100}
+    assert checks.time_finding(now, '', 2.0).level == level
+    # Nothing is wrong with a pause, or where no factor was asked for.
+    assert checks.time_finding(now, 'paused', 2.0).level == OK
+    assert checks.time_finding(now, '', None).level == OK
+
+
+@pytest.mark.parametrize('error, load, level', [
+    (1e-10, 0.1, OK), (math.nan, math.nan, OK), (2e-4, 0.1, WARN), (0.1, 0.1, ERROR),
+    (1e-10, 0.9, WARN)])
+def test_large_errors_and_costs_of_steps_are_told(error, load, level):
+    finding = checks.method_finding(replace(REPORT, local_error=error), load)
+    assert finding.level == level
+    assert finding.values['compute time per step [us]'] == pytest.approx(10.0)
+
+
+@pytest.mark.parametrize('closure, level', [(1e-13, OK), (1e-5, WARN), (0.01, ERROR)])
+def test_open_loops_are_told(closure, level):
+    assert checks.closure_finding(closure).level == level
+
+
+@pytest.mark.parametrize('residual, level', [
+    (0.0, OK), (1e-3, OK), (-0.01, WARN), (5.0, ERROR), (-5.0, ERROR)])
+def test_energy_from_nowhere_is_told(residual, level):
+    balance = EnergyBalance(1.0, 2.0, 3.0, 4.0, residual)
+    assert checks.energy_finding(balance, 8.0).level == level
+
+
+def test_singular_configurations_are_told_though_they_are_over():
+    assert checks.elimination_finding(HEALTH, 0.5).level == OK
+    finding = checks.elimination_finding(HEALTH, 1e-5)
+    assert finding.level == WARN
+    assert 'near a singular configuration' in finding.message
+    dependent = checks.elimination_finding(replace(HEALTH, rank=3), 0.5)
+    assert dependent.level == WARN
+    assert '1 of 4 closure equations' in dependent.message
+
+
+@pytest.mark.parametrize('change, sources, expired, level, word', [
+    ({}, ['/a'], False, OK, 'from /a'), ({}, [], False, OK, 'nobody'),
+    ({'rejected': 3}, ['/a'], False, WARN, '3 refused'),
+    ({'states refused': 1}, ['/a'], False, WARN, '1 refused'),
+    ({}, ['/a', '/b'], False, WARN, 'the last command counts'),
+    ({}, ['/a'], True, WARN, 'torques are zero')])
+def test_commands_that_do_not_arrive_as_they_should_are_told(
+        change, sources, expired, level, word):
+    finding = checks.commands_finding({**BOOK, **change}, BOOK, sources, expired)
+    assert finding.level == level
+    assert word in finding.message
+
+
+def test_thresholds_are_those_of_the_document():
+    text = DOCUMENT.read_text()
+    for name in ('FACTOR_WARN', 'FACTOR_ERROR', 'MISSED_WARN', 'LOAD_WARN', 'ERROR_WARN',
+                 'ERROR_ERROR', 'CLOSURE_WARN', 'CLOSURE_ERROR', 'ENERGY_WARN', 'ENERGY_ERROR'):
+        value = getattr(checks, name)
+        shown = f'{100 * value:g} %' if not name.startswith(('ERROR', 'CLOSURE')) else f'{value:g}'
+        assert shown in text, (name, shown)
