@@ -18,15 +18,15 @@ import os
 import sys
 
 from . import (
-    accuracy, animate, check, effects, formulations, recover, replay, simulate, stability, sweep,
-    urdf)
+    accuracy, animate, check, effects, formulations, plot, recover, replay, simulate, stability,
+    sweep, urdf)
 from .command import HelpfulParser, UsageError
 from ..errors import SimulationError
 from ..mechanism.mechanism import MechanismError
 from ..scene import SceneError
 
 COMMANDS = (accuracy.COMMAND, animate.COMMAND, check.COMMAND, effects.COMMAND,
-            formulations.COMMAND, recover.COMMAND, replay.COMMAND, simulate.COMMAND,
+            formulations.COMMAND, plot.COMMAND, recover.COMMAND, replay.COMMAND, simulate.COMMAND,
             stability.COMMAND, sweep.COMMAND, urdf.COMMAND)
 
 FAILED, USAGE, INTERRUPTED, BROKEN_PIPE = 1, 2, 130, 141

@@ -16,14 +16,12 @@
 
 from pathlib import Path
 
-import numpy as np
-
 from .command import Command, positive, UsageError
 from ..scene import load_scene
 from ..studies.animation import Animation, AnimationError, frame_times, require_writable, write
-from ..studies.motion import Motion
 from ..studies.progress import announced, progress_bar
-from ..studies.recording import read_recording, RecordingError
+from ..studies.recording import (
+    part, read_recording, RecordingError, since_the_last_reset)
 
 # More would take long, and fill a disk.
 MOST_FRAMES = 20_000
@@ -79,20 +77,16 @@ def _run(arguments):
 
 
 def _chosen(motion, arguments):
-    """Return the part of a motion that is to be shown: of rising times, after the last reset."""
-    backwards = np.flatnonzero(np.diff(motion.time) < 0.0)
-    kept = np.arange(len(motion.time)) > (backwards[-1] if len(backwards) else -1)
-    kept &= np.concatenate([[True], np.diff(motion.time) != 0.0])
-    kept &= motion.time >= arguments.start
+    """Return the part of a motion that is to be shown."""
+    motion = since_the_last_reset(motion)
+    kept = motion.time >= arguments.start
     if arguments.duration is not None:
         kept &= motion.time <= arguments.start + arguments.duration
     if not kept.any():
         raise UsageError(
             f'--start, --duration: expected a part of the recording, {motion.time.min():g} to '
             f'{motion.time.max():g} s; got none')
-    return Motion(motion.mechanism, *(
-        getattr(motion, name)[kept]
-        for name in ('time', 'position', 'velocity', 'effort', 'forces')))
+    return part(motion, kept)
 
 
 def _point(mechanism, name):

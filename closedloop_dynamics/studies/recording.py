@@ -117,6 +117,22 @@ def read_recording(path, scene=None, namespace=None):
     return _read_bag(path, scene, namespace)
 
 
+def since_the_last_reset(motion):
+    """Return the part of a motion since time last went back, each instant once."""
+    steps = np.diff(motion.time)
+    backwards = np.flatnonzero(steps < 0.0)
+    kept = np.concatenate([[True], steps != 0.0])
+    kept[:backwards[-1] + 1 if len(backwards) else 0] = False
+    return part(motion, kept)
+
+
+def part(motion, kept):
+    """Return the instants of a motion that are kept, an array of truth values."""
+    return Motion(motion.mechanism, *(
+        getattr(motion, name)[kept]
+        for name in ('time', 'position', 'velocity', 'effort', 'forces')))
+
+
 def _read_csv(path, scene):
     if scene is None:
         raise RecordingError(f'{path}: a CSV file does not tell what was simulated; add --scene')

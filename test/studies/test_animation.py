@@ -20,6 +20,7 @@ from closedloop_dynamics.cli import main
 from closedloop_dynamics.simulation import Simulation
 from closedloop_dynamics.studies import animation as animations
 from closedloop_dynamics.studies import motion as motions
+from closedloop_dynamics.studies.recording import since_the_last_reset
 from closedloop_dynamics.studies.run import columns, Report, run
 import numpy as np
 from PIL import Image
@@ -131,3 +132,25 @@ def test_mp4_is_made_by_ffmpeg_from_whole_frames(csv_file, tmp_path, monkeypatch
     assert (tmp_path / 'given').stat().st_size == 9 * width * height * 3
     if code:
         assert 'broken codec' in capsys.readouterr().err
+
+
+def test_what_was_before_a_reset_is_left_out(motion):
+    twice = motions.Motion(motion.mechanism, *(
+        np.concatenate([values, values[:1], values])
+        for values in (motion.time, motion.position, motion.velocity, motion.effort,
+                       motion.forces)))
+    np.testing.assert_array_equal(since_the_last_reset(twice).time, motion.time)
+    np.testing.assert_array_equal(since_the_last_reset(motion).position, motion.position)
+
+
+def test_plots_of_a_run_are_written(csv_file, tmp_path, capsys):
+    arguments = ['plot', str(csv_file), '--scene', 'four_bar', '--output', str(tmp_path / 'out')]
+    assert main(arguments) == 0
+    names = [line.rpartition('/')[2] for line in capsys.readouterr().out.splitlines()]
+    assert names == ['joint_motion.png', 'constraint_forces.png', 'positions.png']
+    for name in names:
+        with Image.open(tmp_path / 'out' / name) as picture:
+            assert min(picture.size) > 200
+    assert main(arguments) == 2
+    assert '--overwrite' in capsys.readouterr().err
+    assert main(arguments[:2] + arguments[4:]) == 2

@@ -1,0 +1,80 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""``closedloop plot``: pictures of a run."""
+
+from pathlib import Path
+
+from .command import Command, UsageError
+from ..scene import load_scene
+from ..studies import pictures
+from ..studies.progress import announced
+from ..studies.recording import read_recording, RecordingError, since_the_last_reset
+
+DRAWERS = {
+    'joint_motion': ('joint motion', pictures.joint_motion),
+    'constraint_forces': ('constraint forces in world axes', pictures.constraint_forces),
+    'positions': ('positions and forces', pictures.positions),
+}
+
+
+def _add_arguments(parser):
+    parser.add_argument('recording', metavar='BAG_OR_CSV',
+                        help='a bag, or what `closedloop simulate --output` wrote')
+    parser.add_argument('--output', metavar='DIR', type=Path, required=True,
+                        help=f'where to write {", ".join(f"{name}.png" for name in DRAWERS)}')
+    parser.add_argument('--overwrite', action='store_true',
+                        help='replace these files if they exist')
+    parser.add_argument('--scene', metavar='SCENE',
+                        help='what was simulated (needed for a CSV file; default: as the bag '
+                             'tells)')
+    parser.add_argument('--namespace', metavar='NAME',
+                        help='of the simulator, where several are in the bag')
+
+
+def _run(arguments):
+    files = {name: arguments.output / f'{name}.png' for name in DRAWERS}
+    for path in files.values():
+        if path.exists() and not arguments.overwrite:
+            raise UsageError(f'--output: {path} exists; name another directory, or add '
+                             '--overwrite')
+    scene = load_scene(arguments.scene) if arguments.scene else None
+    try:
+        with announced('Reading ...'):
+            recording = read_recording(arguments.recording, scene, arguments.namespace)
+    except RecordingError as error:
+        raise UsageError(str(error)) from None
+    motion = since_the_last_reset(recording.motion)
+    arguments.output.mkdir(parents=True, exist_ok=True)
+    with announced('Drawing ...'):
+        for name, (title, draw) in DRAWERS.items():
+            draw(motion, f'{recording.scene.name}: {title}').savefig(files[name])
+            print(files[name])
+    return 0
+
+
+COMMAND = Command(
+    name='plot',
+    summary='draw a run: joint motion, forces at the cut joints, positions',
+    description="""\
+Draw positions, velocities and efforts of the joints over time, the forces at the cut joints over
+time, and the mechanism in several positions. What is shown after a reset is the run since then.
+""",
+    epilog="""\
+examples:
+  closedloop plot my_bag --output pictures
+  closedloop plot run.csv --scene three_rrr --output pictures
+""",
+    add_arguments=_add_arguments,
+    run=_run)
