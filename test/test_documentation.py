@@ -21,6 +21,7 @@ is a comment with the file's name. A comment before a block says how it is run:
 
     <!-- exits with 2 -->                     the exit code expected
     <!-- each in a terminal of its own -->    nodes, run together, ended by Ctrl-C
+    <!-- with what was recorded above -->     after these nodes, with the bag they leave behind
     <!-- not run: why -->
 
 """
@@ -34,6 +35,7 @@ import shlex
 import signal
 from test.ros.domains import reserve_domain
 from test.ros.processes import EXECUTABLES, Process
+import time
 
 from closedloop_dynamics.cli import main
 import pytest
@@ -43,6 +45,9 @@ PAGES = [ROOT / 'README.md', *sorted((ROOT / 'doc').glob('*.md'))]
 BLOCK = re.compile(
     r'(?:^<!-- (?P<note>.*?) -->\n)?^```(?P<kind>\w+)\n(?P<text>.*?)^```$', re.M | re.S)
 TERMINALS = 'each in a terminal of its own'
+AFTERWARDS = 'with what was recorded above'
+# How long nodes are left to themselves for a recording [s].
+MOTION = 1.0
 # Commands that are not run from here, and why.
 ELSEWHERE = {
     'scripts/demo': 'test/ros/test_demo.py runs what it calls',
@@ -125,7 +130,7 @@ def check_output(where, wanted, output):
 def test_commands_and_scripts_do_what_the_page_says(page, scratch, capsys):
     write_files(page, scratch)
     for block in blocks_of(page):
-        if block.note.startswith('not run: ') or block.note == TERMINALS:
+        if block.note.startswith('not run: ') or block.note in (TERMINALS, AFTERWARDS):
             continue
         if block.kind == 'python':
             script = scratch / f'line_{block.line}.py'
@@ -143,11 +148,18 @@ def test_commands_and_scripts_do_what_the_page_says(page, scratch, capsys):
                         f'{block}: nothing runs {command!r}; add it here, or mark the block')
 
 
+def next_block(block):
+    """Return the block of commands that follows on the page; None at its end."""
+    later = [each for each in blocks_of(block.page)
+             if each.line > block.line and each.kind == 'console']
+    return later[0] if later else None
+
+
 TOGETHER = [block for page in PAGES for block in blocks_of(page) if block.note == TERMINALS]
 
 
 @pytest.mark.parametrize('block', TOGETHER, ids=str)
-def test_nodes_run_together_as_the_page_says(block, scratch):
+def test_nodes_run_together_as_the_page_says(block, scratch, capsys):
     write_files(block.page, scratch)
     started = []
     with reserve_domain() as domain:
@@ -164,14 +176,25 @@ def test_nodes_run_together_as_the_page_says(block, scratch):
                                        environment, scratch))
             for process in started:
                 process.wait_until_ready()
+            if started[0].executable == 'closedloop_recorder':
+                # Something is to be in the bag.
+                for topic in ('joint_states', 'scene', 'replay_log'):
+                    started[0].wait_for(f'/{topic}: first message')
+                time.sleep(MOTION)
             for process in reversed(started):
                 assert process.stop(signal.SIGINT) == 0, process.output
         finally:
             for process in started:
                 process.popen.kill()
                 process.popen.wait()
-    if 'closedloop_recorder' in block.text:
-        assert (scratch / 'my_bag' / 'metadata.yaml').is_file()
+    for name in re.findall(r'closedloop_recorder .*-p output:=(\w+)', block.text):
+        assert (scratch / name / 'metadata.yaml').is_file()
+    following = next_block(block)
+    if following is not None and following.note == AFTERWARDS:
+        for command, wanted in following.commands:
+            code, output = run_closedloop(command, capsys)
+            assert code == 0, f'{following}: {command}\n{output}'
+            check_output(following, wanted, output)
 
 
 @pytest.mark.parametrize('page', PAGES, ids=lambda page: page.name)

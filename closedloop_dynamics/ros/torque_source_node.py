@@ -38,6 +38,9 @@ from std_msgs.msg import Float64MultiArray
 
 NAME = 'closedloop_torque_source'
 QUEUE_DEPTH = 10
+# Only the newest state is worth an answer: those that waited behind others while this process was
+# held up would be answered too late, which can make a control loop unstable.
+STATE_DEPTH = 1
 # Between two looks for the simulator [s].
 QUESTION_PERIOD = 0.1
 # Those that answer states.
@@ -156,7 +159,7 @@ class TorqueSourceNode(Node):
             self._joints_read = joints if self._simulation is None else (
                 self._simulation.joint_names)
             self.create_subscription(
-                JointState, 'joint_states', self.on_joint_states, QUEUE_DEPTH)
+                JointState, 'joint_states', self.on_joint_states, STATE_DEPTH)
         else:
             self._epoch = None
             self._every(1.0 / self._values['rate'], self._on_timer)
