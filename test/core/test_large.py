@@ -14,6 +14,8 @@
 
 """Mechanisms of thousands of joints: linear in size, well posed, no dense matrix anywhere."""
 
+import os
+
 from closedloop_dynamics.core.types import RANK, RANK_REVEALING_COUNT
 from closedloop_dynamics.integration.system import build_system, evaluate
 from closedloop_dynamics.mechanism.decomposition import decompose
@@ -32,6 +34,7 @@ def held(build, size):
     return build_system(build_model(validate_mechanism(mechanism))), mechanism, position
 
 
+@pytest.mark.skipif('NUMBA_DISABLE_JIT' in os.environ, reason='interpreted it takes minutes')
 @pytest.mark.parametrize('build, size', LARGE)
 def test_large_mechanism_is_well_posed(build, size):
     # Its smallest pivot falls with the size; that alone must not bring the dense path in.
