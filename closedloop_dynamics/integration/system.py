@@ -358,6 +358,24 @@ def evaluate(system, q, qd):
     _evaluate_by_loops(system.by_loops, system, q, qd)
 
 
+@merged
+def evaluate_only(system, q, qd):
+    """
+    Do as ``evaluate`` does, but leave nothing else behind: what integrators need.
+
+    Parameters
+    ----------
+    system : System
+        ``effects.states`` must be those of the state.
+    q, qd : ndarray, shape (nv,)
+        Joint coordinates and rates.
+
+    """
+    _evaluate_bare(system.unrolled, system.linkage, system.effects, q, qd)
+    _evaluate_among_effects(system.effects, system, q, qd)
+    _evaluate_by_loops(system.by_loops, system, q, qd)
+
+
 class Probe:
     """
     Evaluations asked for from Python, one at a time.
@@ -414,10 +432,7 @@ def derivative(system, state, out):
     _close(system.partition, system.model, system.work, state[:nv], state[nv:2 * nv],
            system.settings[CLOSURE_TOLERANCE])
     _take_states(system.effects, state, nv)
-    q, qd = state[:nv], state[nv:2 * nv]
-    _evaluate_bare(system.unrolled, system.linkage, system.effects, q, qd)
-    _evaluate_among_effects(system.effects, system, q, qd)
-    _evaluate_by_loops(system.by_loops, system, q, qd)
+    evaluate_only(system, state[:nv], state[nv:2 * nv])
     for i in range(nv):
         out[i] = state[nv + i]
         out[nv + i] = system.qdd[i]
