@@ -21,6 +21,7 @@ import time
 
 import numpy as np
 
+from .core.straight_line.linkage import UNROLLED
 from .core.types import EVALUATIONS
 from .integration import adaptive
 from .integration.advance import DONE
@@ -214,8 +215,11 @@ class Monitor:
 
 def copy_into(record, target):
     """Copy all arrays of a record, and of the records in it, into a deep copy of it."""
-    for value, place in zip(record, target):
-        if isinstance(value, tuple):
+    for name, value, place in zip(record._fields, record, target):
+        if name == 'linkage':
+            # The routines may be others by now; the arrays they work on are the copy's own.
+            place[:UNROLLED] = value[:UNROLLED]
+        elif isinstance(value, tuple):
             copy_into(value, place)
         elif isinstance(value, np.ndarray):
             place[...] = value

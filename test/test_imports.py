@@ -43,7 +43,8 @@ LAYERS = (
 )
 # These import nothing else of ours, not even within their layer.
 SELF_CONTAINED = {'config', 'core', 'errors', 'mechanism', 'cli'}
-CORE_LIBRARIES = {'numba', 'numpy'}
+# llvmlite is numba's own compiler.
+CORE_LIBRARIES = {'llvmlite', 'numba', 'numpy'}
 ROS_LIBRARIES = {'rclpy', 'ament_index_python', 'launch', 'launch_ros', 'rosbag2_py'}
 ROS_LIBRARY_ENDINGS = ('_msgs', '_srvs', '_interfaces')
 YAML_READER = 'mechanism.document'

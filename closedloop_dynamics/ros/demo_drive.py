@@ -100,7 +100,7 @@ def _sines(scene):
     values = {'mode': 'sine', 'amplitude': amplitude, 'frequency': [FREQUENCY]}
     arguments = ['-p', 'wait_for_command:=true']
     for name, value in values.items():
-        arguments += ['-p', f'{name}:={value}']
+        arguments += ['-p', f'{TORQUE_SOURCE}:{name}:={value}']
     return Drive(f'sine torques of {shown} N m or N at {FREQUENCY} Hz', values, tuple(arguments))
 
 

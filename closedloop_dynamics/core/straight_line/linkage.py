@@ -38,6 +38,8 @@ except ImportError:
 (EVALUATION, OUTWARD, ACCELERATION, CORRECTION,
  # Addresses of the rank-revealing path, which need not be compiled before it is needed.
  CAREFUL_ACCELERATION, CAREFUL_POSITION, CAREFUL_VELOCITY) = range(7)
+# How many of the routines, the first ones, are unrolled.
+UNROLLED = 4
 # Addresses of arrays.
 (BODY, GRAVITY, CUT_POINT, TAU, SETTINGS, QDD, LAM, HEALTH, WORK_BODY, CLOSURE, CLOSURE_RATE,
  CORRECTIONS) = range(7, 19)
