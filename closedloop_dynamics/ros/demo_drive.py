@@ -47,13 +47,16 @@ class Drive:
     parameters : dict
         Of the torque source, by name; empty where nothing is actuated.
     arguments : tuple of str
-        The same and those of the simulator, as ROS arguments for both.
+        The same, as ROS arguments of the torque source.
+    simulator_arguments : tuple of str
+        Those of the simulator.
 
     """
 
     description: str
     parameters: dict
     arguments: tuple = ()
+    simulator_arguments: tuple = ()
 
 
 def shipped_drives():
@@ -81,8 +84,10 @@ def drive_for(scene):
     messages = parameter_dict_from_yaml_file(str(path), target_nodes=[f'/**/{TORQUE_SOURCE}'])
     values = {name: parameter_value_to_python(message.value)
               for name, message in messages.items()}
-    return Drive(f'{values["mode"]}, as in config/drives/{path.name}', values,
-                 ('--params-file', str(path)))
+    # The file has a part for each of them.
+    arguments = ('--params-file', str(path))
+    return Drive(f'{values["mode"]}, as in config/drives/{path.name}', values, arguments,
+                 arguments)
 
 
 def _sines(scene):
@@ -98,10 +103,9 @@ def _sines(scene):
         for joint in mechanism.joints if joint.actuated]
     shown = ', '.join(f'{value:g}' for value in amplitude)
     values = {'mode': 'sine', 'amplitude': amplitude, 'frequency': [FREQUENCY]}
-    arguments = ['-p', 'wait_for_command:=true']
-    for name, value in values.items():
-        arguments += ['-p', f'{TORQUE_SOURCE}:{name}:={value}']
-    return Drive(f'sine torques of {shown} N m or N at {FREQUENCY} Hz', values, tuple(arguments))
+    arguments = [part for name, value in values.items() for part in ('-p', f'{name}:={value}')]
+    return Drive(f'sine torques of {shown} N m or N at {FREQUENCY} Hz', values, tuple(arguments),
+                 ('-p', 'wait_for_command:=true'))
 
 
 def aim_of(drive, joints):

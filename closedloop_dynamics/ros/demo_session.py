@@ -63,7 +63,7 @@ def run_nodes(scene, drive, namespace, duration, directory):
         observer.wait(lambda: observer.is_followed_by(RECORDER), f'the start of {RECORDER}',
                       FINDING)
         simulator = programs.start(
-            SIMULATOR, (*here, *drive.arguments, '-p', f'scene:={scene.path.resolve()}'))
+            SIMULATOR, (*here, *drive.simulator_arguments, '-p', f'scene:={scene.path.resolve()}'))
         observer.wait(lambda: observer.seen['joint_states'], f'the start of {SIMULATOR}',
                       COMPILING)
         observer.wait(
