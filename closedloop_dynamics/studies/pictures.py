@@ -149,9 +149,13 @@ def positions(motion, title, point=None, count=5):
     last = chosen[-1]
     if point is not None:
         artist.mark(artist.path(point)[last])
-    largest = np.hypot(*motion.forces[last, :, 1:].T).max(initial=0.0)
-    artist.forces(last, motion.forces[last], largest)
-    artist.cut_names(last, motion.forces[last])
+    forces = motion.forces[last]
+    # Forces that were not recorded are no numbers.
+    known = bool(np.isfinite(forces).all())
+    largest = np.hypot(*forces[:, 1:].T).max(initial=0.0) if known else 0.0
+    if known:
+        artist.forces(last, forces, largest)
+    artist.cut_names(last, np.nan_to_num(forces))
     times = ', '.join(f'{motion.time[index]:.2f}' for index in chosen)
     figure.suptitle(title, fontweight='bold', x=0.02, ha='left')
     figure.legend(handles=artist.legend_handles(point, largest), loc='outside lower center',

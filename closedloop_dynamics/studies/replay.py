@@ -249,11 +249,10 @@ def table(result):
                                    for quantity in ('position', 'velocity', 'effort'))))
     forces = result.deviation('forces')
     for k, cut in enumerate(motion.mechanism.cut_joints):
-        of_cut = forces[:, k]
-        rows.append((f'{cut.name} (force)', _deviations(np.hypot(*of_cut[:, 1:].T)), '', ''))
+        rows.append((f'{cut.name} (force)', '', '', _deviations(
+            np.hypot(*forces[:, k, 1:].T))))
     return text_table(
-        ('largest, rms', 'position [rad, m]', 'velocity [1/s]', 'effort [N m, N]'),
-        [row if row[2] else (row[0], row[1] + ' N', '', '') for row in rows])
+        ('largest, rms', 'position [rad, m]', 'velocity [1/s]', 'effort, force [N m, N]'), rows)
 
 
 def _deviations(values):

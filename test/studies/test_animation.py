@@ -20,8 +20,10 @@ from closedloop_dynamics.cli import main
 from closedloop_dynamics.simulation import Simulation
 from closedloop_dynamics.studies import animation as animations
 from closedloop_dynamics.studies import motion as motions
+from closedloop_dynamics.studies import pictures
 from closedloop_dynamics.studies.recording import since_the_last_reset
 from closedloop_dynamics.studies.run import columns, Report, run
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 import numpy as np
 from PIL import Image
 import pytest
@@ -77,6 +79,8 @@ def test_forces_that_are_not_known_are_left_out(motion):
     animation = animations.Animation(unknown, 'test', np.array([0.0, 0.1]))
     assert len(animation) == 2
     assert animation.frame(1).size == animation.frame(0).size
+    for draw in (pictures.positions, pictures.constraint_forces):
+        FigureCanvasAgg(draw(unknown, 'test')).draw()
 
 
 def test_gif_holds_all_frames_at_their_rate(csv_file, tmp_path, capsys):
