@@ -34,6 +34,9 @@ from ..errors import SimulationError
 
 # Between two looks how many workers a cluster has [s].
 LOOK_EVERY = 5.0
+# Computing time that is worth the start of workers, which takes some 5 s: known well, and guessed
+# from one batch [s].
+WORTH, WORTH_AT_ONCE = 15.0, 600.0
 # For a scheduler to answer [s].
 PATIENCE = 10
 
@@ -130,6 +133,55 @@ class Processes:
             process.terminate()
         for process in processes:
             process.join()
+
+
+class Growing:
+    """
+    This process at first, worker processes as soon as that is worth their start.
+
+    Parameters
+    ----------
+    batches : int
+        How many there are to do.
+    workers : int
+        How many processes.
+
+    """
+
+    def __init__(self, batches, workers):
+        """Begin here."""
+        self._left, self._workers = batches, workers
+        self._engine, self._times = Inline(), []
+
+    def submit(self, function, *arguments):
+        """Compute here, or hand over work."""
+        if isinstance(self._engine, Inline) and self._worth_it():
+            self._engine = Processes(self._workers)
+        self._left -= 1
+        begin = time.perf_counter()
+        future = self._engine.submit(function, *arguments)
+        self._times.append(time.perf_counter() - begin)
+        return future
+
+    def _worth_it(self):
+        """Tell whether what is left takes much longer than workers take to start."""
+        if not self._times:
+            return False
+        # The first batch may have waited for the compiler.
+        worth = WORTH if len(self._times) > 1 else WORTH_AT_ONCE
+        return self._times[-1] * self._left > worth
+
+    def limit(self):
+        """Return how many batches keep busy what computes now."""
+        return self._engine.limit()
+
+    def renew(self):
+        """Start new workers."""
+        self._engine.renew()
+
+    def close(self):
+        """End the workers."""
+        self._engine.close()
 
 
 def _begin():
@@ -241,7 +293,7 @@ def engine_for(batches, workers=None, scheduler=None, executor=None):
     batches : int
         How many there are at most.
     workers : int or None
-        Processes on this machine; None: as many as it has processors.
+        Processes on this machine; None: as many as it has processors, where that pays.
     scheduler : str or None
         Address of a Dask cluster.
     executor : object or None
@@ -249,7 +301,7 @@ def engine_for(batches, workers=None, scheduler=None, executor=None):
 
     Yields
     ------
-    Inline, Processes, Cluster or Handed
+    Inline, Processes, Growing, Cluster or Handed
 
     """
     engine = _engine(batches, workers, scheduler, executor)
@@ -264,8 +316,8 @@ def _engine(batches, workers, scheduler, executor):
         return Handed(executor)
     if scheduler is not None:
         return Cluster(scheduler)
-    if workers is None:
-        workers = (len(os.sched_getaffinity(0)) if hasattr(os, 'sched_getaffinity')
-                   else os.cpu_count() or 1)
-    workers = min(workers, batches)
-    return Processes(workers) if workers > 1 else Inline()
+    if workers is not None:
+        return Processes(min(workers, batches)) if min(workers, batches) > 1 else Inline()
+    processors = (len(os.sched_getaffinity(0)) if hasattr(os, 'sched_getaffinity')
+                  else os.cpu_count() or 1)
+    return Growing(batches, processors) if processors > 1 else Inline()

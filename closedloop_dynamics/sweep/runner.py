@@ -102,7 +102,8 @@ def sweep(scene, vary, output, *, samples=1, seed=0, duration=2.0, rate=100.0, t
     overwrite : bool
         Replace a file that is there.
     workers : int, optional
-        Processes on this machine; as many as it has processors when not given.
+        Processes on this machine; as many as it has processors, where that pays, when not
+        given.
     scheduler : str, optional
         Address of a Dask cluster to run on instead.
     executor : concurrent.futures.Executor or the like, optional

@@ -19,7 +19,7 @@ import os
 import signal
 from test.sweep.files import assert_same, read
 
-from closedloop_dynamics.sweep import storage_netcdf, sweep
+from closedloop_dynamics.sweep import executors, storage_netcdf, sweep
 from closedloop_dynamics.sweep.executors import EngineError
 import numpy as np
 import pytest
@@ -68,6 +68,28 @@ def test_a_killed_process_loses_no_sample(tmp_path, written):
     assert killed and outcome.finished
     assert_complete(path, written)
     assert not set(multiprocessing.active_children()) - before
+
+
+def test_workers_are_started_only_where_they_pay(tmp_path, written, monkeypatch):
+    started = []
+    make = executors.Processes
+
+    def noted(workers):
+        started.append(workers)
+        return make(1)
+
+    monkeypatch.setattr(executors, 'Processes', noted)
+    monkeypatch.setattr(os, 'sched_getaffinity', lambda pid: range(8))
+    monkeypatch.setattr(executors, 'WORTH', 1e6)
+    monkeypatch.setattr(executors, 'WORTH_AT_ONCE', 1e6)
+    sweep('four_bar', VARY, tmp_path / 'few.nc', **OPTIONS)
+    assert not started
+    written.clear()
+    monkeypatch.setattr(executors, 'WORTH', 0.0)
+    path = tmp_path / 'results.nc'
+    sweep('four_bar', VARY, path, **OPTIONS)
+    assert started == [8]
+    assert_complete(path, written)
 
 
 @pytest.mark.slow
