@@ -200,3 +200,12 @@ def test_peers_agree(benchmark, engine):
         row, = peers.agreement(scene, peers.engines(scene, (engine,)), 3)
         assert row.get('extrapolated', row['error']) < 1e-4
         assert row['error'] < 2e-2
+
+
+def test_throughput_counts_steps(benchmark, capsys):
+    assert benchmark('throughput').main(
+        ['--scene', 'four_bar', '--samples', '2', '--steps', '5', '--repeats', '1', '--threads',
+         '1', '2', '--without-mujoco']) == 0
+    line = next(line for line in capsys.readouterr().out.splitlines() if 'rk4' in line)
+    speeds = [float(cell.replace(',', '')) for cell in line.split('|')[2:5]]
+    assert all(speed > 0.0 for speed in speeds[:2]) and speeds[2] < 1e-6
