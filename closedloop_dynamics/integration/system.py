@@ -14,7 +14,9 @@
 
 """What the integrators integrate: a mechanism under joint torques."""
 
+import time
 from typing import NamedTuple, Optional
+import warnings
 
 import numpy as np
 
@@ -35,6 +37,8 @@ FORMULATION, BAUMGARTE, CLOSURE_TOLERANCE, CLOSURE_LIMIT = range(4)
 # Unrolled code grows with the mechanism: beyond this number of bodies it takes too long to
 # compile and falls out of the fastest memory.
 MOST_UNROLLED_BODIES = 24
+# No evaluation takes so long, but compiling does [s].
+LONG = 3.0
 
 
 # What stands for yes where None stands for no.
@@ -167,21 +171,32 @@ def _careful_routines(system):
         system.model, system.work, system.effects, system.settings, system.qdd)
     tau, applied, lam = system.tau, system.applied, system.lam
 
-    # What fails leaves NaN behind, which the integrators tell.
     def acceleration(q, qd):
-        qdd[:] = np.nan
-        careful_acceleration(model, work, effects, settings, tau, applied, q, qd, qdd, lam)
+        _carefully(qdd, careful_acceleration, model, work, effects, settings, tau, applied, q, qd,
+                   qdd, lam)
 
     def position(q, qd):
-        qdd[:] = np.nan
-        careful_correction(model, work, rank_revealing.POSITION, q, qd, qdd)
+        _carefully(qdd, careful_correction, model, work, rank_revealing.POSITION, q, qd, qdd)
 
     def velocity(q, qd):
-        qdd[:] = np.nan
-        careful_correction(model, work, rank_revealing.VELOCITY, q, qd, qdd)
+        _carefully(qdd, careful_correction, model, work, rank_revealing.VELOCITY, q, qd, qdd)
 
     return {links.CAREFUL_ACCELERATION: acceleration, links.CAREFUL_POSITION: position,
             links.CAREFUL_VELOCITY: velocity}
+
+
+def _carefully(out, kernel, *arguments):
+    """Call a kernel of the rank-revealing path, and say so if it had to be compiled."""
+    # What fails leaves NaN behind, which the integrators tell.
+    out[:] = np.nan
+    begin = time.perf_counter()
+    kernel(*arguments)
+    elapsed = time.perf_counter() - begin
+    if elapsed > LONG:
+        warnings.warn(
+            'A singular configuration, or loops that repeat one another: what deals with them '
+            f'had to be compiled first, which took {elapsed:.0f} s. It is kept on disk; the next '
+            'time there is no delay.', RuntimeWarning, stacklevel=2)
 
 
 def number_of_states(system):

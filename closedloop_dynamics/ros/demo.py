@@ -138,7 +138,7 @@ def demonstrate(scene, duration, directory):
     namespace = '/demo_' + re.sub(r'\W', '_', scene.name, flags=re.ASCII)
     drive = drive_for(scene)
     _say('driven by', drive.description)
-    _say('starting', 'the nodes (compiling takes a minute or more the very first time) ...')
+    _say('starting', 'the nodes (compiling takes half a minute the very first time) ...')
     last_words = run_nodes(scene, drive, namespace, duration, directory)
     try:
         recording = read_recording(directory / 'bag', namespace, scene.mechanism)

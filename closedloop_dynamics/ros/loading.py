@@ -44,7 +44,7 @@ def load_simulation(scene, logger, **method):
         If the scene cannot be read or simulated.
 
     """
-    logger.info(f"loading scene '{scene}' and compiling (half a minute at the very first start, "
+    logger.info(f"loading scene '{scene}' and compiling (a quarter of a minute at the very first start, "
                 'seconds from then on) ...')
     begin = time.monotonic()
     try:
