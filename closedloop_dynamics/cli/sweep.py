@@ -68,8 +68,8 @@ def _add_arguments(parser):
     kept.add_argument('--overwrite', action='store_true', help='replace the file if it exists')
     where = parser.add_argument_group('where it is computed')
     where.add_argument('--workers', type=_count, metavar='N',
-                       help='processes on this machine (default: one for each processor, as soon as '
-                            'there is enough to do)')
+                       help='processes on this machine (default: one for each processor, as '
+                            'soon as there is enough to do)')
     where.add_argument('--scheduler', metavar='ADDRESS',
                        help='scheduler of a Dask cluster to compute on instead, such as '
                             'tcp://192.0.2.1:8786')
