@@ -16,7 +16,7 @@
 
 import math
 
-from closedloop_dynamics.errors import AssemblyError
+from closedloop_dynamics.errors import SimulationError
 from closedloop_dynamics.ros.modes import PORTION
 from closedloop_dynamics.ros.pacing import Throttle
 from closedloop_dynamics.ros.process import stop_requested
@@ -138,7 +138,7 @@ class Control:
         try:
             position, velocity, hold = self._state(message)
             node.simulation.set_state(position, velocity, hold)
-        except (AssemblyError, ValueError) as error:
+        except (SimulationError, ValueError) as error:
             self.states_refused += 1
             node.warn(self._refusal, f'set_state refused: {error}')
             return

@@ -60,7 +60,7 @@ class RunParameters:
             for name, value in values.items():
                 CHANGEABLE[name].require_choice(value)
             changes = self._method_changes(values)
-            self._require_whole_periods({**values, **changes})
+            self._require_whole_periods(values, changes)
             if changes:
                 self._prepared = self._prepare(changes)
         except (ValueError, SimulationError) as error:
@@ -73,11 +73,11 @@ class RunParameters:
         wanted = {key: values[key] or getattr(self._own, key) for key in METHOD if key in values}
         return {key: value for key, value in wanted.items() if value != getattr(used, key)}
 
-    def _require_whole_periods(self, values):
-        if self._node.mode.name != REALTIME and {'publish_rate', 'step_size'} & set(values):
-            node = self._node
+    def _require_whole_periods(self, values, changes):
+        node = self._node
+        if node.mode.name != REALTIME and ('publish_rate' in values or 'step_size' in changes):
             period_steps(values.get('publish_rate', node.get_parameter('publish_rate').value),
-                         values.get('step_size', node.simulation.step_size))
+                         changes.get('step_size', node.simulation.step_size))
 
     def _prepare(self, changes):
         node = self._node

@@ -122,13 +122,14 @@ class SimulatorNode(Node):
         self.control = Control(
             self, values['wait_for_command'] and self.mode.name != LOCKSTEP, values['step_count'])
         self._run_parameters = RunParameters(self, values['scene'])
+        self.diagnostics = Diagnostics(self)
+        # Optional publishers hook themselves in.
+        self.companions = Companions(self)
+        # Time begins when all is there.
         self._timer = None
         if self.control.running:
             self.mode.start()
         self.renew_timer()
-        self.diagnostics = Diagnostics(self)
-        # Optional publishers hook themselves in.
-        self.companions = Companions(self)
         self.get_logger().info(
             f"simulating '{simulation.scene.name}' in steps of {simulation.step_size:g} s, "
             f'{self._pace(values)}; torque_command takes '
@@ -239,7 +240,7 @@ class SimulatorNode(Node):
 
     def refresh(self):
         """Publish the state if it has a new stamp, or again, for latecomers, after a while."""
-        if (self.stamps.now() != self._published_stamp
+        if (not self.stamps.simulated or self.stamps.now() != self._published_stamp
                 or time.monotonic() - self._published_at >= REPEAT_PERIOD):
             self.publish()
 

@@ -37,7 +37,7 @@ SIMULATOR_PARAMETERS = (
         'publish_rate', 100.0,
         'States and constraint forces published per second [Hz], of simulated time in the modes '
         'as_fast_as_possible and lockstep; a command takes effect within one period.',
-        (0.1, 2000.0), read_only=False),
+        (0.1, 10000.0), read_only=False),
     Parameter(
         'step_size', 0.0,
         "Step of the time integration [s]; 0: the scene's own.", (0.0, 0.1), read_only=False),

@@ -215,6 +215,9 @@ def test_lockstep_needs_whole_periods(build):
         result, = node.set_parameters([Parameter(name, value=value)])
         assert not result.successful
         assert 'whole number of steps' in result.reason
+    # Neither a rate of zero nor the scene's own step is divided by.
+    assert not node.set_parameters([Parameter('publish_rate', value=0.0)])[0].successful
+    assert node.set_parameters([Parameter('step_size', value=0.0)])[0].successful
     together = node.set_parameters_atomically([
         Parameter('publish_rate', value=200.0), Parameter('step_size', value=0.0025)])
     assert together.successful
