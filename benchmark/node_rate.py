@@ -23,10 +23,8 @@ the numbers that the publisher gives them. With ``--record`` the package's recor
 """
 
 import argparse
-from collections import Counter
 import os
 from pathlib import Path
-import struct
 import subprocess
 import sys
 import tempfile
@@ -38,55 +36,29 @@ import rclpy
 
 sys.path.insert(0, str(ROOT))
 
-from closedloop_dynamics.ros.spinning import build_executor, spin  # noqa: E402,I100
-from closedloop_dynamics.scene import load_scene  # noqa: E402
-from geometry_msgs.msg import WrenchStamped  # noqa: E402
-from rclpy.qos import QoSProfile  # noqa: E402
-from sensor_msgs.msg import JointState  # noqa: E402
+from test.ros.taker import Taker  # noqa: E402,I100
 
-# Where the stamp is in a serialised message with a header.
-STAMP = struct.Struct('=iI')
-STAMP_AT = 4
+# Between two looks for messages [s].
+POLL = 0.002
 
 
 class Subscriber:
-    """Counts messages, keeps stamps of states, and finds gaps in the publishers' numbering."""
+    """Takes all that a simulator publishes, as a node of its own."""
 
     def __init__(self, scene):
         self.context = rclpy.Context()
         rclpy.init(context=self.context)
         self.node = rclpy.create_node('node_rate', context=self.context)
-        self.executor = build_executor(self.context)
-        self.executor.add_node(self.node)
-        self.stamps, self.received, self.lost, self._last = [], Counter(), Counter(), {}
-        topics = {f'constraint_forces/{cut.name}': WrenchStamped
-                  for cut in load_scene(scene).mechanism.cut_joints}
-        for topic, kind in {'joint_states': JointState, **topics}.items():
-            self.node.create_subscription(
-                kind, topic, self._taker(topic), QoSProfile(depth=5000), raw=True)
+        self.taken = Taker(self.node, scene, keep_stamps=True)
 
-    def _taker(self, topic):
-        def take(data, info):
-            number = info['publication_sequence_number']
-            self.lost[topic] += max(0, number - self._last.get(topic, number - 1) - 1)
-            self._last[topic] = number
-            self.received[topic] += 1
-            if topic == 'joint_states':
-                sec, nanosec = STAMP.unpack_from(data, STAMP_AT)
-                self.stamps.append(sec + 1e-9 * nanosec)
-        return take
-
-    def spin(self, over):
-        spin(self.executor, over)
-
-    def clear(self):
-        """Count from here on."""
-        self.stamps.clear()
-        self.received.clear()
-        self.lost.clear()
+    def take_until(self, over):
+        """Take messages until it is over."""
+        while not over():
+            self.taken.take()
+            time.sleep(POLL)
 
     def close(self):
-        self.executor.shutdown()
+        """Leave the domain."""
         self.node.destroy_node()
         rclpy.try_shutdown(context=self.context)
 
@@ -110,18 +82,18 @@ def start(executable, *parameters):
 def measure(scene, rate, duration, record):
     """Return the line of one rate."""
     subscriber = Subscriber(scene)
-    processes = []
+    taken, processes = subscriber.taken, []
     with tempfile.TemporaryDirectory() as directory:
         if record:
             processes.append(start('recorder', f'output:={directory}/bag'))
         processes.append(start('simulator', f'scene:={scene}', f'publish_rate:={rate}'))
         simulator = processes[-1]
         try:
-            subscriber.spin(lambda: len(subscriber.stamps) > 3 * rate)
-            subscriber.clear()
+            subscriber.take_until(lambda: len(taken.stamps) > 3 * rate)
+            taken.clear()
             before, begin = cpu_time(simulator), time.monotonic()
             own = time.process_time()
-            subscriber.spin(lambda: time.monotonic() - begin > duration)
+            subscriber.take_until(lambda: time.monotonic() - begin > duration)
             elapsed = time.monotonic() - begin
             share = (cpu_time(simulator) - before) / elapsed
             own = (time.process_time() - own) / elapsed
@@ -130,11 +102,11 @@ def measure(scene, rate, duration, record):
                 process.terminate()
                 process.wait()
     subscriber.close()
-    off = 1e3 * np.abs(np.diff(subscriber.stamps) - 1.0 / rate)
+    off = 1e3 * np.abs(np.diff(taken.stamps) - 1.0 / rate)
     p50, p99 = np.percentile(off, (50, 99))
-    return (f'{scene:20}{rate:8.0f}{len(subscriber.stamps) / elapsed:10.1f}{p50:9.3f}{p99:9.3f}'
+    return (f'{scene:20}{rate:8.0f}{len(taken.stamps) / elapsed:10.1f}{p50:9.3f}{p99:9.3f}'
             f'{off.max():9.2f}{100.0 * share:8.1f}{100.0 * own:12.1f}'
-            f'{subscriber.received.total():11}{subscriber.lost.total():7}')
+            f'{taken.received.total():11}{taken.lost.total():7}')
 
 
 def main(argv=None):

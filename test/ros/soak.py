@@ -26,7 +26,6 @@ loss, no growth.
 """
 
 import argparse
-from collections import Counter
 import math
 import os
 from pathlib import Path
@@ -36,16 +35,13 @@ import tempfile
 from test.ros.domains import reserve_domain
 from test.ros.processes import memory
 from test.ros.processes import Processes
+from test.ros.taker import Taker
 import time
 
 from closedloop_dynamics.ros.spinning import build_executor
-from closedloop_dynamics.ros.spinning import spin
-from closedloop_dynamics.scene import load_scene
-from geometry_msgs.msg import WrenchStamped
 from rcl_interfaces.srv import SetParameters
 import rclpy
 from rclpy.parameter import Parameter
-from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
@@ -56,6 +52,8 @@ GROWTH, GROWTH_PER_HOUR = 4e6, 4e6
 SETTLING = 20.0
 # Between two rounds of disturbances, and two looks at the memory [s].
 DISTURBANCE, LOOK = 2.0, 1.0
+# Between two looks for messages [s].
+POLL = 0.005
 
 
 class Traffic:
@@ -65,24 +63,12 @@ class Traffic:
         self.node = rclpy.create_node('soak', context=context)
         self.executor = build_executor(context)
         self.executor.add_node(self.node)
-        self.received, self.lost, self._last = Counter(), Counter(), {}
-        topics = {f'constraint_forces/{cut.name}': WrenchStamped
-                  for cut in load_scene(scene).mechanism.cut_joints}
-        for topic, kind in {'joint_states': JointState, **topics}.items():
-            self.node.create_subscription(
-                kind, topic, self._taker(topic), QoSProfile(depth=10000), raw=True)
+        self._listener = rclpy.create_node('soak_listener', context=context)
+        self.taken = Taker(self._listener, scene)
         self._passing = None
         self._reset = self.node.create_client(Trigger, f'{SIMULATOR}/reset')
         self._parameters = self.node.create_client(SetParameters, f'{SIMULATOR}/set_parameters')
         self.rounds = 0
-
-    def _taker(self, topic):
-        def take(data, info):
-            number = info['publication_sequence_number']
-            self.lost[topic] += max(0, number - self._last.get(topic, number - 1) - 1)
-            self._last[topic] = number
-            self.received[topic] += 1
-        return take
 
     def disturb(self):
         """Come or go with a subscription, set parameters, and now and then reset."""
@@ -116,12 +102,15 @@ class Traffic:
                 next_disturbance = now + DISTURBANCE
             return now - begin >= duration
 
-        spin(self.executor, over)
+        while not over():
+            self.taken.take()
+            self.executor.spin_once(timeout_sec=POLL)
         return looks
 
     def close(self):
         self.executor.shutdown()
         self.node.destroy_node()
+        self._listener.destroy_node()
 
 
 def growth(looks, settling):
@@ -171,9 +160,9 @@ def soak(duration, scene, rate, directory):
     finally:
         processes.kill_all()
         rclpy.try_shutdown(context=context)
-    lost, received = traffic.lost.total(), traffic.received.total()
+    lost, received = traffic.taken.lost.total(), traffic.taken.received.total()
     allowed = GROWTH + GROWTH_PER_HOUR * duration / 3600.0
-    wanted = len(traffic.received) * rate * duration
+    wanted = len(traffic.taken.received) * rate * duration
     report = '\n'.join((
         f'{duration:g} s of {scene} at {rate:g} Hz, {traffic.rounds} rounds of disturbances',
         f'received {received} messages ({received / wanted:.1%} of the nominal rate), lost {lost}',

@@ -1,0 +1,80 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""A reliable subscriber that takes serialised messages without an executor, and misses nothing."""
+
+from collections import Counter
+import struct
+
+from closedloop_dynamics.scene import load_scene
+from geometry_msgs.msg import WrenchStamped
+from rclpy.qos import QoSProfile
+from sensor_msgs.msg import JointState
+
+DEPTH = 10000
+# Where the stamp is in a serialised message with a header.
+STAMP, STAMP_AT = struct.Struct('=iI'), 4
+
+
+class Taker:
+    """
+    Takes states and forces of a scene, and finds gaps in the publishers' own numbering.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+        In no executor: its messages are polled for.
+    scene : str
+        Whose cut joints are listened to.
+
+    Attributes
+    ----------
+    received, lost : Counter
+        By topic.
+    stamps : list of float
+        Of the joint states [s], if ``keep_stamps``.
+
+    """
+
+    def __init__(self, node, scene, keep_stamps=False):
+        self.received, self.lost, self._last = Counter(), Counter(), {}
+        self.stamps, self._keep_stamps = [], keep_stamps
+        topics = {f'constraint_forces/{cut.name}': WrenchStamped
+                  for cut in load_scene(scene).mechanism.cut_joints}
+        self._subscriptions = {
+            topic: node.create_subscription(
+                kind, topic, lambda message: None, QoSProfile(depth=DEPTH), raw=True)
+            for topic, kind in {'joint_states': JointState, **topics}.items()}
+
+    def take(self):
+        """Take all that has arrived."""
+        for topic, subscription in self._subscriptions.items():
+            with subscription.handle:
+                while taken := subscription.handle.take_message(subscription.msg_type, True):
+                    self._note(topic, *taken)
+
+    def _note(self, topic, data, info):
+        number = info['publication_sequence_number']
+        self.lost[topic] += max(0, number - self._last.get(topic, number - 1) - 1)
+        self._last[topic] = number
+        self.received[topic] += 1
+        if self._keep_stamps and topic == 'joint_states':
+            sec, nanosec = STAMP.unpack_from(data, STAMP_AT)
+            self.stamps.append(sec + 1e-9 * nanosec)
+
+    def clear(self):
+        """Count from here on."""
+        self.stamps.clear()
+        self.received.clear()
+        self.lost.clear()
