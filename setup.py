@@ -49,7 +49,7 @@ setup(
         'numba>=0.60',
         'numpy>=1.26',
         'PyYAML>=6.0',
-        'rosbags>=0.10.9',
+        'rosbags>=0.11',
         'scipy>=1.11',
         'setuptools',
         'tqdm>=4.60',

@@ -15,6 +15,7 @@
 """Pictures of a motion: joints, constraint forces, the mechanism in several positions."""
 
 import matplotlib.figure
+from matplotlib.ticker import SymmetricalLogLocator
 import numpy as np
 
 from .drawing import MechanismArtist
@@ -197,6 +198,7 @@ def deviations(result, title):
         # Zero and rounding side by side with what is visible.
         largest = np.nanmax(values, initial=0.0)
         axes.set_yscale('symlog', linthresh=1e-15)
+        axes.yaxis.set_major_locator(SymmetricalLogLocator(base=1e3, linthresh=1e-15))
         axes.set_ylim(0.0, max(10.0 * largest, 1e-14))
         axes.set_ylabel(label)
         _legend_beside(axes)
