@@ -21,12 +21,14 @@ import numpy as np
 
 from .core import types as t
 from .core.independent import allocate_partition
+from .drift import DriftGuard
 from .effects.commands import Commands
 from .errors import ClosureError, NumericalError, SimulationError
 from .integration.advance import DONE, NOT_FINITE, OPEN_LOOP
 from .integration.drivers import build_driver
 from .integration.registry import INTEGRATORS, SCIPY
 from .integration.system import BAUMGARTE, CLOSURE_LIMIT
+from .modeling import extent
 from .monitor import Monitor
 from .scene_records import AUTO
 from .simulation_state import SimulationState
@@ -51,6 +53,7 @@ class SimulationMotion(SimulationState):
         self._require_settled_steps(method)
         self._driver = Monitor(build_driver(self.system, method), self.system, method)
         self._guard = StiffnessGuard(self.system, method, self._effects.own)
+        self._drift = DriftGuard(method, extent(self.mechanism))
         self.reset()
 
     def _require_settled_steps(self, method):
@@ -150,6 +153,8 @@ class SimulationMotion(SimulationState):
                 self.measured()
         else:
             self._advance_unseen(size, steps)
+        if self._drift.active:
+            self._drift.look(self, steps)
 
     def _advance_unseen(self, size, steps):
         if not self._guard.active:
@@ -258,6 +263,7 @@ class SimulationMotion(SimulationState):
         self.system.work.health[[t.SMALLEST_PIVOT, t.SMALLEST_PIVOT_EVER]] = 1.0
         self._feel_loads()
         self._accounts.restart(self._q)
+        self._drift.restart()
         self._guard.check(self._state, self.step_size)
 
     def set_step_size(self, step_size):
@@ -371,6 +377,7 @@ class SimulationMotion(SimulationState):
         self._q[:], self._qd[:] = state
         self._effects.start_anew(self._own)
         self._driver.restart()
+        self._drift.restart()
         self._fresh, self._look = False, None
         self._feel_loads()
         self._accounts.jump(self._q, self.energy - before)

@@ -25,11 +25,12 @@ from typing import NamedTuple
 import numpy as np
 
 from .compiled import compiled
+from .elimination import POOR_PIVOT
 from .forward_dynamics import constraint_right_side, to_user_order
 from .inverse_dynamics import tree_torque
 from .jacobian import constraint_jacobian, generalized_inertia_matrix
 from .loop_closure import update
-from .types import EVALUATIONS
+from .types import EVALUATIONS, RANK, SMALLEST_PIVOT, SMALLEST_PIVOT_EVER
 
 # Which formulation an evaluation uses.
 SUBSYSTEM, SYSTEM, AUGMENTED = range(3)
@@ -91,16 +92,23 @@ def cholesky(matrix):
     """
     Factor a symmetric positive definite matrix as L L^T in place (lower part).
 
-    A matrix that is not positive definite leaves NaN behind.
+    Returns its smallest pivot relative to its largest; a matrix that is not positive definite
+    leaves NaN behind, and zero is returned.
 
     """
     n = matrix.shape[0]
+    smallest, largest = np.inf, 0.0
     for i in range(n):
         for j in range(i + 1):
             total = matrix[i, j]
             for k in range(j):
                 total -= matrix[i, k] * matrix[j, k]
             matrix[i, j] = np.sqrt(total) if i == j else total / matrix[j, j]
+        pivot = matrix[i, i] * matrix[i, i]
+        # Written so that a NaN counts as no pivot at all.
+        smallest = min(smallest, pivot) if pivot > 0.0 else 0.0
+        largest = max(largest, pivot)
+    return smallest / largest if n > 0 else 1.0
 
 
 @compiled
@@ -124,9 +132,16 @@ def lower_transposed_solve(factor, right):
 
 
 @compiled
-def gaussian_solve(matrix, right):
-    """Solve ``matrix`` x = ``right`` in place by elimination with partial pivoting."""
+def gaussian_solve(matrix, right, first):
+    """
+    Solve ``matrix`` x = ``right`` in place by elimination with partial pivoting.
+
+    Returns the smallest pivot from number ``first`` on relative to the largest one; zero where
+    any is zero.
+
+    """
     n = matrix.shape[0]
+    smallest, largest = np.inf, 0.0
     for k in range(n):
         pivot = k
         for i in range(k + 1, n):
@@ -136,6 +151,12 @@ def gaussian_solve(matrix, right):
             for j in range(k, n):
                 matrix[k, j], matrix[pivot, j] = matrix[pivot, j], matrix[k, j]
             right[k], right[pivot] = right[pivot], right[k]
+        size = abs(matrix[k, k])
+        # Written so that a NaN counts as no pivot at all.
+        if not size > 0.0:
+            smallest = 0.0
+        elif k >= first:
+            smallest, largest = min(smallest, size), max(largest, size)
         inverse = 1.0 / matrix[k, k]
         for i in range(k + 1, n):
             scale = matrix[i, k] * inverse
@@ -148,6 +169,7 @@ def gaussian_solve(matrix, right):
         for j in range(i + 1, n):
             total -= matrix[i, j] * right[j]
         right[i] = total / matrix[i, i]
+    return smallest / largest if first < n else 1.0
 
 
 @compiled
@@ -164,6 +186,17 @@ def accelerate_dense(model, work, dense, formulation, tau, baumgarte, qdd, lam):
     formulation : int
         ``SYSTEM`` (appendix A.3, eq. 1-2) or ``AUGMENTED`` (A.5, eq. 7).
 
+    Returns
+    -------
+    bool
+        Whether every pivot was good, as of ``forward_dynamics.accelerate``; if not,
+        ``rank_revealing.accelerate`` must be asked.
+
+    Notes
+    -----
+    Pivots of the multipliers are compared with one another: the smallest over the largest is
+    what ``health`` tells.
+
     """
     nv, nc = dense.free.shape[0], dense.right.shape[0]
     constraint_jacobian(model, work, dense.jac)
@@ -177,7 +210,7 @@ def accelerate_dense(model, work, dense, formulation, tau, baumgarte, qdd, lam):
         dense.free[i] = tau[i] - dense.free[i]
     generalized_inertia_matrix(model, work, dense.gim)
     if formulation == SYSTEM:
-        _system_level(dense, lam)
+        ratio = _system_level(dense, lam)
         for i in range(nv):
             qdd[i] = dense.free[i]
     else:
@@ -192,19 +225,24 @@ def accelerate_dense(model, work, dense, formulation, tau, baumgarte, qdd, lam):
                 dense.kkt[i, nv + k] = dense.jac[k, i]
             for j in range(nc):
                 dense.kkt[nv + k, nv + j] = 0.0
-        gaussian_solve(dense.kkt, dense.solution)
+        ratio = gaussian_solve(dense.kkt, dense.solution, nv)
         for i in range(nv):
             qdd[i] = dense.solution[i]
         for k in range(nc):
             lam[k] = -dense.solution[nv + k]
-    work.health[EVALUATIONS] += 1.0
+    health = work.health
+    health[EVALUATIONS] += 1.0
+    health[RANK] = nc
+    health[SMALLEST_PIVOT] = ratio
+    health[SMALLEST_PIVOT_EVER] = min(ratio, health[SMALLEST_PIVOT_EVER])
+    return ratio >= POOR_PIVOT
 
 
 @compiled
 def _system_level(dense, lam):
-    """Solve for lambda, then leave qdd in ``dense.free``."""
+    """Solve for lambda, then leave qdd in ``dense.free``; return the ratio of the pivots."""
     nv, nc = dense.free.shape[0], dense.right.shape[0]
-    cholesky(dense.gim)
+    inertia_ratio = cholesky(dense.gim)
     lower_solve(dense.gim, dense.free)
     for k in range(nc):
         lower_solve(dense.gim, dense.jac[k])
@@ -218,10 +256,11 @@ def _system_level(dense, lam):
             for i in range(nv):
                 total += dense.jac[k, i] * dense.jac[j, i]
             dense.schur[k, j] = total
-    cholesky(dense.schur)
+    ratio = cholesky(dense.schur)
     lower_solve(dense.schur, lam)
     lower_transposed_solve(dense.schur, lam)
     for k in range(nc):
         for i in range(nv):
             dense.free[i] += dense.jac[k, i] * lam[k]
     lower_transposed_solve(dense.gim, dense.free)
+    return ratio if inertia_ratio > 0.0 else 0.0

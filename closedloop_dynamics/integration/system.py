@@ -224,7 +224,8 @@ def number_of_states(system):
 def _accelerate_dense(dense, model, work, formulation, tau, baumgarte, qdd, lam):
     """Compute accelerations and multipliers by a dense formulation, where there is one."""
     if dense is not None:
-        accelerate_dense(model, work, dense, formulation, tau, baumgarte, qdd, lam)
+        return accelerate_dense(model, work, dense, formulation, tau, baumgarte, qdd, lam)
+    return True
 
 
 @compiled
@@ -316,13 +317,14 @@ def _evaluate_by_loops(by_loops, system, q, qd):
         kinematics.outward(model, q, qd, work)
         _apply_effects(system.effects, work, q, qd, system.tau)
         if formulation == SUBSYSTEM:
-            if not accelerate(model, work, system.applied, system.settings[BAUMGARTE],
-                              system.qdd, system.lam):
-                # The elimination has used up what the outward recursion and the effects left.
-                links.call(system.linkage, links.CAREFUL_ACCELERATION, q, qd)
+            good = accelerate(model, work, system.applied, system.settings[BAUMGARTE],
+                              system.qdd, system.lam)
         else:
-            _accelerate_dense(system.dense, model, work, formulation, system.applied,
-                              system.settings[BAUMGARTE], system.qdd, system.lam)
+            good = _accelerate_dense(system.dense, model, work, formulation, system.applied,
+                                     system.settings[BAUMGARTE], system.qdd, system.lam)
+        if not good:
+            # The elimination has used up what the outward recursion and the effects left.
+            links.call(system.linkage, links.CAREFUL_ACCELERATION, q, qd)
         _feel_reactions(system.effects, model, work, system.qdd, system.lam)
 
 

@@ -118,6 +118,78 @@ def change_point_linkage():
     return Mechanism('change_point', bodies, joints, cuts), q, np.array([1.0, 0.0, 0.0])
 
 
+# Lengths [m] and masses [kg] of the pantograph of the carpet scraping mechanism.
+PANTOGRAPH = {'link_4': (0.39, 3.0), 'link_5': (0.13, 1.0), 'link_6': (0.39, 3.0),
+              'link_7': (0.26, 2.0)}
+FROM_4_TO_5, FROM_6_TO_7 = 0.13, 0.13
+
+
+def pantograph(arm, forearm, arm_rate, forearm_rate):
+    """
+    Return the pantograph of the carpet scraping mechanism alone, two freedoms, one loop.
+
+    Parameters
+    ----------
+    arm, forearm : float
+        Angles of links 4 and 6 against the ground [rad]; where they agree, it is folded flat.
+    arm_rate, forearm_rate : float
+        [rad/s].
+
+    Returns
+    -------
+    mechanism, q, qd
+
+    """
+    bodies = tuple(bar(name, mass, length) for name, (length, mass) in PANTOGRAPH.items())
+    joints = (hinge('theta_4', 'ground', 'link_4', angle=DIRECTION, actuated=True),
+              hinge('theta_5', 'link_4', 'link_5', FROM_4_TO_5),
+              hinge('theta_6', 'link_4', 'link_6', PANTOGRAPH['link_4'][0]),
+              hinge('theta_7', 'link_6', 'link_7', FROM_6_TO_7))
+    cuts = (CutJoint('cut_3', REVOLUTE, 'link_7', 'link_5', (PANTOGRAPH['link_7'][0], 0.0),
+                     (PANTOGRAPH['link_5'][0], 0.0)),)
+    fold, fold_rate = forearm - arm, forearm_rate - arm_rate
+    return (Mechanism('pantograph', bodies, joints, cuts),
+            np.array([arm, fold, fold, math.pi - fold]),
+            np.array([arm_rate, fold_rate, fold_rate, -fold_rate]))
+
+
+def pantograph_motion(arm, forearm, arm_rate, forearm_rate, times, strength=G):
+    """
+    Return the joint angles of the free pantograph, shape (len(times), 4), by another way.
+
+    On its parallelogram branch it is a double pendulum of links 4 and 6: two equations without
+    constraints, regular where it folds, solved here to rounding.
+
+    """
+    from scipy.integrate import solve_ivp
+    inertia, weight = np.zeros((2, 2)), np.zeros(2)
+    # Centres of mass at p e(arm) + r e(forearm), links turning with the arm (0) or forearm (1).
+    end, knee, elbow = PANTOGRAPH['link_4'][0], FROM_4_TO_5, FROM_6_TO_7
+    for name, p, r, turning in (
+            ('link_4', 0.5 * end, 0.0, 0), ('link_5', knee, 0.5 * PANTOGRAPH['link_5'][0], 1),
+            ('link_6', end, 0.5 * PANTOGRAPH['link_6'][0], 1),
+            ('link_7', end - 0.5 * PANTOGRAPH['link_7'][0], elbow, 0)):
+        length, mass = PANTOGRAPH[name]
+        lever = np.array([p, r])
+        inertia += mass * np.outer(lever, lever)
+        inertia[turning, turning] += mass * length ** 2 / 12.0
+        weight += mass * lever
+
+    def slope(time, state):
+        angles, rates = state[:2], state[2:]
+        cos, sin = math.cos(angles[0] - angles[1]), math.sin(angles[0] - angles[1])
+        coupling = inertia[0, 1]
+        matrix = np.array([[inertia[0, 0], coupling * cos], [coupling * cos, inertia[1, 1]]])
+        push = -strength * weight * np.cos(angles)
+        push -= coupling * sin * np.array([rates[1] ** 2, -rates[0] ** 2])
+        return np.concatenate([rates, np.linalg.solve(matrix, push)])
+
+    solution = solve_ivp(slope, (0.0, times[-1]), (arm, forearm, arm_rate, forearm_rate),
+                         'DOP853', times, rtol=1e-13, atol=1e-13)
+    arms, folds = solution.y[0], solution.y[1] - solution.y[0]
+    return np.stack([arms, folds, folds, math.pi - folds], axis=1)
+
+
 def three_rockers():
     """Return an overconstrained parallelogram: a coupler on three equal rockers."""
     mechanism, q, qd = ladder(1, tilt=0.4)

@@ -1,0 +1,105 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Whether a method that lets errors grow is still worth following."""
+
+import math
+
+from .errors import ClosureError, NumericalError
+from .integration.registry import INTEGRATORS
+
+# Steps between two looks.
+LOOK_EVERY = 500
+# Closure error, against the size of the mechanism, at which loops count as open.
+OPEN = 1e-3
+# Energy from nowhere, against the most that has ever moved, at which a motion is none any more.
+ENERGY_LIMIT = 0.1
+# What keeps the loops closed to rounding.
+CLOSING = ('projection', 'independent')
+# Methods of a lower order lose energy visibly at ordinary steps.
+TRUSTED_ORDER = 4
+
+
+class DriftGuard:
+    """
+    Looks now and then at energy and closure, where the method alone does not keep them.
+
+    Parameters
+    ----------
+    method : Method
+        Of the scene.
+    extent : float
+        Size of the mechanism [m].
+
+    Attributes
+    ----------
+    active : bool
+        Whether there is anything to look for: not with projection and a method of order 4.
+
+    """
+
+    def __init__(self, method, extent):
+        """Decide whether to look at all."""
+        tableau = getattr(INTEGRATORS[method.integrator], 'tableau', None)
+        coarse = tableau is not None and tableau.order < TRUSTED_ORDER
+        self.active = coarse or method.stabilisation not in CLOSING
+        self._method, self._extent = method, extent
+        self.restart()
+
+    def restart(self):
+        """Forget what has been seen."""
+        self._steps, self._start, self._most = 0, None, 0.0
+
+    def look(self, simulation, steps):
+        """
+        Raise where the motion since the start has become meaningless.
+
+        Parameters
+        ----------
+        simulation : Simulation
+            After some steps.
+        steps : int
+            How many.
+
+        Raises
+        ------
+        ClosureError
+            Where the loops have drifted apart.
+        NumericalError
+            Where energy appeared from nowhere.
+
+        """
+        self._steps += steps
+        if self._steps < LOOK_EVERY:
+            return
+        self._steps = 0
+        method, closure = self._method, simulation.closure
+        if not closure <= OPEN * self._extent:
+            raise ClosureError(
+                f'The loops have drifted apart by {closure:.3g} m (or rad) at t = '
+                f'{simulation.time:.9g} s: stabilisation: {method.stabilisation} does not close '
+                'them again. Take stabilisation: projection, or a smaller step.')
+        balance = simulation.energy_balance
+        if self._start is None:
+            self._start = balance.stored
+        self._most = max(self._most, balance.kinetic + abs(balance.stored - self._start)
+                         + abs(balance.dissipated) + abs(balance.work))
+        residual = abs(balance.residual)
+        if not (math.isfinite(residual) and residual <= ENERGY_LIMIT * self._most):
+            raise NumericalError(
+                f'{residual:.3g} J appeared from nowhere or vanished up to t = '
+                f'{simulation.time:.9g} s, of {self._most:.3g} J that moved at most: '
+                f'{method.integrator} with steps of {method.step_size:g} s and stabilisation: '
+                f'{method.stabilisation} does not follow this motion. Take integrator: rk4 and '
+                'stabilisation: projection, or a smaller step.')
