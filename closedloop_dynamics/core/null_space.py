@@ -27,7 +27,7 @@ the motions that the loops allow carry inertia. Dense, O(n^3).
 import numpy as np
 
 from .compiled import allocating
-from .types import CUT_PRISMATIC, CUT_ROW, CUT_TYPE, ROWS
+from .types import CUT_PRISMATIC, CUT_ROW, CUT_TYPE, DOF, PRISMATIC, ROWS, TYPE
 
 # What is asked for: a change of positions, of rates, or accelerations.
 POSITION, VELOCITY, ACCELERATION = range(3)
@@ -51,10 +51,12 @@ NO_INERTIA = 1e-14
 @allocating
 def scales(model, jac, row_scale, column_scale):
     """
-    Scale J so that each column's, then each cut joint's largest entry is 1.
+    Scale J so that neither units nor the sizes of loops decide what is small.
 
-    The two equations of a cut point share their scale, so that the direction of
-    the world's axes makes no difference.
+    Turns are scaled by the longest lever of any turn in the same loops, slides are not; then
+    each cut joint by its largest entry. The lever of the turn itself would hide that it vanishes
+    in a singular configuration. The two equations of a cut point share their scale, so
+    that the direction of the world's axes makes no difference.
 
     Parameters
     ----------
@@ -68,16 +70,32 @@ def scales(model, jac, row_scale, column_scale):
         Written in place.
 
     """
-    nc, nv = jac.shape
-    largest = np.abs(jac).max()
-    for j in range(nv):
-        most = 0.0
-        for i in range(nc):
-            most = max(most, abs(jac[i, j]))
-        column_scale[j] = 1.0 / most if most > NOTHING * largest else 1.0
-    for a in range(model.cut.shape[0]):
-        first, rows = model.cut[a, CUT_ROW], model.cut[a, ROWS]
-        together = 1 if model.cut[a, CUT_TYPE] == CUT_PRISMATIC else 2
+    nv, tree, cut = jac.shape[1], model.tree, model.cut
+    lever = np.zeros(nv)
+    longest = 0.0
+    for a in range(cut.shape[0]):
+        first = cut[a, CUT_ROW]
+        last = first + (1 if cut[a, CUT_TYPE] == CUT_PRISMATIC else 2)
+        here = 0.0
+        for body in range(1, tree.shape[0]):
+            if tree[body, TYPE] != PRISMATIC:
+                for i in range(first, last):
+                    here = max(here, abs(jac[i, tree[body, DOF]]))
+        longest = max(longest, here)
+        for i in range(first, last):
+            for j in range(nv):
+                if abs(jac[i, j]) > NOTHING * here:
+                    lever[j] = max(lever[j], here)
+    for body in range(1, tree.shape[0]):
+        j = tree[body, DOF]
+        if tree[body, TYPE] == PRISMATIC:
+            lever[j] = 1.0
+        elif lever[j] == 0.0:
+            lever[j] = longest if longest > 0.0 else 1.0
+        column_scale[j] = 1.0 / lever[j]
+    for a in range(cut.shape[0]):
+        first, rows = cut[a, CUT_ROW], cut[a, ROWS]
+        together = 1 if cut[a, CUT_TYPE] == CUT_PRISMATIC else 2
         for begin, end in ((first, first + together), (first + together, first + rows)):
             most = 0.0
             for i in range(begin, end):

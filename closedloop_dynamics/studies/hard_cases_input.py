@@ -22,13 +22,10 @@ import numpy as np
 from .hard_case import Case
 from .hard_cases_singular import watch_ladder
 from .hard_machines import ladder, ladder_energy, scene
-from ..core.types import CLOSURE
-from ..integration.registry import FIXED, INTEGRATORS
 from ..scene import load_scene
 from ..simulation import Simulation
 
 GROUP = 'Inconsistent input'
-TIME = 'Time'
 
 
 def _velocities(method, quick):
@@ -82,36 +79,6 @@ def _broken(method, quick):
     return math.inf
 
 
-def _long(name):
-    def run(method, quick):
-        default = (method.integrator, method.stabilisation) == ('rk4', 'projection')
-        duration = 10.0 if quick else 3600.0 if default else 60.0
-        start = load_scene(name)
-        simulation = Simulation(replace(start, method=replace(method, step_size=1e-3)))
-        energy, worst = simulation.energy, 0.0
-        tau = np.zeros(len(simulation.joint_names))
-        portion = 1000 if INTEGRATORS[method.integrator].kind == FIXED else 100
-        while simulation.time < duration - 1e-6:
-            simulation.advance(tau, portion)
-            worst = max(worst, simulation.closure)
-            # The energy is bounded, or something is very wrong.
-            if not abs(simulation.energy - energy) < 0.5 * abs(energy) + 1.0:
-                return math.inf
-        return worst
-    return run
-
-
-def _fine(method, quick):
-    default = (method.integrator, method.stabilisation) == ('rk4', 'projection')
-    steps = 20_000 if quick or not default else 10_000_000
-    start = load_scene('three_rrr')
-    simulation = Simulation(replace(start, method=replace(method, step_size=5e-6)))
-    tau = np.zeros(7)
-    for _ in range(steps // 10_000):
-        simulation.advance(tau, 10_000)
-    return max(simulation.closure, simulation.system.work.health[CLOSURE])
-
-
 CASES = (
     Case('velocities that part', GROUP,
          'The 3-RRR started with random joint rates: the nearest ones that the loops allow.',
@@ -125,18 +92,8 @@ CASES = (
          'energy error, or 10 x angle off the branch [rad], relative', 1e-5, 0.1, _large_steps),
     Case('step size changed', GROUP,
          'The two-loop ladder with its step changed while it runs, 0.2 to 7 ms.',
-         'energy error, relative', 1e-5, 0.1, _changed_step),
+         'energy error, relative', 1e-5, 1e-2, _changed_step),
     Case('cannot be assembled', GROUP,
          'A four-bar whose coupler is a hundred times too short: there is nothing but to refuse.',
          'none: to be refused', 0.0, 0.0, _broken),
-    Case('3-RRR for long', TIME,
-         'The 3-RRR falling free, chaotic, 1 ms: loops closed and energy bounded (an hour for the '
-         'default method, a minute for the others, 10 s with --quick).',
-         'closure error [m]', 1e-9, 1e-4, _long('three_rrr')),
-    Case('scraper for long', TIME,
-         'The same for the carpet scraping mechanism.',
-         'closure error [m]', 1e-9, 1e-4, _long('carpet_scraper')),
-    Case('10,000,000 steps', TIME,
-         'The 3-RRR in steps of 5 us (20,000 of them but for the default method).',
-         'closure error [m]', 1e-9, 1e-4, _fine),
 )

@@ -74,7 +74,7 @@ def _passing(loops, quick_duration, duration):
     def run(method, quick):
         worst = max(watch_ladder(loops, variant, quick_duration if quick else duration, tilt)
                     for variant, tilt in trials(method, 6 if quick else 40))
-        if INTEGRATORS[method.integrator].kind == FIXED and loops < 10:
+        if INTEGRATORS[method.integrator].kind == FIXED and not (quick and loops > 10):
             fine = replace(method, step_size=1e-4)
             worst = max(worst, watch_ladder(loops, fine, quick_duration))
         return worst
