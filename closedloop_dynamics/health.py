@@ -16,13 +16,23 @@
 
 from dataclasses import dataclass
 
+import math
+
+import numpy as np
+
+from .core import kinematics
+from .core.jacobian import constraint_jacobian, generalized_inertia_matrix
 from .core.types import (
-    CLOSURE, EVALUATIONS, PROJECTION_ITERATIONS, RANK, RANK_REVEALING_COUNT, SMALLEST_PIVOT,
-    SMALLEST_PIVOT_EVER)
+    CLOSURE, CUT_ROW, EVALUATIONS, PROJECTION_ITERATIONS, RANK, RANK_REVEALING_COUNT, ROW, ROWS,
+    SMALLEST_PIVOT, SMALLEST_PIVOT_EVER)
 
 # Smallest pivots below this (about 2 degrees from a singular configuration) are worth a
 # warning: forces grow with the inverse distance, errors of the input with them.
 WARN_BELOW = 1e-3
+# Largest number of closure equations whose condition is worth its cost, that of a dense matrix.
+MOST_FOR_CONDITION = 40
+# Condition beyond which no digit is left.
+SINGULAR = 1e15
 
 
 @dataclass(frozen=True)
@@ -38,6 +48,10 @@ class Health:
         independent as can be; 0: dependent, or a link without inertia.
     smallest_pivot_ever : float
         Since the last reset.
+    condition : float
+        Largest condition number of the pivots of the block elimination, one block a cut joint: by
+        what errors grow at most in it. Infinite where one is singular; NaN for more than 40
+        closure equations.
     rank : int
         Closure equations that took part.
     equations : int
@@ -55,6 +69,7 @@ class Health:
 
     smallest_pivot: float
     smallest_pivot_ever: float
+    condition: float
     rank: int
     equations: int
     rank_revealing_count: int
@@ -75,7 +90,7 @@ class Health:
     def __str__(self):
         """Return the record in words, one line for each thing worth knowing."""
         lines = [f'smallest pivot {self.smallest_pivot:.2g} (worst {self.smallest_pivot_ever:.2g})'
-                 f', closure {self.closure:.2g} after {self.projection_iterations} corrections, '
+                 f', condition {self.condition:.2g}, closure {self.closure:.2g} after {self.projection_iterations} corrections, '
                  f'{self.rank_revealing_count} of {self.evaluations} evaluations rank-revealing']
         if not self.unique_forces:
             lines.append(
@@ -88,16 +103,18 @@ class Health:
         return '\n'.join(lines)
 
 
-def health_of(work, equations):
+def health_of(model, work, q, qd):
     """
     Return the record of a workspace.
 
     Parameters
     ----------
+    model : core.types.Model
+        Of the mechanism.
     work : core.types.Workspace
         After an evaluation.
-    equations : int
-        Number of closure equations.
+    q, qd : ndarray, shape (nv,)
+        The state.
 
     Returns
     -------
@@ -108,8 +125,60 @@ def health_of(work, equations):
     return Health(
         smallest_pivot=float(values[SMALLEST_PIVOT]),
         smallest_pivot_ever=float(values[SMALLEST_PIVOT_EVER]),
-        rank=int(values[RANK]), equations=equations,
+        condition=block_condition(model, work, q, qd),
+        rank=int(values[RANK]), equations=len(work.right),
         rank_revealing_count=int(values[RANK_REVEALING_COUNT]),
         evaluations=int(values[EVALUATIONS]),
         projection_iterations=int(values[PROJECTION_ITERATIONS]),
         closure=float(values[CLOSURE]))
+
+
+def block_condition(model, work, q, qd):
+    """
+    Return the largest condition number of the block pivots of J I^-1 J^T.
+
+    Parameters
+    ----------
+    model : core.types.Model
+        Of the mechanism.
+    work : core.types.Workspace
+        Scratch; left with the kinematics of the state.
+    q, qd : ndarray, shape (nv,)
+        The state.
+
+    Returns
+    -------
+    float
+
+    Notes
+    -----
+    Eliminates anew, blocks in the order of the method, so that evaluations need not keep
+    anything for it. Each equation is scaled by its entry on the diagonal: a fixed cut
+    joint has equations of forces and of a torque.
+
+    """
+    nc, nv = len(work.right), len(model.tree) - 1
+    if not 0 < nc <= MOST_FOR_CONDITION:
+        return math.nan if nc else 1.0
+    jac, inertia = np.zeros((nc, nv)), np.zeros((nv, nv))
+    kinematics.outward(model, q, qd, work)
+    constraint_jacobian(model, work, jac)
+    generalized_inertia_matrix(model, work, inertia)
+    worst = 1.0
+    try:
+        half = np.linalg.solve(np.linalg.cholesky(inertia), jac.T)
+        lengths = np.linalg.norm(half, axis=0)
+        half /= np.where(lengths > 0.0, lengths, 1.0)
+        matrix = half.T @ half
+        for cut in model.cut[np.argsort(model.cut[:, ROW])]:
+            rows = slice(cut[CUT_ROW], cut[CUT_ROW] + cut[ROWS])
+            pivot = matrix[rows, rows].copy()
+            condition = float(np.linalg.cond(pivot))
+            # Written so that a NaN (0/0: an equation no motion can change) counts as singular.
+            if not condition < SINGULAR:
+                return math.inf
+            worst = max(worst, condition)
+            matrix -= matrix[:, rows] @ np.linalg.solve(pivot, matrix[rows, :])
+    except np.linalg.LinAlgError:
+        return math.inf
+    return worst

@@ -241,7 +241,7 @@ class SimulationState:
     def health(self):
         """How well posed the equations of motion are in the present state: a ``Health``."""
         self._evaluate()
-        return health_of(self.system.work, self.mechanism.number_of_equations)
+        return health_of(self.system.model, self.system.work, self._q, self._qd)
 
     def measured(self):
         """

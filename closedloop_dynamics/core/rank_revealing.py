@@ -32,7 +32,7 @@ accelerations are smooth along a branch, though the equations lose them for an i
 import numpy as np
 
 from . import kinematics
-from .compiled import allocating
+from .compiled import allocating, merged
 from .forward_dynamics import constraint_right_side, to_user_order
 from .inverse_dynamics import tree_torque
 from .jacobian import constraint_jacobian, generalized_inertia_matrix
@@ -47,9 +47,9 @@ SETTLED = 1e-10
 # Singular values below this: rounding, divided three times by s, would show in accelerations.
 CLOSE = 1e-3
 # How far ahead and behind the branch is asked instead [rad], by cubic interpolation: places at
-# -2, -1, 1 and 2 times this, with these weights. Its fourth power is the error.
+# -2, -1, 1 and 2 times this. Its fourth power is the error.
 ASIDE = 0.03
-OUTER, INNER = -1.0 / 6.0, 4.0 / 6.0
+PLACES = 4
 
 
 @allocating
@@ -71,7 +71,7 @@ def _largest(values):
     return most
 
 
-@allocating
+@merged
 def _solve_here(model, work, tau, beside, qdd, lam):
     """
     Compute accelerations and multipliers of the state and the forces in the workspace.
@@ -91,10 +91,11 @@ def _solve_here(model, work, tau, beside, qdd, lam):
     to_user_order(model, work.right, right)
     to_user_order(model, work.closure, psi)
     to_user_order(model, work.closure_rate, rate)
-    largest = 0.0
+    size = 0.0
     for k in range(nc):
         right[k] += beside[k]
-        largest = max(largest, _largest(jac[k]))
+        for i in range(nv):
+            size = max(size, abs(jac[k, i]))
     for i in range(nv):
         qdd[i] = 0.0
     tree_torque(model, work, qdd, force)
@@ -103,7 +104,58 @@ def _solve_here(model, work, tau, beside, qdd, lam):
     generalized_inertia_matrix(model, work, gim)
     rank, weakest = solve(
         model, jac, gim, right, force, psi, rate, _fastest(work), ACCELERATION, qdd, lam)
-    return rank, weakest, largest
+    return rank, weakest, size
+
+
+@merged
+def correct(model, work, level, out):
+    """
+    Compute the least change of positions or rates, in the mass metric, that closes the loops.
+
+    Parameters
+    ----------
+    model : Model
+        Constant topology and geometry.
+    work : Workspace
+        After ``kinematics.outward``, afresh.
+    level : int
+        ``POSITION`` or ``VELOCITY``.
+    out : ndarray, shape (nv,)
+        Written in place.
+
+    """
+    nv, nc = out.shape[0], work.right.shape[0]
+    jac, gim = np.zeros((nc, nv)), np.zeros((nv, nv))
+    psi, rate, right, lam = np.zeros(nc), np.zeros(nc), np.zeros(nc), np.zeros(nc)
+    constraint_jacobian(model, work, jac)
+    update(model, work, False)
+    to_user_order(model, work.closure, psi)
+    to_user_order(model, work.closure_rate, rate)
+    for k in range(nc):
+        right[k] = -psi[k] if level == POSITION else -rate[k]
+    generalized_inertia_matrix(model, work, gim)
+    solve(model, jac, gim, right, np.zeros(nv), psi, rate, _fastest(work), level, out, lam)
+
+
+@merged
+def _settle(model, work, q, qd, size):
+    """Bring a state onto the branch next to it, as far as can be told; return what is left."""
+    change = np.zeros(q.shape[0])
+    error = np.inf
+    for count in range(MOST_CORRECTIONS + 1):
+        kinematics.outward(model, q, qd, work)
+        update(model, work, False)
+        error = _largest(work.closure)
+        positions = error > ROUNDING * size and count < MOST_CORRECTIONS
+        correct(model, work, POSITION if positions else VELOCITY, change)
+        for i in range(q.shape[0]):
+            if positions:
+                q[i] += change[i]
+            else:
+                qd[i] += change[i]
+        if not positions:
+            break
+    return error
 
 
 @allocating
@@ -125,119 +177,76 @@ def accelerate(model, work, tau, baumgarte, q, qd, qdd, lam):
 
     """
     nv, nc = qdd.shape[0], lam.shape[0]
-    beside = np.zeros(nc)
+    bodies = work.body.shape[0]
+    beside, applied = np.zeros(nc), np.empty((bodies, 3))
+    near, near_rate, total = np.empty(nv), np.empty(nv), np.zeros(nv)
+    found, forces = np.empty(nv), np.empty(nc)
     update(model, work, False)
     for k in range(nc):
         work.right[k] = -baumgarte * (2.0 * work.closure_rate[k] + baumgarte * work.closure[k])
     to_user_order(model, work.right, beside)
-    applied = np.empty((work.body.shape[0], 3))
-    for i in range(applied.shape[0]):
+    for i in range(bodies):
         applied[i, 0], applied[i, 1], applied[i, 2] = (
             work.body[i, FZ], work.body[i, FX], work.body[i, FY])
-    rank, weakest, size = _solve_here(model, work, tau, beside, qdd, lam)
-    work.health[RANK] = rank
     work.health[RANK_REVEALING_COUNT] += 1.0
-    speed = _fastest(work)
-    if weakest >= WEAK or not speed > 0.0:
-        return
-    kinematics.outward(model, q, qd, work)
-    for i in range(applied.shape[0]):
-        applied[i, 0] -= work.body[i, FZ]
-        applied[i, 1] -= work.body[i, FX]
-        applied[i, 2] -= work.body[i, FY]
-    # On the branch, or, too close to the singular configuration, around it.
-    near, near_rate = np.empty(nv), np.empty(nv)
-    found, forces = np.empty(nv), np.empty(nc)
-    count, weakest = _solve_beside(
-        model, work, tau, beside, q, qd, 0.0, applied, size, near, near_rate, found, forces)
-    if weakest >= CLOSE:
-        work.health[RANK] = count
-        for i in range(nv):
-            qdd[i] = found[i]
-        for k in range(nc):
-            lam[k] = forces[k]
-    else:
-        total, clear = np.zeros(nv), True
-        for k in range(nc):
-            beside[k] = 0.0
-        for place, share in ((-2.0, OUTER), (-1.0, INNER), (1.0, INNER), (2.0, OUTER)):
-            if clear:
-                count, weakest = _solve_beside(
-                    model, work, tau, beside, q, qd, place * ASIDE / speed, applied, size, near,
-                    near_rate, found, forces)
-                clear = weakest >= 2.0 * CLOSE
+    speed, size, error = _fastest(work), 0.0, 0.0
+    # First the state itself, then the branch beside it, then places around it. One call of each
+    # kernel serves them all: a second one would be compiled again.
+    for attempt in range(2 + PLACES):
+        if attempt > 0:
+            ahead = (0.0 if attempt == 1 else _place(attempt - 2) * ASIDE / speed)
+            for i in range(nv):
+                near[i], near_rate[i] = q[i] + ahead * qd[i], qd[i]
+            error = _settle(model, work, near, near_rate, size)
+            kinematics.outward(model, near, near_rate, work)
+            for i in range(bodies):
+                work.body[i, FZ] += applied[i, 0]
+                work.body[i, FX] += applied[i, 1]
+                work.body[i, FY] += applied[i, 2]
+        rank, weakest, levers = _solve_here(model, work, tau, beside, found, forces)
+        if attempt < 2 and (attempt == 0 or (error <= SETTLED * size and weakest >= CLOSE)):
+            work.health[RANK] = rank
+            for i in range(nv):
+                qdd[i] = found[i]
+            for k in range(nc):
+                lam[k] = forces[k]
+        if attempt == 0:
+            size = levers
+            # An ordinary place, or nothing moves; written so that a NaN ends here, too.
+            if not (weakest < WEAK and speed > 0.0):
+                return
+            kinematics.outward(model, q, qd, work)
+            for i in range(bodies):
+                applied[i, 0] -= work.body[i, FZ]
+                applied[i, 1] -= work.body[i, FX]
+                applied[i, 2] -= work.body[i, FY]
+        elif attempt == 1:
+            if error <= SETTLED * size and weakest >= CLOSE:
+                break
+            # Baumgarte's terms are divided by s as well: around here by another one.
+            for k in range(nc):
+                beside[k] = 0.0
+        else:
+            # No branch there, or none that leads out of here: what was found first must do.
+            if not (error <= SETTLED * size and weakest >= 2.0 * CLOSE):
+                break
+            share = _share(attempt - 2)
+            for i in range(nv):
+                total[i] += share * found[i]
+            if attempt == 1 + PLACES:
                 for i in range(nv):
-                    total[i] += share * found[i]
-        for i in range(nv):
-            qdd[i] = total[i] if clear else qdd[i]
+                    qdd[i] = total[i]
     kinematics.outward(model, q, qd, work)
     update(model, work, False)
 
 
 @allocating
-def _solve_beside(model, work, tau, beside, q, qd, time, applied, size, near, near_rate, qdd, lam):
-    """
-    Compute accelerations on the branch, ``time`` ahead of a state and under its forces.
-
-    Returns rank and weakest singular value; of this zero where no branch is found.
-
-    """
-    for i in range(q.shape[0]):
-        near[i], near_rate[i] = q[i] + time * qd[i], qd[i]
-    error = _settle(model, work, near, near_rate, size)
-    kinematics.outward(model, near, near_rate, work)
-    for i in range(applied.shape[0]):
-        work.body[i, FZ] += applied[i, 0]
-        work.body[i, FX] += applied[i, 1]
-        work.body[i, FY] += applied[i, 2]
-    rank, weakest, _ = _solve_here(model, work, tau, beside, qdd, lam)
-    # Written so that a NaN counts as none.
-    return rank, weakest if error <= SETTLED * size else 0.0
+def _place(k):
+    """Return where the k-th place around a state is, in units of ``ASIDE``."""
+    return k - 2.0 if k < 2 else k - 1.0
 
 
 @allocating
-def _settle(model, work, q, qd, size):
-    """Bring a state onto the branch next to it, as far as can be told; return what is left."""
-    change = np.zeros(q.shape[0])
-    for _ in range(MOST_CORRECTIONS):
-        kinematics.outward(model, q, qd, work)
-        update(model, work, False)
-        if _largest(work.closure) <= ROUNDING * size:
-            break
-        correct(model, work, POSITION, change)
-        for i in range(q.shape[0]):
-            q[i] += change[i]
-    kinematics.outward(model, q, qd, work)
-    correct(model, work, VELOCITY, change)
-    for i in range(q.shape[0]):
-        qd[i] += change[i]
-    return _largest(work.closure)
-
-
-@allocating
-def correct(model, work, level, out):
-    """
-    Compute the least change of positions or rates, in the mass metric, that closes the loops.
-
-    Parameters
-    ----------
-    model : Model
-        Constant topology and geometry.
-    work : Workspace
-        After ``kinematics.outward``, afresh.
-    level : int
-        ``POSITION`` or ``VELOCITY``.
-    out : ndarray, shape (nv,)
-        Written in place.
-
-    """
-    nv, nc = out.shape[0], work.right.shape[0]
-    jac, gim = np.zeros((nc, nv)), np.zeros((nv, nv))
-    psi, rate, lam = np.zeros(nc), np.zeros(nc), np.zeros(nc)
-    constraint_jacobian(model, work, jac)
-    update(model, work, False)
-    to_user_order(model, work.closure, psi)
-    to_user_order(model, work.closure_rate, rate)
-    generalized_inertia_matrix(model, work, gim)
-    solve(model, jac, gim, -psi if level == POSITION else -rate, np.zeros(nv), psi, rate,
-          _fastest(work), level, out, lam)
+def _share(k):
+    """Return the weight of the k-th place around a state."""
+    return 4.0 / 6.0 if k == 1 or k == 2 else -1.0 / 6.0

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Hard cases: input that contradicts itself, and long runs."""
+"""Hard cases: input that contradicts itself."""
 
 from dataclasses import replace
 import math
