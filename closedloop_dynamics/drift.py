@@ -16,7 +16,8 @@
 
 import math
 
-from .errors import ClosureError, NumericalError
+from .core.types import SINGULAR_COUNT
+from .errors import ClosureError, NumericalError, SingularityError
 from .integration.registry import INTEGRATORS
 
 # Steps between two looks.
@@ -74,17 +75,26 @@ class DriftGuard:
 
         Raises
         ------
+        SingularityError
+            Where a singular configuration was met without any stabilisation.
         ClosureError
             Where the loops have drifted apart.
         NumericalError
             Where energy appeared from nowhere.
 
         """
+        method = self._method
+        if method.stabilisation == 'none' and simulation.system.work.health[SINGULAR_COUNT] > 0.0:
+            raise SingularityError(
+                f'A singular configuration was met up to t = {simulation.time:.9g} s: closure '
+                'equations vanish there, and with the drift that stabilisation: none allows the '
+                'branch on which the mechanism goes on cannot be told. Take stabilisation: '
+                'projection.')
         self._steps += steps
         if self._steps < LOOK_EVERY:
             return
         self._steps = 0
-        method, closure = self._method, simulation.closure
+        closure = simulation.closure
         if not closure <= OPEN * self._extent:
             raise ClosureError(
                 f'The loops have drifted apart by {closure:.3g} m (or rad) at t = '

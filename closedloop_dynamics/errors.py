@@ -31,5 +31,9 @@ class ClosureError(SimulationError):
     """The loops cannot be held closed at this step."""
 
 
+class SingularityError(SimulationError):
+    """The method cannot pass the singular configuration at hand."""
+
+
 class AssemblyError(SimulationError):
     """No state that closes the loops was found, or the held coordinates do not fix one."""

@@ -15,7 +15,6 @@
 """How well posed the equations of motion are where a simulation stands."""
 
 from dataclasses import dataclass
-
 import math
 
 import numpy as np
@@ -24,7 +23,7 @@ from .core import kinematics
 from .core.jacobian import constraint_jacobian, generalized_inertia_matrix
 from .core.types import (
     CLOSURE, CUT_ROW, EVALUATIONS, PROJECTION_ITERATIONS, RANK, RANK_REVEALING_COUNT, ROW, ROWS,
-    SMALLEST_PIVOT, SMALLEST_PIVOT_EVER)
+    SINGULAR_COUNT, SMALLEST_PIVOT, SMALLEST_PIVOT_EVER)
 
 # Smallest pivots below this (about 2 degrees from a singular configuration) are worth a
 # warning: forces grow with the inverse distance, errors of the input with them.
@@ -58,6 +57,9 @@ class Health:
         All closure equations.
     rank_revealing_count : int
         Evaluations since the last reset that took the rank-revealing path.
+    singular_count : int
+        Those among them that were next to a singular configuration, not only on dependent closure
+        equations or massless bodies.
     evaluations : int
         All evaluations since the last reset.
     projection_iterations : int
@@ -73,6 +75,7 @@ class Health:
     rank: int
     equations: int
     rank_revealing_count: int
+    singular_count: int
     evaluations: int
     projection_iterations: int
     closure: float
@@ -89,9 +92,11 @@ class Health:
 
     def __str__(self):
         """Return the record in words, one line for each thing worth knowing."""
-        lines = [f'smallest pivot {self.smallest_pivot:.2g} (worst {self.smallest_pivot_ever:.2g})'
-                 f', condition {self.condition:.2g}, closure {self.closure:.2g} after {self.projection_iterations} corrections, '
-                 f'{self.rank_revealing_count} of {self.evaluations} evaluations rank-revealing']
+        lines = [
+            f'smallest pivot {self.smallest_pivot:.2g} (worst {self.smallest_pivot_ever:.2g}), '
+            f'condition {self.condition:.2g}, closure {self.closure:.2g} after '
+            f'{self.projection_iterations} corrections, {self.rank_revealing_count} of '
+            f'{self.evaluations} evaluations rank-revealing']
         if not self.unique_forces:
             lines.append(
                 f'the constraint forces are not unique: {self.equations - self.rank} of '
@@ -128,6 +133,7 @@ def health_of(model, work, q, qd):
         condition=block_condition(model, work, q, qd),
         rank=int(values[RANK]), equations=len(work.right),
         rank_revealing_count=int(values[RANK_REVEALING_COUNT]),
+        singular_count=int(values[SINGULAR_COUNT]),
         evaluations=int(values[EVALUATIONS]),
         projection_iterations=int(values[PROJECTION_ITERATIONS]),
         closure=float(values[CLOSURE]))

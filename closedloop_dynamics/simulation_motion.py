@@ -346,6 +346,7 @@ class SimulationMotion(SimulationState):
     def _take_method(self, method):
         self._time_base, self._steps = self.time, 0
         self.scene = replace(self.scene, method=method)
+        self._drift = DriftGuard(method, extent(self.mechanism))
         self.system.settings[BAUMGARTE] = (
             1.0 / method.time_constant if method.stabilisation == 'baumgarte' else 0.0)
         self._driver.restart()

@@ -38,7 +38,7 @@ from .inverse_dynamics import tree_torque
 from .jacobian import constraint_jacobian, generalized_inertia_matrix
 from .loop_closure import update
 from .null_space import ACCELERATION, POSITION, ROUNDING, solve, VELOCITY, WEAK
-from .types import FX, FY, FZ, OMEGA, RANK, RANK_REVEALING_COUNT
+from .types import FX, FY, FZ, OMEGA, RANK, RANK_REVEALING_COUNT, SINGULAR_COUNT
 
 # Corrections that bring a stage onto its branch: beside it by 1e-4, two leave rounding.
 MOST_CORRECTIONS = 4
@@ -212,6 +212,8 @@ def accelerate(model, work, tau, baumgarte, q, qd, qdd, lam):
                 lam[k] = forces[k]
         if attempt == 0:
             size = levers
+            if weakest < WEAK:
+                work.health[SINGULAR_COUNT] += 1.0
             # An ordinary place, or nothing moves; written so that a NaN ends here, too.
             if not (weakest < WEAK and speed > 0.0):
                 return
