@@ -21,12 +21,18 @@ their signal handlers before the compiler is loaded.
 """
 
 from importlib import import_module
+import os
+
+# The matrices here are small: more than one thread for each would only make them wait for one
+# another (on a busy machine 50 times as long). Heeded where NumPy is not loaded yet; what is set
+# already is left alone.
+os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
 
 _HOMES = {
     'AssemblyError': 'errors', 'ClosureError': 'errors', 'load_scene': 'scene',
     'MechanismError': 'mechanism.mechanism', 'NumericalError': 'errors',
     'scene_names': 'scene', 'SceneError': 'scene', 'Simulation': 'simulation',
-    'SimulationError': 'errors'}
+    'SimulationError': 'errors', 'SingularityError': 'errors'}
 __all__ = sorted(_HOMES)
 __version__ = '0.1.0'
 
