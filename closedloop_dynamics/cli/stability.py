@@ -30,7 +30,7 @@ def _add_arguments(parser):
     parser.add_argument('--overwrite', action='store_true',
                         help='replace these files if they exist')
     parser.add_argument('--quick', action='store_true',
-                        help='fewer trials and shorter runs: some minutes instead of an hour')
+                        help='fewer trials and shorter runs of the default method, too')
     parser.add_argument('--case', action='append', metavar='NAME', default=[],
                         help='only the cases whose name contains this; may be repeated')
     parser.add_argument('--default-only', action='store_true',

@@ -72,8 +72,9 @@ def watch_ladder(loops, method, duration, tilt=0.0, rate=1.0, effects=None):
 
 def _passing(loops, quick_duration, duration):
     def run(method, quick):
+        count = 40 if not quick else 6 if loops < 10 else 2
         worst = max(watch_ladder(loops, variant, quick_duration if quick else duration, tilt)
-                    for variant, tilt in trials(method, 6 if quick else 40))
+                    for variant, tilt in trials(method, count))
         if INTEGRATORS[method.integrator].kind == FIXED and not (quick and loops > 10):
             fine = replace(method, step_size=1e-4)
             worst = max(worst, watch_ladder(loops, fine, quick_duration))

@@ -30,14 +30,10 @@ GROUP = 'Time'
 CRANK_RATE = 4.7124
 
 
-def _default(method):
-    return (method.integrator, method.stabilisation) == ('rk4', 'projection')
-
-
 def _long(name, drive=None):
     """Return the run of a shipped scene for an hour in steps of 1 ms, driven or left alone."""
     def run(method, quick):
-        duration = 10.0 if quick else 3600.0 if _default(method) else 60.0
+        duration = 10.0 if quick else 3600.0
         start = load_scene(name)
         simulation = Simulation(replace(start, method=replace(method, step_size=1e-3)))
         energy, worst = simulation.energy, 0.0
@@ -73,7 +69,7 @@ def _at_working_speed(simulation, tau):
 
 def _turning(method, quick):
     """Let a parallelogram turn steadily, twice a turn through its flat positions."""
-    duration = 10.0 if quick else 3600.0 if _default(method) else 60.0
+    duration = 10.0 if quick else 3600.0
     rate = 10.0
     simulation = Simulation(scene(*ladder(1, 0.4, rate), replace(
         method, step_size=1e-3, tolerance=1e-9), {}))
@@ -90,7 +86,7 @@ def _turning(method, quick):
 
 def _fine(name):
     def run(method, quick):
-        steps = 20_000 if quick or not _default(method) else 10_000_000
+        steps = 20_000 if quick else 10_000_000
         start = load_scene(name)
         simulation = Simulation(replace(start, method=replace(method, step_size=5e-6)))
         tau, worst = np.zeros(len(simulation.joint_names)), 0.0
@@ -104,7 +100,7 @@ def _fine(name):
 CASES = (
     Case('3-RRR for long', GROUP,
          'The 3-RRR falling free, chaotic, 1 ms: loops closed and energy bounded (an hour for the '
-         'default method, a minute for the others, 10 s with --quick).',
+         'default method, 10 s for the others).',
          'closure error [m]', 1e-9, 1e-4, _long('three_rrr')),
     Case('scraper for long', GROUP,
          'The carpet scraping mechanism at its working speed, its drive asked every millisecond: '

@@ -17,6 +17,7 @@
 from dataclasses import replace
 import math
 
+from closedloop_dynamics.core.types import CUT_ROW, ROW
 from closedloop_dynamics.effects.actuator import Actuator
 from closedloop_dynamics.effects.joint_damping import JointDamping
 from closedloop_dynamics.effects.joint_friction import JointFriction
@@ -62,6 +63,33 @@ def test_health_flags_forces_that_are_not_unique():
     assert (health.rank, health.equations) == (3, 4)
     assert not health.unique_forces
     assert 'not unique: 1 of 4' in str(health)
+
+
+def test_condition_is_that_of_the_block_pivots():
+    simulation = Simulation(load_scene('three_rrr'))
+    model, mechanism, q = simulation.system.model, simulation.mechanism, simulation.position
+    jac = dense.closure_jacobian(mechanism, q)
+    inertia = dense.generalized_inertia_matrix(mechanism, q)
+    matrix = jac @ np.linalg.solve(inertia, jac.T)
+    scale = 1.0 / np.sqrt(np.diag(matrix))
+    matrix *= np.outer(scale, scale)
+    # Two cut joints: the first block, and what is left of the second one.
+    first, last = (slice(row, row + 2)
+                   for row in model.cut[np.argsort(model.cut[:, ROW]), CUT_ROW])
+    left = matrix[last, last] - matrix[last, first] @ np.linalg.solve(
+        matrix[first, first], matrix[first, last])
+    expected = max(np.linalg.cond(matrix[first, first]), np.linalg.cond(left))
+    assert simulation.health.condition == pytest.approx(expected, rel=1e-8)
+
+
+def test_condition_is_infinite_where_forces_are_not_unique():
+    assert simulate(*machines.three_rockers()).health.condition == math.inf
+
+
+def test_health_counts_what_is_next_to_a_singular_configuration():
+    assert simulate(*machines.three_rockers()).health.singular_count == 0
+    assert simulate(*machines.ladder(1, 0.5 * math.pi)).health.singular_count > 0
+    assert simulate(*machines.ladder(1, 1.2)).health.singular_count == 0
 
 
 @pytest.mark.parametrize('distance', [3e-3, 5e-3])

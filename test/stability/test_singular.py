@@ -1,0 +1,123 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+
+from dataclasses import replace
+import math
+
+from closedloop_dynamics.errors import ClosureError, NumericalError, SingularityError
+from closedloop_dynamics.scene import load_scene
+from closedloop_dynamics.scene_records import Method
+from closedloop_dynamics.simulation import Simulation
+from closedloop_dynamics.studies import hard_machines as machines
+import numpy as np
+import pytest
+
+# Some compile for minutes on a busy machine.
+pytestmark = pytest.mark.timeout(1200)
+
+
+def simulate(machine, effects=None, **method):
+    """Return a simulation of a mechanism at a state, under gravity."""
+    return Simulation(machines.scene(*machine, Method(**method), effects))
+
+
+def test_reference_of_the_pantograph_keeps_its_energy():
+    start, times = (-1.9, -1.3, 1.0, -3.0), np.array([0.4, 0.7, 1.0])
+    # Rates by differences, place by place.
+    step = 1e-5
+    energies = [simulate(machines.pantograph(*start)).energy]
+    for time in times:
+        before, here, after = machines.pantograph_motion(
+            *start, np.array([time - step, time, time + step]))
+        rate = (after - before) / (2.0 * step)
+        energies.append(simulate(machines.pantograph(
+            here[0], here[0] + here[1], rate[0], rate[0] + rate[1])).energy)
+    assert energies == pytest.approx([energies[0]] * 4, abs=1e-6)
+
+
+@pytest.mark.parametrize('fold', [0.0, 1e-12, 1e-7, -1e-4, 3e-3])
+def test_pantograph_goes_on_through_its_folded_position(fold):
+    start = (-1.9, -1.9 + fold, 1.0, -3.0)
+    simulation = simulate(machines.pantograph(*start), step_size=1e-3)
+    times = np.array([0.05, 0.2, 0.4])
+    for time, exact in zip(times, machines.pantograph_motion(*start, times)):
+        simulation.step(duration=time - simulation.time)
+        np.testing.assert_allclose(simulation.position, exact, rtol=0, atol=1e-7)
+
+
+@pytest.mark.parametrize('size', [1e-3, 5e-3, 1.2e-2])
+def test_crossing_a_change_point_costs_no_energy(size):
+    mechanism, q, qd = machines.change_point_linkage()
+    qd[0] = 3.0
+    gravity = machines.gravity(strength=0.1 * machines.G)
+    for phase in (0.0, 0.21, 0.37, 0.5, 0.77):
+        simulation = simulate((mechanism, q, qd), gravity, step_size=size)
+        start = simulation.energy
+        simulation.step(duration=phase * size)
+        simulation.step(duration=1.2)
+        # The crank has passed its outer position, where all links lie on one line.
+        assert simulation.position[0] > math.pi
+        assert abs(simulation.energy - start) < 1e-6 * machines.G
+
+
+def test_acceleration_exactly_on_a_change_point_is_the_limit_along_the_branch():
+    mechanism, q, qd = machines.change_point_linkage()
+    qd[0] = 3.0
+    simulation = simulate((mechanism, q, qd), {}, step_size=1e-4)
+    simulation.step(duration=0.4)
+    before = []
+    while simulation.position[0] < math.pi - 1e-9:
+        before.append((simulation.time, simulation.position[0], simulation.acceleration))
+        simulation.step()
+        size = (math.pi - simulation.position[0]) / simulation.velocity[0]
+        if 0.0 < size < 1e-4:
+            simulation.step(duration=size)
+            break
+    assert abs(simulation.position[0] - math.pi) < 1e-6
+    assert simulation.health.near_singular
+    # Extrapolated by a line through states some hundredths of a radian before.
+    (t1, _, a1), (t2, _, a2) = before[-400], before[-200]
+    line = a2 + (a2 - a1) * (simulation.time - t2) / (t2 - t1)
+    np.testing.assert_allclose(
+        simulation.acceleration, line, rtol=0, atol=0.02 * np.abs(line).max())
+
+
+def test_singular_configuration_is_refused_without_stabilisation():
+    simulation = simulate(machines.ladder(1, 1.5, 3.0), step_size=1e-3, stabilisation='none')
+    with pytest.raises(SingularityError, match='Take stabilisation: projection'):
+        simulation.step(duration=0.1)
+
+
+def test_redundant_loops_are_not_refused_without_stabilisation():
+    simulation = simulate(machines.three_rockers(), step_size=1e-3, stabilisation='none')
+    simulation.step(duration=0.1)
+    assert simulation.health.singular_count == 0
+
+
+def test_loops_that_drift_apart_are_refused():
+    start = load_scene('three_rrr')
+    simulation = Simulation(replace(start, method=Method(
+        integrator='semi_implicit_euler', step_size=1e-2, stabilisation='none')))
+    with pytest.raises((ClosureError, NumericalError), match='Take .*stabilisation: projection'):
+        simulation.step(duration=20.0)
+
+
+def test_energy_from_nowhere_is_refused():
+    start = load_scene('three_rrr')
+    simulation = Simulation(replace(start, method=Method(
+        integrator='semi_implicit_euler', step_size=1e-3)))
+    with pytest.raises(NumericalError, match='appeared from nowhere or vanished'):
+        for _ in range(100):
+            simulation.step((5.0, -3.0, 2.0), 0.1)
