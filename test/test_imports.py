@@ -32,7 +32,8 @@ PACKAGE = 'closedloop_dynamics'
 # its place here.
 LAYERS = (
     ('config', 'core', 'errors', 'mechanism'),
-    ('appearance', 'assembly', 'bags', 'effects', 'health', 'integration', 'inverse_dynamics',
+    ('appearance', 'assembly', 'bags', 'drift', 'effects', 'health', 'integration',
+     'inverse_dynamics',
      'method_choice', 'modeling', 'monitor', 'scene', 'scene_records', 'scene_text', 'stiffness',
      'urdf',
      'key_paths', 'recording', 'rollout', 'rollout_input'),
