@@ -20,6 +20,7 @@ from closedloop_dynamics.cli import main
 import numpy as np
 from PIL import Image
 import pytest
+from sensor_msgs.msg import JointState
 
 SIMULATOR = 'closedloop_simulator'
 RECORDER = 'closedloop_recorder'
@@ -36,8 +37,8 @@ def test_a_recorded_run_is_met_exactly(processes, listener, tmp_path, capsys, sc
     source = processes.start(SOURCE, mode='sine', amplitude='[8.0]', frequency='[2.0]')
     recorder.wait_for('/torque_command: first message')
     bag = tmp_path / 'bag'
-    listener.wait(lambda: bag.stat() and sum(
-        path.stat().st_size for path in bag.glob('*.mcap')) > 400_000, 'some seconds of motion')
+    states = listener.listen('/joint_states', JointState)
+    listener.wait(lambda: len(states) > 150, '1.5 s of motion')
     for process in (source, simulator, recorder):
         assert process.stop() == 0
     picture = tmp_path / 'deviations.png'
@@ -53,4 +54,5 @@ def test_a_recorded_run_is_met_exactly(processes, listener, tmp_path, capsys, sc
     animation = tmp_path / 'run.gif'
     assert main(['animate', str(bag), '--output', str(animation), '--duration', '0.5']) == 0
     with Image.open(animation) as frames:
-        assert frames.n_frames in (10, 11)
+        # On a busy machine, states come late and are fewer.
+        assert 8 <= frames.n_frames <= 11
