@@ -62,6 +62,11 @@ class DriftGuard:
         """Forget what has been seen."""
         self._steps, self._start, self._most = 0, None, 0.0
 
+    @property
+    def until_look(self):
+        """Steps left until energy and closure are looked at."""
+        return LOOK_EVERY - self._steps
+
     def look(self, simulation, steps):
         """
         Raise where the motion since the start has become meaningless.

@@ -145,6 +145,16 @@ class SimulationMotion(SimulationState):
             self._fresh = False
 
     def _advance(self, size, steps):
+        """Advance by steps of one size, and look at what drifts now and then."""
+        while steps > 0 and self._drift.active:
+            portion = min(steps, self._drift.until_look)
+            self._advance_measured(size, portion)
+            self._drift.look(self, portion)
+            steps -= portion
+        if steps > 0:
+            self._advance_measured(size, steps)
+
+    def _advance_measured(self, size, steps):
         """Advance by steps of one size; on failure keep what was done and raise."""
         if self._effects.remembers:
             self.measured()
@@ -153,8 +163,6 @@ class SimulationMotion(SimulationState):
                 self.measured()
         else:
             self._advance_unseen(size, steps)
-        if self._drift.active:
-            self._drift.look(self, steps)
 
     def _advance_unseen(self, size, steps):
         if not self._guard.active:

@@ -75,8 +75,9 @@ def test_crossing_a_change_point_costs_no_energy(size):
 def test_acceleration_exactly_on_a_change_point_is_the_limit_along_the_branch():
     mechanism, q, qd = machines.change_point_linkage()
     qd[0] = 3.0
-    simulation = simulate((mechanism, q, qd), {}, step_size=1e-4)
-    simulation.step(duration=0.4)
+    gravity = machines.gravity(strength=machines.G)
+    simulation = simulate((mechanism, q, qd), gravity, step_size=1e-4)
+    simulation.step(duration=0.1)
     before = []
     while simulation.position[0] < math.pi - 1e-9:
         before.append((simulation.time, simulation.position[0], simulation.acceleration))
@@ -91,7 +92,7 @@ def test_acceleration_exactly_on_a_change_point_is_the_limit_along_the_branch():
     (t1, _, a1), (t2, _, a2) = before[-400], before[-200]
     line = a2 + (a2 - a1) * (simulation.time - t2) / (t2 - t1)
     np.testing.assert_allclose(
-        simulation.acceleration, line, rtol=0, atol=0.02 * np.abs(line).max())
+        simulation.acceleration, line, rtol=0, atol=0.01 * np.abs(line).max())
 
 
 def test_singular_configuration_is_refused_without_stabilisation():
@@ -109,7 +110,7 @@ def test_redundant_loops_are_not_refused_without_stabilisation():
 def test_loops_that_drift_apart_are_refused():
     start = load_scene('three_rrr')
     simulation = Simulation(replace(start, method=Method(
-        integrator='semi_implicit_euler', step_size=1e-2, stabilisation='none')))
+        integrator='semi_implicit_euler', step_size=2e-3, stabilisation='none')))
     with pytest.raises((ClosureError, NumericalError), match='Take .*stabilisation: projection'):
         simulation.step(duration=20.0)
 
