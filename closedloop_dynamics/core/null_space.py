@@ -234,6 +234,8 @@ def solve(model, jac, gim, right, force, psi, rate, speed, level, motion, lam):
         Number of equations taken.
     weakest : float
         Smallest scaled singular value of an equation that is not merely another one's repetition.
+    distinct : int
+        Number of equations that are not.
 
     """
     nc, nv = jac.shape
@@ -246,7 +248,7 @@ def solve(model, jac, gim, right, force, psi, rate, speed, level, motion, lam):
     if not (np.isfinite(scaled).all() and np.isfinite(right).all() and np.isfinite(force).all()):
         motion[:] = np.nan
         lam[:] = np.nan
-        return 0, 1.0
+        return 0, 1.0, 0
     left, singular, right_vectors = np.linalg.svd(scaled, full_matrices=True)
     wanted = left.T @ (right * row_scale)
     taken = singular > WEAK * singular[0]
@@ -255,10 +257,11 @@ def solve(model, jac, gim, right, force, psi, rate, speed, level, motion, lam):
     gap = np.abs(psi * row_scale).max() + ROUNDING
     drift = np.abs(rate * row_scale).max()
     size = np.abs(motion / column_scale).max()
-    added, weakest = False, 1.0
+    added, weakest, distinct = False, 1.0, 0
     for k in range(singular.shape[0]):
         if singular[k] > DEPENDENT * singular[0]:
             weakest = singular[k]
+            distinct += 1
         if not taken[k] and singular[k] > DEPENDENT * singular[0]:
             residual, gap_along, drift_along = wanted[k], 0.0, 0.0
             for i in range(nc):
@@ -290,7 +293,7 @@ def solve(model, jac, gim, right, force, psi, rate, speed, level, motion, lam):
                 lam[i] += left[i, k] * (share / singular[k]) * row_scale[i]
     if rank < nc and determined:
         _least_norm(left, taken, row_scale, lam)
-    return rank, weakest
+    return rank, weakest, distinct
 
 
 @allocating

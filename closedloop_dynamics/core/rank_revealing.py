@@ -38,7 +38,8 @@ from .inverse_dynamics import tree_torque
 from .jacobian import constraint_jacobian, generalized_inertia_matrix
 from .loop_closure import update
 from .null_space import ACCELERATION, POSITION, ROUNDING, solve, VELOCITY, WEAK
-from .types import FX, FY, FZ, OMEGA, RANK, RANK_REVEALING_COUNT, SINGULAR_COUNT
+from .types import (
+    FX, FY, FZ, LOOKED_BESIDE, MOST_DISTINCT, OMEGA, RANK, RANK_REVEALING_COUNT, SINGULAR_COUNT)
 
 # Corrections that bring a stage onto its branch: beside it by 1e-4, two leave rounding.
 MOST_CORRECTIONS = 4
@@ -76,8 +77,8 @@ def _solve_here(model, work, tau, beside, qdd, lam):
     """
     Compute accelerations and multipliers of the state and the forces in the workspace.
 
-    ``beside``, shape (nc,), is added to the right-hand side. Returns rank and weakest singular
-    value as ``null_space.solve`` does, and the largest entry of J.
+    ``beside``, shape (nc,), is added to the right-hand side. Returns what ``null_space.solve``
+    does, and the largest entry of J.
 
     """
     nv, nc = qdd.shape[0], lam.shape[0]
@@ -102,9 +103,9 @@ def _solve_here(model, work, tau, beside, qdd, lam):
     for i in range(nv):
         force[i] = tau[i] - force[i]
     generalized_inertia_matrix(model, work, gim)
-    rank, weakest = solve(
+    rank, weakest, distinct = solve(
         model, jac, gim, right, force, psi, rate, _fastest(work), ACCELERATION, qdd, lam)
-    return rank, weakest, size
+    return rank, weakest, distinct, size
 
 
 @merged
@@ -188,8 +189,9 @@ def accelerate(model, work, tau, baumgarte, q, qd, qdd, lam):
     for i in range(bodies):
         applied[i, 0], applied[i, 1], applied[i, 2] = (
             work.body[i, FZ], work.body[i, FX], work.body[i, FY])
-    work.health[RANK_REVEALING_COUNT] += 1.0
-    speed, size, error = _fastest(work), 0.0, 0.0
+    health = work.health
+    health[RANK_REVEALING_COUNT] += 1.0
+    speed, size, error, here, close = _fastest(work), 0.0, 0.0, 0, False
     # First the state itself, then the branch beside it, then places around it. One call of each
     # kernel serves them all: a second one would be compiled again.
     for attempt in range(2 + PLACES):
@@ -203,19 +205,26 @@ def accelerate(model, work, tau, baumgarte, q, qd, qdd, lam):
                 work.body[i, FZ] += applied[i, 0]
                 work.body[i, FX] += applied[i, 1]
                 work.body[i, FY] += applied[i, 2]
-        rank, weakest, levers = _solve_here(model, work, tau, beside, found, forces)
-        if attempt < 2 and (attempt == 0 or (error <= SETTLED * size and weakest >= CLOSE)):
-            work.health[RANK] = rank
+        rank, weakest, distinct, levers = _solve_here(model, work, tau, beside, found, forces)
+        if attempt == 0:
+            size, here = levers, distinct
+            health[MOST_DISTINCT] = max(health[MOST_DISTINCT], distinct)
+        settled = error <= SETTLED * size
+        if attempt == 0 or (attempt == 1 and close and settled and weakest >= CLOSE
+                            and distinct >= health[MOST_DISTINCT]):
+            health[RANK] = rank
             for i in range(nv):
                 qdd[i] = found[i]
             for k in range(nc):
                 lam[k] = forces[k]
+            if attempt == 1:
+                break
         if attempt == 0:
-            size = levers
-            if weakest < WEAK:
-                work.health[SINGULAR_COUNT] += 1.0
-            # An ordinary place, or nothing moves; written so that a NaN ends here, too.
-            if not (weakest < WEAK and speed > 0.0):
+            close = weakest < WEAK or here < health[MOST_DISTINCT]
+            if close:
+                health[SINGULAR_COUNT] += 1.0
+            # An ordinary place, repeated equations aside, or nothing moves.
+            if not ((close or (here < nc and health[LOOKED_BESIDE] == 0.0)) and speed > 0.0):
                 return
             kinematics.outward(model, q, qd, work)
             for i in range(bodies):
@@ -223,14 +232,19 @@ def accelerate(model, work, tau, baumgarte, q, qd, qdd, lam):
                 applied[i, 1] -= work.body[i, FX]
                 applied[i, 2] -= work.body[i, FY]
         elif attempt == 1:
-            if error <= SETTLED * size and weakest >= CLOSE:
-                break
             # Baumgarte's terms are divided by s as well: around here by another one.
             for k in range(nc):
                 beside[k] = 0.0
         else:
-            # No branch there, or none that leads out of here: what was found first must do.
-            if not (error <= SETTLED * size and weakest >= 2.0 * CLOSE):
+            if settled:
+                health[LOOKED_BESIDE] = 1.0
+                health[MOST_DISTINCT] = max(health[MOST_DISTINCT], distinct)
+            # No branch there, or none that leads out of here, or equations that are repeated
+            # there, too: what was found first must do.
+            if not close and here < health[MOST_DISTINCT]:
+                close = True
+                health[SINGULAR_COUNT] += 1.0
+            if not close or not (settled and weakest >= 2.0 * CLOSE):
                 break
             share = _share(attempt - 2)
             for i in range(nv):

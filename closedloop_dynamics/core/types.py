@@ -75,10 +75,12 @@ A_X, A_Y, B_X, B_Y, CUT_ANGLE = range(5)
 # the angle between one closure equation and those before it) of the latest factorization and
 # of all since the last reset; the rank of the latest; evaluations, and uses of the rank-revealing
 # path, since the last reset; position corrections of the latest projection and the largest
-# closure error it left; evaluations next to a singular configuration since the last reset.
+# closure error it left; evaluations next to a singular configuration since the last reset; the
+# most closure equations that were ever distinct, and whether that was looked for beside a place
+# where some were not.
 (SMALLEST_PIVOT, SMALLEST_PIVOT_EVER, RANK, EVALUATIONS, RANK_REVEALING_COUNT,
- PROJECTION_ITERATIONS, CLOSURE, SINGULAR_COUNT) = range(8)
-HEALTH_COLUMNS = 8
+ PROJECTION_ITERATIONS, CLOSURE, SINGULAR_COUNT, MOST_DISTINCT, LOOKED_BESIDE) = range(10)
+HEALTH_COLUMNS = 10
 
 
 class Model(NamedTuple):

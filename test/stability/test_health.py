@@ -88,7 +88,7 @@ def test_condition_is_infinite_where_forces_are_not_unique():
 
 def test_health_counts_what_is_next_to_a_singular_configuration():
     assert simulate(*machines.three_rockers()).health.singular_count == 0
-    assert simulate(*machines.ladder(1, 0.5 * math.pi - 1e-6)).health.singular_count > 0
+    assert simulate(*machines.ladder(1, 0.5 * math.pi)).health.singular_count > 0
     assert simulate(*machines.ladder(1, 1.2)).health.singular_count == 0
 
 
