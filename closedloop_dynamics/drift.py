@@ -66,7 +66,7 @@ class DriftGuard:
 
     @property
     def until_look(self):
-        """Steps left until energy and closure are looked at."""
+        """Return the steps left until energy and closure are looked at."""
         return LOOK_EVERY - self._steps
 
     def look(self, simulation, steps):

@@ -44,8 +44,8 @@ def load_simulation(scene, logger, **method):
         If the scene cannot be read or simulated.
 
     """
-    logger.info(f"loading scene '{scene}' and compiling (a quarter of a minute at the very first start, "
-                'seconds from then on) ...')
+    logger.info(f"loading scene '{scene}' and compiling (a quarter of a minute at the very first "
+                'start, seconds from then on) ...')
     begin = time.monotonic()
     try:
         simulation = Simulation.from_scene(scene, **method)
