@@ -29,7 +29,10 @@ import pytest
 
 DOCUMENT = Path(__file__).resolve().parents[2] / 'doc' / 'interface.md'
 REPORT = RunReport('rk4, projection', 10.0, 10000, 0.1, 1e-10, 1e-13, 1e-9, 40000)
-HEALTH = Health(0.5, 0.4, 4, 4, 0, 40000, 1, 1e-13)
+HEALTH = Health(
+    smallest_pivot=0.5, smallest_pivot_ever=0.4, condition=3.0, rank=4, equations=4,
+    rank_revealing_count=0, singular_count=0, evaluations=40000, projection_iterations=1,
+    closure=1e-13)
 BOOK = {'accepted': 5, 'rejected': 0, 'timed out': 0, 'states set': 0, 'states refused': 0}
 
 
