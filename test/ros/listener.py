@@ -23,6 +23,8 @@ from rclpy.qos import QoSProfile
 # Generous: a loaded machine is slow, and a test that passes does not wait.
 PATIENCE = 120.0
 DEPTH = 10000
+# After which what may have been lost is sent again [s].
+REPEAT = 10.0
 
 
 class Listener:
@@ -63,14 +65,35 @@ class Listener:
             self._executor.spin_once(timeout_sec=0.05)
         return value
 
+    def send(self, publisher, message, condition, what):
+        """
+        Publish until a condition holds.
+
+        A publisher knows of a subscriber before that knows of the publisher; what is sent in
+        between is lost.
+
+        """
+        deadline = time.monotonic() + PATIENCE
+        while not condition():
+            assert time.monotonic() < deadline, f'no {what} within {PATIENCE} s'
+            publisher.publish(message)
+            again = time.monotonic() + REPEAT
+            while time.monotonic() < again and not condition():
+                self._executor.spin_once(timeout_sec=0.05)
+
     def call(self, service_class, name, request):
-        """Call a service and return the response."""
-        client = self.node.create_client(service_class, name)
-        self.wait(client.service_is_ready, f'service {name}')
-        future = client.call_async(request)
-        self.wait(future.done, f'answer of {name}')
-        self.node.destroy_client(client)
-        return future.result()
+        """Call a service, again where the answer is lost (see ``send``), and return it."""
+        for _ in range(round(PATIENCE / REPEAT)):
+            client = self.node.create_client(service_class, name)
+            self.wait(client.service_is_ready, f'service {name}')
+            future = client.call_async(request)
+            again = time.monotonic() + REPEAT
+            while time.monotonic() < again and not future.done():
+                self._executor.spin_once(timeout_sec=0.05)
+            self.node.destroy_client(client)
+            if future.done():
+                return future.result()
+        raise AssertionError(f'no answer of {name} within {PATIENCE} s')
 
     def destroy(self):
         """Leave the domain."""
