@@ -16,8 +16,6 @@
 
 import math
 
-import numpy as np
-
 from .core.types import SINGULAR_COUNT
 from .errors import ClosureError, NumericalError, SingularityError
 from .integration.registry import INTEGRATORS
@@ -97,8 +95,7 @@ class DriftGuard:
                 'equations vanish there, and with the drift that stabilisation: none allows the '
                 'branch on which the mechanism goes on cannot be told. Take stabilisation: '
                 'projection.')
-        # Of the latest evaluation: no need to make another one for it.
-        closure = float(np.abs(simulation.system.work.closure).max(initial=0.0))
+        closure = simulation.closure
         if not closure <= OPEN * self._extent:
             raise ClosureError(
                 f'The loops have drifted apart by {closure:.3g} m (or rad) at t = '

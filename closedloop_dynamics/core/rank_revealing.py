@@ -208,7 +208,6 @@ def accelerate(model, work, tau, baumgarte, q, qd, qdd, lam):
         rank, weakest, distinct, levers = _solve_here(model, work, tau, beside, found, forces)
         if attempt == 0:
             size, here = levers, distinct
-            health[MOST_DISTINCT] = max(health[MOST_DISTINCT], distinct)
         settled = error <= SETTLED * size
         if attempt == 0 or (attempt == 1 and close and settled and weakest >= CLOSE
                             and distinct >= health[MOST_DISTINCT]):
@@ -236,6 +235,7 @@ def accelerate(model, work, tau, baumgarte, q, qd, qdd, lam):
             for k in range(nc):
                 beside[k] = 0.0
         else:
+            # On the branch only: beside it equations that repeat one another seem not to.
             if settled:
                 health[LOOKED_BESIDE] = 1.0
                 health[MOST_DISTINCT] = max(health[MOST_DISTINCT], distinct)
