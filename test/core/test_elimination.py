@@ -88,18 +88,18 @@ def test_independent_equations_never_take_the_rank_revealing_path(drawn, engine)
 
 
 @pytest.mark.parametrize('loops', [1, 2, 5])
-def test_flat_ladder_accelerates_as_its_remaining_equations_allow(loops):
+def test_flat_ladder_accelerates_as_the_branch_that_it_is_on(loops):
     # All links on one line: one closure equation of each loop is lost.
     mechanism, q, qd = special.ladder(loops, tilt=0.5 * np.pi, rate=1.0)
     engine = Engine(mechanism)
     qdd, lam = engine.forward_dynamics(q, qd, np.zeros(len(q)))
     assert engine.work.health[RANK] == loops
+    # All rockers turn alike: one weight against one inertia. The interpolation between places
+    # 0.03 and 0.06 rad ahead and behind is good to the fourth power of that.
+    inertia, weight = (loops + 1) / 3.0 + loops, ((loops + 1) / 2.0 + loops) * 9.81
+    np.testing.assert_allclose(np.abs(qdd), weight / inertia, rtol=1e-6)
     jac = dense.closure_jacobian(mechanism, q)
-    free = np.linalg.svd(jac)[2][loops:].T
-    # Newton's equations along the motions that are left, and the closure of the others.
-    force = -dense.bias_force(mechanism, q, qd)
-    expected = -np.linalg.lstsq(jac, dense.constraint_bias(mechanism, q, qd), rcond=1e-8)[0]
-    gim = dense.generalized_inertia_matrix(mechanism, q)
-    expected += free @ np.linalg.solve(free.T @ gim @ free, free.T @ (force - gim @ expected))
-    assert_agree(qdd, expected, SOLVE)
-    assert_agree(gim @ qdd - jac.T @ lam, force, SOLVE)
+    np.testing.assert_allclose(
+        jac @ qdd + dense.constraint_bias(mechanism, q, qd), 0.0, atol=1e-5)
+    # The forces that keep it there grow without limit towards this place: nothing to compare.
+    assert np.isfinite(lam).all()
