@@ -87,8 +87,9 @@ def test_commands_of_both_kinds_are_applied_and_bad_ones_change_nothing(processe
     states = listener.listen('joint_states', JointState)
     torques = listener.publisher('torque_command', Float64MultiArray)
     joints = listener.publisher('joint_command', JointState)
-    torques.publish(Float64MultiArray(data=[1.0, 2.0, 3.0]))
-    listener.wait(lambda: applied(states, [1.0, 2.0, 3.0]), 'state with these efforts')
+    listener.send(
+        torques, Float64MultiArray(data=[1.0, 2.0, 3.0]), lambda: applied(states, [1.0, 2.0, 3.0]),
+        'state with these efforts')
     bad = [
         (torques, Float64MultiArray(data=[9.0, 9.0])),
         (torques, Float64MultiArray(data=[9.0, math.nan, 9.0])),
@@ -179,8 +180,9 @@ def test_machine_that_cannot_keep_up_says_so_and_stays_responsive(processes, lis
     simulator.wait_for('cannot keep up')
     states = listener.listen('joint_states', JointState)
     publisher = listener.publisher('torque_command', Float64MultiArray)
-    publisher.publish(Float64MultiArray(data=[1.0, 2.0, 3.0]))
-    listener.wait(lambda: applied(states, [1.0, 2.0, 3.0]), 'state with these efforts')
+    listener.send(
+        publisher, Float64MultiArray(data=[1.0, 2.0, 3.0]), lambda: applied(states, [1.0, 2.0, 3.0]),
+        'state with these efforts')
     begin = time.monotonic()
     assert simulator.stop() == 0
     assert time.monotonic() - begin < STOP_TIME
@@ -197,8 +199,9 @@ def test_simulators_side_by_side_in_namespaces(processes, listener):
     first.wait_until_ready()
     second.wait_until_ready()
     publisher = listener.publisher('/left/torque_command', Float64MultiArray)
-    publisher.publish(Float64MultiArray(data=[1.0, 2.0, 3.0]))
-    listener.wait(lambda: applied(left, [1.0, 2.0, 3.0]), 'state on the left')
+    listener.send(
+        publisher, Float64MultiArray(data=[1.0, 2.0, 3.0]), lambda: applied(left, [1.0, 2.0, 3.0]),
+        'state on the left')
     seen = len(right)
     listener.wait(lambda: len(right) > seen + 10, 'states on the right')
     assert len(left[0].name) == 7
