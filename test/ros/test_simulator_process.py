@@ -181,7 +181,8 @@ def test_machine_that_cannot_keep_up_says_so_and_stays_responsive(processes, lis
     states = listener.listen('joint_states', JointState)
     publisher = listener.publisher('torque_command', Float64MultiArray)
     listener.send(
-        publisher, Float64MultiArray(data=[1.0, 2.0, 3.0]), lambda: applied(states, [1.0, 2.0, 3.0]),
+        publisher, Float64MultiArray(data=[1.0, 2.0, 3.0]),
+        lambda: applied(states, [1.0, 2.0, 3.0]),
         'state with these efforts')
     begin = time.monotonic()
     assert simulator.stop() == 0
