@@ -22,12 +22,12 @@ from .assembly import Assembler
 from .core import energy, kinematics
 from .core import types as t
 from .core.formulations import AUGMENTED, SUBSYSTEM, SYSTEM
+from .core.loop_closure import largest
 from .effects.accounts import Accounts
 from .effects.composition import Composition
 from .effects.machine import Machine
 from .errors import SimulationError
 from .health import health_of
-from .integration.projection import largest
 from .integration.system import build_system, evaluate, number_of_states
 from .mechanism.decomposition import decompose
 from .mechanism.mechanism import CUT_JOINT_EQUATIONS, PRISMATIC, REVOLUTE

@@ -143,6 +143,29 @@ def update(model, work, responses):
 
 
 @inlined
+def largest(values):
+    """
+    Return the largest absolute value, such as the closure error.
+
+    Parameters
+    ----------
+    values : ndarray, shape (n,)
+        Any numbers.
+
+    Returns
+    -------
+    float
+        NaN if there is one.
+
+    """
+    most = 0.0
+    for value in values:
+        if not abs(value) <= most:
+            most = abs(value)
+    return most
+
+
+@inlined
 def free_acceleration(model, work, out):
     """
     Compute J I^-1 phi, the acceleration of each closure error without cut forces.

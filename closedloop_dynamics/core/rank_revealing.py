@@ -36,7 +36,7 @@ from .compiled import allocating, merged
 from .forward_dynamics import constraint_right_side, to_user_order
 from .inverse_dynamics import tree_torque
 from .jacobian import constraint_jacobian, generalized_inertia_matrix
-from .loop_closure import update
+from .loop_closure import largest, update
 from .null_space import ACCELERATION, POSITION, ROUNDING, solve, VELOCITY, WEAK
 from .types import (
     FX, FY, FZ, LOOKED_BESIDE, MOST_DISTINCT, OMEGA, RANK, RANK_REVEALING_COUNT, SINGULAR_COUNT)
@@ -59,16 +59,6 @@ def _fastest(work):
     most = 0.0
     for i in range(1, work.body.shape[0]):
         most = max(most, abs(work.body[i, OMEGA]))
-    return most
-
-
-@allocating
-def _largest(values):
-    """Return the largest absolute value, NaN if there is one."""
-    most = 0.0
-    for value in values:
-        if not abs(value) <= most:
-            most = abs(value)
     return most
 
 
@@ -146,7 +136,7 @@ def _settle(model, work, q, qd, size):
     for count in range(MOST_CORRECTIONS + 1):
         kinematics.outward(model, q, qd, work)
         update(model, work, False)
-        error = _largest(work.closure)
+        error = largest(work.closure)
         positions = error > ROUNDING * size and count < MOST_CORRECTIONS
         correct(model, work, POSITION if positions else VELOCITY, change)
         for i in range(q.shape[0]):

@@ -19,10 +19,10 @@ from typing import NamedTuple
 import numpy as np
 
 from .advance import advance, DONE
-from .projection import largest
-from .system import evaluate, number_of_states
+from .system import evaluate, number_of_states, take_states
 from ..core.compiled import compiled, inlined, released
 from ..core.energy import kinetic_energy, potential_energy
+from ..core.loop_closure import largest
 from ..core.types import ALPHA
 from ..effects.table import STORED
 
@@ -93,14 +93,6 @@ def _take_output(effects, output):
             output[row, 1] = effects.output[row, 1]
 
 
-@compiled
-def _set_states(effects, state, nv):
-    """Hand the effects' own states over to them."""
-    if effects is not None:
-        for k in range(effects.states.shape[0]):
-            effects.states[k] = state[2 * nv + k]
-
-
 @inlined
 def _copy(values, out):
     """Copy numbers: without numba's runtime no array is assigned as a whole."""
@@ -115,7 +107,7 @@ def _note(system, state, tape, instant):
     _copy(state, tape.state[instant])
     if tape.qdd.shape[0] == 0:
         return
-    _set_states(system.effects, state, nv)
+    take_states(system.effects, state, nv)
     evaluate(system, state[:nv], state[nv:2 * nv])
     _copy(system.qdd, tape.qdd[instant])
     _copy(system.lam, tape.lam[instant])

@@ -129,16 +129,6 @@ def correction(system, independent, level, q, qd, out):
         links.call(system.linkage, links.CAREFUL_VELOCITY, q, qd)
 
 
-@inlined
-def largest(values):
-    """Return the largest absolute value, NaN if there is one."""
-    most = 0.0
-    for value in values:
-        if not abs(value) <= most:
-            most = abs(value)
-    return most
-
-
 @merged
 def project(system, q, qd, positions):
     """
@@ -163,7 +153,7 @@ def project(system, q, qd, positions):
     work, out, settings = system.work, system.qdd, system.settings
     corrections = 0
     independent = factor_configuration(system, q, qd)
-    error = largest(work.closure)
+    error = loop_closure.largest(work.closure)
     # Near a singular configuration a small closure error is a large one of the state.
     while positions and corrections < MOST_CORRECTIONS and error > settings[CLOSURE_TOLERANCE] * (
             1.0 if independent else SHARPER):
@@ -172,7 +162,7 @@ def project(system, q, qd, positions):
             q[i] += out[i]
         corrections += 1
         independent = factor_configuration(system, q, qd)
-        before, error = error, largest(work.closure)
+        before, error = error, loop_closure.largest(work.closure)
         if not error < 0.5 * before:
             break
     correction(system, independent, rank_revealing.VELOCITY, q, qd, out)

@@ -150,7 +150,8 @@ def _linked(system):
     model, work = system.model, system.work
     linkage = links.connect(
         {links.BODY: model.body, links.GRAVITY: model.gravity, links.CUT_POINT: model.cut_point,
-         links.TAU: system.applied, links.SETTINGS: system.settings, links.QDD: system.qdd,
+         links.TAU: system.applied, links.QDD: system.qdd,
+         links.BAUMGARTE: system.settings[BAUMGARTE:],
          links.LAM: system.lam, links.HEALTH: work.health, links.WORK_BODY: work.body,
          links.CLOSURE: work.closure, links.CLOSURE_RATE: work.closure_rate,
          links.CORRECTIONS: system.corrections},
@@ -253,8 +254,20 @@ def _feel_reactions(effects, model, work, qdd, lam):
 
 
 @inlined
-def _take_states(effects, state, nv):
-    """Hand the effects' own states over to them."""
+def take_states(effects, state, nv):
+    """
+    Hand the effects' own states over to them, where a scene lists any.
+
+    Parameters
+    ----------
+    effects : EffectTable or None
+        Of the system.
+    state : ndarray, shape (ns,)
+        Coordinates, rates, and what effects add.
+    nv : int
+        Number of joint coordinates.
+
+    """
     if effects is not None:
         for k in range(effects.states.shape[0]):
             effects.states[k] = state[2 * nv + k]
@@ -448,7 +461,7 @@ def derivative(system, state, out):
     # Independent coordinates: the others of a stage are first guesses only.
     _close(system.partition, system.model, system.work, state[:nv], state[nv:2 * nv],
            system.settings[CLOSURE_TOLERANCE])
-    _take_states(system.effects, state, nv)
+    take_states(system.effects, state, nv)
     evaluate_only(system, state[:nv], state[nv:2 * nv])
     for i in range(nv):
         out[i] = state[nv + i]

@@ -22,9 +22,9 @@ their address (``linkage``): one more second at the first start, a third of the 
 
 """
 
-from .linkage import available, call
+from .linkage import available
 
-__all__ = ['available', 'call', 'relink']
+__all__ = ['available', 'relink']
 
 
 def relink(model, linkage):

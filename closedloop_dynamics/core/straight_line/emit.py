@@ -63,20 +63,12 @@ class Routine:
 
         Returns
         -------
-        list of bool
+        set of int
 
         """
-        operations = self.tape.operations
-        use = [False] * len(operations)
-        for value in [value for _, _, value in self.outputs] + [self.tape.guard]:
-            if hasattr(value, 'place'):
-                use[value.place] = True
-        for place in range(len(operations) - 1, -1, -1):
-            if use[place] and operations[place][0] != LOAD:
-                for operand in operations[place][1:]:
-                    if isinstance(operand, int):
-                        use[operand] = True
-        return use
+        values = [value for _, _, value in self.outputs] + [self.tape.guard]
+        return _needed_for(
+            self.tape.operations, [value.place for value in values if hasattr(value, 'place')])
 
 
 Q, QD = -1, -2
@@ -110,13 +102,12 @@ class _Writer:
     def write(self):
         operations, use = self.routine.tape.operations, self.routine.needed()
         angles = sorted({operation[1] for place, operation in enumerate(operations)
-                         if use[place] and operation[0] in (SINE, COSINE)})
-        first = _needed_for(operations, angles)
-        for place in sorted(first):
+                         if place in use and operation[0] in (SINE, COSINE)})
+        for place in sorted(_needed_for(operations, angles)):
             self.values[place] = self.operation(*operations[place])
         self.turn(operations, angles)
         for place, operation in enumerate(operations):
-            if use[place] and place not in self.values:
+            if place in use and place not in self.values:
                 self.values[place] = self.operation(*operation)
         for source, place, value in self.routine.outputs:
             known = value.place if hasattr(value, 'place') else float(value)
@@ -188,7 +179,7 @@ def machine_code(key, routines):
 
     Parameters
     ----------
-    key : bytes
+    key : tuple
         What the routines depend on.
     routines : callable
         Returns the list of Routine; called only where nothing is cached.

@@ -41,11 +41,9 @@ except ImportError:
 # How many of the routines, the first ones, are unrolled.
 UNROLLED = 4
 # Addresses of arrays.
-(BODY, GRAVITY, CUT_POINT, TAU, SETTINGS, QDD, LAM, HEALTH, WORK_BODY, CLOSURE, CLOSURE_RATE,
+(BODY, GRAVITY, CUT_POINT, TAU, BAUMGARTE, QDD, LAM, HEALTH, WORK_BODY, CLOSURE, CLOSURE_RATE,
  CORRECTIONS) = range(7, 19)
 LINKAGE_COLUMNS = 19
-# Place of Baumgarte's rate in the settings.
-SETTINGS_BAUMGARTE = 1
 
 _SIGNATURE = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p)
 

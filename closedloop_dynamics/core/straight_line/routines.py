@@ -18,11 +18,11 @@ import numpy as np
 
 from . import emit
 from .linkage import (
-    ACCELERATION, BODY, CLOSURE, CLOSURE_RATE, CORRECTION, CORRECTIONS, CUT_POINT, EVALUATION,
-    GRAVITY, HEALTH, LAM, OUTWARD, QDD, SETTINGS, SETTINGS_BAUMGARTE, TAU, WORK_BODY)
+    ACCELERATION, BAUMGARTE, BODY, CLOSURE, CLOSURE_RATE, CORRECTION, CORRECTIONS, CUT_POINT,
+    EVALUATION, GRAVITY, HEALTH, LAM, OUTWARD, QDD, TAU, WORK_BODY)
 from .tape import LOAD, Tape, unrolled
 from .. import articulated_inertia, elimination, forward_dynamics, kinematics, loop_closure
-from ..types import AX, AY, COS, HEALTH_COLUMNS, RHS, TYPE, WORK_COLUMNS, Workspace
+from ..types import allocate, AX, AY, COS, RHS, TYPE, Workspace
 
 NAMES = {EVALUATION: 'evaluation', OUTWARD: 'outward', ACCELERATION: 'acceleration',
          CORRECTION: 'correction'}
@@ -78,18 +78,12 @@ class _Unrolling:
 
     def __init__(self, model):
         self.tape = Tape()
-        self.bodies, self.nv, self.nc = (
-            len(model.tree), len(model.tree) - 1, len(model.column) - 1)
+        self.nv, self.nc = len(model.tree) - 1, len(model.column) - 1
         self.model = model._replace(
             body=self.symbols(BODY, model.body.shape), gravity=self.symbols(GRAVITY, (2,)),
             cut_point=self.symbols(CUT_POINT, model.cut_point.shape))
-        slots = len(model.slot_body)
-        self.work = Workspace(
-            body=_zeros(self.bodies, WORK_COLUMNS), response=_zeros(slots, 3),
-            response_scaled=_zeros(slots, 3), factor=_zeros(len(model.row)),
-            scale=_zeros(self.nc), pivot_inverse=_zeros(self.nc), right=_zeros(self.nc),
-            scatter=_zeros(self.nc), closure=_zeros(self.nc), closure_rate=_zeros(self.nc),
-            bias=_zeros(self.nc), health=self.symbols(HEALTH, (HEALTH_COLUMNS,)))
+        work = Workspace(*(_zeros(*array.shape) for array in allocate(model)))
+        self.work = work._replace(health=self.symbols(HEALTH, work.health.shape))
         self.q, self.qd = self.symbols(emit.Q, (self.nv,)), self.symbols(emit.QD, (self.nv,))
         self.outputs = []
 
@@ -135,7 +129,7 @@ class _Unrolling:
 
     def accelerate(self):
         """Unroll the forward dynamics."""
-        baumgarte = self.symbols(SETTINGS, (SETTINGS_BAUMGARTE + 1,))[-1]
+        baumgarte = self.symbols(BAUMGARTE, (1,))[0]
         tau, qdd, lam = self.symbols(TAU, (self.nv,)), _zeros(self.nv), _zeros(self.nc)
         unrolled(forward_dynamics.accelerate)(
             self.model, self.work, tau, baumgarte, qdd, lam)
