@@ -17,6 +17,7 @@
 import time
 
 from closedloop_dynamics.errors import SimulationError
+from closedloop_dynamics.ros.process import leaving_at_once
 from closedloop_dynamics.ros.process import StartError
 from closedloop_dynamics.simulation import Simulation
 
@@ -48,8 +49,9 @@ def load_simulation(scene, logger, **method):
                 'start, seconds from then on) ...')
     begin = time.monotonic()
     try:
-        simulation = Simulation.from_scene(scene, **method)
-        simulation.warm_up()
+        with leaving_at_once():
+            simulation = Simulation.from_scene(scene, **method)
+            simulation.warm_up()
     except (ValueError, OSError, SimulationError) as error:
         raise StartError(f"scene '{scene}': {error}") from None
     if simulation.method_report:

@@ -47,8 +47,8 @@ class SignalWatch:
 
     The C-level handler writes to a socket that a thread reads, so that a
     request is noticed at once even while the main thread waits in DDS or
-    compiles. Before ``on_stop`` was called there is nothing to close, and the
-    process simply leaves.
+    compiles. Before ``on_stop`` was called, and within ``leaving_at_once()``,
+    there is nothing to close, and the process simply leaves.
 
     """
 
@@ -204,6 +204,8 @@ def _run_in_context(create_node, name, watch):
     from closedloop_dynamics.ros.spinning import spin
     from rclpy.exceptions import NameValidationException
     from rclpy.logging import get_logger
+    # From here on there may be something to close, such as a bag: a signal waits until it can be.
+    watch.on_stop(_nothing)
     try:
         node = create_node()
     except (StartError, NameValidationException) as error:
