@@ -17,8 +17,10 @@ How evenly, at what cost, and how completely a simulator publishes at a rate.
 
 Starts a real simulator, subscribes to its states and to the force of every cut joint
 (reliably), and prints for each rate: what was achieved, how far the periods between states were
-off, the share of a core that the simulator took, and how many messages were lost on the way, by
-the numbers that the publisher gives them. With ``--record`` the package's recorder listens, too.
+off, by the times at which DDS sent them, the share of a core that the simulator took, and how
+many messages were lost on the way, by the numbers that the publisher gives them. With
+``--record`` the package's recorder listens, too. Before and after, a bare loop that does nothing
+but sleep until the next period shows how evenly this machine wakes a process up at all.
 
 """
 
@@ -40,6 +42,8 @@ from test.ros.taker import Taker  # noqa: E402,I100
 
 # Between two looks for messages [s].
 POLL = 0.002
+# Of the bare loop [s].
+FLOOR_DURATION = 3.0
 
 
 class Subscriber:
@@ -49,7 +53,7 @@ class Subscriber:
         self.context = rclpy.Context()
         rclpy.init(context=self.context)
         self.node = rclpy.create_node('node_rate', context=self.context)
-        self.taken = Taker(self.node, scene, keep_stamps=True)
+        self.taken = Taker(self.node, scene, keep_times=True)
 
     def take_until(self, over):
         """Take messages until it is over."""
@@ -79,17 +83,34 @@ def start(executable, *parameters):
         env={**os.environ, 'PYTHONPATH': f'{ROOT}:{os.environ.get("PYTHONPATH", "")}'})
 
 
-def measure(scene, rate, duration, record):
+def deviations(moments, rate):
+    """Return median, 99th percentile and maximum of |period - nominal| [ms]."""
+    off = np.abs(1e-6 * np.diff(moments) - 1e3 / rate)
+    return (*np.percentile(off, (50, 99)), off.max())
+
+
+def floor(rate):
+    """Return the line of a bare loop that sleeps until each period is over."""
+    moments, period, begin = [], 1.0 / rate, time.perf_counter()
+    for k in range(1, round(FLOOR_DURATION * rate)):
+        time.sleep(max(0.0, begin + k * period - time.perf_counter()))
+        moments.append(time.perf_counter_ns())
+    p50, p99, most = deviations(moments, rate)
+    return f'{"bare sleeping loop":20}{rate:8.0f}{"":10}{p50:9.3f}{p99:9.3f}{most:9.2f}'
+
+
+def measure(scene, rate, duration, record, parameters):
     """Return the line of one rate."""
     subscriber = Subscriber(scene)
     taken, processes = subscriber.taken, []
     with tempfile.TemporaryDirectory() as directory:
         if record:
             processes.append(start('recorder', f'output:={directory}/bag'))
-        processes.append(start('simulator', f'scene:={scene}', f'publish_rate:={rate}'))
+        processes.append(start('simulator', f'scene:={scene}', f'publish_rate:={rate}',
+                               *parameters))
         simulator = processes[-1]
         try:
-            subscriber.take_until(lambda: len(taken.stamps) > 3 * rate)
+            subscriber.take_until(lambda: len(taken.sent) > 3 * rate)
             taken.clear()
             before, begin = cpu_time(simulator), time.monotonic()
             own = time.process_time()
@@ -102,10 +123,9 @@ def measure(scene, rate, duration, record):
                 process.terminate()
                 process.wait()
     subscriber.close()
-    off = 1e3 * np.abs(np.diff(taken.stamps) - 1.0 / rate)
-    p50, p99 = np.percentile(off, (50, 99))
-    return (f'{scene:20}{rate:8.0f}{len(taken.stamps) / elapsed:10.1f}{p50:9.3f}{p99:9.3f}'
-            f'{off.max():9.2f}{100.0 * share:8.1f}{100.0 * own:12.1f}'
+    p50, p99, most = deviations(taken.sent, rate)
+    return (f'{scene:20}{rate:8.0f}{len(taken.sent) / elapsed:10.1f}{p50:9.3f}{p99:9.3f}'
+            f'{most:9.2f}{100.0 * share:8.1f}{100.0 * own:12.1f}'
             f'{taken.received.total():11}{taken.lost.total():7}')
 
 
@@ -129,13 +149,19 @@ def main(argv=None):
     parser.add_argument('--rates', type=float, nargs='+', default=[1000.0], help='[Hz]')
     parser.add_argument('--duration', type=float, default=10.0, help='of each [s]')
     parser.add_argument('--record', action='store_true', help='with the recorder beside it')
+    parser.add_argument('--busy-wait', action='store_true',
+                        help='with the parameter busy_wait of the simulator')
     arguments = parser.parse_args(argv)
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     print(f'{description()}\nperiods: |period - nominal| [ms]; CPU: share of a core [%]')
     print(f'{"scene":20}{"rate":>8}{"achieved":>10}{"p50":>9}{"p99":>9}{"max":>9}{"CPU":>8}'
           f'{"subscriber":>12}{"received":>11}{"lost":>7}')
+    parameters = ['busy_wait:=true'] if arguments.busy_wait else []
     for rate in arguments.rates:
-        print(measure(arguments.scene, rate, arguments.duration, arguments.record), flush=True)
+        print(floor(rate), flush=True)
+        print(measure(arguments.scene, rate, arguments.duration, arguments.record, parameters),
+              flush=True)
+        print(floor(rate), flush=True)
     return 0
 
 

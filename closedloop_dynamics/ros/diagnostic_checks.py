@@ -92,7 +92,8 @@ def time_finding(now, standing, wanted_factor):
     Parameters
     ----------
     now : dict
-        Of the last period: ``factor`` achieved, ``dropped`` [s], ``missed`` and ``ticks``.
+        Of the last period: ``factor`` achieved, ``dropped`` [s], ``ticks``, ``missed`` ones and
+        ``left out`` ones.
     standing : str
         Why time does not run; empty where it does.
     wanted_factor : float or None
@@ -112,6 +113,9 @@ def time_finding(now, standing, wanted_factor):
         return Finding(
             ERROR if share < FACTOR_ERROR else WARN,
             f'cannot keep up: {now["factor"]:.3g} x real time instead of {wanted_factor:g}')
+    if now['left out']:
+        return Finding(WARN, f'{now["left out"]} states left out: the machine was busy, or '
+                             'publish_rate is too high for it')
     if now['missed'] > MISSED_WARN * max(now['ticks'], 1):
         return Finding(WARN, f'{now["missed"]} of {now["ticks"]} ticks missed: the machine is '
                              'busy, or publish_rate too high for it')

@@ -114,17 +114,19 @@ class Diagnostics:
     def _mark(self):
         """Begin another period."""
         pacer = self._node.pacer
-        self._begin = (time.monotonic(), pacer.simulated, pacer.dropped,
-                       self._node.mode.missed_ticks)
+        mode = self._node.mode
+        self._begin = (time.monotonic(), pacer.simulated, pacer.dropped, mode.missed_ticks,
+                       mode.left_out)
         self._worst = math.inf
         self._book = self._counts()
 
     def _time(self):
         node, pacer, mode = self._node, self._node.pacer, self._node.mode
-        began, simulated, dropped, missed = self._begin
+        began, simulated, dropped, missed, left_out = self._begin
         elapsed = time.monotonic() - began
         now = {'factor': (pacer.simulated - simulated) / elapsed,
                'dropped': pacer.dropped - dropped, 'missed': mode.missed_ticks - missed,
+               'left out': mode.left_out - left_out,
                'ticks': round(elapsed / mode.tick_period)}
         finding = time_finding(
             now, node.control.standing, pacer.real_time_factor if mode.name == REALTIME else None)
@@ -136,6 +138,7 @@ class Diagnostics:
             'simulated time dropped, last second [s]': now['dropped'],
             'simulated time dropped [s]': pacer.dropped,
             'missed ticks, last second': now['missed'], 'missed ticks': mode.missed_ticks,
+            'states left out, last second': now['left out'], 'states left out': mode.left_out,
             'messages published': node.states.published}
         return finding
 

@@ -25,6 +25,11 @@ from closedloop_dynamics.ros.simulator_parameters import REALTIME
 COMPUTING_SHARE = 0.8
 # However rarely states are published: signals and services are attended to so often [s].
 LONGEST_TICK = 0.1
+# States of ticks that were missed that are published late; those before them are left out. As long
+# as that, nobody waits for a machine that is too slow for its rate.
+MOST_MADE_UP = 10
+# A tick may be so early, as a share of its period, and be the one that is due all the same.
+EARLY = 0.05
 # As long as nothing else is to be done [s].
 IDLE_TICK = 0.05
 # A mode that runs as fast as possible attends to messages so often [s].
@@ -40,10 +45,14 @@ class RealTime:
     """
     Simulated time follows the steady clock times a factor.
 
+    A tick that was missed is made up for in the next one: every state is that of the time at
+    which it was due, however late the process was woken for it.
+
     Parameters
     ----------
     machine : object
-        With ``advance(steps)`` and ``refresh()``.
+        With ``advance(steps)`` and ``refresh(late)``, the latter being told by how much the time
+        of the state has passed [s].
     pacer : pacing.Pacer
         Counts time.
 
@@ -53,6 +62,8 @@ class RealTime:
         [s] of the steady clock.
     missed_ticks : int
         Ticks that came so late that the next one was due.
+    left_out : int
+        Those of them that were not made up for.
 
     """
 
@@ -60,19 +71,20 @@ class RealTime:
 
     def __init__(self, machine, pacer):
         self._machine, self.pacer = machine, pacer
-        self.missed_ticks = 0
-        self._last_tick = None
+        self.missed_ticks = self.left_out = 0
+        # When the latest tick was due.
+        self._due = None
 
     def set_rate(self, rate):
         """Publish ``rate`` times a second from now on."""
         self._ticks = math.ceil(1.0 / (rate * LONGEST_TICK))
         self._left = self._ticks
         self.tick_period = 1.0 / (rate * self._ticks)
-        self._last_tick = None
+        self._due = None
 
     def start(self):
         """Let time run from now on."""
-        self._last_tick = None
+        self._due = None
         self.pacer.start()
 
     def stop(self):
@@ -86,27 +98,51 @@ class RealTime:
         """Do nothing: a command acts from the next tick on."""
 
     def tick(self):
-        """Advance to the present, and publish if it is time to."""
-        self._count_missed()
-        if self.pacer.running:
-            self.pacer.tick(self._machine.advance, COMPUTING_SHARE * self.tick_period)
+        """Advance to the present, period by period, and publish what there is to publish."""
+        missed = self._note_due() - 1
+        if not self.pacer.running:
+            # What stands still is the same at every tick.
+            missed = 0
+        made_up = min(missed, MOST_MADE_UP)
+        self.missed_ticks += missed
+        self.left_out += missed - made_up
+        budget = COMPUTING_SHARE * self.tick_period
+        for behind in range(made_up, -1, -1):
+            if behind and budget <= 0.0:
+                # It is computing that takes too long: more of the same would not help.
+                self.left_out += 1
+                continue
+            budget -= self._take(self._due - behind * self.tick_period, budget)
+
+    def _note_due(self):
+        """Return how many ticks have become due with this one, and note when it was due."""
+        now = self.pacer.clock()
+        if self._due is None:
+            self._due = now
+            return 1
+        ticks = max(1, math.floor((now - self._due) / self.tick_period + EARLY))
+        # Ticks are late, never early: if this one seems to be, those before were late.
+        self._due = min(self._due + ticks * self.tick_period, now)
+        return ticks
+
+    def _take(self, due, budget):
+        """Advance to the time of a tick, publish if it is time to; return what the first took."""
+        pacer = self.pacer
+        begin = pacer.clock()
+        if pacer.running:
+            pacer.tick(self._machine.advance, budget, due)
+        computed = pacer.clock()
         self._left -= 1
         if self._left <= 0:
             self._left = self._ticks
-            self._machine.refresh()
-
-    def _count_missed(self):
-        now = self.pacer.clock()
-        if self._last_tick is not None:
-            self.missed_ticks += max(
-                0, math.floor((now - self._last_tick) / self.tick_period + 0.5) - 1)
-        self._last_tick = now
+            self._machine.refresh(computed - due)
+        return computed - begin
 
 
 class _Periodic:
     """What the modes share in which a period is so many steps, whatever the clock says."""
 
-    missed_ticks = 0
+    missed_ticks = left_out = 0
 
     def __init__(self, machine, pacer):
         self._machine, self.pacer = machine, pacer

@@ -99,7 +99,7 @@ class Pacer:
         self._accrue(self.clock())
         self._last = None
 
-    def tick(self, take, budget):
+    def tick(self, take, budget, until=None):
         """
         Take the steps that are due, for a limited time.
 
@@ -109,6 +109,8 @@ class Pacer:
             ``take(n)`` takes n steps.
         budget : float
             Time of the clock after which no more steps are begun [s].
+        until : float, optional
+            Time of the clock up to which steps are due; not given: now.
 
         Returns
         -------
@@ -117,7 +119,7 @@ class Pacer:
 
         """
         begin = now = self.clock()
-        self._accrue(now)
+        self._accrue(now if until is None else until)
         steps = math.floor(self._due / self.step_size + ROUNDING)
         while steps > 0 and now - begin < budget:
             portion = min(steps, self._portion(begin + budget - now))

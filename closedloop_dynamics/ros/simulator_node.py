@@ -46,6 +46,7 @@ from closedloop_dynamics.ros.run_parameters import RunParameters
 from closedloop_dynamics.ros.simulator_parameters import LOCKSTEP
 from closedloop_dynamics.ros.simulator_parameters import REALTIME
 from closedloop_dynamics.ros.simulator_parameters import SIMULATOR_PARAMETERS
+from closedloop_dynamics.ros.spinning import LONGEST_WAIT
 from closedloop_dynamics.ros.stamps import Stamps
 import numpy as np
 from rclpy.clock import Clock
@@ -61,6 +62,9 @@ COMMAND_QOS = QoSProfile(depth=10)
 MESSAGE_PERIOD = 5.0
 # A state that does not change is published so often in simulated time [s of the steady clock].
 REPEAT_PERIOD = 1.0
+# With busy_wait, no sleep begins or ends in so long a time before a tick [s]: longer than waking
+# up takes, nearly always.
+WAKE_UP_TIME = 0.002
 
 
 class SimulatorNode(Node):
@@ -100,7 +104,7 @@ class SimulatorNode(Node):
         self.exit_code = None
         self.on_published, self.on_advance, self.on_jump = [], [], []
         values = declare(self, SIMULATOR_PARAMETERS)
-        self.command_timeout = values['command_timeout']
+        self.command_timeout, self.busy_wait = values['command_timeout'], values['busy_wait']
         self.simulation = simulation = load_simulation(
             values['scene'], self.get_logger(),
             **{key: values[key] or None for key in ('step_size', 'integrator', 'stabilisation')})
@@ -206,9 +210,14 @@ class SimulatorNode(Node):
             note()
         self.simulation.advance(self.torque, steps)
 
-    def publish(self):
+    def publish(self, late=0.0):
         """
         Publish the present state and constraint forces.
+
+        Parameters
+        ----------
+        late : float
+            How long ago the state was due [s of the steady clock].
 
         Raises
         ------
@@ -216,7 +225,7 @@ class SimulatorNode(Node):
             Instead of publishing forces that are not finite.
 
         """
-        simulation, stamp = self.simulation, self.stamps.now()
+        simulation, stamp = self.simulation, self.stamps.earlier(late, self._published_stamp)
         forces = simulation.constraint_forces
         if not np.isfinite(forces).all():
             raise NumericalError('the constraint forces are not finite numbers')
@@ -238,11 +247,19 @@ class SimulatorNode(Node):
             note()
         self.publish()
 
-    def refresh(self):
-        """Publish the state if it has a new stamp, or again, for latecomers, after a while."""
+    def refresh(self, late=0.0):
+        """
+        Publish the state if it has a new stamp, or again, for latecomers, after a while.
+
+        Parameters
+        ----------
+        late : float
+            How long ago the state was due [s of the steady clock].
+
+        """
         if (not self.stamps.simulated or self.stamps.now() != self._published_stamp
                 or time.monotonic() - self._published_at >= REPEAT_PERIOD):
-            self.publish()
+            self.publish(late)
 
     def close(self):
         """Say what was done."""
@@ -255,7 +272,8 @@ class SimulatorNode(Node):
             f'simulated {pacer.simulated:.3f} s in {pacer.elapsed:.3f} s, '
             f'{pacer.achieved:.3f} x real time, {pacer.dropped:.3f} s dropped; '
             f'commands: {book.accepted} accepted, {book.rejected} rejected, '
-            f'{book.timed_out} timed out; {self.states.published} messages published')
+            f'{book.timed_out} timed out; {self.states.published} messages published'
+            + (f', {self.mode.left_out} states left out' if self.mode.left_out else ''))
 
     @contextmanager
     def standing_still(self):
@@ -276,6 +294,21 @@ class SimulatorNode(Node):
         # /clock may stop the simulation.
         self._timer = self.create_timer(
             self.mode.tick_period, self.tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def patience(self):
+        """
+        Return how long to wait for something to do before ``patience`` is asked again [s].
+
+        Returns
+        -------
+        float
+            0 where the process is not to sleep.
+
+        """
+        if not (self.busy_wait and self.control.running and self.mode.name == REALTIME):
+            return LONGEST_WAIT
+        ahead = 1e-9 * (self._timer.time_until_next_call() or 0) - WAKE_UP_TIME
+        return min(max(0.0, ahead), LONGEST_WAIT)
 
     def warn(self, throttle, message):
         """

@@ -55,7 +55,7 @@ def build_executor(context=None):
     return SingleThreadedExecutor(context=context)
 
 
-def spin(executor, over):
+def spin(executor, over, patience=None):
     """
     Run callbacks as they become due.
 
@@ -65,7 +65,10 @@ def spin(executor, over):
         With a node.
     over : callable
         Asked after every callback whether to end.
+    patience : callable, optional
+        Asked after every callback how long the process may sleep now [s]; not given: until
+        something happens.
 
     """
     while not over():
-        executor.spin_once(timeout_sec=LONGEST_WAIT)
+        executor.spin_once(timeout_sec=patience() if patience is not None else LONGEST_WAIT)

@@ -57,6 +57,30 @@ class Stamps:
             return self.simulated_nanoseconds
         return self._node.get_clock().now().nanoseconds
 
+    def earlier(self, late, last):
+        """
+        Return the stamp for a state whose time has passed [ns].
+
+        Parameters
+        ----------
+        late : float
+            So long ago [s of the steady clock].
+        last : int or None
+            Stamp of the state before, which this one is not to precede [ns].
+
+        Returns
+        -------
+        int
+
+        """
+        now = self.now()
+        # A clock that somebody else publishes runs as it likes.
+        if self.simulated or self._node.get_clock().ros_time_is_active:
+            return now
+        stamp = now - max(0, round(late * NANOSECONDS))
+        # Unless the clock itself was set back.
+        return last + 1 if last is not None and stamp <= last <= now else stamp
+
     def message(self):
         """Return the same as a message."""
         sec, nanosec = divmod(self.now(), NANOSECONDS)

@@ -15,7 +15,6 @@
 """A reliable subscriber that takes serialised messages without an executor, and misses nothing."""
 
 from collections import Counter
-import struct
 
 from closedloop_dynamics.scene import load_scene
 from geometry_msgs.msg import WrenchStamped
@@ -23,8 +22,6 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 
 DEPTH = 10000
-# Where the stamp is in a serialised message with a header.
-STAMP, STAMP_AT = struct.Struct('=iI'), 4
 
 
 class Taker:
@@ -42,14 +39,14 @@ class Taker:
     ----------
     received, lost : Counter
         By topic.
-    stamps : list of float
-        Of the joint states [s], if ``keep_stamps``.
+    sent : list of int
+        When joint states were sent, as DDS says [ns], if ``keep_times``.
 
     """
 
-    def __init__(self, node, scene, keep_stamps=False):
+    def __init__(self, node, scene, keep_times=False):
         self.received, self.lost, self._last = Counter(), Counter(), {}
-        self.stamps, self._keep_stamps = [], keep_stamps
+        self.sent, self._keep_times = [], keep_times
         topics = {f'constraint_forces/{cut.name}': WrenchStamped
                   for cut in load_scene(scene).mechanism.cut_joints}
         self._subscriptions = {
@@ -69,12 +66,11 @@ class Taker:
         self.lost[topic] += max(0, number - self._last.get(topic, number - 1) - 1)
         self._last[topic] = number
         self.received[topic] += 1
-        if self._keep_stamps and topic == 'joint_states':
-            sec, nanosec = STAMP.unpack_from(data, STAMP_AT)
-            self.stamps.append(sec + 1e-9 * nanosec)
+        if self._keep_times and topic == 'joint_states':
+            self.sent.append(info['source_timestamp'])
 
     def clear(self):
         """Count from here on."""
-        self.stamps.clear()
+        self.sent.clear()
         self.received.clear()
         self.lost.clear()

@@ -19,6 +19,7 @@ import math
 from closedloop_dynamics import Simulation
 from closedloop_dynamics.ros.process import StartError
 from closedloop_dynamics.ros.simulator_node import SimulatorNode
+from closedloop_dynamics.ros.spinning import LONGEST_WAIT
 import numpy as np
 import pytest
 from rclpy.parameter import Parameter
@@ -276,6 +277,52 @@ def test_method_that_the_scene_is_too_stiff_for_is_refused(build, tmp_path):
     assert node.simulation.scene.method == before
     advance(node, 0.05, ticks=5)
     assert node.exit_code is None
+
+
+def test_states_of_late_ticks_are_a_period_apart_in_every_respect(build):
+    node = build(publish_rate=200.0)
+    node.stamps.now = lambda: round(1e9 * node.clock.now)
+    times = []
+    node.on_published.append(lambda stamp: times.append(node.simulation.time))
+    for late in (0.005, 0.006, 0.016, 0.0035, 0.005):
+        advance(node, late)
+    assert times == pytest.approx([0.005 * k for k in range(1, 8)])
+    assert np.diff(node.stamps_seen) == pytest.approx(5_000_000, abs=2)
+    # A clock that was set back is followed.
+    node.stamps.now = lambda: 1_000_000_000
+    advance(node, 0.005)
+    assert node.stamps_seen[-1] == pytest.approx(1_000_000_000, abs=1_000_000)
+
+
+def test_stamps_never_go_back_while_the_clock_does_not(build):
+    node = build(publish_rate=200.0)
+    node.stamps.now = lambda: round(1e9 * node.clock.now)
+    advance(node, 0.005)
+    # A state that was set from outside is told in between, when the tick was due already.
+    advance(node, 0.005)
+    node.clock.now += 0.007
+    node.jumped()
+    node.tick()
+    assert np.all(np.diff(node.stamps_seen) > 0)
+
+
+def test_stamps_of_a_clock_that_others_publish_are_its_own(build):
+    node = build(use_sim_time=True)
+    advance(node, 0.01)
+    advance(node, 0.035)
+    assert node.stamps_seen == [0, 0, 0, 0]
+
+
+def test_process_does_not_sleep_while_it_is_to_be_busy(build):
+    node = build(publish_rate=1000.0)
+    assert node.patience() == LONGEST_WAIT
+    assert node.set_parameters([Parameter('busy_wait', value=True)])[0].successful
+    assert node.patience() == 0.0
+    pause(node)
+    assert node.patience() == LONGEST_WAIT
+    pause(node, False)
+    node.set_parameters([Parameter('publish_rate', value=20.0)])
+    assert 0.0 < node.patience() < 0.05
 
 
 def test_stamps_are_those_of_simulated_time_when_the_clock_is_published(build):

@@ -39,11 +39,19 @@ BOOK = {'accepted': 5, 'rejected': 0, 'timed out': 0, 'states set': 0, 'states r
 @pytest.mark.parametrize('factor, missed, level', [
     (1.0, 0, OK), (0.96, 0, OK), (0.94, 0, WARN), (0.49, 0, ERROR), (1.0, 4, OK), (1.0, 6, WARN)])
 def test_simulated_time_that_lags_behind_is_told(factor, missed, level):
-    now = {'factor': 2.0 * factor, 'dropped': 0.0, 'missed': missed, 'ticks': 100}
+    now = {'factor': 2.0 * factor, 'dropped': 0.0, 'missed': missed, 'left out': 0,
+           'ticks': 100}
     assert checks.time_finding(now, '', 2.0).level == level
     # Nothing is wrong with a pause, or where no factor was asked for.
     assert checks.time_finding(now, 'paused', 2.0).level == OK
     assert checks.time_finding(now, '', None).level == OK
+
+
+def test_states_left_out_are_told():
+    now = {'factor': 1.0, 'dropped': 0.0, 'missed': 3, 'left out': 1, 'ticks': 1000}
+    finding = checks.time_finding(now, '', 1.0)
+    assert finding.level == WARN
+    assert finding.message.startswith('1 states left out')
 
 
 @pytest.mark.parametrize('error, load, level', [

@@ -17,6 +17,7 @@
 from closedloop_dynamics.ros.modes import AsFastAsPossible
 from closedloop_dynamics.ros.modes import Lockstep
 from closedloop_dynamics.ros.modes import LOOK_EVERY
+from closedloop_dynamics.ros.modes import MOST_MADE_UP
 from closedloop_dynamics.ros.modes import period_steps
 from closedloop_dynamics.ros.modes import RealTime
 from closedloop_dynamics.ros.pacing import Pacer
@@ -28,7 +29,7 @@ class Machine:
 
     def __init__(self):
         self.steps = 0
-        self.published, self.refreshed = [], []
+        self.published, self.refreshed, self.late = [], [], []
 
     def advance(self, steps):
         self.steps += steps
@@ -39,8 +40,9 @@ class Machine:
     def is_received(self):
         return True
 
-    def refresh(self):
+    def refresh(self, late=0.0):
         self.refreshed.append(self.steps)
+        self.late.append(late)
 
 
 @pytest.fixture
@@ -79,6 +81,58 @@ def test_missed_ticks_are_counted_but_not_those_of_a_standstill(machine):
     mode.start()
     mode.tick()
     assert mode.missed_ticks == 2
+
+
+def test_late_ticks_lose_no_state_and_every_state_is_that_of_its_time(machine):
+    now = [0.0]
+    mode = build(RealTime, machine, 1000.0, lambda: now[0], step_size=1e-4)
+    # The first one, on time; then late ones, of which the third comes when two more are due.
+    for moment in (0.001, 0.0025, 0.0031, 0.0067, 0.0070, 0.0080):
+        now[0] = moment
+        mode.tick()
+    assert machine.refreshed == [10, 20, 30, 40, 50, 60, 70, 80]
+    assert machine.late == pytest.approx(
+        [0.0, 0.0005, 0.0001, 0.0027, 0.0017, 0.0007, 0.0, 0.0], abs=1e-9)
+    assert (mode.missed_ticks, mode.left_out) == (2, 0)
+
+
+def test_first_tick_that_was_late_does_not_make_the_others_late(machine):
+    now = [0.0]
+    mode = build(RealTime, machine, 1000.0, lambda: now[0], step_size=1e-4)
+    for moment in (0.0014, 0.0020, 0.0030, 0.0040):
+        now[0] = moment
+        mode.tick()
+    assert machine.refreshed == [14, 20, 30, 40]
+    assert mode.missed_ticks == 0
+
+
+def test_states_made_up_for_are_limited_and_those_left_out_are_counted(machine):
+    now = [0.0]
+    mode = build(RealTime, machine, 1000.0, lambda: now[0])
+    for moment in (0.001, 0.0514, 0.052):
+        now[0] = moment
+        mode.tick()
+    assert machine.refreshed == [1, *range(51 - MOST_MADE_UP, 52), 52]
+    assert (mode.missed_ticks, mode.left_out) == (49, 49 - MOST_MADE_UP)
+
+
+def test_machine_that_computes_too_slowly_makes_up_for_no_states(machine):
+    now = [0.0]
+    mode = build(RealTime, machine, 100.0, lambda: now[0])
+    advance = machine.advance
+
+    def slowly(steps):
+        now[0] += 0.003 * steps
+        advance(steps)
+
+    machine.advance = slowly
+    for _ in range(100):
+        now[0] += 0.02
+        begin = now[0]
+        mode.tick()
+        assert now[0] - begin < 0.02
+    assert len(machine.refreshed) <= now[0] / mode.tick_period
+    assert mode.left_out > 0
 
 
 def test_nothing_that_was_due_is_made_up_for_while_time_stands_still(machine):
