@@ -130,6 +130,16 @@ def test_columns_and_digits_of_the_output(capsys, tmp_path):
     assert 'simulated 0.1 s' in text and 'CPU time' in text and 'energy' in text
 
 
+@pytest.mark.parametrize('options, told', [
+    (('--step-size', '0.002'), 'in steps of 0.002 s ('),
+    (('--step-size', '0.5'), 'in steps of 0.01 s, from row to row, instead of 0.5 s ('),
+    (('--step-size', '0.004'), 'in steps of at most 0.004 s (')])
+def test_simulate_tells_the_steps_that_were_made(capsys, options, told):
+    code, text, _ = call(capsys, 'simulate', 'four_bar', '--duration', '0.02', *options)
+    assert code == 0
+    assert told in text
+
+
 @pytest.mark.parametrize('options', [
     ('--integrator', 'semi_implicit_euler', '--stabilisation', 'none'),
     ('--formulation', 'augmented', '--stabilisation', 'baumgarte')])

@@ -29,6 +29,8 @@ from ..studies.run import columns, Report, run
 
 FAILED = 1
 STANDARD_OUTPUT = '-'
+# A row's period within this share of whole steps is one.
+ROUNDING = 1e-9
 COMPILING = 'Compiling (half a minute the very first time, seconds from then on) ...'
 
 
@@ -145,11 +147,9 @@ def _summary(simulation, report, arguments):
     work = ' (work of the torques included)' if any(simulation.effort) else ''
     share = report.cpu_time / report.time if report.time else 0.0
     told = simulation.report()
-    kept = (f'at tolerance {method.tolerance:g}' if INTEGRATORS[method.integrator].kind == ADAPTIVE
-            else f'in steps of {method.step_size:g} s')
     lines = [
-        f'{simulation.scene.name}: simulated {report.time:.9g} s {kept} ({method.integrator}, '
-        f'{method.stabilisation}, {method.formulation})',
+        f'{simulation.scene.name}: simulated {report.time:.9g} s {_resolution(method, arguments)} '
+        f'({method.integrator}, {method.stabilisation}, {method.formulation})',
         f'  closure   largest error of the loops {report.largest_closure:.2g} m or rad',
         f'  energy    {report.first_energy:.9g} J at the start, changed by {change:+.3g} J{work}; '
         f'the balance misses {told.energy_error:.2g} J',
@@ -161,9 +161,21 @@ def _summary(simulation, report, arguments):
     if simulation.method_report:
         lines.insert(1, f'  method    {simulation.method_report}')
     if arguments.output not in (None, STANDARD_OUTPUT):
-        lines.append(f'  output    {arguments.output}: {report.rows} rows of '
-                     f'{len(columns(simulation))} columns')
+        lines.append(f'  output    {arguments.output}: {report.rows} '
+                     f'row{"s" if report.rows != 1 else ""} of {len(columns(simulation))} columns')
     return '\n'.join(lines)
+
+
+def _resolution(method, arguments):
+    """Return what the steps were; one that ends at a row may be shorter than the others."""
+    if INTEGRATORS[method.integrator].kind == ADAPTIVE:
+        return f'at tolerance {method.tolerance:g}'
+    steps_in_a_row = 1.0 / (arguments.rate * method.step_size)
+    if steps_in_a_row < 1.0 - ROUNDING:
+        return (f'in steps of {1.0 / arguments.rate:g} s, from row to row, '
+                f'instead of {method.step_size:g} s')
+    whole = abs(steps_in_a_row - round(steps_in_a_row)) < ROUNDING
+    return f'in steps of {"" if whole else "at most "}{method.step_size:g} s'
 
 
 COMMAND = Command(
