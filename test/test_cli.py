@@ -188,7 +188,7 @@ def test_a_failing_simulation_leaves_its_rows(capsys, tmp_path):
     data = read(output)
     assert data['time'] and all(math.isfinite(value) for column in data.values()
                                 for value in column)
-    assert f'{len(data["time"])} rows' in text
+    assert f'{len(data["time"])} row' in text
 
 
 @pytest.mark.parametrize('number, expected', [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
