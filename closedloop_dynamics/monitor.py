@@ -21,6 +21,7 @@ import time
 
 import numpy as np
 
+from .core.independent import forget
 from .core.straight_line.linkage import UNROLLED
 from .core.types import EVALUATIONS
 from .integration import adaptive
@@ -137,6 +138,16 @@ class Monitor:
         if control is not None:
             control[[adaptive.ACCEPTED, adaptive.REJECTED, adaptive.ERROR,
                      adaptive.LARGEST_ERROR]] = 0.0
+
+    def rewind(self):
+        """Begin as a new driver would: a motion repeated is the same to its last digit."""
+        control = getattr(self.driver, 'control', None)
+        if control is not None:
+            control[:] = 0.0
+        if self._system.partition is not None:
+            forget(self._system.partition)
+        self.restart()
+        self.clear()
 
     def restart(self):
         """Forget the past of the motion, as a driver does."""

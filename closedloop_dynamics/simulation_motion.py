@@ -261,8 +261,7 @@ class SimulationMotion(SimulationState):
         """Return to the initial state, time zero and no torque."""
         self._q[:], self._qd[:] = self._initial
         self._own[:] = self._effects.initial
-        self._driver.restart()
-        self._driver.clear()
+        self._driver.rewind()
         self._effects.restart()
         self._commands = Commands()
         self.system.tau[:] = 0.0

@@ -80,6 +80,20 @@ def allocate_partition(model):
         record=np.zeros(3))
 
 
+def forget(partition):
+    """
+    Make a partition one that has not been chosen yet.
+
+    Parameters
+    ----------
+    partition : Partition
+        Changed in place.
+
+    """
+    partition.order[:] = np.arange(len(partition.order))
+    partition.record[:] = 0.0
+
+
 @compiled
 def choose(partition):
     """
