@@ -167,7 +167,7 @@ REPEATED = [
       if INTEGRATORS[name].kind == ADAPTIVE)]
 
 
-@pytest.mark.parametrize('method', REPEATED, ids=lambda method: '-'.join(map(str, method.values())))
+@pytest.mark.parametrize('method', REPEATED, ids=lambda it: '-'.join(map(str, it.values())))
 def test_a_run_after_a_reset_is_the_same_to_the_last_digit(method):
     simulation = Simulation.from_scene('three_rrr', **method)
     runs = []
