@@ -40,6 +40,7 @@ from closedloop_dynamics.ros.pacing import Pacer
 from closedloop_dynamics.ros.pacing import Throttle
 from closedloop_dynamics.ros.parameters import declare
 from closedloop_dynamics.ros.parameters import declare_fact
+from closedloop_dynamics.ros.preparation import Preparation
 from closedloop_dynamics.ros.process import run
 from closedloop_dynamics.ros.process import StartError
 from closedloop_dynamics.ros.run_parameters import RunParameters
@@ -129,6 +130,7 @@ class SimulatorNode(Node):
         self.diagnostics = Diagnostics(self)
         # Optional publishers hook themselves in.
         self.companions = Companions(self)
+        self._preparation = Preparation(self, values['scene'])
         # Time begins when all is there.
         self._timer = None
         if self.control.running:
@@ -264,6 +266,7 @@ class SimulatorNode(Node):
     def close(self):
         """Say what was done."""
         self._timer.cancel()
+        self._preparation.close()
         pacer, book = self.pacer, self.command
         if pacer.simulated > 0.0 and self.exit_code is None:
             for line in str(self.simulation.report()).splitlines():

@@ -1,0 +1,80 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The rank-revealing path ahead of time: whether it is on disk, and getting it ready."""
+
+from .system import careful_acceleration, careful_correction
+from ..core import rank_revealing
+
+
+def is_stored(system):
+    """
+    Tell whether the kernels of the rank-revealing path need not be compiled.
+
+    Parameters
+    ----------
+    system : System
+        What moves.
+
+    Returns
+    -------
+    bool
+        False where it cannot be told.
+
+    """
+    return all(_is_stored(kernel, signature) for kernel, signature in _kernels(system))
+
+
+def preparations(system):
+    """
+    Return what gets the kernels of the rank-revealing path ready, from disk if they are there.
+
+    Parameters
+    ----------
+    system : System
+        What moves.
+
+    Returns
+    -------
+    list of callables
+        One for each kernel; empty where nothing is compiled at all.
+
+    """
+    return [lambda kernel=kernel, signature=signature: kernel.compile(signature)
+            for kernel, signature in _kernels(system)]
+
+
+def _kernels(system):
+    """Return the kernels with the types that they are called with."""
+    if not hasattr(careful_acceleration, 'compile'):
+        return []
+    from numba import typeof
+    model, work, q, qdd = system.model, system.work, system.tau, system.qdd
+    calls = (
+        (careful_acceleration, (model, work, system.effects, system.settings, system.tau,
+                                system.applied, q, q, qdd, system.lam)),
+        (careful_correction, (model, work, rank_revealing.POSITION, q, q, qdd)))
+    return [(kernel, tuple(typeof(each) for each in arguments)) for kernel, arguments in calls]
+
+
+def _is_stored(kernel, signature):
+    """Look into numba's index, for which it has no public function."""
+    if signature in kernel.overloads:
+        return True
+    try:
+        cache = kernel._cache
+        return cache._index_key(signature, kernel.targetctx.codegen()) in (
+            cache._cache_file._load_index())
+    except (AttributeError, TypeError, OSError):
+        return False

@@ -1,0 +1,78 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Compile the rank-revealing path of a scene, for other processes to find it on disk.
+
+    python -m closedloop_dynamics.prepare SCENE PARENT
+
+The least urgent process of all; it ends with the process of number PARENT.
+
+"""
+
+import ctypes
+import fcntl
+import os
+from pathlib import Path
+import signal
+import sys
+
+# Of prctl(): which signal a process gets when its parent ends.
+_PR_SET_PDEATHSIG = 1
+LOWEST_PRIORITY = 19
+
+
+def die_with(parent):
+    """
+    End this process when its parent ends, by whatever.
+
+    Parameters
+    ----------
+    parent : int
+        Number of the process that started this one.
+
+    """
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    if os.getppid() != parent:
+        # It had ended before.
+        os._exit(1)
+
+
+def prepare(scene):
+    """
+    Compile the rank-revealing path, unless another process does or has done so.
+
+    Parameters
+    ----------
+    scene : str
+        Name of a shipped scene, or path of a file.
+
+    """
+    from closedloop_dynamics.integration import ahead
+    from closedloop_dynamics.integration.system import careful_acceleration
+    from closedloop_dynamics.simulation import Simulation
+    system = Simulation.from_scene(scene).system
+    directory = Path(careful_acceleration.stats.cache_path)
+    directory.mkdir(parents=True, exist_ok=True)
+    with (directory / 'prepare.lock').open('w') as lock:
+        # Who waited finds all of it on disk.
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        for get_ready in ahead.preparations(system):
+            get_ready()
+
+
+if __name__ == '__main__':
+    die_with(int(sys.argv[2]))
+    os.nice(LOWEST_PRIORITY)
+    prepare(sys.argv[1])

@@ -1,0 +1,181 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Tests of closedloop_dynamics.ros.preparation, prepare and integration.ahead."""
+
+import os
+from pathlib import Path
+import signal
+import subprocess
+import sys
+import time
+
+from closedloop_dynamics import Simulation
+from closedloop_dynamics.core.straight_line import linkage as links
+from closedloop_dynamics.integration import ahead
+from closedloop_dynamics.integration.system import careful_acceleration
+from closedloop_dynamics.integration.system import careful_correction
+from closedloop_dynamics.ros import preparation
+from closedloop_dynamics.ros.simulator_node import SimulatorNode
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+PATIENCE = 60.0
+
+
+def wait(condition, what):
+    deadline = time.monotonic() + PATIENCE
+    while not condition():
+        assert time.monotonic() < deadline, f'no {what}'
+        time.sleep(0.02)
+
+
+def is_alive(number):
+    """Return whether a process runs: not ended, and not waiting for its parent to notice."""
+    try:
+        return Path(f'/proc/{number}/stat').read_text().rpartition(')')[2].split()[0] != 'Z'
+    except FileNotFoundError:
+        return False
+
+
+@pytest.fixture
+def build(make_node, monkeypatch):
+    """Return a function that builds a preparation whose process runs some code, and its log."""
+    def make(code, stored=False):
+        loaded, said = [], []
+        monkeypatch.setattr(ahead, 'is_stored', lambda system: stored)
+        monkeypatch.setattr(ahead, 'preparations', lambda system: [
+            lambda: loaded.append('first'), lambda: loaded.append('second')])
+        monkeypatch.setattr(preparation, 'COMMAND', (sys.executable, '-c', code))
+        node = make_node(SimulatorNode, scene='four_bar')
+        logger = type('', (), {'info': said.append, 'warning': said.append})
+        monkeypatch.setattr(node, 'get_logger', lambda: logger)
+        return node._preparation, loaded, said
+    return make
+
+
+def test_what_is_on_disk_is_loaded_at_once_and_nothing_is_said(build):
+    prepared, loaded, said = build('', stored=True)
+    assert sorted(loaded) == ['first', 'second']
+    assert prepared._timer is prepared._process is None
+    assert said == []
+
+
+def test_what_is_not_is_compiled_by_a_process_and_loaded_then(build):
+    prepared, loaded, said = build('import sys; sys.exit(sys.argv[1] != "four_bar")')
+    assert (loaded, prepared._process) == ([], None)
+    prepared.start()
+    prepared._process.wait()
+    for k in range(3):
+        assert len(loaded) == k
+        prepared.look()
+    assert prepared._timer is None
+    assert [line.split(':')[0].split(' (')[0] for line in said] == [
+        'compiling in the background what deals with singular configurations',
+        'singular configurations']
+
+
+def test_process_that_fails_is_told(build):
+    prepared, loaded, said = build('raise SystemExit(3)')
+    prepared.start()
+    prepared._process.wait()
+    prepared.look()
+    assert 'exit code 3' in said[-1]
+    assert (loaded, prepared._timer) == ([], None)
+
+
+def test_process_ends_with_the_node(build):
+    prepared, loaded, _ = build('import time; time.sleep(600)')
+    prepared.start()
+    prepared.look()
+    process = prepared._process
+    assert process.poll() is None
+    prepared.close()
+    assert process.poll() == -signal.SIGKILL
+    assert loaded == []
+
+
+def test_process_ends_with_a_parent_that_was_killed(tmp_path):
+    child = ('import os, sys, time; from closedloop_dynamics.prepare import die_with; '
+             'die_with(int(sys.argv[1])); print(os.getpid(), flush=True); time.sleep(600)')
+    parent = subprocess.Popen(
+        [sys.executable, '-c', 'import os, subprocess, sys; subprocess.run('
+         f'[sys.executable, "-c", {child!r}, str(os.getpid())])'],
+        stdout=subprocess.PIPE, text=True, cwd=ROOT)
+    number = int(parent.stdout.readline())
+    assert is_alive(number)
+    parent.kill()
+    parent.wait()
+    parent.stdout.close()
+    wait(lambda: not is_alive(number), 'end of the orphan')
+
+
+def test_kernels_that_were_prepared_are_those_that_are_called():
+    simulation = Simulation.from_scene('three_rrr')
+    system = simulation.system
+    for get_ready in ahead.preparations(system):
+        get_ready()
+    assert ahead.is_stored(system)
+    kernels = (careful_acceleration, careful_correction)
+    before = [len(kernel.overloads) for kernel in kernels]
+    for which in (links.CAREFUL_ACCELERATION, links.CAREFUL_POSITION, links.CAREFUL_VELOCITY):
+        links.run(system.linkage, which, simulation.position, simulation.velocity)
+    assert [len(kernel.overloads) for kernel in kernels] == before
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_new_installation_gets_it_ready_in_the_background(processes, tmp_path):
+    processes.environment['NUMBA_CACHE_DIR'] = str(tmp_path / 'cold')
+
+    def children(process):
+        number = process.popen.pid
+        return Path(f'/proc/{number}/task/{number}/children').read_text().split()
+
+    killed = processes.start('closedloop_simulator', scene='carpet_scraper_on_carpet')
+    killed.wait_for('compiling in the background', patience=300.0)
+    child, = children(killed)
+    killed.send(signal.SIGKILL)
+    killed.wait()
+    wait(lambda: not is_alive(child), 'end of the orphan')
+    first = processes.start('closedloop_simulator', scene='carpet_scraper_on_carpet')
+    first.wait_for('compiling in the background', patience=300.0)
+    first.wait_for('singular configurations: ready', patience=600.0)
+    assert first.stop() == 0
+    second = processes.start('closedloop_simulator', scene='carpet_scraper_on_carpet')
+    second.wait_until_ready()
+    time.sleep(preparation.DELAY + 2.0)
+    assert children(second) == []
+    assert second.stop() == 0
+    assert 'background' not in second.output
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_disk_is_known_to_hold_it_or_not(tmp_path):
+    code = ('from closedloop_dynamics import Simulation; '
+            'from closedloop_dynamics.integration import ahead; '
+            'print(ahead.is_stored(Simulation.from_scene("three_rrr").system))')
+    environment = {**os.environ, 'NUMBA_CACHE_DIR': str(tmp_path / 'cold')}
+
+    def tell():
+        return subprocess.run([sys.executable, '-c', code], cwd=ROOT, env=environment, text=True,
+                              check=True, stdout=subprocess.PIPE).stdout.strip()
+
+    assert tell() == 'False'
+    subprocess.run(
+        [sys.executable, '-c', 'import os, subprocess, sys; sys.exit(subprocess.call(['
+         'sys.executable, "-m", "closedloop_dynamics.prepare", "three_rrr", str(os.getpid())]))'],
+        cwd=ROOT, env=environment, check=True)
+    assert tell() == 'True'
