@@ -29,6 +29,7 @@ import re
 import sys
 import time
 
+import energy_study
 from machine import description, ROOT
 
 sys.path.insert(0, str(ROOT))
@@ -156,6 +157,8 @@ def passages(pictures, quick, only):
             [row for row in rows if row.size in (7, 10, 100, 1000)], markdown=True)
         result['formulations growth'] = '\n'.join(
             f'* {line}' for line in formulations_report.growth_text(rows).splitlines())
+    if not only or 'energy' in only:
+        result['energy'] = energy_study.table(quick)
     date = datetime.date.today().isoformat()
     result['machine'] = f'Measured on {date}: {description()}.' + (
         ' Quick version: fewer settings.' if quick else '')
@@ -202,7 +205,7 @@ def main(arguments=None):
     parser.add_argument('--quick', action='store_true', help='fewer settings')
     parser.add_argument('--only', action='append', metavar='NAME', default=[],
                         help='one study alone: ' + ', '.join(
-                            [*(case.name for case in CASES), 'long', 'formulations']))
+                            [*(case.name for case in CASES), 'long', 'energy', 'formulations']))
     parser.add_argument('--document', type=Path, default=ROOT / 'doc' / 'accuracy.md')
     options = parser.parse_args(arguments)
     pictures = options.document.parent / 'pictures'

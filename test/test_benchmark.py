@@ -57,7 +57,7 @@ def test_document_has_a_passage_for_every_part(benchmark):
     text = (ROOT / 'doc' / 'accuracy.md').read_text()
     names = [f'{case.name} {part}' for case in document.CASES
              for part in ('findings', 'reference', 'table')]
-    names += ['long', 'formulations table', 'formulations growth', 'machine']
+    names += ['long', 'energy', 'formulations table', 'formulations growth', 'machine']
     filled = document.filled(text, {name: f'[{name}]' for name in names})
     for name in names:
         assert f'-->\n[{name}]\n<!--' in filled
@@ -79,6 +79,13 @@ def test_document_parts_are_measured(benchmark, tmp_path, monkeypatch):
     assert '* For 1e-06 over 1 s use dop853 with projection' in text
     assert '| rk4 | projection | subsystem |' in text
     assert (tmp_path / 'pictures' / 'accuracy_three_rrr.png').stat().st_size > 10000
+
+
+def test_energy_of_rk4_is_lost_with_the_fifth_power_of_the_step(benchmark):
+    coarse, fine = (benchmark('energy_study').energy_errors(
+        'carpet_scraper', {'step_size': size})[1] for size in (1e-3, 5e-4))
+    assert coarse < 0.0 and fine < 0.0
+    assert 0.8 * 32.0 < coarse / fine < 1.25 * 32.0
 
 
 def test_all_hooks_of_effects_are_found(benchmark, tmp_path):
