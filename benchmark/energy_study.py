@@ -12,10 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""
-What methods make of the energy of a mechanism that nothing drives or brakes, and their price.
-
-"""
+"""What methods make of the energy of a mechanism that nothing drives or brakes; their price."""
 
 from statistics import median
 import sys

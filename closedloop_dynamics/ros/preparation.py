@@ -66,8 +66,9 @@ class Preparation:
             self._process = subprocess.Popen(
                 [*COMMAND, self._scene, str(os.getpid())], stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-                # Ctrl-C is for the node, which ends this process.
-                start_new_session=True,
+                # Ctrl-C is for the node, which ends this process. Not a session of its own: Linux
+                # would share the processor evenly between the two, however low the priority.
+                process_group=0,
                 env={**os.environ, 'PYTHONPATH': os.pathsep.join(filter(None, sys.path))})
         except OSError as error:
             self._give_up(str(error))
