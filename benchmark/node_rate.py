@@ -149,14 +149,14 @@ def main(argv=None):
     parser.add_argument('--rates', type=float, nargs='+', default=[1000.0], help='[Hz]')
     parser.add_argument('--duration', type=float, default=10.0, help='of each [s]')
     parser.add_argument('--record', action='store_true', help='with the recorder beside it')
-    parser.add_argument('--busy-wait', action='store_true',
-                        help='with the parameter busy_wait of the simulator')
+    parser.add_argument('--keep-core-awake', action='store_true',
+                        help='with that parameter of the simulator')
     arguments = parser.parse_args(argv)
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     print(f'{description()}\nperiods: |period - nominal| [ms]; CPU: share of a core [%]')
     print(f'{"scene":20}{"rate":>8}{"achieved":>10}{"p50":>9}{"p99":>9}{"max":>9}{"CPU":>8}'
           f'{"subscriber":>12}{"received":>11}{"lost":>7}')
-    parameters = ['busy_wait:=true'] if arguments.busy_wait else []
+    parameters = ['keep_core_awake:=true'] if arguments.keep_core_awake else []
     for rate in arguments.rates:
         print(floor(rate), flush=True)
         print(measure(arguments.scene, rate, arguments.duration, arguments.record, parameters),

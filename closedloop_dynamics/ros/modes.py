@@ -108,11 +108,13 @@ class RealTime:
         self.left_out += missed - made_up
         budget = COMPUTING_SHARE * self.tick_period
         for behind in range(made_up, -1, -1):
-            if behind and budget <= 0.0:
-                # It is computing that takes too long: more of the same would not help.
+            if behind and budget == 0.0:
                 self.left_out += 1
                 continue
-            budget -= self._take(self._due - behind * self.tick_period, budget)
+            self._take(self._due - behind * self.tick_period, budget)
+            if self.pacer.behind:
+                # It is computing that takes too long: more of the same would not help.
+                budget = 0.0
 
     def _note_due(self):
         """Return how many ticks have become due with this one, and note when it was due."""
@@ -126,17 +128,14 @@ class RealTime:
         return ticks
 
     def _take(self, due, budget):
-        """Advance to the time of a tick, publish if it is time to; return what the first took."""
+        """Advance to the time at which a tick was due, and publish if it is time to."""
         pacer = self.pacer
-        begin = pacer.clock()
         if pacer.running:
             pacer.tick(self._machine.advance, budget, due)
-        computed = pacer.clock()
         self._left -= 1
         if self._left <= 0:
             self._left = self._ticks
-            self._machine.refresh(computed - due)
-        return computed - begin
+            self._machine.refresh(pacer.clock() - due)
 
 
 class _Periodic:

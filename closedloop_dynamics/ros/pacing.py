@@ -86,6 +86,11 @@ class Pacer:
         return self._last is not None
 
     @property
+    def behind(self):
+        """Return whether steps are due that the last tick had no time for."""
+        return self._due >= (1.0 - ROUNDING) * self.step_size
+
+    @property
     def achieved(self):
         """Return the same as achieved so far; 0 before the first tick."""
         return self.simulated / self.elapsed if self.elapsed > 0 else 0.0

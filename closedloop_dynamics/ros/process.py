@@ -152,8 +152,7 @@ def run(create_node, name, args=None):
     ----------
     create_node : callable
         Returns the node. The node offers ``exit_code`` (None as long as it
-        wants to go on) and ``close()``, called while its context is alive. It may offer
-        ``patience()``, asked how long the process may sleep now [s].
+        wants to go on) and ``close()``, called while its context is alive.
     name : str
         Name for messages before there is a node.
     args : list of str, optional
@@ -220,8 +219,7 @@ def _run_in_context(create_node, name, watch):
     # An empty task is what makes a waiting spin_once() return.
     watch.on_stop(lambda: executor.create_task(_nothing))
     try:
-        spin(executor, lambda: node.exit_code is not None or watch.requested,
-             getattr(node, 'patience', None))
+        spin(executor, lambda: node.exit_code is not None or watch.requested)
     finally:
         watch.on_stop(_nothing)
         try:

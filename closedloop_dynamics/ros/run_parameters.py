@@ -96,9 +96,11 @@ class RunParameters:
             node.pacer.step_size = node.simulation.step_size
         if 'real_time_factor' in values:
             node.pacer.real_time_factor = values['real_time_factor']
-        node.busy_wait = values.get('busy_wait', node.busy_wait)
         node.command_timeout = values.get('command_timeout', node.command_timeout)
         node.control.step_count = values.get('step_count', node.control.step_count)
+        if 'keep_core_awake' in values:
+            node.keep_core_awake = values['keep_core_awake']
+            node.attend_to_core()
         if {'publish_rate', 'step_size'} & set(values):
             node.mode.set_rate(node.get_parameter('publish_rate').value)
             node.renew_timer()

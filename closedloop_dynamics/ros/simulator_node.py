@@ -26,6 +26,7 @@ import time
 
 from closedloop_dynamics.errors import NumericalError
 from closedloop_dynamics.errors import SimulationError
+from closedloop_dynamics.ros.awake import Awake
 from closedloop_dynamics.ros.commands import CommandError
 from closedloop_dynamics.ros.commands import TorqueCommand
 from closedloop_dynamics.ros.companions import Companions
@@ -47,7 +48,6 @@ from closedloop_dynamics.ros.run_parameters import RunParameters
 from closedloop_dynamics.ros.simulator_parameters import LOCKSTEP
 from closedloop_dynamics.ros.simulator_parameters import REALTIME
 from closedloop_dynamics.ros.simulator_parameters import SIMULATOR_PARAMETERS
-from closedloop_dynamics.ros.spinning import LONGEST_WAIT
 from closedloop_dynamics.ros.stamps import Stamps
 import numpy as np
 from rclpy.clock import Clock
@@ -63,9 +63,6 @@ COMMAND_QOS = QoSProfile(depth=10)
 MESSAGE_PERIOD = 5.0
 # A state that does not change is published so often in simulated time [s of the steady clock].
 REPEAT_PERIOD = 1.0
-# With busy_wait, no sleep begins or ends in so long a time before a tick [s]: longer than waking
-# up takes, nearly always.
-WAKE_UP_TIME = 0.002
 
 
 class SimulatorNode(Node):
@@ -105,7 +102,8 @@ class SimulatorNode(Node):
         self.exit_code = None
         self.on_published, self.on_advance, self.on_jump = [], [], []
         values = declare(self, SIMULATOR_PARAMETERS)
-        self.command_timeout, self.busy_wait = values['command_timeout'], values['busy_wait']
+        self.command_timeout = values['command_timeout']
+        self.keep_core_awake, self._awake = values['keep_core_awake'], Awake()
         self.simulation = simulation = load_simulation(
             values['scene'], self.get_logger(),
             **{key: values[key] or None for key in ('step_size', 'integrator', 'stabilisation')})
@@ -267,6 +265,7 @@ class SimulatorNode(Node):
         """Say what was done."""
         self._timer.cancel()
         self._preparation.close()
+        self._awake.keep(False)
         pacer, book = self.pacer, self.command
         if pacer.simulated > 0.0 and self.exit_code is None:
             for line in str(self.simulation.report()).splitlines():
@@ -297,21 +296,14 @@ class SimulatorNode(Node):
         # /clock may stop the simulation.
         self._timer = self.create_timer(
             self.mode.tick_period, self.tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.attend_to_core()
 
-    def patience(self):
-        """
-        Return how long to wait for something to do before ``patience`` is asked again [s].
-
-        Returns
-        -------
-        float
-            0 where the process is not to sleep.
-
-        """
-        if not (self.busy_wait and self.control.running and self.mode.name == REALTIME):
-            return LONGEST_WAIT
-        ahead = 1e-9 * (self._timer.time_until_next_call() or 0) - WAKE_UP_TIME
-        return min(max(0.0, ahead), LONGEST_WAIT)
+    def attend_to_core(self):
+        """Keep the core awake while that is wanted and time runs."""
+        try:
+            self._awake.keep(self.keep_core_awake and self.control.running)
+        except OSError as error:
+            self.get_logger().warning(f'keep_core_awake: not on this system ({error})')
 
     def warn(self, throttle, message):
         """

@@ -66,9 +66,10 @@ SIMULATOR_PARAMETERS = (
         'publish_clock', False,
         'Publish simulated time on /clock, and stamp all messages with it.'),
     Parameter(
-        'busy_wait', False,
-        'Do not sleep in the last 2 ms before a state is due, in the mode realtime: for even '
-        'periods, where waking up takes long. It takes a core from 500 Hz on.', read_only=False),
+        'keep_core_awake', False,
+        'Stay on one core and use up its spare time, at a priority that gives way to everything, '
+        'while time runs: for even periods where cores take long to wake up, as in virtual '
+        'machines.', read_only=False),
     Parameter(
         'step_count', 1,
         'Steps of the time integration that the service ~/step advances by [1].', (1, 100000),

@@ -55,7 +55,7 @@ def build_executor(context=None):
     return SingleThreadedExecutor(context=context)
 
 
-def spin(executor, over, patience=None):
+def spin(executor, over):
     """
     Run callbacks as they become due.
 
@@ -65,10 +65,7 @@ def spin(executor, over, patience=None):
         With a node.
     over : callable
         Asked after every callback whether to end.
-    patience : callable, optional
-        Asked after every callback how long the process may sleep now [s]; not given: until
-        something happens.
 
     """
     while not over():
-        executor.spin_once(timeout_sec=patience() if patience is not None else LONGEST_WAIT)
+        executor.spin_once(timeout_sec=LONGEST_WAIT)

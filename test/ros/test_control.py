@@ -15,11 +15,12 @@
 """Tests of what controls a running simulation, by calling the node's callbacks."""
 
 import math
+import os
+import time
 
 from closedloop_dynamics import Simulation
 from closedloop_dynamics.ros.process import StartError
 from closedloop_dynamics.ros.simulator_node import SimulatorNode
-from closedloop_dynamics.ros.spinning import LONGEST_WAIT
 import numpy as np
 import pytest
 from rclpy.parameter import Parameter
@@ -313,16 +314,40 @@ def test_stamps_of_a_clock_that_others_publish_are_its_own(build):
     assert node.stamps_seen == [0, 0, 0, 0]
 
 
-def test_process_does_not_sleep_while_it_is_to_be_busy(build):
-    node = build(publish_rate=1000.0)
-    assert node.patience() == LONGEST_WAIT
-    assert node.set_parameters([Parameter('busy_wait', value=True)])[0].successful
-    assert node.patience() == 0.0
-    pause(node)
-    assert node.patience() == LONGEST_WAIT
-    pause(node, False)
-    node.set_parameters([Parameter('publish_rate', value=20.0)])
-    assert 0.0 < node.patience() < 0.05
+def test_core_is_kept_awake_while_asked_to_and_time_runs(build):
+    free = os.sched_getaffinity(0)
+    node = build()
+    awake = node._awake
+    assert awake._process is None
+    for ask, kept in (
+            (lambda: node.set_parameters([Parameter('keep_core_awake', value=True)]), True),
+            (lambda: pause(node), False), (lambda: pause(node, False), True),
+            (lambda: trigger(node.control.on_reset), True),
+            (lambda: node.set_parameters([Parameter('keep_core_awake', value=False)]), False),
+            (lambda: node.set_parameters([Parameter('keep_core_awake', value=True)]), True)):
+        ask()
+        assert (awake._process is not None) == kept
+        # On one core, together.
+        assert os.sched_getaffinity(0) <= free
+        assert (len(os.sched_getaffinity(0)) == 1) == kept or len(free) == 1
+    process = awake._process
+    deadline = time.monotonic() + 60.0
+    while os.sched_getscheduler(process.pid) != os.SCHED_IDLE or (
+            os.sched_getaffinity(process.pid) != os.sched_getaffinity(0)):
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    node.close()
+    assert process.poll() is not None
+    assert os.sched_getaffinity(0) == free
+
+
+def test_system_that_does_not_let_a_core_be_kept_awake_is_told(build, monkeypatch):
+    node = build()
+    said = []
+    monkeypatch.setattr(node, 'get_logger', lambda: type('', (), {'warning': said.append}))
+    monkeypatch.setattr(node._awake, 'keep', lambda awake: (_ for _ in ()).throw(OSError('no')))
+    assert node.set_parameters([Parameter('keep_core_awake', value=True)])[0].successful
+    assert said == ['keep_core_awake: not on this system (no)']
 
 
 def test_stamps_are_those_of_simulated_time_when_the_clock_is_published(build):

@@ -14,10 +14,15 @@
 
 """Control, time and diagnostics of a simulator as a process of its own, over DDS."""
 
+from pathlib import Path
+import signal
+import time
+
 from diagnostic_msgs.msg import DiagnosticArray
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import WrenchStamped
 import numpy as np
+import pytest
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from rclpy.time import Time
@@ -63,6 +68,31 @@ def test_run_is_paused_stepped_moved_and_reset(processes, listener):
     assert simulator.stop() == 0
 
 
+def children(process):
+    """Return the numbers of the processes that a process has started."""
+    number = process.popen.pid
+    return Path(f'/proc/{number}/task/{number}/children').read_text().split()
+
+
+@pytest.mark.parametrize('number', [signal.SIGTERM, signal.SIGKILL])
+def test_core_that_is_kept_awake_delays_nothing_and_nothing_stays_behind(
+        processes, listener, number):
+    simulator = processes.start(
+        SIMULATOR, scene='four_bar', publish_rate='1000.0', keep_core_awake='true')
+    simulator.wait_until_ready()
+    states = listener.listen('joint_states', JointState)
+    listener.wait(lambda: len(states) > 500, 'states')
+    keeper, = children(simulator)
+    assert listener.call(SetBool, f'{SIMULATOR}/pause', SetBool.Request(data=True)).success
+    assert children(simulator) == []
+    assert listener.call(SetBool, f'{SIMULATOR}/pause', SetBool.Request(data=False)).success
+    keeper, = children(simulator)
+    begin = time.monotonic()
+    assert simulator.stop(number) == (0 if number == signal.SIGTERM else -signal.SIGKILL)
+    assert time.monotonic() - begin < 2.0
+    listener.wait(lambda: not Path(f'/proc/{keeper}').exists(), 'end of the other process')
+
+
 def test_clock_is_ahead_of_every_state_and_follows_the_factor(processes, listener):
     clocks = listener.listen('/clock', Clock)
     states = listener.listen('joint_states', JointState)
@@ -97,6 +127,9 @@ def run_in_lockstep(processes, listener, count, **parameters):
     simulator.wait_until_ready()
     seen = {'states': [], 'forces': []}
     publisher = listener.publisher('torque_command', Float64MultiArray)
+    # A command that is rejected advances nothing, but shows that commands are heard.
+    listener.send(publisher, Float64MultiArray(),
+                  lambda: 'torque_command rejected' in simulator.output, 'a rejection')
 
     def answer(message):
         if seen['states'] and stamp(message) == seen['states'][-1][0]:
@@ -131,8 +164,8 @@ def test_as_fast_as_possible_is_faster_than_the_clock_and_loses_nothing(processe
         SIMULATOR, scene='three_rrr', mode='as_fast_as_possible', wait_for_command='true')
     simulator.wait_until_ready()
     publisher = listener.publisher('torque_command', Float64MultiArray)
-    publisher.publish(Float64MultiArray(data=[0.0, 0.0, 0.0]))
-    listener.wait(lambda: len(states) > 2000, '2000 states')
+    listener.send(publisher, Float64MultiArray(data=[0.0, 0.0, 0.0]),
+                  lambda: len(states) > 2000, '2000 states')
     assert simulator.stop() == 0
     assert float(simulator.output.split('simulated ')[-1].split()[5]) > 2.0
     stamps = sorted({stamp(message) for message in states})
@@ -166,8 +199,8 @@ def test_diagnostics_tell_how_the_run_goes(processes, listener):
     assert told['commands']['accepted'] == '0'
     assert set(levels('closure')) == {DiagnosticStatus.OK}
     seen = len(levels('commands'))
-    bad.publish(Float64MultiArray(data=[1.0]))
-    listener.wait(lambda: DiagnosticStatus.WARN in levels('commands')[seen:], 'a warning')
+    listener.send(bad, Float64MultiArray(data=[1.0]),
+                  lambda: DiagnosticStatus.WARN in levels('commands')[seen:], 'a warning')
     assert simulator.stop() == 0
     # What the method cost is told at the end, too.
     assert '% of real time (heun, projection' in simulator.output
