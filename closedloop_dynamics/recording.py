@@ -157,8 +157,7 @@ def record(simulation, torques, schedule, quantities=QUANTITIES):
     Record
 
     """
-    tau = np.zeros((len(torques), len(simulation.joint_names)))
-    tau[:, simulation._actuated] = torques
+    tau = all_torques(simulation, torques)
     steps = schedule.steps(simulation.step_size)
     if steps and is_plain(simulation):
         start = simulation._state.copy()
@@ -171,20 +170,35 @@ def record(simulation, torques, schedule, quantities=QUANTITIES):
     return _stepped(simulation, tau, schedule, steps, quantities)
 
 
+def all_torques(simulation, torques):
+    """Return torques of actuated joints as those of all joints, shape (rows, nv)."""
+    tau = np.zeros((len(torques), len(simulation.joint_names)))
+    tau[:, simulation._actuated] = torques
+    return tau
+
+
+def tape_for(simulation, schedule, quantities):
+    """Return a tape for all that is to be kept of a run."""
+    slides = [simulation._rows[cut.body_b] for cut in simulation.cut_joints
+              if cut.type == PRISMATIC]
+    return allocate_tape(simulation.system, schedule.instants,
+                         any(name not in STATE for name in quantities), slides)
+
+
 def _marched(simulation, tau, schedule, steps, quantities):
     """Return what a run keeps, computed by one compiled loop; None where it fails."""
     system, driver = simulation.system, simulation.monitor.driver
-    slides = [simulation._rows[cut.body_b] for cut in simulation.cut_joints
-              if cut.type == PRISMATIC]
-    tape = allocate_tape(
-        system, schedule.instants, any(name not in STATE for name in quantities), slides)
+    tape = tape_for(simulation, schedule, quantities)
     status, _ = march(
         system, driver.tableau, driver.stabilisation, simulation._state, simulation.step_size,
         tau, schedule.hold * steps, schedule.every * steps, schedule.intervals * steps,
         driver.scratch, tape)
     simulation._fresh = False
-    if status != DONE:
-        return None
+    return values_of(simulation, tape, tau, schedule, quantities) if status == DONE else None
+
+
+def values_of(simulation, tape, tau, schedule, quantities):
+    """Return what a run keeps by quantity, of its tape."""
     nv = tau.shape[1]
     take = {
         'position': lambda: tape.state[:, :nv].copy(),

@@ -25,6 +25,7 @@ import numpy as np
 from .errors import SimulationError
 from .key_paths import changed
 from .recording import checked_quantities, is_plain, nothing, record, STATE
+from .recording_together import FEWEST, may_go_together, MOST, record_together, Start
 from .rollout_input import Given, scheduled
 
 
@@ -100,39 +101,39 @@ quantities, threads
                for name, values in runs.nothing().items()}
     failures = {}
 
-    def run(sample):
-        done, failure = runs.run(sample)
-        for name, values in done.items():
-            results[name][sample] = values
-        if failure is not None:
-            failures[sample] = failure
+    def run(samples):
+        for sample, (done, failure) in runs.run(samples):
+            for name, values in done.items():
+                results[name][sample] = values
+            if failure is not None:
+                failures[sample] = failure
 
-    _each(run, given.samples, threads)
+    _each(run, runs.portions(), threads)
     time = schedule.interval * (schedule.every * np.arange(schedule.instants))
     return Rollout(time, **results, failures=dict(sorted(failures.items())))
 
 
-def _each(run, samples, threads):
-    """Call a function with every sample's number, in several threads."""
+def _each(run, portions, threads):
+    """Call a function with the numbers of some samples at a time, in several threads."""
     if threads is None:
         threads = len(os.sched_getaffinity(0)) if hasattr(os, 'sched_getaffinity') else (
             os.cpu_count() or 1)
     if int(threads) != threads or threads < 1:
         raise ValueError(f'threads: expected a whole number > 0, got {threads!r}')
-    if min(threads, samples) == 1:
-        for sample in range(samples):
-            run(sample)
+    if min(threads, len(portions)) == 1:
+        for samples in portions:
+            run(samples)
         return
     pool = ThreadPoolExecutor(int(threads))
     try:
-        for _ in pool.map(run, range(samples)):
+        for _ in pool.map(run, portions):
             pass
     finally:
         pool.shutdown(cancel_futures=True)
 
 
 class _Runs:
-    """One run after the other; a thread keeps its simulation where that changes nothing."""
+    """Some runs after the others; a thread keeps its simulation where that changes nothing."""
 
     def __init__(self, simulation, given, schedule, quantities, hold):
         self._type, self._given, self._schedule = type(simulation), given, schedule
@@ -141,29 +142,61 @@ class _Runs:
         self._disabled = [name for name in simulation.effects
                           if name not in simulation.enabled_effects]
         self._again = not given.parameters and is_plain(simulation)
+        self._together = may_go_together(simulation, schedule)
         self._own = threading.local()
 
     def nothing(self):
         """Return the results of a run that did not even begin."""
         return nothing(self._quantities, self._scene.mechanism, self._schedule.instants)
 
-    def run(self, sample):
+    def portions(self):
+        """Return the numbers of all samples, those together that may be run together."""
+        count, size = self._given.samples, MOST if self._together else 1
+        return [range(first, min(first + size, count)) for first in range(0, count, size)]
+
+    def run(self, samples):
+        """Return for each of some samples its number, results and why it ended early or None."""
+        starts = {}
+        if len(samples) >= FEWEST:
+            for sample in samples:
+                try:
+                    starts[sample] = self._start(sample)
+                except (SimulationError, ValueError):
+                    # Run alone, it will say why.
+                    pass
+        done = {}
+        if starts and all(may_go_together(start.simulation, self._schedule)
+                          for start in starts.values()):
+            together = record_together(
+                list(starts.values()), self._schedule, self._quantities)
+            done = dict(zip(starts, together or ()))
+        for sample in samples:
+            yield sample, self._result(done[sample]) if sample in done else self._alone(sample)
+
+    def _result(self, record):
+        return record.values, record.failure
+
+    def _alone(self, sample):
         """Return results by quantity, and why the run ended early or None."""
-        given = self._given
         try:
-            simulation = self._simulation(sample)
-            position, velocity = given.state_of(sample)
-            if position is not None or velocity is not None:
-                initial = simulation.scene.initial
-                hold = self._hold
-                if position is None:
-                    position, hold = initial.position, hold or initial.hold
-                simulation.set_state(position, velocity, hold)
-            done = record(simulation, given.torques_of(sample), self._schedule,
-                          self._quantities)
+            start = self._start(sample)
+            return self._result(record(start.simulation, start.torques, self._schedule,
+                                       self._quantities))
         except (SimulationError, ValueError) as error:
             return self.nothing(), str(error)
-        return done.values, done.failure
+
+    def _start(self, sample):
+        """Return what a run begins with, its simulation standing there."""
+        given = self._given
+        simulation = self._simulation(sample)
+        position, velocity = given.state_of(sample)
+        if position is not None or velocity is not None:
+            initial = simulation.scene.initial
+            hold = self._hold
+            if position is None:
+                position, hold = initial.position, hold or initial.hold
+            simulation.set_state(position, velocity, hold)
+        return Start(simulation, simulation._state.copy(), given.torques_of(sample))
 
     def _simulation(self, sample):
         """Return a simulation at its start."""

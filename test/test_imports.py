@@ -36,7 +36,8 @@ LAYERS = (
      'inverse_dynamics',
      'method_choice', 'modeling', 'monitor', 'scene', 'scene_records', 'scene_text', 'stiffness',
      'urdf',
-     'key_paths', 'recording', 'rollout', 'rollout_input'),
+     'key_paths', 'recording', 'recording_together', 'rollout',
+     'rollout_input'),
     # '' is the package itself: it offers Simulation.
     ('simulation', 'simulation_motion', 'simulation_state', ''),
     ('studies', 'sweep'),

@@ -120,6 +120,24 @@ def _note(system, state, tape, instant):
 
 
 @released
+def annotate(system, torque, hold, every, tape):
+    """
+    Fill in a tape of which only the states are known.
+
+    Parameters
+    ----------
+    system, torque, hold, every
+        As for ``march``.
+    tape : Tape
+        Written in place, but for ``state``.
+
+    """
+    for instant in range(tape.state.shape[0]):
+        _copy(torque[max(instant * every - 1, 0) // hold], system.tau)
+        _note(system, tape.state[instant], tape, instant)
+
+
+@released
 def march(system, tableau, stabilisation, state, step_size, torque, hold, every, steps, scratch,
           tape):
     """

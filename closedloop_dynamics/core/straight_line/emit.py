@@ -74,21 +74,34 @@ class Routine:
 Q, QD = -1, -2
 
 
-class _Writer:
-    """Writes one routine as LLVM's intermediate representation."""
+class Writer:
+    """
+    Writes one routine as LLVM's intermediate representation.
+
+    Parameters
+    ----------
+    module : llvmlite.ir.Module
+        Where the function goes.
+    routine : Routine
+        What it computes.
+
+    """
 
     def __init__(self, module, routine):
+        """Begin the function."""
         self.routine = routine
         self.function = ir.Function(module, _FUNCTION, routine.name)
         self.builder = ir.IRBuilder(self.function.append_basic_block())
         self.values, self.pointers = {}, {}
 
     def number(self, operand):
+        """Return the value of an operand."""
         if isinstance(operand, int):
             return self.values[operand]
         return ir.Constant(_DOUBLE, operand)
 
     def address(self, source, place):
+        """Return the address of a number of an input or output."""
         if source not in self.pointers:
             linkage, q, qd = self.function.args
             if source in (Q, QD):
@@ -100,6 +113,7 @@ class _Writer:
         return self.builder.gep(self.pointers[source], [_WORD(place)])
 
     def write(self):
+        """Write the function."""
         operations, use = self.routine.tape.operations, self.routine.needed()
         angles = sorted({operation[1] for place, operation in enumerate(operations)
                          if place in use and operation[0] in (SINE, COSINE)})
@@ -129,6 +143,7 @@ class _Writer:
                 self.values[place] = values[by_angle[operation[1]]]
 
     def operation(self, kind, *operands):
+        """Return the result of an operation."""
         builder = self.builder
         if kind == LOAD:
             return builder.load(self.address(*operands))
@@ -173,7 +188,7 @@ def _sources():
 _engines = []
 
 
-def machine_code(key, routines):
+def machine_code(key, routines, writer=Writer):
     """
     Return the addresses of routines, compiled now or by an earlier process.
 
@@ -183,6 +198,8 @@ def machine_code(key, routines):
         What the routines depend on.
     routines : callable
         Returns the list of Routine; called only where nothing is cached.
+    writer : type
+        ``Writer`` or ``LaneWriter``.
 
     Returns
     -------
@@ -196,7 +213,8 @@ def machine_code(key, routines):
     cpu, features = binding.get_host_cpu_name(), binding.get_host_cpu_features().flatten()
     machine = target.create_target_machine(cpu=cpu, features=features, opt=3)
     digest = hashlib.sha256(repr(
-        (key, _sources(), cpu, features, binding.llvm_version_info)).encode()).hexdigest()[:32]
+        (key, writer.__name__, _sources(), cpu, features, binding.llvm_version_info)
+    ).encode()).hexdigest()[:32]
     path = os.path.join(_cache_directory(), f'straight_line.{digest}.o')
     # An engine needs a module to start from; the code itself is added as an object.
     engine = binding.create_mcjit_compiler(binding.parse_assembly(''), machine)
@@ -205,7 +223,7 @@ def machine_code(key, routines):
         module = ir.Module()
         module.triple = target.triple
         for routine in routines():
-            _Writer(module, routine).write()
+            writer(module, routine).write()
         parsed = binding.parse_assembly(str(module))
         parsed.verify()
         code = machine.emit_object(parsed)

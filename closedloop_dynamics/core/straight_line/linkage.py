@@ -44,6 +44,8 @@ UNROLLED = 4
 (BODY, GRAVITY, CUT_POINT, TAU, BAUMGARTE, QDD, LAM, HEALTH, WORK_BODY, CLOSURE, CLOSURE_RATE,
  CORRECTIONS) = range(7, 19)
 LINKAGE_COLUMNS = 19
+# States side by side in the vectors of ``lanes``: one of AVX-512, two of AVX2, four of NEON.
+LANES = 8
 
 _SIGNATURE = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p)
 

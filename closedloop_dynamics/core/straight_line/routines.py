@@ -50,7 +50,7 @@ def topology(model):
 _addresses = {}
 
 
-def addresses(model):
+def addresses(model, which=tuple(NAMES), writer=emit.Writer):
     """
     Return the addresses of a mechanism's routines, compiled where nobody has before.
 
@@ -58,18 +58,21 @@ def addresses(model):
     ----------
     model : Model
         Constant arrays of the mechanism.
+    which : tuple of int
+        From EVALUATION, OUTWARD, ACCELERATION and CORRECTION.
+    writer : type
+        Who writes them.
 
     Returns
     -------
     dict of int to int
-        From EVALUATION, OUTWARD, ACCELERATION and CORRECTION.
 
     """
-    key = topology(model)
+    key = topology(model), writer.__name__
     if key not in _addresses:
         find = emit.machine_code(
-            key, lambda: [_Unrolling(model).routine(which) for which in NAMES])
-        _addresses[key] = {which: find(name) for which, name in NAMES.items()}
+            key, lambda: [_Unrolling(model).routine(one) for one in which], writer)
+        _addresses[key] = {one: find(NAMES[one]) for one in which}
     return _addresses[key]
 
 

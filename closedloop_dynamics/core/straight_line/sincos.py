@@ -60,15 +60,12 @@ def write(builder, angles):
         packed = builder.insert_element(packed, angle, ir.IntType(32)(n))
     function = builder.function
     quick, slow, after = (function.append_basic_block() for _ in range(3))
-    largest = ir.Constant(vector, [_LARGEST] * count)
-    within = builder.and_(
-        builder.fcmp_ordered('<', packed, largest),
-        builder.fcmp_ordered('>', packed, ir.Constant(vector, [-_LARGEST] * count)))
     good = builder.icmp_unsigned(
-        '==', builder.bitcast(within, ir.IntType(count)), ir.IntType(count)(-1))
+        '==', builder.bitcast(within(builder, packed, vector), ir.IntType(count)),
+        ir.IntType(count)(-1))
     builder.cbranch(good, quick, slow)
     builder.position_at_end(quick)
-    quick_sine, quick_cosine = _polynomials(builder, packed, vector)
+    quick_sine, quick_cosine = polynomials(builder, packed, vector)
     builder.branch(after)
     builder.position_at_end(slow)
     slow_sine, slow_cosine = (_library(builder, name, angles, vector) for name in ('sin', 'cos'))
@@ -96,8 +93,48 @@ def _library(builder, name, angles, vector):
     return packed
 
 
-def _polynomials(builder, angle, vector):
-    """Reduce to a quarter turn around zero, and sum up both series."""
+def within(builder, angle, vector):
+    """
+    Write the code that tells which angles the polynomials are good for.
+
+    Parameters
+    ----------
+    builder : llvmlite.ir.IRBuilder
+        Where it goes.
+    angle : vector value
+        [rad].
+    vector : llvmlite.ir.VectorType
+        Its type.
+
+    Returns
+    -------
+    vector of bits
+
+    """
+    largest, least = (ir.Constant(vector, [limit] * vector.count)
+                      for limit in (_LARGEST, -_LARGEST))
+    return builder.and_(builder.fcmp_ordered('<', angle, largest),
+                        builder.fcmp_ordered('>', angle, least))
+
+
+def polynomials(builder, angle, vector):
+    """
+    Reduce angles to a quarter turn around zero, and sum up both series.
+
+    Parameters
+    ----------
+    builder : llvmlite.ir.IRBuilder
+        Where the code goes.
+    angle : vector value
+        [rad], ``within`` the limits.
+    vector : llvmlite.ir.VectorType
+        Its type.
+
+    Returns
+    -------
+    sine, cosine : vector values
+
+    """
     count = vector.count
 
     def constant(value):

@@ -1,0 +1,91 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""From unrolled arithmetic to LLVM vectors, with a state in every lane."""
+
+from llvmlite import ir
+
+from . import sincos
+from .emit import Writer
+from .linkage import BAUMGARTE, LANES
+from .tape import COSINE, LOAD, SINE
+
+_VECTOR, _INDEX = ir.VectorType(ir.DoubleType(), LANES), ir.IntType(32)
+_BITS, _WORD = ir.IntType(LANES), ir.IntType(64)
+
+
+class LaneWriter(Writer):
+    """
+    Writes one routine for several states at once.
+
+    It returns 0 where the results of any lane are not to be used.
+
+    Parameters
+    ----------
+    module : llvmlite.ir.Module
+        Where the function goes.
+    routine : Routine
+        What it computes in every lane.
+
+    """
+
+    def number(self, operand):
+        """Return the vector of an operand."""
+        if isinstance(operand, int):
+            return self.values[operand]
+        return ir.Constant(_VECTOR, [operand] * LANES)
+
+    def place(self, source, place):
+        """Return the address of a number of all lanes."""
+        return self.builder.bitcast(
+            self.address(source, LANES * place), _VECTOR.as_pointer())
+
+    def load(self, source, place):
+        """Read a number of all lanes, or one that they share."""
+        if source != BAUMGARTE:
+            return self.builder.load(self.place(source, place), align=8)
+        undefined = ir.Constant(_VECTOR, ir.Undefined)
+        first = self.builder.insert_element(
+            undefined, self.builder.load(self.address(source, place)), _INDEX(0))
+        return self.builder.shuffle_vector(
+            first, undefined, ir.Constant(ir.VectorType(_INDEX, LANES), [0] * LANES))
+
+    def write(self):
+        """Write the function."""
+        operations, use = self.routine.tape.operations, self.routine.needed()
+        turned, within = {}, []
+        for place, (kind, *operands) in enumerate(operations):
+            if place not in use:
+                continue
+            if kind in (SINE, COSINE):
+                angle = operands[0]
+                if angle not in turned:
+                    value = self.values[angle]
+                    turned[angle] = sincos.polynomials(self.builder, value, _VECTOR)
+                    within.append(sincos.within(self.builder, value, _VECTOR))
+                self.values[place] = turned[angle][kind == COSINE]
+            else:
+                self.values[place] = (self.load(*operands) if kind == LOAD
+                                      else self.operation(kind, *operands))
+        for source, place, value in self.routine.outputs:
+            known = value.place if hasattr(value, 'place') else float(value)
+            self.builder.store(self.number(known), self.place(source, place), align=8)
+        guard = self.routine.tape.guard
+        for condition in [] if guard is None else [self.values[guard.place]]:
+            within.append(condition)
+        good = _BITS(-1)
+        for condition in within:
+            good = self.builder.and_(good, self.builder.bitcast(condition, _BITS))
+        self.builder.ret(self.builder.zext(
+            self.builder.icmp_unsigned('==', good, _BITS(-1)), _WORD))

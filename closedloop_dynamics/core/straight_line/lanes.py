@@ -1,0 +1,104 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Unrolled routines for several states at once, side by side in the vector units of a core.
+
+One evaluation spends most of its time waiting: each operation for the ones before. The same
+arithmetic on vectors, with a state in every lane, takes hardly longer. What differs between the
+lanes is stored lane by lane: number k of lane n at place ``LANES * k + n``.
+
+"""
+
+import numpy as np
+
+from .linkage import (
+    BAUMGARTE, BODY, CLOSURE, CLOSURE_RATE, CORRECTION, CORRECTIONS, CUT_POINT, EVALUATION,
+    GRAVITY, HEALTH, LAM, LANES, LINKAGE_COLUMNS, QDD, TAU)
+from ..types import HEALTH_COLUMNS
+
+
+def connect(model, arrays):
+    """
+    Return the linkage of the routines of a mechanism for several states at once.
+
+    Parameters
+    ----------
+    model : Model
+        Constant arrays of one of the mechanisms; all must have its topology.
+    arrays : dict of int to ndarray
+        From the places BODY to CORRECTIONS, lane by lane, but for BAUMGARTE, which all share;
+        they must live as long as the linkage is used.
+
+    Returns
+    -------
+    ndarray of int, shape (LINKAGE_COLUMNS,)
+
+    """
+    # Here, as there may be no compiler.
+    from .lane_writer import LaneWriter
+    from .routines import addresses
+    linkage = np.zeros(LINKAGE_COLUMNS, dtype=np.int64)
+    for place, array in arrays.items():
+        linkage[place] = array.ctypes.data
+    for which, address in addresses(model, (EVALUATION, CORRECTION), LaneWriter).items():
+        linkage[which] = address
+    return linkage
+
+
+def spread(arrays):
+    """
+    Store an array of each lane lane by lane.
+
+    Parameters
+    ----------
+    arrays : sequence of LANES ndarrays
+        All of one shape.
+
+    Returns
+    -------
+    ndarray, shape (LANES * size,)
+
+    """
+    return np.stack([np.asarray(array, dtype=float).ravel() for array in arrays], axis=-1).ravel()
+
+
+def allocate(models, sizes, baumgarte):
+    """
+    Allocate what routines for several states at once read and write.
+
+    Parameters
+    ----------
+    models : sequence of LANES Models
+        Of one topology.
+    sizes : sequence of 2 ints
+        Joint coordinates, closure equations.
+    baumgarte : ndarray, shape (1,)
+        Decay rate of closure errors [1/s].
+
+    Returns
+    -------
+    dict of int to ndarray
+        For ``connect``.
+
+    """
+    nv, nc = sizes
+    return {
+        BODY: spread([model.body for model in models]),
+        GRAVITY: spread([model.gravity for model in models]),
+        CUT_POINT: spread([model.cut_point for model in models]),
+        TAU: np.zeros(LANES * nv), BAUMGARTE: baumgarte, QDD: np.zeros(LANES * nv),
+        LAM: np.zeros(LANES * nc), HEALTH: np.ones(LANES * HEALTH_COLUMNS),
+        CLOSURE: np.zeros(LANES * nc), CLOSURE_RATE: np.zeros(LANES * nc),
+        CORRECTIONS: np.zeros(LANES * 2 * nv)}

@@ -1,0 +1,290 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Whole runs of several mechanisms of one topology in lockstep, one in every lane.
+
+The steps are those of ``march``, number by number; only the routines compute all lanes at
+once. What a lane alone would do otherwise (the rank-revealing path, a failure) ends the run: its
+mechanisms are then run one by one.
+
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from . import semi_implicit_euler
+from .advance import DONE, NOT_FINITE, OPEN_LOOP
+from .projection import all_finite, INDEPENDENT, MOST_CORRECTIONS, PROJECTION, VELOCITY
+from .runge_kutta import combine
+from .system import BAUMGARTE, CLOSURE_LIMIT, CLOSURE_TOLERANCE
+from ..core.compiled import inlined, released
+from ..core.straight_line import lanes, linkage as links
+from ..core.straight_line.lanes import LANES
+
+# Status of ``march`` beside those of ``advance``: a state that needs the rank-revealing path.
+SINGULAR = 9
+
+
+class Pack(NamedTuple):
+    """
+    Mechanisms of one topology in all lanes; arrays are stored lane by lane.
+
+    Attributes
+    ----------
+    linkage : ndarray of int
+        Of their routines.
+    tau, qdd : ndarray, shape (LANES * nv,)
+        Joint torques, accelerations.
+    closure : ndarray, shape (LANES * nc,)
+        Closure errors of the latest correction.
+    corrections : ndarray, shape (2, LANES * nv)
+        Of coordinates and rates.
+    tolerance, limit : ndarray, shape (LANES,)
+        Closure error that projection leaves, and the one at which it gives up.
+    error : ndarray, shape (LANES,)
+        Largest closure error of each.
+    moving : ndarray of bool, shape (LANES,)
+        Whose coordinates are still corrected.
+    kept : tuple of ndarrays
+        What only the routines read and write.
+
+    """
+
+    linkage: np.ndarray
+    tau: np.ndarray
+    qdd: np.ndarray
+    closure: np.ndarray
+    corrections: np.ndarray
+    tolerance: np.ndarray
+    limit: np.ndarray
+    error: np.ndarray
+    moving: np.ndarray
+    kept: tuple
+
+
+def fits(system, stabilisation):
+    """
+    Tell whether a system may take a lane.
+
+    Parameters
+    ----------
+    system : System
+        What moves.
+    stabilisation : int
+        One of ``projection``.
+
+    Returns
+    -------
+    bool
+        False where nothing is unrolled or effects act by laws of their own.
+
+    """
+    return (system.unrolled is not None and system.effects is None
+            and stabilisation != INDEPENDENT)
+
+
+def build_pack(systems):
+    """
+    Allocate a pack.
+
+    Parameters
+    ----------
+    systems : sequence of System
+        Up to LANES; the last one fills the lanes that are left.
+
+    Returns
+    -------
+    Pack or None
+        None where the systems cannot go together.
+
+    """
+    # Here, as there may be no compiler.
+    from ..core.straight_line.routines import topology
+    systems = filled(systems)
+    first = systems[0]
+    settings = np.array([system.settings for system in systems])
+    shape = topology(first.model)
+    if (settings[:, BAUMGARTE] != settings[0, BAUMGARTE]).any() or any(
+            topology(system.model) != shape for system in systems if system is not first):
+        return None
+    nv, nc = len(first.qdd), len(first.lam)
+    arrays = lanes.allocate([system.model for system in systems], (nv, nc),
+                            settings[0, BAUMGARTE:BAUMGARTE + 1].copy())
+    return Pack(
+        linkage=lanes.connect(first.model, arrays), tau=arrays[links.TAU],
+        qdd=arrays[links.QDD], closure=arrays[links.CLOSURE],
+        corrections=arrays[links.CORRECTIONS].reshape(2, -1),
+        tolerance=settings[:, CLOSURE_TOLERANCE].copy(), limit=settings[:, CLOSURE_LIMIT].copy(),
+        error=np.zeros(LANES), moving=np.zeros(LANES, dtype=np.bool_),
+        kept=tuple(arrays.values()))
+
+
+def filled(items):
+    """
+    Return one item for every lane.
+
+    Parameters
+    ----------
+    items : sequence
+        Up to LANES; the last one is repeated.
+
+    Returns
+    -------
+    list
+
+    """
+    return [*items, *[items[-1]] * (LANES - len(items))]
+
+
+@inlined
+def _derivative(linkage, qdd, state, out):
+    """Compute the time derivatives of all lanes; return whether the results are good."""
+    n = qdd.shape[0]
+    good = links.call(linkage, links.EVALUATION, state[:n], state[n:2 * n])
+    for i in range(n):
+        out[i] = state[n + i]
+        out[n + i] = qdd[i]
+    return good != 0
+
+
+@inlined
+def _step(linkage, qdd, tableau, state, step_size, slopes, stage, out):
+    """Make one step; return whether all evaluations were good."""
+    if not _derivative(linkage, qdd, state, slopes[0]):
+        return False
+    stages = tableau.b.shape[0]
+    if stages == 0:
+        semi_implicit_euler.step(state, qdd.shape[0], step_size, slopes[0], out)
+        return True
+    for k in range(1, stages):
+        combine(tableau.a[k], k, state, step_size, slopes, stage)
+        if not _derivative(linkage, qdd, stage, slopes[k]):
+            return False
+    combine(tableau.b, stages, state, step_size, slopes, out)
+    return True
+
+
+@inlined
+def _measure(closure, error):
+    """Find the largest closure error of every lane; guards have excluded NaN."""
+    for lane in range(LANES):
+        error[lane] = 0.0
+    for k in range(closure.shape[0] // LANES):
+        for lane in range(LANES):
+            error[lane] = max(error[lane], abs(closure[LANES * k + lane]))
+
+
+@inlined
+def _project(pack, q, qd, positions):
+    """Do as ``projection.project`` does, in every lane; return a status."""
+    error, moving, tolerance = pack.error, pack.moving, pack.tolerance
+    n = pack.qdd.shape[0]
+    if links.call(pack.linkage, links.CORRECTION, q, qd) == 0:
+        return SINGULAR
+    _measure(pack.closure, error)
+    busy = False
+    for lane in range(LANES):
+        moving[lane] = positions and error[lane] > tolerance[lane]
+        busy = busy or moving[lane]
+    for _ in range(MOST_CORRECTIONS):
+        if not busy:
+            break
+        for k in range(n // LANES):
+            for lane in range(LANES):
+                i = LANES * k + lane
+                q[i] = q[i] + pack.corrections[0, i] if moving[lane] else q[i]
+        if links.call(pack.linkage, links.CORRECTION, q, qd) == 0:
+            return SINGULAR
+        busy = _go_on(pack.closure, error, moving, tolerance)
+    for i in range(n):
+        qd[i] += pack.corrections[1, i]
+    for lane in range(LANES):
+        if positions and not error[lane] <= pack.limit[lane]:
+            return OPEN_LOOP
+    return DONE
+
+
+@inlined
+def _go_on(closure, error, moving, tolerance):
+    """Find the lanes whose coordinates want another correction; return whether any does."""
+    busy = False
+    for lane in range(LANES):
+        before, error[lane] = error[lane], 0.0
+        for k in range(closure.shape[0] // LANES):
+            error[lane] = max(error[lane], abs(closure[LANES * k + lane]))
+        moving[lane] = (moving[lane] and error[lane] < 0.5 * before
+                        and error[lane] > tolerance[lane])
+        busy = busy or moving[lane]
+    return busy
+
+
+@inlined
+def _note(state, position, velocity, instant):
+    """Write one instant."""
+    nv = position.shape[2]
+    for lane in range(LANES):
+        for k in range(nv):
+            position[lane, instant, k] = state[LANES * k + lane]
+            velocity[lane, instant, k] = state[LANES * (nv + k) + lane]
+
+
+@released
+def march(pack, tableau, stabilisation, state, step_size, torque, hold, every, steps, scratch,
+          position, velocity):
+    """
+    Make whole runs of fixed steps in lockstep.
+
+    Parameters
+    ----------
+    pack : Pack
+        What moves.
+    tableau, stabilisation, step_size, hold, every, steps
+        As for ``march.march``.
+    state : ndarray, shape (LANES * ns,)
+        At the start; advanced in place.
+    torque : ndarray, shape (rows, LANES * nv)
+        Joint torques, one row after the other.
+    scratch : ndarray, shape (stages + 2, LANES * ns)
+        Scratch.
+    position, velocity : ndarray, shape (LANES, instants, nv)
+        Written in place, for each mechanism apart.
+
+    Returns
+    -------
+    int
+        ``DONE``; or why all must be run one by one.
+
+    """
+    slopes, stage, out = scratch[2:], scratch[0], scratch[1]
+    n = pack.qdd.shape[0]
+    _note(state, position, velocity, 0)
+    for done in range(steps):
+        if done % hold == 0:
+            for i in range(n):
+                pack.tau[i] = torque[done // hold, i]
+        if not _step(pack.linkage, pack.qdd, tableau, state, step_size, slopes, stage, out):
+            return SINGULAR
+        if stabilisation >= VELOCITY:
+            status = _project(pack, out[:n], out[n:], stabilisation == PROJECTION)
+            if status != DONE:
+                return status
+        if not all_finite(out):
+            return NOT_FINITE
+        for i in range(out.shape[0]):
+            state[i] = out[i]
+        if (done + 1) % every == 0:
+            _note(state, position, velocity, (done + 1) // every)
+    return DONE

@@ -1,0 +1,129 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Rollouts side by side in vectors: the numbers of rollouts of one sample, bit for bit."""
+
+import math
+
+from closedloop_dynamics import recording_together
+from closedloop_dynamics import rollout as rollouts
+from closedloop_dynamics.core import straight_line
+from closedloop_dynamics.core.straight_line import lanes
+from closedloop_dynamics.integration import lockstep
+from closedloop_dynamics.integration.advance import DONE
+from closedloop_dynamics.integration.lockstep import LANES
+from closedloop_dynamics.recording import QUANTITIES
+from closedloop_dynamics.simulation import Simulation
+import numpy as np
+import pytest
+
+pytestmark = pytest.mark.skipif(not straight_line.available(), reason='there is no compiler')
+
+
+@pytest.fixture
+def packs(monkeypatch):
+    """Note how many runs went together, None where they came back."""
+    seen = []
+
+    def watched(starts, schedule, quantities):
+        records = recording_together.record_together(starts, schedule, quantities)
+        seen.append(None if records is None else len(records))
+        return records
+
+    monkeypatch.setattr(rollouts, 'record_together', watched)
+    return seen
+
+
+def torques_for(simulation, samples, rows, seed=3):
+    return np.random.default_rng(seed).normal(
+        0.0, 2.0, (samples, rows, len(simulation.actuated_joints)))
+
+
+def assert_each_as_alone(simulation, result, torques, **arguments):
+    """Compare with rollouts of one sample, which nothing can go together with."""
+    for sample, rows in enumerate(torques):
+        own = {key: values[sample] for key, values in arguments.items()
+               if key.startswith('initial')}
+        parameters = {key: values[sample]
+                      for key, values in arguments.get('parameters', {}).items()}
+        alone = simulation.rollout(rows, **own, parameters=parameters, quantities=QUANTITIES)
+        for name in QUANTITIES:
+            np.testing.assert_array_equal(
+                getattr(result, name)[sample], getattr(alone, name)[0], f'{sample}: {name}')
+
+
+@pytest.mark.parametrize('scene, method', [
+    ('three_rrr', {}), ('three_rrr', {'integrator': 'heun', 'stabilisation': 'none'}),
+    ('three_rrr', {'integrator': 'semi_implicit_euler', 'stabilisation': 'velocity_projection'}),
+    ('carpet_scraper', {}), ('slider_crank', {'stabilisation': 'baumgarte'})])
+def test_runs_together_are_those_alone(packs, scene, method):
+    simulation = Simulation.from_scene(scene, **method)
+    torques = torques_for(simulation, LANES + 3, 40)
+    result = simulation.rollout(torques, quantities=QUANTITIES, threads=1)
+    assert packs == [LANES, 3]
+    assert_each_as_alone(simulation, result, torques)
+
+
+def test_lanes_differ_in_masses_lengths_and_starts(packs):
+    simulation = Simulation.from_scene('four_bar')
+    torques = torques_for(simulation, 5, 60)
+    arguments = {
+        'parameters': {'mechanism.bodies.crank.mass': np.linspace(0.5, 2.0, 5),
+                       'mechanism.joints.coupler_joint.position.0': np.linspace(0.095, 0.105, 5),
+                       'effects.gravity.acceleration.1': np.linspace(-9.81, 0.0, 5)}}
+    result = simulation.rollout(torques, quantities=QUANTITIES, **arguments)
+    assert packs == [5] and result.failures == {}
+    assert np.ptp(result.position[:, -1, 0]) > 1e-3
+    assert_each_as_alone(simulation, result, torques, **arguments)
+
+
+def test_what_fails_in_one_lane_is_run_alone(packs):
+    simulation = Simulation.from_scene('four_bar')
+    torques = torques_for(simulation, 4, 30)
+    torques[2, 10:] = 1e300
+    result = simulation.rollout(torques, quantities=QUANTITIES)
+    assert packs == [None]
+    assert list(result.failures) == [2] and np.isnan(result.position[2, -1]).all()
+    assert_each_as_alone(simulation, result, torques)
+
+
+def test_what_fails_to_start_leaves_the_others_together(packs):
+    simulation = Simulation.from_scene('four_bar')
+    result = simulation.rollout(duration=0.01, parameters={
+        'mechanism.bodies.crank.mass': [1.0, -1.0, 2.0, 3.0]})
+    assert packs == [3]
+    assert list(result.failures) == [1] and 'positive' in result.failures[1]
+    assert np.isfinite(result.position[[0, 2, 3]]).all()
+
+
+def test_other_steps_are_not_made_together(packs):
+    simulation = Simulation.from_scene('four_bar')
+    result = simulation.rollout(duration=0.01, parameters={
+        'method.step_size': [1e-3, 5e-4, 2.5e-4]})
+    assert packs == [None] and result.failures == {}
+
+
+def test_angles_beyond_the_polynomials_are_not_for_lanes():
+    simulation = Simulation.from_scene('four_bar', stabilisation='none')
+    system, driver = simulation.system, simulation.monitor.driver
+    pack = lockstep.build_pack([system])
+    for turns, status in ((2e5, DONE), (3e5, lockstep.SINGULAR)):
+        start = np.concatenate((simulation.position, simulation.velocity))
+        state = lanes.spread([start] * LANES)
+        # Of one lane alone.
+        state[LANES - 1] += 2.0 * math.pi * turns
+        motion = np.zeros((2, LANES, 2, 3))
+        assert lockstep.march(
+            pack, driver.tableau, driver.stabilisation, state, 1e-3, np.zeros((1, 3 * LANES)),
+            1, 1, 1, np.zeros((len(driver.scratch), 6 * LANES)), *motion) == status
