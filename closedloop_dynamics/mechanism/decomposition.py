@@ -23,7 +23,8 @@ joins its remaining neighbours, which is the fill that a good order keeps low.
 """
 
 from dataclasses import dataclass
-from typing import FrozenSet, Tuple
+from functools import lru_cache
+from typing import FrozenSet, NamedTuple, Tuple
 
 import numpy as np
 
@@ -82,30 +83,51 @@ def decompose(mechanism):
     Decomposition
 
     """
-    trees = _subsystems(mechanism)
+    return _decompose(
+        tuple(_Joint(joint.name, joint.parent, joint.child) for joint in mechanism.joints),
+        tuple(_Cut(cut.name, cut.body_a, cut.body_b) for cut in mechanism.cut_joints))
+
+
+class _Joint(NamedTuple):
+    name: str
+    parent: str
+    child: str
+
+
+class _Cut(NamedTuple):
+    name: str
+    body_a: str
+    body_b: str
+
+
+# Many simulations of one mechanism differ in numbers only.
+@lru_cache(maxsize=4)
+def _decompose(joints, cut_joints):
+    """Decompose what is left of a mechanism without its numbers."""
+    trees = _subsystems(joints)
     subsystem_of = {
-        mechanism.joints[j].child: k for k, tree in enumerate(trees) for j in tree}
+        joints[j].child: k for k, tree in enumerate(trees) for j in tree}
     cut_subsystems = tuple(
         tuple(sorted({subsystem_of[body] for body in (cut.body_a, cut.body_b)
                       if body != GROUND}))
-        for cut in mechanism.cut_joints)
+        for cut in cut_joints)
     neighbours = _cut_joint_graph(cut_subsystems, len(trees))
     order = _elimination_order(neighbours)
     structure, fill = _fill(neighbours, order)
     return Decomposition(
-        subsystems=tuple(tuple(mechanism.joints[j].name for j in tree) for tree in trees),
+        subsystems=tuple(tuple(joints[j].name for j in tree) for tree in trees),
         joint_order=tuple(j for tree in trees for j in tree),
         cut_subsystems=cut_subsystems,
-        elimination_order=tuple(mechanism.cut_joints[a].name for a in order),
+        elimination_order=tuple(cut_joints[a].name for a in order),
         cut_order=order,
         structure=structure,
         fill=fill)
 
 
-def _subsystems(mechanism):
+def _subsystems(joints):
     """Return the joint indices of each tree that stands on the ground, parents first."""
     children = {}
-    for index, joint in enumerate(mechanism.joints):
+    for index, joint in enumerate(joints):
         children.setdefault(joint.parent, []).append(index)
     trees = []
     for root in children.get(GROUND, []):
@@ -113,7 +135,7 @@ def _subsystems(mechanism):
         while waiting:
             index = waiting.pop()
             tree.append(index)
-            waiting.extend(reversed(children.get(mechanism.joints[index].child, [])))
+            waiting.extend(reversed(children.get(joints[index].child, [])))
         trees.append(tuple(tree))
     return tuple(trees)
 

@@ -15,6 +15,7 @@
 """The rules that every planar mechanism obeys, read from a file or built in Python."""
 
 from dataclasses import replace
+from weakref import WeakValueDictionary
 
 from .checks import boolean, listed, name, not_negative, number, one_of, positive, text, vector2
 from .fields import among, at, FieldError, nearest, normalise, shown
@@ -70,8 +71,7 @@ def checked(mechanism):
     """Return a normalised copy of a mechanism, or raise FieldError."""
     if not isinstance(mechanism, Mechanism):
         raise FieldError('a Mechanism', shown(mechanism))
-    checks = {key: _records_check(*section) for key, section in SECTIONS.items()}
-    mechanism = normalise(replace(mechanism), name=name, description=text, **checks)
+    mechanism = normalise(replace(mechanism), name=name, description=text, **_CHECKS)
     for key in ('bodies', 'joints'):
         if not getattr(mechanism, key):
             raise FieldError('at least one entry', 'none', path=(key,))
@@ -95,18 +95,29 @@ _MASSLESS = {'mass': _zero, 'inertia': _zero}
 
 def _records_check(record_type, checks):
     """Return the check for a list of records of one type."""
+    # By identity: where many mechanisms differ in one record, the others are the same.
+    passed = WeakValueDictionary()
+
     def check(records):
         result = []
         for record in listed(records):
+            if passed.get(id(record)) is record:
+                result.append(record)
+                continue
             if not isinstance(record, record_type):
                 raise FieldError(f'a {record_type.__name__}', shown(record))
             with at(record.name):
                 name(record.name)
                 massless = getattr(record, 'massless', False) is True
-                result.append(normalise(
-                    replace(record), **{**checks, **(_MASSLESS if massless else {})}))
+                record = normalise(
+                    replace(record), **{**checks, **(_MASSLESS if massless else {})})
+            passed[id(record)] = record
+            result.append(record)
         return tuple(result)
     return check
+
+
+_CHECKS = {key: _records_check(*section) for key, section in SECTIONS.items()}
 
 
 def _check_names(mechanism):

@@ -22,7 +22,8 @@ import numpy as np
 from .plan import TORQUE
 from ..errors import SimulationError
 from ..key_paths import changed
-from ..recording import is_plain, nothing, QUANTITIES, record, Schedule
+from ..recording import is_plain, nothing, QUANTITIES, Record, record, Schedule
+from ..recording_together import FEWEST, may_go_together, MOST, record_together, Start
 from ..scene_records import Scene
 from ..simulation import Simulation
 
@@ -79,7 +80,7 @@ class Batch:
 
 def run_batch(job, samples, values, torques):
     """
-    Run samples one after the other.
+    Run samples, some of them at a time.
 
     Parameters
     ----------
@@ -100,11 +101,12 @@ def run_batch(job, samples, values, torques):
     """
     source = _Source(job)
     results, reasons = [], []
-    for k, row in enumerate(values):
-        own = torques[k] if torques is not None and torques.ndim == 3 else torques
-        result, failure = _sample(job, source, row, own)
-        results.append(result)
-        reasons.append(failure or '')
+    own = torques if torques is not None and torques.ndim == 3 else [torques] * len(values)
+    for first in range(0, len(values), MOST):
+        some = slice(first, first + MOST)
+        for done in _records(job, source, values[some], own[some]):
+            results.append(summary(job, done.values))
+            reasons.append(done.failure or '')
     return Batch(
         np.asarray(samples), {name: np.array([result[name] for result in results])
                               for name in results[0]},
@@ -120,26 +122,38 @@ def failed(job, samples, reason):
                  np.full(len(samples), FAILED, dtype=np.int8), [reason] * len(samples))
 
 
-def _sample(job, source, row, torques):
-    """Return the results of a sample by name, and why it failed or None."""
+def _records(job, source, rows, torques):
+    """Return what some samples did: together where that is possible, else one by one."""
     wanted = tuple(dict.fromkeys((*SUMMARISED, *job.keep)))
-    values = nothing(wanted, job.scene.mechanism, job.schedule.instants)
+    starts = {}
+    if len(rows) >= FEWEST and source.together:
+        for k, (row, own) in enumerate(zip(rows, torques)):
+            try:
+                starts[k] = source.start(row, own)
+            except Exception:
+                # Run alone, it will say why.
+                pass
+            if not source.together:
+                break
+    records = None
+    if starts and source.together:
+        records = record_together(list(starts.values()), job.schedule, wanted)
+    done = dict(zip(starts, records or ()))
+    return [done[k] if k in done else _alone(job, source, row, own, wanted)
+            for k, (row, own) in enumerate(zip(rows, torques))]
+
+
+def _alone(job, source, row, torques, wanted):
+    """Return what a sample did, run alone."""
     try:
-        simulation, torque = source.simulation(row)
-        if torques is None:
-            torques = np.zeros((1, len(simulation.actuated_joints)))
-        if torque:
-            torques = torques.copy()
-            for joint, value in torque.items():
-                torques[:, simulation.actuated_joints.index(joint)] = value
-        done = record(simulation, torques, job.schedule, wanted)
-        values, failure = done.values, done.failure
+        start = source.start(row, torques)
+        return record(start.simulation, start.torques, job.schedule, wanted)
     except (SimulationError, ValueError) as error:
         failure = str(error)
     except Exception as error:
         # Whatever it is, the other samples of the sweep shall not be lost by it.
         failure = f'{type(error).__name__}: {error}'
-    return summary(job, values), failure
+    return Record(nothing(wanted, job.scene.mechanism, job.schedule.instants), failure)
 
 
 def summary(job, values):
@@ -179,8 +193,21 @@ class _Source:
 
     def __init__(self, job):
         self._job, self._values, self._simulation = job, None, None
+        # Whether samples may be run together: until one is seen that may not.
+        self.together = True
 
-    def simulation(self, row):
+    def start(self, row, torques):
+        """Return what a sample begins with, its simulation standing there."""
+        simulation, varied = self._at_start(row)
+        if torques is None:
+            torques = np.zeros((1, len(simulation.actuated_joints)))
+        if varied:
+            torques = torques.copy()
+            for joint, value in varied.items():
+                torques[:, simulation.actuated_joints.index(joint)] = value
+        return Start(simulation, simulation._state.copy(), torques)
+
+    def _at_start(self, row):
         """Return a simulation at its start, and torques by joint that are varied."""
         values, torque = {}, {}
         for path, value in zip(self._job.paths, row.tolist()):
@@ -195,6 +222,7 @@ class _Source:
             simulation = Simulation(changed(self._job.scene, values))
             simulation.monitor.sampling = False
             self._values = values
+            self.together &= may_go_together(simulation, self._job.schedule)
             if not is_plain(simulation):
                 return simulation, torque
             self._simulation = simulation
