@@ -69,47 +69,71 @@ def may_go_together(simulation, schedule):
         simulation.system, simulation.monitor.driver.stabilisation))
 
 
-def record_together(starts, schedule, quantities):
+class Together:
     """
-    Make several runs, and keep what they do.
+    Makes several runs at a time, and keeps what they do.
 
     Parameters
     ----------
-    starts : sequence of Start
-        Of simulations that may go together, up to MOST of them.
     schedule : Schedule
         Of all.
     quantities : sequence of str
         What to keep.
 
-    Returns
-    -------
-    list of Record, or None
-        None where they must be made one by one: they differ in their methods, or one of them
-        fails or comes to a singular configuration.
-
     """
-    first = starts[0].simulation
-    if len(starts) < FEWEST or any(
-            start.simulation.scene.method != first.scene.method for start in starts[1:]):
-        return None
-    pack = lockstep.build_pack([start.simulation.system for start in starts])
-    if pack is None:
-        return None
-    driver, steps = first.monitor.driver, schedule.steps(first.step_size)
-    torques = [all_torques(start.simulation, start.torques) for start in starts]
-    spread = np.stack(lockstep.filled(torques), axis=-1).reshape(len(torques[0]), -1)
-    state = lockstep.lanes.spread(lockstep.filled([start.state for start in starts]))
-    shape = lockstep.LANES, schedule.instants, torques[0].shape[1]
-    position, velocity = np.empty(shape), np.empty(shape)
-    status = lockstep.march(
-        pack, driver.tableau, driver.stabilisation, state, first.step_size, spread,
-        schedule.hold * steps, schedule.every * steps, schedule.intervals * steps,
-        np.zeros((len(driver.scratch), len(state))), position, velocity)
-    if status != DONE:
-        return None
-    return [Record(_values(start.simulation, tau, schedule, steps, quantities, *motion))
-            for start, tau, *motion in zip(starts, torques, position, velocity)]
+
+    def __init__(self, schedule, quantities):
+        """Begin without a pack."""
+        self._schedule, self._quantities = schedule, quantities
+        self._systems, self._pack = [], None
+
+    def record(self, starts, room=None):
+        """
+        Make some runs.
+
+        Parameters
+        ----------
+        starts : sequence of Start
+            Of simulations that may go together, up to MOST of them.
+        room : tuple of 2 ndarrays, shape (MOST, instants, nv), optional
+            Where positions and velocities go, so that they need not be copied.
+
+        Returns
+        -------
+        list of Record, or None
+            None where they must be made one by one: they differ in their methods, or one of
+            them fails or comes to a singular configuration.
+
+        """
+        first, schedule = starts[0].simulation, self._schedule
+        if len(starts) < FEWEST or any(
+                start.simulation.scene.method != first.scene.method for start in starts[1:]):
+            return None
+        pack = self._pack_of([start.simulation.system for start in starts])
+        if pack is None:
+            return None
+        driver, steps = first.monitor.driver, schedule.steps(first.step_size)
+        torques = [all_torques(start.simulation, start.torques) for start in starts]
+        spread = np.stack(lockstep.filled(torques), axis=-1).reshape(len(torques[0]), -1)
+        state = lockstep.lanes.spread(lockstep.filled([start.state for start in starts]))
+        if room is None:
+            shape = lockstep.LANES, schedule.instants, torques[0].shape[1]
+            room = np.empty(shape), np.empty(shape)
+        status = lockstep.march(
+            pack, driver.tableau, driver.stabilisation, state, first.step_size, spread,
+            schedule.hold * steps, schedule.every * steps, schedule.intervals * steps,
+            np.zeros((len(driver.scratch), len(state))), *room)
+        if status != DONE:
+            return None
+        return [Record(_values(start.simulation, tau, schedule, steps, self._quantities, *motion))
+                for start, tau, *motion in zip(starts, torques, *room)]
+
+    def _pack_of(self, systems):
+        """Return a pack of systems, the last one where they are still the same."""
+        if len(systems) != len(self._systems) or any(
+                one is not other for one, other in zip(systems, self._systems)):
+            self._systems, self._pack = systems, lockstep.build_pack(systems)
+        return self._pack
 
 
 def _values(simulation, tau, schedule, steps, quantities, position, velocity):

@@ -25,7 +25,7 @@ import numpy as np
 from .errors import SimulationError
 from .key_paths import changed
 from .recording import checked_quantities, is_plain, nothing, record, STATE
-from .recording_together import FEWEST, may_go_together, MOST, record_together, Start
+from .recording_together import FEWEST, may_go_together, MOST, Start, Together
 from .rollout_input import Given, scheduled
 
 
@@ -102,9 +102,10 @@ quantities, threads
     failures = {}
 
     def run(samples):
-        for sample, (done, failure) in runs.run(samples):
+        for sample, (done, failure) in runs.run(samples, results):
             for name, values in done.items():
-                results[name][sample] = values
+                if not np.may_share_memory(results[name], values):
+                    results[name][sample] = values
             if failure is not None:
                 failures[sample] = failure
 
@@ -154,24 +155,36 @@ class _Runs:
         count, size = self._given.samples, MOST if self._together else 1
         return [range(first, min(first + size, count)) for first in range(0, count, size)]
 
-    def run(self, samples):
+    def run(self, samples, results):
         """Return for each of some samples its number, results and why it ended early or None."""
-        starts = {}
-        if len(samples) >= FEWEST:
-            for sample in samples:
-                try:
-                    starts[sample] = self._start(sample)
-                except (SimulationError, ValueError):
-                    # Run alone, it will say why.
-                    pass
+        starts = self._starts(samples) if len(samples) >= FEWEST else {}
         done = {}
         if starts and all(may_go_together(start.simulation, self._schedule)
                           for start in starts.values()):
-            together = record_together(
-                list(starts.values()), self._schedule, self._quantities)
+            if not hasattr(self._own, 'together'):
+                self._own.together = Together(self._schedule, self._quantities)
+            room = None
+            if len(starts) == MOST and all(name in results for name in STATE):
+                room = tuple(results[name][samples[0]:samples[-1] + 1] for name in STATE)
+            together = self._own.together.record(list(starts.values()), room)
             done = dict(zip(starts, together or ()))
         for sample in samples:
             yield sample, self._result(done[sample]) if sample in done else self._alone(sample)
+
+    def _starts(self, samples):
+        """Return what those samples begin with that can begin."""
+        given, starts = self._given, {}
+        for sample in samples:
+            if starts and self._again and given.position is None and given.velocity is None:
+                # Nothing has moved since the first of them.
+                starts[sample] = replace(starts[samples[0]], torques=given.torques_of(sample))
+                continue
+            try:
+                starts[sample] = self._start(sample)
+            except (SimulationError, ValueError):
+                # Run alone, it will say why.
+                pass
+        return starts
 
     def _result(self, record):
         return record.values, record.failure

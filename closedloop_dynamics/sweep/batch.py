@@ -23,7 +23,7 @@ from .plan import TORQUE
 from ..errors import SimulationError
 from ..key_paths import changed
 from ..recording import is_plain, nothing, QUANTITIES, Record, record, Schedule
-from ..recording_together import FEWEST, may_go_together, MOST, record_together, Start
+from ..recording_together import FEWEST, may_go_together, MOST, Start, Together
 from ..scene_records import Scene
 from ..simulation import Simulation
 
@@ -137,7 +137,7 @@ def _records(job, source, rows, torques):
                 break
     records = None
     if starts and source.together:
-        records = record_together(list(starts.values()), job.schedule, wanted)
+        records = Together(job.schedule, wanted).record(list(starts.values()))
     done = dict(zip(starts, records or ()))
     return [done[k] if k in done else _alone(job, source, row, own, wanted)
             for k, (row, own) in enumerate(zip(rows, torques))]

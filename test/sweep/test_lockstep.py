@@ -16,14 +16,13 @@
 
 import math
 
-from closedloop_dynamics import recording_together
-from closedloop_dynamics import rollout as rollouts
 from closedloop_dynamics.core import straight_line
 from closedloop_dynamics.core.straight_line import lanes
 from closedloop_dynamics.integration import lockstep
 from closedloop_dynamics.integration.advance import DONE
 from closedloop_dynamics.integration.lockstep import LANES
 from closedloop_dynamics.recording import QUANTITIES
+from closedloop_dynamics.recording_together import Together
 from closedloop_dynamics.simulation import Simulation
 import numpy as np
 import pytest
@@ -36,12 +35,14 @@ def packs(monkeypatch):
     """Note how many runs went together, None where they came back."""
     seen = []
 
-    def watched(starts, schedule, quantities):
-        records = recording_together.record_together(starts, schedule, quantities)
+    record = Together.record
+
+    def watched(self, starts, room=None):
+        records = record(self, starts, room)
         seen.append(None if records is None else len(records))
         return records
 
-    monkeypatch.setattr(rollouts, 'record_together', watched)
+    monkeypatch.setattr(Together, 'record', watched)
     return seen
 
 
