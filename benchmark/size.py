@@ -231,7 +231,7 @@ def picture(result):
         axes.grid(color='#dddddd', linewidth=0.7)
         axes.set_axisbelow(True)
         axes.tick_params(labelsize=8)
-    figure.legend(loc='outside lower center', ncols=4, frameon=False, fontsize=8.5)
+    figure.legend(loc='outside lower center', ncols=2, frameon=False, fontsize=8.5)
     return figure
 
 
