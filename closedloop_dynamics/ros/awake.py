@@ -61,8 +61,9 @@ class Awake:
             self._process = subprocess.Popen(
                 [sys.executable, '-m', __name__, str(core), str(self._thread)],
                 stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-                # Ctrl-C is for the node, which ends this process.
-                start_new_session=True,
+                # Ctrl-C is for the node, which ends this process. Not a session of its own: Linux
+                # would share the core evenly between the two, however low the priority.
+                process_group=0,
                 env={**os.environ, 'PYTHONPATH': os.pathsep.join(filter(None, sys.path))})
             os.sched_setaffinity(self._thread, {core})
         elif not awake and self._process is not None:

@@ -194,6 +194,9 @@ def test_shipped_views_look_at_what_is_published():
         return [node] if isinstance(node, str) else leaves(node['first']) + leaves(node['second'])
 
     assert sorted(leaves(layout['layout'])) == sorted(panels)
+    # All values of an array would become one line that jumps between them.
+    assert not any('[:]' in path['value'] for panel in panels.values()
+                   for path in panel.get('paths', ()))
 
 
 def test_drives_and_controllers_have_names_of_their_own():
