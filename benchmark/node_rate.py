@@ -73,11 +73,13 @@ def cpu_time(process):
     return (int(fields[11]) + int(fields[12])) / os.sysconf('SC_CLK_TCK')
 
 
-def start(executable, *parameters):
-    """Start an executable of the package."""
+def start(executable, *parameters, file=None):
+    """Start an executable of the package, with parameters of a file and such as NAME:=VALUE."""
     code = (f'import sys; from closedloop_dynamics.ros import executables; '
             f'sys.exit(executables.{executable}())')
     arguments = [each for parameter in parameters for each in ('-p', parameter)]
+    if file is not None:
+        arguments = ['--params-file', str(file), *arguments]
     return subprocess.Popen(
         [sys.executable, '-c', code, '--ros-args', '--log-level', 'warn', *arguments],
         env={**os.environ, 'PYTHONPATH': f'{ROOT}:{os.environ.get("PYTHONPATH", "")}'})
