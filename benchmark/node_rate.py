@@ -20,7 +20,8 @@ Starts a real simulator, subscribes to its states and to the force of every cut 
 off, by the times at which DDS sent them, the share of a core that the simulator took, and how
 many messages were lost on the way, by the numbers that the publisher gives them. With
 ``--record`` the package's recorder listens, too. Before and after, a bare loop that does nothing
-but sleep until the next period shows how evenly this machine wakes a process up at all.
+but sleep until the next period shows how evenly this machine wakes a process up at all, and
+``stolen`` is what the host of a virtual machine took from it meanwhile.
 
 """
 
@@ -86,9 +87,19 @@ def start(executable, *parameters, file=None):
 
 
 def deviations(moments, rate):
-    """Return median, 99th percentile and maximum of |period - nominal| [ms]."""
+    """Return median, 95th and 99th percentile and maximum of |period - nominal| [ms]."""
     off = np.abs(1e-6 * np.diff(moments) - 1e3 / rate)
-    return (*np.percentile(off, (50, 99)), off.max())
+    return (*np.percentile(off, (50, 95, 99)), off.max())
+
+
+def formatted(moments, rate):
+    """Return the deviations as columns."""
+    return '{:9.3f}{:9.3f}{:9.3f}{:9.2f}'.format(*deviations(moments, rate))
+
+
+def stolen():
+    """Return the time that a host took from this virtual machine so far [s], of all cores."""
+    return int(Path('/proc/stat').read_text().split()[8]) / os.sysconf('SC_CLK_TCK')
 
 
 def floor(rate):
@@ -97,8 +108,7 @@ def floor(rate):
     for k in range(1, round(FLOOR_DURATION * rate)):
         time.sleep(max(0.0, begin + k * period - time.perf_counter()))
         moments.append(time.perf_counter_ns())
-    p50, p99, most = deviations(moments, rate)
-    return f'{"bare sleeping loop":20}{rate:8.0f}{"":10}{p50:9.3f}{p99:9.3f}{most:9.2f}'
+    return f'{"bare sleeping loop":20}{rate:8.0f}{"":10}{formatted(moments, rate)}'
 
 
 def measure(scene, rate, duration, record, parameters):
@@ -115,20 +125,20 @@ def measure(scene, rate, duration, record, parameters):
             subscriber.take_until(lambda: len(taken.sent) > 3 * rate)
             taken.clear()
             before, begin = cpu_time(simulator), time.monotonic()
-            own = time.process_time()
+            own, taken_away = time.process_time(), stolen()
             subscriber.take_until(lambda: time.monotonic() - begin > duration)
             elapsed = time.monotonic() - begin
             share = (cpu_time(simulator) - before) / elapsed
             own = (time.process_time() - own) / elapsed
+            taken_away = (stolen() - taken_away) / elapsed
         finally:
             for process in reversed(processes):
                 process.terminate()
                 process.wait()
     subscriber.close()
-    p50, p99, most = deviations(taken.sent, rate)
-    return (f'{scene:20}{rate:8.0f}{len(taken.sent) / elapsed:10.1f}{p50:9.3f}{p99:9.3f}'
-            f'{most:9.2f}{100.0 * share:8.1f}{100.0 * own:12.1f}'
-            f'{taken.received.total():11}{taken.lost.total():7}')
+    return (f'{scene:20}{rate:8.0f}{len(taken.sent) / elapsed:10.1f}'
+            f'{formatted(taken.sent, rate)}{100.0 * share:8.1f}{100.0 * own:12.1f}'
+            f'{100.0 * taken_away:8.1f}{taken.received.total():11}{taken.lost.total():7}')
 
 
 def main(argv=None):
@@ -153,12 +163,15 @@ def main(argv=None):
     parser.add_argument('--record', action='store_true', help='with the recorder beside it')
     parser.add_argument('--keep-core-awake', action='store_true',
                         help='with that parameter of the simulator')
+    parser.add_argument('--priority', type=int, default=0,
+                        help='parameter scheduling_priority of the simulator')
     arguments = parser.parse_args(argv)
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
-    print(f'{description()}\nperiods: |period - nominal| [ms]; CPU: share of a core [%]')
-    print(f'{"scene":20}{"rate":>8}{"achieved":>10}{"p50":>9}{"p99":>9}{"max":>9}{"CPU":>8}'
-          f'{"subscriber":>12}{"received":>11}{"lost":>7}')
-    parameters = ['keep_core_awake:=true'] if arguments.keep_core_awake else []
+    print(f'{description()}\nperiods: |period - nominal| [ms]; CPU, stolen: share of a core [%]')
+    print(f'{"scene":20}{"rate":>8}{"achieved":>10}{"p50":>9}{"p95":>9}{"p99":>9}{"max":>9}'
+          f'{"CPU":>8}{"subscriber":>12}{"stolen":>8}{"received":>11}{"lost":>7}')
+    parameters = [f'keep_core_awake:={str(arguments.keep_core_awake).lower()}',
+                  f'scheduling_priority:={arguments.priority}']
     for rate in arguments.rates:
         print(floor(rate), flush=True)
         print(measure(arguments.scene, rate, arguments.duration, arguments.record, parameters),

@@ -152,7 +152,8 @@ def run(create_node, name, args=None):
     ----------
     create_node : callable
         Returns the node. The node offers ``exit_code`` (None as long as it
-        wants to go on) and ``close()``, called while its context is alive.
+        wants to go on) and ``close()``, called while its context is alive; one that has
+        something to do in time, ``take_over()``, ``due()`` and ``act()``, as ``spin`` asks.
     name : str
         Name for messages before there is a node.
     args : list of str, optional
@@ -219,7 +220,8 @@ def _run_in_context(create_node, name, watch):
     # An empty task is what makes a waiting spin_once() return.
     watch.on_stop(lambda: executor.create_task(_nothing))
     try:
-        spin(executor, lambda: node.exit_code is not None or watch.requested)
+        spin(executor, lambda: node.exit_code is not None or watch.requested,
+             node if hasattr(node, 'take_over') else None)
     finally:
         watch.on_stop(_nothing)
         try:

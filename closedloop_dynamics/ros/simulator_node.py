@@ -27,6 +27,7 @@ import time
 from closedloop_dynamics.errors import NumericalError
 from closedloop_dynamics.errors import SimulationError
 from closedloop_dynamics.ros.awake import Awake
+from closedloop_dynamics.ros.awake import set_priority
 from closedloop_dynamics.ros.commands import CommandError
 from closedloop_dynamics.ros.commands import TorqueCommand
 from closedloop_dynamics.ros.companions import Companions
@@ -130,15 +131,25 @@ class SimulatorNode(Node):
         self.companions = Companions(self)
         self._preparation = Preparation(self, values['scene'])
         # Time begins when all is there.
-        self._timer = None
+        self._timer = self._due = None
+        self._beats = False
         if self.control.running:
             self.mode.start()
         self.renew_timer()
+        self._take_priority(values['scheduling_priority'])
         self.get_logger().info(
             f"simulating '{simulation.scene.name}' in steps of {simulation.step_size:g} s, "
             f'{self._pace(values)}; torque_command takes '
             f'{", ".join(simulation.actuated_joints) or "no joint"}'
             f'{"; waiting for the first command" if self.control.waiting else ""}')
+
+    def _take_priority(self, priority):
+        try:
+            set_priority(priority)
+        except OSError as error:
+            self.get_logger().warning(
+                f'scheduling_priority {priority}: not allowed here ({error}); going on without. '
+                'A line "@group - rtprio 99" in /etc/security/limits.conf allows a group to')
 
     def _build_mode(self, values):
         mode = MODES[values['mode']](self, self.pacer)
@@ -197,7 +208,7 @@ class SimulatorNode(Node):
         try:
             action()
         except SimulationError as error:
-            self._timer.cancel()
+            self._stop_ticking()
             self.exit_code = 1
             self.diagnostics.fail(str(error))
             self.get_logger().error(
@@ -263,7 +274,7 @@ class SimulatorNode(Node):
 
     def close(self):
         """Say what was done."""
-        self._timer.cancel()
+        self._stop_ticking()
         self._preparation.close()
         self._awake.keep(False)
         pacer, book = self.pacer, self.command
@@ -292,11 +303,38 @@ class SimulatorNode(Node):
         """Tick as often as the mode wants now."""
         if self._timer is not None:
             self.destroy_timer(self._timer)
-        # A steady clock: neither a jump of the system's time nor a stopped
-        # /clock may stop the simulation.
-        self._timer = self.create_timer(
-            self.mode.tick_period, self.tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._timer = self._due = None
+        if self._beats and self.mode.name == REALTIME and self.control.running:
+            self._due = time.monotonic() + self.mode.tick_period
+        else:
+            # A steady clock: neither a jump of the system's time nor a stopped
+            # /clock may stop the simulation.
+            self._timer = self.create_timer(
+                self.mode.tick_period, self.tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.attend_to_core()
+
+    def _stop_ticking(self):
+        self._due = None
+        if self._timer is not None:
+            self._timer.cancel()
+
+    def take_over(self):
+        """Let the process call ``act()`` when it is due, instead of a timer."""
+        self._beats = True
+        self.renew_timer()
+
+    def due(self):
+        """Return when the next tick is due [s of the steady clock]; None: a timer tells."""
+        return self._due
+
+    def act(self):
+        """Do what is due."""
+        if self._due is None:
+            return
+        late, period = time.monotonic() - self._due, self.mode.tick_period
+        # Ticks that were missed are made up for by this one.
+        self._due += period * (1 + max(0, int(late / period)))
+        self.tick()
 
     def attend_to_core(self):
         """Keep the core awake while that is wanted and time runs."""

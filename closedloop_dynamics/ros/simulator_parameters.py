@@ -71,6 +71,10 @@ SIMULATOR_PARAMETERS = (
         'while time runs: for even periods where cores take long to wake up, as in virtual '
         'machines.', read_only=False),
     Parameter(
+        'scheduling_priority', 0,
+        'Priority among real-time processes (SCHED_FIFO), before all others; 0: it is none. The '
+        'user must be allowed to (ulimit -r).', (0, 99)),
+    Parameter(
         'step_count', 1,
         'Steps of the time integration that the service ~/step advances by [1].', (1, 100000),
         read_only=False),

@@ -17,11 +17,13 @@ The executor that spins a node, and how.
 
 rclpy's events executor takes a third of the processor time of the single-threaded one, which
 builds its wait set anew for every message. Its ``spin()`` does not work in every build of rclpy,
-and neither does ``spin_once()`` without a timeout; with one it does.
+and neither does ``spin_once()`` without a timeout; with one it does. Its timers and timeouts wake up a
+thread of its own first, and that one the caller: what has to happen in time is slept for here.
 
 """
 
 import os
+import time
 
 from rclpy.executors import SingleThreadedExecutor
 
@@ -29,6 +31,9 @@ from rclpy.executors import SingleThreadedExecutor
 VARIABLE = 'CLOSEDLOOP_EXECUTOR'
 # A wait is interrupted by whatever happens; this is for the case that nothing does [s].
 LONGEST_WAIT = 0.1
+# Nearer to a beat than this, what happens waits for it; further, the executor waits until a
+# little before it [s].
+NEAR, BEFORE = 0.004, 0.002
 
 
 def build_executor(context=None):
@@ -55,7 +60,7 @@ def build_executor(context=None):
     return SingleThreadedExecutor(context=context)
 
 
-def spin(executor, over):
+def spin(executor, over, beat=None):
     """
     Run callbacks as they become due.
 
@@ -65,7 +70,28 @@ def spin(executor, over):
         With a node.
     over : callable
         Asked after every callback whether to end.
+    beat : object, optional
+        Something to be done in time: ``take_over()`` is called once where this is possible,
+        ``due()`` tells when (of the steady clock [s]; None: not now), ``act()`` does it.
 
     """
+    if beat is not None and not isinstance(executor, SingleThreadedExecutor):
+        beat.take_over()
     while not over():
+        due = beat.due() if beat is not None else None
+        ahead = due - time.monotonic() if due is not None else LONGEST_WAIT + BEFORE
+        if ahead > NEAR:
+            executor.spin_once(timeout_sec=min(ahead - BEFORE, LONGEST_WAIT))
+            continue
+        if ahead > 0.0:
+            time.sleep(ahead)
+        _catch_up(executor)
+        beat.act()
+
+
+def _catch_up(executor):
+    """Run all callbacks that are ready: those before a task that is added now."""
+    done = []
+    executor.create_task(done.append, True)
+    while not done:
         executor.spin_once(timeout_sec=LONGEST_WAIT)

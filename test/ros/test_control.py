@@ -19,6 +19,7 @@ import os
 import time
 
 from closedloop_dynamics import Simulation
+from closedloop_dynamics.ros.awake import set_priority
 from closedloop_dynamics.ros.process import StartError
 from closedloop_dynamics.ros.simulator_node import SimulatorNode
 import numpy as np
@@ -339,6 +340,49 @@ def test_core_is_kept_awake_while_asked_to_and_time_runs(build):
     node.close()
     assert process.poll() is not None
     assert os.sched_getaffinity(0) == free
+
+
+def test_user_without_real_time_priorities_is_told_and_goes_on(make_node, monkeypatch, capfd):
+    def refuse(*arguments):
+        raise PermissionError(1, 'Operation not permitted')
+
+    monkeypatch.setattr('os.sched_setscheduler', refuse)
+    node = make_node(SimulatorNode, scene='four_bar', scheduling_priority=50)
+    assert node.exit_code is None
+    assert 'scheduling_priority 50: not allowed here' in capfd.readouterr().err
+
+
+def test_threads_take_the_priority_and_what_they_start_does_not(monkeypatch):
+    taken = {}
+    monkeypatch.setattr('os.sched_setscheduler', lambda thread, policy, parameter: taken.update(
+        {str(thread): (policy, parameter.sched_priority)}))
+    set_priority(0)
+    assert taken == {}
+    set_priority(7)
+    assert set(taken) == set(os.listdir('/proc/self/task'))
+    assert set(taken.values()) == {(os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, 7)}
+
+
+def test_ticks_that_the_process_makes_itself_come_on_a_grid(build, monkeypatch):
+    node = build(publish_rate=100.0)
+    steady = FakeClock()
+    monkeypatch.setattr('closedloop_dynamics.ros.simulator_node.time.monotonic', steady)
+    assert node.due() is None
+    node.take_over()
+    assert node._timer is None
+    begin, ticks = steady.now, []
+    monkeypatch.setattr(node, 'tick', lambda: ticks.append(node.due()))
+    for late in (0.0, 0.004, 0.0, 0.035, 0.0):
+        steady.now = max(steady.now, node.due() + late)
+        node.act()
+    assert node.due() - begin == pytest.approx(0.09)
+    assert len(ticks) == 5
+    # While time stands still a timer does.
+    pause(node)
+    assert node.due() is None
+    assert node._timer is not None
+    pause(node, False)
+    assert node.due() == pytest.approx(steady.now + 0.01)
 
 
 def test_system_that_does_not_let_a_core_be_kept_awake_is_told(build, monkeypatch):
