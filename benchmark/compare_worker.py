@@ -26,6 +26,7 @@ import sys
 import time
 
 from closedloop_dynamics import Simulation
+import numpy as np
 
 # A measurement takes about so long [s].
 PORTION = 5e-3
@@ -71,6 +72,13 @@ def large_ladder():
     return lambda count: evaluate_again(system, case.q, case.qd, count)
 
 
+def rollouts(scene):
+    """Return a hundred steps of sixteen samples at once."""
+    one = Simulation.from_scene(scene, integrator='rk4', step_size=1e-3)
+    torques = len(one.actuated_joints)
+    return lambda count: one.rollout(np.zeros((16, 100 * count, torques)), threads=1)
+
+
 TASKS = {
     'evaluation three_rrr': lambda: evaluation('three_rrr'),
     'evaluation carpet_scraper': lambda: evaluation('carpet_scraper'),
@@ -81,6 +89,7 @@ TASKS = {
     'RK4 step carpet_scraper': lambda: steps('carpet_scraper', integrator='rk4', step_size=1e-3),
     'DOP853 ms three_rrr': lambda: steps(
         'three_rrr', integrator='dop853', step_size=1e-3, tolerance=1e-8),
+    'RK4 steps, 100 of 16 three_rrr': lambda: rollouts('three_rrr'),
 }
 
 
