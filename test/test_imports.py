@@ -40,7 +40,7 @@ LAYERS = (
      'rollout_input'),
     # '' is the package itself: it offers Simulation.
     ('simulation', 'simulation_motion', 'simulation_state', ''),
-    ('studies', 'sweep'),
+    ('prepare', 'studies', 'sweep'),
     ('cli', 'ros'),
 )
 # These import nothing else of ours, not even within their layer.
