@@ -30,6 +30,8 @@ from .core.types import (
 WARN_BELOW = 1e-3
 # Largest number of closure equations whose condition is worth its cost, that of a dense matrix.
 MOST_FOR_CONDITION = 40
+# Singular value with locked drives below which it is worth mentioning.
+LOOSE = 0.02
 # Condition beyond which no digit is left.
 SINGULAR = 1e15
 
@@ -66,6 +68,12 @@ class Health:
         Corrections of the positions after the latest step.
     closure : float
         Closure error that projection left after the latest step [m or rad].
+    drive_singular_value : float
+        Smallest singular value of the closure equations with the actuated joints locked, each
+        scaled by its largest entry, with the sign of their determinant. 0: a parallel ("type-2")
+        singularity, where locked drives would not hold the mechanism; the sign changes where it
+        is passed. NaN where the drives are not as many as the freedoms, and for more than
+        40 closure equations.
 
     """
 
@@ -79,6 +87,7 @@ class Health:
     evaluations: int
     projection_iterations: int
     closure: float
+    drive_singular_value: float = math.nan
 
     @property
     def unique_forces(self):
@@ -97,6 +106,9 @@ class Health:
             f'condition {self.condition:.2g}, closure {self.closure:.2g} after '
             f'{self.projection_iterations} corrections, {self.rank_revealing_count} of '
             f'{self.evaluations} evaluations rank-revealing']
+        if abs(self.drive_singular_value) < LOOSE:
+            lines.append('a parallel (type-2) singularity is near: held drives would hardly hold '
+                         f'the mechanism (singular value {self.drive_singular_value:.2g})')
         if not self.unique_forces:
             lines.append(
                 f'the constraint forces are not unique: {self.equations - self.rank} of '
@@ -108,7 +120,7 @@ class Health:
         return '\n'.join(lines)
 
 
-def health_of(model, work, q, qd):
+def health_of(model, work, q, qd, passive=()):
     """
     Return the record of a workspace.
 
@@ -120,6 +132,8 @@ def health_of(model, work, q, qd):
         After an evaluation.
     q, qd : ndarray, shape (nv,)
         The state.
+    passive : sequence of int
+        Coordinates of the joints that are not actuated.
 
     Returns
     -------
@@ -136,7 +150,41 @@ def health_of(model, work, q, qd):
         singular_count=int(values[SINGULAR_COUNT]),
         evaluations=int(values[EVALUATIONS]),
         projection_iterations=int(values[PROJECTION_ITERATIONS]),
-        closure=float(values[CLOSURE]))
+        closure=float(values[CLOSURE]),
+        drive_singular_value=drive_singular_value(model, work, q, qd, passive))
+
+
+def drive_singular_value(model, work, q, qd, passive):
+    """
+    Return how far locked drives are from leaving the mechanism loose, as in ``Health``.
+
+    Parameters
+    ----------
+    model : core.types.Model
+        Of the mechanism.
+    work : core.types.Workspace
+        Scratch; left with the kinematics of the state.
+    q, qd : ndarray, shape (nv,)
+        The state.
+    passive : sequence of int
+        Coordinates of the joints that are not actuated.
+
+    Returns
+    -------
+    float
+
+    """
+    nc, nv = len(work.right), len(model.tree) - 1
+    if not 0 < nc <= MOST_FOR_CONDITION or len(passive) != nc:
+        return math.nan
+    jac = np.zeros((nc, nv))
+    kinematics.outward(model, q, qd, work)
+    constraint_jacobian(model, work, jac)
+    levers = np.abs(jac).max(axis=1, keepdims=True)
+    # An equation that no motion can change has no lever, and cannot be held.
+    square = jac[:, passive] / np.where(levers > 0.0, levers, 1.0)
+    smallest = np.linalg.svd(square, compute_uv=False)[-1]
+    return float(np.copysign(smallest, np.linalg.det(square)))
 
 
 def block_condition(model, work, q, qd):

@@ -379,6 +379,8 @@ class SimulationMotion(SimulationState):
 
         """
         state = self._assembled(position, velocity, hold or ())
+        if self.scene.method.stabilisation == 'independent':
+            self._assembler.require_independent(state[0])
         self._accounts.settle(self._q, self.system.tau)
         self._open_accounts()
         before = self.energy

@@ -77,6 +77,8 @@ class SimulationState:
         self._assembler = Assembler(self.mechanism, model, self.system.work, size)
         self._actuated = np.array([k for k, joint in enumerate(self.mechanism.joints)
                                    if joint.actuated], dtype=int)
+        self._passive = np.array([k for k, joint in enumerate(self.mechanism.joints)
+                                  if not joint.actuated], dtype=int)
         self._points = {point.name: point for point in self.mechanism.points}
         self._initial = self._assembled(
             scene.initial.position, scene.initial.velocity, scene.initial.hold)
@@ -241,7 +243,8 @@ class SimulationState:
     def health(self):
         """How well posed the equations of motion are in the present state: a ``Health``."""
         self._evaluate()
-        return health_of(self.system.model, self.system.work, self._q, self._qd)
+        return health_of(
+            self.system.model, self.system.work, self._q, self._qd, self._passive)
 
     def measured(self):
         """

@@ -228,7 +228,8 @@ def elimination_finding(health, worst):
         'smallest pivot, ever': health.smallest_pivot_ever,
         'closure equations': health.equations, 'independent ones': health.rank,
         'rank-revealing evaluations': health.rank_revealing_count,
-        'projection iterations': health.projection_iterations})
+        'projection iterations': health.projection_iterations,
+        'singular value with locked drives': health.drive_singular_value})
 
 
 def commands_finding(book, before, sources, zero_after_timeout):

@@ -86,7 +86,7 @@ CASES = (
     Case('states by hand', GROUP,
          'All joints of the scraper moved by up to 0.01 rad: the nearest closed state, on its '
          'branch.',
-         'closure error [m]', 1e-9, 1e-4, _by_hand),
+         'closure error [m]', 1e-12, 1e-4, _by_hand),
     Case('10, 20, 50 ms steps', GROUP,
          'The two-loop ladder with steps far too large: still on its branch, or refused.',
          'energy error, or 10 x angle off the branch [rad], relative', 1e-5, 0.1, _large_steps),

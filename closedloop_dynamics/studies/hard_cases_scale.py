@@ -20,7 +20,8 @@ import math
 import numpy as np
 
 from .hard_case import Case
-from .hard_machines import G, gravity, ladder, off_the_branch, scene, with_masses
+from .hard_machines import G, gravity, hinge, ladder, off_the_branch, scene, with_masses
+from ..mechanism.mechanism import Body, Joint, Mechanism, PRISMATIC
 from ..scene import load_scene
 from ..simulation import Simulation
 
@@ -85,6 +86,40 @@ def _spin(method, quick):
     return max(abs(phase), off_the_branch(simulation.position))
 
 
+def _fast(method, quick):
+    """Spin at 1000 rad/s for a second, 318 times through flat positions."""
+    rate = 1e3
+    simulation = Simulation(scene(*ladder(1, 0.4, rate), replace(
+        method, step_size=1e-5, tolerance=1e-9), {}))
+    simulation.advance(np.zeros(3), 10_000 if quick else 100_000)
+    phase = simulation.position[0] + 0.4 + rate * simulation.time
+    return max(abs(phase), off_the_branch(simulation.position))
+
+
+def light_cart():
+    """Return a cart of 1e-6 kg on a rail, and a pendulum of 1 kg on 1 m, nearly upright."""
+    bodies = (Body('cart', 1e-6, (0.0, 0.0), 0.0), Body('pendulum', 1.0, (1.0, 0.0), 0.0))
+    joints = (Joint('rail', PRISMATIC, 'ground', 'cart', (0.0, 0.0), 0.0),
+              hinge('pivot', 'cart', 'pendulum'))
+    return (Mechanism('cart', bodies, joints), np.array([0.0, 1.0]), np.zeros(2))
+
+
+def _light_cart(method, quick):
+    """
+    Let the pendulum fall: nothing holds it aside, so that it bounces as if it hit a wall.
+
+    The turn at the bottom takes 1e-7 s, at thousands of radians a second.
+
+    """
+    simulation = Simulation(scene(*light_cart(), replace(
+        method, step_size=1e-3, tolerance=1e-9), gravity(0.0)))
+    start, worst = simulation.energy, 0.0
+    for _ in range(100):
+        simulation.step(duration=0.05 if quick else 0.2)
+        worst = max(worst, abs(simulation.energy - start) / G)
+    return worst
+
+
 def _impulse(method, quick):
     start = load_scene('three_rrr')
     simulation = Simulation(replace(start, method=replace(method, step_size=1e-3)))
@@ -119,6 +154,14 @@ CASES = (
          'A parallelogram that spins at 10,000 rad/s, without gravity: steady, through all its '
          'flat positions.',
          'error of the phase, or angle off the branch [rad]', 1e-6, 1e-2, _spin),
+    Case('1000 rad/s for 1 s', GROUP,
+         'The same at 1000 rad/s for a second (else 0.1 s), in steps of 10 us or with a tolerance '
+         'of 1e-9.',
+         'error of the phase, or angle off the branch [rad]', 1e-6, 1e-2, _fast),
+    Case('cart of 1 mg', GROUP,
+         'A pendulum of 1 kg on a cart of 1e-6 kg for 20 s (else 5 s): it turns at the bottom '
+         'within 1e-7 s, as if it bounced. Steps of 1 ms, or a tolerance of 1e-9.',
+         'energy error, relative', 1e-5, 1e-2, _light_cart),
     Case('1e6 N m in a step', GROUP,
          'A torque of 1e6 N m on the 3-RRR for one step of 1 ms: closed and finite, or refused.',
          'closure error [m]', 1e-9, 1e-5, _impulse),

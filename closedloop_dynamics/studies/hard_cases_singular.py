@@ -23,7 +23,6 @@ from .hard_case import Case
 from .hard_machines import (
     change_point_linkage, G, gravity, ladder, ladder_energy, off_the_branch, pantograph,
     pantograph_motion, scene)
-from ..core.jacobian import constraint_jacobian
 from ..integration.registry import FIXED, INTEGRATORS
 from ..scene import load_scene
 from ..simulation import Simulation
@@ -132,17 +131,14 @@ def _type_2(method, quick):
     for torque in ((5.0, -3.0, 2.0), (-4.0, 6.0, 3.0)) if quick else (
             (5.0, -3.0, 2.0), (-4.0, 6.0, 3.0), (8.0, 8.0, -8.0), (0.0, -9.0, 6.0)):
         simulation = Simulation(replace(start, method=replace(method, tolerance=TOLERANCE)))
-        passive = [k for k, joint in enumerate(simulation.mechanism.joints)
-                   if not joint.actuated]
-        jac = np.zeros((simulation.mechanism.number_of_equations, len(simulation.joint_names)))
         sign, scale = 0.0, 1.0
         for _ in range(LOOKS):
             simulation.step(torque, 2.0 / LOOKS)
             balance = simulation.energy_balance
             scale = max(scale, balance.kinetic)
             worst = max(worst, abs(balance.residual) / scale)
-            constraint_jacobian(simulation.system.model, simulation.system.work, jac)
-            now = np.sign(np.linalg.det(jac[:, passive]))
+            # The event, as it is reported: the singular value changes its sign.
+            now = math.copysign(1.0, simulation.health.drive_singular_value)
             crossings += now * sign < 0.0
             sign = now
     return worst if crossings else math.nan
@@ -175,6 +171,7 @@ CASES = (
          'beside it: against a double pendulum, which it equals.',
          'error of the angles [rad]', 1e-5, 0.1, _folding),
     Case('type-2 pose', GROUP,
-         '3-RRR driven by torques through parallel-singular poses: energy equals work.',
+         '3-RRR driven by torques through parallel-singular poses, each reported: energy equals '
+         'work.',
          'energy without source, relative', 1e-6, 1e-2, _type_2),
 )

@@ -18,16 +18,19 @@ from dataclasses import replace
 import math
 
 from .hard_case import Case
-from .hard_machines import bar, gravity, hinge
+from .hard_machines import bar, G, gravity, hinge
 from ..effects.contact import Contact
 from ..effects.joint_damping import JointDamping
 from ..effects.joint_spring import JointSpring
+from ..errors import StiffnessError
 from ..mechanism.mechanism import Body, Mechanism, Point
 from ..scene_records import Initial, Method, Scene
 from ..simulation import Simulation
 
 GROUP = 'Stiffness'
 STEP = 1e-3
+# Energy that may appear, relative.
+BOUNDED = 1e-2
 
 
 def _pendulum(bodies, joints, method, effects, points=()):
@@ -58,6 +61,33 @@ def _nearly_rigid(effect):
     return run
 
 
+def _bounded(method, quick):
+    """
+    Let a bar swing on springs for which a step is 0.1 to 100 radians: no energy may appear.
+
+    Refused where any of them is: the worst of the others must be no more than stable then.
+
+    """
+    worst, refusal = 0.0, None
+    for radians in (0.1, 1.0, 10.0, 100.0):
+        # The bar's inertia about its end is 1/3 kg m^2.
+        spring = JointSpring('pivot', (radians / STEP) ** 2 / 3.0, 1e-3)
+        try:
+            simulation = _pendulum(
+                (bar('bar', 1.0, 1.0),), (hinge('pivot', 'ground', 'bar'),),
+                replace(method, step_size=STEP, tolerance=1e-5), {'spring': spring})
+        except StiffnessError as error:
+            refusal = error
+            continue
+        start = simulation.energy
+        for _ in range(50):
+            simulation.step(duration=0.02)
+            worst = max(worst, (simulation.energy - start) / (G + spring.stiffness * 1e-6))
+    if refusal is not None and worst <= BOUNDED:
+        raise refusal
+    return worst
+
+
 def _touch_down(method, quick):
     """Let a bar fall on a hard floor, and come to rest there."""
     simulation = _pendulum(
@@ -82,4 +112,8 @@ CASES = (
     Case('contact 1e9 N/m', GROUP,
          'A bar falls on a floor of 1e9 N/m and comes to rest on it, steps of 1 ms.',
          'error of the angle at rest [rad]', 1e-2, 0.1, _touch_down),
+    Case('step of 0.1 to 100 rad', GROUP,
+         'A bar on springs so stiff that a step of 1 ms is 0.1, 1, 10 and 100 radians of its '
+         'swing: no energy appears.',
+         'energy that appeared, relative', 1e-3, BOUNDED, _bounded),
 )

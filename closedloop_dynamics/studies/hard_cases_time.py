@@ -101,11 +101,11 @@ CASES = (
     Case('3-RRR for long', GROUP,
          'The 3-RRR falling free, chaotic, 1 ms: loops closed and energy bounded (an hour for the '
          'default method, 10 s for the others).',
-         'closure error [m]', 1e-9, 1e-4, _long('three_rrr')),
+         'closure error [m]', 1e-10, 1e-4, _long('three_rrr')),
     Case('scraper for long', GROUP,
          'The carpet scraping mechanism at its working speed, its drive asked every millisecond: '
          'loops closed, the crank counts on.',
-         'closure error [m]', 1e-9, 1e-4, _long('carpet_scraper', _at_working_speed)),
+         'closure error [m]', 1e-10, 1e-4, _long('carpet_scraper', _at_working_speed)),
     Case('turning for long', GROUP,
          'A parallelogram turns at 10 rad/s for as long, twice a turn through flat positions, and '
          'keeps phase and branch.',
