@@ -42,6 +42,8 @@ class Case:
         Up to which figure a result counts as accurate, and as degraded but stable.
     run : callable
         Takes (method, quick); returns the worst figure. May raise SimulationError: refused.
+    lengths : str
+        How much is run, in full and with ``quick``, parted by a slash; empty where it is the same.
 
     """
 
@@ -52,6 +54,7 @@ class Case:
     accurate: float
     stable: float
     run: Callable
+    lengths: str = ''
 
 
 @dataclass(frozen=True)

@@ -153,19 +153,23 @@ CASES = (
     Case('10,000 rad/s', GROUP,
          'A parallelogram that spins at 10,000 rad/s, without gravity: steady, through all its '
          'flat positions.',
-         'error of the phase, or angle off the branch [rad]', 1e-6, 1e-2, _spin),
+         'error of the phase, or angle off the branch [rad]', 1e-6, 1e-2, _spin,
+         '10 ms / 2 ms'),
     Case('1000 rad/s for 1 s', GROUP,
          'The same at 1000 rad/s for a second (else 0.1 s), in steps of 10 us or with a tolerance '
          'of 1e-9.',
-         'error of the phase, or angle off the branch [rad]', 1e-6, 1e-2, _fast),
+         'error of the phase, or angle off the branch [rad]', 1e-6, 1e-2, _fast,
+         '1 s / 0.1 s'),
     Case('cart of 1 mg', GROUP,
          'A pendulum of 1 kg on a cart of 1e-6 kg for 20 s (else 5 s): it turns at the bottom '
          'within 1e-7 s, as if it bounced. Steps of 1 ms, or a tolerance of 1e-9.',
-         'energy error, relative', 1e-5, 1e-2, _light_cart),
+         'energy error, relative', 1e-5, 1e-2, _light_cart,
+         '20 s / 5 s'),
     Case('1e6 N m in a step', GROUP,
          'A torque of 1e6 N m on the 3-RRR for one step of 1 ms: closed and finite, or refused.',
          'closure error [m]', 1e-9, 1e-5, _impulse),
     Case('1000 loops', GROUP,
          'A ladder of 1000 loops (60 with --quick).',
-         _FIGURE, 1e-8, 1e-3, _many),
+         _FIGURE, 1e-8, 1e-3, _many,
+         '1000 loops / 60'),
 )

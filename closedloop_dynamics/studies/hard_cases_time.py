@@ -101,20 +101,25 @@ CASES = (
     Case('3-RRR for long', GROUP,
          'The 3-RRR falling free, chaotic, 1 ms: loops closed and energy bounded (an hour for the '
          'default method, 10 s for the others).',
-         'closure error [m]', 1e-10, 1e-4, _long('three_rrr')),
+         'closure error [m]', 1e-10, 1e-4, _long('three_rrr'),
+         '1 h / 10 s'),
     Case('scraper for long', GROUP,
          'The carpet scraping mechanism at its working speed, its drive asked every millisecond: '
          'loops closed, the crank counts on.',
-         'closure error [m]', 1e-10, 1e-4, _long('carpet_scraper', _at_working_speed)),
+         'closure error [m]', 1e-10, 1e-4, _long('carpet_scraper', _at_working_speed),
+         '1 h / 10 s'),
     Case('turning for long', GROUP,
          'A parallelogram turns at 10 rad/s for as long, twice a turn through flat positions, and '
          'keeps phase and branch.',
-         'error of the phase, relative, or angle off the branch [rad]', 1e-9, 1e-4, _turning),
+         'error of the phase, relative, or angle off the branch [rad]', 1e-9, 1e-4, _turning,
+         '1 h / 10 s'),
     Case('1e7 steps, 3-RRR', GROUP,
          'The 3-RRR in steps of 5 us, ten million of them (20,000 but for the default method): '
          'none fails.',
-         'closure error [m]', 1e-9, 1e-4, _fine('three_rrr')),
+         'closure error [m]', 1e-9, 1e-4, _fine('three_rrr'),
+         '1e7 steps / 2e4'),
     Case('1e7 steps, scraper', GROUP,
          'The same for the carpet scraping mechanism.',
-         'closure error [m]', 1e-9, 1e-4, _fine('carpet_scraper')),
+         'closure error [m]', 1e-9, 1e-4, _fine('carpet_scraper'),
+         '1e7 steps / 2e4'),
 )

@@ -86,8 +86,9 @@ def cell(outcome):
 
 def table(atlas, cases=CASES, methods=METHODS, write=text_table):
     """Return the atlas as text, one row a case."""
-    return write(('case', *methods), [
-        (case.name, *(cell(atlas[case.name, name]) for name in methods)) for case in cases])
+    return write(('case', 'full / short', *methods), [
+        (case.name, case.lengths or 'the same', *(cell(atlas[case.name, name]) for name in methods))
+        for case in cases])
 
 
 def write_files(atlas, directory, cases=CASES, methods=METHODS):
