@@ -40,7 +40,7 @@ HOOKED = ('system.py', 'projection.py')
 SCENES = ('three_rrr', 'carpet_scraper', 'four_bar')
 
 
-def copies(directory):
+def copies(directory, names=COPIES, cut=None):
     """
     Import the copies of the package.
 
@@ -48,6 +48,11 @@ def copies(directory):
     ----------
     directory : pathlib.Path
         They are made here, unless it has them from an earlier run.
+    names : sequence of str
+        Of the copies; the last one is cut.
+    cut : callable, optional
+        Takes the directory of the last copy and cuts something out of it; the hooks of the
+        effects when not given.
 
     Returns
     -------
@@ -55,15 +60,20 @@ def copies(directory):
 
     """
     if not (directory / 'config').exists():
-        for name in COPIES:
+        for name in names:
             shutil.copytree(ROOT / 'closedloop_dynamics', directory / name,
                             ignore=shutil.ignore_patterns('__pycache__'))
-        count = sum(cut_hooks(directory / COPIES[2] / 'integration' / name) for name in HOOKED)
-        if count < 5:
-            raise RuntimeError(f'only {count} hooks of effects were found to be cut out')
+        (cut or cut_all_hooks)(directory / names[-1])
         shutil.copytree(ROOT / 'config', directory / 'config')
     sys.path.insert(0, str(directory))
-    return {name: importlib.import_module(name) for name in COPIES}
+    return {name: importlib.import_module(name) for name in names}
+
+
+def cut_all_hooks(directory):
+    """Cut the hooks of the effects out of a copy of the package."""
+    count = sum(cut_hooks(directory / 'integration' / name) for name in HOOKED)
+    if count < 5:
+        raise RuntimeError(f'only {count} hooks of effects were found to be cut out')
 
 
 def cut_hooks(path):
@@ -120,7 +130,7 @@ def measure(packages, scene, steps, repeats):
     times = {name: [] for name in simulations}
     shuffle = random.Random(0)
     for _ in range(repeats):
-        for name in shuffle.sample(COPIES, len(COPIES)):
+        for name in shuffle.sample(list(simulations), len(simulations)):
             simulations[name].reset()
             simulations[name].advance(tau, steps // 10)
             moments = [time.process_time()]
@@ -134,9 +144,23 @@ def measure(packages, scene, steps, repeats):
             for name, values in times.items()}
 
 
-def main(arguments=None):
-    """Run the benchmark."""
-    parser = argparse.ArgumentParser(description=__doc__)
+def arguments_of(arguments, description):
+    """
+    Read the command line of a comparison of copies.
+
+    Parameters
+    ----------
+    arguments : sequence of str or None
+        None: those of the process.
+    description : str
+        What is compared.
+
+    Returns
+    -------
+    argparse.Namespace
+
+    """
+    parser = argparse.ArgumentParser(description=description)
     parser.add_argument('scenes', nargs='*', default=SCENES, metavar='SCENE',
                         help=f'scenes that list no force law (default: {", ".join(SCENES)})')
     parser.add_argument('--steps', type=int, default=2000, help='steps a round (default: 2000)')
@@ -144,18 +168,40 @@ def main(arguments=None):
     parser.add_argument('--directory', type=Path,
                         help='where to keep the copies and what was compiled, so that a second '
                              'run measures at once (default: nowhere)')
-    options = parser.parse_args(arguments)
+    return parser.parse_args(arguments)
+
+
+def compare(options, names, cut=None):
+    """
+    Print times of a step, and their ratios among three copies.
+
+    Parameters
+    ----------
+    options : argparse.Namespace
+        Of ``arguments_of``.
+    names : sequence of str
+        The package as it is, once more, and cut.
+    cut : callable, optional
+        As for ``copies``.
+
+    """
     print(f'{description()}\n')
     print('RK4 steps, best of the rounds: as it is [us], and ratios')
-    print(f'{"scene":24}{"step":>10}{"as it is / without hooks":>28}{"once more / as it is":>24}')
+    print(f'{"scene":24}{"step":>10}{"as it is / " + names[-1].replace("_", " "):>28}'
+          f'{"once more / as it is":>24}')
     with tempfile.TemporaryDirectory() as temporary:
         directory = (options.directory or Path(temporary)).resolve()
         os.environ['NUMBA_CACHE_DIR'] = str(directory / 'cache')
-        packages = copies(directory)
+        packages = copies(directory, names, cut)
         for scene in options.scenes:
             times = measure(packages, scene, options.steps, options.repeats)
-            first, again, without = (min(times[name]) for name in COPIES)
+            first, again, without = (min(times[name]) for name in names)
             print(f'{scene:24}{1e6 * first:>10.3f}{first / without:>28.3f}{again / first:>24.3f}')
+
+
+def main(arguments=None):
+    """Run the benchmark."""
+    compare(arguments_of(arguments, __doc__), COPIES)
     return 0
 
 

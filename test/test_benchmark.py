@@ -19,6 +19,7 @@ import json
 import math
 from pathlib import Path
 import re
+import subprocess
 import sys
 
 import numpy as np
@@ -99,6 +100,31 @@ def test_all_hooks_of_effects_are_found(benchmark, tmp_path):
         cut = path.read_text()
         compile(cut, name, 'exec')
         assert 'effects is not None:' not in cut
+
+
+def test_watch_of_the_pivots_is_found_and_cut_out(benchmark, tmp_path):
+    module = benchmark('pivot_check')
+    for name in module.CUTS:
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text((ROOT / 'closedloop_dynamics' / name).read_text())
+    module.cut_watch(tmp_path)
+    for name in module.CUTS:
+        compile((tmp_path / name).read_text(), name, 'exec')
+    kept = (tmp_path / 'core' / 'elimination.py').read_text()
+    assert 'health[SMALLEST_PIVOT]' not in kept and '>= POOR_PIVOT' not in kept
+    with pytest.raises(RuntimeError, match='expected once'):
+        module.cut_watch(tmp_path)
+
+
+@pytest.mark.slow
+def test_watch_of_the_pivots_is_timed(tmp_path):
+    # In a process of its own: it imports copies of the package, with a cache of their own.
+    done = subprocess.run(
+        [sys.executable, str(BENCHMARKS / 'pivot_check.py'), 'four_bar', '--steps', '50',
+         '--repeats', '2', '--directory', str(tmp_path)], text=True, capture_output=True)
+    assert done.returncode == 0, done.stderr
+    line, = [line for line in done.stdout.splitlines() if line.startswith('four_bar')]
+    assert len(re.findall(r'-?\d+\.\d+', line)) == 3
 
 
 @pytest.fixture(scope='module')

@@ -87,8 +87,8 @@ def cell(outcome):
 def table(atlas, cases=CASES, methods=METHODS, write=text_table):
     """Return the atlas as text, one row a case."""
     return write(('case', 'full / short', *methods), [
-        (case.name, case.lengths or 'the same', *(cell(atlas[case.name, name]) for name in methods))
-        for case in cases])
+        (case.name, case.lengths or 'the same',
+         *(cell(atlas[case.name, name]) for name in methods)) for case in cases])
 
 
 def write_files(atlas, directory, cases=CASES, methods=METHODS):

@@ -28,7 +28,7 @@ import pytest
 pytestmark = pytest.mark.timeout(1200)
 # What an explicit method with steps of 1 ms can only refuse, and what nobody can assemble.
 TO_REFUSE = {'spring 1e9 N m/rad', 'damper 1e6 N m s/rad', 'contact 1e9 N/m',
-             'cannot be assembled'}
+             'cannot be assembled', 'cart of 1 mg', 'step of 0.1 to 100 rad'}
 STIFF = ('spring 1e9 N m/rad', 'damper 1e6 N m s/rad', 'contact 1e9 N/m')
 BY_NAME = {case.name: case for case in stability.CASES}
 DEFAULT = stability.METHODS[stability.DEFAULT]
@@ -63,7 +63,10 @@ def test_stiff_method_follows_the_slow_motion(name):
 @pytest.mark.parametrize('method', ['dopri5', 'dop853', 'rodas4'])
 @pytest.mark.parametrize('name', ['flat, 1 loop', 'flat, 2 loops', 'start flat',
                                   'start near flat', 'change point', 'folded pantograph',
-                                  'type-2 pose', 'massless links', '3-RRR, loops twice'])
+                                  'type-2 pose', 'massless links', '3-RRR, loops twice',
+                                  'cart of 1 mg', '1000 rad/s for 1 s', 'step of 0.1 to 100 rad',
+                                  'pendulum, 2000 s', 'A02 to its end', 'slider-crank',
+                                  '1 N m s in 0.1 ms', 'stick and slip'])
 def test_error_control_with_projection_is_accurate_too(name, method):
     outcome = judge(BY_NAME[name], stability.METHODS[method], True)
     assert outcome.status == ACCURATE, outcome
@@ -73,7 +76,7 @@ def test_error_control_with_projection_is_accurate_too(name, method):
 @pytest.mark.timeout(1200)
 @pytest.mark.parametrize('method', [name for name in stability.METHODS if name != 'rodas4'])
 @pytest.mark.parametrize('name', ['flat, 1 loop', 'start flat', 'start near flat',
-                                  'change point', 'folded pantograph'])
+                                  'change point', 'folded pantograph', '1e6 N m in a step'])
 def test_no_method_is_silently_wrong_at_singular_configurations(name, method):
     outcome = judge(BY_NAME[name], stability.METHODS[method], True)
     assert outcome.status != UNSTABLE, outcome

@@ -109,6 +109,20 @@ def test_closeness_does_not_depend_on_the_direction_of_the_axes(direction):
     assert 0.1 < pivots[0] / pivots[1] < 10.0
 
 
+def test_health_tells_how_far_locked_drives_are_from_leaving_the_mechanism_loose():
+    def value(tilt):
+        return simulate(*machines.ladder(1, tilt)).health.drive_singular_value
+
+    # Coupler and rocker of a parallelogram, crank locked, come to lie on one line where it is flat.
+    before, after = value(0.5 * math.pi - 5e-3), value(0.5 * math.pi + 5e-3)
+    assert before * after < 0.0
+    assert abs(value(0.0)) > 0.3 > 0.02 > abs(before) == pytest.approx(abs(after), rel=0.1)
+    assert 'parallel (type-2) singularity' in str(
+        simulate(*machines.ladder(1, 0.5 * math.pi - 5e-3)).health)
+    # Three rockers on one drive: more equations than joints to hold.
+    assert math.isnan(simulate(*machines.three_rockers()).health.drive_singular_value)
+
+
 MASSLESS = [(special.ladder(1, 0.4, length=0.6), ('coupler_0',)),
             (special.ladder(3, 0.4), ('leg_1', 'coupler_2')),
             (special.chain(np.random.default_rng(0), 4), ('link_1', 'link_2'))]
@@ -119,6 +133,19 @@ def test_massless_links_agree_with_the_augmented_system(case, light):
     mechanism, q, qd = case
     mechanism = validate_mechanism(
         machines.with_masses(mechanism, dict.fromkeys(light, 0.0)))
+    tau = np.random.default_rng(1).normal(size=len(q))
+    qdd, lam = dense.forward_dynamics(mechanism, q, qd, tau)
+    simulation = simulate(mechanism, q, qd, machines.gravity(0.0))
+    simulation.system.tau[:] = tau
+    np.testing.assert_allclose(simulation.acceleration, qdd, rtol=0, atol=1e-8 * abs(qdd).max())
+    np.testing.assert_allclose(simulation.multipliers, lam, rtol=0, atol=1e-8 * abs(lam).max())
+
+
+@pytest.mark.parametrize('factor', [1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8])
+@pytest.mark.parametrize(('case', 'light'), MASSLESS, ids=['four-bar', 'ladder', 'chain'])
+def test_light_links_agree_with_the_augmented_system(case, light, factor):
+    mechanism, q, qd = case
+    mechanism = machines.with_masses(mechanism, dict.fromkeys(light, factor))
     tau = np.random.default_rng(1).normal(size=len(q))
     qdd, lam = dense.forward_dynamics(mechanism, q, qd, tau)
     simulation = simulate(mechanism, q, qd, machines.gravity(0.0))

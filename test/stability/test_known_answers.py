@@ -1,0 +1,182 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+
+"""Published benchmarks and closed forms, and what a benchmark's figure alone does not say."""
+
+from dataclasses import replace
+import math
+
+from closedloop_dynamics.effects.joint_spring import JointSpring
+from closedloop_dynamics.errors import AssemblyError
+from closedloop_dynamics.mechanism.mechanism import Body, Mechanism
+from closedloop_dynamics.scene import load_scene, scene_names
+from closedloop_dynamics.scene_records import Initial, Method, Scene
+from closedloop_dynamics.simulation import Simulation
+from closedloop_dynamics.studies import hard_cases_reference as reference
+from closedloop_dynamics.studies import hard_machines as machines
+import numpy as np
+import pytest
+
+# Some compile for minutes on a busy machine.
+pytestmark = pytest.mark.timeout(1200)
+TIGHT = Method(integrator='dop853', tolerance=1e-11, step_size=1e-2)
+
+
+def test_looped_pendulum_swings_like_a_pendulum():
+    mechanism, q, qd = reference.looped_pendulum()
+    simulation = Simulation(machines.scene(mechanism, q, qd, TIGHT, machines.gravity(0.0)))
+    angle = 0.3 - 0.5 * math.pi
+    simulation.set_state([angle, math.cos(angle), math.sin(angle)])
+    assert simulation.acceleration[0] == pytest.approx(-machines.G * math.cos(angle), rel=1e-12)
+    simulation.reset()
+    # Half a period on, it stands still on the other side.
+    simulation.step(duration=0.5 * reference.PERIOD)
+    assert simulation.position[1:] == pytest.approx([-1.0, 0.0], abs=1e-9)
+    assert simulation.closure < 1e-12
+
+
+def test_kinetic_energy_of_the_slider_crank_adds_up():
+    simulation = Simulation(machines.scene(
+        *reference.slider_crank(), TIGHT, reference.SLIDER_CRANK_EFFECTS))
+    kinetic = [simulation.energy_balance.kinetic]
+    for _ in range(1000):
+        simulation.step()
+        kinetic.append(simulation.energy_balance.kinetic)
+    weights = np.full(1001, 2.0)
+    weights[1::2], weights[0], weights[-1] = 4.0, 1.0, 1.0
+    assert weights @ kinetic * 0.01 / 3.0 == pytest.approx(3.336606799483, abs=1e-9)
+
+
+@pytest.mark.parametrize('wait', [0.0, 0.0004999, 0.0123])
+@pytest.mark.parametrize('integrator', ['rk4', 'dop853', 'rodas4'])
+def test_impulse_is_not_missed(integrator, wait):
+    mechanism, q, qd = machines.ladder(1, 0.0, 0.0)
+    simulation = Simulation(machines.scene(
+        mechanism, q, qd, Method(integrator=integrator, tolerance=1e-9), {}))
+    simulation.step(duration=wait)
+    simulation.step((1e4,), 1e-4)
+    assert simulation.velocity[0] == pytest.approx(0.6, abs=1e-6)
+    assert simulation.energy_balance.work == pytest.approx(0.5 * 5.0 / 3.0 * 0.36, rel=1e-6)
+
+
+def test_mass_that_sticks_does_not_creep():
+    simulation = reference.stuck_mass(Method(step_size=2e-5))
+    simulation.step(duration=1.56)
+    assert abs(simulation.velocity[0]) > 1e-3
+    simulation.step(duration=0.44)
+    rest = simulation.position[0]
+    assert rest == pytest.approx(-0.005, abs=1e-9)
+    simulation.step(duration=1.0)
+    assert simulation.position[0] == rest
+
+
+@pytest.mark.parametrize('name', sorted({load_scene(name).mechanism.name
+                                         for name in scene_names()}))
+def test_any_mechanism_with_every_loop_twice_moves_the_same(name):
+    start = load_scene(next(
+        scene for scene in scene_names() if load_scene(scene).mechanism.name == name))
+    start = replace(start, effects={}, method=Method())
+    once = Simulation(start)
+    if not once.cut_joints:
+        pytest.skip('has no loop')
+    twice = Simulation(replace(start, mechanism=machines.doubled(start.mechanism)))
+    rng = np.random.default_rng(3)
+    once.set_state(once.position, rng.normal(size=len(once.joint_names)))
+    torque = rng.normal(size=len(once.actuated_joints))
+    qdd, lam = once.forward_dynamics(once.position, once.velocity, torque)
+    again, shared = twice.forward_dynamics(once.position, once.velocity, torque)
+    np.testing.assert_allclose(again, qdd, rtol=0, atol=1e-9 * np.abs(qdd).max())
+    np.testing.assert_allclose(shared.reshape(2, -1).sum(axis=0), lam, rtol=0,
+                               atol=1e-9 * np.abs(lam).max())
+    twice.set_state(once.position, once.velocity)
+    assert twice.health.rank == len(lam) == twice.health.equations // 2
+
+
+@pytest.mark.parametrize('name', ['three_rrr', 'carpet_scraper'])
+def test_inconsistent_start_is_closed_to_rounding_nearest_and_on_its_branch(name):
+    start = load_scene(name)
+    simulation = Simulation(start)
+    assembler, home = simulation._assembler, simulation.position
+    rng = np.random.default_rng(4)
+    for _ in range(20):
+        shaken = home + rng.uniform(-1e-2, 1e-2, len(home))
+        simulation.set_state(shaken)
+        change = simulation.position - shaken
+        assert np.abs(assembler.closure(simulation.position)).max() < 1e-12
+        assert np.abs(change).max() < 0.05
+        # Nearest in the mass metric: what is left of the change along the loops' freedoms is of
+        # second order.
+        inertia = assembler.inertia(shaken)
+        _, singular, right = np.linalg.svd(assembler.jacobian(simulation.position))
+        free = right[len(singular):]
+        root = np.linalg.cholesky(inertia).T
+        along = np.linalg.qr(root @ free.T)[0].T @ (root @ change)
+        assert np.linalg.norm(along) < 0.1 * np.linalg.norm(root @ change)
+
+
+def test_independent_coordinates_refuse_to_start_on_a_singular_configuration():
+    method = Method(stabilisation='independent')
+    with pytest.raises(AssemblyError, match='singular configuration.*stabilisation: projection'):
+        Simulation(machines.scene(*machines.ladder(1, 0.5 * math.pi), method))
+    simulation = Simulation(machines.scene(*machines.ladder(1, 1.0), method))
+    before = simulation.position
+    _, flat, rates = machines.ladder(1, 0.5 * math.pi)
+    with pytest.raises(AssemblyError, match='no set of independent coordinates'):
+        simulation.set_state(flat, rates)
+    np.testing.assert_array_equal(simulation.position, before)
+    # Passing one is another matter.
+    simulation.step(duration=0.5)
+    assert simulation.position[0] < -0.5 * math.pi
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('name', ['three_rrr', 'carpet_scraper'])
+def test_gap_has_no_trend_over_an_hour(name):
+    simulation = Simulation(replace(load_scene(name), method=Method()))
+    tau, gaps = np.zeros(len(simulation.joint_names)), []
+    for _ in range(3600):
+        simulation.advance(tau, 1000)
+        gaps.append(simulation.closure)
+    assert max(gaps) < 1e-10
+    assert max(gaps[-900:]) < 2.0 * max(gaps[:900])
+    # What grows is the rounding of angles that count on, some hundred radians here.
+    assert np.median(gaps[-900:]) < 1e-15 * max(1.0, np.abs(simulation.position).max())
+
+
+def pendulum(bodies, joints, method, effects=()):
+    """Return where a chain of bars under gravity has swung in half a second [rad]."""
+    at_rest = (0.0,) * len(joints)
+    simulation = Simulation(Scene(
+        'pendulum', None, '', Mechanism('pendulum', bodies, joints), Initial(at_rest, at_rest),
+        {**machines.gravity(0.0), **dict(effects)}, method))
+    simulation.step(duration=0.5)
+    return simulation.position[0]
+
+
+def test_stiff_method_keeps_its_order_beside_a_stiff_spring():
+    # The knee would swing at a million radians a second: steps of 5 to 40 thousand of them.
+    upper, lower = machines.bar('upper', 1.0, 1.0), machines.bar('lower', 2.0, 0.5)
+    pivot, knee = (machines.hinge('pivot', 'ground', 'upper'),
+                   machines.hinge('knee', 'upper', 'lower', 1.0))
+    center = (0.5 + 2.0 * 1.25) / 3.0
+    inertia = (upper.inertia + (0.5 - center) ** 2
+               + lower.inertia + 2.0 * (1.25 - center) ** 2)
+    exact = pendulum((Body('both', 3.0, (center, 0.0), inertia),),
+                     (machines.hinge('pivot', 'ground', 'both'),),
+                     Method(integrator='dop853', tolerance=1e-13, step_size=0.5))
+    errors = [abs(exact - pendulum(
+        (upper, lower), (pivot, knee), Method(integrator='rodas4_fixed', step_size=size),
+        {'spring': JointSpring('knee', 1e11, 0.0)})) for size in (0.05, 0.025, 0.0125, 0.00625)]
+    assert errors[0] > 12.0 * errors[1] > 144.0 * errors[2] > 1728.0 * errors[3]
