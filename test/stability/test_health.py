@@ -113,7 +113,7 @@ def test_health_tells_how_far_locked_drives_are_from_leaving_the_mechanism_loose
     def value(tilt):
         return simulate(*machines.ladder(1, tilt)).health.drive_singular_value
 
-    # Coupler and rocker of a parallelogram, crank locked, come to lie on one line where it is flat.
+    # Where a parallelogram is flat, a locked crank holds nothing.
     before, after = value(0.5 * math.pi - 5e-3), value(0.5 * math.pi + 5e-3)
     assert before * after < 0.0
     assert abs(value(0.0)) > 0.3 > 0.02 > abs(before) == pytest.approx(abs(after), rel=0.1)
