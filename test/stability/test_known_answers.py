@@ -151,8 +151,9 @@ def test_gap_has_no_trend_over_an_hour(name):
         gaps.append(simulation.closure)
     assert max(gaps) < 1e-10
     assert max(gaps[-900:]) < 2.0 * max(gaps[:900])
-    # What grows is the rounding of angles that count on, some hundred radians here.
-    assert np.median(gaps[-900:]) < 1e-15 * max(1.0, np.abs(simulation.position).max())
+    # Nothing grows but the rounding of angles that count on, some hundred radians.
+    rounding = 1e-15 * np.abs(simulation.position).max()
+    assert np.median(gaps[-900:]) < max(3.0 * np.median(gaps[:900]), rounding)
 
 
 def pendulum(bodies, joints, method, effects=()):
