@@ -23,6 +23,9 @@ from std_msgs.msg import Float64MultiArray
 
 SIMULATOR = 'closedloop_simulator'
 SOURCE = 'closedloop_torque_source'
+# A hundred states in a simulated second, within four of the clock: what a busy machine delays is
+# a small part of a period then, as it is on a calm one without that.
+SLOWLY = {'publish_clock': 'true', 'real_time_factor': '0.25', 'publish_rate': '25.0'}
 
 
 def test_source_finds_the_joints_of_the_simulator_in_its_namespace(processes, listener):
@@ -83,11 +86,8 @@ def drive(processes, listener, simulated, duration, time=None, **parameters):
 
 @pytest.mark.slow
 def test_crank_of_the_scraper_holds_45_rpm(processes, listener):
-    # A hundred states in a simulated second, within four of the clock: what a busy machine
-    # delays is a small part of a period then, as it is on a calm one without that.
     _, velocity = drive(
-        processes, listener, 'carpet_scraper', 8, time={
-            'publish_clock': 'true', 'real_time_factor': '0.25', 'publish_rate': '25.0'}, mode='computed_torque', kp='[100.0]',
+        processes, listener, 'carpet_scraper', 8, time=SLOWLY, mode='computed_torque', kp='[100.0]',
         kd='[20.0]', scene='carpet_scraper', target_velocity='[4.7124]')
     # A hundred states a second: the last five seconds.
     crank = velocity[-500:, 0]
@@ -100,7 +100,7 @@ def test_crank_of_the_scraper_holds_45_rpm(processes, listener):
 @pytest.mark.parametrize('move', [0.0, 0.15])
 def test_platform_of_the_3_rrr_is_held_and_moved_under_gravity(processes, listener, move):
     position, _ = drive(
-        processes, listener, 'three_rrr', 8, mode='pd', kp='[600.0]', kd='[50.0]',
+        processes, listener, 'three_rrr', 8, time=SLOWLY, mode='pd', kp='[600.0]', kd='[50.0]',
         ki='[1000.0]', move_amplitude=f'[{move}]', move_phase='[0.0, 2.0944, 4.1888]')
     base = position[-400:][:, [0, 5, 6]]
     assert np.ptp(base, axis=0) == pytest.approx([2 * move] * 3, abs=0.02)
