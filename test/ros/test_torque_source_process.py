@@ -87,8 +87,8 @@ def drive(processes, listener, simulated, duration, time=None, **parameters):
 @pytest.mark.slow
 def test_crank_of_the_scraper_holds_45_rpm(processes, listener):
     _, velocity = drive(
-        processes, listener, 'carpet_scraper', 8, time=SLOWLY, mode='computed_torque', kp='[100.0]',
-        kd='[20.0]', scene='carpet_scraper', target_velocity='[4.7124]')
+        processes, listener, 'carpet_scraper', 8, time=SLOWLY, mode='computed_torque',
+        kp='[100.0]', kd='[20.0]', scene='carpet_scraper', target_velocity='[4.7124]')
     # A hundred states a second: the last five seconds.
     crank = velocity[-500:, 0]
     assert crank.mean() == pytest.approx(4.7124, rel=0.01)
