@@ -18,7 +18,8 @@ The executor that spins a node, and how.
 rclpy's events executor takes a third of the processor time of the single-threaded one, which
 builds its wait set anew for every message. Its ``spin()`` does not work in every build of rclpy,
 and neither does ``spin_once()`` without a timeout; with one it does. Its timers and timeouts wake
-up a thread of its own first, and that one the caller: what has to happen in time is slept for here.
+up a thread of its own first, and that one the caller: what has to happen in time is slept for
+here.
 
 """
 
