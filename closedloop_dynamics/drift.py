@@ -15,17 +15,20 @@
 """Whether a method that lets errors grow is still worth following."""
 
 import math
+import warnings
 
 from .core.types import SINGULAR_COUNT
 from .errors import ClosureError, NumericalError, SingularityError
-from .integration.registry import INTEGRATORS
+from .integration.registry import ADAPTIVE, INTEGRATORS
 
-# Steps between two looks.
-LOOK_EVERY = 500
+# Steps between two looks; and where the method keeps energy and closure by itself.
+LOOK_EVERY, LOOK_RARELY = 500, 5000
 # Closure error, against the size of the mechanism, at which loops count as open.
 OPEN = 1e-3
 # Energy from nowhere, against the most that has ever moved, at which a motion is none any more.
 ENERGY_LIMIT = 0.1
+# Less energy than this share of all there is may be rounding.
+ROUNDING = 1e-6
 # What keeps the loops closed to rounding.
 CLOSING = ('projection', 'independent')
 # Methods of a lower order lose energy visibly at ordinary steps.
@@ -34,7 +37,9 @@ TRUSTED_ORDER = 4
 
 class DriftGuard:
     """
-    Looks now and then at energy and closure, where the method alone does not keep them.
+    Looks now and then at energy and closure, more often where the method alone does not keep them.
+
+    A method that does is warned of, once, where its steps do not follow the motion.
 
     Parameters
     ----------
@@ -46,7 +51,7 @@ class DriftGuard:
     Attributes
     ----------
     active : bool
-        Whether there is anything to look for: not with projection and a method of order 4.
+        Whether to refuse what is found: not with projection and a method of order 4.
 
     """
 
@@ -60,7 +65,7 @@ class DriftGuard:
 
     def restart(self):
         """Forget what has been seen."""
-        self._steps, self._start, self._most = 0, None, 0.0
+        self._steps, self._start, self._most, self._warned = 0, None, 0.0, False
 
     @property
     def until_look(self):
@@ -102,19 +107,53 @@ class DriftGuard:
                 f'{simulation.time:.9g} s: stabilisation: {method.stabilisation} does not close '
                 'them again. Take stabilisation: projection, or a smaller step.')
         self._steps += steps
-        if self._steps < LOOK_EVERY:
-            return
-        self._steps = 0
+        if self._steps >= LOOK_EVERY:
+            self._steps = 0
+            problem = self._energy_problem(simulation)
+            if problem:
+                raise NumericalError(
+                    f'{problem} Take integrator: rk4 and stabilisation: projection, or a smaller '
+                    'step.')
+
+    def count(self, simulation, steps):
+        """
+        Warn where a method that is trusted does not follow the motion.
+
+        Parameters
+        ----------
+        simulation : Simulation
+            After some steps.
+        steps : int
+            How many.
+
+        """
+        self._steps += steps
+        if self._steps >= LOOK_RARELY and not self._warned:
+            self._steps, first = 0, self._start is None
+            problem = self._energy_problem(simulation)
+            # At the first look it is not known yet how much energy moves.
+            if problem and not first:
+                self._warned = True
+                warnings.warn(f'{problem} Take a smaller step, or integrator: dop853.',
+                              RuntimeWarning, stacklevel=2)
+
+    def _energy_problem(self, simulation):
+        """Return in words what is wrong with the energy; empty where nothing is."""
         balance = simulation.energy_balance
         if self._start is None:
             self._start = balance.stored
-        self._most = max(self._most, balance.kinetic + abs(balance.stored - self._start)
-                         + abs(balance.dissipated) + abs(balance.work))
+        moved = balance.kinetic + abs(balance.dissipated) + abs(balance.work)
+        self._most = max(self._most, moved + abs(balance.stored - self._start))
         residual = abs(balance.residual)
-        if not (math.isfinite(residual) and residual <= ENERGY_LIMIT * self._most):
-            raise NumericalError(
-                f'{residual:.3g} J appeared from nowhere or vanished up to t = '
-                f'{simulation.time:.9g} s, of {self._most:.3g} J that moved at most: '
-                f'{method.integrator} with steps of {method.step_size:g} s and stabilisation: '
-                f'{method.stabilisation} does not follow this motion. Take integrator: rk4 and '
-                'stabilisation: projection, or a smaller step.')
+        allowed = max(ENERGY_LIMIT * self._most, ROUNDING * (moved + abs(balance.stored)))
+        if math.isfinite(residual) and residual <= allowed:
+            return ''
+        method = self._method
+        adaptive = INTEGRATORS[method.integrator].kind == ADAPTIVE
+        setting = (f'tolerance {method.tolerance:g}' if adaptive
+                   else f'steps of {method.step_size:g} s')
+        return (
+            f'{residual:.3g} J appeared from nowhere or vanished up to t = '
+            f'{simulation.time:.9g} s, of {self._most:.3g} J that moved at most: '
+            f'{method.integrator} with {setting} and stabilisation: {method.stabilisation} '
+            'does not follow this motion.')

@@ -153,6 +153,7 @@ class SimulationMotion(SimulationState):
             steps -= portion
         if steps > 0:
             self._advance_measured(size, steps)
+            self._drift.count(self, steps)
 
     def _advance_measured(self, size, steps):
         """Advance by steps of one size; on failure keep what was done and raise."""

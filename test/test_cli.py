@@ -21,6 +21,7 @@ from pathlib import Path
 import signal
 import subprocess
 import sys
+import warnings
 
 from closedloop_dynamics.cli import COMMANDS, main
 from closedloop_dynamics.simulation import Simulation
@@ -128,6 +129,16 @@ def test_columns_and_digits_of_the_output(capsys, tmp_path):
         assert data['energy'][k] == simulation.energy
     assert f'{output}: 6 rows of 35 columns' in text
     assert 'simulated 0.1 s' in text and 'CPU time' in text and 'energy' in text
+
+
+def test_warnings_are_told_in_one_line(capsys, monkeypatch):
+    def warn(*arguments, **options):
+        warnings.warn('something to know', RuntimeWarning)
+
+    monkeypatch.setattr(Simulation, 'warm_up', warn)
+    code, _, errors = call(capsys, 'simulate', 'four_bar', '--duration', '0.01')
+    assert code == 0
+    assert 'closedloop simulate: something to know\n' in errors
 
 
 @pytest.mark.parametrize('options, told', [

@@ -16,6 +16,7 @@
 
 import os
 import sys
+import warnings
 
 from . import (
     accuracy, animate, check, effects, formulations, plot, recover, replay, simulate, stability,
@@ -75,6 +76,13 @@ def main(argv=None):
 
     """
     arguments = parser().parse_args(argv)
+    with warnings.catch_warnings():
+        warnings.showwarning = lambda message, *where: _complain(arguments.prog, message, None)
+        return _run(arguments)
+
+
+def _run(arguments):
+    """Run a command; return the exit code."""
     try:
         code = arguments.run(arguments)
         sys.stdout.flush()

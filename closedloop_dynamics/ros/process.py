@@ -33,6 +33,7 @@ import signal
 import socket
 import sys
 import threading
+import warnings
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
@@ -205,6 +206,7 @@ def _run_in_context(create_node, name, watch):
     from closedloop_dynamics.ros.spinning import spin
     from rclpy.exceptions import NameValidationException
     from rclpy.logging import get_logger
+    warnings.showwarning = lambda message, *where: get_logger(name).warning(_one_line(message))
     # From here on there may be something to close, such as a bag: a signal waits until it can be.
     watch.on_stop(_nothing)
     try:

@@ -96,9 +96,22 @@ def _fast(method, quick):
     return max(abs(phase), off_the_branch(simulation.position))
 
 
-def light_cart():
-    """Return a cart of 1e-6 kg on a rail, and a pendulum of 1 kg on 1 m, nearly upright."""
-    bodies = (Body('cart', 1e-6, (0.0, 0.0), 0.0), Body('pendulum', 1.0, (1.0, 0.0), 0.0))
+def light_cart(mass=1e-6):
+    """
+    Return a light cart on a rail, and a pendulum of 1 kg on 1 m, nearly upright.
+
+    Parameters
+    ----------
+    mass : float
+        Of the cart [kg].
+
+    Returns
+    -------
+    tuple
+        Mechanism, coordinates, rates.
+
+    """
+    bodies = (Body('cart', mass, (0.0, 0.0), 0.0), Body('pendulum', 1.0, (1.0, 0.0), 0.0))
     joints = (Joint('rail', PRISMATIC, 'ground', 'cart', (0.0, 0.0), 0.0),
               hinge('pivot', 'cart', 'pendulum'))
     return (Mechanism('cart', bodies, joints), np.array([0.0, 1.0]), np.zeros(2))

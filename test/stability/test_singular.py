@@ -15,12 +15,14 @@
 
 from dataclasses import replace
 import math
+import warnings
 
 from closedloop_dynamics.errors import ClosureError, NumericalError, SingularityError
 from closedloop_dynamics.scene import load_scene
 from closedloop_dynamics.scene_records import Method
 from closedloop_dynamics.simulation import Simulation
 from closedloop_dynamics.studies import hard_machines as machines
+from closedloop_dynamics.studies.hard_cases_scale import light_cart
 import numpy as np
 import pytest
 
@@ -113,6 +115,27 @@ def test_loops_that_drift_apart_are_refused():
         integrator='semi_implicit_euler', step_size=2e-3, stabilisation='none')))
     with pytest.raises((ClosureError, NumericalError), match='Take .*stabilisation: projection'):
         simulation.step(duration=20.0)
+
+
+def test_a_method_that_is_trusted_is_warned_of_where_it_cannot_follow():
+    # The pendulum turns at the bottom within 1e-4 s: a step of 1 ms skips it.
+    simulation = simulate(light_cart(1e-3), machines.gravity(0.0), step_size=1e-3)
+    with pytest.warns(RuntimeWarning, match='does not follow this motion. Take a smaller step'):
+        simulation_steps(simulation, 20000)
+
+
+@pytest.mark.parametrize('name', ['three_rrr', 'carpet_scraper', 'four_bar'])
+def test_no_warning_where_the_method_follows(name):
+    simulation = Simulation.from_scene(name)
+    with warnings.catch_warnings():
+        warnings.simplefilter('error')
+        simulation_steps(simulation, 40000)
+
+
+def simulation_steps(simulation, count):
+    """Make steps a thousand at a time."""
+    for _ in range(count // 1000):
+        simulation.step(duration=1000 * simulation.step_size)
 
 
 def test_energy_from_nowhere_is_refused():
