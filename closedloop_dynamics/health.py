@@ -141,31 +141,35 @@ def health_of(model, work, q, qd, passive=()):
 
     """
     values = work.health
+    nc, nv = len(work.right), len(model.tree) - 1
+    condition, loose = math.nan if nc else 1.0, math.nan
+    if 0 < nc <= MOST_FOR_CONDITION:
+        jac = np.zeros((nc, nv))
+        kinematics.outward(model, q, qd, work)
+        constraint_jacobian(model, work, jac)
+        condition = block_condition(model, work, jac)
+        loose = drive_singular_value(jac, passive)
     return Health(
         smallest_pivot=float(values[SMALLEST_PIVOT]),
         smallest_pivot_ever=float(values[SMALLEST_PIVOT_EVER]),
-        condition=block_condition(model, work, q, qd),
+        condition=condition,
         rank=int(values[RANK]), equations=len(work.right),
         rank_revealing_count=int(values[RANK_REVEALING_COUNT]),
         singular_count=int(values[SINGULAR_COUNT]),
         evaluations=int(values[EVALUATIONS]),
         projection_iterations=int(values[PROJECTION_ITERATIONS]),
         closure=float(values[CLOSURE]),
-        drive_singular_value=drive_singular_value(model, work, q, qd, passive))
+        drive_singular_value=loose)
 
 
-def drive_singular_value(model, work, q, qd, passive):
+def drive_singular_value(jac, passive):
     """
     Return how far locked drives are from leaving the mechanism loose, as in ``Health``.
 
     Parameters
     ----------
-    model : core.types.Model
-        Of the mechanism.
-    work : core.types.Workspace
-        Scratch; left with the kinematics of the state.
-    q, qd : ndarray, shape (nv,)
-        The state.
+    jac : ndarray, shape (nc, nv)
+        Constraint Jacobian, of one equation or more.
     passive : sequence of int
         Coordinates of the joints that are not actuated.
 
@@ -174,12 +178,8 @@ def drive_singular_value(model, work, q, qd, passive):
     float
 
     """
-    nc, nv = len(work.right), len(model.tree) - 1
-    if not 0 < nc <= MOST_FOR_CONDITION or len(passive) != nc:
+    if len(passive) != len(jac):
         return math.nan
-    jac = np.zeros((nc, nv))
-    kinematics.outward(model, q, qd, work)
-    constraint_jacobian(model, work, jac)
     levers = np.abs(jac).max(axis=1, keepdims=True)
     # An equation that no motion can change has no lever, and cannot be held.
     square = jac[:, passive] / np.where(levers > 0.0, levers, 1.0)
@@ -187,7 +187,7 @@ def drive_singular_value(model, work, q, qd, passive):
     return float(np.copysign(smallest, np.linalg.det(square)))
 
 
-def block_condition(model, work, q, qd):
+def block_condition(model, work, jac):
     """
     Return the largest condition number of the block pivots of J I^-1 J^T.
 
@@ -196,9 +196,9 @@ def block_condition(model, work, q, qd):
     model : core.types.Model
         Of the mechanism.
     work : core.types.Workspace
-        Scratch; left with the kinematics of the state.
-    q, qd : ndarray, shape (nv,)
-        The state.
+        With the kinematics of the state.
+    jac : ndarray, shape (nc, nv)
+        Constraint Jacobian, of one equation or more.
 
     Returns
     -------
@@ -211,12 +211,7 @@ def block_condition(model, work, q, qd):
     joint has equations of forces and of a torque.
 
     """
-    nc, nv = len(work.right), len(model.tree) - 1
-    if not 0 < nc <= MOST_FOR_CONDITION:
-        return math.nan if nc else 1.0
-    jac, inertia = np.zeros((nc, nv)), np.zeros((nv, nv))
-    kinematics.outward(model, q, qd, work)
-    constraint_jacobian(model, work, jac)
+    inertia = np.zeros((jac.shape[1], jac.shape[1]))
     generalized_inertia_matrix(model, work, inertia)
     worst = 1.0
     try:
