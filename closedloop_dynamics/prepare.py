@@ -21,32 +21,14 @@ The least urgent process of all; it ends with the process of number PARENT.
 
 """
 
-import ctypes
 import fcntl
 import os
 from pathlib import Path
-import signal
 import sys
 
-# Of prctl(): which signal a process gets when its parent ends.
-_PR_SET_PDEATHSIG = 1
+from closedloop_dynamics.child import die_with
+
 LOWEST_PRIORITY = 19
-
-
-def die_with(parent):
-    """
-    End this process when its parent ends, by whatever.
-
-    Parameters
-    ----------
-    parent : int
-        Number of the process that started this one.
-
-    """
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-    if os.getppid() != parent:
-        # It had ended before.
-        os._exit(1)
 
 
 def prepare(scene):

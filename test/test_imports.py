@@ -31,7 +31,7 @@ PACKAGE = 'closedloop_dynamics'
 # Each may import the layers above it in this table, and within its own. A new module is given
 # its place here.
 LAYERS = (
-    ('config', 'core', 'errors', 'mechanism'),
+    ('child', 'config', 'core', 'errors', 'mechanism'),
     ('appearance', 'assembly', 'bags', 'drift', 'effects', 'health', 'integration',
      'inverse_dynamics',
      'method_choice', 'modeling', 'monitor', 'scene', 'scene_records', 'scene_text', 'stiffness',
@@ -44,7 +44,7 @@ LAYERS = (
     ('cli', 'ros'),
 )
 # These import nothing else of ours, not even within their layer.
-SELF_CONTAINED = {'config', 'core', 'errors', 'mechanism', 'cli'}
+SELF_CONTAINED = {'child', 'config', 'core', 'errors', 'mechanism', 'cli'}
 # llvmlite is numba's own compiler.
 CORE_LIBRARIES = {'llvmlite', 'numba', 'numpy'}
 ROS_LIBRARIES = {'rclpy', 'ament_index_python', 'launch', 'launch_ros', 'rosbag2_py'}

@@ -27,10 +27,10 @@ is that process; it ends with the process of number PARENT.
 
 import ctypes
 import os
-import subprocess
 import sys
 
-from closedloop_dynamics.prepare import die_with
+from closedloop_dynamics.child import die_with
+from closedloop_dynamics.child import start_child
 
 
 class Awake:
@@ -58,13 +58,7 @@ class Awake:
         """
         if awake and self._process is None:
             core = ctypes.CDLL(None).sched_getcpu()
-            self._process = subprocess.Popen(
-                [sys.executable, '-m', __name__, str(core), str(self._thread)],
-                stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-                # Ctrl-C is for the node, which ends this process. Not a session of its own: Linux
-                # would share the core evenly between the two, however low the priority.
-                process_group=0,
-                env={**os.environ, 'PYTHONPATH': os.pathsep.join(filter(None, sys.path))})
+            self._process = start_child(sys.executable, '-m', __name__, str(core))
             os.sched_setaffinity(self._thread, {core})
         elif not awake and self._process is not None:
             self._process.kill()

@@ -20,11 +20,10 @@ another process compiles it meanwhile, once for an installation.
 
 """
 
-import os
-import subprocess
 import sys
 import time
 
+from closedloop_dynamics.child import start_child
 from closedloop_dynamics.integration import ahead
 from rclpy.clock import Clock
 from rclpy.clock import ClockType
@@ -63,13 +62,7 @@ class Preparation:
         """Start the process that compiles."""
         self._began = time.monotonic()
         try:
-            self._process = subprocess.Popen(
-                [*COMMAND, self._scene, str(os.getpid())], stdin=subprocess.DEVNULL,
-                stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-                # Ctrl-C is for the node, which ends this process. Not a session of its own: Linux
-                # would share the processor evenly between the two, however low the priority.
-                process_group=0,
-                env={**os.environ, 'PYTHONPATH': os.pathsep.join(filter(None, sys.path))})
+            self._process = start_child(*COMMAND, self._scene)
         except OSError as error:
             self._give_up(str(error))
             return
