@@ -46,6 +46,7 @@ setup(
     python_requires='>=3.11',
     install_requires=[
         'matplotlib>=3.6',
+        'mcap>=1.6',
         'numba>=0.60',
         'numpy>=1.26',
         'PyYAML>=6.0',
@@ -75,7 +76,7 @@ setup(
     license='Apache-2.0',
     entry_points={
         'console_scripts': [
-            'closedloop = closedloop_dynamics.cli:main',
+            'closedloop = closedloop_dynamics.cli:program',
             'closedloop_recorder = closedloop_dynamics.ros.executables:recorder',
             'closedloop_simulator = closedloop_dynamics.ros.executables:simulator',
             'closedloop_torque_source = closedloop_dynamics.ros.executables:torque_source',

@@ -28,7 +28,6 @@ but sleep until the next period shows how evenly this machine wakes a process up
 import argparse
 import os
 from pathlib import Path
-import subprocess
 import sys
 import tempfile
 import time
@@ -38,6 +37,8 @@ import numpy as np
 import rclpy
 
 sys.path.insert(0, str(ROOT))
+
+from closedloop_dynamics.ros.programs import Program  # noqa: E402,I100
 
 from test.ros.taker import Taker  # noqa: E402,I100
 
@@ -76,14 +77,11 @@ def cpu_time(process):
 
 def start(executable, *parameters, file=None):
     """Start an executable of the package, with parameters of a file and such as NAME:=VALUE."""
-    code = (f'import sys; from closedloop_dynamics.ros import executables; '
-            f'sys.exit(executables.{executable}())')
     arguments = [each for parameter in parameters for each in ('-p', parameter)]
     if file is not None:
         arguments = ['--params-file', str(file), *arguments]
-    return subprocess.Popen(
-        [sys.executable, '-c', code, '--ros-args', '--log-level', 'warn', *arguments],
-        env={**os.environ, 'PYTHONPATH': f'{ROOT}:{os.environ.get("PYTHONPATH", "")}'})
+    return Program(f'closedloop_{executable}', ['--ros-args', '--log-level', 'warn', *arguments],
+                   Path('/dev/stderr')).popen
 
 
 def deviations(moments, rate):

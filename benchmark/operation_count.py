@@ -46,7 +46,7 @@ from closedloop_dynamics.core.types import allocate  # noqa: E402
 from closedloop_dynamics.mechanism.families import ladder  # noqa: E402
 from closedloop_dynamics.modeling import build_model  # noqa: E402
 from closedloop_dynamics.scene import config_directory, load_scene, scene_names  # noqa: E402
-from closedloop_dynamics.simulation import Simulation  # noqa: E402
+from closedloop_dynamics.simulation.simulation import Simulation  # noqa: E402
 from closedloop_dynamics.studies.formulations import evaluate_again, growing_case  # noqa: E402
 from closedloop_dynamics.studies.tables import markdown_table, seconds, text_table  # noqa: E402
 

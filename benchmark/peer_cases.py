@@ -32,7 +32,7 @@ from closedloop_dynamics.core import kinematics, loop_closure  # noqa: E402,I100
 from closedloop_dynamics.core import types as t  # noqa: E402
 from closedloop_dynamics.integration.system import evaluate  # noqa: E402
 from closedloop_dynamics.scene import load_scene  # noqa: E402
-from closedloop_dynamics.simulation import Simulation  # noqa: E402
+from closedloop_dynamics.simulation.simulation import Simulation  # noqa: E402
 
 # What computes the answer, and what confirms it: an integrator and its tolerance.
 REFERENCES = (('dop853', 1e-13), ('dopri5', 1e-13))
@@ -106,7 +106,7 @@ def simulation(scene, integrator, value, duration, adaptive=True):
     """Return a simulation with one method: a tolerance, or a step size [s]."""
     keys = {'step_size': duration, 'tolerance': value} if adaptive else {'step_size': value}
     return Simulation(replace(
-        scene, method=replace(scene.method, integrator=integrator, accuracy=None, **keys)))
+        scene, method=replace(scene.method, integrator=integrator, **keys)))
 
 
 def build_case(name, scene_name, torque, duration):
@@ -172,7 +172,7 @@ class Referee:
         """Return the largest closure error [m]."""
         system = self.simulation.system
         kinematics.outward(system.model, q, np.zeros(len(q)), system.work)
-        loop_closure.update(system.model, system.work, False)
+        loop_closure.update(system.model, system.work, loop_closure.NO_RESPONSES)
         return float(np.abs(system.work.closure).max())
 
     def poses(self, q, qd):

@@ -18,7 +18,7 @@ from machine import commit
 import numpy as np
 from peer_cases import Run, simulation
 
-from closedloop_dynamics.simulation import Simulation  # noqa: I100
+from closedloop_dynamics.simulation.simulation import Simulation  # noqa: I100
 from closedloop_dynamics.studies.formulations import evaluate_again
 
 NAME = 'closedloop_dynamics'

@@ -19,6 +19,7 @@ import sys
 
 from machine import ROOT
 from matplotlib.figure import Figure
+from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 sys.path.insert(0, str(ROOT))
@@ -33,6 +34,7 @@ TARGETS = (1e-2, 1e-3, 1e-4, 1e-6, 1e-8, 1e-10)
 # Okabe and Ito's palette, one colour an engine; markers and dashes tell its lines apart.
 COLORS = {OURS: '#0072B2', 'Pinocchio': '#D55E00', 'MuJoCo': '#009E73', 'Exudyn': '#CC79A7'}
 STYLES = (('o', '-'), ('s', '--'), ('D', ':'))
+BAND = '#e5e5e5'
 DOTS_PER_INCH = 120
 
 
@@ -166,8 +168,9 @@ def picture(result):
         axes.set_xlabel('CPU time for one simulated second')
     for axes in panels[:, 0]:
         axes.set_ylabel('error at the end [rad]')
-    handles, labels = panels[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc='outside lower center', ncols=4 if columns > 2 else 2,
+    handles, _ = panels[0, 0].get_legend_handles_labels()
+    handles.append(Patch(color=BAND, label="below the reference's own error"))
+    figure.legend(handles=handles, loc='outside lower center', ncols=4 if columns > 2 else 2,
                   frameon=False, fontsize=8)
     return figure
 
@@ -183,7 +186,7 @@ def _panel(axes, case, rows):
             axes.plot([row['best'] for row in chosen], [row['error'] for row in chosen],
                       color=COLORS.get(engine, '#333333'), marker=marker, linestyle=dashes,
                       markersize=3.5, linewidth=1.3, label=f'{engine}: {line}')
-    axes.axhspan(1e-30, max(case['uncertainty'], 1e-16), color='#999999', alpha=0.25, linewidth=0)
+    axes.axhspan(1e-30, max(case['uncertainty'], 1e-16), color=BAND, linewidth=0)
     axes.set_ylim(1e-13, 10.0)
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: seconds(value)))
     axes.yaxis.set_major_locator(LogLocator(numticks=16))

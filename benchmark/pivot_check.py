@@ -18,7 +18,7 @@ What watching the pivots costs where no configuration is singular.
 
 Three copies of the package are compiled side by side, as ``effects_absent`` does: as it is, the
 same once more, and one without the watch: no ratio is formed, no smallest one kept, and nothing
-branches into the rank-revealing path.
+branches into refinement or the rank-revealing path.
 """
 
 import sys
@@ -35,25 +35,27 @@ CUTS = {
         smallest = choose(ratio >= smallest, smallest, choose(ratio > 0.0, ratio, 0.0))
 """, ''),
         ("""\
-    work.health[SMALLEST_PIVOT] = smallest
-""", ''),
-        ("""\
-    ever = work.health[SMALLEST_PIVOT_EVER]
-    work.health[SMALLEST_PIVOT_EVER] = choose(smallest < ever, smallest, ever)
-    return smallest >= POOR_PIVOT * min(1.0, MANY_JOINTS / model.tree.shape[0])
+    smallest = factorize(model, work)
+    fine = good(model, smallest, SMALL_PIVOT)
+    # A small one may be that of the masses alone: what is told is what ``refinement`` finds.
+    note(model, work, choose(fine, smallest, 1.0))
+    return fine
 """, """\
+    factorize(model, work)
     return True
 """)),
     'integration/system.py': (
         ("""\
             if links.call(linkage, links.EVALUATION, q, qd) == 0:
-                links.call(linkage, links.CAREFUL_ACCELERATION, q, qd)
+                links.call(linkage, links.OUTWARD, q, qd)
+                _accelerate_anew(linkage, q, qd)
 """, """\
             links.call(linkage, links.EVALUATION, q, qd)
 """),),
     'integration/projection.py': (
         ("""\
-        return links.call(linkage, links.CORRECTION, q, qd) != 0
+        return (links.call(linkage, links.CORRECTION, q, qd) != 0
+                or links.call(linkage, links.REFINED_CORRECTION, q, qd) != 0)
 """, """\
         links.call(linkage, links.CORRECTION, q, qd)
         return True

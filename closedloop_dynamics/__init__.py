@@ -31,7 +31,7 @@ os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
 _HOMES = {
     'AssemblyError': 'errors', 'ClosureError': 'errors', 'load_scene': 'scene',
     'MechanismError': 'mechanism.mechanism', 'NumericalError': 'errors',
-    'scene_names': 'scene', 'SceneError': 'scene', 'Simulation': 'simulation',
+    'scene_names': 'scene', 'SceneError': 'scene', 'Simulation': 'simulation.simulation',
     'SimulationError': 'errors', 'SingularityError': 'errors'}
 __all__ = sorted(_HOMES)
 __version__ = '0.1.0'

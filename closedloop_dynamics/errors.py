@@ -37,3 +37,7 @@ class SingularityError(SimulationError):
 
 class AssemblyError(SimulationError):
     """No state that closes the loops was found, or the held coordinates do not fix one."""
+
+
+class InaccuracyWarning(RuntimeWarning):
+    """A motion is off by more than it should be, but not meaningless."""

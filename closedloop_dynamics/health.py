@@ -22,15 +22,16 @@ import numpy as np
 from .core import kinematics
 from .core.jacobian import constraint_jacobian, generalized_inertia_matrix
 from .core.types import (
-    CLOSURE, CUT_ROW, EVALUATIONS, PROJECTION_ITERATIONS, RANK, RANK_REVEALING_COUNT, ROW, ROWS,
-    SINGULAR_COUNT, SMALLEST_PIVOT, SMALLEST_PIVOT_EVER)
+    CLOSURE, CUT_PRISMATIC, CUT_ROW, CUT_TYPE, DOF, EVALUATIONS, PARENT, PRISMATIC,
+    PROJECTION_ITERATIONS, RANK, RANK_REVEALING_COUNT, ROW, ROWS, SINGULAR_COUNT, SMALLEST_PIVOT,
+    SMALLEST_PIVOT_EVER, TYPE)
 
 # Smallest pivots below this (about 2 degrees from a singular configuration) are worth a
 # warning: forces grow with the inverse distance, errors of the input with them.
 WARN_BELOW = 1e-3
 # Largest number of closure equations whose condition is worth its cost, that of a dense matrix.
 MOST_FOR_CONDITION = 40
-# Singular value with locked drives below which it is worth mentioning.
+# Sine of the angle to a parallel singularity below which it is worth mentioning: a degree.
 LOOSE = 0.02
 # Condition beyond which no digit is left.
 SINGULAR = 1e15
@@ -46,7 +47,8 @@ class Health:
     smallest_pivot : float
         Of the block elimination, relative to the largest diagonal entry of its cut point: about
         the squared sine of the angle between one closure equation and the others. 1: as
-        independent as can be; 0: dependent, or a link without inertia.
+        independent as can be; 0: dependent. Below 1e-3 without masses, so that light links
+        play no part.
     smallest_pivot_ever : float
         Since the last reset.
     condition : float
@@ -68,9 +70,9 @@ class Health:
         Corrections of the positions after the latest step.
     closure : float
         Closure error that projection left after the latest step [m or rad].
-    drive_singular_value : float
-        Smallest singular value of the closure equations with the actuated joints locked, each
-        scaled by its largest entry, with the sign of their determinant. 0: a parallel ("type-2")
+    drive_sine : float
+        Sine of the smallest angle between one of the closure equations and locked drives, and
+        all others, with the sign of their determinant. 0: a parallel ("type-2")
         singularity, where locked drives would not hold the mechanism; the sign changes where it
         is passed. NaN where the drives are not as many as the freedoms, and for more than
         40 closure equations.
@@ -87,7 +89,7 @@ class Health:
     evaluations: int
     projection_iterations: int
     closure: float
-    drive_singular_value: float = math.nan
+    drive_sine: float = math.nan
 
     @property
     def unique_forces(self):
@@ -106,9 +108,9 @@ class Health:
             f'condition {self.condition:.2g}, closure {self.closure:.2g} after '
             f'{self.projection_iterations} corrections, {self.rank_revealing_count} of '
             f'{self.evaluations} evaluations rank-revealing']
-        if abs(self.drive_singular_value) < LOOSE:
+        if abs(self.drive_sine) < LOOSE:
             lines.append('a parallel (type-2) singularity is near: held drives would hardly hold '
-                         f'the mechanism (singular value {self.drive_singular_value:.2g})')
+                         f'the mechanism (an angle of {abs(self.drive_sine):.2g} rad)')
         if not self.unique_forces:
             lines.append(
                 f'the constraint forces are not unique: {self.equations - self.rank} of '
@@ -148,7 +150,7 @@ def health_of(model, work, q, qd, passive=()):
         kinematics.outward(model, q, qd, work)
         constraint_jacobian(model, work, jac)
         condition = block_condition(model, work, jac)
-        loose = drive_singular_value(jac, passive)
+        loose = drive_sine(model, jac, passive)
     return Health(
         smallest_pivot=float(values[SMALLEST_PIVOT]),
         smallest_pivot_ever=float(values[SMALLEST_PIVOT_EVER]),
@@ -159,15 +161,17 @@ def health_of(model, work, q, qd, passive=()):
         evaluations=int(values[EVALUATIONS]),
         projection_iterations=int(values[PROJECTION_ITERATIONS]),
         closure=float(values[CLOSURE]),
-        drive_singular_value=loose)
+        drive_sine=loose)
 
 
-def drive_singular_value(jac, passive):
+def drive_sine(model, jac, passive):
     """
     Return how far locked drives are from leaving the mechanism loose, as in ``Health``.
 
     Parameters
     ----------
+    model : core.types.Model
+        Of the mechanism.
     jac : ndarray, shape (nc, nv)
         Constraint Jacobian, of one equation or more.
     passive : sequence of int
@@ -177,14 +181,45 @@ def drive_singular_value(jac, passive):
     -------
     float
 
+    Notes
+    -----
+    Angles are those between rows of the rates of the bodies' angles, times the longest lever of
+    any, and of the slides: no unit plays a part, nor where the trees begin. The two equations
+    of a cut point share their scale, and with it the direction of the world's axes plays none.
+
     """
+    nv = jac.shape[1]
     if len(passive) != len(jac):
         return math.nan
-    levers = np.abs(jac).max(axis=1, keepdims=True)
-    # An equation that no motion can change has no lever, and cannot be held.
-    square = jac[:, passive] / np.where(levers > 0.0, levers, 1.0)
-    smallest = np.linalg.svd(square, compute_uv=False)[-1]
-    return float(np.copysign(smallest, np.linalg.det(square)))
+    tree, joints, turning = model.tree, np.eye(nv), np.zeros(nv, dtype=bool)
+    for i in range(1, nv + 1):
+        parent = tree[i, PARENT]
+        while parent > 0 and tree[parent, TYPE] == PRISMATIC:
+            parent = tree[parent, PARENT]
+        turning[tree[i, DOF]] = tree[i, TYPE] != PRISMATIC
+        if turning[tree[i, DOF]] and parent > 0:
+            joints[tree[i, DOF], tree[parent, DOF]] = -1.0
+    places, angles = [], []
+    for cut in model.cut:
+        points = 1 if cut[CUT_TYPE] == CUT_PRISMATIC else 2
+        places.append(slice(cut[CUT_ROW], cut[CUT_ROW] + points))
+        angles += range(cut[CUT_ROW] + points, cut[CUT_ROW] + cut[ROWS])
+    by_angles = jac @ joints
+    lever = max((np.abs(by_angles[rows][:, turning]).max(initial=0.0) for rows in places))
+    weight = np.where(turning, 1.0 / lever if lever > 0.0 else 1.0, 1.0)
+    drives = np.setdiff1d(np.arange(nv), passive)
+    rows = np.vstack([by_angles, joints[drives]]) * weight
+    lengths = np.linalg.norm(rows, axis=1)
+    for place in places:
+        lengths[place] = lengths[place].max()
+    # An equation that no motion can change has no length, and cannot be held.
+    rows /= np.where(lengths > 0.0, lengths, 1.0)[:, None]
+    try:
+        # Column k of the inverse is as long as one over row k's distance from the others.
+        distance = 1.0 / np.linalg.norm(np.linalg.inv(rows), axis=0).max()
+    except np.linalg.LinAlgError:
+        return 0.0
+    return float(np.copysign(distance, np.linalg.det(rows)))
 
 
 def block_condition(model, work, jac):

@@ -20,6 +20,7 @@ from .core import jacobian, kinematics, loop_closure
 from .core import types as t
 from .core.forward_dynamics import to_user_order
 from .core.inverse_dynamics import tree_torque
+from .core.joint_wrenches import bias_forces
 from .effects import dispatch, joint_reaction
 from .errors import SimulationError
 
@@ -34,7 +35,7 @@ class InverseDynamics:
         What moves.
     system : integration.system.System
         Its model, and the workspace that is used.
-    effects : effects.composition.Composition
+    effects : effects.effect_set.EffectSet
         What acts on it.
     table : effects.table.EffectTable
         That of the composition.
@@ -89,7 +90,7 @@ class InverseDynamics:
         bias = np.zeros(len(jac))
         kinematics.outward(model, q, qd, work)
         jacobian.constraint_jacobian(model, work, jac)
-        loop_closure.update(model, work, False)
+        loop_closure.update(model, work, loop_closure.NO_RESPONSES)
         to_user_order(model, work.bias, bias)
         part = np.abs(jac @ qdd + bias).max(initial=0.0)
         # Beside its own size, what is left by rounding of the accelerations it is a difference of.
@@ -110,7 +111,7 @@ class InverseDynamics:
             self._effects.steady(qd)
             dispatch.apply(work.body, table, q, qd, np.zeros(len(q)))
             self._effects.unsteady()
-            joint_reaction.remember(work.body, table)
+            bias_forces(work.body, table.reaction)
         tree_torque(self._system.model, work, qdd, need)
         return need - table.applied if len(table.kind) else need
 

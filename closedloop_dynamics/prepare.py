@@ -23,7 +23,6 @@ The least urgent process of all; it ends with the process of number PARENT.
 
 import fcntl
 import os
-from pathlib import Path
 import sys
 
 from closedloop_dynamics.child import die_with
@@ -41,17 +40,19 @@ def prepare(scene):
         Name of a shipped scene, or path of a file.
 
     """
+    from closedloop_dynamics.core import cache
     from closedloop_dynamics.integration import ahead
-    from closedloop_dynamics.integration.system import careful_acceleration
-    from closedloop_dynamics.simulation import Simulation
+    from closedloop_dynamics.simulation.simulation import Simulation
     system = Simulation.from_scene(scene).system
-    directory = Path(careful_acceleration.stats.cache_path)
-    directory.mkdir(parents=True, exist_ok=True)
-    with (directory / 'prepare.lock').open('w') as lock:
+    if cache.directory() is None:
+        sys.exit('there is no place to store compiled code')
+    with (cache.directory() / 'prepare.lock').open('w') as lock:
         # Who waited finds all of it on disk.
         fcntl.flock(lock, fcntl.LOCK_EX)
         for get_ready in ahead.preparations(system):
             get_ready()
+    if not ahead.is_stored(system):
+        sys.exit('compiled code could not be stored')
 
 
 if __name__ == '__main__':

@@ -22,7 +22,6 @@ bit.
 """
 
 from dataclasses import dataclass
-import math
 from typing import Optional
 
 import numpy as np
@@ -30,15 +29,19 @@ import numpy as np
 from .errors import SimulationError
 from .integration.advance import DONE
 from .integration.drivers import FixedSteps
-from .integration.march import allocate_tape, march
+from .integration.march import allocate_tape, energies, joint_forces, march
 from .mechanism.checks import one_of
 from .mechanism.fields import at
-from .mechanism.mechanism import CUT_JOINT_EQUATIONS, PRISMATIC, REVOLUTE
 
 STATE = ('position', 'velocity')
-QUANTITIES = (*STATE, 'acceleration', 'effort', 'constraint_forces', 'closure', 'energy')
+QUANTITIES = (*STATE, 'acceleration', 'effort', 'constraint_forces', 'joint_forces', 'points',
+              'closure', 'energy')
 # A time counts as a multiple of the step up to this share of the step.
 ROUNDING = 1e-9
+# Instants of a run at which its energy is looked at.
+MOST_LOOKS = 9
+# Energy from nowhere, against all that moved, at which a motion is none.
+ENERGY_ERROR = 0.1
 
 
 @dataclass(frozen=True)
@@ -85,9 +88,11 @@ class Record:
     values : dict of str to ndarray
         By the names of ``QUANTITIES``, those that were asked for: position, velocity,
         acceleration, effort (instants, nv), constraint_forces (instants, number of cuts, 3),
-        closure, energy (instants,). SI units.
+        joint_forces (instants, nv, 3), points (instants, number of points, 2), closure, energy
+        (instants,). SI units.
     failure : str or None
-        Why the run ended early.
+        Why the run ended early; or, where all values are there, by how much its energy balance
+        is off.
 
     """
 
@@ -97,9 +102,10 @@ class Record:
 
 def shape_of(quantity, mechanism):
     """Return the shape that a quantity has at one instant."""
-    if quantity == 'constraint_forces':
-        return len(mechanism.cut_joints), 3
-    return () if quantity in ('closure', 'energy') else (len(mechanism.joints),)
+    shapes = {'constraint_forces': (len(mechanism.cut_joints), 3),
+              'joint_forces': (len(mechanism.joints), 3), 'points': (len(mechanism.points), 2),
+              'closure': (), 'energy': ()}
+    return shapes.get(quantity, (len(mechanism.joints),))
 
 
 def nothing(quantities, mechanism, instants):
@@ -133,7 +139,7 @@ def is_plain(simulation):
     """
     effects = simulation._effects
     return (isinstance(simulation.monitor.driver, FixedSteps)
-            and simulation.system.partition is None and not simulation._guard.active
+            and simulation.system.partition is None and not simulation.energy_guard.among_laws
             and not any(effects.drives.values()) and not effects.remembers)
 
 
@@ -161,12 +167,13 @@ def record(simulation, torques, schedule, quantities=QUANTITIES):
     steps = schedule.steps(simulation.step_size)
     if steps and is_plain(simulation):
         start = simulation._state.copy()
-        values = _marched(simulation, tau, schedule, steps, quantities)
-        if values is not None:
-            return Record(values)
+        done = _marched(simulation, tau, schedule, steps, quantities)
+        if done is not None:
+            return done
         # It failed: again, step by step, to stop where it does and to say why.
         simulation._state[:] = start
         simulation._fresh = False
+        simulation.energy_guard.restart()
     return _stepped(simulation, tau, schedule, steps, quantities)
 
 
@@ -179,14 +186,15 @@ def all_torques(simulation, torques):
 
 def tape_for(simulation, schedule, quantities):
     """Return a tape for all that is to be kept of a run."""
-    slides = [simulation._rows[cut.body_b] for cut in simulation.cut_joints
-              if cut.type == PRISMATIC]
-    return allocate_tape(simulation.system, schedule.instants,
-                         any(name not in STATE for name in quantities), slides)
+    points = simulation.mechanism.points
+    return allocate_tape(
+        simulation.system, schedule.instants, any(name not in STATE for name in quantities),
+        np.array([simulation._rows[point.body] for point in points], dtype=np.int64),
+        np.array([point.position for point in points]).reshape(-1, 2))
 
 
 def _marched(simulation, tau, schedule, steps, quantities):
-    """Return what a run keeps, computed by one compiled loop; None where it fails."""
+    """Return the record of a run made by one compiled loop; None where it fails."""
     system, driver = simulation.system, simulation.monitor.driver
     tape = tape_for(simulation, schedule, quantities)
     status, _ = march(
@@ -194,7 +202,51 @@ def _marched(simulation, tau, schedule, steps, quantities):
         tau, schedule.hold * steps, schedule.every * steps, schedule.intervals * steps,
         driver.scratch, tape)
     simulation._fresh = False
-    return values_of(simulation, tape, tau, schedule, quantities) if status == DONE else None
+    if status != DONE:
+        return None
+    share, finding = verdict(simulation, tape.state, simulation._state, tape.work[0], schedule)
+    if not share <= ENERGY_ERROR:
+        return None
+    return Record(values_of(simulation, tape, tau, schedule, quantities), finding)
+
+
+def verdict(simulation, states, last, work, schedule):
+    """
+    Judge the energy balance of a run, as the energy guard does where steps are made one by one.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        That made it; left somewhere else.
+    states : ndarray, shape (instants, ns)
+        Of the run.
+    last : ndarray, shape (ns,)
+        At its end.
+    work : float
+        Of the torques [J].
+    schedule : Schedule
+        Of the run.
+
+    Returns
+    -------
+    share : float
+        Energy from nowhere at the end, against all that moved.
+    finding : str or None
+        What is wrong, in words.
+
+    """
+    some = np.unique(np.linspace(0, len(states) - 1, MOST_LOOKS).round().astype(int))
+    looked = np.vstack((states[some], last))
+    out = np.empty((len(looked), 2))
+    energies(simulation.system, looked, out)
+    kinetic, stored = out.T
+    moved = (kinetic + np.abs(stored - stored[0])).max() + abs(work)
+    lost = abs(out[-1].sum() - out[0].sum() - work)
+    guard = simulation.energy_guard
+    guard.restart()
+    guard.compare(lost, moved, kinetic[-1] + abs(stored[-1]),
+                  schedule.interval * schedule.intervals)
+    return guard.worst, guard.finding or None
 
 
 def values_of(simulation, tape, tau, schedule, quantities):
@@ -205,7 +257,10 @@ def values_of(simulation, tape, tau, schedule, quantities):
         'velocity': lambda: tape.state[:, nv:2 * nv].copy(),
         'acceleration': lambda: tape.qdd,
         'effort': lambda: _efforts(simulation, tape, tau, schedule),
-        'constraint_forces': lambda: _wrenches(simulation, tape),
+        'constraint_forces': lambda: tape.wrench,
+        'joint_forces': lambda: joint_forces(
+            simulation.system, tau, schedule.hold, schedule.every, tape.state, tape.qdd, tape.lam),
+        'points': lambda: tape.place,
         'closure': lambda: tape.scalars[:, 0].copy(),
         'energy': lambda: tape.scalars[:, 1] + (
             tape.scalars[:, 2] + tape.output[:, :, 0].sum(axis=1)),
@@ -220,27 +275,6 @@ def _efforts(simulation, tape, tau, schedule):
     rows, joints = simulation._effects.drive_rows()
     efforts[:, joints] = tape.output[:, rows, 1]
     return efforts
-
-
-def _wrenches(simulation, tape):
-    """Return the wrenches at the cut joints, as ``Simulation.constraint_forces`` has them."""
-    cuts = simulation.cut_joints
-    out = np.zeros((len(tape.lam), len(cuts), 3))
-    first, slide = 0, 0
-    for k, cut in enumerate(cuts):
-        lam = tape.lam[:, first:first + CUT_JOINT_EQUATIONS[cut.type]]
-        first += lam.shape[1]
-        if cut.type == PRISMATIC:
-            angles = (tape.angle[:, slide] + cut.angle).tolist()
-            slide += 1
-            out[:, k, 0] = lam[:, 1]
-            out[:, k, 1] = np.array([-math.sin(angle) for angle in angles]) * lam[:, 0]
-            out[:, k, 2] = np.array([math.cos(angle) for angle in angles]) * lam[:, 0]
-        else:
-            out[:, k, 1:] = lam[:, :2]
-            if cut.type != REVOLUTE:
-                out[:, k, 0] = lam[:, 2]
-    return out
 
 
 def _stepped(simulation, tau, schedule, steps, quantities):
@@ -264,6 +298,8 @@ def _stepped(simulation, tau, schedule, steps, quantities):
             done += portion
             if done % schedule.every == 0:
                 _note(simulation, values, done // schedule.every)
+        simulation.judge()
+        failure = simulation.energy_guard.finding or None
     except SimulationError as error:
         failure = str(error)
     return Record(values, failure)

@@ -21,7 +21,8 @@ import numpy as np
 from .integration import lockstep
 from .integration.advance import DONE
 from .integration.march import annotate
-from .recording import all_torques, is_plain, Record, STATE, tape_for, values_of
+from .recording import (
+    all_torques, ENERGY_ERROR, is_plain, Record, STATE, tape_for, values_of, verdict)
 
 # From so many runs on it pays to make them together.
 FEWEST = 3
@@ -119,14 +120,21 @@ class Together:
         if room is None:
             shape = lockstep.LANES, schedule.instants, torques[0].shape[1]
             room = np.empty(shape), np.empty(shape)
+        work = np.zeros(lockstep.LANES)
         status = lockstep.march(
             pack, driver.tableau, driver.stabilisation, state, first.step_size, spread,
             schedule.hold * steps, schedule.every * steps, schedule.intervals * steps,
-            np.zeros((len(driver.scratch), len(state))), *room)
+            np.zeros((len(driver.scratch), len(state))), *room, work)
         if status != DONE:
             return None
-        return [Record(_values(start.simulation, tau, schedule, steps, self._quantities, *motion))
-                for start, tau, *motion in zip(starts, torques, *room)]
+        ends = state.reshape(-1, lockstep.LANES).T
+        judged = [verdict(start.simulation, np.hstack(motion), end, done, schedule)
+                  for start, end, done, *motion in zip(starts, ends, work, *room)]
+        if not all(share <= ENERGY_ERROR for share, _ in judged):
+            return None
+        return [Record(_values(start.simulation, tau, schedule, steps, self._quantities, *motion),
+                       finding)
+                for start, tau, (_, finding), *motion in zip(starts, torques, judged, *room)]
 
     def _pack_of(self, systems):
         """Return a pack of systems, the last one where they are still the same."""

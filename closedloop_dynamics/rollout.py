@@ -46,12 +46,16 @@ class Rollout:
         Joint torques, behind the drives [N m or N].
     constraint_forces : ndarray, shape (samples, instants, number of cuts, 3)
         As ``Simulation.constraint_forces`` [N m, N].
+    joint_forces : ndarray, shape (samples, instants, nv, 3)
+        As ``Simulation.joint_forces`` [N m, N].
+    points : ndarray, shape (samples, instants, number of points, 2)
+        Places of the named points [m].
     closure : ndarray, shape (samples, instants)
         Largest closure error [m or rad].
     energy : ndarray, shape (samples, instants)
         Kinetic and stored [J].
     failures : dict of int to str
-        Why each sample that failed did.
+        Why each sample that failed did, and by how much energy balances are off.
 
     Notes
     -----
@@ -65,6 +69,8 @@ class Rollout:
     acceleration: Optional[np.ndarray] = None
     effort: Optional[np.ndarray] = None
     constraint_forces: Optional[np.ndarray] = None
+    joint_forces: Optional[np.ndarray] = None
+    points: Optional[np.ndarray] = None
     closure: Optional[np.ndarray] = None
     energy: Optional[np.ndarray] = None
     failures: dict = field(default_factory=dict)

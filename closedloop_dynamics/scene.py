@@ -31,10 +31,14 @@ from .mechanism.document import Document
 from .mechanism.fields import among, at, FieldError, keys_of, mapping, nearest, shown
 from .mechanism.mechanism import MechanismError
 from .mechanism.reader import read_mechanism
-from .scene_records import BAUMGARTE, Initial, Method, Scene
+from .scene_records import Initial, Method, Scene
 
 __all__ = ['config_directory', 'Initial', 'load_scene', 'load_scene_or_mechanism', 'Method',
            'Scene', 'scene_names', 'SceneError']
+
+# Required and optional keys.
+SCENE_KEYS = ('mechanism', 'initial'), ('description', 'effects', 'method')
+INITIAL_KEYS = ('position',), ('hold', 'velocity')
 
 
 class SceneError(ValueError):
@@ -65,9 +69,7 @@ def load_scene(name_or_path):
         Where there is no such scene, or it or its mechanism is faulty.
 
     """
-    document = Document(_scene_path(name_or_path), SceneError)
-    with document.errors():
-        return _scene(document)
+    return _scene_of(Document(_scene_path(name_or_path), SceneError))
 
 
 def load_scene_or_mechanism(name_or_path):
@@ -83,10 +85,10 @@ def load_scene_or_mechanism(name_or_path):
         if name_or_path not in scene_names() and name_or_path in shipped_names('mechanisms'):
             return read_mechanism(shipped_path('mechanisms', name_or_path))
         return load_scene(name_or_path)
-    data = Document(name_or_path, SceneError).data
-    if isinstance(data, Mapping) and 'bodies' in data:
+    document = Document(name_or_path, SceneError)
+    if isinstance(document.data, Mapping) and 'bodies' in document.data:
         return read_mechanism(name_or_path)
-    return load_scene(name_or_path)
+    return _scene_of(document)
 
 
 def _is_name(name_or_path):
@@ -114,13 +116,18 @@ def _shipped(kind, value):
     return shipped_path(kind, value)
 
 
+def _scene_of(document):
+    with document.errors():
+        return _scene(document)
+
+
 def _scene(document):
     """Return the scene that a document describes, or raise FieldError."""
     data = document.data
     if isinstance(data, Mapping) and 'bodies' in data:
         raise FieldError('a scene', 'a mechanism', 'a scene names one under `mechanism`',
                          ('bodies',))
-    mapping(data, ('mechanism', 'initial'), ('description', 'effects', 'method'))
+    mapping(data, *SCENE_KEYS)
     with at('mechanism'):
         mechanism = _mechanism(data['mechanism'], document.path.parent)
     with at('initial'):
@@ -154,7 +161,7 @@ def _mechanism(value, directory):
 
 def _initial(value, joints):
     """Return the initial state for joints of the names given."""
-    mapping(value, ('position',), ('hold', 'velocity'))
+    mapping(value, *INITIAL_KEYS)
     with at('position'):
         position = _numbers(mapping(value['position'], joints, ()))
     with at('hold'):
@@ -195,8 +202,10 @@ def _effect(key, values):
 def _method(values):
     """Return the method of a scene."""
     method = Method(**mapping(values, *keys_of(Method)))
-    if 'baumgarte_time_constant' in values and method.stabilisation != BAUMGARTE:
-        raise FieldError(f'this key only with stabilisation: {BAUMGARTE}',
-                         f'it with stabilisation: {method.stabilisation}', 'remove it',
-                         ('baumgarte_time_constant',))
+    for key, need in method.unused.items():
+        if key in values:
+            raise FieldError(
+                f'this key only with {need}',
+                f'it with integrator: {method.integrator}, stabilisation: {method.stabilisation}',
+                'remove it', (key,))
     return method

@@ -18,17 +18,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Optional, Tuple
 
-from .effects.composition import require_one_drive_each
+from .effects.effect_set import require_one_drive_each
 from .effects.registry import EFFECTS
-from .integration.registry import INTEGRATORS, STABILISATIONS
+from .integration.registry import ADAPTIVE, AUTO, INTEGRATORS, STABILISATIONS
 from .mechanism.checks import list_of, name, number, one_of, positive, text
 from .mechanism.fields import at, FieldError, mapping, normalise, shown
 from .mechanism.mechanism import Mechanism
 from .mechanism.validation import validate_mechanism
 
 BAUMGARTE = 'baumgarte'
-# An integrator that stands for the cheapest method of the accuracy given.
-AUTO = 'auto'
 FORMULATIONS = ('subsystem', 'system', 'augmented')
 
 
@@ -42,7 +40,7 @@ class Initial:
     position : tuple of nv floats
         Joint coordinates [rad or m]; approximate is enough.
     velocity : tuple of nv floats
-        Joint rates [rad/s or m/s]; of the held joints where any are held.
+        Joint rates [rad/s or m/s]; of the held joints where any are held, else approximate.
     hold : tuple of str
         Joints whose position and velocity are kept as given; may be empty.
 
@@ -60,6 +58,10 @@ class Initial:
                 raise FieldError('every joint once', f'{joint!r} again', path=('hold', index))
 
 
+# What the stamps of messages tell apart [s].
+SMALLEST_STEP = 1e-9
+
+
 @dataclass(frozen=True)
 class Method:
     """
@@ -68,11 +70,10 @@ class Method:
     Attributes
     ----------
     integrator : str
-        A name of ``integration.registry.INTEGRATORS``, or ``'auto'``: the cheapest that keeps
-        ``accuracy``, chosen when the scene is loaded.
+        A name of ``integration.registry.INTEGRATORS``; ``'auto'`` keeps ``accuracy``.
     step_size : float
         Size of the steps, or, with an error-controlled integrator, the raster on which the
-        state is asked for [s]; positive.
+        state is asked for [s]; at least 1e-9.
     stabilisation : str
         How the loops are kept closed: a name of ``integration.registry.STABILISATIONS``.
     tolerance : float
@@ -82,36 +83,41 @@ class Method:
         none is given.
     formulation : str
         ``'subsystem'``, ``'system'`` or ``'augmented'``.
-    accuracy : float or None
-        Error of positions after a second of motion [rad, m]; only with ``'auto'``, and there
-        it must be given.
+    accuracy : float
+        Error of positions after a second of motion [rad, m], that ``'auto'`` keeps.
 
     """
 
-    integrator: str = 'rk4'
+    integrator: str = AUTO
     step_size: float = 0.001
     stabilisation: str = 'projection'
     tolerance: float = 1e-6
     baumgarte_time_constant: Optional[float] = None
     formulation: str = 'subsystem'
-    accuracy: Optional[float] = None
+    accuracy: float = 1e-6
 
     def __post_init__(self):
         """Refuse unknown methods and impossible times."""
-        normalise(self, integrator=one_of((AUTO, *INTEGRATORS)), step_size=positive,
+        normalise(self, integrator=one_of(tuple(INTEGRATORS)), step_size=positive,
                   stabilisation=one_of(tuple(STABILISATIONS)), tolerance=positive,
-                  formulation=one_of(FORMULATIONS))
+                  accuracy=positive, formulation=one_of(FORMULATIONS))
+        if self.step_size < SMALLEST_STEP:
+            raise FieldError(f'a number of at least {SMALLEST_STEP:g} [s]', shown(self.step_size),
+                             path=('step_size',))
         if self.baumgarte_time_constant is not None:
             normalise(self, baumgarte_time_constant=positive)
-        if self.accuracy is not None:
-            normalise(self, accuracy=positive)
-        if (self.integrator == AUTO) != (self.accuracy is not None):
-            raise FieldError(
-                f'this key with integrator: {AUTO}, and only with it',
-                f'integrator: {self.integrator}' + (
-                    ' without it' if self.accuracy is None else ' with it'),
-                'say how accurate positions shall be, such as 1.0e-6' if self.accuracy is None
-                else 'remove it', ('accuracy',))
+
+    @property
+    def unused(self):
+        """Return what each key that means nothing here would need, by key."""
+        adaptive = INTEGRATORS[self.integrator].kind == ADAPTIVE
+        needs = {
+            'accuracy': (self.integrator == AUTO, f'integrator: {AUTO}'),
+            'tolerance': (adaptive and self.integrator != AUTO,
+                          'an error-controlled integrator that is chosen by name'),
+            'baumgarte_time_constant': (
+                self.stabilisation == BAUMGARTE, f'stabilisation: {BAUMGARTE}')}
+        return {key: need for key, (used, need) in needs.items() if not used}
 
     @property
     def time_constant(self):

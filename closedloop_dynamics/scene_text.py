@@ -68,7 +68,8 @@ def scene_text(scene, effects=None, disabled=(), **facts):
                              if name in initial.hold or not initial.hold}},
             'effects': {name: {'type': effect_type(record), **_values(record)}
                         for name, record in effects.items()},
-            'method': _values(scene.method)},
+            'method': {key: value for key, value in _values(scene.method).items()
+                       if key not in scene.method.unused}},
         'mechanism': _mechanism(scene.mechanism)}, allow_nan=False,
         ensure_ascii=False)
 

@@ -37,17 +37,22 @@ WIDTH, THICKNESS, PIN_RADIUS = 0.06, 0.025, 0.045
 LAYER = 0.027
 # URDF wants limits of a prismatic joint, a mechanism has none: these are beyond reach.
 REACH, NO_LIMIT = 100.0, 1e9
+# Of ros2_control: hardware that is reached by topics.
+HARDWARE_PLUGIN = 'topic_based_ros2_control/TopicBasedSystem'
 ALONG_X, ABOUT_Z = '1 0 0', '0 0 1'
 
 
-def urdf(mechanism):
+def urdf(mechanism, command_topic='joint_command', state_topic='joint_states'):
     """
     Return the URDF of the spanning tree.
 
     Parameters
     ----------
     mechanism : mechanism.mechanism.Mechanism
-        Its bodies become links of the same names, its joints joints.
+        Its bodies become links of the same names, its joints joints. The actuated ones are those
+        of a ``ros2_control`` element, if there are any.
+    command_topic, state_topic : str
+        Where the hardware interface of that element finds a simulator.
 
     Returns
     -------
@@ -83,6 +88,8 @@ def urdf(mechanism):
                      size, depth[body.name] * LAYER * size)
     for joint in mechanism.joints:
         _add_joint(robot, joint, size)
+    if mechanism.actuated_joints:
+        _add_hardware(robot, mechanism, command_topic, state_topic)
     ElementTree.indent(robot)
     return f'<?xml version="1.0"?>\n{ElementTree.tostring(robot, encoding="unicode")}\n'
 
@@ -100,6 +107,24 @@ def _add_joint(robot, joint, size):
         ElementTree.SubElement(
             element, 'limit', lower=_numbers(-REACH * size), upper=_numbers(REACH * size),
             effort=_numbers(NO_LIMIT), velocity=_numbers(NO_LIMIT))
+
+
+def _add_hardware(robot, mechanism, command_topic, state_topic):
+    """Add what ros2_control needs to take a simulator for hardware: efforts in, states out."""
+    control = ElementTree.SubElement(
+        robot, 'ros2_control', name=mechanism.name, type='system')
+    hardware = ElementTree.SubElement(control, 'hardware')
+    ElementTree.SubElement(hardware, 'plugin').text = HARDWARE_PLUGIN
+    for key, value in (
+            ('joint_commands_topic', command_topic), ('joint_states_topic', state_topic),
+            # Compares commanded with measured positions, and there are no commanded ones: always.
+            ('trigger_joint_command_threshold', '-1')):
+        ElementTree.SubElement(hardware, 'param', name=key).text = value
+    for name in mechanism.actuated_joints:
+        joint = ElementTree.SubElement(control, 'joint', name=name)
+        ElementTree.SubElement(joint, 'command_interface', name='effort')
+        for key in ('position', 'velocity', 'effort'):
+            ElementTree.SubElement(joint, 'state_interface', name=key)
 
 
 def _add_inertial(link, body):

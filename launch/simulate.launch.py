@@ -24,32 +24,30 @@ Simulate a scene, and drive, record and show it if asked to.
 
 from pathlib import Path
 
+from ament_index_python.packages import get_package_prefix
+from ament_index_python.packages import PackageNotFoundError
 from closedloop_dynamics.config import config_directory
-from closedloop_dynamics.mechanism.mechanism import MechanismError
+# Names only: this runs in the Python of ros2, which may lack what the nodes compute with.
 from closedloop_dynamics.ros.simulator_parameters import SIMULATOR_PARAMETERS
-from closedloop_dynamics.scene import load_scene
-from closedloop_dynamics.scene import SceneError
-from closedloop_dynamics.urdf import urdf
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument
-from launch.actions import LogInfo
 from launch.actions import OpaqueFunction
 from launch.actions import Shutdown
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
-from launch_ros.parameter_descriptions import ParameterValue
 
 PACKAGE = 'closedloop_dynamics'
 # Name, default and meaning of what is no parameter of the simulator.
 ARGUMENTS = (
-    ('drive', '', 'what drives it: a name in config/controllers or config/drives, or the path of '
-     'a parameter file for both nodes, which then says the scene, too; empty: nothing'),
+    ('drive', '', 'what drives it: a name in config/controllers, or the path of a '
+     'parameter file for both nodes, which then says the scene, too; empty: nothing'),
     ('record', 'false',
      'true: record into a bag named by the time; or the directory of a new bag'),
-    ('rviz', 'false', 'true: show it in RViz; needs rviz2 and robot_state_publisher'),
+    ('rviz', 'false', 'true: show it in RViz; needs rviz2'),
     ('rate', '', 'short for publish_rate [Hz]'),
     ('namespace', '', 'of the nodes and their topics'),
-    ('frame_prefix', '', 'in front of the names of frames, where several machines are shown'),
+    ('frame_prefix', '', 'in front of the names of frames, where several machines are shown: RViz '
+     'and the places of their worlds, by tf2_ros, are then left to whoever includes this'),
     ('marker_frame', 'world', 'frame of the markers'),
 )
 
@@ -80,16 +78,41 @@ def start(context):
     overrides = {parameter.name: converted(parameter, given[parameter.name])
                  for parameter in SIMULATOR_PARAMETERS if given[parameter.name]}
     overrides['marker_frame'] = values['marker_frame']
-    nodes = [node('closedloop_simulator', values, [*files, overrides], on_exit=Shutdown())]
+    overrides['frame_prefix'] = values['frame_prefix']
+    shown = values['rviz'].lower() == 'true'
+    if shown:
+        # Looked for before anything starts, so that nothing is left running.
+        require('rviz:=true', 'rviz2', *(['tf2_ros'] if values['frame_prefix'] else []))
+        overrides['publish_tf'] = True
+    nodes = [node('closedloop_simulator', values, [*files, overrides], on_exit=end)]
     if values['drive']:
         of_source = {'scene': given['scene']} if given['scene'] else {}
         nodes.append(node('closedloop_torque_source', values, [*files, of_source]))
     if values['record'].lower() != 'false':
         output = '' if values['record'].lower() == 'true' else values['record']
         nodes.append(node('closedloop_recorder', values, [{'output': output}]))
-    if values['rviz'].lower() == 'true':
-        nodes += shown(values, given['scene'] or scene_of(files[0]))
+    if shown and not values['frame_prefix']:
+        nodes.append(Node(
+            package='rviz2', executable='rviz2', namespace=values['namespace'], output='screen',
+            arguments=['-d', str(config_directory() / 'rviz' / 'mechanism.rviz')]))
     return nodes
+
+
+def end(event, context):
+    """End the launch with the simulator; as a failure if it failed."""
+    if event.returncode != 0:
+        raise RuntimeError(f'closedloop_simulator ended with exit code {event.returncode}')
+    return Shutdown(reason='closedloop_simulator ended')
+
+
+def require(argument, *packages):
+    """Raise where packages that an argument needs are not installed."""
+    for package in packages:
+        try:
+            get_package_prefix(package)
+        except PackageNotFoundError:
+            raise RuntimeError(
+                f"{argument} needs the package '{package}', which is not installed") from None
 
 
 def converted(parameter, text):
@@ -113,35 +136,9 @@ def drive_file(name):
     """Return the parameter file that a drive names."""
     if name.endswith(('.yaml', '.yml')):
         return Path(name)
-    places = [config_directory() / folder / f'{name}.yaml' for folder in ('controllers', 'drives')]
-    for place in places:
-        if place.is_file():
-            return place
-    known = sorted({path.stem for place in places for path in place.parent.glob('*.yaml')})
+    folder = config_directory() / 'controllers'
+    if (folder / f'{name}.yaml').is_file():
+        return folder / f'{name}.yaml'
+    known = sorted(path.stem for path in folder.glob('*.yaml'))
     raise RuntimeError(f"drive: expected one of {', '.join(known)}, or the path of a parameter "
                        f"file (.yaml); got '{name}'")
-
-
-def scene_of(path):
-    """Return the scene that a parameter file names."""
-    from rclpy.parameter import parameter_dict_from_yaml_file
-    parameters = parameter_dict_from_yaml_file(path, target_nodes=['/**/closedloop_simulator'])
-    return parameters['scene'].value.string_value if 'scene' in parameters else 'three_rrr'
-
-
-def shown(values, scene):
-    """Return what shows a scene in RViz."""
-    try:
-        description = urdf(load_scene(scene).mechanism)
-    except (SceneError, MechanismError, ValueError) as error:
-        return [LogInfo(msg=f'not shown in RViz: {error}')]
-    prefix = values['frame_prefix']
-    publisher = Node(
-        package='robot_state_publisher', executable='robot_state_publisher',
-        namespace=values['namespace'], output='screen', parameters=[{
-            'robot_description': ParameterValue(description, value_type=str),
-            'frame_prefix': prefix}])
-    viewer = Node(
-        package='rviz2', executable='rviz2', namespace=values['namespace'], output='screen',
-        arguments=['-d', str(config_directory() / 'rviz' / 'mechanism.rviz')])
-    return [publisher] if prefix else [publisher, viewer]

@@ -28,44 +28,45 @@ from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument
 from launch.actions import GroupAction
 from launch.actions import IncludeLaunchDescription
-from launch.conditions import IfCondition
+from launch.actions import OpaqueFunction
 from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import LaunchConfiguration
-from launch.substitutions import PythonExpression
 from launch_ros.actions import Node
 
 ONE = Path(__file__).resolve().parent / 'simulate.launch.py'
-# Namespace, drive, and where it stands [m].
 MACHINES = (('left', 'three_rrr_circle', 0.0), ('right', 'carpet_scraper_speed', 1.6))
+ARGUMENTS = (
+    ('record', 'false', 'true: record each into a bag of its own, named left and right'),
+    ('rviz', 'false', 'true: show both in RViz; needs rviz2 and tf2_ros'),
+    ('mode', 'realtime', 'realtime, as_fast_as_possible or lockstep, of both simulators'),
+)
 
 
 def generate_launch_description():
+    """Return the arguments, and what makes both machines of them."""
+    declared = [DeclareLaunchArgument(name, default_value=default, description=description)
+                for name, default, description in ARGUMENTS]
+    # In a function, so that the arguments of what is included are not shown as arguments of this.
+    return LaunchDescription([*declared, OpaqueFunction(function=start)])
+
+
+def start(context):
     """Return both machines, and RViz for both."""
-    rviz = LaunchConfiguration('rviz')
-    entities = [
-        DeclareLaunchArgument('record', default_value='false', description=(
-            'true: record each into a bag of its own, named left and right')),
-        DeclareLaunchArgument('rviz', default_value='false', description=(
-            'true: show both in RViz; needs rviz2, robot_state_publisher and tf2_ros')),
-        DeclareLaunchArgument('mode', default_value='realtime', description=(
-            'realtime, as_fast_as_possible or lockstep, of both simulators')),
-    ]
-    for namespace, drive, place in MACHINES:
-        record = PythonExpression([
-            f"'{namespace}' if '", LaunchConfiguration('record'),
-            "'.lower() == 'true' else 'false'"])
-        # In a group, the arguments of the one do not become those of the other.
-        entities.append(GroupAction([IncludeLaunchDescription(
-            PythonLaunchDescriptionSource(str(ONE)), launch_arguments={
-                'namespace': namespace, 'drive': drive, 'record': record, 'rviz': rviz,
-                'mode': LaunchConfiguration('mode'), 'frame_prefix': f'{namespace}/',
-                'marker_frame': f'{namespace}/world'}.items())]))
-        entities.append(Node(
+    values = {name: LaunchConfiguration(name).perform(context) for name, *_ in ARGUMENTS}
+    shown, recorded = (values[name].lower() == 'true' for name in ('rviz', 'record'))
+    # In a group, the arguments of the one do not become those of the other.
+    entities = [GroupAction([IncludeLaunchDescription(
+        PythonLaunchDescriptionSource(str(ONE)), launch_arguments={
+            'namespace': namespace, 'drive': drive, 'rviz': values['rviz'],
+            'record': namespace if recorded else 'false', 'mode': values['mode'],
+            'frame_prefix': f'{namespace}/', 'marker_frame': f'{namespace}/world'}.items())])
+        for namespace, drive, _ in MACHINES]
+    if shown:
+        entities += [Node(
             package='tf2_ros', executable='static_transform_publisher', name=f'place_{namespace}',
-            condition=IfCondition(rviz), arguments=[
-                '--x', str(place), '--frame-id', 'world', '--child-frame-id',
-                f'{namespace}/world']))
-    entities.append(Node(
-        package='rviz2', executable='rviz2', condition=IfCondition(rviz), output='screen',
-        arguments=['-d', str(config_directory() / 'rviz' / 'two_mechanisms.rviz')]))
-    return LaunchDescription(entities)
+            arguments=['--x', str(place), '--frame-id', 'world', '--child-frame-id',
+                       f'{namespace}/world']) for namespace, _, place in MACHINES]
+        entities.append(Node(
+            package='rviz2', executable='rviz2', output='screen',
+            arguments=['-d', str(config_directory() / 'rviz' / 'two_mechanisms.rviz')]))
+    return entities

@@ -70,7 +70,8 @@ choose_kind() {
     find_any_python
   fi
   name=$kind-$("$base_python" -c 'import sys; print("%d.%d" % sys.version_info[:2])')${VERSIONS:+-$VERSIONS}
-  base_python=$("$base_python" -c 'import sys; print(sys.executable)')
+  # Not the Python of an environment that happens to be active: it may be the one that is about to be made anew.
+  base_python=$("$base_python" -c 'import os, sys; print(os.path.realpath(sys._base_executable))')
 }
 
 # A ROS that cannot be used must not be found half-way either: its paths come before those of the wheels.
@@ -124,7 +125,7 @@ make_environment() {
     "$base_python" -m venv --system-site-packages "$venv"
     "$venv/bin/python" "$root/scripts/_prefer_installed.py" "$constraints" > "$venv/constraints.txt"
     constraints=$venv/constraints.txt
-    say "Installing what the sourced ROS 2 Jazzy does not bring: numba, rosbags (70 MB or more, a minute)"
+    say "Installing what the sourced ROS 2 Jazzy does not bring: numba, rosbags, mcap (70 MB or more, a minute)"
   else
     "$base_python" -m venv "$venv"
     wheels=(--requirement "$root/requirements/ros.txt")
@@ -167,21 +168,18 @@ update_environment() {
 
 # Where programs may write, whatever HOME is; and ROS traffic that stays on this machine, apart from other runs.
 export_environment() {
-  local cache=$root/.cache sources
+  local cache=$root/.cache
   export VIRTUAL_ENV=$venv PATH=$venv/bin:$PATH PYTHONPATH=$root${PYTHONPATH:+:$PYTHONPATH}
   export MPLCONFIGDIR=${MPLCONFIGDIR:-$cache/matplotlib}
-  if [[ -z ${NUMBA_CACHE_DIR:-} ]]; then
-    # Numba's cache does not notice edits to callees in other files: one cache for each state of the sources.
-    sources=$(cd -- "$root" && find closedloop_dynamics -name '*.py' -print0 | sort -z | xargs -0 sha256sum |
-      sha256sum | cut -c 1-16)
-    export NUMBA_CACHE_DIR=$cache/numba/$sources
-    [[ -d $NUMBA_CACHE_DIR ]] || rm -rf -- "$cache/numba"
+  # Compiled code goes to the user's cache, whoever compiles; where there is none, here.
+  if [[ -z ${NUMBA_CACHE_DIR:-} ]] && ! mkdir -p -- "${XDG_CACHE_HOME:-${HOME:-}/.cache}/closedloop_dynamics" 2>/dev/null; then
+    export NUMBA_CACHE_DIR=$cache
   fi
   export ROS_LOG_DIR=${ROS_LOG_DIR:-$cache/ros_log}
   export ROS_AUTOMATIC_DISCOVERY_RANGE=${ROS_AUTOMATIC_DISCOVERY_RANGE:-LOCALHOST}
   # Linux has free ports for domains 0 to 101; 0 is everyone's.
   export ROS_DOMAIN_ID=${ROS_DOMAIN_ID:-$((1 + $$ % 101))}
-  mkdir -p -- "$MPLCONFIGDIR" "$NUMBA_CACHE_DIR" "$ROS_LOG_DIR"
+  mkdir -p -- "$MPLCONFIGDIR" "$ROS_LOG_DIR"
 }
 
 use_environment() {

@@ -21,15 +21,7 @@ The environment is set here, before anything imports numba or rclpy, for runs wi
 """
 
 import os
-import shutil
-import tempfile
 
-
-_throwaway = []
-if 'NUMBA_CACHE_DIR' not in os.environ:
-    # Numba's cache does not notice edits to callees in other files: each run has one of its own.
-    _throwaway.append(tempfile.mkdtemp(prefix='closedloop_dynamics.'))
-    os.environ['NUMBA_CACHE_DIR'] = _throwaway[0]
 os.environ.setdefault('MPLBACKEND', 'Agg')
 os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
 # Linux has free ports for domains 0 to 101; 0 is everyone's.
@@ -64,8 +56,3 @@ def pytest_collection_modifyitems(config, items):
     if slow:
         config.hook.pytest_deselected(items=slow)
         items[:] = [item for item in items if item not in slow]
-
-
-def pytest_unconfigure():
-    for directory in _throwaway:
-        shutil.rmtree(directory, ignore_errors=True)

@@ -23,8 +23,9 @@ import subprocess
 import sys
 import warnings
 
-from closedloop_dynamics.cli import COMMANDS, main
-from closedloop_dynamics.simulation import Simulation
+from closedloop_dynamics.cli import main
+from closedloop_dynamics.cli.commands import COMMANDS
+from closedloop_dynamics.simulation.simulation import Simulation
 import pytest
 
 PROGRAM = (sys.executable, '-m', 'closedloop_dynamics.cli')
@@ -60,9 +61,42 @@ def test_help_teaches_every_command(capsys):
 
 
 def test_check_prints_the_description(capsys):
-    code, text, errors = call(capsys, 'check', 'three_rrr')
-    assert (code, errors) == (0, '')
+    code, text, _ = call(capsys, 'check', 'three_rrr')
+    assert code == 0
     assert text.startswith('Scene three_rrr') and 'elimination order' in text
+
+
+START = """mechanism: four_bar
+initial:
+  position: {crank_joint: %s, coupler_joint: -0.5713, rocker_joint: %s}
+  hold: [crank_joint, rocker_joint]
+"""
+
+
+def test_check_assembles_as_simulate_does(capsys, tmp_path):
+    scene = tmp_path / 'scene.yaml'
+    scene.write_text(START % ('1.0472', '0.0'))
+    code, text, refused = call(capsys, 'check', scene)
+    refused = refused.splitlines()[-1]
+    assert code == 2 and text.startswith('Scene scene')
+    assert 'cannot be assembled' in refused and 'has only 1 degree of freedom' in refused
+    code, _, errors = call(capsys, 'simulate', scene)
+    assert code == 2
+    assert errors.splitlines()[-1] == refused.replace('loop check', 'loop simulate')
+
+
+def test_a_start_that_may_not_be_meant_is_told_by_check_and_simulate(capsys, tmp_path):
+    scene = tmp_path / 'scene.yaml'
+    scene.write_text((START % ('7.33', '3.0')).replace(', rocker_joint]', ']'))
+    code, text, told = call(capsys, 'check', scene)
+    assert code == 0 and 'closed position' in text
+    assert 'beyond 2 pi: crank_joint = 7.33' in told and 'rocker_joint moved from 3 to 1.7' in told
+    code, _, simulated = call(capsys, 'simulate', scene, '--duration', '0.01')
+    assert code == 0
+    warned = [line for line in told.splitlines() if line.startswith('closedloop')]
+    assert len(warned) == 2
+    for line in warned:
+        assert line.replace('loop check', 'loop simulate') in simulated
 
 
 @pytest.mark.parametrize('arguments, words', [
@@ -109,11 +143,13 @@ def test_columns_and_digits_of_the_output(capsys, tmp_path):
     assert (code, errors) == (0, '')
     joints = [f'theta_{i}' for i in range(1, 8)]
     data = read(output)
+    points = ('platform_center', 'corner_1', 'corner_2', 'corner_3')
     assert list(data) == [
         'time', *(f'{quantity}.{joint}'
                   for quantity in ('position', 'velocity', 'acceleration', 'effort')
                   for joint in joints),
-        'force.cut_1.x', 'force.cut_1.y', 'force.cut_2.x', 'force.cut_2.y', 'closure', 'energy']
+        'force.cut_1.x', 'force.cut_1.y', 'force.cut_2.x', 'force.cut_2.y',
+        *(f'point.{point}.{axis}' for point in points for axis in 'xy'), 'closure', 'energy']
     assert data['time'] == [k / 50 for k in range(6)]
     assert set(data['effort.theta_1']) == {5.0} and set(data['effort.theta_7']) == {-2.5}
     assert max(data['closure']) < 1e-10
@@ -127,8 +163,23 @@ def test_columns_and_digits_of_the_output(capsys, tmp_path):
         assert [[0.0, data[f'force.{cut}.x'][k], data[f'force.{cut}.y'][k]]
                 for cut in ('cut_1', 'cut_2')] == simulation.constraint_forces.tolist()
         assert data['energy'][k] == simulation.energy
-    assert f'{output}: 6 rows of 35 columns' in text
+    assert f'{output}: 6 rows of 43 columns' in text
     assert 'simulated 0.1 s' in text and 'CPU time' in text and 'energy' in text
+
+
+def test_forces_of_all_joints_are_written_by_name(capsys, tmp_path):
+    output = tmp_path / 'run.csv'
+    assert call(capsys, 'simulate', 'four_bar', '--duration', '0.1', '--rate', '20',
+                '--forces', 'all', '--output', output)[0] == 0
+    data = read(output)
+    simulation = Simulation.from_scene('four_bar')
+    for k in range(3):
+        simulation.step(None, 0.05 if k else 0.0)
+        for joint in simulation.joint_names:
+            assert [data[f'force.{joint}.{part}'][k] for part in ('torque', 'x', 'y')] == (
+                simulation.force(joint).tolist())
+        assert [data[f'point.coupler_point.{axis}'][k] for axis in 'xy'] == (
+            simulation.point('coupler_point').tolist())
 
 
 def test_warnings_are_told_in_one_line(capsys, monkeypatch):
@@ -146,18 +197,19 @@ def test_warnings_are_told_in_one_line(capsys, monkeypatch):
     (('--step-size', '0.5'), 'in steps of 0.01 s, from row to row, instead of 0.5 s ('),
     (('--step-size', '0.004'), 'in steps of at most 0.004 s (')])
 def test_simulate_tells_the_steps_that_were_made(capsys, options, told):
-    code, text, _ = call(capsys, 'simulate', 'four_bar', '--duration', '0.02', *options)
+    code, text, _ = call(capsys, 'simulate', 'four_bar', '--duration', '0.02', '--integrator',
+                         'rk4', *options)
     assert code == 0
     assert told in text
 
 
 @pytest.mark.parametrize('options', [
     ('--integrator', 'semi_implicit_euler', '--stabilisation', 'none'),
-    ('--formulation', 'augmented', '--stabilisation', 'baumgarte')])
+    ('--integrator', 'rk4', '--formulation', 'augmented', '--stabilisation', 'baumgarte')])
 def test_method_options_replace_those_of_the_scene(capsys, options):
     code, text, _ = call(capsys, 'simulate', 'four_bar', '--duration', '0.01', *options)
     assert code == 0
-    assert options[1] in text and options[3] in text
+    assert all(value in text for value in options[1::2])
 
 
 def test_rows_go_to_the_standard_output_and_the_summary_does_not(capsys):

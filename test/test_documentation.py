@@ -27,17 +27,16 @@ is a comment with the file's name. A comment before a block says how it is run:
 """
 
 from dataclasses import dataclass
-import os
 from pathlib import Path
 import re
 import runpy
 import shlex
 import signal
 from test.ros.domains import reserve_domain
-from test.ros.processes import EXECUTABLES, Process
 import time
 
 from closedloop_dynamics.cli import main
+from closedloop_dynamics.ros.programs import FUNCTIONS, Program
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -163,16 +162,14 @@ def test_nodes_run_together_as_the_page_says(block, scratch, capsys):
     write_files(block.page, scratch)
     started = []
     with reserve_domain() as domain:
-        environment = {
-            **os.environ, 'PYTHONPATH': str(ROOT), 'PYTHONUNBUFFERED': '1',
-            'ROS_DOMAIN_ID': str(domain), 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
-            'RCUTILS_COLORIZED_OUTPUT': '0', 'ROS_LOG_DIR': str(scratch / 'log')}
+        environment = {'ROS_DOMAIN_ID': str(domain), 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
+                       'ROS_LOG_DIR': str(scratch / 'log')}
         try:
             for command, _ in block.commands:
                 command = command.removeprefix('ros2 run closedloop_dynamics ')
                 executable, *arguments = shlex.split(command)
-                assert executable in EXECUTABLES
-                started.append(Process(executable, arguments, scratch / f'{executable}.log',
+                assert executable in FUNCTIONS
+                started.append(Program(executable, arguments, scratch / f'{executable}.log',
                                        environment, scratch))
             for process in started:
                 process.wait_until_ready()
@@ -225,3 +222,9 @@ def test_folders_that_the_readme_names_exist():
     readme = (ROOT / 'README.md').read_text()
     folders = re.findall(r'`(config/\w+/)`', readme)
     assert folders and all((ROOT / folder).is_dir() for folder in folders)
+
+
+def test_keys_of_scenes_are_those_that_the_code_reads():
+    written = runpy.run_path(str(ROOT / 'doc' / 'make_scene_keys.py'))
+    assert (ROOT / 'doc' / 'scene_keys.md').read_text() == written['page'](), (
+        'python doc/make_scene_keys.py writes the page anew')

@@ -14,19 +14,20 @@
 
 """A running simulation knows its cost and its error, and moves no differently for it."""
 
+from dataclasses import replace
 import math
 
-from closedloop_dynamics.monitor import FIRST_SAMPLE
-from closedloop_dynamics.simulation import Simulation
+from closedloop_dynamics.simulation.monitor import FIRST_SAMPLE
+from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest
 
 
 @pytest.mark.parametrize('method', [
     {'integrator': 'rk4'}, {'integrator': 'dop853'}, {'stabilisation': 'independent'}])
-def test_motion_is_the_same_without_a_monitor(method):
+def test_motion_is_the_same_without_samples_of_the_error(method):
     watched, alone = (Simulation.from_scene('three_rrr', **method) for _ in range(2))
-    alone._driver = alone._driver.driver
+    alone.monitor.sampling = False
     tau = watched.joint_torques({'theta_1': 5.0})
     for steps in (1, 7, 300, 25):
         watched.advance(tau, steps)
@@ -36,7 +37,7 @@ def test_motion_is_the_same_without_a_monitor(method):
 
 
 def test_cost_is_counted_from_the_reset():
-    simulation = Simulation.from_scene('four_bar')
+    simulation = Simulation.from_scene('four_bar', integrator='rk4')
     simulation.warm_up()
     assert simulation.report().steps == 0 and math.isnan(simulation.report().share)
     simulation.step(duration=0.5)
@@ -50,7 +51,9 @@ def test_cost_is_counted_from_the_reset():
 
 
 def test_local_error_of_fixed_steps_is_that_of_a_step():
-    coarse, fine = (Simulation.from_scene('four_bar', step_size=size) for size in (1e-2, 1e-5))
+    coarse, fine = (
+        Simulation.from_scene('four_bar', integrator='rk4', step_size=size)
+        for size in (1e-2, 1e-5))
     coarse.step(duration=FIRST_SAMPLE * 1e-2)
     start = coarse.position, coarse.velocity
     fine.set_state(*start)
@@ -80,7 +83,7 @@ def test_energy_error_includes_the_work_of_torques():
 
 
 def test_report_reads_well():
-    simulation = Simulation.from_scene('four_bar')
+    simulation = Simulation.from_scene('four_bar', integrator='rk4')
     simulation.step(duration=0.1)
     text = str(simulation.report())
     for word in ('us per step', '% of real time', 'rk4', 'local error', 'closure', 'energy'):
@@ -88,3 +91,10 @@ def test_report_reads_well():
     other = Simulation.from_scene('four_bar', integrator='scipy_dop853')
     other.step(duration=0.01)
     assert 'unknown' in str(other.report())
+
+
+@pytest.mark.parametrize('error, said', [(1.27, '1.3 J too much'), (-1.27, '1.3 J too little'),
+                                         (math.nan, 'unknown J')])
+def test_report_says_which_way_the_energy_is_off(error, said):
+    report = replace(Simulation.from_scene('four_bar').report(), energy_error=error)
+    assert said in str(report)

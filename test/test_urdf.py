@@ -15,15 +15,15 @@
 """The URDF says what the mechanism is, and puts the bodies where the simulation puts them."""
 
 import math
-from test.studies.test_drawing import EVERYTHING
+from test.visual.test_drawing import EVERYTHING
 from xml.etree import ElementTree
 
 from closedloop_dynamics.cli import main
 from closedloop_dynamics.config import shipped_names, shipped_path
 from closedloop_dynamics.mechanism.reader import read_mechanism
-from closedloop_dynamics.simulation import Simulation
-from closedloop_dynamics.studies.motion import body_poses
+from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.urdf import urdf
+from closedloop_dynamics.visual.motion import body_poses
 import numpy as np
 import pytest
 
@@ -183,3 +183,19 @@ def test_an_independent_reader_agrees(scene, tmp_path):
         expected = transform(rotation((0, 0, 1), angle), (x, y, 0.0))
         np.testing.assert_allclose(
             robot.get_transform(body.name, 'world'), expected, atol=1e-9)
+
+
+def test_actuated_joints_can_be_controlled_by_topics():
+    simulation = Simulation.from_scene('three_rrr')
+    robot = ElementTree.fromstring(urdf(simulation.mechanism, '/left/joint_command'))
+    control = robot.find('ros2_control')
+    assert control.get('type') == 'system'
+    assert {param.get('name'): param.text for param in control.iter('param')} == {
+        'joint_commands_topic': '/left/joint_command', 'joint_states_topic': 'joint_states',
+        'trigger_joint_command_threshold': '-1'}
+    joints = control.findall('joint')
+    assert tuple(joint.get('name') for joint in joints) == tuple(simulation.actuated_joints)
+    for joint in joints:
+        assert [one.get('name') for one in joint.findall('command_interface')] == ['effort']
+        assert [one.get('name') for one in joint.findall('state_interface')] == [
+            'position', 'velocity', 'effort']

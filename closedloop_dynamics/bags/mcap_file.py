@@ -13,50 +13,48 @@
 # limitations under the License.
 
 """
-An MCAP file (mcap.dev, version 0) written so that an end at any moment costs little.
+MCAP files (mcap.dev, version 0): an end at any moment costs little, and so does damage.
 
-Messages are collected in a chunk, which goes to the file whole, unbuffered, when it
-is large or when ``flush()`` is called. A file that was not finished lacks its index and
-perhaps a part of its last chunk; ``salvage`` reads the rest. Where the disk is full, what
-does not fit is cut off and the file is finished with what does.
+``mcap`` writes. Messages are collected in a chunk, which goes to the file when it is large or
+when ``flush()`` is called, whole and with its index, or not at all. Reading needs no index of the
+file: chunks are checked by their checksums, and behind a damaged one the next one is looked for.
 
 """
 
-from dataclasses import dataclass, field
+from collections import Counter
+from dataclasses import replace
+from io import BytesIO
+import mmap
 import os
+import re
 import struct
-import zlib
 
-MAGIC = b'\x89MCAP0\r\n'
-(HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX, STATISTICS,
- METADATA, METADATA_INDEX, SUMMARY_OFFSET, DATA_END) = (
-    1, 2, 3, 4, 5, 6, 7, 8, 0x0b, 0x0c, 0x0d, 0x0e, 0x0f)
+from lz4.frame import LZ4FrameDecompressor
+from mcap import records
+from mcap.data_stream import ReadDataStream
+from mcap.opcode import Opcode
+from mcap.reader import make_reader
+from mcap.stream_reader import breakup_chunk
+from mcap.writer import CompressionType, MCAP0_MAGIC, Writer
+import zstandard
+
+from .contents import Damage, Serialised, Topic
+
+COMPRESSIONS = {'none': CompressionType.NONE, 'zstd': CompressionType.ZSTD,
+                'lz4': CompressionType.LZ4}
+PROFILES = 'offered_qos_profiles'
 # A chunk goes to the file when it has become larger [bytes].
-CHUNK_SIZE = 768 * 1024
-MESSAGE_HEAD = struct.Struct('<BQHIQQ')
-BEGIN_OF_TIME, END_OF_TIME = 0, 2 ** 63 - 1
-
-
-@dataclass
-class Chunk:
-    """Messages that go to the file together."""
-
-    content: bytearray = field(default_factory=bytearray)
-    # Times and places of the messages, by channel.
-    index: dict = field(default_factory=dict)
-    start: int = END_OF_TIME
-    end: int = BEGIN_OF_TIME
-
-
-@dataclass(frozen=True)
-class Written:
-    """What is kept of a chunk that is in the file."""
-
-    offset: int
-    summary: bytes
-    counts: dict
-    start: int
-    end: int
+CHUNK_SIZE = 256 * 1024
+# In place of unpacking more, a chunk counts as damaged [bytes].
+LARGEST_CHUNK = 2 ** 31
+# Records outside chunks, by their code.
+KINDS = {
+    Opcode.HEADER: records.Header, Opcode.SCHEMA: records.Schema, Opcode.CHANNEL: records.Channel,
+    Opcode.MESSAGE: records.Message, Opcode.CHUNK: records.Chunk,
+    Opcode.MESSAGE_INDEX: records.MessageIndex, Opcode.ATTACHMENT: records.Attachment,
+    Opcode.METADATA: records.Metadata, Opcode.DATA_END: records.DataEnd}
+# Code and size of a chunk of less than a terabyte.
+CHUNK_HEAD = re.compile(b'\x06.{5}\0\0\0', re.DOTALL)
 
 
 class McapFile:
@@ -68,207 +66,303 @@ class McapFile:
     path : pathlib.Path
         Must not exist.
     compression : str
-        ``''``, ``'zstd'`` or ``'lz4'``: of the chunks.
-    compress : callable
-        Compresses bytes in that way.
+        Of the chunks, one of ``COMPRESSIONS``.
+    make_room : callable
+        Called where the disk is full, before a second and last attempt.
+
+    Attributes
+    ----------
+    counts : Counter
+        Messages in the file by channel.
+    span : (int, int)
+        Times of the first and last message in the file [ns].
 
     Raises
     ------
     OSError
-        Here and in every method: the file ends with the last whole chunk then, and can
-        still be finished.
+        Here and in every method: the file ends with a whole chunk then. It can still be
+        finished where there was room for that; otherwise it stays without an index.
 
     """
 
-    def __init__(self, path, compression, compress):
+    def __init__(self, path, compression, make_room):
         self.path = path
-        self._compression, self._compress = compression, compress
-        self._file = open(path, 'xb', buffering=0)
-        self._schemas, self._channels = [], []
-        self._chunks = []
-        self._chunk = Chunk()
-        # Where the next record goes.
-        self._end = 0
-        self._put(MAGIC + _record(HEADER, _text('ros2') + _text('closedloop_dynamics')))
+        self.counts, self.span = Counter(), (0, 0)
+        self._stream = _Stream(path, make_room)
+        self._writer = Writer(self._stream, CHUNK_SIZE, COMPRESSIONS[compression])
+        self._writer.start('ros2', 'closedloop_dynamics')
+        self._stream.flush()
+        self._schemas = {}
+        # Channel and time of the messages that are not yet in the file, and their size.
+        self._waiting, self._size = [], 0
 
     @property
     def size(self):
         """Return the size of the file, with what waits to be written [bytes]."""
-        return self._end + len(self._chunk.content)
+        return self._stream.tell() + self._size
 
-    @property
-    def counts(self):
-        """Return the number of messages in the file by channel."""
-        return _summed(self._chunks)
-
-    @property
-    def span(self):
-        """Return the times of the first and last message in the file [ns]."""
-        return _span(self._chunks)
-
-    def add_channel(self, channel, topic, type_name, definition, profiles):
-        """
-        Make a topic known.
-
-        Parameters
-        ----------
-        channel : int
-            Number of the topic, from 1.
-        topic, type_name, definition : str
-            Full name, ``package/msg/Type``, and the text of its definition.
-        profiles : str
-            Offered qualities of service, as YAML.
-
-        """
-        record = _record(SCHEMA, struct.pack('<H', channel) + _text(type_name)
-                         + _text('ros2msg') + _text(definition))
-        self._schemas.append(record)
-        self._chunk.content += record
-        record = _record(CHANNEL, struct.pack('<HH', channel, channel) + _text(topic)
-                         + _text('cdr') + _sized(_text('offered_qos_profiles') + _text(profiles)))
-        self._channels.append(record)
-        self._chunk.content += record
+    def add_channel(self, channel, topic):
+        """Make a topic known; channels are numbered from 1, in this order."""
+        if topic.type not in self._schemas:
+            self._schemas[topic.type] = self._writer.register_schema(
+                topic.type, 'ros2msg', topic.definition.encode())
+        self._writer.register_channel(
+            topic.name, 'cdr', self._schemas[topic.type], {PROFILES: topic.profiles})
 
     def write(self, channel, nanoseconds, data):
         """Put a message into the present chunk; write that if it has become large."""
-        chunk = self._chunk
-        chunk.index.setdefault(channel, []).append((nanoseconds, len(chunk.content)))
-        chunk.start, chunk.end = min(chunk.start, nanoseconds), max(chunk.end, nanoseconds)
-        chunk.content += MESSAGE_HEAD.pack(
-            MESSAGE, 22 + len(data), channel, 0, nanoseconds, nanoseconds)
-        chunk.content += data
-        if len(chunk.content) > CHUNK_SIZE:
+        self._writer.add_message(channel, nanoseconds, data, nanoseconds)
+        self._waiting.append((channel, nanoseconds))
+        self._size += len(data)
+        if self._stream.waits:
             self.flush()
 
     def flush(self):
         """Write the present chunk, if there is anything in it."""
-        chunk, self._chunk = self._chunk, Chunk()
-        if not chunk.content:
-            return
-        content = bytes(chunk.content)
-        packed = self._compress(content)
-        start = chunk.start if chunk.index else 0
-        times = struct.pack('<QQ', start, chunk.end)
-        kind = _text(self._compression)
-        record = _record(CHUNK, times + struct.pack('<QI', len(content), zlib.crc32(content))
-                         + kind + struct.pack('<Q', len(packed)) + packed)
-        offset, places, indices = self._end + len(record), [], b''
-        for channel, entries in chunk.index.items():
-            places.append((channel, offset + len(indices)))
-            indices += _record(MESSAGE_INDEX, struct.pack('<H', channel) + _sized(
-                b''.join(struct.pack('<QQ', *entry) for entry in entries)))
-        summary = _record(
-            CHUNK_INDEX, times + struct.pack('<QQ', self._end, len(record)) + _sized(
-                b''.join(struct.pack('<HQ', *place) for place in places))
-            + struct.pack('<Q', len(indices)) + kind
-            + struct.pack('<QQ', len(packed), len(content)))
-        written = Written(self._end, summary, {
-            channel: len(entries) for channel, entries in chunk.index.items()}, start, chunk.end)
-        self._put(record + indices)
-        self._chunks.append(written)
+        self._writer.flush()
+        if self._waiting:
+            channels, times = zip(*self._waiting)
+            known = self.span if self.counts else ()
+            self.counts.update(channels)
+            self.span = min(*known, *times, times[0]), max(*known, *times, times[0])
+            self._waiting, self._size = [], 0
+        if self._stream.failure is not None:
+            raise self._stream.failure
 
     def finish(self, metadata):
         """
-        Write what waits, then the index; leave out the last chunks where it does not fit.
+        Write what waits, then the index.
 
         Parameters
         ----------
         metadata : callable
             Returns the text of the bag's metadata, from what is in the file by then.
 
-        Raises
-        ------
-        OSError
-            Where a part of what was written before did not fit, or not even the index alone.
-
         """
         try:
-            failure = None
+            if self._stream.broken:
+                raise self._stream.failure
+            failed = self._stream.failure
             try:
                 self.flush()
             except OSError as error:
-                failure = error
-            while True:
-                try:
-                    self._put(self._summary(metadata()))
-                    break
-                except OSError as error:
-                    failure = failure or error
-                    if not self._chunks:
-                        raise
-                    self._end = self._chunks.pop().offset
-                    self._cut()
-            if failure is not None:
-                raise failure
+                failed = error
+                if self._stream.broken:
+                    raise
+            self._writer.add_metadata('rosbag2', {'serialized_metadata': metadata()})
+            self._writer.finish()
+            self._stream.flush()
+            if failed or self._stream.failure:
+                raise failed or self._stream.failure
         finally:
-            self._file.close()
+            self._stream.close()
 
-    def abandon(self):
-        """Close the file as it is."""
+
+class _Stream:
+    """What ``mcap`` writes to: what comes between two flushes goes to the file whole."""
+
+    def __init__(self, path, make_room):
+        self._file = open(path, 'xb', buffering=0)
+        self._make_room = make_room
+        self._end, self._buffer = 0, bytearray()
+        # The first error; whether there was no room even after room was made.
+        self.failure, self.broken = None, False
+
+    @property
+    def waits(self):
+        return bool(self._buffer)
+
+    def write(self, data):
+        self._buffer += data
+
+    def tell(self):
+        return self._end + len(self._buffer)
+
+    def flush(self):
+        try:
+            self._put()
+        except OSError as error:
+            self.failure = self.failure or error
+            self._make_room()
+            try:
+                self._put()
+            except OSError:
+                self.broken = True
+                raise
+
+    def close(self):
         self._file.close()
 
-    def _summary(self, metadata):
-        """Return everything behind the last chunk."""
-        record = _record(METADATA, _text('rosbag2') + _sized(
-            _text('serialized_metadata') + _text(metadata)))
-        data = record + _record(DATA_END, struct.pack('<I', 0))
-        start = self._end + len(data)
-        counts, (first, last) = _summed(self._chunks), _span(self._chunks)
-        groups = (
-            (SCHEMA, b''.join(self._schemas)), (CHANNEL, b''.join(self._channels)),
-            (CHUNK_INDEX, b''.join(chunk.summary for chunk in self._chunks)),
-            (METADATA_INDEX, _record(METADATA_INDEX, struct.pack(
-                '<QQ', self._end, len(record)) + _text('rosbag2'))),
-            (STATISTICS, _record(STATISTICS, struct.pack(
-                '<QHIIIIQQ', sum(counts.values()), len(self._schemas), len(self._channels), 0, 1,
-                len(self._chunks), first, last) + _sized(b''.join(
-                    struct.pack('<HQ', *count) for count in sorted(counts.items()))))))
-        summary, offsets = b'', b''
-        for code, records in groups:
-            if records:
-                offsets += _record(SUMMARY_OFFSET, struct.pack(
-                    '<BQQ', code, start + len(summary), len(records)))
-                summary += records
-        footer = _record(FOOTER, struct.pack('<QQI', start, start + len(summary), 0))
-        return data + summary + offsets + footer + MAGIC
-
-    def _put(self, data):
-        """Write all of it, or leave the file as it was."""
-        left = memoryview(data)
+    def _put(self):
+        """Write all that waits, or leave the file as it was."""
+        left = memoryview(self._buffer)
         try:
             while left:
                 left = left[self._file.write(left):]
         except OSError:
-            self._cut()
+            os.ftruncate(self._file.fileno(), self._end)
+            self._file.seek(self._end)
             raise
-        self._end += len(data)
-
-    def _cut(self):
-        os.ftruncate(self._file.fileno(), self._end)
-        self._file.seek(self._end)
+        self._end += len(self._buffer)
+        self._buffer = bytearray()
 
 
-def _record(code, content):
-    return struct.pack('<BQ', code, len(content)) + content
+def has_end(path):
+    """Return whether an MCAP file ends as a finished one does."""
+    with open(path, 'rb') as file:
+        size = file.seek(0, os.SEEK_END)
+        file.seek(max(0, size - len(MCAP0_MAGIC)))
+        return size > len(MCAP0_MAGIC) and file.read() == MCAP0_MAGIC
 
 
-def _text(text):
-    return _sized(text.encode())
+def read_mcap(path, name, damages, finished):
+    """
+    Yield the sound messages of an MCAP file, in the order of the file.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        Of the file.
+    name : str
+        Of the file, to be told.
+    damages : list of Damage
+        Is appended to.
+    finished : bool
+        Whether the recording came to its end, so that the file should.
+
+    Yields
+    ------
+    Serialised
+
+    """
+    with open(path, 'rb') as file:
+        if not os.fstat(file.fileno()).st_size:
+            if finished:
+                damages.append(Damage(name, 'the file is empty'))
+            return
+        schemas, channels = _summary(file)
+        with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+            unknown = 0
+            for record in _records(data, name, damages, finished):
+                if isinstance(record, records.Schema):
+                    schemas[record.id] = record
+                elif isinstance(record, records.Channel):
+                    channels[record.id] = _topic(record, schemas)
+                elif isinstance(record, records.Message):
+                    if record.channel_id in channels:
+                        yield Serialised(channels[record.channel_id], record.log_time, record.data)
+                    else:
+                        unknown += 1
+            if unknown:
+                damages.append(Damage(name, 'the topics of messages are unknown', unknown))
 
 
-def _sized(data):
-    return struct.pack('<I', len(data)) + data
+def _summary(file):
+    """Return schemas and topics by number as the index of a finished file has them."""
+    try:
+        summary = make_reader(file).get_summary()
+        return dict(summary.schemas), {
+            number: _topic(channel, summary.schemas)
+            for number, channel in summary.channels.items()}
+    except Exception:
+        # There is none, or it is damaged: the chunks have them, too.
+        return {}, {}
 
 
-def _summed(chunks):
-    counts = {}
-    for chunk in chunks:
-        for channel, count in chunk.counts.items():
-            counts[channel] = counts.get(channel, 0) + count
-    return counts
+def _topic(channel, schemas):
+    schema = schemas.get(channel.schema_id)
+    if schema is None:
+        return Topic(channel.topic, '', '')
+    return Topic(channel.topic, schema.name, schema.data.decode(errors='replace'),
+                 channel.metadata.get(PROFILES, ''))
 
 
-def _span(chunks):
-    chunks = [chunk for chunk in chunks if chunk.counts]
-    return (min((chunk.start for chunk in chunks), default=0),
-            max((chunk.end for chunk in chunks), default=0))
+def _records(data, name, damages, finished):
+    """Yield the sound records of a file, from inside chunks and outside."""
+    place = behind = len(MCAP0_MAGIC)
+    if data[:place] != MCAP0_MAGIC:
+        damages.append(Damage(name, 'it does not begin as an MCAP file does', 0))
+    # A damaged chunk whose messages the index behind it still counts.
+    counted = None
+    while place < len(data):
+        record, end = _record(data, place)
+        if isinstance(record, records.DataEnd):
+            return
+        content = _content(record)
+        if content is not None:
+            if isinstance(record, records.Chunk):
+                behind, counted = end, None
+            elif isinstance(record, records.MessageIndex) and counted is not None:
+                counted.lost = (counted.lost or 0) + len(record.records)
+            yield from content
+            place = end
+        elif record is not None and _record(data, end)[0] is not None:
+            counted = Damage(f'{name}, byte {place}', 'a chunk is damaged')
+            damages.append(counted)
+            place = end
+        else:
+            found = _next_chunk(data, behind)
+            if found is None and not finished and data[place] == Opcode.MESSAGE_INDEX:
+                # It was cut short behind the last messages.
+                return
+            damages.append(Damage(f'{name}, byte {place}', (
+                f'the last {len(data) - place} bytes are no whole chunk' if found is None
+                else f'no sound record up to byte {found}')))
+            if found is None:
+                return
+            place, counted = found, None
+    if finished:
+        damages.append(Damage(name, 'the end of the file is missing'))
+
+
+def _record(data, place):
+    """Return the record at a place and where it ends; None where there is no sound one."""
+    if place + 9 > len(data):
+        return None, place
+    code, size = struct.unpack_from('<BQ', data, place)
+    end = place + 9 + size
+    if code not in KINDS or end > len(data):
+        return None, place
+    stream = ReadDataStream(BytesIO(data[place + 9:end]))
+    try:
+        record = (records.Message.read(stream, size) if code == Opcode.MESSAGE
+                  else KINDS[code].read(stream))
+    except Exception:
+        # Whatever garbage makes the parser raise.
+        return None, place
+    return (record, end) if stream.count == size else (None, place)
+
+
+def _content(record):
+    """Return the records in a chunk, or another record alone; None where it is damaged."""
+    if not isinstance(record, records.Chunk):
+        return None if record is None else [record]
+    try:
+        content = decompressed(record.data, record.compression, record.uncompressed_size)
+        if len(content) != record.uncompressed_size:
+            return None
+        return breakup_chunk(replace(record, compression='', data=content), validate_crc=True)
+    except Exception:
+        # Each library has errors of its own for data that is not what it should be.
+        return None
+
+
+def _next_chunk(data, behind):
+    """Return where the next sound chunk begins behind the last one; None where there is none."""
+    for match in CHUNK_HEAD.finditer(data, behind):
+        if _content(_record(data, match.start())[0]) is not None:
+            return match.start()
+    return None
+
+
+def decompressed(data, kind, size):
+    """Return data of a known size that was compressed by ``'zstd'``, ``'lz4'`` or not (``''``)."""
+    if size > LARGEST_CHUNK:
+        raise ValueError(size)
+    if kind == 'zstd':
+        return zstandard.ZstdDecompressor().stream_reader(data).read(size + 1)
+    if kind == 'lz4':
+        return LZ4FrameDecompressor().decompress(data, size + 1)
+    if kind:
+        raise ValueError(kind)
+    return data

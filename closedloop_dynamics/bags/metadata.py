@@ -14,9 +14,14 @@
 
 """The file ``metadata.yaml`` of a rosbag2 bag, format version 9."""
 
-import json
+from io import StringIO
 import os
 
+from rosbags.rosbag2.metadata import dump_qos_v9, parse_qos
+from ruamel.yaml import YAML
+
+METADATA_FILE = 'metadata.yaml'
+ROOT = 'rosbag2_bagfile_information'
 FORMAT_VERSION = 9
 DEFAULT_DISTRIBUTION = 'jazzy'
 
@@ -36,8 +41,8 @@ def metadata(storage, compression, topics, files):
         ``'mcap'`` or ``'sqlite3'``.
     compression : str
         Of every single message: ``''`` or ``'zstd'``.
-    topics : sequence of (str, str, str, list, int)
-        Name, type, digest of the type, offered qualities of service, messages.
+    topics : sequence of (Topic, int)
+        With the number of their messages.
     files : sequence of (str, int, int, int)
         Name, first and last time [ns], messages.
 
@@ -57,10 +62,11 @@ def metadata(storage, compression, topics, files):
         'message_count': sum(count for *_, count in files),
         'topics_with_message_count': [{
             'topic_metadata': {
-                'name': name, 'type': kind, 'serialization_format': 'cdr',
-                'offered_qos_profiles': profiles, 'type_description_hash': digest},
+                'name': topic.name, 'type': topic.type, 'serialization_format': 'cdr',
+                'offered_qos_profiles': load(topic.profiles) or [],
+                'type_description_hash': topic.digest},
             'message_count': count,
-        } for name, kind, digest, profiles, count in topics],
+        } for topic, count in topics],
         'compression_format': compression,
         'compression_mode': 'message' if compression else '',
         'relative_file_paths': [name for name, *_ in files],
@@ -75,35 +81,24 @@ def metadata(storage, compression, topics, files):
     }
 
 
-def as_yaml(value, indent=''):
-    """
-    Write mappings, lists, text, numbers, truth values and None as YAML.
-
-    Parameters
-    ----------
-    value : object
-        What to write.
-    indent : str
-        In front of every line.
-
-    Returns
-    -------
-    str
-        Without a final newline.
-
-    """
-    deeper = indent + '  '
-    if isinstance(value, dict) and value:
-        return '\n'.join(f'{indent}{key}:' + _beside(item, deeper) for key, item in value.items())
-    if isinstance(value, list) and value:
-        return '\n'.join(f'{indent}-' + _beside(item, deeper, first=deeper) for item in value)
-    # Scalars and empty collections of JSON are those of YAML.
-    return indent + json.dumps(value, ensure_ascii=False)
+def normalised(profiles):
+    """Return offered qualities of service of any format version, YAML, in the present one."""
+    try:
+        return dump(dump_qos_v9(parse_qos(profiles)))
+    except Exception:
+        # Whatever garbage makes the parser raise: nothing is known then.
+        return ''
 
 
-def _beside(value, indent, first=None):
-    """Return a value to be written behind a key or a dash."""
-    text = as_yaml(value, indent)
-    if not isinstance(value, (dict, list)) or not value:
-        return ' ' + text[len(indent):]
-    return ' ' + text[len(first):] if first is not None else '\n' + text
+def load(text):
+    """Return what a YAML text says."""
+    return YAML(typ='safe', pure=True).load(text)
+
+
+def dump(value):
+    """Return mappings, lists and scalars as YAML, without a final newline."""
+    yaml, text = YAML(typ='safe', pure=True), StringIO()
+    yaml.default_flow_style = False
+    yaml.sort_base_mapping_type_on_output = False
+    yaml.dump(value, text)
+    return text.getvalue().removesuffix('\n').removesuffix('\n...')

@@ -12,29 +12,35 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Make a whole bag of one whose recording was cut short."""
+"""Make a whole bag of one that was cut short or damaged."""
+
+from dataclasses import replace
 
 from rosbags.typesys import get_typestore, Stores
 
+from .contents import Damage
+from .metadata import normalised
 from .reading import Bag, define
 from .writer import BagFiles
 
 
 def recover(path, output):
     """
-    Copy whatever can be read of a bag into a new one, with index and metadata.
+    Copy whatever is sound in a bag into a new one, with index and metadata.
 
     Parameters
     ----------
     path : pathlib.Path
-        The bag that was cut short, or one of its files.
+        The bag, or one of its files.
     output : pathlib.Path
         Directory of the new bag, MCAP; must not exist.
 
     Returns
     -------
-    dict of str to int
-        Messages by topic.
+    counts : dict of str to int
+        Messages copied by topic.
+    bag : Bag
+        The old one, with its ``damages``.
 
     Raises
     ------
@@ -50,10 +56,21 @@ def recover(path, output):
         for message in bag.serialised():
             topic = message.topic
             if topic not in channels:
-                define(store, topic)
-                channels[topic] = files.add_topic(
-                    topic.name, topic.type, topic.definition, store.hash_rihs01(topic.type), [])
+                channels[topic] = files.add_topic(replace(
+                    topic, digest=_digest(store, topic, bag.damages),
+                    profiles=normalised(topic.profiles)))
             files.write(channels[topic], message.time, message.data)
     finally:
         files.close()
-    return files.counts
+    return files.counts, bag
+
+
+def _digest(store, topic, damages):
+    """Return the hash of a topic's type; none where its definition cannot be read."""
+    try:
+        return define(store, topic)
+    except Exception as error:
+        # Whatever garbage makes the parser raise.
+        damages.append(Damage(topic.name, f'the definition of {topic.type} cannot be read '
+                              f'({" ".join(str(error).split())})', 0))
+        return ''

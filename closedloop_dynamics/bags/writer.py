@@ -14,20 +14,21 @@
 
 """A rosbag2 bag being written: files of a limited size, their metadata, and full disks."""
 
+from collections import Counter
 from contextlib import suppress
 import os
 from pathlib import Path
 
-from .mcap_file import McapFile
-from .metadata import as_yaml, distribution, metadata
+from . import mcap_file, sqlite_file
+from .mcap_file import CHUNK_SIZE, McapFile
+from .metadata import distribution, dump, metadata, METADATA_FILE, ROOT
 from .sqlite_file import SqliteFile
 
 SUFFIXES = {'mcap': '.mcap', 'sqlite3': '.db3'}
 # What each storage can be compressed with.
-COMPRESSIONS = {'mcap': ('none', 'zstd', 'lz4'), 'sqlite3': ('none', 'zstd')}
-METADATA_FILE = 'metadata.yaml'
-# Kept free for the metadata, should the disk be full [bytes].
-RESERVE_FILE, RESERVE = '.reserve', 64 * 1024
+COMPRESSIONS = {'mcap': tuple(mcap_file.COMPRESSIONS), 'sqlite3': sqlite_file.COMPRESSIONS}
+# Kept free for the last chunk, the index and the metadata, should the disk be full [bytes].
+RESERVE_FILE, RESERVE = '.reserve', 4 * CHUNK_SIZE
 
 
 class BagFiles:
@@ -54,31 +55,30 @@ class BagFiles:
 
     def __init__(self, path, storage, compression='none', max_size=0.0):
         self.path = Path(path)
-        self._storage, self._max_size = storage, max_size
-        self._compression = '' if compression == 'none' else compression
-        self._compress = compressor(compression)
+        self._storage, self._compression, self._max_size = storage, compression, max_size
         self._topics = []
+        # Name, channels' counts and span of the files that were finished.
         self._ended = []
         self.path.mkdir(parents=True)
-        self._reserve()
+        with suppress(OSError), open(self.path / RESERVE_FILE, 'xb') as file:
+            os.posix_fallocate(file.fileno(), 0, RESERVE)
         self._file = None
         self._open()
 
     @property
     def counts(self):
         """Return the number of messages in the finished files, by topic."""
-        return {topic: sum(counts.values()) for topic, *_, counts in self._topics}
+        counts = sum((file.counts for file in self._ended), Counter())
+        return {topic.name: counts[channel] for channel, topic in enumerate(self._topics, 1)}
 
-    def add_topic(self, topic, type_name, definition, digest, profiles):
+    def add_topic(self, topic):
         """
         Make a topic known.
 
         Parameters
         ----------
-        topic, type_name, definition, digest : str
-            Full name, ``package/msg/Type``, the text of its definition, its hash.
-        profiles : list of dict
-            Offered qualities of service, as in the metadata of a bag.
+        topic : contents.Topic
+            With its definition, and what its publishers offer.
 
         Returns
         -------
@@ -86,8 +86,8 @@ class BagFiles:
             What ``write`` wants to know.
 
         """
-        self._topics.append((topic, type_name, definition, digest, profiles, {}))
-        self._add_channel(len(self._topics))
+        self._topics.append(topic)
+        self._file.add_channel(len(self._topics), topic)
         return len(self._topics)
 
     def write(self, channel, nanoseconds, data):
@@ -105,10 +105,10 @@ class BagFiles:
 
         """
         if self._max_size and self._in_file and self._file.size > self._max_size:
-            self._next_file()
+            self._finish()
+            self._write_metadata()
+            self._open()
         self._in_file = True
-        if self._storage == 'sqlite3' and self._compression:
-            data = self._compress(bytes(data))
         self._file.write(channel, nanoseconds, data)
 
     def flush(self):
@@ -117,86 +117,44 @@ class BagFiles:
 
     def close(self):
         """Finish the files and their metadata."""
-        failure = None
+        self._make_room()
         try:
             self._finish()
-        except OSError as error:
-            failure = error
-        with suppress(OSError):
-            (self.path / RESERVE_FILE).unlink()
-        self._write_metadata()
-        if failure is not None:
-            raise failure
-
-    def _next_file(self):
-        self._finish()
-        self._write_metadata()
-        self._open()
-        for channel in range(1, len(self._topics) + 1):
-            self._add_channel(channel)
+        finally:
+            self._write_metadata()
 
     def _open(self):
         self._in_file = False
         path = self.path / f'{self.path.name}_{len(self._ended)}{SUFFIXES[self._storage]}'
-        if self._storage == 'mcap':
-            self._file = McapFile(path, self._compression, self._compress)
-        else:
-            self._file = SqliteFile(path, distribution())
-
-    def _add_channel(self, channel):
-        topic, type_name, definition, digest, profiles, _ = self._topics[channel - 1]
-        arguments = channel, topic, type_name, definition, as_yaml(profiles)
-        if self._storage == 'sqlite3':
-            arguments += (digest,)
-        self._file.add_channel(*arguments)
+        self._file = (McapFile(path, self._compression, self._make_room)
+                      if self._storage == 'mcap'
+                      else SqliteFile(path, self._compression, distribution()))
+        for channel, topic in enumerate(self._topics, 1):
+            self._file.add_channel(channel, topic)
 
     def _finish(self):
         """Finish the present file, and note what is in it."""
         file, self._file = self._file, None
-        if file is None:
-            return
-        try:
-            file.finish(lambda: as_yaml(self._metadata(file)))
-        finally:
-            for channel, count in file.counts.items():
-                self._topics[channel - 1][-1][file.path] = count
-            self._ended.append((file.path.name, *file.span, sum(file.counts.values())))
-
-    def _metadata(self, file=None):
-        """Return the metadata of the ended files, or of one that is being finished."""
         if file is not None:
-            topics = [(name, kind, digest, profiles, file.counts.get(channel, 0))
-                      for channel, (name, kind, _, digest, profiles, _)
-                      in enumerate(self._topics, 1)]
-            files = [(file.path.name, *file.span, sum(file.counts.values()))]
-        else:
-            topics = [(name, kind, digest, profiles, sum(counts.values()))
-                      for name, kind, _, digest, profiles, counts in self._topics]
-            files = self._ended
-        compression = self._compression if self._storage == 'sqlite3' else ''
-        return metadata(self._storage, compression, topics, files)
+            self._ended.append(file)
+            file.finish(lambda: dump(self._metadata([file])))
+
+    def _metadata(self, files):
+        counts = sum((file.counts for file in files), Counter())
+        compressed = self._storage == 'sqlite3' and self._compression != 'none'
+        return metadata(
+            self._storage, self._compression if compressed else '',
+            [(topic, counts[channel]) for channel, topic in enumerate(self._topics, 1)],
+            [(file.path.name, *file.span, file.counts.total()) for file in files])
 
     def _write_metadata(self):
         """Replace the file at once, so that there is always a whole one."""
-        text = as_yaml({'rosbag2_bagfile_information': self._metadata()})
+        text = dump({ROOT: self._metadata(self._ended)})
         draft = self.path / f'.{METADATA_FILE}'
         draft.write_text(text + '\n', encoding='utf-8')
         draft.replace(self.path / METADATA_FILE)
 
-    def _reserve(self):
-        with suppress(OSError), open(self.path / RESERVE_FILE, 'xb') as file:
-            os.posix_fallocate(file.fileno(), 0, RESERVE)
-
-
-def compressor(name):
-    """Return a function that compresses bytes in one of the ways of ``COMPRESSIONS``."""
-    if name == 'zstd':
-        try:
-            from compression import zstd
-        except ImportError:
-            from backports import zstd
-        return zstd.compress
-    if name == 'lz4':
-        from lz4 import frame
-        return frame.compress
-    return bytes
+    def _make_room(self):
+        """Give back what was kept free."""
+        with suppress(OSError):
+            (self.path / RESERVE_FILE).unlink()

@@ -12,52 +12,15 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The command ``closedloop``: one entry of ``COMMANDS`` for each of its sub-commands."""
-
-import os
-import sys
-import warnings
-
-from . import (
-    accuracy, animate, check, effects, formulations, plot, recover, replay, simulate, stability,
-    sweep, urdf)
-from .command import HelpfulParser, UsageError
-from ..errors import SimulationError
-from ..mechanism.mechanism import MechanismError
-from ..scene import SceneError
-
-COMMANDS = (accuracy.COMMAND, animate.COMMAND, check.COMMAND, effects.COMMAND,
-            formulations.COMMAND, plot.COMMAND, recover.COMMAND, replay.COMMAND, simulate.COMMAND,
-            stability.COMMAND, sweep.COMMAND, urdf.COMMAND)
-
-FAILED, USAGE, INTERRUPTED, BROKEN_PIPE = 1, 2, 130, 141
-DESCRIPTION = """\
-Simulate planar mechanisms with closed kinematic loops.
-
-A mechanism and a scene (a mechanism, its start, what acts on it) are YAML files.
-The shipped ones go by their names; anything else is the path of a file:
-
-  closedloop check three_rrr
-  closedloop simulate three_rrr --duration 2 --torque theta_1=5 --output run.csv
 """
-EPILOG = """\
-Exit codes: 0 done; 1 the simulation failed; 2 a wrong option, scene or mechanism;
-130 interrupted.
+The command ``closedloop``.
+
+It watches for signals before it imports its commands: that takes seconds, and Ctrl-C must not end
+in a traceback there either.
+
 """
 
-
-def parser():
-    """Return the parser of the whole command line."""
-    whole = HelpfulParser(prog='closedloop', description=DESCRIPTION, epilog=EPILOG)
-    commands = whole.add_subparsers(
-        title='commands', metavar='COMMAND', required=True, parser_class=HelpfulParser)
-    for command in COMMANDS:
-        one = commands.add_parser(
-            command.name, help=command.summary, description=command.description,
-            epilog=command.epilog)
-        command.add_arguments(one)
-        one.set_defaults(run=command.run, prog=one.prog)
-    return whole
+from ..signals import program_watch
 
 
 def main(argv=None):
@@ -75,30 +38,13 @@ def main(argv=None):
         Exit code.
 
     """
-    arguments = parser().parse_args(argv)
-    with warnings.catch_warnings():
-        warnings.showwarning = lambda message, *where: _complain(arguments.prog, message, None)
-        return _run(arguments)
+    from .commands import run
+    return run(argv)
 
 
-def _run(arguments):
-    """Run a command; return the exit code."""
-    try:
-        code = arguments.run(arguments)
-        sys.stdout.flush()
-        return code
-    except (SceneError, MechanismError, UsageError) as error:
-        return _complain(arguments.prog, error, USAGE)
-    except BrokenPipeError:
-        # Whoever read the output has enough; what is left goes nowhere when Python ends.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return BROKEN_PIPE
-    except (SimulationError, OSError) as error:
-        return _complain(arguments.prog, error, FAILED)
-    except KeyboardInterrupt:
-        return _complain(arguments.prog, 'interrupted', INTERRUPTED)
-
-
-def _complain(prog, message, code):
-    print(f'{prog}: {message}', file=sys.stderr)
+def program():
+    """Run ``closedloop`` as this process; return its exit code."""
+    program_watch.install()
+    code = main()
+    program_watch.ignore()
     return code

@@ -16,6 +16,6 @@
 
 import sys
 
-from . import main
+from . import program
 
-sys.exit(main())
+sys.exit(program())

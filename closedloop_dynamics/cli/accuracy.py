@@ -19,7 +19,7 @@ from pathlib import Path
 from .command import assignment, Command, mapping, positive, UsageError
 from ..errors import AssemblyError
 from ..scene import load_scene
-from ..simulation import Simulation
+from ..simulation.simulation import Simulation
 from ..studies import accuracy_report
 from ..studies.accuracy import study_accuracy
 from ..studies.advice import for_budget, for_target
@@ -107,8 +107,9 @@ COMMAND = Command(
     description="""\
 Measure errors and costs of all methods on a scene, under constant torques, over
 step sizes or tolerances: every integrator; every way to keep the loops closed
-and every formulation with RK4. The reference is computed first, by two
-different methods; their difference is its own error.
+and every formulation with RK4. The reference is computed first, and again with
+another integrator and with independent coordinates; the larger of the two
+differences is its own error.
 
 Columns of the table: largest errors, over 100 instants, of positions [rad or
 m], velocities [rad/s or m/s] and forces at the cut joints [N or N m]; largest

@@ -18,10 +18,10 @@ from pathlib import Path
 
 from .command import Command, positive, UsageError
 from ..scene import load_scene
-from ..studies.animation import Animation, AnimationError, frame_times, require_writable, write
 from ..studies.progress import announced, progress_bar
 from ..studies.recording import (
     part, read_recording, RecordingError, since_the_last_reset)
+from ..visual.animation import Animation, AnimationError, frame_times, require_writable, write
 
 # More would take long, and fill a disk.
 MOST_FRAMES = 20_000

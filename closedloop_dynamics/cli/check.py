@@ -14,9 +14,17 @@
 
 """``closedloop check``: what a file was understood to be, or what is wrong with it."""
 
-from .command import Command
+import sys
+
+import numpy as np
+
+from .command import Command, UsageError
+from ..errors import NumericalError, SimulationError
+from ..mechanism.mechanism import Mechanism
 from ..scene import load_scene_or_mechanism
+from ..simulation.simulation import Simulation
 from ..studies.check import describe
+from ..studies.progress import announced
 
 
 def _add_arguments(parser):
@@ -26,8 +34,29 @@ def _add_arguments(parser):
 
 
 def _run(arguments):
-    print(describe(load_scene_or_mechanism(arguments.scene)))
+    read = load_scene_or_mechanism(arguments.scene)
+    if isinstance(read, Mechanism):
+        print(describe(read))
+        return 0
+    try:
+        with announced('Assembling (compiling takes half a minute the very first time) ...'):
+            simulation = Simulation(read)
+            _require_finite(simulation)
+    except SimulationError as error:
+        print(describe(read))
+        raise UsageError(f'{arguments.scene}: {error}') from None
+    print(describe(read, simulation))
+    for note in simulation.start_notes():
+        print(f'{arguments.prog}: {note}', file=sys.stderr)
     return 0
+
+
+def _require_finite(simulation):
+    """Refuse a start whose numbers, each possible, overflow together."""
+    if not np.isfinite([simulation.energy, *simulation.acceleration]).all():
+        raise NumericalError(
+            'The energy or the accelerations at the start are no finite numbers: look for masses, '
+            'lengths or parameters of effects that are far too large, or next to nothing.')
 
 
 COMMAND = Command(
@@ -36,7 +65,8 @@ COMMAND = Command(
     description="""\
 Read a mechanism or a scene and show what was understood: bodies, joints,
 subsystems, cut joints, degrees of freedom, the elimination order, and what a
-scene starts from. If something is wrong, say where and what was expected.
+scene starts from, as given and with the loops closed. If something is wrong,
+say where and what was expected; if the start may not be what was meant, say so.
 """,
     epilog="""\
 examples:

@@ -15,10 +15,8 @@
 """What a sub-command is, and what the options of all of them share."""
 
 from argparse import ArgumentParser, ArgumentTypeError, RawDescriptionHelpFormatter
-from contextlib import contextmanager
 from dataclasses import dataclass
 import math
-import signal
 import sys
 from typing import Callable
 
@@ -93,25 +91,6 @@ def mapping(pairs, option):
         twice = next(name for name in names if names.count(name) > 1)
         raise UsageError(f'{option} {twice}: expected once, got it {names.count(twice)} times')
     return result
-
-
-@contextmanager
-def signals():
-    """Yield a list for SIGINT and SIGTERM, which then end nothing half-way."""
-    received = []
-
-    def on_signal(number, frame):
-        received.append(number)
-        if len(received) > 1:
-            raise KeyboardInterrupt
-
-    numbers = (signal.SIGINT, signal.SIGTERM)
-    before = [signal.signal(number, on_signal) for number in numbers]
-    try:
-        yield received
-    finally:
-        for number, handler in zip(numbers, before):
-            signal.signal(number, handler)
 
 
 def _number(text):

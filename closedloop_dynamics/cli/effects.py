@@ -19,7 +19,7 @@ from pathlib import Path
 from .command import assignment, Command, mapping, positive, UsageError
 from ..errors import AssemblyError
 from ..scene import load_scene
-from ..simulation import Simulation
+from ..simulation.simulation import Simulation
 from ..studies import effects_report
 from ..studies.effects import study_effects
 from ..studies.progress import progress_bar
@@ -39,7 +39,7 @@ def _add_arguments(parser):
                         metavar='JOINT=VALUE',
                         help='constant torque of an actuated joint [N m], or force of a '
                              'prismatic one [N]; may be repeated (default: none)')
-    parser.add_argument('--rate', type=assignment, action='append', default=[],
+    parser.add_argument('--joint-rate', type=assignment, action='append', default=[],
                         metavar='JOINT=VALUE',
                         help='keep an actuated joint at this rate [rad/s, m/s] instead; one '
                              'for every actuated joint')
@@ -47,7 +47,8 @@ def _add_arguments(parser):
 
 def _run(arguments):
     scene = load_scene(arguments.scene)
-    torque, rates = mapping(arguments.torque, '--torque'), mapping(arguments.rate, '--rate')
+    torque, rates = mapping(arguments.torque, '--torque'), mapping(
+        arguments.joint_rate, '--joint-rate')
     _check(arguments, scene, torque, rates)
     with progress_bar(1, 'parts', scene.name) as bar:
 
@@ -69,7 +70,7 @@ def _check(arguments, scene, torque, rates):
         raise UsageError(f'{arguments.scene}: this scene lists no effects, there is nothing to '
                          'compare')
     if torque and rates:
-        raise UsageError('--rate: expected either --torque or --rate, got both')
+        raise UsageError('--joint-rate: expected either --torque or --joint-rate, got both')
     try:
         simulation = Simulation(scene)
         simulation.joint_torques(torque)
@@ -78,7 +79,7 @@ def _check(arguments, scene, torque, rates):
     except ValueError as error:
         raise UsageError(f'--{error}') from None
     if rates and set(rates) != set(simulation.actuated_joints):
-        raise UsageError('--rate: expected one for every actuated joint '
+        raise UsageError('--joint-rate: expected one for every actuated joint '
                          f'({", ".join(simulation.actuated_joints)}), got {", ".join(rates)}')
     if arguments.output is not None and not arguments.overwrite:
         for name in effects_report.file_names(scene):
@@ -101,7 +102,7 @@ cut joints over a turn of the drive.
     epilog="""\
 examples:
   closedloop effects three_rrr_payload_friction --output results
-  closedloop effects carpet_scraper_on_carpet --rate theta_1=4.7124 --output results
+  closedloop effects carpet_scraper_on_carpet --joint-rate theta_1=4.7124 --output results
 """,
     add_arguments=_add_arguments,
     run=_run)

@@ -18,9 +18,9 @@ from pathlib import Path
 
 from .command import Command, UsageError
 from ..scene import load_scene
-from ..studies import pictures
 from ..studies.progress import announced
 from ..studies.recording import read_recording, RecordingError, since_the_last_reset
+from ..visual import pictures
 
 DRAWERS = {
     'joint_motion': ('joint motion', pictures.joint_motion),

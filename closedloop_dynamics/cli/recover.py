@@ -12,13 +12,17 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""``closedloop recover``: make a whole bag of one whose recording was cut short."""
+"""``closedloop recover``: make a whole bag of one that was cut short or damaged."""
 
 from pathlib import Path
+import sys
 
 from .command import Command
+from ..bags.contents import messages
 from ..bags.recover import recover
 from ..studies.tables import text_table
+
+LOST = 1
 
 
 def _add_arguments(parser):
@@ -32,21 +36,30 @@ def _add_arguments(parser):
 def _run(arguments):
     bag = arguments.bag.resolve()
     output = arguments.output or bag.with_name(f'{bag.stem}_recovered')
-    counts = recover(bag, output)
+    counts, damaged = recover(bag, output)
     print(f'{output}: {sum(counts.values())} messages')
     if counts:
         print(text_table(('topic', 'messages'), [
             (topic, str(count)) for topic, count in sorted(counts.items())]))
-    return 0
+    if not damaged.finished:
+        print('the recording was not ended in order')
+    for damage in damaged.damages:
+        print(f'{arguments.prog}: {damage}', file=sys.stderr)
+    if damaged.lost == 0:
+        return 0
+    print(f'{arguments.prog}: {messages(damaged.lost)} could not be recovered', file=sys.stderr)
+    return LOST
 
 
 COMMAND = Command(
     name='recover',
-    summary='make a whole bag of one whose recording was cut short',
+    summary='make a whole bag of one that was cut short or damaged',
     description="""\
-Copy whatever can be read of a bag into a new one (mcap), with index and metadata. A
+Copy whatever is sound in a bag into a new one (mcap), with index and metadata. A
 recorder that was killed leaves a bag without them, which ros2 bag does not open;
-all but the last second of messages is in it. The old bag stays as it is.
+all but the last second of messages is in it. Every chunk (mcap) or message (sqlite3 from
+closedloop_recorder) is checked by its checksum; damaged ones are left out and named, and
+the exit code is 1 if messages were lost by it. The old bag stays as it is.
 """,
     epilog="""\
 examples:

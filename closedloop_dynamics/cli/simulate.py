@@ -14,23 +14,29 @@
 
 """``closedloop simulate``: run a scene offline, under constant torques, into a CSV file."""
 
+import argparse
 from contextlib import contextmanager
 import math
 from pathlib import Path
 import sys
+import warnings
 
-from .command import assignment, Command, mapping, positive, signals, UsageError
-from ..errors import AssemblyError, SimulationError
-from ..integration.registry import ADAPTIVE, INTEGRATORS, STABILISATIONS
-from ..scene_records import AUTO, FORMULATIONS
-from ..simulation import Simulation
+from .command import assignment, Command, mapping, positive, UsageError
+from ..errors import AssemblyError, InaccuracyWarning, SimulationError
+from ..integration.registry import ADAPTIVE, AUTO, INTEGRATORS, STABILISATIONS
+from ..scene_records import FORMULATIONS
+from ..signals import program_watch
+from ..simulation.monitor import energy_in_words
+from ..simulation.simulation import Simulation
 from ..studies.progress import announced, progress_bar
-from ..studies.run import columns, Report, run
+from ..studies.run import columns, ErrorEstimate, Report, run
 
 FAILED = 1
 STANDARD_OUTPUT = '-'
 # A row's period within this share of whole steps is one.
 ROUNDING = 1e-9
+# Simulated time up to which the error is estimated unless told otherwise [s].
+LONGEST_ESTIMATED = 10.0
 COMPILING = 'Compiling (half a minute the very first time, seconds from then on) ...'
 
 
@@ -52,14 +58,20 @@ def _add_arguments(parser):
                                   '(default: 100)')
     run_options.add_argument('--overwrite', action='store_true',
                              help='replace the output file if it exists')
+    run_options.add_argument('--forces', choices=('cuts', 'all'), default='cuts',
+                             help='whose forces are written: those of the cut joints, or of all '
+                                  'joints (default: cuts)')
+    run_options.add_argument('--error-estimate', action=argparse.BooleanOptionalAction,
+                             help='run a second, finer simulation beside it that tells the error '
+                                  f'(default: up to {LONGEST_ESTIMATED:g} s)')
     method = parser.add_argument_group('how to compute it (default: as the scene says)')
     method.add_argument('--step-size', type=positive, metavar='SECONDS')
     method.add_argument('--integrator', choices=INTEGRATORS)
     method.add_argument('--tolerance', type=positive, metavar='ERROR',
                         help='local error that error-controlled integrators allow per step')
     method.add_argument('--accuracy', type=positive, metavar='ERROR',
-                        help='instead of an integrator: choose the cheapest method whose '
-                             'positions are off by no more after a second [rad or m]')
+                        help='error of positions that the integrator auto keeps within a second '
+                             '[rad or m]')
     method.add_argument('--stabilisation', choices=STABILISATIONS,
                         help='how the loops are kept closed')
     method.add_argument('--formulation', choices=FORMULATIONS,
@@ -68,18 +80,27 @@ def _add_arguments(parser):
 
 def _run(arguments):
     simulation, torque = _prepared(arguments)
-    report, failure = Report(), None
-    with _opened(arguments.output, arguments.overwrite) as write, signals() as received, \
-            progress_bar(arguments.duration, 's', simulation.scene.name) as bar:
+    report, failure, estimate = Report(), None, None
+    if arguments.error_estimate or (
+            arguments.error_estimate is None and arguments.duration <= LONGEST_ESTIMATED):
+        estimate = ErrorEstimate(simulation)
+    all_forces = arguments.forces == 'all'
+    with _opened(arguments.output, arguments.overwrite) as write, \
+            program_watch.noting() as received, progress_bar(
+                arguments.duration, 's', simulation.scene.name) as bar, \
+            warnings.catch_warnings():
+        # The summary tells of it.
+        warnings.simplefilter('ignore', InaccuracyWarning)
 
         def on_row(values):
             write(','.join(map(repr, values)))
             bar.update(values[0] - bar.n)
 
-        write(','.join(columns(simulation)))
+        write(','.join(columns(simulation, all_forces)))
         try:
             run(simulation, arguments.duration, arguments.rate, torque, report=report,
-                on_row=on_row, keep_going=lambda: not received)
+                on_row=on_row, keep_going=lambda: not received, all_forces=all_forces,
+                estimate=estimate)
         except SimulationError as error:
             failure = error
     if failure is not None:
@@ -87,9 +108,14 @@ def _run(arguments):
     elif not report.finished:
         print(f'{arguments.prog}: interrupted at t = {report.time:.6g} s of '
               f'{arguments.duration:g} s', file=sys.stderr)
+    summary = _summary(simulation, report, arguments, estimate)
     # The standard output belongs to the rows where they go there.
-    print(_summary(simulation, report, arguments),
-          file=sys.stderr if arguments.output == STANDARD_OUTPUT else sys.stdout)
+    print(summary, file=sys.stderr if arguments.output == STANDARD_OUTPUT else sys.stdout)
+    if arguments.output not in (None, STANDARD_OUTPUT) and Path(arguments.output).is_file():
+        _report_path(arguments.output).write_text(summary + '\n' + (
+            f'  FAILED    {failure}\n  Rows after t = {report.time:.9g} s are not to be trusted.\n'
+            if failure else '' if report.finished else
+            f'  ended     at t = {report.time:.9g} s of {arguments.duration:g} s\n'))
     return 128 + received[0] if received else FAILED if failure else 0
 
 
@@ -141,7 +167,12 @@ def _opened(output, overwrite):
             raise OSError(f'cannot write {output}: {error.strerror}') from None
 
 
-def _summary(simulation, report, arguments):
+def _report_path(output):
+    """Return the file beside the rows that says what the run was worth."""
+    return Path(f'{output}.report.txt')
+
+
+def _summary(simulation, report, arguments, estimate):
     method = simulation.scene.method
     change = report.last_energy - report.first_energy
     work = ' (work of the torques included)' if any(simulation.effort) else ''
@@ -152,24 +183,31 @@ def _summary(simulation, report, arguments):
         f'({method.integrator}, {method.stabilisation}, {method.formulation})',
         f'  closure   largest error of the loops {report.largest_closure:.2g} m or rad',
         f'  energy    {report.first_energy:.9g} J at the start, changed by {change:+.3g} J{work}; '
-        f'the balance misses {told.energy_error:.2g} J',
+        f'balance: {energy_in_words(told.energy_error, told.energy_moved)}',
         f'  CPU time  {report.cpu_time:.3g} s, {share:.2%} of real time, without compiling; '
         f'{1e6 * told.time_per_step:.3g} us per step',
     ]
+    if math.isfinite(report.error):
+        lines.insert(1, f'  error     at most about {report.error:.2g} rad or m, by a second run '
+                        f'with {estimate.method}')
+    elif estimate is not None and report.rows:
+        lines.insert(1, '  error     unknown: the second, finer run, that was to tell it, failed')
     if math.isfinite(told.local_error):
-        lines.insert(3, f'  error     {told.local_error:.2g} rad or m in the worst step looked at')
-    if simulation.method_report:
-        lines.insert(1, f'  method    {simulation.method_report}')
+        lines.insert(2, f'  steps     local error {told.local_error:.2g} rad or m in the worst '
+                        f'step looked at')
+    lines += [f'  WARNING   {finding}' for finding in told.findings]
     if arguments.output not in (None, STANDARD_OUTPUT):
         lines.append(f'  output    {arguments.output}: {report.rows} '
-                     f'row{"s" if report.rows != 1 else ""} of {len(columns(simulation))} columns')
+                     f'row{"s" if report.rows != 1 else ""} of '
+                     f'{len(columns(simulation, arguments.forces == "all"))} columns')
     return '\n'.join(lines)
 
 
 def _resolution(method, arguments):
     """Return what the steps were; one that ends at a row may be shorter than the others."""
     if INTEGRATORS[method.integrator].kind == ADAPTIVE:
-        return f'at tolerance {method.tolerance:g}'
+        key = 'accuracy' if method.integrator == AUTO else 'tolerance'
+        return f'with {key} {getattr(method, key):g}'
     steps_in_a_row = 1.0 / (arguments.rate * method.step_size)
     if steps_in_a_row < 1.0 - ROUNDING:
         return (f'in steps of {1.0 / arguments.rate:g} s, from row to row, '
@@ -187,9 +225,12 @@ Simulate a scene from its start, under constant torques, as fast as possible.
 Columns of the output: time, position.JOINT, velocity.JOINT, acceleration.JOINT
 and effort.JOINT of every joint; force.CUT.x and force.CUT.y of every cut joint
 (and force.CUT.torque of a fixed or prismatic one), which body B exerts on
-body A, in world axes; closure, the largest error of the loops; energy, kinetic
-and potential. SI units and radians; numbers with all their digits. An existing
-file is not replaced unless asked for. Ctrl-C leaves all rows so far.
+body A, in world axes; with --forces all force.JOINT.x, .y and .torque of all
+joints of the tree, too, which the parent exerts on the child; point.NAME.x and
+point.NAME.y of every named point; closure, the largest error of the loops;
+energy, kinetic and potential. SI units and radians; numbers with all their
+digits. An existing file is not replaced unless asked for. Ctrl-C leaves all
+rows so far.
 """,
     epilog="""\
 examples:

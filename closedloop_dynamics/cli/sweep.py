@@ -18,9 +18,10 @@ import sys
 
 import numpy as np
 
-from .command import assignment, Command, mapping, positive, signals, UsageError
+from .command import assignment, Command, mapping, positive, UsageError
 from ..mechanism.fields import FieldError
 from ..recording import QUANTITIES, STATE
+from ..signals import program_watch
 from ..studies.progress import progress_bar
 from ..sweep import sweep
 from ..sweep.parameters import FORMS, parse
@@ -88,7 +89,7 @@ _count.__name__ = 'whole number'
 def _run(arguments):
     keep = STATE if arguments.keep is None else tuple(
         dict.fromkeys(name for name in arguments.keep if name != NOTHING))
-    with signals() as received, _Progress(arguments.scene) as progress:
+    with program_watch.noting() as received, _Progress(arguments.scene) as progress:
         try:
             outcome = sweep(
                 arguments.scene, [parse(text) for text in arguments.vary], arguments.output,

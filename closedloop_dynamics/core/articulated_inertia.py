@@ -21,14 +21,22 @@ per evaluation and serve the applied forces and every cut force alike.
 
 """
 
-from .compiled import inlined
+from .compiled import choose, inlined
 from .types import (
     ARMATURE, DINV, DOF, DX, DY, DZ, FX, FY, FZ, HX, HY, IZZ, MXX, MXY, MYY, PARENT, PRISMATIC,
     REVOLUTE, RHS, RX, RY, SX, SY, TYPE, UX, UY, UZ)
 
 
 @inlined
-def inward(model, tau, work):
+def _inverse(pivot, massless):
+    """Return one over a pivot, 0 for none where there may be none."""
+    if massless:
+        return choose(pivot > 0.0, 1.0 / choose(pivot > 0.0, pivot, 1.0), 0.0)
+    return 1.0 / pivot
+
+
+@inlined
+def inward(model, tau, work, massless=False):
     """
     Factor the generalized inertia matrices and reduce the applied forces.
 
@@ -41,6 +49,8 @@ def inward(model, tau, work):
     work : Workspace
         After ``kinematics.outward``; FZ, FX, FY may have been reduced by applied forces. The
         factors and RHS are written: RHS = D times the joint's own share of I^-1 phi.
+    massless : bool
+        Whether joints may carry no inertia; DINV is 0 there.
 
     """
     tree, constant, body = model.tree, model.body, work.body
@@ -54,7 +64,7 @@ def inward(model, tau, work):
         kind = tree[i, TYPE]
         if kind == REVOLUTE:
             # The joint takes the whole first row and column: what is left is a 2 x 2 mass.
-            inverse = 1.0 / body[i, IZZ]
+            inverse = _inverse(body[i, IZZ], massless)
             right = torque - fz
             gx, gy = hx * inverse, hy * inverse
             body[i, DINV] = inverse
@@ -75,11 +85,11 @@ def inward(model, tau, work):
                 uz = hx * sx + hy * sy
                 ux = mxx * sx + mxy * sy
                 uy = mxy * sx + myy * sy
-                inverse = 1.0 / (sx * ux + sy * uy + constant[i, ARMATURE])
+                inverse = _inverse(sx * ux + sy * uy + constant[i, ARMATURE], massless)
                 right = torque - sx * fx - sy * fy
             else:
                 uz, ux, uy = izz, hx, hy
-                inverse = 1.0 / (izz + constant[i, ARMATURE])
+                inverse = _inverse(izz + constant[i, ARMATURE], massless)
                 right = torque - fz
             body[i, DINV] = inverse
             body[i, UZ] = uz

@@ -23,6 +23,8 @@ except ImportError:
     warnings.warn(
         'numba is not installed: the same kernels run interpreted, several hundred times '
         'slower. Install numba for real-time simulation.', RuntimeWarning, stacklevel=2)
+else:
+    from .cache import KernelCache
 
 
 def _compile(function, allocates=False, **options):
@@ -34,9 +36,13 @@ def _compile(function, allocates=False, **options):
     options['_nrt'] = allocates
     # Unpacking a model and a workspace from Python is as much code as many a kernel: private
     # kernels, which only kernels call, go without; and nothing is called from C.
-    return numba.njit(
-        cache=True, error_model='numpy', no_cfunc_wrapper=True,
+    kernel = numba.njit(
+        error_model='numpy', no_cfunc_wrapper=True,
         no_cpython_wrapper=function.__name__.startswith('_'), **options)(function)
+    if not numba.config.DISABLE_JIT:
+        # Numba has no public way to bring a cache of one's own.
+        kernel._cache = KernelCache(function)
+    return kernel
 
 
 def compiled(function):

@@ -27,9 +27,13 @@ from .types import (
     CUT_PRISMATIC, CUT_TYPE, RANK, ROW, ROWS, SLOT_A, SLOT_END, SMALLEST_PIVOT,
     SMALLEST_PIVOT_EVER)
 
-# A pivot this small against the largest diagonal entry of its cut point (a squared sine: closure
-# equations 0.01 rad from dependent) passes errors of a stage's positions into the
-# accelerations a hundredfold: the rank-revealing path takes over, which weighs them.
+# A pivot is compared with the largest diagonal entry of its cut point. In the mass metric it is
+# small next to a singular configuration, but also where links differ much in mass: below this,
+# ``refinement`` asks the geometry.
+SMALL_PIVOT = 1e-3
+# Between the angles of the bodies it is a squared sine. This small (closure equations 0.01 rad
+# from dependent), it passes errors of a stage's positions into the accelerations a hundredfold:
+# the rank-revealing path takes over, which weighs them.
 POOR_PIVOT = 1e-4
 # Of many joints in a row small pivots are the size, not the configuration: the smallest one of a
 # regular ladder or chain is 0.3 / nv or 0.9 / nv. From so many joints on the limit falls likewise.
@@ -97,12 +101,12 @@ def factorize(model, work):
     model : Model
         Constant topology and geometry.
     work : Workspace
-        After ``assemble``. ``health`` tells the smallest relative pivot.
+        After ``assemble``.
 
     Returns
     -------
-    bool
-        Whether every pivot is good; if not, the rank-revealing path must be taken.
+    float
+        The smallest relative pivot; 0 where one is not positive or not a number.
 
     """
     column, row, dependency = model.column, model.row, model.dependency
@@ -125,11 +129,76 @@ def factorize(model, work):
         # Written so that a NaN (0/0: an equation no motion can change) counts as poor.
         smallest = choose(ratio >= smallest, smallest, choose(ratio > 0.0, ratio, 0.0))
         inverse[j] = 1.0 / factor[first]
-    work.health[SMALLEST_PIVOT] = smallest
-    work.health[RANK] = column.shape[0] - 1
-    ever = work.health[SMALLEST_PIVOT_EVER]
-    work.health[SMALLEST_PIVOT_EVER] = choose(smallest < ever, smallest, ever)
-    return smallest >= POOR_PIVOT * min(1.0, MANY_JOINTS / model.tree.shape[0])
+    return smallest
+
+
+@inlined
+def good(model, smallest, limit):
+    """
+    Tell whether a smallest pivot is good enough.
+
+    Parameters
+    ----------
+    model : Model
+        Constant topology and geometry.
+    smallest : float
+        As ``factorize`` returns it.
+    limit : float
+        ``SMALL_PIVOT`` or ``POOR_PIVOT``.
+
+    Returns
+    -------
+    bool
+
+    """
+    return smallest >= limit * min(1.0, MANY_JOINTS / model.tree.shape[0])
+
+
+@inlined
+def factorize_well(model, work):
+    """
+    Do as ``factorize`` does; note a good smallest pivot in ``health``.
+
+    Parameters
+    ----------
+    model : Model
+        Constant topology and geometry.
+    work : Workspace
+        After ``assemble``.
+
+    Returns
+    -------
+    bool
+        Whether every pivot is good; if not, ``refinement`` must be asked.
+
+    """
+    smallest = factorize(model, work)
+    fine = good(model, smallest, SMALL_PIVOT)
+    # A small one may be that of the masses alone: what is told is what ``refinement`` finds.
+    note(model, work, choose(fine, smallest, 1.0))
+    return fine
+
+
+@inlined
+def note(model, work, smallest):
+    """
+    Keep a smallest pivot in ``health``.
+
+    Parameters
+    ----------
+    model : Model
+        Constant topology and geometry.
+    work : Workspace
+        ``health`` is written.
+    smallest : float
+        As ``factorize`` returns it.
+
+    """
+    health = work.health
+    health[RANK] = model.column.shape[0] - 1
+    health[SMALLEST_PIVOT] = smallest
+    ever = health[SMALLEST_PIVOT_EVER]
+    health[SMALLEST_PIVOT_EVER] = choose(smallest < ever, smallest, ever)
 
 
 @inlined

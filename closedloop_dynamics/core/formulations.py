@@ -25,12 +25,12 @@ from typing import NamedTuple
 import numpy as np
 
 from .compiled import compiled
-from .elimination import POOR_PIVOT
+from .elimination import note, POOR_PIVOT
 from .forward_dynamics import constraint_right_side, to_user_order
 from .inverse_dynamics import tree_torque
 from .jacobian import constraint_jacobian, generalized_inertia_matrix
-from .loop_closure import update
-from .types import EVALUATIONS, RANK, SMALLEST_PIVOT, SMALLEST_PIVOT_EVER
+from .loop_closure import NO_RESPONSES, update
+from .types import EVALUATIONS
 
 # Which formulation an evaluation uses.
 SUBSYSTEM, SYSTEM, AUGMENTED = range(3)
@@ -190,7 +190,7 @@ def accelerate_dense(model, work, dense, formulation, tau, baumgarte, qdd, lam):
     -------
     bool
         Whether every pivot was good, as of ``forward_dynamics.accelerate``; if not,
-        ``rank_revealing.accelerate`` must be asked.
+        ``refinement.accelerate`` must be asked.
 
     Notes
     -----
@@ -200,7 +200,7 @@ def accelerate_dense(model, work, dense, formulation, tau, baumgarte, qdd, lam):
     """
     nv, nc = dense.free.shape[0], dense.right.shape[0]
     constraint_jacobian(model, work, dense.jac)
-    update(model, work, False)
+    update(model, work, NO_RESPONSES)
     work.right[:] = 0.0
     constraint_right_side(work, baumgarte, work.right)
     to_user_order(model, work.right, dense.right)
@@ -230,12 +230,10 @@ def accelerate_dense(model, work, dense, formulation, tau, baumgarte, qdd, lam):
             qdd[i] = dense.solution[i]
         for k in range(nc):
             lam[k] = -dense.solution[nv + k]
-    health = work.health
-    health[EVALUATIONS] += 1.0
-    health[RANK] = nc
-    health[SMALLEST_PIVOT] = ratio
-    health[SMALLEST_PIVOT_EVER] = min(ratio, health[SMALLEST_PIVOT_EVER])
-    return ratio >= POOR_PIVOT
+    work.health[EVALUATIONS] += 1.0
+    fine = ratio >= POOR_PIVOT
+    note(model, work, ratio if fine else 1.0)
+    return fine
 
 
 @compiled

@@ -20,6 +20,32 @@ from .types import CUT_ROW, EVALUATIONS, ROW, ROWS
 
 
 @inlined
+def prepare(model, tau, work):
+    """
+    Factor the inertias of the trees and the constraint matrix.
+
+    Parameters
+    ----------
+    model : Model
+        Constant topology and geometry.
+    tau : ndarray, shape (nv,)
+        Joint torques [N m] and forces [N].
+    work : Workspace
+        After ``kinematics.outward`` and whatever subtracted applied forces from FZ, FX, FY.
+
+    Returns
+    -------
+    bool
+        Whether every pivot was good.
+
+    """
+    articulated_inertia.inward(model, tau, work)
+    loop_closure.update(model, work, loop_closure.REDUCED)
+    elimination.assemble(model, work)
+    return elimination.factorize_well(model, work)
+
+
+@inlined
 def accelerate(model, work, tau, baumgarte, qdd, lam):
     """
     Compute joint accelerations and multipliers after ``kinematics.outward``.
@@ -42,8 +68,8 @@ def accelerate(model, work, tau, baumgarte, qdd, lam):
     Returns
     -------
     bool
-        Whether every pivot was good. If not, nothing is written, and
-        ``rank_revealing.accelerate`` must be asked, after the outward recursion again.
+        Whether every pivot was good. If not, nothing is written, and ``refinement.accelerate``
+        must be asked, after the outward recursion again.
 
     Notes
     -----
@@ -53,11 +79,8 @@ def accelerate(model, work, tau, baumgarte, qdd, lam):
 
     """
     right = work.right
-    articulated_inertia.inward(model, tau, work)
-    loop_closure.update(model, work, True)
-    elimination.assemble(model, work)
     work.health[EVALUATIONS] += 1.0
-    if not elimination.factorize(model, work):
+    if not prepare(model, tau, work):
         return False
     loop_closure.free_acceleration(model, work, right)
     constraint_right_side(work, baumgarte, right)

@@ -164,7 +164,7 @@ def close(model, work, partition, q, qd, tolerance):
     closed = False
     for _ in range(MOST_ITERATIONS):
         kinematics.outward(model, q, qd, work)
-        loop_closure.update(model, work, False)
+        loop_closure.update(model, work, loop_closure.NO_RESPONSES)
         to_user_order(model, work.closure, right)
         constraint_jacobian(model, work, partition.jac)
         if partition.record[CHOSEN_RATIO] == 0.0:

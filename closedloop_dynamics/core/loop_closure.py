@@ -22,9 +22,13 @@ from .types import (
     CUT_REVOLUTE, CUT_TYPE, DINV, HX, HY, OMEGA, PRISMATIC, PX, PY, REVOLUTE, RHS, ROW, ROWS, RX,
     RY, SIN, SLOT_A, SLOT_B, SLOT_COMMON, SLOT_END, SX, SY, TYPE, UX, UY, UZ, VX, VY)
 
+# What ``update`` computes of the unit cut forces: nothing, their shares at the joints of trees
+# that give way, or their levers on the bodies' angles and on the slides (J^T for these).
+NO_RESPONSES, REDUCED, LEVERS = range(3)
+
 
 @inlined
-def _reduce(model, work, first, last, row, z, x, y):
+def _reduce(model, work, responses, first, last, row, z, x, y):
     """
     Carry a unit force inward along slots ``first`` to ``last`` and keep its share at each joint.
 
@@ -36,7 +40,13 @@ def _reduce(model, work, first, last, row, z, x, y):
     for slot in range(first, last):
         i = slot_body[slot]
         kind = tree[i, TYPE]
-        if kind == REVOLUTE:
+        if responses == LEVERS:
+            g = 0.0
+            if kind == PRISMATIC:
+                u = body[i, SX] * x + body[i, SY] * y
+            else:
+                u, z = z, 0.0
+        elif kind == REVOLUTE:
             u = z
             g = u * body[i, DINV]
             x -= body[i, HX] * g
@@ -55,7 +65,7 @@ def _reduce(model, work, first, last, row, z, x, y):
 
 
 @inlined
-def _respond(model, work, a, row, z, x, y, ax, ay, bx, by):
+def _respond(model, work, responses, a, row, z, x, y, ax, ay, bx, by):
     """
     Compute the response to the unit force of one closure equation of cut joint ``a``.
 
@@ -66,12 +76,12 @@ def _respond(model, work, a, row, z, x, y, ax, ay, bx, by):
     cut = model.cut
     middle, common, end = cut[a, SLOT_B], cut[a, SLOT_COMMON], cut[a, SLOT_END]
     za, xa, ya = _reduce(
-        model, work, cut[a, SLOT_A], middle, row, z + ax * y - ay * x, x, y)
+        model, work, responses, cut[a, SLOT_A], middle, row, z + ax * y - ay * x, x, y)
     if middle < end:
         zb, xb, yb = _reduce(
-            model, work, middle, common, row, -z - bx * y + by * x, -x, -y)
+            model, work, responses, middle, common, row, -z - bx * y + by * x, -x, -y)
         if common < end:
-            _reduce(model, work, common, end, row, za + zb, xa + xb, ya + yb)
+            _reduce(model, work, responses, common, end, row, za + zb, xa + xb, ya + yb)
 
 
 @inlined
@@ -84,11 +94,11 @@ def update(model, work, responses):
     model : Model
         Constant arrays of the mechanism.
     work : Workspace
-        After ``kinematics.outward`` and, for responses, ``articulated_inertia.inward``. Writes
+        After ``kinematics.outward`` and, if reduced, ``articulated_inertia.inward``. Writes
         ``closure`` (psi), ``closure_rate`` (J qd), ``bias`` (Jdot qd), and ``response`` (the
-        columns of J^T reduced to the joints) with ``response_scaled``.
-    responses : bool
-        Whether the reduced responses are wanted.
+        columns of J^T reduced to the joints) with ``response_scaled``, or the levers.
+    responses : int
+        ``NO_RESPONSES``, ``REDUCED`` or ``LEVERS``.
 
     Notes
     -----
@@ -124,22 +134,22 @@ def update(model, work, responses):
             rate[r] = nx * vx + ny * vy - omega_b * along
             bias[r] = (nx * acx + ny * acy - 2.0 * omega_b * along_rate
                        - square_b * psi[r])
-            if responses:
-                _respond(model, work, a, 0, 0.0, nx, ny, ax, ay, x + bx, y + by)
+            if responses != NO_RESPONSES:
+                _respond(model, work, responses, a, 0, 0.0, nx, ny, ax, ay, x + bx, y + by)
         else:
             psi[r], psi[r + 1] = x, y
             rate[r], rate[r + 1] = vx, vy
             bias[r], bias[r + 1] = acx, acy
-            if responses:
-                _respond(model, work, a, 0, 0.0, 1.0, 0.0, ax, ay, bx, by)
-                _respond(model, work, a, 1, 0.0, 0.0, 1.0, ax, ay, bx, by)
+            if responses != NO_RESPONSES:
+                _respond(model, work, responses, a, 0, 0.0, 1.0, 0.0, ax, ay, bx, by)
+                _respond(model, work, responses, a, 1, 0.0, 0.0, 1.0, ax, ay, bx, by)
         if kind != CUT_REVOLUTE:
             last = cut[a, ROWS] - 1
             psi[r + last] = body[i, ALPHA] - body[j, ALPHA] - point[a, CUT_ANGLE]
             rate[r + last] = omega - omega_b
             bias[r + last] = 0.0
-            if responses:
-                _respond(model, work, a, last, 1.0, 0.0, 0.0, ax, ay, bx, by)
+            if responses != NO_RESPONSES:
+                _respond(model, work, responses, a, last, 1.0, 0.0, 0.0, ax, ay, bx, by)
 
 
 @inlined

@@ -59,12 +59,19 @@ DINV, UZ, UX, UY, SX, SY, RHS = range(21, 28)
 DZ, DX, DY = range(28, 31)
 WORK_COLUMNS = 32
 
+# Workspace.joint, one row a body: square of the lever that its joint is compared by (1 for a
+# slide), the inertia that stands in for none, and the acceleration: of the slide, or of the body's
+# angle.
+SQUARE, STAND_IN, TOTAL = range(3)
+JOINT_COLUMNS = 3
+
 # Model.cut, one row a cut joint: topology. CUT_ROW: first multiplier in the user's
 # order; ROW: first one in elimination order; slots SLOT_A..SLOT_B-1 are the bodies
 # from body A inward, SLOT_B..SLOT_COMMON-1 those from body B, SLOT_COMMON..SLOT_END-1
-# the ones that both paths share.
-CUT_TYPE, BODY_A, BODY_B, ROWS, CUT_ROW, ROW, SLOT_A, SLOT_B, SLOT_COMMON, SLOT_END = range(10)
-CUT_COLUMNS = 10
+# the ones that both paths share; CUT_NUMBER: its place in the user's order.
+(CUT_TYPE, BODY_A, BODY_B, ROWS, CUT_ROW, ROW, SLOT_A, SLOT_B, SLOT_COMMON, SLOT_END,
+ CUT_NUMBER) = range(11)
+CUT_COLUMNS = 11
 # Values of CUT_TYPE.
 CUT_REVOLUTE, CUT_PRISMATIC, CUT_FIXED = range(3)
 # Model.cut_point, one row a cut joint: the cut point in both bodies' frames, the angle.
@@ -146,6 +153,12 @@ class Workspace(NamedTuple):
         Entries of the constraint matrix, then of its factor L.
     scale : ndarray, shape (nc,)
         What the pivots are compared with.
+    lever : ndarray, shape (slots, 3)
+        Of each row of a cut, the levers on the bodies' angles, and on the slides.
+    joint : ndarray, shape (nb + 1, JOINT_COLUMNS)
+        What ``refinement`` keeps of every joint.
+    change : ndarray, shape (nv,)
+        Of the accelerations, the latest.
     pivot_inverse : ndarray, shape (nc,)
     right : ndarray, shape (nc,)
         Right-hand side, then solution, in elimination order.
@@ -161,6 +174,9 @@ class Workspace(NamedTuple):
     response_scaled: np.ndarray
     factor: np.ndarray
     scale: np.ndarray
+    lever: np.ndarray
+    joint: np.ndarray
+    change: np.ndarray
     pivot_inverse: np.ndarray
     right: np.ndarray
     scatter: np.ndarray
@@ -192,6 +208,9 @@ def allocate(model):
         response_scaled=np.zeros((slots, 3)),
         factor=np.zeros(len(model.row)),
         scale=np.zeros(rows),
+        lever=np.zeros((slots, 3)),
+        joint=np.zeros((len(model.tree), JOINT_COLUMNS)),
+        change=np.zeros(len(model.tree) - 1),
         pivot_inverse=np.zeros(rows),
         right=np.zeros(rows),
         scatter=np.zeros(rows),

@@ -30,19 +30,19 @@ from dataclasses import dataclass
 import math
 from typing import Optional
 
+from .effect import Effect
 from .machine import require_joint
-from .table import FIRST, Law, OWN, STATE, State, WORK
+from .table import ACTUATOR, FIRST, ForceElement, OWN, STATE, State, WORK
 from ..core.compiled import inlined
 from ..mechanism.checks import name, not_negative, positive
 from ..mechanism.fields import normalise
 
-KIND = 7
 # Share of the speed limit over which the driving torque fades.
 FADING = 0.1
 
 
 @dataclass(frozen=True)
-class Actuator:
+class Actuator(Effect):
     """
     A drive with limits, lag and delay.
 
@@ -80,16 +80,16 @@ class Actuator:
         """Refuse a joint that the mechanism does not have, or does not drive."""
         require_joint(mechanism, 'joint', self.joint, actuated=True)
 
-    def law(self, machine):
+    def element(self, machine):
         """Return the effect as a row of the table."""
-        return Law(KIND, (machine.joint(self.joint),), (
+        return ForceElement(ACTUATOR, (machine.joint(self.joint),), (
             math.inf if self.max_torque is None else self.max_torque,
             math.inf if self.max_speed is None else self.max_speed, self.lag),
             (State(OWN), State(WORK)))
 
-    def drives(self, machine):
+    def drive(self):
         """Return the joint whose command passes through here, and its delay [s]."""
-        return machine.joint(self.joint), self.delay
+        return self.joint, self.delay
 
 
 @inlined

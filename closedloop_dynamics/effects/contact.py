@@ -34,20 +34,19 @@ a foot on the floor, a guide.
 from dataclasses import dataclass
 import math
 
+from .effect import Effect
 from .forces import offset, push
 from .machine import require_point
-from .table import DISSIPATED, FIRST, Law, STATE, State, STORED
+from .table import CONTACT, DISSIPATED, FIRST, ForceElement, STATE, State, STORED
 from ..core.compiled import inlined
 from ..core.types import OMEGA, PX, PY, VX, VY
 from ..mechanism.checks import name, not_negative, number, positive, vector2
 from ..mechanism.fields import FieldError, normalise
 from ..mechanism.mechanism import Vector2
 
-KIND = 6
-
 
 @dataclass(frozen=True)
-class Contact:
+class Contact(Effect):
     """
     Contact of a named point with a line.
 
@@ -98,10 +97,10 @@ class Contact:
         """Refuse a point that the mechanism does not have."""
         require_point(mechanism, 'point', self.point)
 
-    def law(self, machine):
+    def element(self, machine):
         """Return the effect as a row of the table."""
         row, place = machine.point(self.point)
-        return Law(KIND, (row,), (
+        return ForceElement(CONTACT, (row,), (
             *place, *self.origin, math.cos(self.angle), math.sin(self.angle), self.stiffness,
             self.exponent, self.damping, self.friction, self.slip_velocity, self.scraping),
             (State(DISSIPATED),))

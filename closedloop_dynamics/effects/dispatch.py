@@ -22,7 +22,9 @@ A new law is one branch of ``apply``. Only listed effects are visited.
 from . import (
     actuator, contact, end_stop, external_force, joint_damping, joint_friction, joint_spring,
     point_spring)
-from .table import FIRST, STATE
+from .table import (
+    ACTUATOR, CONTACT, END_STOP, EXTERNAL_FORCE, JOINT_DAMPING, JOINT_FRICTION, JOINT_SPRING,
+    POINT_SPRING)
 from ..core.compiled import compiled
 
 
@@ -36,8 +38,8 @@ def apply(body, table, q, qd, tau):
     body : ndarray, shape (nb + 1, WORK_COLUMNS)
         After ``kinematics.outward``. Forces at points reduce the bias force, columns FZ to FY.
     table : EffectTable
-        ``states`` is read; ``applied`` (commands and joint torques), ``rates`` and ``output``
-        are written.
+        ``states`` is read; ``applied`` (commands and joint torques), ``rates``, ``output`` and
+        which joints stick are written.
     q, qd : ndarray, shape (nv,)
         Joint coordinates and rates.
     tau : ndarray, shape (nv,)
@@ -48,47 +50,24 @@ def apply(body, table, q, qd, tau):
         table.applied[i] = tau[i]
     for k in range(table.rates.shape[0]):
         table.rates[k] = 0.0
+    table.sticking.rows[0] = 0
     for row in range(table.kind.shape[0]):
         if table.enabled[row] == 0:
             continue
         kind = table.kind[row]
-        if kind == joint_damping.KIND:
+        if kind == JOINT_DAMPING:
             joint_damping.apply(table, row, qd)
-        elif kind == joint_spring.KIND:
+        elif kind == JOINT_SPRING:
             joint_spring.apply(table, row, q)
-        elif kind == end_stop.KIND:
+        elif kind == END_STOP:
             end_stop.apply(table, row, q, qd)
-        elif kind == joint_friction.KIND:
+        elif kind == JOINT_FRICTION:
             joint_friction.apply(table, row, qd)
-        elif kind == point_spring.KIND:
+        elif kind == POINT_SPRING:
             point_spring.apply(table, row, body)
-        elif kind == external_force.KIND:
+        elif kind == EXTERNAL_FORCE:
             external_force.apply(table, row, body)
-        elif kind == contact.KIND:
+        elif kind == CONTACT:
             contact.apply(table, row, body)
-        elif kind == actuator.KIND:
+        elif kind == ACTUATOR:
             actuator.apply(table, row, qd, tau)
-
-
-@compiled
-def settle(table, state, nv):
-    """
-    Bring the effects' own states back to where they may be, after a step.
-
-    Parameters
-    ----------
-    table : EffectTable
-        ``states`` is used.
-    state : ndarray, shape (ns,)
-        Corrected in place.
-    nv : int
-        Number of joint coordinates.
-
-    """
-    for k in range(table.states.shape[0]):
-        table.states[k] = state[2 * nv + k]
-    for row in range(table.kind.shape[0]):
-        if table.kind[row] == joint_friction.KIND and table.enabled[row] == 1:
-            place = table.index[row, STATE]
-            state[2 * nv + place] = joint_friction.settle(
-                table, row, state[nv + table.index[row, FIRST]])

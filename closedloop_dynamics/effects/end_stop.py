@@ -29,17 +29,16 @@ from dataclasses import dataclass
 import math
 from typing import Optional
 
+from .effect import Effect
 from .machine import require_joint
-from .table import DISSIPATED, FIRST, Law, STATE, State, STORED
+from .table import DISSIPATED, END_STOP, FIRST, ForceElement, STATE, State, STORED
 from ..core.compiled import inlined
 from ..mechanism.checks import name, not_negative, number, positive
 from ..mechanism.fields import FieldError, normalise
 
-KIND = 2
-
 
 @dataclass(frozen=True)
-class EndStop:
+class EndStop(Effect):
     """
     End stops of a joint.
 
@@ -79,9 +78,9 @@ class EndStop:
         """Refuse a joint that the mechanism does not have."""
         require_joint(mechanism, 'joint', self.joint)
 
-    def law(self, machine):
+    def element(self, machine):
         """Return the effect as a row of the table."""
-        return Law(KIND, (machine.joint(self.joint),), (
+        return ForceElement(END_STOP, (machine.joint(self.joint),), (
             self.stiffness, -math.inf if self.lower is None else self.lower,
             math.inf if self.upper is None else self.upper, self.damping), (State(DISSIPATED),))
 

@@ -24,20 +24,19 @@ from Python or from a topic).
 
 from dataclasses import dataclass
 
+from .effect import Effect
 from .forces import offset, push
 from .machine import require_point
-from .table import FIRST, Law, STATE, State, WORK
+from .table import EXTERNAL_FORCE, FIRST, ForceElement, STATE, State, WORK
 from ..core.compiled import inlined
 from ..core.types import OMEGA, VX, VY
 from ..mechanism.checks import name, vector2
 from ..mechanism.fields import normalise
 from ..mechanism.mechanism import Vector2
 
-KIND = 5
-
 
 @dataclass(frozen=True)
-class ExternalForce:
+class ExternalForce(Effect):
     """
     A force on a named point.
 
@@ -64,10 +63,10 @@ class ExternalForce:
         """Refuse a point that the mechanism does not have."""
         require_point(mechanism, 'point', self.point)
 
-    def law(self, machine):
+    def element(self, machine):
         """Return the effect as a row of the table."""
         row, place = machine.point(self.point)
-        return Law(KIND, (row,), (*place, *self.force), (State(WORK),))
+        return ForceElement(EXTERNAL_FORCE, (row,), (*place, *self.force), (State(WORK),))
 
 
 @inlined

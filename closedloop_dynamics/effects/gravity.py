@@ -23,13 +23,14 @@ It stores the potential energy ``-sum_i m_i g . p_i``.
 
 from dataclasses import dataclass
 
+from .effect import Effect
 from ..mechanism.checks import vector2
 from ..mechanism.fields import normalise
 from ..mechanism.mechanism import Vector2
 
 
 @dataclass(frozen=True)
-class Gravity:
+class Gravity(Effect):
     """
     Uniform gravity.
 
@@ -39,8 +40,6 @@ class Gravity:
         The vector g in world axes [m/s^2]; ``(0.0, -9.81)`` pulls down.
 
     """
-
-    READINGS = ()
 
     acceleration: Vector2
 

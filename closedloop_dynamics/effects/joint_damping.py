@@ -24,17 +24,16 @@ grows with the rate and vanishes at rest.
 
 from dataclasses import dataclass
 
+from .effect import Effect
 from .machine import require_joint
-from .table import DISSIPATED, FIRST, Law, STATE, State
+from .table import DISSIPATED, FIRST, ForceElement, JOINT_DAMPING, STATE, State
 from ..core.compiled import inlined
 from ..mechanism.checks import name, not_negative
 from ..mechanism.fields import normalise
 
-KIND = 0
-
 
 @dataclass(frozen=True)
-class JointDamping:
+class JointDamping(Effect):
     """
     Viscous damping in a joint.
 
@@ -59,9 +58,10 @@ class JointDamping:
         """Refuse a joint that the mechanism does not have."""
         require_joint(mechanism, 'joint', self.joint)
 
-    def law(self, machine):
+    def element(self, machine):
         """Return the effect as a row of the table."""
-        return Law(KIND, (machine.joint(self.joint),), (self.coefficient,), (State(DISSIPATED),))
+        return ForceElement(JOINT_DAMPING, (machine.joint(self.joint),), (self.coefficient,),
+                            (State(DISSIPATED),))
 
 
 @inlined

@@ -24,17 +24,16 @@ a large k) a joint that is meant to stand still.
 
 from dataclasses import dataclass
 
+from .effect import Effect
 from .machine import require_joint
-from .table import FIRST, Law, STORED
+from .table import FIRST, ForceElement, JOINT_SPRING, STORED
 from ..core.compiled import inlined
 from ..mechanism.checks import name, not_negative, number
 from ..mechanism.fields import normalise
 
-KIND = 1
-
 
 @dataclass(frozen=True)
-class JointSpring:
+class JointSpring(Effect):
     """
     Linear spring in a joint.
 
@@ -62,9 +61,10 @@ class JointSpring:
         """Refuse a joint that the mechanism does not have."""
         require_joint(mechanism, 'joint', self.joint)
 
-    def law(self, machine):
+    def element(self, machine):
         """Return the effect as a row of the table."""
-        return Law(KIND, (machine.joint(self.joint),), (self.stiffness, self.rest))
+        return ForceElement(
+            JOINT_SPRING, (machine.joint(self.joint),), (self.stiffness, self.rest))
 
 
 @inlined

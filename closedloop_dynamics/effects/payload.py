@@ -24,6 +24,7 @@ tool, a part in the gripper, a counterweight.
 
 from dataclasses import dataclass
 
+from .effect import Effect
 from .machine import require_body
 from ..core.types import INERTIA, MASS, MASS_X, MASS_Y
 from ..mechanism.checks import name, not_negative, vector2
@@ -32,7 +33,7 @@ from ..mechanism.mechanism import Vector2
 
 
 @dataclass(frozen=True)
-class Payload:
+class Payload(Effect):
     """
     A mass added rigidly to a body.
 
@@ -47,8 +48,6 @@ class Payload:
         About its own centre of mass, zero or more [kg m^2].
 
     """
-
-    READINGS = ()
 
     body: str
     mass: float

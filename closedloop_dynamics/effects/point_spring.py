@@ -27,20 +27,19 @@ from dataclasses import dataclass
 import math
 from typing import Optional
 
+from .effect import Effect
 from .forces import offset, push
 from .machine import require_point
-from .table import DISSIPATED, FIRST, Law, SECOND, STATE, State, STORED
+from .table import DISSIPATED, FIRST, ForceElement, POINT_SPRING, SECOND, STATE, State, STORED
 from ..core.compiled import inlined
 from ..core.types import OMEGA, PX, PY, VX, VY
 from ..mechanism.checks import name, not_negative, vector2
 from ..mechanism.fields import FieldError, normalise
 from ..mechanism.mechanism import Vector2
 
-KIND = 4
-
 
 @dataclass(frozen=True)
-class PointSpring:
+class PointSpring(Effect):
     """
     Spring and damper along the line between two points.
 
@@ -88,11 +87,11 @@ class PointSpring:
         if self.point_b is not None:
             require_point(mechanism, 'point_b', self.point_b)
 
-    def law(self, machine):
+    def element(self, machine):
         """Return the effect as a row of the table."""
         row_a, place_a = machine.point(self.point_a)
         row_b, place_b = machine.point(self.point_b) if self.point_b else (0, self.anchor)
-        return Law(KIND, (row_a, row_b), (
+        return ForceElement(POINT_SPRING, (row_a, row_b), (
             *place_a, *place_b, self.stiffness, self.damping, self.free_length),
             (State(DISSIPATED),))
 

@@ -26,6 +26,7 @@ drives, whose rotor often outweighs the link.
 
 from dataclasses import dataclass
 
+from .effect import Effect
 from .machine import require_joint
 from ..core.types import ARMATURE, REVOLUTE, REVOLUTE_ARMATURE, TYPE
 from ..mechanism.checks import name, not_negative, number
@@ -33,7 +34,7 @@ from ..mechanism.fields import FieldError, normalise
 
 
 @dataclass(frozen=True)
-class Rotor:
+class Rotor(Effect):
     """
     A rotor that a joint turns through a gear.
 
@@ -47,8 +48,6 @@ class Rotor:
         joint: 2 pi / lead [rad/m]).
 
     """
-
-    READINGS = ()
 
     joint: str
     inertia: float

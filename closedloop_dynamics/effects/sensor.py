@@ -28,13 +28,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .effect import Effect
 from ..mechanism.checks import not_negative, number
 from ..mechanism.fields import FieldError, normalise
 from ..mechanism.fields import shown
 
 
 @dataclass(frozen=True)
-class Sensor:
+class Sensor(Effect):
     """
     Errors of the joint sensors, the same for all joints.
 
@@ -53,8 +54,6 @@ class Sensor:
 
     """
 
-    READINGS = ()
-
     position_noise: float = 0.0
     velocity_noise: float = 0.0
     position_bias: float = 0.0
@@ -72,9 +71,6 @@ class Sensor:
         if type(self.seed) is not int or self.seed < 0:
             raise FieldError('a whole number that is zero or more', shown(self.seed),
                              path=('seed',))
-
-    def fit(self, mechanism):
-        """Accept any mechanism."""
 
     def instrument(self):
         """Return what measures, with the memory that a delay and a seed need."""

@@ -24,6 +24,11 @@ from typing import NamedTuple, Tuple
 
 import numpy as np
 
+from ..core.joint_wrenches import COLUMNS
+
+# Which law a row of the table obeys.
+(JOINT_DAMPING, JOINT_SPRING, END_STOP, JOINT_FRICTION, POINT_SPRING, EXTERNAL_FORCE, CONTACT,
+ ACTUATOR) = range(8)
 # Columns of EffectTable.index: first own state; joint (its place in q) or the row of the body
 # that carries the first point; the row of the second point's body, or of the joint's; whether the
 # law wants the reaction in its joint, as its second state.
@@ -61,14 +66,14 @@ class State(NamedTuple):
     initial: float = 0.0
 
 
-class Law(NamedTuple):
+class ForceElement(NamedTuple):
     """
     One effect as a row of the table.
 
     Attributes
     ----------
     kind : int
-        The ``KIND`` of the effect's module.
+        ``JOINT_DAMPING`` to ``ACTUATOR``.
     index : tuple of int
         FIRST and SECOND, as far as the law reads them.
     values : tuple of float
@@ -77,6 +82,8 @@ class Law(NamedTuple):
         In the order the law reads and writes them.
     loaded : bool
         Whether the law wants the reaction in its joint.
+    sticks : bool
+        Whether the law may hold its joint at rest.
 
     """
 
@@ -85,6 +92,45 @@ class Law(NamedTuple):
     values: Tuple[float, ...]
     states: Tuple[State, ...] = ()
     loaded: bool = False
+    sticks: bool = False
+
+
+class Sticking(NamedTuple):
+    """
+    Joints at rest under dry friction in the latest evaluation, and what holds them.
+
+    Attributes
+    ----------
+    rows : ndarray of int, shape (nf + 1,)
+        How many joints stick, and the rows of their effects; nf effects may stick.
+    hold : ndarray, shape (ne,)
+        Friction that ``dispatch.apply`` gives to a joint that sticks [N m; N]: zero but while
+        responses are computed.
+    response : ndarray, shape (nf + 1, nv + nc)
+        What the limit of each friction changes of accelerations and multipliers; last, these
+        without the friction of any joint at rest.
+    matrix : ndarray, shape (nf, nf)
+    right, bound, move : ndarray, shape (nf,)
+    factor : ndarray, shape (nf, nf)
+    free : ndarray of int, shape (nf,)
+        Of ``sticking.solve``.
+    share : ndarray, shape (nf,)
+        Friction relative to its limit.
+    impulse : ndarray, shape (nf,)
+
+    """
+
+    rows: np.ndarray
+    hold: np.ndarray
+    response: np.ndarray
+    matrix: np.ndarray
+    right: np.ndarray
+    bound: np.ndarray
+    move: np.ndarray
+    factor: np.ndarray
+    free: np.ndarray
+    share: np.ndarray
+    impulse: np.ndarray
 
 
 class EffectTable(NamedTuple):
@@ -106,8 +152,9 @@ class EffectTable(NamedTuple):
         How many effects want the reaction in their joint.
     applied : ndarray, shape (nv,)
         Joint torques: commands and effects. The commands' own array where no effect is listed.
-    reaction : ndarray, shape (nb + 1, 5)
+    reaction : ndarray, shape (nb + 1, joint_wrenches.COLUMNS)
         Scratch of ``joint_reaction``; of no length where no effect is listed.
+    sticking : Sticking
 
     """
 
@@ -122,30 +169,33 @@ class EffectTable(NamedTuple):
     loaded: np.ndarray
     applied: np.ndarray
     reaction: np.ndarray
+    sticking: Sticking
 
 
-def build_table(laws, tau, bodies):
+def build_table(elements, tau, bodies, equations):
     """
     Allocate the table of the listed effects.
 
     Parameters
     ----------
-    laws : sequence of Law
+    elements : sequence of ForceElement
         In the order of the scene.
     tau : ndarray, shape (nv,)
         The commanded joint torques.
     bodies : int
         Number of bodies.
+    equations : int
+        Number of closure equations.
 
     Returns
     -------
     EffectTable
 
     """
-    count = len(laws)
-    states = [state for law in laws for state in law.states]
+    count, most = len(elements), sum(element.sticks for element in elements)
+    states = [state for element in elements for state in element.states]
     table = EffectTable(
-        kind=np.array([law.kind for law in laws], dtype=np.int64),
+        kind=np.array([element.kind for element in elements], dtype=np.int64),
         enabled=np.ones(count, dtype=np.int64),
         index=np.zeros((count, INDEX_COLUMNS), dtype=np.int64),
         values=np.zeros((count, VALUE_COLUMNS)),
@@ -155,16 +205,22 @@ def build_table(laws, tau, bodies):
         scale=np.array([state.scale for state in states], dtype=float),
         loaded=np.zeros(1, dtype=np.int64),
         applied=tau.copy() if count else tau,
-        reaction=np.zeros((bodies + 1 if count else 0, 5)))
+        reaction=np.zeros((bodies + 1 if count else 0, COLUMNS)),
+        sticking=Sticking(
+            rows=np.zeros(most + 1, dtype=np.int64), hold=np.zeros(count),
+            response=np.zeros((most + 1, len(tau) + equations)), matrix=np.zeros((most, most)),
+            right=np.zeros(most), bound=np.zeros(most), move=np.zeros(most),
+            factor=np.zeros((most, most)), free=np.zeros(most, dtype=np.int64),
+            share=np.zeros(most), impulse=np.zeros(most)))
     first = 0
-    for row, law in enumerate(laws):
+    for row, element in enumerate(elements):
         table.index[row, STATE] = first
-        fill_row(table, row, law)
-        first += len(law.states)
+        fill_row(table, row, element)
+        first += len(element.states)
     return table
 
 
-def fill_row(table, row, law):
+def fill_row(table, row, element):
     """
     Write the parameters of one effect, at the start or while a simulation runs.
 
@@ -174,14 +230,14 @@ def fill_row(table, row, law):
         Written in place.
     row : int
         Of the effect.
-    law : Law
+    element : ForceElement
         Of the row's kind.
 
     """
-    table.index[row, 1:1 + len(law.index)] = law.index
+    table.index[row, 1:1 + len(element.index)] = element.index
     table.values[row] = 0.0
-    table.values[row, :len(law.values)] = law.values
-    table.index[row, LOADED] = law.loaded
+    table.values[row, :len(element.values)] = element.values
+    table.index[row, LOADED] = element.loaded
     table.loaded[0] = table.index[:, LOADED].sum()
     first = table.index[row, STATE]
-    table.scale[first:first + len(law.states)] = [state.scale for state in law.states]
+    table.scale[first:first + len(element.states)] = [state.scale for state in element.states]

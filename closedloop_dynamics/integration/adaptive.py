@@ -16,25 +16,33 @@
 
 import math
 
-from . import runge_kutta
-from .advance import DONE, NOT_FINITE, OPEN_LOOP, STEP_TOO_SMALL
-from .projection import all_finite, stabilise
-from .system import derivative
-from ..core.compiled import compiled
+from . import runge_kutta, stick_slip
+from .advance import DONE, NOT_FINITE, OPEN_LOOP, STEP_TOO_SMALL, TOO_MUCH_WORK
+from .projection import all_finite, stabilised
+from .system import rate_of_change
+from ..core.compiled import compiled, inlined, merged
 
 # Columns of the control record: the time reached by whole steps; the step to try next (0: to be
 # guessed); the start and the size of the latest step (0: there is none to interpolate); whether
 # its slopes for dense output are complete; steps accepted and rejected since the last reset; the
-# latest and the largest accepted error relative to the tolerance.
+# latest and the largest accepted error relative to the tolerance; evaluations; the time of the
+# latest restart and how long before it the one before was; step size times fastest rate, as the
+# latest step shows it.
 (REACHED, NEXT_STEP, STEP_START, STEP_SIZE, EXTENDED, ACCEPTED, REJECTED, ERROR,
- LARGEST_ERROR) = range(9)
-CONTROL_COLUMNS = 9
+ LARGEST_ERROR, WORK, RESTARTED, HOLD, STIFFNESS) = range(13)
+CONTROL_COLUMNS = 13
 
 # Hairer's choices: aim a little below the tolerance, and change the step gently.
 SAFETY, LARGEST_GROWTH, LARGEST_CUT = 0.9, 6.0, 0.2
+# The least step, relative to the time that it has to change; times closer than that are the same.
+LEAST = 1e-14
+# Rows of the scratch.
+STAGE, OUT, BEFORE, AFTER, LAST_STAGE, FIRST_SLOPE = range(6)
+# What takes more evaluations than this for one step of the raster is no simulation any more.
+MOST_EVALUATIONS = 200_000
 
 
-@compiled
+@merged
 def error_norm(tableau, step_size, slopes, state, out, scale):
     """
     Estimate the error of a step relative to the tolerance (1: just accepted).
@@ -77,7 +85,7 @@ def error_norm(tableau, step_size, slopes, state, out, scale):
     return step_size * math.sqrt(fine / count)
 
 
-@compiled
+@merged
 def first_step(system, tableau, state, slopes, scale, stage, out):
     """
     Guess the size of the first step (Hairer, Norsett and Wanner 1993, section II.4).
@@ -103,7 +111,7 @@ def first_step(system, tableau, state, slopes, scale, stage, out):
     guess = 1e-6 if size < 1e-5 or slope < 1e-5 else 0.01 * size / slope
     for i in range(count):
         stage[i] = state[i] + guess * slopes[0, i]
-    derivative(system, stage, slopes[1])
+    rate_of_change(system, stage, slopes[1])
     for i in range(count):
         weight = 1.0 / (scale[0, i] + scale[1, i] * abs(state[i]))
         bend += ((slopes[1, i] - slopes[0, i]) * weight) ** 2
@@ -114,8 +122,37 @@ def first_step(system, tableau, state, slopes, scale, stage, out):
     return min(100.0 * guess, (0.01 / steepest) ** (1.0 / (tableau.error_order + 1)))
 
 
+@inlined
+def is_before(time, target):
+    """Return whether a time is before another by more than rounding."""
+    return target - time > LEAST * max(abs(target), 1e-3)
+
+
+@merged
+def begin(time, state, control, scratch):
+    """
+    Start at a state, or start again where torques have changed.
+
+    Parameters
+    ----------
+    time : float
+        Of the state [s].
+    state : ndarray, shape (ns,)
+        To start at.
+    control, scratch
+        As for ``advance``.
+
+    """
+    control[HOLD] = time - control[RESTARTED]
+    control[RESTARTED] = control[REACHED] = time
+    control[STIFFNESS] = 0.0
+    for i in range(state.shape[0]):
+        scratch[AFTER, i] = state[i]
+
+
 @compiled
-def advance(system, tableau, stabilisation, state, target, control, scale, scratch):
+def advance(system, tableau, stabilisation, state, time, step_size, steps, control, scale,
+            scratch):
     """
     Advance a state to a time, by error-controlled steps that need not end there.
 
@@ -128,84 +165,153 @@ def advance(system, tableau, stabilisation, state, target, control, scale, scrat
     stabilisation : int
         One of ``projection``.
     state : ndarray, shape (ns,)
-        State at the time of the latest call, replaced by the one at ``target``.
-    target : float
-        [s], not before the latest call's.
+        State at ``time``, replaced by the one ``steps * step_size`` later.
+    time, step_size : float
+        [s].
+    steps : int
+        How many.
     control : ndarray, shape (CONTROL_COLUMNS,)
-        With STEP_SIZE zero the integration starts at ``state`` and time REACHED; otherwise it
-        goes on from where the latest step ended.
+        With STEP_SIZE zero the integration starts at ``state``; otherwise it goes on from where
+        the latest step ended.
     scale : ndarray, shape (2, ns)
         Absolute and relative tolerance of each component.
-    scratch : ndarray, shape (stages + 4, ns)
+    scratch : ndarray, shape (stages + FIRST_SLOPE, ns)
         Kept between calls.
 
     Returns
     -------
     int
-        ``DONE``, ``NOT_FINITE``, ``OPEN_LOOP`` or ``STEP_TOO_SMALL``; on failure ``state`` and
-        REACHED are the latest good ones.
+        ``DONE``, ``NOT_FINITE``, ``OPEN_LOOP``, ``STEP_TOO_SMALL`` or ``TOO_MUCH_WORK``; on
+        failure ``state`` and REACHED are the latest good ones.
 
     """
-    stage, out, before, after, slopes = (
-        scratch[0], scratch[1], scratch[2], scratch[3], scratch[4:])
     if control[STEP_SIZE] == 0.0:
-        for i in range(state.shape[0]):
-            after[i] = state[i]
+        begin(time, state, control, scratch)
+    target, most = time + steps * step_size, control[WORK] + MOST_EVALUATIONS * steps
     status = DONE
-    while control[REACHED] < target and status == DONE:
-        status = _step(system, tableau, stabilisation, target, control, scale, stage, out, before,
-                       after, slopes)
+    while is_before(control[REACHED], target) and status == DONE:
+        status = accepted_step(system, tableau, stabilisation, control, scale, scratch)
+        if control[WORK] > most:
+            status = TOO_MUCH_WORK
     if status != DONE:
         for i in range(state.shape[0]):
-            state[i] = after[i]
+            state[i] = scratch[AFTER, i]
         control[STEP_SIZE] = 0.0
         return status
-    if control[REACHED] == target or control[STEP_SIZE] == 0.0:
-        for i in range(state.shape[0]):
-            state[i] = after[i]
-        return DONE
+    interpolate(system, tableau, target, control, scratch, state)
+    if is_before(target, control[REACHED]) and not stabilised(system, stabilisation, state):
+        return OPEN_LOOP
+    return DONE
+
+
+@compiled
+def interpolate(system, tableau, time, control, scratch, out):
+    """
+    Compute the state at a time within the latest step, before it is stabilised.
+
+    Parameters
+    ----------
+    system, tableau, control, scratch
+        As for ``advance``.
+    time : float
+        [s].
+    out : ndarray, shape (ns,)
+        Written in place.
+
+    """
+    if control[STEP_SIZE] == 0.0 or not is_before(time, control[REACHED]):
+        for i in range(out.shape[0]):
+            out[i] = scratch[AFTER, i]
+        return
+    slopes = scratch[FIRST_SLOPE:]
     if control[EXTENDED] == 0.0:
         first = tableau.b.shape[0]
         if tableau.error[0, first] != 0.0:
             first += 1
-        runge_kutta.extend(system, tableau, before, control[STEP_SIZE], slopes, stage, first)
+        runge_kutta.extend(system, tableau, scratch[BEFORE], control[STEP_SIZE], slopes,
+                           scratch[STAGE], first)
         control[EXTENDED] = 1.0
-    share = (target - control[STEP_START]) / control[STEP_SIZE]
-    runge_kutta.interpolate(tableau, before, control[STEP_SIZE], slopes, share, state)
-    return DONE if stabilise(system, stabilisation, state) else OPEN_LOOP
+    share = (time - control[STEP_START]) / control[STEP_SIZE]
+    runge_kutta.interpolate(tableau, scratch[BEFORE], control[STEP_SIZE], slopes, share, out)
 
 
 @compiled
-def _step(system, tableau, stabilisation, target, control, scale, stage, out, before, after,
-          slopes):
-    """Make one accepted step from ``after``, which becomes ``before``."""
-    steps = tableau.b.shape[0]
-    derivative(system, after, slopes[0])
+def accepted_step(system, tableau, stabilisation, control, scale, scratch):
+    """
+    Make one accepted step from where the latest ended.
+
+    Parameters
+    ----------
+    system, tableau, stabilisation, control, scale, scratch
+        As for ``advance``.
+
+    Returns
+    -------
+    int
+        As for ``advance``.
+
+    Notes
+    -----
+    Torques are expected to change again after as long as they were held the last time: a step
+    ends there, since what goes beyond would be thrown away.
+
+    The step size times the fastest rate is estimated as by Hairer and Wanner (1996), section
+    IV.2: two states at the end of a step, the last stage's and the result, differ most in the
+    direction of the largest eigenvalue.
+
+    """
+    stage, out, before, after, last, slopes = (
+        scratch[STAGE], scratch[OUT], scratch[BEFORE], scratch[AFTER], scratch[LAST_STAGE],
+        scratch[FIRST_SLOPE:])
+    count, stages = after.shape[0], tableau.b.shape[0]
+    rate_of_change(system, after, slopes[0])
+    if control[STEP_SIZE] > 0.0:
+        turned, moved = 0.0, 0.0
+        for i in range(count):
+            turned += (slopes[0, i] - slopes[stages - 1, i]) ** 2
+            moved += (after[i] - last[i]) ** 2
+        control[STIFFNESS] = control[STEP_SIZE] * math.sqrt(turned / moved) if moved > 0.0 else 0.0
     size = control[NEXT_STEP]
     if size == 0.0:
         size = first_step(system, tableau, after, slopes, scale, stage, out)
-    rejected = False
+    wanted, rest = size, control[RESTARTED] + control[HOLD] - control[REACHED]
+    if rest > LEAST * max(abs(control[REACHED]), 1e-3):
+        # Two steps of a half rather than one and a crumb.
+        size = rest if size >= rest else min(size, 0.5 * rest) if size > 0.5 * rest else size
+    rejected, closed, cuts, nv = False, True, 0, system.qdd.shape[0]
     while True:
-        if not size > 1e-14 * max(abs(control[REACHED]), 1e-3):
-            return STEP_TOO_SMALL if all_finite(slopes[0]) else NOT_FINITE
+        if not size > LEAST * max(abs(control[REACHED]), 1e-3):
+            return (NOT_FINITE if not all_finite(slopes[0]) else
+                    STEP_TOO_SMALL if closed else OPEN_LOOP)
         runge_kutta.step(system, tableau, after, size, slopes, stage, out)
-        if tableau.error[0, steps] != 0.0:
-            derivative(system, out, slopes[steps])
+        control[WORK] += stages
+        for i in range(count):
+            last[i] = stage[i]
+        if tableau.error[0, stages] != 0.0:
+            rate_of_change(system, out, slopes[stages])
         error = error_norm(tableau, size, slopes, after, out, scale)
         # Written so that a NaN counts as an error too large.
         if error <= 1.0:
-            break
+            part = stick_slip.part(
+                system.effects, after, out, nv, size, max(
+                    stick_slip.least(max(size, wanted), cuts), LEAST * abs(control[REACHED])))
+            if part < size:
+                size, cuts = part, cuts + 1
+                continue
+            if stabilised(system, stabilisation, out):
+                break
         rejected = True
         control[REJECTED] += 1.0
-        cut = SAFETY * error ** (-1.0 / (tableau.error_order + 1)) if error < 1e30 else 0.0
+        # Loops that cannot be closed after a step can be after a shorter one.
+        closed = not error <= 1.0
+        cut = 0.5 if not closed else 0.0 if not error < 1e30 else (
+            SAFETY * error ** (-1.0 / (tableau.error_order + 1)))
         size *= max(LARGEST_CUT, cut)
-    for i in range(after.shape[0]):
+        wanted = size
+    for i in range(count):
         before[i] = after[i]
         after[i] = out[i]
-    if not stabilise(system, stabilisation, after):
-        for i in range(after.shape[0]):
-            after[i] = before[i]
-        return OPEN_LOOP
+    stick_slip.rest(system.effects, system, after)
     growth = LARGEST_GROWTH if error < 1e-10 else min(
         LARGEST_GROWTH, SAFETY * error ** (-1.0 / (tableau.error_order + 1)))
     if rejected:
@@ -213,7 +319,8 @@ def _step(system, tableau, stabilisation, target, control, scale, stage, out, be
     control[STEP_START] = control[REACHED]
     control[STEP_SIZE] = size
     control[REACHED] += size
-    control[NEXT_STEP] = size * max(growth, LARGEST_CUT)
+    # A step cut short says nothing against the size that was to be tried.
+    control[NEXT_STEP] = max(size * max(growth, LARGEST_CUT), wanted if size < wanted else 0.0)
     control[EXTENDED] = 0.0
     control[ACCEPTED] += 1.0
     control[ERROR] = error

@@ -14,13 +14,13 @@
 
 """Whole steps of a chosen scheme with a chosen stabilisation, compiled as one loop."""
 
-from . import runge_kutta, semi_implicit_euler
+from . import runge_kutta, semi_implicit_euler, stick_slip
 from .projection import all_finite, stabilise
 from .system import derivative
-from ..core.compiled import compiled
+from ..core.compiled import compiled, inlined
 
 # Status of ``advance`` and ``adaptive.advance``.
-DONE, NOT_FINITE, OPEN_LOOP, STEP_TOO_SMALL = range(4)
+DONE, NOT_FINITE, OPEN_LOOP, STEP_TOO_SMALL, TOO_MUCH_WORK = range(5)
 
 
 @compiled
@@ -42,7 +42,7 @@ def advance(system, tableau, stabilisation, state, step_size, steps, scratch):
         [s].
     steps : int
         How many.
-    scratch : ndarray, shape (stages + 2, ns)
+    scratch : ndarray, shape (stages + 3, ns)
         Scratch, kept between calls.
 
     Returns
@@ -53,18 +53,40 @@ def advance(system, tableau, stabilisation, state, step_size, steps, scratch):
         Steps completed.
 
     """
-    slopes, stage, out = scratch[2:], scratch[0], scratch[1]
+    stage, out, start, slopes = scratch[0], scratch[1], scratch[2], scratch[3:]
+    effects, nv = system.effects, system.qdd.shape[0]
     for done in range(steps):
-        derivative(system, state, slopes[0])
-        if tableau.b.shape[0] == 0:
-            semi_implicit_euler.step(state, system.qdd.shape[0], step_size, slopes[0], out)
-        else:
-            runge_kutta.step(system, tableau, state, step_size, slopes, stage, out)
-        closed = stabilise(system, stabilisation, out)
-        if not all_finite(out):
-            return NOT_FINITE, done
-        if not closed:
-            return OPEN_LOOP, done
-        for i in range(state.shape[0]):
-            state[i] = out[i]
+        left, size, cuts = step_size, step_size, 0
+        _keep(effects, state, start)
+        # Once, but where a joint under dry friction comes to rest within the step.
+        while left > 0.0:
+            derivative(system, state, slopes[0])
+            if tableau.b.shape[0] == 0:
+                semi_implicit_euler.step(state, nv, size, slopes[0], out)
+            else:
+                runge_kutta.step(system, tableau, state, size, slopes, stage, out)
+            closed = stabilise(system, stabilisation, out)
+            if not (closed and all_finite(out)):
+                _keep(effects, start, state)
+                return (OPEN_LOOP if all_finite(out) else NOT_FINITE), done
+            part = stick_slip.part(effects, state, out, nv, size,
+                                   stick_slip.least(step_size, cuts))
+            if part < size:
+                size, cuts = part, cuts + 1
+                continue
+            stick_slip.rest(effects, system, out)
+            for i in range(state.shape[0]):
+                state[i] = out[i]
+            left -= size
+            if left <= stick_slip.LEAST_PART * step_size:
+                break
+            size = left
     return DONE, steps
+
+
+@inlined
+def _keep(effects, state, out):
+    """Copy a state, where steps may be made in parts."""
+    if effects is not None:
+        for i in range(state.shape[0]):
+            out[i] = state[i]

@@ -20,7 +20,7 @@ from ..core import rank_revealing
 
 def is_stored(system):
     """
-    Tell whether the kernels of the rank-revealing path need not be compiled.
+    Tell whether the kernels of the rank-revealing path are on disk.
 
     Parameters
     ----------
@@ -30,10 +30,10 @@ def is_stored(system):
     Returns
     -------
     bool
-        False where it cannot be told.
 
     """
-    return all(_is_stored(kernel, signature) for kernel, signature in _kernels(system))
+    return all(kernel._cache.is_stored(signature, kernel.targetctx)
+               for kernel, signature in _kernels(system))
 
 
 def preparations(system):
@@ -66,15 +66,3 @@ def _kernels(system):
                                 system.applied, q, q, qdd, system.lam)),
         (careful_correction, (model, work, rank_revealing.POSITION, q, q, qdd)))
     return [(kernel, tuple(typeof(each) for each in arguments)) for kernel, arguments in calls]
-
-
-def _is_stored(kernel, signature):
-    """Look into numba's index, for which it has no public function."""
-    if signature in kernel.overloads:
-        return True
-    try:
-        cache = kernel._cache
-        return cache._index_key(signature, kernel.targetctx.codegen()) in (
-            cache._cache_file._load_index())
-    except (AttributeError, TypeError, OSError):
-        return False

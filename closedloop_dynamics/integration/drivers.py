@@ -16,10 +16,10 @@
 
 import numpy as np
 
-from . import adaptive, advance, rosenbrock
-from .registry import ADAPTIVE, INTEGRATORS, ROSENBROCK, SCIPY, STABILISATIONS
+from . import adaptive, advance, rosenbrock, switching
+from .registry import ADAPTIVE, INTEGRATORS, ROSENBROCK, SCIPY, STABILISATIONS, SWITCHING
 from .scipy_solvers import SciPySolver
-from .system import number_of_states
+from .system import narrowed, number_of_states
 
 
 def build_driver(system, method):
@@ -31,17 +31,19 @@ def build_driver(system, method):
     system : System
         What moves.
     method : Method
-        With ``integrator``, ``stabilisation``, ``step_size`` and ``tolerance``.
+        With ``integrator``, ``stabilisation``, ``step_size``, ``tolerance`` and ``accuracy``.
 
     Returns
     -------
-    FixedSteps, ErrorControlled, Stiff or SciPySolver
+    FixedSteps, ErrorControlled, Switching, Stiff or SciPySolver
 
     """
-    integrator = INTEGRATORS[method.integrator]
+    system, integrator = narrowed(system), INTEGRATORS[method.integrator]
     stabilisation = STABILISATIONS[method.stabilisation]
     if integrator.family == SCIPY:
         return SciPySolver(system, integrator.solver, stabilisation, method.tolerance)
+    if integrator.family == SWITCHING:
+        return Switching(system, integrator, stabilisation, method.accuracy)
     if integrator.family == ROSENBROCK:
         return Stiff(system, integrator, stabilisation, method.tolerance)
     if integrator.kind == ADAPTIVE:
@@ -66,7 +68,7 @@ class FixedSteps:
     ----------
     tableau : Tableau
     stabilisation : int
-    scratch : ndarray, shape (stages + 2, ns)
+    scratch : ndarray, shape (stages + 3, ns)
         Of ``advance.advance``.
 
     """
@@ -75,7 +77,7 @@ class FixedSteps:
         """Allocate the scratch of the method."""
         self._system, self.tableau = system, integrator.tableau
         self.stabilisation = stabilisation
-        self.scratch = np.zeros((len(self.tableau.a) + 2, number_of_states(system)))
+        self.scratch = np.zeros((len(self.tableau.a) + 3, number_of_states(system)))
 
     def advance(self, state, time, step_size, steps):
         """
@@ -105,8 +107,14 @@ class FixedSteps:
             self.scratch)
         return status, done * step_size
 
-    def restart(self):
-        """Forget the past: torques or the state have changed. Fixed steps have none."""
+    def restart(self, moved=False):
+        """Forget the past: torques, or with ``moved`` the state. Fixed steps have none."""
+
+    # Views of what outlasts ``restart``.
+    memory = ()
+
+    def rewind(self):
+        """Begin as a new driver would."""
 
 
 class ErrorControlled:
@@ -132,24 +140,100 @@ class ErrorControlled:
         self._system, self._tableau = system, integrator.tableau
         self._stabilisation, self._tolerance = stabilisation, tolerance
         self._scale = _error_scale(system, tolerance)
-        self._scratch = np.zeros((len(self._tableau.a) + 4, self._scale.shape[1]))
+        self._scratch = np.zeros(
+            (len(self._tableau.a) + adaptive.FIRST_SLOPE, self._scale.shape[1]))
         self.control = np.zeros(adaptive.CONTROL_COLUMNS)
 
     def advance(self, state, time, step_size, steps):
         """Advance a state by ``steps`` times ``step_size``; see ``FixedSteps.advance``."""
-        if self.control[adaptive.STEP_SIZE] == 0.0:
-            self.control[adaptive.REACHED] = time
         status = adaptive.advance(
-            self._system, self._tableau, self._stabilisation, state, time + steps * step_size,
+            self._system, self._tableau, self._stabilisation, state, time, step_size, steps,
             self.control, self._scale, self._scratch)
         if status == advance.DONE:
             return status, steps * step_size
         return status, self.control[adaptive.REACHED] - time
 
-    def restart(self):
-        """Forget the past: torques, the state or effects have changed."""
+    @property
+    def memory(self):
+        """Return views of what outlasts ``restart``."""
+        return (self.control,)
+
+    def restart(self, moved=False):
+        """Forget the past: torques, effects, or with ``moved`` the state have changed."""
         self.control[adaptive.STEP_SIZE] = 0.0
         _follow_effects(self._system, self._tolerance, self._scale)
+
+    def rewind(self):
+        """Begin as a new driver would."""
+        self.control[:] = 0.0
+
+
+class Switching:
+    """
+    Error control that changes between an explicit and a stiff method; see ``switching``.
+
+    Parameters
+    ----------
+    system : System
+        What moves.
+    integrator : Integrator
+        Of the registry.
+    stabilisation : int
+        One of ``projection``.
+    accuracy : float
+        Global error of coordinates within a second [rad or m].
+
+    Attributes
+    ----------
+    control : ndarray, shape (switching.COLUMNS,)
+        Of the run.
+    watch : ndarray, shape (switching.WATCH_COLUMNS,)
+        Of its error.
+
+    """
+
+    def __init__(self, system, integrator, stabilisation, accuracy):
+        """Allocate the run and its companion."""
+        self._system, self._tableau = system, integrator.tableau
+        self._stabilisation, self._accuracy = stabilisation, accuracy
+        self._runs = switching.allocate_runs(self._tableau, number_of_states(system))
+        self._unit = _error_scale(system, 1.0)
+        self.control, self.watch = self._runs.control[switching.RUN], self._runs.watch
+        self.rewind()
+
+    def advance(self, state, time, step_size, steps):
+        """Advance a state by ``steps`` times ``step_size``; see ``FixedSteps.advance``."""
+        status = switching.advance(
+            self._system, self._tableau, self._stabilisation, state, time, step_size, steps,
+            self._runs)
+        if status == advance.DONE:
+            return status, steps * step_size
+        return status, self.control[adaptive.REACHED] - time
+
+    @property
+    def memory(self):
+        """Return views of what outlasts ``restart``."""
+        runs = self._runs
+        return (runs.control.ravel(), runs.watch,
+                runs.scratch[switching.COMPANION, adaptive.AFTER])
+
+    def restart(self, moved=False):
+        """Forget the past: torques, effects, or with ``moved`` the state have changed."""
+        self.control[adaptive.STEP_SIZE] = 0.0
+        if moved:
+            self.control[switching.PATIENCE] = 0.0
+        _follow_effects(self._system, 1.0, self._unit)
+        for scale, factor in zip(self._runs.scale, (1.0, switching.LOOSER)):
+            np.multiply(self._unit, factor * self.watch[switching.TOLERANCE], out=scale)
+
+    def rewind(self):
+        """Begin as a new driver would."""
+        for array in (self._runs.control, self.watch, self._runs.stiff_scratch):
+            array[:] = 0.0
+        self.watch[switching.ACCURACY] = self._accuracy
+        self.watch[switching.TOLERANCE] = max(
+            switching.SHARE * self._accuracy, switching.FLOOR)
+        self.restart(moved=True)
 
 
 class Stiff:
@@ -176,7 +260,7 @@ class Stiff:
         self._adaptive = integrator.kind == ADAPTIVE
         self._scale = _error_scale(system, tolerance)
         states = self._scale.shape[1]
-        self._scratch = np.zeros((rosenbrock.STAGES + 4, states))
+        self._scratch = np.zeros((rosenbrock.STAGES + rosenbrock.FIRST_SLOPE, states))
         self._matrix, self._pivots = np.zeros((states, states)), np.zeros(states, dtype=np.int64)
         self.control = np.zeros(adaptive.CONTROL_COLUMNS)
 
@@ -195,10 +279,16 @@ class Stiff:
             return status, steps * step_size
         return status, self.control[adaptive.REACHED] - time
 
-    def restart(self):
-        """Forget the step size: torques, the state or effects have changed."""
+    memory = ()
+
+    def restart(self, moved=False):
+        """Forget the step size: torques, effects, or with ``moved`` the state have changed."""
         self.control[adaptive.NEXT_STEP] = 0.0
         _follow_effects(self._system, self._tolerance, self._scale)
+
+    def rewind(self):
+        """Begin as a new driver would."""
+        self.control[:] = self._scratch[:] = 0.0
 
 
 def _error_scale(system, tolerance):

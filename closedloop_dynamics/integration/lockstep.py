@@ -27,7 +27,8 @@ import numpy as np
 
 from . import semi_implicit_euler
 from .advance import DONE, NOT_FINITE, OPEN_LOOP
-from .projection import all_finite, INDEPENDENT, MOST_CORRECTIONS, PROJECTION, VELOCITY
+from .projection import all_finite, MOST_CORRECTIONS
+from .registry import INDEPENDENT, PROJECTION, VELOCITY
 from .runge_kutta import combine
 from .system import BAUMGARTE, CLOSURE_LIMIT, CLOSURE_TOLERANCE
 from ..core.compiled import inlined, released
@@ -243,7 +244,7 @@ def _note(state, position, velocity, instant):
 
 @released
 def march(pack, tableau, stabilisation, state, step_size, torque, hold, every, steps, scratch,
-          position, velocity):
+          position, velocity, work):
     """
     Make whole runs of fixed steps in lockstep.
 
@@ -257,10 +258,12 @@ def march(pack, tableau, stabilisation, state, step_size, torque, hold, every, s
         At the start; advanced in place.
     torque : ndarray, shape (rows, LANES * nv)
         Joint torques, one row after the other.
-    scratch : ndarray, shape (stages + 2, LANES * ns)
+    scratch : ndarray, shape (stages + 3, LANES * ns)
         Scratch.
     position, velocity : ndarray, shape (LANES, instants, nv)
         Written in place, for each mechanism apart.
+    work : ndarray, shape (LANES,)
+        Written in place: of the torques [J].
 
     Returns
     -------
@@ -268,11 +271,16 @@ def march(pack, tableau, stabilisation, state, step_size, torque, hold, every, s
         ``DONE``; or why all must be run one by one.
 
     """
-    slopes, stage, out = scratch[2:], scratch[0], scratch[1]
+    slopes, stage, out, since = scratch[3:], scratch[0], scratch[1], scratch[2]
     n = pack.qdd.shape[0]
     _note(state, position, velocity, 0)
+    for lane in range(LANES):
+        work[lane] = 0.0
+    for i in range(n):
+        since[i] = state[i]
     for done in range(steps):
         if done % hold == 0:
+            _work(pack.tau, state, since, work)
             for i in range(n):
                 pack.tau[i] = torque[done // hold, i]
         if not _step(pack.linkage, pack.qdd, tableau, state, step_size, slopes, stage, out):
@@ -287,4 +295,13 @@ def march(pack, tableau, stabilisation, state, step_size, torque, hold, every, s
             state[i] = out[i]
         if (done + 1) % every == 0:
             _note(state, position, velocity, (done + 1) // every)
+    _work(pack.tau, state, since, work)
     return DONE
+
+
+@inlined
+def _work(tau, state, since, work):
+    """Add the work of the torques held since the last call."""
+    for i in range(tau.shape[0]):
+        work[i % LANES] += tau[i] * (state[i] - since[i])
+        since[i] = state[i]

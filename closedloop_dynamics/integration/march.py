@@ -19,11 +19,13 @@ from typing import NamedTuple
 import numpy as np
 
 from .advance import advance, DONE
-from .system import evaluate, number_of_states, take_states
+from .system import apply_effects, evaluate, number_of_states, take_states
+from ..core import kinematics
 from ..core.compiled import compiled, inlined, released
 from ..core.energy import kinetic_energy, potential_energy
+from ..core.joint_wrenches import bias_forces, COLUMNS, cut_wrenches, joint_wrenches
 from ..core.loop_closure import largest
-from ..core.types import ALPHA
+from ..core.types import DOF
 from ..effects.table import STORED
 
 
@@ -40,9 +42,18 @@ class Tape(NamedTuple):
         Closure error [m or rad], kinetic energy, potential energy in gravity [J].
     output : ndarray, shape (instants, ne, 2)
         Stored energy and first reading of every effect with a law.
-    rows : ndarray of int, shape (n,)
-        Bodies whose angle is wanted.
-    angle : ndarray, shape (instants, n)
+    wrench : ndarray, shape (instants, number of cuts, 3)
+        At the cut joints [N m, N].
+    body : ndarray of int, shape (n,)
+        Of the named points.
+    point : ndarray, shape (n, 2)
+        In that body's frame [m].
+    place : ndarray, shape (instants, n, 2)
+        In the world [m].
+    work : ndarray, shape (1,)
+        Of the torques over the whole run [J].
+    since : ndarray, shape (ns,)
+        State since which it is still to be added.
 
     """
 
@@ -51,11 +62,15 @@ class Tape(NamedTuple):
     lam: np.ndarray
     scalars: np.ndarray
     output: np.ndarray
-    rows: np.ndarray
-    angle: np.ndarray
+    wrench: np.ndarray
+    body: np.ndarray
+    point: np.ndarray
+    place: np.ndarray
+    work: np.ndarray
+    since: np.ndarray
 
 
-def allocate_tape(system, instants, evaluated, rows):
+def allocate_tape(system, instants, evaluated, body, point):
     """
     Allocate a tape.
 
@@ -67,8 +82,10 @@ def allocate_tape(system, instants, evaluated, rows):
         How many there will be.
     evaluated : bool
         Whether more than the state is wanted.
-    rows : sequence of int
-        Bodies whose angle is wanted.
+    body : ndarray of int, shape (n,)
+        Of the named points.
+    point : ndarray, shape (n, 2)
+        In that body's frame [m].
 
     Returns
     -------
@@ -81,7 +98,9 @@ def allocate_tape(system, instants, evaluated, rows):
         state=np.zeros((instants, number_of_states(system))),
         qdd=np.zeros((count, len(system.qdd))), lam=np.zeros((count, len(system.lam))),
         scalars=np.zeros((count, 3)), output=np.zeros((count, effects, 2)),
-        rows=np.array(rows, dtype=np.int64), angle=np.zeros((count, len(rows))))
+        wrench=np.zeros((count, len(system.model.cut), 3)), body=body, point=point,
+        place=np.zeros((count, len(body), 2)), work=np.zeros(1),
+        since=np.zeros(number_of_states(system)))
 
 
 @compiled
@@ -115,8 +134,11 @@ def _note(system, state, tape, instant):
     tape.scalars[instant, 1] = kinetic_energy(system.model, work, state[nv:2 * nv])
     tape.scalars[instant, 2] = potential_energy(system.model, work)
     _take_output(system.effects, tape.output[instant])
-    for k in range(tape.rows.shape[0]):
-        tape.angle[instant, k] = work.body[tape.rows[k], ALPHA]
+    cut_wrenches(system.model.cut, system.model.cut_point, work.body, system.lam,
+                 tape.wrench[instant])
+    for k in range(tape.body.shape[0]):
+        kinematics.point_position(
+            work, tape.body[k], tape.point[k, 0], tape.point[k, 1], tape.place[instant, k])
 
 
 @released
@@ -135,6 +157,62 @@ def annotate(system, torque, hold, every, tape):
     for instant in range(tape.state.shape[0]):
         _copy(torque[max(instant * every - 1, 0) // hold], system.tau)
         _note(system, tape.state[instant], tape, instant)
+
+
+def joint_forces(system, torque, hold, every, state, qdd, lam):
+    """
+    Compute the wrenches in the joints of the trees at instants of a known motion.
+
+    Parameters
+    ----------
+    system : System
+        What moves; its workspace is used up.
+    torque, hold, every
+        As for ``march``.
+    state : ndarray, shape (instants, ns)
+        Coordinates, rates, and what effects add.
+    qdd : ndarray, shape (instants, nv)
+        Joint accelerations.
+    lam : ndarray, shape (instants, nc)
+        Multipliers.
+
+    Returns
+    -------
+    ndarray, shape (instants, nv, 3)
+        Moment and force that the parent exerts on the child [N m, N].
+
+    """
+    out = np.empty((*qdd.shape, 3))
+    fill_joint_forces(system, torque, hold, every, state, qdd, lam,
+                      np.zeros((len(system.model.tree), COLUMNS)), out)
+    return out
+
+
+@released
+def fill_joint_forces(system, torque, hold, every, state, qdd, lam, scratch, out):
+    """
+    Fill in what ``joint_forces`` returns.
+
+    Parameters
+    ----------
+    system, torque, hold, every, state, qdd, lam
+        As for ``joint_forces``.
+    scratch : ndarray, shape (nb + 1, joint_wrenches.COLUMNS)
+        Overwritten.
+    out : ndarray, shape (instants, nv, 3)
+        Written in place.
+
+    """
+    model, work, tree, nv = system.model, system.work, system.model.tree, qdd.shape[1]
+    for instant in range(state.shape[0]):
+        take_states(system.effects, state[instant], nv)
+        q, qd = state[instant, :nv], state[instant, nv:2 * nv]
+        kinematics.outward(model, q, qd, work)
+        apply_effects(system.effects, work, q, qd, torque[max(instant * every - 1, 0) // hold])
+        bias_forces(work.body, scratch)
+        joint_wrenches(model, work, qdd[instant], lam[instant], scratch)
+        for i in range(1, tree.shape[0]):
+            _copy(scratch[i], out[instant, tree[i, DOF]])
 
 
 @released
@@ -171,10 +249,13 @@ def march(system, tableau, stabilisation, state, step_size, torque, hold, every,
 
     """
     _copy(torque[0], system.tau)
+    _copy(state, tape.since)
+    tape.work[0] = 0.0
     _note(system, state, tape, 0)
     done = 0
     while done < steps:
         if done % hold == 0:
+            _work(system.tau, state, tape)
             _copy(torque[done // hold], system.tau)
         portion = min(hold - done % hold, every - done % every)
         status, made = advance(
@@ -184,4 +265,35 @@ def march(system, tableau, stabilisation, state, step_size, torque, hold, every,
             return status, done
         if done % every == 0:
             _note(system, state, tape, done // every)
+    _work(system.tau, state, tape)
     return DONE, done
+
+
+@inlined
+def _work(tau, state, tape):
+    """Add the work of the torques held since the last call."""
+    for i in range(tau.shape[0]):
+        tape.work[0] += tau[i] * (state[i] - tape.since[i])
+    _copy(state, tape.since)
+
+
+@released
+def energies(system, state, out):
+    """
+    Compute the energies of states.
+
+    Parameters
+    ----------
+    system : System
+        What moves; without effects that store energy.
+    state : ndarray, shape (n, ns)
+        Of one state each row.
+    out : ndarray, shape (n, 2)
+        Written in place: kinetic energy, potential energy in gravity [J].
+
+    """
+    nv = system.qdd.shape[0]
+    for k in range(state.shape[0]):
+        evaluate(system, state[k, :nv], state[k, nv:2 * nv])
+        out[k, 0] = kinetic_energy(system.model, system.work, state[k, nv:2 * nv])
+        out[k, 1] = potential_energy(system.model, system.work)

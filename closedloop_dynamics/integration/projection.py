@@ -16,16 +16,14 @@
 
 import numpy as np
 
+from .registry import INDEPENDENT, PROJECTION, VELOCITY
 from .system import CLOSURE_LIMIT, CLOSURE_TOLERANCE
 from ..core import (
-    articulated_inertia, elimination, independent, kinematics, loop_closure, rank_revealing)
+    articulated_inertia, elimination, forward_dynamics, independent, kinematics, loop_closure,
+    rank_revealing, refinement)
 from ..core.compiled import compiled, inlined, merged
 from ..core.straight_line import linkage as links
 from ..core.types import CLOSURE, PROJECTION_ITERATIONS, RHS
-from ..effects.dispatch import settle
-
-# How a step is stabilised. Baumgarte's terms are part of the accelerations, not of this.
-NONE, BAUMGARTE, VELOCITY, PROJECTION, INDEPENDENT = range(5)
 
 # Newton's method doubles the digits each time: what eight corrections do not close stays open.
 MOST_CORRECTIONS = 8
@@ -39,10 +37,10 @@ def _factor_by_loops(by_loops, system, q, qd):
     if by_loops is not None:
         model, work = system.model, system.work
         kinematics.outward(model, q, qd, work)
-        articulated_inertia.inward(model, system.tau, work)
-        loop_closure.update(model, work, True)
-        elimination.assemble(model, work)
-        return elimination.factorize(model, work)
+        if forward_dynamics.prepare(model, system.tau, work):
+            return True
+        kinematics.outward(model, q, qd, work)
+        return refinement.prepare(model, system.tau, work)
     return False
 
 
@@ -50,7 +48,8 @@ def _factor_by_loops(by_loops, system, q, qd):
 def _factor_unrolled(unrolled, linkage, q, qd):
     """Prepare corrections by the unrolled routine, where there is one."""
     if unrolled is not None:
-        return links.call(linkage, links.CORRECTION, q, qd) != 0
+        return (links.call(linkage, links.CORRECTION, q, qd) != 0
+                or links.call(linkage, links.REFINED_CORRECTION, q, qd) != 0)
     return False
 
 
@@ -173,13 +172,6 @@ def project(system, q, qd, positions):
     return not positions or error <= settings[CLOSURE_LIMIT]
 
 
-@compiled
-def _settle_effects(effects, state, nv):
-    """Bring the effects' own states back to where they may be, where a scene lists any."""
-    if effects is not None:
-        settle(effects, state, nv)
-
-
 @merged
 def stabilise(system, stabilisation, state):
     """
@@ -202,13 +194,18 @@ def stabilise(system, stabilisation, state):
 
     """
     nv = system.qdd.shape[0]
-    _settle_effects(system.effects, state, nv)
     if stabilisation < VELOCITY:
         return True
     if stabilisation == INDEPENDENT:
         return independent.settle(system.partition, system.model, system.work, state[:nv],
                                   state[nv:2 * nv], system.settings[CLOSURE_TOLERANCE])
     return project(system, state[:nv], state[nv:2 * nv], stabilisation == PROJECTION)
+
+
+@compiled
+def stabilised(system, stabilisation, state):
+    """Do as ``stabilise`` does, compiled once: for kernels where it is not most of the work."""
+    return stabilise(system, stabilisation, state)
 
 
 @inlined

@@ -15,7 +15,8 @@
 """
 The integrators and stabilisations that a scene can name.
 
-A new explicit method is a tableau and one line here.
+A new explicit method is a tableau and one line here. Nothing is compiled for it: launch files
+read the names.
 
 """
 
@@ -23,11 +24,12 @@ from typing import NamedTuple, Optional
 
 import numpy as np
 
-from . import projection
 from .tableau import DOP853, DOPRI5, HEUN, RK4, Tableau
 
 FIXED, ADAPTIVE = 'fixed step', 'adaptive'
-EXPLICIT, ROSENBROCK, SCIPY = 'explicit', 'rosenbrock', 'scipy'
+EXPLICIT, ROSENBROCK, SWITCHING, SCIPY = 'explicit', 'rosenbrock', 'switching', 'scipy'
+# The default.
+AUTO = 'auto'
 
 
 class Integrator(NamedTuple):
@@ -42,7 +44,8 @@ class Integrator(NamedTuple):
     summary : str
         One line for people.
     family : str
-        ``EXPLICIT``, ``ROSENBROCK`` (stiff) or ``SCIPY`` (offline only).
+        ``EXPLICIT``, ``ROSENBROCK`` (stiff), ``SWITCHING`` (between the two) or ``SCIPY``
+        (offline only).
     tableau : Tableau or None
         Of an explicit method.
     solver : str or None
@@ -60,6 +63,9 @@ class Integrator(NamedTuple):
 _EULER = Tableau(np.zeros((1, 1)), np.zeros(0), np.zeros((2, 1)), np.zeros((1, 0)), 1, 0)
 
 INTEGRATORS = {
+    AUTO: Integrator(
+        ADAPTIVE, 'keeps an accuracy: dop853, and rodas4 where that is cheaper', SWITCHING,
+        DOP853),
     'semi_implicit_euler': Integrator(
         FIXED, 'order 1, one evaluation a step', EXPLICIT, _EULER),
     'heun': Integrator(FIXED, 'order 2, two evaluations a step', EXPLICIT, HEUN),
@@ -76,10 +82,12 @@ INTEGRATORS = {
     'scipy_lsoda': Integrator(ADAPTIVE, "SciPy's LSODA, offline", SCIPY, solver='LSODA'),
 }
 
+# Baumgarte's terms are part of the accelerations; all others act after a step.
+NONE, BAUMGARTE, VELOCITY, PROJECTION, INDEPENDENT = range(5)
 STABILISATIONS = {
-    'none': projection.NONE,
-    'baumgarte': projection.BAUMGARTE,
-    'velocity_projection': projection.VELOCITY,
-    'projection': projection.PROJECTION,
-    'independent': projection.INDEPENDENT,
+    'none': NONE,
+    'baumgarte': BAUMGARTE,
+    'velocity_projection': VELOCITY,
+    'projection': PROJECTION,
+    'independent': INDEPENDENT,
 }

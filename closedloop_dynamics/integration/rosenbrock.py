@@ -28,14 +28,19 @@ import math
 
 import numpy as np
 
-from .adaptive import ACCEPTED, ERROR, LARGEST_ERROR, NEXT_STEP, REACHED, REJECTED, SAFETY
+from . import stick_slip
+from .adaptive import (
+    ACCEPTED, ERROR, is_before, LARGEST_ERROR, LEAST, NEXT_STEP, REACHED, REJECTED, SAFETY,
+    STIFFNESS, WORK)
 from .advance import DONE, NOT_FINITE, OPEN_LOOP, STEP_TOO_SMALL
-from .projection import all_finite, stabilise
-from .system import derivative
+from .projection import all_finite, stabilised
+from .system import rate_of_change
 from ..core import lu
-from ..core.compiled import compiled
+from ..core.compiled import compiled, merged
 
 STAGES = 6
+# Rows of the scratch before the slopes.
+FIRST_SLOPE = 6
 GAMMA = 0.25
 A = np.array([
     [0.0, 0.0, 0.0, 0.0, 0.0],
@@ -58,10 +63,10 @@ C = np.array([
 DIFFERENCE = 1.5e-8
 
 
-@compiled
-def factor_jacobian(system, state, slope, step_size, matrix, pivots, stage, moved):
+@merged
+def factor_jacobian(system, state, slope, step_size, matrix, pivots, direction, stage, moved):
     """
-    Factor I / (h gamma) - J at a state.
+    Factor I / (h gamma) - J at a state, and estimate the fastest rate of the motion there.
 
     Parameters
     ----------
@@ -75,8 +80,16 @@ def factor_jacobian(system, state, slope, step_size, matrix, pivots, stage, move
         Written: the factors.
     pivots : ndarray of int, shape (ns,)
         Written: the row exchanges.
+    direction : ndarray, shape (ns,)
+        Of the fastest rate, improved from one call to the next; zero at first.
     stage, moved : ndarray, shape (ns,)
         Scratch.
+
+    Returns
+    -------
+    float
+        Largest eigenvalue of J, in magnitude [1/s], by one double step of the power iteration:
+        of a conjugate pair two products show the magnitude.
 
     """
     n = state.shape[0]
@@ -87,16 +100,42 @@ def factor_jacobian(system, state, slope, step_size, matrix, pivots, stage, move
         stage[j] = state[j] + change
         # The change that the rounded sum really made.
         change = stage[j] - state[j]
-        derivative(system, stage, moved)
+        rate_of_change(system, stage, moved)
         stage[j] = state[j]
         for i in range(n):
             matrix[i, j] = (slope[i] - moved[i]) / change
+    rate = _fastest_rate(matrix, direction, stage, moved)
     for i in range(n):
         matrix[i, i] += 1.0 / (step_size * GAMMA)
     lu.factorize(matrix, pivots)
+    return rate
 
 
-@compiled
+@merged
+def _fastest_rate(matrix, direction, once, twice):
+    """Multiply a direction by a matrix twice; return the root of what its length grew by."""
+    n, length = direction.shape[0], 0.0
+    for i in range(n):
+        length += direction[i] ** 2
+    for i in range(n):
+        # Any direction that is no eigenvector to begin with.
+        direction[i] = direction[i] / math.sqrt(length) if length > 0.0 else math.cos(i * i + 1.0)
+    for i in range(n):
+        once[i] = 0.0
+        for j in range(n):
+            once[i] += matrix[i, j] * direction[j]
+    length = 0.0
+    for i in range(n):
+        twice[i] = 0.0
+        for j in range(n):
+            twice[i] += matrix[i, j] * once[j]
+        length += twice[i] ** 2
+    for i in range(n):
+        direction[i] = twice[i] if length > 0.0 and np.isfinite(length) else 0.0
+    return length ** 0.25
+
+
+@merged
 def step(system, state, step_size, matrix, pivots, slopes, stage, out):
     """
     Make one step with a factored Jacobian.
@@ -126,7 +165,7 @@ def step(system, state, step_size, matrix, pivots, slopes, stage, out):
         for m in range(k):
             for i in range(n):
                 stage[i] += A[k, m] * slopes[m, i]
-        derivative(system, stage, slopes[k])
+        rate_of_change(system, stage, slopes[k])
         for m in range(k):
             for i in range(n):
                 slopes[k, i] += C[k, m] / step_size * slopes[m, i]
@@ -154,7 +193,7 @@ def advance_fixed(system, stabilisation, state, step_size, steps, matrix, pivots
         How many.
     matrix, pivots
         Scratch.
-    scratch : ndarray, shape (STAGES + 4, ns)
+    scratch : ndarray, shape (STAGES + FIRST_SLOPE, ns)
         Scratch.
 
     Returns
@@ -165,19 +204,36 @@ def advance_fixed(system, stabilisation, state, step_size, steps, matrix, pivots
         Steps completed.
 
     """
-    stage, out, slope, moved, slopes = (
-        scratch[0], scratch[1], scratch[2], scratch[3], scratch[4:])
+    stage, out, slope, moved, direction, start, slopes = (
+        scratch[0], scratch[1], scratch[2], scratch[3], scratch[4], scratch[5],
+        scratch[FIRST_SLOPE:])
+    nv = system.qdd.shape[0]
     for done in range(steps):
-        derivative(system, state, slope)
-        factor_jacobian(system, state, slope, step_size, matrix, pivots, stage, moved)
-        step(system, state, step_size, matrix, pivots, slopes, stage, out)
-        closed = stabilise(system, stabilisation, out)
-        if not all_finite(out):
-            return NOT_FINITE, done
-        if not closed:
-            return OPEN_LOOP, done
+        left, size, cuts = step_size, step_size, 0
         for i in range(state.shape[0]):
-            state[i] = out[i]
+            start[i] = state[i]
+        # Once, but where a joint under dry friction comes to rest within the step.
+        while left > 0.0:
+            rate_of_change(system, state, slope)
+            factor_jacobian(system, state, slope, size, matrix, pivots, direction, stage, moved)
+            step(system, state, size, matrix, pivots, slopes, stage, out)
+            closed = stabilised(system, stabilisation, out)
+            if not (closed and all_finite(out)):
+                for i in range(state.shape[0]):
+                    state[i] = start[i]
+                return (OPEN_LOOP if all_finite(out) else NOT_FINITE), done
+            part = stick_slip.part(system.effects, state, out, nv, size,
+                                   stick_slip.least(step_size, cuts))
+            if part < size:
+                size, cuts = part, cuts + 1
+                continue
+            stick_slip.rest(system.effects, system, out)
+            for i in range(state.shape[0]):
+                state[i] = out[i]
+            left -= size
+            if left <= stick_slip.LEAST_PART * step_size:
+                break
+            size = left
     return DONE, steps
 
 
@@ -203,22 +259,50 @@ def advance_adaptive(system, stabilisation, state, target, control, scale, matri
         latest good ones.
 
     """
-    stage, out, slope, moved, slopes = (
-        scratch[0], scratch[1], scratch[2], scratch[3], scratch[4:])
-    n = state.shape[0]
+    status = DONE
+    while status == DONE and is_before(control[REACHED], target):
+        status = accepted_step(system, stabilisation, state, target, control, scale, matrix,
+                               pivots, scratch)
+    return status
+
+
+@compiled
+def accepted_step(system, stabilisation, state, limit, control, scale, matrix, pivots, scratch):
+    """
+    Make one accepted step.
+
+    Parameters
+    ----------
+    system, stabilisation, state, control, scale, matrix, pivots, scratch
+        As for ``advance_adaptive``.
+    limit : float
+        Time that the step may reach at most [s].
+
+    Returns
+    -------
+    int
+        As for ``advance_adaptive``.
+
+    """
+    stage, out, slope, moved, direction, slopes = (
+        scratch[0], scratch[1], scratch[2], scratch[3], scratch[4], scratch[FIRST_SLOPE:])
+    n, nv, rest = state.shape[0], system.qdd.shape[0], limit - control[REACHED]
+    # A smaller step, at whose end a joint under dry friction comes to rest.
+    cut, cuts = math.inf, 0
     size = control[NEXT_STEP] if control[NEXT_STEP] > 0.0 else 1e-4
-    # Rounding of the times must not leave a last step of no length.
-    while target - control[REACHED] > 1e-12 * max(abs(target), size):
-        rest = target - control[REACHED]
-        last = size >= rest
-        used = rest if last else size
-        if not used > 1e-14 * max(abs(target), 1e-3):
-            return STEP_TOO_SMALL
-        derivative(system, state, slope)
-        if not all_finite(slope):
-            return NOT_FINITE
-        factor_jacobian(system, state, slope, used, matrix, pivots, stage, moved)
+    rate_of_change(system, state, slope)
+    if not all_finite(slope):
+        return NOT_FINITE
+    closed = True
+    while True:
+        whole = min(size, rest)
+        last, used = size >= rest and not cut < whole, min(whole, cut)
+        if not used > LEAST * max(abs(limit), 1e-3):
+            return STEP_TOO_SMALL if closed else OPEN_LOOP
+        rate = factor_jacobian(
+            system, state, slope, used, matrix, pivots, direction, stage, moved)
         step(system, state, used, matrix, pivots, slopes, stage, out)
+        control[WORK] += n + STAGES + 1 + n // 8
         total = 0.0
         for i in range(n):
             total += (slopes[STAGES - 1, i] / (
@@ -227,19 +311,24 @@ def advance_adaptive(system, stabilisation, state, target, control, scale, matri
         factor = SAFETY * max(error, 1e-10) ** -0.25 if error < 1e30 else 0.0
         factor = min(6.0, max(0.2, factor))
         # Written so that a NaN counts as an error too large.
-        if not error <= 1.0:
-            control[REJECTED] += 1.0
-            size = used * min(factor, SAFETY)
+        if error <= 1.0 and stabilised(system, stabilisation, out):
+            part = stick_slip.part(system.effects, state, out, nv, used, max(
+                stick_slip.least(whole, cuts), LEAST * max(abs(limit), 1e-3)))
+            if not part < used:
+                break
+            cut, cuts = part, cuts + 1
             continue
-        if not stabilise(system, stabilisation, out):
-            return OPEN_LOOP
-        for i in range(n):
-            state[i] = out[i]
-        control[REACHED] = target if last else control[REACHED] + used
-        control[ACCEPTED] += 1.0
-        control[ERROR] = error
-        control[LARGEST_ERROR] = max(control[LARGEST_ERROR], error)
-        # A last step cut short says nothing against the size that was to be tried.
-        size = max(size, used * factor) if last else used * factor
-        control[NEXT_STEP] = size
+        closed = not error <= 1.0
+        control[REJECTED] += 1.0
+        size = used * (min(factor, SAFETY) if closed else 0.5)
+    stick_slip.rest(system.effects, system, out)
+    for i in range(n):
+        state[i] = out[i]
+    control[REACHED] = limit if last else control[REACHED] + used
+    control[ACCEPTED] += 1.0
+    control[ERROR] = error
+    control[LARGEST_ERROR] = max(control[LARGEST_ERROR], error)
+    control[STIFFNESS] = rate
+    # A step cut short says nothing against the size that was to be tried.
+    control[NEXT_STEP] = max(size, used * factor) if last or cuts > 0 else used * factor
     return DONE

@@ -14,8 +14,8 @@
 
 """One step of any explicit Runge-Kutta method, its error estimate and its dense output."""
 
-from .system import derivative
-from ..core.compiled import compiled, inlined, merged
+from .system import derivative, rate_of_change
+from ..core.compiled import inlined, merged
 
 
 @merged
@@ -62,7 +62,7 @@ def combine(weights, count, state, step_size, slopes, out):
         out[i] = state[i] + step_size * out[i]
 
 
-@compiled
+@merged
 def extend(system, tableau, state, step_size, slopes, stage, first):
     """
     Evaluate the slopes from number ``first`` on that only dense output needs.
@@ -77,10 +77,10 @@ def extend(system, tableau, state, step_size, slopes, stage, first):
     """
     for k in range(first, tableau.a.shape[0]):
         combine(tableau.a[k], k, state, step_size, slopes, stage)
-        derivative(system, stage, slopes[k])
+        rate_of_change(system, stage, slopes[k])
 
 
-@compiled
+@merged
 def interpolate(tableau, state, step_size, slopes, share, out):
     """
     Compute the state at a share of the step.

@@ -86,9 +86,15 @@ class SciPySolver:
             return STEP_TOO_SMALL
         return DONE
 
-    def restart(self):
-        """Forget the past: torques or the state have changed."""
+    memory = ()
+
+    def restart(self, moved=False):
+        """Forget the past: torques, or with ``moved`` the state have changed."""
         self._solver = self._dense = None
+
+    def rewind(self):
+        """Begin as a new driver would."""
+        self.restart()
 
     def _slope(self, time, state):
         out = np.empty(len(state))

@@ -18,10 +18,12 @@ Load one YAML file as plain data that remembers its lines.
 Scalars follow the YAML 1.2 core schema: ``1e-3`` is a number, ``yes``, ``on``
 and ``1:30`` are text. A key given twice is an error. Nothing but mappings,
 lists, text, numbers, truth values and null can come out: no tags, no objects.
+Size and nesting are limited while the file is read, not afterwards.
 
 """
 
 from contextlib import contextmanager
+import math
 from pathlib import Path
 import re
 
@@ -29,21 +31,32 @@ import yaml
 
 from .fields import at, FieldError
 
-# Far above any real description; they stop aliases that expand without end.
 DEEPEST = 20
-MOST_NODES = 100_000
+MOST_VALUES = 100_000
+MOST_BYTES = 4_000_000
 LONGEST_INTEGER = 400
 
-_TAGS = tuple(f'tag:yaml.org,2002:{kind}' for kind in ('str', 'map', 'seq'))
-_SCALARS = (
+_TAGS = (None, '!', *(f'tag:yaml.org,2002:{kind}' for kind in ('str', 'map', 'seq')))
+
+
+def _integer(base):
+    def convert(word):
+        # What no float can hold; Python would refuse to write it in decimal digits, too.
+        if len(word) > LONGEST_INTEGER:
+            return -math.inf if word[0] == '-' else math.inf
+        return int(word, base)
+    return convert
+
+
+_SCALARS = tuple((re.compile(pattern), convert) for pattern, convert in (
     (r'~|null|Null|NULL|', lambda word: None),
     (r'true|True|TRUE', lambda word: True),
     (r'false|False|FALSE', lambda word: False),
-    (r'[-+]?[0-9]+', lambda word: int(word) if len(word) < LONGEST_INTEGER else float(word)),
-    (r'0o[0-7]+|0x[0-9a-fA-F]+', lambda word: int(word, 0)),
+    (r'[-+]?[0-9]+', _integer(10)),
+    (r'0o[0-7]+|0x[0-9a-fA-F]+', _integer(0)),
     (r'[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?', float),
     (r'[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)', lambda word: float(word.replace('.', ''))),
-)
+))
 
 
 class Document:
@@ -73,9 +86,14 @@ class Document:
         self.path = Path(path)
         self._error_type = error_type
         self._lines = {(): 1}
-        self._nodes = 0
         with self.errors():
-            self.data = self._value(self._compose(), ())
+            try:
+                self.data = self._root(self._text())
+            except yaml.YAMLError as error:
+                mark = getattr(error, 'problem_mark', None)
+                self._lines[()] = mark.line + 1 if mark else 1
+                got = getattr(error, 'problem', None) or str(error).partition('\n')[0]
+                raise _syntax_error(got) from None
 
     @contextmanager
     def errors(self):
@@ -92,74 +110,113 @@ class Document:
             path = path[:-1]
         return self._lines[path]
 
-    def _compose(self):
-        """Return the root node of the file."""
+    def _text(self):
+        """Return what is in the file."""
         try:
-            return yaml.compose(self.path.read_text(encoding='utf-8-sig'), Loader=_Loader)
-        except OSError as error:
-            raise self._error_type(f'{self.path}: expected a YAML file that can be read, '
-                                   f'got: {error.strerror or error}') from None
+            with open(self.path, 'rb') as file:
+                content = file.read(MOST_BYTES + 1)
+        except (OSError, ValueError) as error:
+            # A ValueError where no path can be so: a NUL, or what no file name can be coded as.
+            reason = getattr(error, 'strerror', None) or getattr(error, 'reason', None) or error
+            raise self._error_type(f'{str(self.path)!r}'[1:-1] + ': expected a YAML file that '
+                                   f'can be read, got: {reason}') from None
+        if len(content) > MOST_BYTES:
+            raise FieldError(f'a file of at most {MOST_BYTES} bytes', 'a larger one')
+        try:
+            return content.decode('utf-8-sig')
         except UnicodeDecodeError as error:
             raise FieldError('a YAML file in UTF-8', str(error)) from None
-        except RecursionError:
-            raise FieldError('a YAML file', 'nesting without end') from None
-        except yaml.YAMLError as error:
-            mark = getattr(error, 'problem_mark', None)
-            self._lines[()] = mark.line + 1 if mark else 1
-            got = getattr(error, 'problem', None) or str(error).partition('\n')[0]
-            raise FieldError('a YAML file', f'a syntax error: {got}',
-                             'look for indentation, a missing space after a colon, '
-                             'or brackets left open') from None
 
-    def _value(self, node, path):
-        """Return the plain data of a node at ``path``."""
-        if node is None:
+    def _root(self, text):
+        """Return the data of the only document in ``text``."""
+        self._events = yaml.parse(text, Loader=yaml.CSafeLoader)
+        self._read, self._again, self._anchors, self._values = [], [], {}, 0
+        self._next()    # the start of the stream
+        if isinstance(self._next(), yaml.StreamEndEvent):
             return None
-        self._nodes += 1
-        if len(path) > DEEPEST or self._nodes > MOST_NODES:
-            raise FieldError('a short description', 'aliases or nesting without end', path=path)
-        if node.tag not in _TAGS:
-            raise FieldError('plain data', f'the tag {node.tag}', 'remove it', path)
-        if isinstance(node, yaml.MappingNode):
-            return self._mapping(node, path)
-        if isinstance(node, yaml.SequenceNode):
-            return [self._item(item, (*path, index)) for index, item in enumerate(node.value)]
-        return node.value if node.style else _plain(node.value)
+        data = self._value(self._next(), ())
+        self._next()    # the end of the document
+        after = self._next()
+        if not isinstance(after, yaml.StreamEndEvent):
+            self._lines[()] = after.start_mark.line + 1
+            raise _syntax_error('another document')
+        return data
 
-    def _item(self, node, path):
-        self._lines[path] = node.start_mark.line + 1
-        return self._value(node, path)
+    def _next(self):
+        """Return the next event; where an alias stands, the first one of what it stands for."""
+        event = self._again.pop() if self._again else next(self._events)
+        if isinstance(event, yaml.AliasEvent):
+            if event.anchor not in self._anchors:
+                self._lines[()] = event.start_mark.line + 1
+                raise _syntax_error(f'the alias *{event.anchor} of nothing before it')
+            first, end = self._anchors[event.anchor]
+            if end is None:
+                raise FieldError('a short description', 'aliases without end')
+            self._again += reversed(self._read[first:end])
+            event = self._again.pop()
+        self._read.append(event)
+        return event
 
-    def _mapping(self, node, path):
+    def _value(self, event, path):
+        """Return the plain data at ``path``, which begins with ``event``."""
+        self._values += 1
+        if self._values > MOST_VALUES:
+            raise FieldError(f'at most {MOST_VALUES} values, aliases counted as what they stand '
+                             'for', 'more', path=path)
+        if len(path) > DEEPEST:
+            raise FieldError(f'a nesting of at most {DEEPEST} levels', 'a deeper one', path=path)
+        if event.tag not in _TAGS:
+            raise FieldError('plain data', f'the tag {event.tag}', 'remove it', path)
+        first = len(self._read) - 1
+        if event.anchor is not None:
+            self._anchors[event.anchor] = first, None
+        if isinstance(event, yaml.MappingStartEvent):
+            data = self._mapping(path)
+        elif isinstance(event, yaml.SequenceStartEvent):
+            data = self._sequence(path)
+        else:
+            data = _plain(event.value) if event.implicit[0] else event.value
+        if event.anchor is not None:
+            self._anchors[event.anchor] = first, len(self._read)
+        return data
+
+    def _sequence(self, path):
+        data = []
+        while not isinstance(event := self._next(), yaml.SequenceEndEvent):
+            place = (*path, len(data))
+            self._lines[place] = event.start_mark.line + 1
+            data.append(self._value(event, place))
+        return data
+
+    def _mapping(self, path):
         data = {}
-        for key_node, value_node in node.value:
+        while not isinstance(event := self._next(), yaml.MappingEndEvent):
             with at(*path):
-                key = self._key(key_node)
-            line = key_node.start_mark.line + 1
+                key = self._key(event)
+            line = event.start_mark.line + 1
             if key in data:
                 first = self._lines[(*path, key)]
                 self._lines[(*path, key)] = line
                 raise FieldError('every key once', f'this key again, first given in line {first}',
                                  'rename or remove one', (*path, key))
             self._lines[(*path, key)] = line
-            data[key] = self._value(value_node, (*path, key))
+            data[key] = self._value(self._next(), (*path, key))
         return data
 
-    def _key(self, node):
-        if not isinstance(node, yaml.ScalarNode):
+    def _key(self, event):
+        if not isinstance(event, yaml.ScalarEvent):
             raise FieldError('a key of one word', 'a list or mapping as key')
-        return node.value
+        return event.value
 
 
-class _Loader(yaml.SafeLoader):
-    """Composes nodes and leaves it to this module what a plain scalar is."""
-
-    yaml_implicit_resolvers = {}
+def _syntax_error(got):
+    return FieldError('a YAML file', f'a syntax error: {got}',
+                      'look for indentation, a missing space after a colon, or brackets left open')
 
 
 def _plain(word):
     """Return the value of an unquoted scalar by the YAML 1.2 core schema."""
     for pattern, convert in _SCALARS:
-        if re.fullmatch(pattern, word):
+        if pattern.fullmatch(word):
             return convert(word)
     return word

@@ -83,7 +83,11 @@ def shown(value):
         return f'the truth value {str(value).lower()}'
     if isinstance(value, Mapping):
         return 'a mapping'
-    text = repr(value)
+    try:
+        text = repr(value)
+    except ValueError:
+        # Python refuses to write integers of thousands of digits.
+        return 'an integer of thousands of digits'
     if len(text) > LONGEST_SHOWN:
         text = text[:LONGEST_SHOWN] + '...'
     if isinstance(value, str):

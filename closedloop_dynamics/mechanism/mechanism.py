@@ -139,7 +139,18 @@ class CutJoint:
 
 @dataclass(frozen=True)
 class Point:
-    """A named point on a body (``position`` in the body's frame [m])."""
+    """
+    A named point on a body.
+
+    Attributes
+    ----------
+    name : str
+    body : str
+        Its name; ``'ground'`` for a place in the world.
+    position : tuple of 2 floats
+        In the body's frame [m].
+
+    """
 
     name: str
     body: str

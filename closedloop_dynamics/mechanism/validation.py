@@ -15,6 +15,7 @@
 """The rules that every planar mechanism obeys, read from a file or built in Python."""
 
 from dataclasses import replace
+from numbers import Real
 from weakref import WeakValueDictionary
 
 from .checks import boolean, listed, name, not_negative, number, one_of, positive, text, vector2
@@ -22,10 +23,21 @@ from .fields import among, at, FieldError, nearest, normalise, shown
 from .mechanism import (Body, CUT_JOINT_EQUATIONS, CutJoint, GROUND, Joint, JOINT_TYPES, Mechanism,
                         MechanismError, Point, REVOLUTE)
 
+
+def _mass(value):
+    """Return a positive mass; tell of massless bodies where it is zero."""
+    try:
+        return positive(value)
+    except FieldError as error:
+        if not isinstance(value, bool) and isinstance(value, Real) and value == 0.0:
+            error.note = 'a body without mass on purpose says massless: true'
+        raise
+
+
 # Section of the file (and field of Mechanism) -> its record and the checks of its fields.
 SECTIONS = {
     'bodies': (Body, {
-        'massless': boolean, 'mass': positive, 'center_of_mass': vector2,
+        'massless': boolean, 'mass': _mass, 'center_of_mass': vector2,
         'inertia': not_negative}),
     'joints': (Joint, {
         'type': one_of(JOINT_TYPES), 'position': vector2, 'angle': number, 'actuated': boolean}),

@@ -15,7 +15,6 @@
 """A rosbag2 bag, written from a thread of its own."""
 
 from collections import Counter
-from dataclasses import dataclass
 from pathlib import Path
 from queue import Empty
 from queue import SimpleQueue
@@ -23,6 +22,8 @@ from threading import Event
 from threading import Thread
 import time
 
+from closedloop_dynamics.bags.contents import Topic
+from closedloop_dynamics.bags.metadata import dump
 from closedloop_dynamics.bags.writer import BagFiles
 
 # What was received is in the file after this time [s]: so much is lost if the process is killed.
@@ -32,13 +33,6 @@ NANOSECONDS = 10 ** 9
 
 class BagError(OSError):
     """A bag that cannot be written; the message says why."""
-
-
-@dataclass(frozen=True)
-class _NewTopic:
-    """What ``BagFiles.add_topic`` takes, on its way there."""
-
-    arguments: tuple
 
 
 class BagWriter:
@@ -102,9 +96,9 @@ class BagWriter:
 
         """
         definition, _ = self._typestore.generate_msgdef(type_name, ros_version=2)
-        self._queue.put(_NewTopic((
-            topic, type_name, definition, self._typestore.hash_rihs01(type_name),
-            [_offered(profile) for profile in profiles])))
+        self._queue.put(Topic(
+            topic, type_name, definition, dump([_offered(profile) for profile in profiles]),
+            self._typestore.hash_rihs01(type_name)))
 
     def write(self, topic, nanoseconds, data):
         """
@@ -163,8 +157,8 @@ class BagWriter:
                 item = ()
             if item is None:
                 return
-            if isinstance(item, _NewTopic):
-                channels[item.arguments[0]] = files.add_topic(*item.arguments)
+            if isinstance(item, Topic):
+                channels[item.name] = files.add_topic(item)
             elif item:
                 topic, nanoseconds, data = item
                 files.write(channels[topic], nanoseconds, data)

@@ -43,8 +43,15 @@ class TorqueCommand:
     accepted, rejected, timed_out : int
         Commands followed, commands refused, and how often the torques fell to
         zero because no command came in time.
+    lost : int
+        Commands that were sent and never arrived; counted by who receives them.
+    not_actuated : int
+        Efforts that were ignored because their joints are not actuated.
     expired : bool
         Whether they are zero because of that.
+    held : float
+        How long the simulation has advanced under the last command [s of the clock that time
+        follows]; counted by who advances it.
 
     """
 
@@ -54,7 +61,9 @@ class TorqueCommand:
         self.accepted = 0
         self.rejected = 0
         self.timed_out = 0
-        self.expired = False
+        self.lost = 0
+        self.not_actuated = 0
+        self.expired, self.held = False, 0.0
         self._joint_names = frozenset(joint_names)
         self._index = {name: i for i, name in enumerate(self.actuated_joints)}
         self._last_arrival = None
@@ -91,9 +100,10 @@ class TorqueCommand:
         Parameters
         ----------
         names : sequence of str
-            Of actuated joints, in any order.
+            Of joints, in any order. Those that are not actuated are ignored, and counted: the
+            hardware interfaces of ros2_control name all joints of their tag.
         efforts : sequence of float
-            As many as names.
+            As many as names, or as there are actuated joints among them.
         now : float
             Time of arrival on a steady clock [s].
 
@@ -105,18 +115,25 @@ class TorqueCommand:
         """
         if not names:
             raise self._refusal('it names no joint')
-        if len(efforts) != len(names):
+        self._require_known(names)
+        actuated = [name for name in names if name in self._index]
+        if len(efforts) == len(names):
+            efforts = [effort for name, effort in zip(names, efforts) if name in self._index]
+        if not actuated:
+            raise self._refusal(f"'{names[0]}' is not actuated; {self._choice()}")
+        if len(efforts) != len(actuated):
             raise self._refusal(
                 f'expected one effort per name, got {len(efforts)} for {len(names)} names '
                 f'(positions and velocities are not followed)')
-        indices = self._indices(names)
-        self._require_finite(names, efforts)
+        self._require_finite(actuated, efforts)
+        self.not_actuated += len(names) - len(actuated)
+        indices = [self._index[name] for name in actuated]
         self.torque[indices] = efforts
         self._follow(now)
 
     def expire(self, now, timeout):
         """
-        Let the torques fall to zero if no command came for too long.
+        Let the torques fall to zero if no command came, or the last one acted, for too long.
 
         Parameters
         ----------
@@ -131,7 +148,9 @@ class TorqueCommand:
             True once, when the torques fall.
 
         """
-        if timeout <= 0.0 or self._last_arrival is None or now - self._last_arrival <= timeout:
+        if timeout <= 0.0 or self._last_arrival is None:
+            return False
+        if max(now - self._last_arrival, self.held) <= timeout:
             return False
         self._last_arrival = None
         self.torque[:] = 0.0
@@ -147,7 +166,7 @@ class TorqueCommand:
 
     def _follow(self, now):
         self.accepted += 1
-        self.expired = False
+        self.expired, self.held = False, 0.0
         self._last_arrival = now
 
     def _refusal(self, reason):
@@ -159,15 +178,13 @@ class TorqueCommand:
             if not math.isfinite(value):
                 raise self._refusal(f"the value of '{name}' is {value}, not a finite number")
 
-    def _indices(self, names):
+    def _require_known(self, names):
         for name in names:
-            if name not in self._index:
-                problem = ('is not actuated' if name in self._joint_names
-                           else 'is not a joint of this mechanism')
+            if name not in self._joint_names:
                 raise self._refusal(
-                    f"'{name}' {problem}; the actuated joints are "
-                    f'{", ".join(self.actuated_joints)}')
-        indices = [self._index[name] for name in names]
-        if len(set(indices)) != len(indices):
+                    f"'{name}' is not a joint of this mechanism; {self._choice()}")
+        if len(set(names)) != len(names):
             raise self._refusal(f'a joint is named twice in {", ".join(names)}')
-        return indices
+
+    def _choice(self):
+        return f'the actuated joints are {", ".join(self.actuated_joints)}'

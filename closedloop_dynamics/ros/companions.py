@@ -93,6 +93,8 @@ class Companions:
 
     def _tell_robot(self, simulation):
         try:
-            self._description.publish(String(data=urdf(simulation.mechanism)))
+            self._description.publish(String(data=urdf(
+                simulation.mechanism, *map(self._node.resolve_topic_name, (
+                    'joint_command', 'joint_states')))))
         except ValueError as error:
             self._node.get_logger().warning(f'no robot_description: {error}')

@@ -22,13 +22,18 @@ controller sees a unit inertia everywhere.
 
 """
 
+import math
+
+from closedloop_dynamics.ros.trajectory import Trajectory
 import numpy as np
 
 # A torque answers a state, acts from that state on and is held for one period:
 # in the middle of which, half a period ahead, it should be right.
 LEAD_PERIODS = 0.5
-# Share of a new period in the average of the periods between states.
-SMOOTHING = 0.05
+# The period is the shortest time between two states; by this share a longer one makes it longer.
+# States that were missed, as on a busy machine, must not make it longer: a state carried forward
+# by a hundredth of a second too much may be on the other side of a dead centre.
+RELAXATION = 0.01
 
 
 class ComputedTorque:
@@ -57,6 +62,40 @@ class ComputedTorque:
             simulation.joint_names.index(name) for name in simulation.actuated_joints]
         self._torque = np.zeros(len(self._actuated))
         self._last = None
+
+    def tune(self, kp, kd, ki, feedforward, limit):
+        """Take other gains."""
+        none = np.zeros_like(limit)
+        self._controller.tune(kp, kd, ki, none, none + np.inf)
+        self._feedforward, self._limit = feedforward, limit
+
+    def restart(self):
+        """Let the next state be the first one."""
+        self._last = None
+        self._torque[:] = 0.0
+        self._controller.restart()
+
+    def follow(self, points, time, position, velocity):
+        """
+        Follow a trajectory from the present state, in place of the reference there was.
+
+        Parameters
+        ----------
+        points : trajectory.Points
+            In the order of the joints.
+        time : float
+            Of the state [s].
+        position, velocity : ndarray, shape (nv,)
+            Of all joints of the scene [rad or m, and per s].
+
+        Raises
+        ------
+        TrajectoryError
+            If it is over.
+
+        """
+        self._controller.follow(Trajectory(
+            points, time, position[self._actuated], velocity[self._actuated]), time)
 
     def torque(self, time, position, velocity):
         """
@@ -99,12 +138,10 @@ class ComputedTorque:
             return np.full(len(units), np.nan)
 
     def _lead(self, time):
-        """Return half the average period between states; 0 until there is one."""
+        """Return half the period between states; 0 until there is one."""
         if self._last is None or time < self._last:
-            self._period = None
-        elif self._period is None:
-            self._period = time - self._last
-        else:
-            self._period += SMOOTHING * (time - self._last - self._period)
+            self._period = math.inf
+        elif time > self._last:
+            self._period = min(time - self._last, (1.0 + RELAXATION) * self._period)
         self._last = time
-        return LEAD_PERIODS * (self._period or 0.0)
+        return LEAD_PERIODS * self._period if math.isfinite(self._period) else 0.0

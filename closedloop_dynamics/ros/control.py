@@ -142,6 +142,8 @@ class Control:
             self.states_refused += 1
             node.warn(self._refusal, f'set_state refused: {error}')
             return
+        for note in node.simulation.assembly_notes():
+            node.warn(self._refusal, f'set_state: {note}')
         self.states_set += 1
         node.guarded(node.jumped)
 

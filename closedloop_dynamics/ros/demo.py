@@ -29,21 +29,26 @@ from pathlib import Path
 import re
 import signal
 import sys
+import time
 
+from closedloop_dynamics.bags.reading import BagReadError
 from closedloop_dynamics.mechanism.mechanism import MechanismError
-from closedloop_dynamics.ros.demo_drive import aim_of, drive_for, shipped_drives
-from closedloop_dynamics.ros.demo_processes import DemoError
-from closedloop_dynamics.ros.demo_recording import read_recording
-from closedloop_dynamics.ros.demo_report import draw, summary
-from closedloop_dynamics.ros.demo_session import run_nodes
+from closedloop_dynamics.ros.demo_drive import (
+    aim_of, drive_for, RECORDER, shipped_drives, SIMULATOR, TORQUE_SOURCE)
+from closedloop_dynamics.ros.demo_report import (
+    compared, draw, not_representative, read_run, summary)
+from closedloop_dynamics.ros.programs import LOOK, ProgramError, Programs, READY
 from closedloop_dynamics.scene import load_scene, SceneError
+from closedloop_dynamics.signals import Interrupted, SignalWatch
+from closedloop_dynamics.studies.progress import progress_bar
+from closedloop_dynamics.studies.recording import RecordingError
 
 DEFAULT_OUTPUT = 'demo_output'
+EXIT_CODES = ('Exit codes: 0 done; 1 a node failed, or a machine did not do what was wanted; '
+              '2 a wrong option or scene; 130 interrupted.')
+# For compiling, for nodes to find each other, and to end [s].
+COMPILING, FINDING, ENDING = 600.0, 60.0, 20.0
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-
-
-class Interrupted(KeyboardInterrupt):
-    """A signal asked for the end; its number is the argument."""
 
 
 def arguments_of(argv):
@@ -56,7 +61,7 @@ process, record joint states and constraint forces in a rosbag2 bag, and show
 what happened. Ends by itself.
 
 Without SCENE: {' and '.join(shipped_drives())}, one after the other.
-""", epilog='Exit codes: 0 done; 1 a node failed; 2 a wrong option or scene; 130 interrupted.')
+""", epilog=EXIT_CODES)
     parser.add_argument('scene', metavar='SCENE', nargs='?',
                         help='a shipped scene by its name, or a YAML file')
     parser.add_argument('--duration', type=_seconds, default=8.0, metavar='SECONDS',
@@ -98,18 +103,26 @@ def main(argv=None):
         output = _output(arguments.output)
     except (SceneError, MechanismError, OSError) as error:
         parser.error(str(error))
-    _raise_on_signals()
+    # The first signal unwinds what runs, and the others do not disturb that.
+    watch = SignalWatch(lambda number: None, SIGNALS)
+    watch.install()
     try:
-        for number, scene in enumerate(scenes, 1):
-            print(f'[{number}/{len(scenes)}] {scene.name}', flush=True)
-            demonstrate(scene, arguments.duration, output / scene.name)
-        print(f'Done. Bags, logs and pictures are in {output}/')
-        return 0
+        failed = []
+        with watch.interrupting():
+            for number, scene in enumerate(scenes, 1):
+                print(f'[{number}/{len(scenes)}] {scene.name}', flush=True)
+                if not demonstrate(scene, arguments.duration, output / scene.name):
+                    failed.append(scene.name)
+        print(f'Bags, logs and pictures are in {output}/')
+        if failed:
+            print(f"demo: {' and '.join(failed)} did not do what was wanted; see 'verdict' above",
+                  file=sys.stderr)
+        return 1 if failed else 0
     except Interrupted as interrupt:
         print(f'\nInterrupted; all nodes were stopped. What there is so far: {output}/',
               file=sys.stderr)
         return 128 + interrupt.args[0]
-    except DemoError as error:
+    except (ProgramError, RecordingError, BagReadError) as error:
         print(f'demo: {error}', file=sys.stderr)
         return 1
 
@@ -127,10 +140,17 @@ def demonstrate(scene, duration, directory):
     directory : pathlib.Path
         For bag, logs and pictures; made here.
 
+    Returns
+    -------
+    bool
+        Whether the machine did what was wanted of it.
+
     Raises
     ------
-    DemoError
-        Where a node failed or nothing was recorded.
+    ProgramError
+        Where a node failed.
+    RecordingError, BagReadError
+        Where nothing was recorded.
 
     """
     directory.mkdir(parents=True)
@@ -139,17 +159,110 @@ def demonstrate(scene, duration, directory):
     drive = drive_for(scene)
     _say('driven by', drive.description)
     _say('starting', 'the nodes (compiling takes half a minute the very first time) ...')
-    last_words = run_nodes(scene, drive, namespace, duration, directory)
-    try:
-        recording = read_recording(directory / 'bag', namespace, scene.mechanism)
-    except ValueError as error:
-        raise DemoError(f'{error}; the logs are in {directory}') from None
-    aim = aim_of(drive, scene.mechanism.actuated_joints)
+    last_words = _run_nodes(scene, drive, namespace, duration, directory.resolve())
+    run, aim = read_run(directory / 'bag', namespace), aim_of(drive, scene)
     _say('simulator', last_words)
-    for key, text in summary(recording, aim):
+    for key, text in summary(run):
         _say(key, text)
-    for path in draw(recording, aim, scene.name, directory):
-        _say('picture', path)
+    reasons, failures = not_representative(run, duration), []
+    if len(run.motion.time) > 2:
+        for text, failure in compared(run.motion, aim):
+            if text:
+                _say('tracking', text)
+            failures += [failure] if failure else []
+        for path in draw(run.motion, aim, scene.name, directory):
+            _say('picture', path)
+    else:
+        failures.append('nothing moved')
+    for text in verdict(failures, reasons, aim is not None):
+        _say('verdict', text)
+    return not failures
+
+
+def verdict(failures, reasons, wanted):
+    """
+    Return what a run is worth, in one or two lines.
+
+    Parameters
+    ----------
+    failures : list of str
+        What was not as wanted.
+    reasons : list of str
+        Why it is not representative.
+    wanted : bool
+        Whether more was wanted than that it moves.
+
+    Returns
+    -------
+    list of str
+
+    """
+    lines = []
+    if failures:
+        lines.append(f"NOT as wanted: {'; '.join(failures)}")
+        lines += [] if reasons else ['the machine had the time that it needed: the cause is '
+                                     'another one']
+    elif wanted:
+        lines.append('as wanted')
+    if reasons:
+        lines.append(f"NOT representative, this computer was too busy: {'; '.join(reasons)}")
+    return lines or ['it ran in real time; nothing more was wanted']
+
+
+def _run_nodes(scene, drive, namespace, duration, directory):
+    """Let the nodes run, each in a process of its own; return what the simulator said last."""
+    cuts = [f'constraint_forces/{cut.name}' for cut in scene.mechanism.cut_joints]
+    parameters = ['--ros-args', '--params-file', str(drive.file)] if drive.file else []
+    with Programs(directory) as programs:
+        def heard(*topics):
+            for topic in topics:
+                _wait(programs, recorder, f'{namespace}/{topic}: first message', FINDING)
+
+        recorder = programs.start(RECORDER, namespace, output=directory / 'bag')
+        _wait(programs, recorder, READY[RECORDER], FINDING)
+        waiting = {'wait_for_command': 'true'} if drive.parameters else {}
+        simulator = programs.start(
+            SIMULATOR, namespace, parameters, **waiting, scene=scene.path.resolve())
+        _wait(programs, simulator, READY[SIMULATOR], COMPILING)
+        heard('joint_states', 'replay_log', *cuts)
+        source = None
+        if drive.parameters:
+            # It begins when both simulator and recorder hear it.
+            given = {} if drive.file else drive.parameters
+            source = programs.start(
+                TORQUE_SOURCE, namespace, parameters, wait_for_subscribers=2, **given)
+            _wait(programs, source, READY[TORQUE_SOURCE], COMPILING)
+            heard('torque_command')
+        _let_run(programs, duration, scene.name)
+        # The recorder first: what the simulator does without its torques is no part of the show.
+        for program in filter(None, (recorder, simulator, source)):
+            if program.stop(patience=ENDING) != 0:
+                raise ProgramError(
+                    f'{program.executable} did not end well, with exit code '
+                    f'{program.popen.returncode}; it said last: {program.last_words()}')
+        return simulator.last_words()
+
+
+def _wait(programs, program, text, patience):
+    """Wait until a program has said something, while all of them run."""
+    deadline = time.monotonic() + patience
+    while text not in program.output:
+        programs.check()
+        if time.monotonic() > deadline:
+            raise ProgramError(f"{program.executable} did not say '{text}' within "
+                               f'{patience:g} s; its log is {program.log}')
+        time.sleep(LOOK)
+
+
+def _let_run(programs, duration, name):
+    """Wait for the motion to last as long as it should, watching the processes."""
+    begin = time.monotonic()
+    with progress_bar(duration, 's', name) as bar:
+        while (elapsed := time.monotonic() - begin) < duration:
+            bar.update(elapsed - bar.n)
+            programs.check()
+            time.sleep(LOOK)
+        bar.update(duration - bar.n)
 
 
 def _output(directory):
@@ -164,17 +277,6 @@ def _output(directory):
     if any(directory.iterdir()):
         raise FileExistsError(f'--output: {directory} is not empty; name a new directory')
     return directory
-
-
-def _raise_on_signals():
-    """Let the first signal unwind what runs, and the others not disturb that."""
-    def on_signal(number, frame):
-        for other in SIGNALS:
-            signal.signal(other, signal.SIG_IGN)
-        raise Interrupted(number)
-
-    for number in SIGNALS:
-        signal.signal(number, on_signal)
 
 
 def _say(key, text):

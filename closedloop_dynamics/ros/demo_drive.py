@@ -12,15 +12,18 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What drives a scene in the demonstration, and where that was to lead it."""
+"""What drives a scene in the demonstration, and where that is to lead it."""
 
 from dataclasses import dataclass
+from typing import Optional
 
-from closedloop_dynamics.config import config_directory, shipped_path
+from closedloop_dynamics.config import shipped_names, shipped_path
 from closedloop_dynamics.mechanism.mechanism import PRISMATIC
-from closedloop_dynamics.ros.torque_source_parameters import closed_loop
+from closedloop_dynamics.ros.parameters import per_joint
+from closedloop_dynamics.ros.torque_source_parameters import reference
 from closedloop_dynamics.ros.torque_source_parameters import TORQUE_SOURCE_PARAMETERS
-from closedloop_dynamics.studies.motion import body_poses
+from closedloop_dynamics.simulation.simulation import Simulation
+from closedloop_dynamics.visual.motion import body_poses
 import numpy as np
 from rclpy.parameter import parameter_dict_from_yaml_file
 from rclpy.parameter import parameter_value_to_python
@@ -28,8 +31,7 @@ from rclpy.parameter import parameter_value_to_python
 SIMULATOR, TORQUE_SOURCE, RECORDER = (
     'closedloop_simulator', 'closedloop_torque_source', 'closedloop_recorder')
 FEEDBACK_MODES = ('pd', 'computed_torque')
-# For scenes without a drive of their own: sines of this share of the torque that holds the
-# whole weight at the length of the mechanism, or of the weight.
+# What the sines are to be like: a share of the weight times the size, slow.
 SHARE_OF_TORQUE, SHARE_OF_WEIGHT = 0.1, 0.3
 GRAVITY = 9.81
 FREQUENCY = 0.5
@@ -46,27 +48,56 @@ class Drive:
         For people.
     parameters : dict
         Of the torque source, by name; empty where nothing is actuated.
-    arguments : tuple of str
-        The same, as ROS arguments of the torque source.
-    simulator_arguments : tuple of str
-        Those of the simulator.
+    file : pathlib.Path or None
+        Where both nodes read theirs.
 
     """
 
     description: str
     parameters: dict
-    arguments: tuple = ()
-    simulator_arguments: tuple = ()
+    file: Optional[object] = None
+
+
+@dataclass(frozen=True)
+class Aim:
+    """
+    Where a drive is to lead the actuated joints.
+
+    Attributes
+    ----------
+    reference : torque_laws.Reference or studies.circle.Circle
+    led : ndarray of bool, shape (n,)
+        Whose position is controlled; of the others, their speed is.
+    circle : tuple of (str, ndarray, float), or None
+        Point, centre and radius of a circle [m].
+
+    """
+
+    reference: object
+    led: np.ndarray
+    circle: Optional[tuple] = None
 
 
 def shipped_drives():
-    """Return the names of the scenes that have a drive of their own, sorted."""
-    return sorted(path.stem for path in (config_directory() / 'drives').glob('*.yaml'))
+    """Return the names of the shipped scenes that a shipped controller is for, sorted."""
+    return sorted(_controllers())
+
+
+def _controllers():
+    """Return the files of the shipped controllers, by the name of their scene."""
+    paths = [shipped_path('controllers', name) for name in shipped_names('controllers')]
+    return {_values(path, SIMULATOR)['scene']: path for path in paths}
+
+
+def _values(path, node):
+    """Return the parameters of a node in a file."""
+    messages = parameter_dict_from_yaml_file(str(path), target_nodes=[f'/**/{node}'])
+    return {name: parameter_value_to_python(message.value) for name, message in messages.items()}
 
 
 def drive_for(scene):
     """
-    Return the drive of a scene: its own if it is a shipped one, otherwise small sines.
+    Return the drive of a scene: its controller if it is a shipped one, otherwise small sines.
 
     Parameters
     ----------
@@ -78,16 +109,11 @@ def drive_for(scene):
     Drive
 
     """
-    path = shipped_path('drives', scene.name)
-    if scene.path != shipped_path('scenes', scene.name) or not path.is_file():
+    path = _controllers().get(scene.name)
+    if path is None or scene.path != shipped_path('scenes', scene.name):
         return _sines(scene)
-    messages = parameter_dict_from_yaml_file(str(path), target_nodes=[f'/**/{TORQUE_SOURCE}'])
-    values = {name: parameter_value_to_python(message.value)
-              for name, message in messages.items()}
-    # The file has a part for each of them.
-    arguments = ('--params-file', str(path))
-    return Drive(f'{values["mode"]}, as in config/drives/{path.name}', values, arguments,
-                 arguments)
+    values = _values(path, TORQUE_SOURCE)
+    return Drive(f'{values["mode"]}, as in config/controllers/{path.name}', values, path)
 
 
 def _sines(scene):
@@ -102,30 +128,34 @@ def _sines(scene):
         for torque in [SHARE_OF_TORQUE * weight * length]
         for joint in mechanism.joints if joint.actuated]
     shown = ', '.join(f'{value:g}' for value in amplitude)
-    values = {'mode': 'sine', 'amplitude': amplitude, 'frequency': [FREQUENCY]}
-    arguments = [part for name, value in values.items() for part in ('-p', f'{name}:={value}')]
-    return Drive(f'sine torques of {shown} N m or N at {FREQUENCY} Hz', values, tuple(arguments),
-                 ('-p', 'wait_for_command:=true'))
+    return Drive(f'sine torques of {shown} N m or N at {FREQUENCY} Hz',
+                 {'mode': 'sine', 'amplitude': amplitude, 'frequency': [FREQUENCY]})
 
 
-def aim_of(drive, joints):
+def aim_of(drive, scene):
     """
-    Return where a drive was to lead the joints.
+    Return where a drive is to lead the joints.
 
     Parameters
     ----------
     drive : Drive
         Of the scene.
-    joints : sequence of str
-        The actuated ones.
+    scene : scene.Scene
+        What is driven.
 
     Returns
     -------
-    torque_laws.ProportionalDerivative or None
-        The law with its reference; None where it has no aim.
+    Aim or None
+        None where the drive has no aim.
 
     """
     if drive.parameters.get('mode') not in FEEDBACK_MODES:
         return None
     values = {parameter.name: parameter.default for parameter in TORQUE_SOURCE_PARAMETERS}
-    return closed_loop({**values, **drive.parameters}, joints)
+    values.update(drive.parameters)
+    joints = scene.mechanism.actuated_joints
+    found = reference(values, joints, Simulation(scene))
+    circle = None
+    if values['circle_point']:
+        circle = values['circle_point'], found.center, values['circle_radius']
+    return Aim(found, np.array(per_joint('kp', values['kp'], joints)) != 0.0, circle)

@@ -11,20 +11,92 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
+"""What happened in a demonstration, beside what was wanted: in words, pictures and a verdict."""
 
-"""What happened in a demonstration, in words and pictures."""
+from dataclasses import dataclass
 
-from closedloop_dynamics.studies import pictures
-from closedloop_dynamics.studies.motion import closure
+from closedloop_dynamics.bags.reading import Bag
+from closedloop_dynamics.studies.recording import read_recording
+from closedloop_dynamics.visual import pictures
+from closedloop_dynamics.visual.motion import body_poses, closure, Motion, named_point
 import numpy as np
 
-# After which a controller should have led the joints to their reference [s]; less in a short run.
+NANOSECONDS = 1e-9
 SETTLING = 1.0
 TURN = 2.0 * np.pi
-# On a busy machine DDS may take seconds to make nodes known to each other: said from here on [s].
-LATE = 0.1
-# Looked at when the beginning of the reference is found [s].
+FIRST_LATE = 0.1
 HEADSTARTS = np.arange(0.0, 1.0, 0.005)
+# What is as wanted. Mean speed and its ripple (rms), distance from a circle (largest): as shares
+# of the speed and the radius; positions (rms) [rad or m]; closure [m or rad].
+MEAN_SPEED, RIPPLE, OFF_CIRCLE, OFF_POSITION, OPEN = 0.01, 0.05, 0.05, 0.02, 1e-6
+# What is representative: time dropped and states missing, states answered, as shares; the longest
+# time without a command, in periods.
+LOST, ANSWERED, SILENCE = 0.01, 0.9, 5.0
+
+
+@dataclass(frozen=True)
+class Run:
+    """
+    What a bag holds of one scene.
+
+    Attributes
+    ----------
+    motion : visual.motion.Motion
+        From the last state at rest on; its time is that of the stamps since then.
+    simulated : float
+        Simulated time of the motion [s].
+    arrivals : dict of str to ndarray
+        Times at which the messages of each topic were received [s], relative as above; those
+        before the motion are negative.
+
+    """
+
+    motion: Motion
+    simulated: float
+    arrivals: dict
+
+    def rate(self, topic):
+        """Return the average number of messages per second [Hz]; NaN for fewer than two."""
+        times = self.arrivals[topic]
+        return (len(times) - 1) / np.ptp(times) if len(times) > 1 else np.nan
+
+
+def read_run(path, namespace):
+    """
+    Read a bag of the demonstration.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        Its directory.
+    namespace : str
+        Of the simulator.
+
+    Returns
+    -------
+    Run
+
+    Raises
+    ------
+    RecordingError
+        Where no states are in it.
+    BagReadError
+        Where it cannot be read.
+
+    """
+    recording = read_recording(path, namespace=namespace)
+    whole, stamps = recording.motion, recording.stamps
+    # Time stands still until the first command.
+    begin = max(0, int(np.argmax(whole.time > whole.time[0])) - 1)
+    motion = Motion(whole.mechanism, (stamps[begin:] - stamps[begin]) * NANOSECONDS, *(
+        getattr(whole, name)[begin:] for name in ('position', 'velocity', 'effort', 'forces')))
+    received = {}
+    for message in Bag(path).serialised():
+        topic = message.topic.name.removeprefix(f'{namespace}/')
+        received.setdefault(topic, []).append(message.time)
+    return Run(motion, whole.time[-1] - whole.time[begin], {
+        topic: (np.array(times) - stamps[begin]) * NANOSECONDS
+        for topic, times in received.items()})
 
 
 def wanted_motion(motion, aim):
@@ -33,10 +105,10 @@ def wanted_motion(motion, aim):
 
     Parameters
     ----------
-    motion : studies.motion.Motion
+    motion : visual.motion.Motion
         What they did.
-    aim : torque_laws.ProportionalDerivative or None
-        What led the actuated joints.
+    aim : demo_drive.Aim or None
+        Where the actuated joints were led.
 
     Returns
     -------
@@ -57,27 +129,31 @@ def wanted_motion(motion, aim):
     if aim is None:
         return position, velocity, 0.0
     actuated = np.array(_actuated(motion.mechanism))
-    led = aim.kp != 0.0
-    time, start = motion.time[:, np.newaxis], motion.position[0, actuated]
-    candidates = HEADSTARTS if led.any() else HEADSTARTS[:1]
-    misses = [np.linalg.norm((aim.reference.at(time + shift, start)[0]
-                              - motion.position[:, actuated])[:, led]) for shift in candidates]
+    start = motion.position[0, actuated]
+    instants = np.arange(0.0, motion.time[-1] + HEADSTARTS[-1] + 0.01, 0.005)
+    table = np.array([np.concatenate(aim.reference.at(time, start)) for time in instants])
+
+    def wanted(headstart):
+        values = [np.interp(motion.time + headstart, instants, column) for column in table.T]
+        return np.split(np.array(values).T, 2, axis=1)
+
+    candidates = HEADSTARTS if aim.led.any() else HEADSTARTS[:1]
+    misses = [np.linalg.norm((wanted(shift)[0] - motion.position[:, actuated])[:, aim.led])
+              for shift in candidates]
     headstart = float(candidates[int(np.argmin(misses))])
-    wanted, velocity[:, actuated] = aim.reference.at(time + headstart, start)
-    position[:, actuated[led]] = wanted[:, led]
+    places, velocity[:, actuated] = wanted(headstart)
+    position[:, actuated[aim.led]] = places[:, aim.led]
     return position, velocity, headstart
 
 
-def summary(recording, aim):
+def summary(run):
     """
-    Say what happened.
+    Say what was recorded.
 
     Parameters
     ----------
-    recording : demo_recording.Recording
+    run : Run
         What happened.
-    aim : torque_laws.ProportionalDerivative or None
-        What was to happen.
 
     Returns
     -------
@@ -85,43 +161,61 @@ def summary(recording, aim):
         Key and text of each line.
 
     """
-    motion = recording.motion
-    error = closure(motion.mechanism, motion.position).max()
-    width = max(map(len, recording.arrivals))
+    motion = run.motion
+    count, width = sum(map(len, run.arrivals.values())), max(map(len, run.arrivals))
     return [
-        ('recorded', f'{recording.count} messages, {motion.time[-1]:.2f} s of motion'),
+        ('recorded', f'{count} messages, {motion.time[-1]:.2f} s of motion'),
         *(('', f'{topic:{width}}  {len(times):6} message'
-           + (f's at {recording.rate(topic):6.1f} Hz' if len(times) > 1 else '')
-           + (f', from {times[0]:.1f} s of motion on' if times[0] > LATE else ''))
-          for topic, times in sorted(recording.arrivals.items())),
-        ('closure', f'loops closed within {error:.1e} m or rad in all {len(motion.time)} '
-         'states of it'),
-        *(('tracking', text) for text in _tracking(motion, aim)),
-    ]
+           + (f's at {run.rate(topic):6.1f} Hz' if len(times) > 1 else '')
+           + (f', from {times[0]:.1f} s of motion on' if times[0] > FIRST_LATE else ''))
+          for topic, times in sorted(run.arrivals.items())),
+        ('closure', f'loops closed within {_closure(motion):.1e} m or rad in all '
+         f'{len(motion.time)} states of it')]
 
 
-def _tracking(motion, aim):
-    """Yield what is to be said about each kind of aim."""
-    if aim is None:
-        return
-    settled = motion.time >= min(SETTLING, motion.time[-1] / 2.0)
-    wanted, _, headstart = wanted_motion(motion, aim)
-    led = []
-    for joint, speed in zip(_actuated(motion.mechanism), aim.reference.velocity):
-        if speed != 0.0:
-            yield _speed(motion, settled, joint, speed)
-        elif np.isfinite(wanted[0, joint]):
-            led.append(joint)
-    if led:
-        error = (motion.position - wanted)[np.ix_(settled, led)]
-        names = ', '.join(motion.mechanism.joint_names[joint] for joint in led)
-        ahead = f' (it began {headstart:.2f} s before them)' if headstart else ''
-        yield (f'{names} follow their reference{ahead} within {np.sqrt(np.mean(error ** 2)):.2g} '
-               f'rad (rms), {np.abs(error).max():.2g} rad (largest), once settled')
+def _closure(motion):
+    return closure(motion.mechanism, motion.position).max()
+
+
+def compared(motion, aim):
+    """
+    Compare a motion with what was wanted.
+
+    Parameters
+    ----------
+    motion : visual.motion.Motion
+        What happened.
+    aim : demo_drive.Aim or None
+        What was to happen.
+
+    Returns
+    -------
+    list of (str, str or None)
+        What is to be said of each aim, and what was not as wanted.
+
+    """
+    lines = []
+    if aim is not None:
+        settled = motion.time >= min(SETTLING, motion.time[-1] / 2.0)
+        wanted, _, headstart = wanted_motion(motion, aim)
+        led = []
+        speeds = getattr(aim.reference, 'velocity', np.zeros(len(aim.led)))
+        for joint, speed in zip(_actuated(motion.mechanism), speeds):
+            if speed != 0.0:
+                lines.append(_speed(motion, settled, joint, speed))
+            elif np.isfinite(wanted[0, joint]):
+                led.append(joint)
+        if led:
+            lines.append(_positions(motion, wanted, settled, led, headstart))
+        if aim.circle:
+            lines.append(_circle(motion, settled, *aim.circle))
+    if not _closure(motion) < OPEN:
+        lines.append(('', f'the loops were open by {_closure(motion):.1e} m or rad'))
+    return lines
 
 
 def _speed(motion, settled, joint, wanted):
-    """Say how well a joint holds its speed, over whole turns if there are any."""
+    """Compare the speed of a joint, over whole turns if there are any."""
     time, angle, speed = (
         values[settled] for values in
         (motion.time, motion.position[:, joint], motion.velocity[:, joint]))
@@ -129,21 +223,96 @@ def _speed(motion, settled, joint, wanted):
     turns = int(travelled[-1] / TURN)
     end = np.interp(turns * TURN, travelled, time) if turns else time[-1]
     mean = (np.interp(end, time, angle) - angle[0]) / (end - time[0])
-    ripple = speed - wanted
-    return (f'{motion.mechanism.joint_names[joint]} turns at {mean:.4f} rad/s over {turns} whole '
-            f'turns (wanted: {wanted:.4f}); ripple {np.sqrt(np.mean(ripple ** 2)):.2g} rad/s '
-            f'(rms), {np.abs(ripple).max():.2g} rad/s (largest)')
+    ripple = np.sqrt(np.mean((speed - wanted) ** 2))
+    name = motion.mechanism.joint_names[joint]
+    failure = None
+    if mean * wanted < 0.0:
+        failure = f'{name} turned backwards, at {mean:.4g} rad/s instead of {wanted:.4g} rad/s'
+    elif not abs(mean - wanted) <= MEAN_SPEED * abs(wanted):
+        failure = f'{name} turned at {mean:.4g} rad/s instead of {wanted:.4g} rad/s'
+    elif not ripple <= RIPPLE * abs(wanted):
+        failure = (f'the speed of {name} had a ripple of {ripple:.2g} rad/s (rms), more than '
+                   f'{100.0 * RIPPLE:g} % of {wanted:.4g} rad/s')
+    return (f'{name} turns at {mean:.4f} rad/s over {turns} whole turns (wanted: {wanted:.4f}); '
+            f'ripple {ripple:.2g} rad/s (rms), {np.abs(speed - wanted).max():.2g} rad/s '
+            '(largest)', failure)
 
 
-def draw(recording, aim, scene, directory):
+def _positions(motion, wanted, settled, led, headstart):
+    """Compare the positions of joints with a reference that moves."""
+    error = (motion.position - wanted)[np.ix_(settled, led)]
+    rms, names = np.sqrt(np.mean(error ** 2)), ', '.join(
+        motion.mechanism.joint_names[joint] for joint in led)
+    ahead = f' (it began {headstart:.2f} s before them)' if headstart else ''
+    failure = None
+    if not rms <= OFF_POSITION:
+        failure = f'{names} were {rms:.2g} rad (rms) away from their reference'
+    return (f'{names} follow their reference{ahead} within {rms:.2g} rad (rms), '
+            f'{np.abs(error).max():.2g} rad (largest), once settled', failure)
+
+
+def _circle(motion, settled, point, center, radius):
+    """Compare the path of a point with a circle."""
+    places = named_point(motion.mechanism, body_poses(motion.mechanism, motion.position), point)
+    off = np.abs(np.hypot(*(places - center).T) - radius)[settled].max()
+    failure = None
+    if not off <= OFF_CIRCLE * radius:
+        failure = f'{point} was {1e3 * off:.2g} mm away from its circle of {radius:g} m radius'
+    return (f'{point} stays within {1e3 * off:.2g} mm of a circle of {radius:g} m radius, once '
+            'settled', failure)
+
+
+def not_representative(run, duration):
+    """
+    Say why a run does not show what the same nodes do where they have the time.
+
+    Parameters
+    ----------
+    run : Run
+        What happened.
+    duration : float
+        That the motion was to have [s].
+
+    Returns
+    -------
+    list of str
+        Empty where it is representative.
+
+    """
+    time, reasons = run.motion.time, []
+    if len(time) < 3 or not run.simulated > 0.5 * duration:
+        return [f'only {run.simulated:.2f} s of {duration:g} s were simulated, in '
+                f'{len(time)} recorded states']
+    period = np.median(np.diff(time))
+    dropped = time[-1] - run.simulated
+    if dropped > LOST * time[-1]:
+        reasons.append(f'{dropped:.2f} s of {time[-1]:.2f} s were dropped, as simulating took '
+                       'longer than the time there was')
+    missing = int(np.sum(np.round(np.diff(time) / period) - 1))
+    if missing > LOST * len(time):
+        reasons.append(f'{missing} of {len(time) + missing} states are missing')
+    commands = run.arrivals.get('torque_command', np.zeros(0))
+    commands = commands[commands > 0.0]
+    if len(commands) > 1:
+        # The recorder may find the torque source late.
+        states = np.sum((time >= commands[0]) & (time <= commands[-1]))
+        if len(commands) < ANSWERED * states:
+            reasons.append(f'{len(commands)} of {states} states were answered by a command')
+        silence = np.diff(commands).max()
+        if silence > SILENCE * period:
+            reasons.append(f'for {silence:.2f} s no command came')
+    return reasons
+
+
+def draw(motion, aim, scene, directory):
     """
     Write the pictures.
 
     Parameters
     ----------
-    recording : demo_recording.Recording
+    motion : visual.motion.Motion
         What happened.
-    aim : torque_laws.ProportionalDerivative or None
+    aim : demo_drive.Aim or None
         What was to happen.
     scene : str
         Its name.
@@ -155,7 +324,6 @@ def draw(recording, aim, scene, directory):
     list of pathlib.Path
 
     """
-    motion = recording.motion
     figures = {
         'joint_motion.png': pictures.joint_motion(
             motion, f'{scene}: joint motion', wanted_motion(motion, aim)[:2]),

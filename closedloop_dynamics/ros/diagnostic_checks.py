@@ -124,7 +124,7 @@ def time_finding(now, standing, wanted_factor):
 
 def method_finding(report, load):
     """
-    Judge cost and local error.
+    Judge cost and error.
 
     Parameters
     ----------
@@ -142,6 +142,8 @@ def method_finding(report, load):
         report.local_error, ERROR_WARN, ERROR_ERROR, report.method,
         f'a step may be off by {report.local_error:.2g} rad or m: take a smaller step_size or '
         'another integrator')
+    if level == OK and report.findings:
+        level, message = WARN, '; '.join(report.findings)
     if level == OK and load > LOAD_WARN:
         level, message = WARN, (f'computing takes {100.0 * load:.0f} % of the time there is: '
                                 'a larger step_size or a smaller real_time_factor helps')
@@ -149,7 +151,8 @@ def method_finding(report, load):
         'method': report.method, 'steps': report.steps, 'evaluations': report.evaluations,
         'compute time per step [us]': 1e6 * report.time_per_step,
         'share of real time [%]': 100.0 * report.share,
-        'local error [rad or m]': report.local_error})
+        'local error [rad or m]': report.local_error,
+        'bound of the error within a second [rad or m]': report.error_bound})
 
 
 def closure_finding(closure):
@@ -178,7 +181,7 @@ def energy_finding(balance, moved):
 
     Parameters
     ----------
-    balance : effects.accounts.EnergyBalance
+    balance : effects.energy_balance.Energies
         Of the simulation.
     moved : float
         Energy that was moved so far [J].
@@ -229,7 +232,7 @@ def elimination_finding(health, worst):
         'closure equations': health.equations, 'independent ones': health.rank,
         'rank-revealing evaluations': health.rank_revealing_count,
         'projection iterations': health.projection_iterations,
-        'singular value with locked drives': health.drive_singular_value})
+        'sine of the angle to a parallel singularity': health.drive_sine})
 
 
 def commands_finding(book, before, sources, zero_after_timeout):
@@ -239,7 +242,7 @@ def commands_finding(book, before, sources, zero_after_timeout):
     Parameters
     ----------
     book : dict of str to int
-        Counts so far; ``rejected`` and ``states refused`` among them.
+        Counts so far; ``rejected``, ``states refused`` and ``lost`` among them.
     before : dict of str to int
         The same a period ago.
     sources : sequence of str
@@ -254,8 +257,11 @@ def commands_finding(book, before, sources, zero_after_timeout):
     """
     level, message = OK, f'from {", ".join(sources)}' if sources else 'nobody commands'
     refused = sum(book[key] - before.get(key, 0) for key in ('rejected', 'states refused'))
+    lost = book['lost'] - before.get('lost', 0)
     if refused:
         level, message = WARN, f'{refused} refused in the last second; the log says why'
+    elif lost:
+        level, message = WARN, f'{lost} commands lost in the last second'
     elif len(sources) > 1:
         level, message = WARN, (f'{len(sources)} sources of commands ({", ".join(sources)}): the '
                                 'last command counts, whoever sent it')

@@ -61,7 +61,6 @@ class Diagnostics:
         self._singular, self._sources = Throttle(MESSAGE_PERIOD), ()
         self._redundant = False
         self._worst = math.inf
-        self._moved = 0.0
         self._mark()
         node.on_published.append(self.watch_health)
         node.create_timer(PERIOD, self.publish, clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -98,13 +97,11 @@ class Diagnostics:
         """Return what there is to say, by the name of the status."""
         simulation = self._node.simulation
         report, balance = simulation.report(), simulation.energy_balance
-        self._moved = max(self._moved, balance.kinetic)
-        moved = self._moved + abs(balance.work) + balance.dissipated
         return {
             'time': self._time(),
             'method': self._method(report),
             'closure': closure_finding(report.closure),
-            'energy': energy_finding(balance, moved),
+            'energy': energy_finding(balance, report.energy_moved),
             'elimination': elimination_finding(
                 simulation.health, min(self._worst, simulation.health.smallest_pivot)),
             'commands': self._commands(),
@@ -148,15 +145,14 @@ class Diagnostics:
             node.mode.name == REALTIME) else math.nan
         finding = method_finding(report, load)
         finding.values['step size [s]'] = node.simulation.step_size
-        if node.simulation.method_report:
-            finding.values['chosen by'] = node.simulation.method_report
         return finding
 
     def _counts(self):
         book, control = self._node.command, self._node.control
         return {'accepted': book.accepted, 'rejected': book.rejected,
-                'timed out': book.timed_out, 'states set': control.states_set,
-                'states refused': control.states_refused}
+                'timed out': book.timed_out, 'lost': book.lost,
+                'efforts of joints not actuated': book.not_actuated,
+                'states set': control.states_set, 'states refused': control.states_refused}
 
     def _commands(self):
         node = self._node

@@ -19,7 +19,7 @@ import time
 from closedloop_dynamics.errors import SimulationError
 from closedloop_dynamics.ros.process import leaving_at_once
 from closedloop_dynamics.ros.process import StartError
-from closedloop_dynamics.simulation import Simulation
+from closedloop_dynamics.simulation.simulation import Simulation
 
 
 def load_simulation(scene, logger, **method):
@@ -54,7 +54,5 @@ def load_simulation(scene, logger, **method):
             simulation.warm_up()
     except (ValueError, OSError, SimulationError) as error:
         raise StartError(f"scene '{scene}': {error}") from None
-    if simulation.method_report:
-        logger.info(simulation.method_report)
     logger.info(f'loaded in {time.monotonic() - begin:.1f} s')
     return simulation

@@ -32,8 +32,8 @@ from closedloop_dynamics.ros.marker_shapes import strip
 from closedloop_dynamics.ros.marker_shapes import styled
 from closedloop_dynamics.ros.parameters import Parameter
 from closedloop_dynamics.ros.process import StartError
-from closedloop_dynamics.studies.motion import pose_of
-from closedloop_dynamics.studies.motion import world_points
+from closedloop_dynamics.visual.motion import pose_of
+from closedloop_dynamics.visual.motion import world_points
 import numpy as np
 from rclpy.qos import QoSProfile
 from visualization_msgs.msg import Marker

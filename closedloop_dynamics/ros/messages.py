@@ -15,6 +15,7 @@
 """What a simulator publishes of a state: joint states and constraint forces."""
 
 from array import array
+from functools import partial
 import time
 
 from builtin_interfaces.msg import Time
@@ -27,7 +28,6 @@ from rclpy.exceptions import InvalidTopicNameException
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 
-WORLD_FRAME = 'world'
 NANOSECONDS = 10 ** 9
 # For subscribers to receive what was published: to wait at once, and all in all [s].
 PATIENCE, GIVE_UP = Duration(seconds=0.02), 2.0
@@ -47,6 +47,8 @@ class StatePublisher:
         In the order of the joint coordinates.
     cut_names : sequence of str
         In the order of the constraint forces.
+    frames : sequence of str
+        Frames that these refer to.
 
     Attributes
     ----------
@@ -62,12 +64,12 @@ class StatePublisher:
 
     """
 
-    def __init__(self, node, joint_names, cut_names):
+    def __init__(self, node, joint_names, cut_names, frames):
         self.stamp, self.published = Time(), 0
         self._stuck_since = None
         self._names = list(joint_names)
         self._state = WireMessage(self.joint_state, 3 * [len(joint_names)])
-        self._wrench = WireMessage(wrench_stamped, (6,))
+        self._messages = [WireMessage(partial(wrench_stamped, frame), (6,)) for frame in frames]
         # Forces of all cut joints as the messages have them: force, then torque.
         self._wrenches = np.zeros((len(cut_names), 6))
         self._state_publisher = node.create_publisher(JointState, 'joint_states', STATE_QOS)
@@ -122,8 +124,9 @@ class StatePublisher:
         self._wrenches[:, 5] = constraint_forces[:, 0]
         self._wrenches[:, :2] = constraint_forces[:, 1:]
         # The state last: who answers it knows the forces.
-        for publisher, wrench in zip(self._force_publishers, self._wrenches):
-            publisher.publish(self._wrench.filled(sec, nanosec, wrench))
+        for publisher, message, wrench in zip(
+                self._force_publishers, self._messages, self._wrenches):
+            publisher.publish(message.filled(sec, nanosec, wrench))
         self._state_publisher.publish(
             self._state.filled(sec, nanosec, position, velocity, effort))
         self.published += 1 + len(self._force_publishers)
@@ -145,12 +148,14 @@ class StatePublisher:
         return now - self._stuck_since > GIVE_UP
 
 
-def wrench_stamped(sec, nanosec, values):
+def wrench_stamped(frame, sec, nanosec, values):
     """
-    Return a WrenchStamped in world axes.
+    Return a WrenchStamped.
 
     Parameters
     ----------
+    frame : str
+        Its axes, and the point that its moment refers to.
     sec, nanosec : int
         The stamp.
     values : ndarray, shape (6,)
@@ -162,7 +167,7 @@ def wrench_stamped(sec, nanosec, values):
 
     """
     message = WrenchStamped()
-    message.header.frame_id = WORLD_FRAME
+    message.header.frame_id = frame
     message.header.stamp = Time(sec=sec, nanosec=nanosec)
     force, torque = message.wrench.force, message.wrench.torque
     force.x, force.y, force.z, torque.x, torque.y, torque.z = values.tolist()

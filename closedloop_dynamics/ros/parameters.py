@@ -16,26 +16,30 @@
 
 from dataclasses import dataclass
 import math
+import textwrap
 from typing import Any, Optional, Tuple
 
 from closedloop_dynamics.ros.process import StartError
 from rcl_interfaces.msg import FloatingPointRange
 from rcl_interfaces.msg import IntegerRange
 from rcl_interfaces.msg import ParameterDescriptor
-from rclpy.exceptions import InvalidParameterTypeException
 from rclpy.exceptions import InvalidParameterValueException
 from rclpy.parameter import Parameter as RosParameter
 
+_Type = RosParameter.Type
 # What to write on a command line, by the type of the default.
 _EXAMPLES = {
-    RosParameter.Type.STRING: 'a string',
-    RosParameter.Type.BOOL: 'true or false',
-    RosParameter.Type.INTEGER: 'a whole number',
-    RosParameter.Type.DOUBLE: 'a floating-point number (write 5.0, not 5)',
-    RosParameter.Type.DOUBLE_ARRAY:
-        'a list of floating-point numbers (write [5.0] or [1.0, 2.5], not 5 or [5])',
-    RosParameter.Type.STRING_ARRAY: 'a list of strings (write [name_1, name_2])',
+    _Type.STRING: 'a string',
+    _Type.BOOL: 'true or false',
+    _Type.INTEGER: 'a whole number',
+    _Type.DOUBLE: 'a number',
+    _Type.DOUBLE_ARRAY: 'a list of numbers (write [5.0] or [1.0, 2.5], not 5.0)',
+    _Type.STRING_ARRAY: 'a list of strings (write [name_1, name_2])',
 }
+# Whole numbers serve as floating-point ones.
+_WIDER = {_Type.INTEGER: _Type.DOUBLE, _Type.INTEGER_ARRAY: _Type.DOUBLE_ARRAY}
+# Of the text of --help.
+_HELP_WIDTH = 96
 
 
 @dataclass(frozen=True)
@@ -65,6 +69,23 @@ class Parameter:
     limits: Optional[Tuple[float, float]] = None
     choices: Tuple[str, ...] = ()
     read_only: bool = True
+
+    @property
+    def kind(self):
+        """Return the type, as ROS counts them."""
+        return _Type.from_parameter_value(self.default)
+
+    def help_text(self):
+        """Return what there is to know, as a paragraph of text."""
+        change = '; changes at run time' if not self.read_only else ''
+        allowed = f'; {self._choices()}' if self.choices else (
+            '; {:g} to {:g}'.format(*self.limits) if self.limits else '')
+        kind = self.kind.name.lower().replace('_', ' ')
+        head = f'{self.name}  ({kind}, default {in_yaml(self.default)}{allowed}{change})'
+        return '\n'.join((
+            textwrap.fill(head, _HELP_WIDTH, initial_indent='  ', subsequent_indent='      '),
+            textwrap.fill(self.description, _HELP_WIDTH, initial_indent='      ',
+                          subsequent_indent='      ')))
 
     def descriptor(self):
         """Return the ParameterDescriptor."""
@@ -130,20 +151,94 @@ def declare(node, parameters):
 
 
 def _declare(node, parameter):
+    # What was given at the start can have any type: rclpy tells it to a parameter of no type.
+    given = _widened(node.declare_parameter(
+        parameter.name, parameter.default, ParameterDescriptor(dynamic_typing=True)),
+        parameter.kind)
+    node.undeclare_parameter(parameter.name)
+    if given.type_ != parameter.kind:
+        raise StartError(f"parameter '{parameter.name}': expected {_EXAMPLES[parameter.kind]}")
     try:
         value = node.declare_parameter(
-            parameter.name, parameter.default, parameter.descriptor()).value
-    except InvalidParameterTypeException:
-        kind = RosParameter.Type.from_parameter_value(parameter.default)
-        raise StartError(
-            f"parameter '{parameter.name}': expected {_EXAMPLES[kind]}") from None
-    except InvalidParameterValueException as error:
-        raise StartError(str(error)) from None
-    try:
+            parameter.name, given.value, parameter.descriptor(), ignore_override=True).value
         parameter.require_choice(value)
-    except ValueError as error:
+    except (InvalidParameterValueException, ValueError) as error:
         raise StartError(str(error)) from None
     return value
+
+
+def _widened(given, kind):
+    """Return a given parameter as one of another type, if it holds whole numbers for that."""
+    if _WIDER.get(given.type_) != kind:
+        return given
+    value = given.value
+    return RosParameter(given.name, kind, (
+        float(value) if kind == _Type.DOUBLE else list(map(float, value))))
+
+
+def accept_whole_numbers(node):
+    """
+    Let whole numbers set the floating-point parameters of a node; once for a node.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+        With its parameters declared.
+
+    """
+    def widen(parameters):
+        return [_widened(given, _Type(node.describe_parameter(given.name).type))
+                if node.has_parameter(given.name) else given for given in parameters]
+
+    node.add_pre_set_parameters_callback(widen)
+
+
+def usage(name, node_class, parameters):
+    """
+    Return the text of ``--help``.
+
+    Parameters
+    ----------
+    name : str
+        Of the node and its executable.
+    node_class : type
+        Its docstring begins with what it does, in a sentence.
+    parameters : iterable of Parameter
+        All of them.
+
+    Returns
+    -------
+    str
+
+    """
+    return '\n'.join((
+        f'usage: {name} [--ros-args [-p NAME:=VALUE ...] [--params-file FILE] '
+        '[-r FROM:=TO ...]]', '', node_class.__doc__.split('\n\n')[0].strip(), '', 'Parameters:',
+        *(parameter.help_text() for parameter in parameters), '',
+        'Topics, services and exit codes: doc/interface.md.'))
+
+
+def in_yaml(value):
+    """
+    Return a value as one writes it on a command line.
+
+    Parameters
+    ----------
+    value : bool, int, float, str or list
+        Of a parameter.
+
+    Returns
+    -------
+    str
+
+    """
+    if isinstance(value, list):
+        return f'[{", ".join(map(in_yaml, value))}]'
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, str):
+        return value or "''"
+    return '.nan' if value != value else str(value)
 
 
 def declare_fact(node, name, values, description):

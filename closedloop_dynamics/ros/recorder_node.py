@@ -24,8 +24,10 @@ from closedloop_dynamics.ros.bag import BagError
 from closedloop_dynamics.ros.bag import BagWriter
 from closedloop_dynamics.ros.message_types import MessageTypes
 from closedloop_dynamics.ros.message_types import UnknownTypeError
+from closedloop_dynamics.ros.parameters import accept_whole_numbers
 from closedloop_dynamics.ros.parameters import declare
 from closedloop_dynamics.ros.parameters import Parameter
+from closedloop_dynamics.ros.parameters import usage
 from closedloop_dynamics.ros.process import run
 from closedloop_dynamics.ros.process import StartError
 from rclpy.clock import Clock
@@ -81,6 +83,7 @@ class RecorderNode(Node):
     def __init__(self, **options):
         super().__init__(NAME, **options)
         self.exit_code = None
+        accept_whole_numbers(self)
         self.received = Counter()
         self.lost = Counter()
         self._values = declare(self, PARAMETERS)
@@ -228,4 +231,4 @@ def _matching_profile(offered):
 
 def main(args=None):
     """Run the node; return the exit code."""
-    return run(RecorderNode, NAME, args)
+    return run(RecorderNode, NAME, usage(NAME, RecorderNode, PARAMETERS), args)

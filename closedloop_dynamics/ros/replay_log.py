@@ -22,7 +22,7 @@ from std_msgs.msg import Float64MultiArray
 from std_msgs.msg import MultiArrayDimension
 
 LOG_QOS = QoSProfile(depth=1000)
-# Names of the columns, before those of the joints.
+# Names of the columns, before the commands by joint and the state by number.
 COLUMNS = ('stamp_sec', 'stamp_nanosec', 'index', 'jumps', 'simulated_time')
 
 
@@ -35,8 +35,9 @@ class ReplayLog:
     Publishes one entry for each state, as long as somebody subscribes.
 
     The stamps of states may follow the system's clock, and the efforts in them are those behind
-    drives with limits and lag. What a replay needs is the simulated time, and the command
-    before the drives. Where the command changes between two states, an entry without a state
+    drives with limits and lag. What a replay needs is the simulated time, the command
+    before the drives, and the whole state (``Simulation.state``), to begin there to the last bit.
+    Where the command changes between two published states, an entry without a stamp
     says up to when the old one acted. ``index`` counts the entries, so that a gap is
     seen; ``jumps`` counts the resets and the states that were set from outside.
 
@@ -55,7 +56,7 @@ class ReplayLog:
     def __init__(self, node):
         self._publisher = node.create_publisher(Float64MultiArray, 'replay_log', LOG_QOS)
         self._message = Float64MultiArray()
-        self._values = self._names = self._torque = None
+        self._values = self._sizes = self._torque = None
         self.index = self._jumps = 0
         self._time = 0.0
 
@@ -104,17 +105,20 @@ class ReplayLog:
         self.index += 1
         if not self._publisher.get_subscription_count():
             return
-        if simulation.joint_names != self._names:
-            self._size(simulation.joint_names)
+        state = simulation.state
+        self._size(simulation.joint_names, len(state))
         self._values[:len(COLUMNS)] = second, nanosecond, self.index, self._jumps, time
         if self._torque is not None:
-            self._values[len(COLUMNS):] = self._torque
+            self._values[len(COLUMNS):-len(state)] = self._torque
+        self._values[-len(state):] = state
         self._publisher.publish(self._message)
 
-    def _size(self, names):
-        """Size the message, and name what is in it."""
-        self._names = names
-        columns = [*COLUMNS, *names]
+    def _size(self, names, states):
+        """Size the message for another mechanism or other effects, and name what is in it."""
+        if (names, states) == self._sizes:
+            return
+        self._sizes = names, states
+        columns = [*COLUMNS, *names, *(f'state.{k}' for k in range(states))]
         self._message.layout.dim = [MultiArrayDimension(
             label=' '.join(columns), size=len(columns), stride=len(columns))]
         self._message.data = array('d', bytes(8 * len(columns)))

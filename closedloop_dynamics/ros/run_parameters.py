@@ -14,6 +14,8 @@
 
 """Parameters of the simulator that may change while it runs."""
 
+from dataclasses import replace
+
 from closedloop_dynamics.errors import SimulationError
 from closedloop_dynamics.ros.modes import period_steps
 from closedloop_dynamics.ros.process import leaving_at_once
@@ -42,8 +44,6 @@ class RunParameters:
 
     def __init__(self, node, scene):
         self._node, self._own = node, load_scene(scene).method
-        if node.simulation.method_report:
-            self._own = node.simulation.scene.method
         self._prepared = None
         node.add_on_set_parameters_callback(self._check)
         node.add_post_set_parameters_callback(self._apply)
@@ -71,7 +71,10 @@ class RunParameters:
         """Return what changes of the method in use."""
         used = self._node.simulation.scene.method
         wanted = {key: values[key] or getattr(self._own, key) for key in METHOD if key in values}
-        return {key: value for key, value in wanted.items() if value != getattr(used, key)}
+        changes = {key: value for key, value in wanted.items() if value != getattr(used, key)}
+        # Refuses what makes no sense.
+        replace(used, **changes)
+        return changes
 
     def _require_whole_periods(self, values, changes):
         node = self._node

@@ -22,6 +22,7 @@ what changes while it runs.
 """
 
 from contextlib import contextmanager
+from functools import partial
 import time
 
 from closedloop_dynamics.errors import NumericalError
@@ -30,21 +31,27 @@ from closedloop_dynamics.ros.awake import Awake
 from closedloop_dynamics.ros.awake import set_priority
 from closedloop_dynamics.ros.commands import CommandError
 from closedloop_dynamics.ros.commands import TorqueCommand
+from closedloop_dynamics.ros.companions import COMPANION_PARAMETERS
 from closedloop_dynamics.ros.companions import Companions
 from closedloop_dynamics.ros.control import Control
 from closedloop_dynamics.ros.diagnostics import Diagnostics
 from closedloop_dynamics.ros.effect_parameters import EffectParameters
+from closedloop_dynamics.ros.frames import FRAME_PARAMETERS
+from closedloop_dynamics.ros.frames import Frames
 from closedloop_dynamics.ros.loading import load_simulation
 from closedloop_dynamics.ros.messages import StatePublisher
 from closedloop_dynamics.ros.modes import MODES
 from closedloop_dynamics.ros.pacing import Overload
 from closedloop_dynamics.ros.pacing import Pacer
 from closedloop_dynamics.ros.pacing import Throttle
+from closedloop_dynamics.ros.parameters import accept_whole_numbers
 from closedloop_dynamics.ros.parameters import declare
 from closedloop_dynamics.ros.parameters import declare_fact
+from closedloop_dynamics.ros.parameters import usage
 from closedloop_dynamics.ros.preparation import Preparation
 from closedloop_dynamics.ros.process import run
 from closedloop_dynamics.ros.process import StartError
+from closedloop_dynamics.ros.reception import subscribe
 from closedloop_dynamics.ros.run_parameters import RunParameters
 from closedloop_dynamics.ros.simulator_parameters import LOCKSTEP
 from closedloop_dynamics.ros.simulator_parameters import REALTIME
@@ -55,11 +62,13 @@ from rclpy.clock import Clock
 from rclpy.clock import ClockType
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
+from rclpy.qos import ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
 NAME = 'closedloop_simulator'
-COMMAND_QOS = QoSProfile(depth=10)
+# As many commands may wait while this process is held up.
+COMMAND_DEPTH = 1000
 # Between two messages of one kind [s].
 MESSAGE_PERIOD = 5.0
 # A state that does not change is published so often in simulated time [s of the steady clock].
@@ -101,6 +110,7 @@ class SimulatorNode(Node):
     def __init__(self, **options):
         super().__init__(NAME, **options)
         self.exit_code = None
+        accept_whole_numbers(self)
         self.on_published, self.on_advance, self.on_jump = [], [], []
         values = declare(self, SIMULATOR_PARAMETERS)
         self.command_timeout = values['command_timeout']
@@ -119,9 +129,10 @@ class SimulatorNode(Node):
             values['mode'] != REALTIME), values['publish_clock'])
         self.pacer = Pacer(simulation.step_size, values['real_time_factor'])
         self._overload = Overload(self.pacer, MESSAGE_PERIOD)
-        self._rejection = Throttle(MESSAGE_PERIOD)
+        self._rejection, self._loss = Throttle(MESSAGE_PERIOD), Throttle(MESSAGE_PERIOD)
+        self._told_not_actuated = False
         self._published_at = self._published_stamp = None
-        self._create_topics()
+        self._create_topics(values['mode'] == LOCKSTEP)
         self.mode = self._build_mode(values)
         self.control = Control(
             self, values['wait_for_command'] and self.mode.name != LOCKSTEP, values['step_count'])
@@ -164,13 +175,23 @@ class SimulatorNode(Node):
             return f"at {values['real_time_factor']:g} x real time"
         return f'mode {self.mode.name}'
 
-    def _create_topics(self):
+    def _create_topics(self, lockstep):
         self.states = StatePublisher(
-            self, self.simulation.joint_names, [cut.name for cut in self.simulation.cut_joints])
-        self.create_subscription(
-            Float64MultiArray, 'torque_command', self.on_torque_command, COMMAND_QOS)
-        self.create_subscription(
-            JointState, 'joint_command', self.on_joint_command, COMMAND_QOS)
+            self, self.simulation.joint_names, [cut.name for cut in self.simulation.cut_joints],
+            Frames(self).of_cuts)
+        # Best effort takes commands from publishers of both kinds; in lockstep a command that is
+        # lost would never be made up for.
+        qos = QoSProfile(depth=COMMAND_DEPTH, reliability=(
+            ReliabilityPolicy.RELIABLE if lockstep else ReliabilityPolicy.BEST_EFFORT))
+        for kind, topic, follow in (
+                (Float64MultiArray, 'torque_command', self.on_torque_command),
+                (JointState, 'joint_command', self.on_joint_command)):
+            subscribe(self, kind, topic, follow, qos, partial(self._note_lost, topic))
+
+    def _note_lost(self, topic, number):
+        self.command.lost += number
+        self.warn(self._loss, f'{topic}: {number} commands were lost on the way, or came faster '
+                              'than they could be taken in')
 
     def on_torque_command(self, message):
         """Follow or refuse one value per actuated joint."""
@@ -179,6 +200,10 @@ class SimulatorNode(Node):
     def on_joint_command(self, message):
         """Follow or refuse efforts by joint name."""
         self._follow('joint_command', self.command.accept_named, message.name, message.effort)
+        if self.command.not_actuated and not self._told_not_actuated:
+            self._told_not_actuated = True
+            self.get_logger().info(
+                'joint_command names joints that are not actuated; their efforts are ignored')
 
     def _follow(self, topic, accept, *content):
         try:
@@ -191,15 +216,18 @@ class SimulatorNode(Node):
 
     def tick(self):
         """Let the mode advance the simulation, and what depends on the clock happen."""
-        if self.mode.name != LOCKSTEP and self.command.expire(
-                time.monotonic(), self.command_timeout):
-            self.get_logger().warning(
-                f'no command for {self.command_timeout:g} s: all torques are zero until '
-                'the next one')
+        if self.mode.name != LOCKSTEP:
+            self._expire()
         dropped = self.pacer.dropped
         self.guarded(self.mode.tick)
         if self.pacer.dropped > dropped and self._overload.ready():
             self.get_logger().warning(self._overload.message())
+
+    def _expire(self):
+        if self.command.expire(time.monotonic(), self.command_timeout):
+            self.get_logger().warning(
+                f'no command for {self.command_timeout:g} s: all torques are zero until '
+                'the next one')
 
     def guarded(self, action):
         """Do something that may fail as simulations do; stop the node if it does."""
@@ -216,6 +244,10 @@ class SimulatorNode(Node):
 
     def advance(self, steps):
         """Make steps under the torques in force."""
+        if self.mode.name == REALTIME:
+            # A tick that makes up for others must not hold a command longer than they had.
+            self._expire()
+            self.command.held += steps * self.simulation.step_size / self.pacer.real_time_factor
         self.torque[self._actuated] = self.command.torque
         for note in self.on_advance:
             note()
@@ -285,7 +317,8 @@ class SimulatorNode(Node):
             f'simulated {pacer.simulated:.3f} s in {pacer.elapsed:.3f} s, '
             f'{pacer.achieved:.3f} x real time, {pacer.dropped:.3f} s dropped; '
             f'commands: {book.accepted} accepted, {book.rejected} rejected, '
-            f'{book.timed_out} timed out; {self.states.published} messages published'
+            f'{book.timed_out} timed out, {book.lost} lost; '
+            f'{self.states.published} messages published'
             + (f', {self.mode.left_out} states left out' if self.mode.left_out else ''))
 
     @contextmanager
@@ -363,4 +396,5 @@ class SimulatorNode(Node):
 
 def main(args=None):
     """Run the node; return the exit code."""
-    return run(SimulatorNode, NAME, args)
+    return run(SimulatorNode, NAME, usage(NAME, SimulatorNode, (
+        *SIMULATOR_PARAMETERS, *FRAME_PARAMETERS, *COMPANION_PARAMETERS)), args)

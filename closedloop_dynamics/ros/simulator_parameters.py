@@ -55,7 +55,8 @@ SIMULATOR_PARAMETERS = (
         (0.001, 1000.0), read_only=False),
     Parameter(
         'command_timeout', 0.0,
-        'Torques fall to zero when no command arrived for so long [s of the steady clock]; '
+        'Torques fall to zero when no command arrived, or the last one acted, for so long '
+        '[s of the steady clock], also in time that is made up for; '
         '0: the last command holds for ever. Not in the mode lockstep.', (0.0, 3600.0),
         read_only=False),
     Parameter(

@@ -137,6 +137,23 @@ class ProportionalDerivative:
         self.limit = limit
         self._first = None
 
+    def tune(self, kp, kd, ki, feedforward, limit):
+        """Take other gains; the torque of the integral goes on from what it is."""
+        if self._first is not None:
+            self._integral *= np.divide(self.ki, ki, out=np.zeros_like(ki), where=ki > 0.0)
+        self.kp, self.kd, self.ki = kp, kd, ki
+        self.feedforward, self.limit = feedforward, limit
+
+    def restart(self):
+        """Let the next state be the first one."""
+        self._first = None
+
+    def follow(self, reference, time):
+        """Follow another reference, whose time 0 is the time given [s]; the integral stays."""
+        if self._first is None:
+            raise ValueError('no state has been answered yet')
+        self.reference, self._first = reference, time
+
     def torque(self, time, position, velocity):
         """
         Return the torques for a state.

@@ -22,19 +22,26 @@ import time
 from closedloop_dynamics.ros.joint_question import JointQuestion
 from closedloop_dynamics.ros.loading import load_simulation
 from closedloop_dynamics.ros.pacing import Throttle
+from closedloop_dynamics.ros.parameters import accept_whole_numbers
 from closedloop_dynamics.ros.parameters import declare
+from closedloop_dynamics.ros.parameters import usage
 from closedloop_dynamics.ros.process import run
 from closedloop_dynamics.ros.process import StartError
 from closedloop_dynamics.ros.torque_source_parameters import closed_loop
+from closedloop_dynamics.ros.torque_source_parameters import gains
 from closedloop_dynamics.ros.torque_source_parameters import open_loop
 from closedloop_dynamics.ros.torque_source_parameters import TORQUE_SOURCE_PARAMETERS
+from closedloop_dynamics.ros.trajectory import points_of
+from closedloop_dynamics.ros.trajectory import TrajectoryError
 import numpy as np
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock
 from rclpy.clock import ClockType
 from rclpy.node import Node
 from rclpy.time import Time
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
+from trajectory_msgs.msg import JointTrajectory
 
 NAME = 'closedloop_torque_source'
 QUEUE_DEPTH = 10
@@ -47,6 +54,9 @@ QUESTION_PERIOD = 0.1
 FEEDBACK_MODES = ('pd', 'computed_torque')
 # Between two messages of one kind [s].
 MESSAGE_PERIOD = 5.0
+# States that know nothing of the last command are not answered, so many in a row at most: after
+# that, the command is taken for lost.
+MOST_SKIPPED = 2
 # A state with the stamp of the one before is the same again: answered again only if the first
 # answer seems to be lost, after so long [s].
 LOST = 0.5
@@ -70,14 +80,20 @@ class TorqueSourceNode(Node):
     def __init__(self, **options):
         super().__init__(NAME, **options)
         self.exit_code = None
+        accept_whole_numbers(self)
         self.published = 0
         self.joints = ()
         self._values = declare(self, TORQUE_SOURCE_PARAMETERS)
         self._complaint = Throttle(MESSAGE_PERIOD)
         self._expected = self._values['wait_for_subscribers']
         self._answered = None
+        # The last command, when the state that it answers was, and the states skipped since.
+        self._sent, self._sent_for, self._skipped = None, None, 0
+        self._has_acted, self._points = False, None
         self._read_names = self._read_indices = None
-        self._timer = self._simulation = None
+        self._timer = self._simulation = self._law = None
+        self.add_on_set_parameters_callback(self._check_change)
+        self.add_post_set_parameters_callback(self._change)
         joints = tuple(name for name in self._values['joints'] if name)
         if self._values['mode'] == 'computed_torque':
             self._simulation = self._load(joints)
@@ -101,10 +117,48 @@ class TorqueSourceNode(Node):
             if self._complaint.ready():
                 self.get_logger().warning(f'joint_states not usable: {problem}')
             return
-        self._publish(self._law.torque(
-            Time.from_msg(message.header.stamp).nanoseconds * 1e-9,
-            np.array(message.position)[self._read_indices],
-            np.array(message.velocity)[self._read_indices]), message.header.stamp)
+        state = [np.array(values)[self._read_indices]
+                 for values in (message.position, message.velocity)]
+        time_of_state = Time.from_msg(message.header.stamp).nanoseconds * 1e-9
+        if self._is_on_its_way(time_of_state, message.effort):
+            return
+        torque = self._law.torque(time_of_state, *state)
+        self._publish(torque, message.header.stamp)
+        self._sent, self._sent_for, self._skipped = torque, time_of_state, 0
+        if self._points is not None:
+            self._follow(time_of_state, *state)
+
+    def _is_on_its_way(self, time_of_state, effort):
+        """Return whether a state knows nothing of the last command yet: too early to correct."""
+        if self._sent is None or time_of_state <= self._sent_for or not effort:
+            return False
+        if np.array_equal(np.array(effort)[self._driven_indices], self._sent):
+            self._has_acted = True
+            return False
+        if self._skipped < MOST_SKIPPED:
+            self._skipped += 1
+            return True
+        if not self._has_acted:
+            # A machine that waits for its first command has not begun to move.
+            self._law.restart()
+        return False
+
+    def on_trajectory(self, message):
+        """Follow a trajectory from the next state on, or refuse it."""
+        try:
+            self._points = points_of(message, self.joints)
+        except TrajectoryError as error:
+            self.get_logger().warning(f'joint_trajectory refused: {error}')
+
+    def _follow(self, *state):
+        points, self._points = self._points, None
+        try:
+            self._law.follow(points, *state)
+        except TrajectoryError as error:
+            self.get_logger().warning(f'joint_trajectory refused: {error}')
+            return
+        self.get_logger().info(
+            f'following a trajectory of {len(points.times)} points in {points.times[-1]:.6g} s')
 
     def _is_heard(self):
         """Return whether all that are to hear the commands do."""
@@ -151,8 +205,7 @@ class TorqueSourceNode(Node):
 
     def _begin(self, joints):
         """Set up the law and send its torques from now on."""
-        self._law = self._law_for(joints)
-        self.joints = joints
+        self._law, self.joints = self._law_for(joints), joints
         if isinstance(self._command, JointState):
             self._command.name = list(joints)
         if self._values['mode'] in FEEDBACK_MODES:
@@ -160,6 +213,9 @@ class TorqueSourceNode(Node):
                 self._simulation.joint_names)
             self.create_subscription(
                 JointState, 'joint_states', self.on_joint_states, STATE_DEPTH)
+            if self._simulation is not None:
+                self.create_subscription(
+                    JointTrajectory, 'joint_trajectory', self.on_trajectory, QUEUE_DEPTH)
         else:
             self._epoch = None
             self._every(1.0 / self._values['rate'], self._on_timer)
@@ -190,9 +246,34 @@ class TorqueSourceNode(Node):
 
     def _check_without_joints(self):
         """Refuse now what no number of joints can make right."""
-        lists = [value for value in self._values.values() if isinstance(value, (list, array))]
-        longest = max(len(value) for value in lists)
-        self._law_for([f'joint {i + 1}' for i in range(longest)])
+        self._law_for(self._any_joints(self._values))
+
+    def _any_joints(self, values):
+        """Return the joints, or as many as the values are for where they are not known yet."""
+        lists = [value for value in values.values() if isinstance(value, (list, array))]
+        return self.joints or [f'joint {i + 1}' for i in range(max(map(len, lists)))]
+
+    def _check_change(self, parameters):
+        """Refuse values that do not fit the joints."""
+        values = {**self._values, **{one.name: one.value for one in parameters}}
+        try:
+            if self._values['mode'] in FEEDBACK_MODES:
+                gains(values, self._any_joints(values), self._simulation)
+            else:
+                open_loop(values, self._any_joints(values))
+        except StartError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def _change(self, parameters):
+        """Take other gains or torques."""
+        self._values.update((one.name, one.value) for one in parameters)
+        if self._law is None:
+            return
+        if self._values['mode'] in FEEDBACK_MODES:
+            self._law.tune(*gains(self._values, self.joints, self._simulation))
+        else:
+            self._law = open_loop(self._values, self.joints)
 
     def _on_timer(self):
         if not self._is_heard():
@@ -221,8 +302,11 @@ class TorqueSourceNode(Node):
                 return f"it does not name '{missing[0]}'"
             self._read_names = list(message.name)
             self._read_indices = [self._read_names.index(name) for name in self._joints_read]
+            self._driven_indices = [self._read_names.index(name) for name in self.joints]
         if not len(message.position) == len(message.velocity) == len(message.name):
             return 'it does not give position and velocity of every joint it names'
+        if len(message.effort) not in (0, len(message.name)):
+            return 'it gives efforts of some of the joints it names'
         if not all(map(isfinite, chain(message.position, message.velocity))):
             return 'a position or velocity is not a finite number'
         return None
@@ -236,4 +320,5 @@ class TorqueSourceNode(Node):
 
 def main(args=None):
     """Run the node; return the exit code."""
-    return run(TorqueSourceNode, NAME, args)
+    return run(TorqueSourceNode, NAME, usage(
+        NAME, TorqueSourceNode, TORQUE_SOURCE_PARAMETERS), args)

@@ -14,6 +14,7 @@
 
 """Parameters of the torque source, and the laws they choose."""
 
+from closedloop_dynamics.effects.actuator import Actuator
 from closedloop_dynamics.ros.computed_torque import ComputedTorque
 from closedloop_dynamics.ros.parameters import Parameter
 from closedloop_dynamics.ros.parameters import per_joint
@@ -51,15 +52,22 @@ TORQUE_SOURCE_PARAMETERS = (
     Parameter(
         'rate', 100.0, 'Commands per second of constant and sine [Hz]; the others send one for '
         'each state received.', (0.1, 2000.0)),
-    Parameter('torque', [0.0], f'constant, and the mean of sine [N m or N]. {_PER_JOINT}'),
-    Parameter('amplitude', [1.0], f'sine: amplitude [N m or N]. {_PER_JOINT}'),
-    Parameter('frequency', [1.0], f'sine: frequency [Hz]. {_PER_JOINT}'),
-    Parameter('phase', [0.0], f'sine: phase at the first command [rad]. {_PER_JOINT}'),
+    Parameter('torque', [0.0], f'constant, and the mean of sine [N m or N]. {_PER_JOINT}',
+              read_only=False),
+    Parameter('amplitude', [1.0], f'sine: amplitude [N m or N]. {_PER_JOINT}',
+              read_only=False),
+    Parameter('frequency', [1.0], f'sine: frequency [Hz]. {_PER_JOINT}',
+              read_only=False),
+    Parameter('phase', [0.0], f'sine: phase at the first command [rad]. {_PER_JOINT}',
+              read_only=False),
     Parameter('kp', [0.0], f'pd: gain of the position error [N m/rad or N/m]; 0: the speed '
-              f'is controlled, not the position. {_PER_JOINT}'),
-    Parameter('kd', [0.0], f'pd: gain of the velocity error [N m s/rad or N s/m]. {_PER_JOINT}'),
+              f'is controlled, not the position. {_PER_JOINT}',
+              read_only=False),
+    Parameter('kd', [0.0], f'pd: gain of the velocity error [N m s/rad or N s/m]. {_PER_JOINT}',
+              read_only=False),
     Parameter('ki', [0.0], 'pd: gain of the integral of the position error [N m/(rad s)], of a '
-              f'joint with kp = 0 of the velocity error [N m/rad]. {_PER_JOINT}'),
+              f'joint with kp = 0 of the velocity error [N m/rad]. {_PER_JOINT}',
+              read_only=False),
     Parameter('target_position', [float('nan')], 'pd: where the reference begins [rad or m]; '
               f'nan: where the joint is when the first state arrives. {_PER_JOINT}'),
     Parameter('target_velocity', [0.0],
@@ -78,10 +86,12 @@ TORQUE_SOURCE_PARAMETERS = (
     Parameter('circle_phase', 0.0, 'Where on the circle the point begins, seen from its centre '
               '[rad].', (-10.0, 10.0)),
     Parameter('feedforward', [0.0],
-              f'pd, computed_torque: torque added always [N m or N]. {_PER_JOINT}'),
+              f'pd, computed_torque: torque added always [N m or N]. {_PER_JOINT}',
+              read_only=False),
     Parameter('torque_limit', [0.0],
-              'pd, computed_torque: largest magnitude of the torque [N m or N]; 0: none. '
-              f'{_PER_JOINT}'),
+              'pd, computed_torque: largest magnitude of the torque [N m or N]; 0: that of the '
+              "joint's actuator in the scene, else none. "
+              f'{_PER_JOINT}', read_only=False),
 )
 
 
@@ -136,21 +146,62 @@ def closed_loop(values, joints, simulation=None):
         If a parameter does not fit the joints.
 
     """
-    reference = _reference(values, joints, simulation)
-    gains = [_not_negative(values, name, joints) for name in ('kp', 'kd', 'ki')]
-    if not np.any(gains):
-        raise StartError(f"mode '{values['mode']}' needs a gain: kp, kd and ki are all zero")
-    feedforward = _spread(values, 'feedforward', joints)
-    limit = _not_negative(values, 'torque_limit', joints)
-    limit[limit == 0.0] = np.inf
+    tuning = gains(values, joints, simulation)
+    *own, feedforward, limit = tuning
+    wanted = reference(values, joints, simulation)
     if simulation is None:
-        return ProportionalDerivative(reference, *gains, feedforward, limit)
+        return ProportionalDerivative(wanted, *tuning)
     none = np.zeros_like(limit)
-    controller = ProportionalDerivative(reference, *gains, none, none + np.inf, inertia=1.0)
+    controller = ProportionalDerivative(wanted, *own, none, none + np.inf, inertia=1.0)
     return ComputedTorque(simulation, controller, feedforward, limit)
 
 
-def _reference(values, joints, simulation):
+def gains(values, joints, simulation=None):
+    """
+    Return what changes while a law runs.
+
+    Parameters
+    ----------
+    values : dict
+        Of the parameters.
+    joints : sequence of str
+        Those to drive.
+    simulation : Simulation, optional
+        The model.
+
+    Returns
+    -------
+    list of ndarray, shape (n,)
+        kp, kd, ki, feedforward, limit.
+
+    Raises
+    ------
+    StartError
+        If a parameter does not fit the joints.
+
+    """
+    spread = [_not_negative(values, name, joints) for name in ('kp', 'kd', 'ki')]
+    if not np.any(spread):
+        raise StartError(f"mode '{values['mode']}' needs a gain: kp, kd and ki are all zero")
+    limit = _not_negative(values, 'torque_limit', joints)
+    drives = {} if simulation is None else {
+        effect.joint: effect.max_torque for effect in simulation.effects.values()
+        if isinstance(effect, Actuator)}
+    return [*spread, _spread(values, 'feedforward', joints), np.array([
+        value or drives.get(joint) or np.inf for joint, value in zip(joints, limit)])]
+
+
+def reference(values, joints, simulation=None):
+    """
+    Return where the joints are to be, by time.
+
+    Parameters and errors are those of ``closed_loop``.
+
+    Returns
+    -------
+    Reference or Circle
+
+    """
     if not values['circle_point']:
         return Reference(
             _spread(values, 'target_position', joints, nan_allowed=True),
@@ -174,7 +225,8 @@ def _spread(values, name, joints, nan_allowed=False):
 def _not_negative(values, name, joints):
     spread = _spread(values, name, joints)
     if np.any(spread < 0.0):
-        raise StartError(f"parameter '{name}': expected no negative value, got {values[name]}")
+        raise StartError(
+            f"parameter '{name}': expected no negative value, got {list(values[name])}")
     return spread
 
 

@@ -22,6 +22,7 @@ middleware, another encoding), the message is converted as ever.
 
 """
 
+import re
 import struct
 
 import numpy as np
@@ -34,7 +35,7 @@ _MARK = (0x2F3A91C5, 0x1B7D4E63)
 
 class WireMessage:
     """
-    A message with a stamp and blocks of numbers.
+    A message with a stamp, in one or several headers, and blocks of numbers.
 
     Parameters
     ----------
@@ -55,21 +56,19 @@ class WireMessage:
         rng = np.random.default_rng(1)
         marks = [rng.uniform(1e100, 1e101, size) for size in sizes]
         self._data = bytearray(serialize_message(build(*_MARK, *marks)))
-        places = [self._place(_STAMP.pack(*_MARK)), *(
-            self._place(mark.tobytes()) for mark in marks if len(mark))]
-        self.direct = None not in places
+        self._stamps = self._places(_STAMP.pack(*_MARK))
+        places = [self._places(mark.tobytes()) for mark in marks if len(mark)]
+        self.direct = bool(self._stamps) and all(len(found) == 1 for found in places)
         if self.direct:
-            self._at = places[0]
-            offsets = iter(places[1:])
+            offsets = iter(place for place, in places)
             self._blocks = [np.frombuffer(self._data, count=size, offset=next(offsets))
                             if size else np.zeros(0) for size in sizes]
             # What was looked for is not to be published by mistake.
             self.filled(0, 0, *(np.full(size, np.nan) for size in sizes))
 
-    def _place(self, mark):
-        """Return where a mark is among the bytes; None if it is not there exactly once."""
-        place = self._data.find(mark)
-        return place if place >= 0 and self._data.find(mark, place + 1) < 0 else None
+    def _places(self, mark):
+        """Return where a mark is among the bytes."""
+        return [match.start() for match in re.finditer(re.escape(mark), self._data)]
 
     def filled(self, sec, nanosec, *blocks):
         """
@@ -89,7 +88,8 @@ class WireMessage:
         """
         if not self.direct:
             return self._build(sec, nanosec, *blocks)
-        _STAMP.pack_into(self._data, self._at, sec, nanosec)
+        for place in self._stamps:
+            _STAMP.pack_into(self._data, place, sec, nanosec)
         for place, block in zip(self._blocks, blocks):
             place[:] = block
         return bytes(self._data)

@@ -24,7 +24,7 @@ from .sweep import default_lines, Setting, settings
 from .trajectory import difference, record
 from ..core.types import EVALUATIONS
 from ..errors import SimulationError
-from ..simulation import Simulation
+from ..simulation.simulation import Simulation
 
 OUTPUTS = 100
 # A line is not refined beyond this cost, in CPU time per simulated time; computing a

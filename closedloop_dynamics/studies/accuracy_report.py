@@ -16,8 +16,12 @@
 
 import math
 
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+from .sweep import DEFAULT_FORMULATION, DEFAULT_INTEGRATOR, DEFAULT_STABILISATION
 from .tables import markdown_table, seconds, short, text_table, write_csv
-from .work_precision_picture import work_precision
+from ..scene_records import FORMULATIONS
 
 HEADER = ('integrator', 'stabilisation', 'formulation', 'step or tol.', 'positions', 'velocities',
           'forces', 'closure', 'energy [J]', 'evaluations/s', 'CPU time/s')
@@ -25,6 +29,13 @@ CSV_HEADER = (
     'integrator', 'stabilisation', 'formulation', 'step_size', 'tolerance', 'position_error',
     'velocity_error', 'force_error', 'closure', 'energy_error', 'evaluations_per_second',
     'cpu_time_per_second', 'failure')
+# Okabe and Ito's palette, its yellow darkened, told apart by colour-blind readers; markers and
+# dashes tell the lines apart without any colour.
+COLORS = ('#0072B2', '#D55E00', '#009E73', '#CC79A7', '#56B4E9', '#B8A200', '#333333', '#E69F00')
+MARKERS = 'osD^vP*X<>'
+REAL_TIME = 1.0
+DOTS_PER_INCH = 120
+_UNITS = ((1.0, 's'), (1e-3, 'ms'), (1e-6, 'µs'))
 
 
 def title(study):
@@ -91,3 +102,103 @@ def _csv_row(row):
             row.setting.value if line.adaptive else nothing, row.position_error,
             row.velocity_error, row.force_error, row.closure, row.energy_error, row.evaluations,
             row.cost, row.failure)
+
+
+def work_precision(study, title):
+    """
+    Draw a study: integrators, stabilisations and formulations side by side.
+
+    Parameters
+    ----------
+    study : Study
+        What has been measured.
+    title : str
+        Above the panels.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    """
+    figure = Figure(figsize=(12.0, 6.2), dpi=DOTS_PER_INCH, layout='constrained')
+    figure.suptitle(title, fontsize=12)
+    groups = [group for group in _groups(study) if group[1]]
+    panels = figure.subplots(
+        1, len(groups), sharex=True, sharey=True, squeeze=False,
+        width_ratios=[1.7 if number == 0 and len(groups) > 1 else 1.0
+                      for number in range(len(groups))])[0]
+    for axes, (heading, lines) in zip(panels, groups):
+        _panel(axes, heading, lines, study)
+    panels[0].set_ylabel('largest error of positions [rad or m]')
+    panels[0].set_xlabel('CPU time for one simulated second (lower left: more for less)')
+    for axes in panels[1:]:
+        axes.set_xlabel('CPU time for one simulated second')
+    return figure
+
+
+def _groups(study):
+    """Return (heading, {label: rows}) of each panel: one thing varied at a time."""
+    lines = study.lines()
+    usual = (DEFAULT_STABILISATION, DEFAULT_FORMULATION)
+    panels = (
+        (f'Integrators (with {DEFAULT_STABILISATION})', 'integrator',
+         lambda line: (line.stabilisation, line.formulation) == usual),
+        (f'Keeping the loops closed ({DEFAULT_INTEGRATOR})', 'stabilisation',
+         lambda line: (line.integrator, line.formulation) == (
+             DEFAULT_INTEGRATOR, DEFAULT_FORMULATION)),
+        (f'Formulations ({DEFAULT_INTEGRATOR})', 'formulation',
+         lambda line: (line.integrator, line.stabilisation) == (
+             DEFAULT_INTEGRATOR, DEFAULT_STABILISATION)))
+    for number, (heading, name, belongs) in enumerate(panels):
+        chosen = {getattr(line, name): rows for line, rows in lines.items() if belongs(line)}
+        # A single line says nothing that the first panel does not.
+        yield heading, chosen if number == 0 or len(chosen) > 1 else {}
+
+
+def _panel(axes, heading, lines, study):
+    axes.set_title(heading, fontsize=10)
+    axes.set_xscale('log')
+    axes.set_yscale('log')
+    floor = study.reference.error.position
+    refused = []
+    for number, (label, rows) in enumerate(lines.items()):
+        rows = [row for row in rows if not row.failure]
+        if not rows:
+            refused.append(label)
+            continue
+        if label in FORMULATIONS:
+            style = {'linestyle': ('-', '--', ':')[FORMULATIONS.index(label)]}
+        else:
+            style = {'linestyle': '--' if label.startswith('scipy') else '-'}
+        axes.plot([row.cost for row in rows], [max(row.position_error, 0.3 * floor)
+                                               for row in rows],
+                  color=COLORS[number % len(COLORS)], marker=MARKERS[number % len(MARKERS)],
+                  markersize=4.5, linewidth=1.4, label=label, **style)
+    axes.axvline(REAL_TIME, color='#B2182B', linewidth=1.2)
+    axes.annotate('real time', (REAL_TIME, 1.0), xycoords=('data', 'axes fraction'),
+                  xytext=(-3, -4), textcoords='offset points', rotation=90, ha='right',
+                  va='top', fontsize=8, color='#B2182B')
+    axes.axhspan(1e-30, floor, color='#999999', alpha=0.25, linewidth=0)
+    axes.set_ylim(0.2 * floor, 10.0)
+    axes.annotate("below the reference's own error", (0.02, floor),
+                  xycoords=('axes fraction', 'data'), xytext=(0, -2),
+                  textcoords='offset points', va='top', fontsize=7.5, color='#555555')
+    axes.set_xlim(0.7 * min(row.cost for row in study.rows if not row.failure), 2.0 * REAL_TIME)
+    axes.xaxis.set_major_formatter(FuncFormatter(_time))
+    axes.xaxis.set_minor_formatter(NullFormatter())
+    axes.yaxis.set_major_locator(LogLocator(numticks=20))
+    axes.yaxis.set_minor_formatter(NullFormatter())
+    axes.tick_params(labelsize=8)
+    axes.grid(which='major', color='#dddddd', linewidth=0.7)
+    axes.set_axisbelow(True)
+    axes.legend(loc='upper center', bbox_to_anchor=(0.5, -0.11), fontsize=8, frameon=False,
+                ncols=3 if len(lines) > 5 else 2, columnspacing=1.2, title_fontsize=8,
+                title=f'no result: {", ".join(refused)}' if refused else None)
+
+
+def _time(value, _):
+    """Write a time in the unit that suits it."""
+    for factor, unit in _UNITS:
+        if value >= 0.999 * factor:
+            break
+    return f'{value / factor:g} {unit}'

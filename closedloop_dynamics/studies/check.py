@@ -16,6 +16,7 @@
 
 from dataclasses import asdict
 
+from ..assembly import find_degrees_of_freedom
 from ..effects.registry import effect_type
 from ..integration.registry import ADAPTIVE, INTEGRATORS
 from ..mechanism.decomposition import decompose
@@ -23,7 +24,7 @@ from ..mechanism.mechanism import CUT_JOINT_EQUATIONS, Mechanism
 from ..scene_records import AUTO, BAUMGARTE
 
 
-def describe(scene_or_mechanism):
+def describe(scene_or_mechanism, simulation=None):
     """
     Describe a scene or a mechanism: what ``closedloop check`` prints.
 
@@ -31,6 +32,8 @@ def describe(scene_or_mechanism):
     ----------
     scene_or_mechanism : Scene or Mechanism
         What was read.
+    simulation : Simulation, optional
+        Of the scene, at its start: shown beside what the scene says.
 
     Returns
     -------
@@ -40,20 +43,20 @@ def describe(scene_or_mechanism):
     """
     if isinstance(scene_or_mechanism, Mechanism):
         return '\n\n'.join(_mechanism(scene_or_mechanism))
-    return '\n\n'.join(_scene(scene_or_mechanism))
+    return '\n\n'.join(_scene(scene_or_mechanism, simulation))
 
 
-def _scene(scene):
+def _scene(scene, simulation):
     return [
         _heading('Scene', scene),
-        *_mechanism(scene.mechanism),
-        _initial(scene.mechanism, scene.initial),
+        *_mechanism(scene.mechanism, simulation),
+        _initial(scene.mechanism, scene.initial, simulation),
         _effects(scene.effects),
         _method(scene.method),
     ]
 
 
-def _mechanism(mechanism):
+def _mechanism(mechanism, simulation=None):
     decomposition = decompose(mechanism)
     parts = [
         _heading('Mechanism', mechanism),
@@ -69,7 +72,7 @@ def _mechanism(mechanism):
     if mechanism.points:
         parts.append(_table('Points', ('name', 'body', 'position [m]'), [
             (point.name, point.body, _value(point.position)) for point in mechanism.points]))
-    return [*parts, _summary(mechanism, decomposition)]
+    return [*parts, _summary(mechanism, decomposition, simulation)]
 
 
 def _joints(mechanism):
@@ -89,25 +92,42 @@ def _cut_joints(mechanism, decomposition):
         for cut, subsystems in zip(mechanism.cut_joints, decomposition.cut_subsystems)])
 
 
-def _summary(mechanism, decomposition):
-    joints, equations = len(mechanism.joints), mechanism.number_of_equations
+def _summary(mechanism, decomposition, simulation):
     order = ', '.join(decomposition.elimination_order) or 'none'
     return _lines('Summary', (
-        ('constraint equations', equations),
-        ('degrees of freedom', f'{joints - equations} = {joints} joints - {equations} equations '
-                               '(the generic count; dependent equations leave more)'),
+        ('constraint equations', mechanism.number_of_equations),
+        ('degrees of freedom', _degrees_of_freedom(mechanism, simulation)),
         ('elimination order', f'{order}; blocks of fill: {decomposition.fill}'),
         ('actuated joints', ', '.join(mechanism.actuated_joints) or 'none'),
     ))
 
 
-def _initial(mechanism, initial):
+def _degrees_of_freedom(mechanism, simulation):
+    joints, equations = len(mechanism.joints), mechanism.number_of_equations
+    freedoms = (find_degrees_of_freedom(mechanism) if simulation is None
+                else simulation.degrees_of_freedom())
+    if freedoms is None:
+        return (f'{joints - equations} = {joints} joints - {equations} equations, if none repeats '
+                'others (no position that closes the loops was found to tell)')
+    independent = joints - freedoms
+    return f'{freedoms} = {joints} joints - {independent} ' + (
+        'equations' if independent == equations else
+        f'independent equations ({equations - independent} of {equations} repeat others)')
+
+
+def _initial(mechanism, initial, simulation):
+    """Return the start as it is given and, where there is a simulation, as it was closed."""
+    header = ('name', 'position [rad, m]', 'velocity [rad/s, m/s]', 'assembly')
     rows = [
         (joint, _value(position), _value(velocity), 'held' if joint in initial.hold else 'free')
         for joint, position, velocity
         in zip(mechanism.joint_names, initial.position, initial.velocity)]
-    return _table('Joints at the start, before the loops are closed',
-                  ('name', 'position [rad, m]', 'velocity [rad/s, m/s]', 'assembly'), rows)
+    if simulation is None:
+        return _table('Joints at the start, before the loops are closed', header, rows)
+    rows = [(*row, f'{position:.6g}', f'{velocity:.6g}') for row, position, velocity
+            in zip(rows, simulation.position, simulation.velocity)]
+    return _table('Joints at the start, as given and with the loops closed',
+                  (*header, 'closed position', 'closed velocity'), rows)
 
 
 def _effects(effects):
@@ -133,7 +153,7 @@ def _setting(method):
     """Return what the integrator goes by: an accuracy, a tolerance or a step size."""
     step = ('step size', f'{_value(method.step_size)} s')
     if method.integrator == AUTO:
-        return [('accuracy', f'{_value(method.accuracy)} rad or m after a second')]
+        return [('accuracy', f'{_value(method.accuracy)} rad or m within a second'), step]
     if INTEGRATORS[method.integrator].kind == ADAPTIVE:
         return [('tolerance', _value(method.tolerance)), step]
     return [step]

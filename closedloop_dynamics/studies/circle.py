@@ -18,8 +18,8 @@ import math
 
 import numpy as np
 
-from .motion import body_poses, named_point, pose_of, world_points
 from ..mechanism.mechanism import PRISMATIC, REVOLUTE
+from ..visual.motion import body_poses, named_point, pose_of, world_points
 
 # Positions around the circle that the joints are solved for; their harmonics are exact to
 # rounding for circles that keep away from singular configurations.

@@ -31,7 +31,7 @@ import numpy as np
 
 from .rate_control import RateControl
 from ..effects.registry import effect_type
-from ..simulation import Simulation
+from ..simulation.simulation import Simulation
 
 # Steps of one measurement, and how often it is repeated.
 STEPS, REPEATS = 200, 60

@@ -17,8 +17,8 @@
 import matplotlib.figure
 import numpy as np
 
-from .pictures import COLORS, DASHES, DOTS_PER_INCH
 from .tables import markdown_table, seconds, short, text_table, write_csv
+from ..visual.pictures import COLORS, DASHES, DOTS_PER_INCH
 
 HEADER = ('effect', 'step alone', 'step without', 'position', 'effort', 'force', 'energy',
           'dissipated')
@@ -163,10 +163,11 @@ def changes(study):
     first = None
     for row, (title, of) in enumerate(panels):
         axes = first = figure.add_subplot(grid[row, 0], sharex=first)
+        # Wide and pale below the others, which would be hidden where they change nothing.
+        axes.plot(run.time, of(run), color='0.75', linewidth=5.0, label='as it is')
         for k, finding in enumerate(study.findings):
             axes.plot(finding.run.time, of(finding.run), label=f'without {label(finding)}',
                       color=COLORS[k % 6], linestyle=DASHES[k // 6], linewidth=1.1)
-        axes.plot(run.time, of(run), color='black', linewidth=1.8, label='as it is', zorder=3)
         axes.set_ylabel(title)
         axes.grid(alpha=0.3)
         axes.tick_params(labelbottom=row == len(panels) - 1)
@@ -174,7 +175,7 @@ def changes(study):
     handles, labels = axes.get_legend_handles_labels()
     side = figure.add_subplot(grid[0, 1])
     side.axis('off')
-    side.legend(handles[::-1], labels[::-1], loc='upper left', frameon=False, borderaxespad=0.0)
+    side.legend(handles, labels, loc='upper left', frameon=False, borderaxespad=0.0)
     _costs(study, figure.add_subplot(grid[1:, 1]))
     return figure
 
@@ -185,17 +186,16 @@ def _costs(study, axes):
              'the whole scene']
     ratios = [study.again, study.off, *(f.alone for f in study.findings), study.whole]
     values = [one.value for one in ratios]
-    colors = ['#dddddd', '#999999', *(COLORS[k % 6] for k in range(len(study.findings))), 'black']
+    colors = ['#dddddd', '#999999', *(COLORS[k % 6] for k in range(len(study.findings))),
+              '#333333']
     places = np.arange(len(names))[::-1]
-    axes.barh(places, np.array(values) - 1.0, left=1.0, color=colors, height=0.6)
+    axes.barh(places, values, color=colors, height=0.6)
     axes.hlines(places, [one.low for one in ratios], [one.high for one in ratios],
-                color='#888888', linewidth=1.0)
+                color='#d62728', linewidth=1.0)
     for place, name, one in zip(places, names, ratios):
-        axes.text(max(one.high, 1.0), place, f' {one.value:.2f}  {name}', va='center', fontsize=8)
-    axes.axvline(1.0, color='black', linewidth=0.8)
-    most = max(values)
-    least = min(0.98, *(one.low for one in ratios)) - 0.02 * most
-    axes.set_xlim(least, 1.0 + 2.2 * max(most - 1.0, 0.05))
+        axes.text(one.high, place, f' {one.value:.2f}  {name}', va='center', fontsize=8)
+    axes.axvline(1.0, color='black', linewidth=0.8, linestyle=':')
+    axes.set_xlim(0.0, 2.0 * max(one.high for one in ratios))
     axes.set_yticks([])
     axes.set_xlabel(f'time per step of each alone,\nover {seconds(study.bare)} without any\n'
                     '(lines: 95 % range of the median)')

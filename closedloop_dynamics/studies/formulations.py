@@ -29,7 +29,7 @@ from ..integration.system import (
     build_system, evaluate, evaluate_only, MOST_UNROLLED_BODIES)
 from ..mechanism.families import chain, ladder
 from ..modeling import build_model
-from ..simulation import FORMULATIONS, Simulation
+from ..simulation.simulation import FORMULATIONS, Simulation
 
 SIZES = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 QUICK_SIZES = (1, 3, 10, 30, 100)

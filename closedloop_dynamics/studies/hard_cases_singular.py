@@ -25,7 +25,7 @@ from .hard_machines import (
     pantograph_motion, scene)
 from ..integration.registry import FIXED, INTEGRATORS
 from ..scene import load_scene
-from ..simulation import Simulation
+from ..simulation.simulation import Simulation
 
 GROUP = 'Singular configurations'
 LOOKS = 100
@@ -137,8 +137,8 @@ def _type_2(method, quick):
             balance = simulation.energy_balance
             scale = max(scale, balance.kinetic)
             worst = max(worst, abs(balance.residual) / scale)
-            # The event, as it is reported: the singular value changes its sign.
-            now = math.copysign(1.0, simulation.health.drive_singular_value)
+            # The event, as it is reported: the sine changes its sign.
+            now = math.copysign(1.0, simulation.health.drive_sine)
             crossings += now * sign < 0.0
             sign = now
     return worst if crossings else math.nan

@@ -25,7 +25,7 @@ from ..effects.joint_spring import JointSpring
 from ..errors import StiffnessError
 from ..mechanism.mechanism import Body, Mechanism, Point
 from ..scene_records import Initial, Method, Scene
-from ..simulation import Simulation
+from ..simulation.simulation import Simulation
 
 GROUP = 'Stiffness'
 STEP = 1e-3

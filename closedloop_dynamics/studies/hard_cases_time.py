@@ -23,7 +23,7 @@ from .hard_case import Case
 from .hard_machines import ladder, off_the_branch, scene
 from ..integration.registry import FIXED, INTEGRATORS
 from ..scene import load_scene
-from ..simulation import Simulation
+from ..simulation.simulation import Simulation
 
 GROUP = 'Time'
 # Working speed of the carpet scraping mechanism, 45 rpm [rad/s].

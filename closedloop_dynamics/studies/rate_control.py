@@ -19,10 +19,12 @@ from dataclasses import replace
 import numpy as np
 
 from ..errors import SimulationError
-from ..simulation import Simulation
+from ..simulation.simulation import Simulation
 
 # How fast an error of the rate is to decay [1/s].
 GAIN = 20.0
+# Rates of a mechanism that rests [rad/s, m/s], and when it does no more [s].
+AT_REST, SOON = 1e-6, 1e-6
 
 
 class RateControl:
@@ -48,8 +50,11 @@ class RateControl:
     def __init__(self, scene, rates):
         """Build the model."""
         effects = {name: effect for name, effect in scene.effects.items()
-                   if not hasattr(effect, 'drives')}
+                   if effect.drive() is None}
         self._model = Simulation(replace(scene, effects=effects))
+        # At rest dry friction would hold what the torques are to move.
+        self._smooth = Simulation(replace(scene, effects={
+            name: effect for name, effect in effects.items() if not effect.ENDS_STEPS}))
         names = self._model.actuated_joints
         if set(rates) != set(names):
             raise ValueError(f'rate: expected one for every actuated joint ({", ".join(names)}), '
@@ -78,9 +83,9 @@ class RateControl:
 
         """
         q, qd = simulation.position, simulation.velocity
-        free, _ = self._model.forward_dynamics(q, qd)
+        free, _ = self._smooth.forward_dynamics(q, qd)
         response = np.array([
-            self._model.forward_dynamics(q, qd, {name: 1.0})[0] - free for name in self._names]).T
+            self._smooth.forward_dynamics(q, qd, {name: 1.0})[0] - free for name in self._names]).T
         wanted = GAIN * (self._rates - qd[self._joints])
         try:
             torque = np.linalg.solve(response[self._joints], wanted - free[self._joints])
@@ -88,6 +93,9 @@ class RateControl:
             raise SimulationError(
                 'The driven joints cannot keep these rates here: their torques do not move them '
                 'independently. Name fewer rates, or another start.') from None
-        # The same motion against friction that slides, which the model at hand has not begun to.
-        torque, _ = self._model.inverse_dynamics(q, qd, free + response @ torque)
+        acceleration = free + response @ torque
+        if np.abs(qd).max(initial=0.0) < AT_REST:
+            # Against the friction of the motion that is about to begin.
+            qd = qd + SOON * acceleration
+        torque, _ = self._model.inverse_dynamics(q, qd, acceleration)
         return dict(zip(self._names, torque.tolist()))

@@ -19,15 +19,20 @@ import csv
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Optional
+import warnings
 
 import numpy as np
 
-from .motion import from_rows, Motion
 from ..bags.reading import Bag
+from ..mechanism.mechanism import MechanismError
+from ..scene import SceneError
 from ..scene_text import read_scene_text
+from ..visual.motion import from_rows, Motion
 
 STATES, FORCES, LOG, SCENE = 'joint_states', 'constraint_forces/', 'replay_log', 'scene'
 NANOSECONDS = 1e-9
+# Damages of a bag that are told one by one.
+MOST_TOLD = 5
 
 
 class RecordingError(ValueError):
@@ -49,6 +54,8 @@ class Log:
         Commands that acted from the entry before to this one [N m or N].
     state : ndarray of int, shape (n,)
         Index of the state at that time in the motion; -1 where there is none.
+    whole : list of ndarray, or None
+        Whole states, as ``Simulation.restore`` takes them; None in bags of earlier versions.
 
     """
 
@@ -57,6 +64,7 @@ class Log:
     time: np.ndarray
     torque: np.ndarray
     state: np.ndarray
+    whole: Optional[list] = None
 
 
 @dataclass(frozen=True)
@@ -76,6 +84,8 @@ class Recording:
     log : Log or None
     finished : bool
         Whether the recording came to its end in order.
+    stamps : ndarray of int, shape (n,), or None
+        Of the states [ns]; None for a CSV file.
 
     """
 
@@ -84,6 +94,7 @@ class Recording:
     changes: list = field(default_factory=list)
     log: Optional[Log] = None
     finished: bool = True
+    stamps: Optional[np.ndarray] = None
 
 
 def read_recording(path, scene=None, namespace=None):
@@ -154,6 +165,21 @@ def _read_bag(path, scene, namespace):
     messages = {}
     for topic, _, message in bag.messages(_of_interest):
         messages.setdefault(topic, []).append(message)
+    for damage in bag.damages[:MOST_TOLD]:
+        warnings.warn(f'{path}: {damage}')
+    if len(bag.damages) > MOST_TOLD:
+        warnings.warn(f'{path}: {len(bag.damages) - MOST_TOLD} more damages')
+    try:
+        return _recording(path, messages, scene, namespace, bag.finished)
+    except (RecordingError, SceneError, MechanismError):
+        raise
+    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
+        raise RecordingError(f'{path}: its topics are not those of closedloop_simulator, or '
+                             f'damaged ({" ".join(str(error).split())})') from None
+
+
+def _recording(path, messages, scene, namespace, finished):
+    """Make a recording of the messages of a bag."""
     prefix = _prefix(path, messages, namespace)
     states = messages[prefix + STATES]
     changes = [read_scene_text(message.data) for message in messages.get(prefix + SCENE, [])]
@@ -168,8 +194,10 @@ def _read_bag(path, scene, namespace):
               for name in ('position', 'velocity', 'effort')]
     time = (log.time[log.state >= 0] if log
             else (np.array(stamps) - stamps[0]) * NANOSECONDS)
-    forces = _forces(messages, prefix + FORCES, mechanism, [stamps[row] for row in rows])
-    return Recording(Motion(mechanism, time, *values, forces), scene, changes, log, bag.finished)
+    stamps = [stamps[row] for row in rows]
+    forces = _forces(messages, prefix + FORCES, mechanism, stamps)
+    return Recording(Motion(mechanism, time, *values, forces), scene, changes, log, finished,
+                     np.array(stamps))
 
 
 def _of_interest(topic):
@@ -216,7 +244,8 @@ def _log(entries, mechanism, stamps):
         joints = [place[name] for name in mechanism.joint_names]
     except KeyError as error:
         raise RecordingError(f'the replay_log is of another mechanism: no joint {error}') from None
-    table = np.array([entry.data for entry in entries])
+    behind = max(joints) + 1
+    table = np.array([entry.data[:behind] for entry in entries])
     log_stamps = [int(second) * 10 ** 9 + int(nanosecond) for second, nanosecond in (
         table[:, [place['stamp_sec'], place['stamp_nanosec']]])]
     # In the order of the log: entry and state.
@@ -227,7 +256,9 @@ def _log(entries, mechanism, stamps):
     chosen, rows = zip(*pairs)
     state[list(chosen)] = np.arange(len(rows))
     return Log(table[:, place['index']].astype(int), table[:, place['jumps']].astype(int),
-               table[:, place['simulated_time']], table[:, joints], state), rows
+               table[:, place['simulated_time']], table[:, joints], state,
+               [np.array(entry.data[behind:]) for entry in entries]
+               if behind < len(columns) else None), rows
 
 
 def _forces(messages, prefix, mechanism, stamps):

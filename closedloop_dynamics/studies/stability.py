@@ -28,16 +28,17 @@ CASES = (*hard_cases_singular.CASES, *hard_cases_redundant.CASES, *hard_cases_sc
          *hard_cases_reference.CASES)
 
 METHODS = {
-    'rk4 (default)': Method(),
-    'rk4, independent': Method(stabilisation='independent'),
-    'rk4, Baumgarte': Method(stabilisation='baumgarte'),
-    'rk4, none': Method(stabilisation='none'),
+    'auto (default)': Method(),
+    'rk4': Method(integrator='rk4'),
+    'rk4, independent': Method(integrator='rk4', stabilisation='independent'),
+    'rk4, Baumgarte': Method(integrator='rk4', stabilisation='baumgarte'),
+    'rk4, none': Method(integrator='rk4', stabilisation='none'),
     'Euler': Method(integrator='semi_implicit_euler'),
     'dopri5': Method(integrator='dopri5'),
     'dop853': Method(integrator='dop853'),
     'rodas4': Method(integrator='rodas4'),
 }
-DEFAULT = 'rk4 (default)'
+DEFAULT = 'auto (default)'
 MARKS = {ACCURATE: 'accurate', DEGRADED: 'degraded', REFUSED: 'refused', UNSTABLE: 'UNSTABLE',
          SKIPPED: 'not run'}
 # RODAS4's cost grows with the cube of the size, beside flat positions with its fourth power.

@@ -99,7 +99,7 @@ class Setting:
             'step_size': self.value}
         return replace(
             scene.method, integrator=line.integrator, stabilisation=line.stabilisation,
-            formulation=line.formulation, baumgarte_time_constant=None, accuracy=None, **keys)
+            formulation=line.formulation, baumgarte_time_constant=None, **keys)
 
 
 def settings(line, interval, quick=False):

@@ -25,7 +25,7 @@ from ..key_paths import changed
 from ..recording import is_plain, nothing, QUANTITIES, Record, record, Schedule
 from ..recording_together import FEWEST, may_go_together, MOST, Start, Together
 from ..scene_records import Scene
-from ..simulation import Simulation
+from ..simulation.simulation import Simulation
 
 # What the summary of a sample is made of.
 SUMMARISED = tuple(name for name in QUANTITIES if name != 'acceleration')

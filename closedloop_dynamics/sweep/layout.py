@@ -22,7 +22,8 @@ from .plan import Plan
 from .. import __version__
 
 SAMPLE, TIME, JOINT, CUT, COMPONENT = 'sample', 'time', 'joint', 'cut_joint', 'component'
-COMPONENTS = ('moment', 'x', 'y')
+POINT, AXIS = 'point', 'axis'
+COMPONENTS, AXES = ('moment', 'x', 'y'), ('x', 'y')
 JOINTWISE = 'rad or m'
 
 # Variable -> dimensions after the sample, unit, what it is.
@@ -33,6 +34,9 @@ MOTION = {
     'effort': ((TIME, JOINT), 'N m or N', 'joint torques, behind the drives'),
     'constraint_forces': ((TIME, CUT, COMPONENT), 'N m, N, N',
                           'what body B exerts on body A at the cut joints, world axes'),
+    'joint_forces': ((TIME, JOINT, COMPONENT), 'N m, N, N',
+                     'what the parent exerts on the child in the joints, world axes'),
+    'points': ((TIME, POINT, AXIS), 'm', 'places of the named points'),
     'closure': ((TIME,), JOINTWISE, 'largest closure error of the loops'),
     'energy': ((TIME,), 'J', 'kinetic and stored energy'),
 }
@@ -92,7 +96,8 @@ class Layout:
     variables : tuple of Variable
         The results.
     names : dict of str to tuple of str
-        Of the places of the dimensions joint, cut_joint and component.
+        Of the places of the dimensions joint, cut_joint and component, and of point and axis
+        where points are kept.
     sizes : dict of str to int
         Of all dimensions but the sample.
 
@@ -109,6 +114,8 @@ class Layout:
         self.names = {JOINT: mechanism.joint_names,
                       CUT: tuple(cut.name for cut in mechanism.cut_joints),
                       COMPONENT: COMPONENTS}
+        if 'points' in plan.keep:
+            self.names |= {POINT: tuple(point.name for point in mechanism.points), AXIS: AXES}
         self.sizes = {TIME: plan.schedule.instants, **{
             name: len(places) for name, places in self.names.items()}}
 

@@ -14,6 +14,8 @@
 
 """Messages to fill bags with; light, for processes of their own."""
 
+from closedloop_dynamics.bags.contents import Topic
+from closedloop_dynamics.bags.metadata import dump
 from closedloop_dynamics.bags.writer import BagFiles
 import numpy as np
 from rosbags.typesys import get_typestore, Stores
@@ -28,9 +30,9 @@ QOS = [{'history': 'keep_last', 'depth': 5, 'reliability': 'reliable', 'durabili
         'avoid_ros_namespace_conventions': False}]
 
 
-def add(files, topic, kind):
+def add(files, topic, kind, profiles=QOS):
     definition, _ = STORE.generate_msgdef(kind, ros_version=2)
-    return files.add_topic(topic, kind, definition, STORE.hash_rihs01(kind), QOS)
+    return files.add_topic(Topic(topic, kind, definition, dump(profiles), STORE.hash_rihs01(kind)))
 
 
 def values(index, size=50):

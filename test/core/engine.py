@@ -75,7 +75,7 @@ class Engine:
     def closure(self, q, qd):
         """Return psi, J qd, Jdot qd."""
         self.move(q, qd)
-        loop_closure.update(self.model, self.work, False)
+        loop_closure.update(self.model, self.work, loop_closure.NO_RESPONSES)
         return [self.in_user_order(values) for values in (
             self.work.closure, self.work.closure_rate, self.work.bias)]
 
@@ -116,7 +116,7 @@ class Engine:
         """Return (J I^-1 J^T as assembled, its factor L D, 1/D), dense, in elimination order."""
         self.move(q)
         articulated_inertia.inward(self.model, np.zeros(self.nv), self.work)
-        loop_closure.update(self.model, self.work, True)
+        loop_closure.update(self.model, self.work, loop_closure.REDUCED)
         elimination.assemble(self.model, self.work)
         matrix = self.lower_triangle()
         elimination.factorize(self.model, self.work)

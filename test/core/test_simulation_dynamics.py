@@ -142,6 +142,43 @@ def test_a_refused_state_leaves_the_present_one_untouched():
     assert simulation.closure == closure
 
 
+def test_a_state_is_set_by_joint_name():
+    simulation, other = (Simulation.from_scene('three_rrr') for _ in range(2))
+    simulation.step({'theta_1': 5.0}, 0.05)
+    other.set_state(simulation.position, simulation.velocity)
+    hold = simulation.actuated_joints
+    position, velocity = simulation.position, simulation.velocity
+    position[0], velocity[5] = 1.1, 0.3
+    other.set_state(position, velocity, hold)
+    simulation.set_state({'theta_1': 1.1}, {'theta_6': 0.3}, hold)
+    assert np.array_equal(simulation.position, other.position)
+    assert np.array_equal(simulation.velocity, other.velocity)
+    assert (simulation.position[0], simulation.velocity[5]) == (1.1, 0.3)
+    with pytest.raises(ValueError, match='velocity.tetha_1: expected one of the keys theta_1, .*'
+                                         'did you mean .theta_1.'):
+        simulation.set_state({}, {'tetha_1': 1.0})
+    assert np.array_equal(simulation.velocity, other.velocity)
+
+
+def test_a_closed_state_is_set_bit_for_bit():
+    simulation = Simulation.from_scene('three_rrr')
+    simulation.step({'theta_1': 5.0}, 0.3)
+    position, velocity = simulation.position, simulation.velocity
+    simulation.set_state(position, velocity)
+    assert np.array_equal(simulation.position, position)
+    assert np.array_equal(simulation.velocity, velocity)
+    assert simulation.assembly_notes() == []
+
+
+def test_an_unknown_part_of_the_method_is_told_with_the_known_ones():
+    with pytest.raises(ValueError, match='method.step: expected one of the keys integrator, '
+                                         "step_size, .* got the unknown key 'step' .did you mean "
+                                         "'step_size'"):
+        Simulation.from_scene('three_rrr', step=1e-3)
+    with pytest.raises(ValueError, match='method.step_size: expected a positive number, got -1'):
+        Simulation.from_scene('three_rrr', step_size=-1)
+
+
 def test_asking_about_other_states_leaves_the_present_one_untouched():
     rng, mechanism, q, qd = cases.drawn('three_rrr')
     simulation = Simulation.from_scene('three_rrr')

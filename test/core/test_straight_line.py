@@ -19,6 +19,7 @@ import ctypes
 import math
 import pickle
 
+from closedloop_dynamics.core import cache
 from closedloop_dynamics.core.straight_line import available, emit, linkage, relink
 from closedloop_dynamics.core.straight_line.tape import cosine, LOAD, sine, Tape
 from closedloop_dynamics.core.types import REVOLUTE_ARMATURE, TYPE
@@ -128,7 +129,8 @@ def test_linkages_let_go_of_what_they_call():
 
 
 def test_machine_code_is_read_back(tmp_path, monkeypatch):
-    monkeypatch.setattr(numba.config, 'CACHE_DIR', str(tmp_path))
+    monkeypatch.setattr(cache, 'directory', lambda: tmp_path)
+    monkeypatch.setattr(cache, '_said', set())
     made = []
 
     def halves():
@@ -144,7 +146,9 @@ def test_machine_code_is_read_back(tmp_path, monkeypatch):
     # A file cut short by a full disk is no code: it is made again.
     path, = tmp_path.iterdir()
     path.write_bytes(path.read_bytes()[:100])
-    assert run(emit.machine_code(('test', 1), halves)('half'), np.ones(1), np.zeros(1))[0] == 0.5
+    with pytest.warns(RuntimeWarning, match='damaged'):
+        half = run(emit.machine_code(('test', 1), halves)('half'), np.ones(1), np.zeros(1))
+    assert half[0] == 0.5
     assert len(made) == 2
 
 

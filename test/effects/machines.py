@@ -71,7 +71,7 @@ def simulated(mechanism, effects, position, velocity=None, **method):
     velocity = [0.0] * len(position) if velocity is None else velocity
     return Simulation(Scene(
         'drawn', None, '', mechanism, Initial(tuple(position), tuple(velocity)), effects,
-        Method(**method)))
+        Method(**{'integrator': 'rk4', **method})))
 
 
 def assert_balanced(simulation, tolerance):

@@ -17,6 +17,7 @@
 from dataclasses import replace
 import pickle
 
+from closedloop_dynamics.mechanism import document
 from closedloop_dynamics.mechanism.fields import FieldError
 from closedloop_dynamics.mechanism.mechanism import (Body, CutJoint, Joint, Mechanism,
                                                      MechanismError, Point)
@@ -56,7 +57,8 @@ BODIES = 'there are crank, coupler, rocker'
 # What is written in place of what; then line, key path, expected, got, and advice if any.
 FAULTS = {
     'mass_zero': (
-        'mass: 0.5', 'mass: 0', 3, 'bodies.crank.mass', 'a positive number', '0', ''),
+        'mass: 0.5', 'mass: 0', 3, 'bodies.crank.mass', 'a positive number', '0',
+        'a body without mass on purpose says massless: true'),
     'mass_negative': (
         'mass: 0.5', 'mass: -2.5', 3, 'bodies.crank.mass', 'a positive number', '-2.5', ''),
     'mass_nan': (
@@ -69,6 +71,15 @@ FAULTS = {
     'mass_too_long_for_int': (
         'mass: 0.5', f'mass: {"9" * 5000}', 3, 'bodies.crank.mass', 'a positive number', 'inf',
         ''),
+    'mass_too_long_in_hexadecimal': (
+        'mass: 0.5', f'mass: 0x{"f" * 5000}', 3, 'bodies.crank.mass', 'a positive number', 'inf',
+        ''),
+    'mass_too_long_in_a_list': (
+        'mass: 0.5', f'mass: [{"9" * 399}]', 3, 'bodies.crank.mass', 'a positive number',
+        '[' + '9' * 59 + '...', ''),
+    'mass_tagged_as_text': (
+        'mass: 0.5', 'mass: !!str 0.5', 3, 'bodies.crank.mass', 'a positive number',
+        "the text '0.5'", ''),
     'mass_boolean': (
         'mass: 0.5', 'mass: true', 3, 'bodies.crank.mass', 'a positive number',
         'the truth value true', ''),
@@ -79,7 +90,7 @@ FAULTS = {
         'mass: 0.5', 'mass: 0.5 kg', 3, 'bodies.crank.mass', 'a positive number',
         "the text '0.5 kg'", ''),
     'mass_empty': (
-        'mass: 0.5', 'mass:', 3, 'bodies.crank.mass', 'a positive number', 'nothing', ''),
+        'mass: 0.5', 'mass: ', 3, 'bodies.crank.mass', 'a positive number', 'nothing', ''),
     'inertia_negative': (
         'inertia: 0.0004', 'inertia: -0.0004', 3, 'bodies.crank.inertia',
         'a number that is zero or more', '-0.0004', ''),
@@ -283,7 +294,7 @@ def test_byte_order_mark_and_anchors_are_understood(tmp_path):
     (GOOD + '---\nname: two\n', 14),
     (GOOD.replace('[0.05, 0.0]', '*nobody'), 3),
     ('name: \x00', 1),
-    ('a: ' + '[' * 20000, 1),
+    ('name: "\\ud800"', 1),
 ])
 def test_syntax_error_names_its_line(tmp_path, text, line):
     path = write(tmp_path, text)
@@ -291,12 +302,25 @@ def test_syntax_error_names_its_line(tmp_path, text, line):
     assert 'expected a YAML file, got ' in refusal(path)
 
 
-@pytest.mark.parametrize('text', [
-    'a: &a [*a]',
-    'a0: &a0 [x, x]\n' + ''.join(
-        f'a{i}: &a{i} [{", ".join([f"*a{i - 1}"] * 10)}]\n' for i in range(1, 10))])
-def test_aliases_without_end_are_refused(tmp_path, text):
-    assert 'got aliases or nesting without end' in refusal(write(tmp_path, text))
+@pytest.mark.parametrize('text, got', [
+    ('a: &a [*a]', 'aliases without end'),
+    ('a0: &a0 [x, x]\n' + ''.join(
+        f'a{i}: &a{i} [{", ".join([f"*a{i - 1}"] * 10)}]\n' for i in range(1, 10)),
+     'expected at most 100000 values, aliases counted as what they stand for, got more'),
+    ('a: &a [' + 'x, ' * 1000 + ']\nb: [' + '*a, ' * 1000 + ']', 'expected at most 100000 values'),
+    ('a: ' + '[' * 20000, 'expected a nesting of at most 20 levels, got a deeper one'),
+    ('# ' + 'x' * 4_000_000, 'expected a file of at most 4000000 bytes, got a larger one')],
+    ids=['itself', 'of aliases', 'many', 'deep', 'long'])
+def test_what_is_too_large_is_refused_while_reading(tmp_path, text, got):
+    assert got in refusal(write(tmp_path, text))
+
+
+def test_reading_stops_at_the_limit(tmp_path, monkeypatch):
+    monkeypatch.setattr(document, 'MOST_VALUES', 1000)
+    points = ''.join(f'  p{i}: {{body: ground, position: [{i}, 0]}}\n' for i in range(300))
+    # The syntax error behind the limit is never reached.
+    path = write(tmp_path, GOOD + points + ']')
+    assert 'expected at most 1000 values' in refusal(path)
 
 
 def test_unreadable_files_are_named(tmp_path):
@@ -304,6 +328,10 @@ def test_unreadable_files_are_named(tmp_path):
     assert refusal(missing) == (
         f'{missing}: expected a YAML file that can be read, got: No such file or directory')
     assert refusal(tmp_path).startswith(f'{tmp_path}: expected a YAML file that can be read')
+    for path, reason in (('no\0path.yaml', 'embedded null byte'),
+                         ('\ud800.yaml', 'surrogates not allowed')):
+        assert 'expected a YAML file that can be read, got: ' + reason in refusal(path)
+        assert refusal(path).isascii() and refusal(path).isprintable()
     binary = tmp_path / 'binary.yaml'
     binary.write_bytes(b'\xff\xfe\x00')
     assert refusal(binary).startswith(f'{binary}:1: ')

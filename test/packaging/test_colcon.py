@@ -20,9 +20,9 @@ import sys
 from test.packaging.package import copy_package, files_below, outside_environment
 from test.packaging.package import PACKAGE, PROGRAMS, run, SHARED
 from test.ros.domains import reserve_domain
-from test.ros.processes import Process
 from xml.etree import ElementTree
 
+from closedloop_dynamics.ros.programs import Program
 import pytest
 
 pytest.importorskip('colcon_core', reason='colcon is not installed')
@@ -76,18 +76,6 @@ def sourced(workspace, **settings):
     return dict(entry.split('=', 1) for entry in done.stdout.split('\0') if entry)
 
 
-class InstalledProcess(Process):
-    """An executable of a built workspace, started as ``ros2 run`` does."""
-
-    def __init__(self, workspace, executable, arguments, environment):
-        self.executable = executable
-        self._output = workspace / f'{executable}.log'
-        with self._output.open('w') as file:
-            self.popen = subprocess.Popen(
-                [prefix(workspace) / 'lib' / PACKAGE / executable, *arguments],
-                stdin=subprocess.DEVNULL, stdout=file, stderr=file, cwd=workspace, env=environment)
-
-
 @pytest.fixture
 def start(copied):
     """Return a function that starts an installed executable; none outlives the test."""
@@ -98,7 +86,10 @@ def start(copied):
             copied, ROS_DOMAIN_ID=str(domain), PYTHONUNBUFFERED='1', NUMBA_DISABLE_JIT='1')
 
         def start(executable, *arguments):
-            started.append(InstalledProcess(copied, executable, arguments, environment))
+            # As ros2 run does.
+            started.append(Program(
+                executable, arguments, copied / f'{executable}.log', environment, copied,
+                prefix(copied) / 'lib' / PACKAGE / executable))
             return started[-1].wait_until_ready()
 
         yield start

@@ -85,6 +85,21 @@ def hoeken_pantograph(name, lengths, masses, pivots):
     return Mechanism(name, bodies, joints, cuts)
 
 
+def parallelogram(rockers=1):
+    """Return a four-bar of links of 0.2 m and 0.5 m, with so many rockers side by side."""
+    places = np.linspace(0.5, 0.1, rockers) if rockers > 1 else [0.5]
+    return Mechanism(
+        'parallelogram',
+        (bar('crank', 1.0, 0.2, 0.1), bar('coupler', 1.0, 0.5, 0.25),
+         *(bar(f'rocker_{k}', 1.0, 0.2, 0.1) for k in range(rockers))),
+        (revolute('crank_joint', 'ground', 'crank', (0.0, 0.0), actuated=True),
+         revolute('coupler_joint', 'crank', 'coupler', (0.2, 0.0)),
+         *(revolute(f'joint_{k}', 'ground', f'rocker_{k}', (x, 0.0))
+           for k, x in enumerate(places))),
+        tuple(revolute_cut(f'cut_{k}', 'coupler', (x, 0.0), f'rocker_{k}', (0.2, 0.0))
+              for k, x in enumerate(places)))
+
+
 def hoeken_pantograph_leg():
     """Return the small leg."""
     return hoeken_pantograph('hoeken_pantograph_leg', LEG_LENGTHS, LEG_MASSES, LEG_PIVOTS)

@@ -186,7 +186,32 @@ def stacked_rows(mechanism, motions, joints):
     return np.vstack(blocks), gammas
 
 
-def forward_dynamics(mechanism, q, qd, tau, gravity=(0.0, -9.81)):
+def least_squares(matrix, right):
+    """Solve a system of equations that may be dependent."""
+    return np.linalg.lstsq(matrix, right, rcond=None)[0]
+
+
+def extended(matrix, right):
+    """Solve by elimination in extended precision, rows and columns scaled: for masses apart."""
+    matrix, x = matrix.astype(np.longdouble), right.astype(np.longdouble)
+    columns = np.ones(len(x), np.longdouble)
+    for _ in range(8):
+        row = 1.0 / np.sqrt(np.abs(matrix).max(axis=1))
+        matrix, x = matrix * row[:, None], x * row
+        column = 1.0 / np.sqrt(np.abs(matrix).max(axis=0))
+        matrix, columns = matrix * column, columns * column
+    for k in range(len(x)):
+        swap = [k, k + int(np.argmax(np.abs(matrix[k:, k])))]
+        matrix[swap], x[swap] = matrix[swap[::-1]], x[swap[::-1]]
+        share = matrix[k + 1:, k] / matrix[k, k]
+        matrix[k + 1:, k:] -= np.outer(share, matrix[k, k:])
+        x[k + 1:] -= share * x[k]
+    for k in range(len(x) - 1, -1, -1):
+        x[k] = (x[k] - matrix[k, k + 1:] @ x[k + 1:]) / matrix[k, k]
+    return (x * columns).astype(float)
+
+
+def forward_dynamics(mechanism, q, qd, tau, gravity=(0.0, -9.81), solve=least_squares):
     """Return the Result for joint coordinates, rates and joint torques, each (nv,)."""
     motions = body_motions(mechanism, q, qd)
     tree = [as_constraint(joint) for joint in mechanism.joints]
@@ -196,7 +221,7 @@ def forward_dynamics(mechanism, q, qd, tau, gravity=(0.0, -9.81)):
     applied = applied_forces(mechanism, motions, tau, gravity)
     force = [applied[body.name] for body in mechanism.bodies]
     matrix = np.block([[mass, -jac.T], [jac, np.zeros((len(jac), len(jac)))]])
-    solution = np.linalg.lstsq(matrix, np.concatenate(force + gammas), rcond=None)[0]
+    solution = solve(matrix, np.concatenate(force + gammas))
     accelerations = dict(zip([body.name for body in mechanism.bodies],
                              solution[:len(mass)].reshape(-1, 3)))
     accelerations[GROUND] = np.zeros(3)

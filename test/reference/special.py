@@ -16,7 +16,7 @@
 
 from dataclasses import replace
 
-from closedloop_dynamics.mechanism.mechanism import Mechanism
+from closedloop_dynamics.mechanism.mechanism import Body, Joint, Mechanism
 import numpy as np
 
 from .dense import body_frames
@@ -69,6 +69,44 @@ def parallelogram(tilt=0.4, rate=1.0):
     """Return a four-bar with legs of 0.6 m and a coupler of 1 m, as in ``ladder``."""
     mechanism, q, qd = ladder(1, tilt, rate, length=0.6)
     return replace(mechanism, name='parallelogram'), q, qd
+
+
+def scissor_lift(stages, tilt=0.6, rate=0.3, size=1.0):
+    """
+    Return a scissor lift whose lower right foot stands on a sliding block.
+
+    Parameters
+    ----------
+    stages : int
+        Pairs of crossing bars of 1 kg, pinned in their middles.
+    tilt, rate : float
+        Angle of the bars [rad] and its rate [rad/s].
+    size : float
+        Length of the bars [m]; the block is a point of 0.5 kg, its slide is actuated.
+
+    Returns
+    -------
+    mechanism : Mechanism
+        The rising bars are a chain from the ground, a falling one on the middle of each.
+    q, qd : ndarray, shape (2 stages + 1,)
+
+    """
+    bodies = [Body('block', 0.5, (0.0, 0.0), 0.0)]
+    q, qd = [size * np.cos(tilt)], [-size * np.sin(tilt) * rate]
+    joints = [Joint('slide', 'prismatic', 'ground', 'block', (0.0, 0.0), 0.0, True)]
+    cuts, under, foot = [], 'ground', ('block', (0.0, 0.0))
+    for index in range(stages):
+        rising, falling = f'rising_{index}', f'falling_{index}'
+        bodies += [bar(rising, 1.0, size, 0.5 * size), bar(falling, 1.0, size, 0.0)]
+        # The upper left end of a falling bar carries the next rising one.
+        joints += [revolute(f'foot_{index}', under, rising, (-0.5 * size * (index > 0), 0.0)),
+                   revolute(f'middle_{index}', rising, falling, (0.5 * size, 0.0))]
+        q += [tilt if index == 0 else 2.0 * tilt, -2.0 * tilt]
+        qd += [rate if index == 0 else 2.0 * rate, -2.0 * rate]
+        cuts.append(revolute_cut(f'cut_{index}', falling, (0.5 * size, 0.0), *foot))
+        under, foot = falling, (rising, (size, 0.0))
+    mechanism = Mechanism('scissor_lift', tuple(bodies), tuple(joints), tuple(cuts))
+    return mechanism, np.array(q), np.array(qd)
 
 
 def chain(rng, links):

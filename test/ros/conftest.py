@@ -14,12 +14,11 @@
 
 """Domains of their own, listeners and processes for the tests of the nodes."""
 
-import os
 from test.ros.domains import reserve_domain
 from test.ros.listener import Listener
-from test.ros.processes import Processes
 import uuid
 
+from closedloop_dynamics.ros.programs import Programs
 import pytest
 import rclpy
 
@@ -75,9 +74,6 @@ def listener(context):
 @pytest.fixture
 def processes(domain, tmp_path):
     """Return a starter of the package's executables; none outlives the test."""
-    environment = dict(
-        os.environ, ROS_LOG_DIR=str(tmp_path / 'log'), RCUTILS_COLORIZED_OUTPUT='0',
-        PYTHONUNBUFFERED='1')
-    processes = Processes(tmp_path, environment)
+    processes = Programs(tmp_path, {'ROS_LOG_DIR': str(tmp_path / 'log')})
     yield processes
     processes.kill_all()

@@ -33,11 +33,10 @@ import signal
 import sys
 import tempfile
 from test.ros.domains import reserve_domain
-from test.ros.processes import memory
-from test.ros.processes import Processes
 from test.ros.taker import Taker
 import time
 
+from closedloop_dynamics.ros.programs import Programs
 from closedloop_dynamics.ros.spinning import build_executor
 from rcl_interfaces.srv import SetParameters
 import rclpy
@@ -54,6 +53,12 @@ SETTLING = 20.0
 DISTURBANCE, LOOK = 2.0, 1.0
 # Between two looks for messages [s].
 POLL = 0.005
+
+
+def memory(process):
+    """Return the resident memory of a process [bytes]."""
+    pages = int(Path(f'/proc/{process.popen.pid}/statm').read_text().split()[1])
+    return pages * os.sysconf('SC_PAGE_SIZE')
 
 
 class Traffic:
@@ -142,9 +147,7 @@ def soak(duration, scene, rate, directory):
         Whether nothing was lost and no memory has leaked.
 
     """
-    environment = dict(os.environ, ROS_LOG_DIR=str(directory / 'log'), PYTHONUNBUFFERED='1',
-                       RCUTILS_COLORIZED_OUTPUT='0')
-    processes = Processes(directory, environment)
+    processes = Programs(directory, {'ROS_LOG_DIR': str(directory / 'log')})
     context = rclpy.Context()
     rclpy.init(context=context, domain_id=int(os.environ['ROS_DOMAIN_ID']))
     try:

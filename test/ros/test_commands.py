@@ -75,7 +75,9 @@ def test_bad_values_are_refused_and_change_nothing(command, values, problem):
     (['a'], [1.0, 2.0], 'got 2 for 1'),
     (['x'], [1.0], "'x' is not a joint of this mechanism; the actuated joints are a, c"),
     (['b'], [1.0], "'b' is not actuated"),
-    (['a', 'b'], [5.0, 1.0], "'b' is not actuated"),
+    (['a', 'b', 'x'], [5.0, 1.0, 2.0], "'x' is not a joint"),
+    (['a', 'b', 'b'], [5.0, 1.0, 2.0], 'named twice'),
+    (['a', 'b', 'c'], [5.0], 'got 1 for 3'),
     (['a', 'a'], [5.0, 6.0], 'named twice'),
     (['a', 'c'], [5.0, math.nan], "'c' is nan"),
     (['c', 'a'], [5.0, math.inf], "'a' is inf"),
@@ -85,6 +87,14 @@ def test_bad_named_efforts_are_refused_and_change_nothing(command, names, effort
         command.accept_named(names, efforts, now=1.0)
     assert command.torque.tolist() == [1.0, 2.0]
     assert (command.accepted, command.rejected) == (1, 1)
+
+
+@pytest.mark.parametrize('efforts', [[5.0, math.nan, 6.0], [5.0, 6.0]])
+def test_joints_that_are_not_actuated_are_ignored_and_counted(command, efforts):
+    # Of all joints, or of the actuated ones alone.
+    command.accept_named(['c', 'b', 'a'], efforts, now=1.0)
+    assert command.torque.tolist() == [6.0, 5.0]
+    assert (command.accepted, command.rejected, command.not_actuated) == (2, 0, 1)
 
 
 def test_torques_fall_to_zero_once_when_no_command_comes(command):
@@ -104,6 +114,13 @@ def test_refused_command_does_not_put_off_the_timeout(command):
     with pytest.raises(CommandError):
         command.accept_values([1.0], now=0.4)
     assert command.expire(now=0.6, timeout=0.5)
+
+
+def test_command_that_acted_for_too_long_is_over(command):
+    command.held = 0.6
+    assert command.expire(now=0.0, timeout=0.5)
+    command.accept_values([1.0, 2.0], now=0.1)
+    assert not command.expire(now=0.2, timeout=0.5)
 
 
 def test_no_timeout_holds_for_ever(command):

@@ -24,8 +24,8 @@ from closedloop_dynamics.ros.replay_log import NO_STATE
 from closedloop_dynamics.ros.simulator_node import SimulatorNode
 from closedloop_dynamics.scene import load_scene
 from closedloop_dynamics.scene_text import read_scene_text
-from closedloop_dynamics.studies.motion import world_points
 from closedloop_dynamics.urdf import urdf
+from closedloop_dynamics.visual.motion import world_points
 import numpy as np
 import pytest
 from rclpy.executors import SingleThreadedExecutor
@@ -62,7 +62,8 @@ def test_descriptions_are_there_for_whoever_comes_late(simulator, listener):
     descriptions = collect(listener, 'robot_description', String, LATCHED)
     scenes = collect(listener, 'scene', String, LATCHED)
     listener.wait(lambda: descriptions and scenes, 'latched messages')
-    assert descriptions[0].data == urdf(node.simulation.mechanism)
+    assert descriptions[0].data == urdf(
+        node.simulation.mechanism, '/joint_command', '/joint_states')
     scene, facts = read_scene_text(scenes[0].data)
     shipped = load_scene('slider_crank')
     assert (scene.mechanism, scene.initial, scene.effects, scene.method) == (
@@ -105,7 +106,10 @@ def test_replay_log_tells_times_and_commands(simulator, listener):
     node.publish()
     listener.wait(lambda: len(entries) == 6, 'six entries')
     names = entries[0].layout.dim[0].label.split()
-    assert names == [*COLUMNS, *node.simulation.joint_names]
+    assert names == [*COLUMNS, *node.simulation.joint_names, *(
+        f'state.{k}' for k in range(len(node.simulation.state)))]
+    assert entries[-1].data[-len(node.simulation.state):].tolist() == (
+        node.simulation.state.tolist())
     table = dict(zip(names, np.array([entry.data for entry in entries]).T))
     assert table['simulated_time'].tolist() == [0.0, 0.007, 0.014, 0.016, 0.019, 0.0]
     assert np.diff(table['index']).tolist() == [1.0] * 5

@@ -163,6 +163,10 @@ def test_joints_that_a_state_does_not_name_follow_those_it_names(build):
     (JointState(name=['theta_1'], position=[1.0]), 'not a complete choice'),
     (JointState(name=['theta_1', 'theta_6', 'theta_7'], position=[3.7, 0.5, 1.5]),
      'cannot be assembled'),
+    (JointState(name=['theta_1', 'theta_6', 'theta_7'], position=[1.0, 4.2, 5.8],
+                velocity=[1e8, 0.0, 0.0]), 'at most 1000 can be followed'),
+    (JointState(name=['theta_1', 'theta_6', 'theta_7'], position=[1.0, 4.2, 5.8],
+                velocity=[1e308, 0.0, 0.0]), 'largest velocity'),
 ])
 def test_state_that_makes_no_sense_is_refused_with_the_reason_and_counted(
         build, message, problem):
@@ -259,7 +263,7 @@ def test_method_changes_while_time_runs(build):
         Parameter('stabilisation', value='')]).successful
     method = node.simulation.scene.method
     assert (method.integrator, method.step_size, method.stabilisation) == (
-        'rk4', 0.001, 'projection')
+        'auto', 0.001, 'projection')
 
 
 def test_method_that_the_scene_is_too_stiff_for_is_refused(build, tmp_path):
@@ -273,7 +277,8 @@ def test_method_that_the_scene_is_too_stiff_for_is_refused(build, tmp_path):
         '  spring: {type: joint_spring, joint: crank_joint, stiffness: 5000.0, rest: 1.0}\n')
     node = build(str(scene))
     before = node.simulation.scene.method
-    result, = node.set_parameters([Parameter('step_size', value=0.05)])
+    result = node.set_parameters_atomically([
+        Parameter('integrator', value='rk4'), Parameter('step_size', value=0.05)])
     assert not result.successful
     assert 'stiff' in result.reason
     assert node.simulation.scene.method == before

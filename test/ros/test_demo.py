@@ -24,17 +24,16 @@ import time
 import uuid
 
 from closedloop_dynamics.ros import demo
-from closedloop_dynamics.ros.bag import BagWriter
-from closedloop_dynamics.ros.demo_drive import aim_of, drive_for, shipped_drives
-from closedloop_dynamics.ros.demo_recording import read_recording, Recording
-from closedloop_dynamics.ros.demo_report import draw, summary, wanted_motion
+from closedloop_dynamics.ros.demo_drive import Aim, aim_of, drive_for, shipped_drives
+from closedloop_dynamics.ros.demo_report import (
+    compared, draw, not_representative, read_run, Run, summary, wanted_motion)
+from closedloop_dynamics.ros.torque_laws import Reference, Wave
 from closedloop_dynamics.ros.torque_source_parameters import TORQUE_SOURCE_PARAMETERS
 from closedloop_dynamics.scene import load_scene, scene_names
-from closedloop_dynamics.simulation import Simulation
-from closedloop_dynamics.studies.motion import Motion
+from closedloop_dynamics.simulation.simulation import Simulation
+from closedloop_dynamics.visual.motion import Motion
 import numpy as np
 import pytest
-from rosbags.typesys import get_typestore, Stores
 
 ROOT = Path(__file__).resolve().parents[2]
 MARK = 'CLOSEDLOOP_DYNAMICS_TEST_DEMO'
@@ -119,24 +118,21 @@ def test_short_demonstration_from_start_to_end(start):
     assert float(re.search(r'closed within (\S+) m', text)[1]) < 1e-10
     assert text.rstrip().endswith(f'{run.output}/')
     check_pictures(run.output / 'four_bar')
-    recording = read_recording(
-        run.output / 'four_bar' / 'bag', '/demo_four_bar', load_scene('four_bar').mechanism)
-    assert recording.count == count
+    assert 'it ran in real time' in text or 'NOT representative' in text
+    found = read_run(run.output / 'four_bar' / 'bag', '/demo_four_bar')
     # The motion begins with the first torque and is recorded from there.
-    assert 1.8 < recording.motion.time[-1] < 20.0
-    assert np.abs(recording.motion.effort[1:, 0]).max() > 0.0
+    assert 1.8 < found.motion.time[-1] < 20.0
+    assert np.abs(found.motion.effort[1:, 0]).max() > 0.0
 
 
 @pytest.mark.slow
 def test_default_demonstration_holds_what_it_drives(start):
     code, text, errors = start().end()
-    assert code == 0, text + errors
-    assert [name in text for name in ('[1/2] carpet_scraper', '[2/2] three_rrr')] == [True, True]
-    turning = re.search(r'theta_1 turns at ([\d.]+) rad/s over (\d+) whole turns', text)
-    assert float(turning[1]) == pytest.approx(4.7124, rel=0.01)
-    assert int(turning[2]) >= 4
-    follows = re.search(r'theta_1, theta_6, theta_7 follow .* within ([\d.e-]+) rad \(rms\)', text)
-    assert float(follows[1]) < 0.02
+    assert '[1/2] carpet_scraper' in text and '[2/2] three_rrr' in text
+    # A busy machine is no reason to fail here, but has to be told.
+    assert (code == 1) == ('NOT as wanted' in text) == ('did not do' in errors), text + errors
+    if 'NOT representative' not in text:
+        assert text.count('verdict    as wanted') == 2, text
 
 
 @pytest.mark.parametrize('number', [signal.SIGINT, pytest.param(
@@ -204,36 +200,29 @@ def test_both_machines_have_drives_and_every_drive_has_its_scene():
     for name in shipped_drives():
         drive = drive_for(load_scene(name))
         assert set(drive.parameters) <= known
-        assert Path(drive.arguments[1]).is_file()
+        assert drive.file.is_file()
+
+
+def shipped_aim(name):
+    scene = load_scene(name)
+    return scene, aim_of(drive_for(scene), scene)
 
 
 def test_crank_is_to_turn_at_45_rpm():
-    scene = load_scene('carpet_scraper')
-    aim = aim_of(drive_for(scene), scene.mechanism.actuated_joints)
+    _, aim = shipped_aim('carpet_scraper')
     assert aim.reference.velocity.tolist() == [45 * 2 * np.pi / 60]
 
 
-def test_platform_is_to_go_round_a_circle():
-    scene = load_scene('three_rrr')
-    simulation = Simulation(scene)
-    base = [simulation.joint_names.index(name) for name in simulation.actuated_joints]
-    aim = aim_of(drive_for(scene), simulation.actuated_joints)
-    start, places = simulation.position, []
-    for moment in np.linspace(0.0, 4.0, 81):
-        position = simulation.position
-        position[base] = aim.reference.at(moment, start[base])[0]
-        simulation.set_state(position, hold=simulation.actuated_joints)
-        places.append(simulation.point('platform_center'))
-    places = np.array(places[:-1])
-    radius = np.hypot(*(places - places.mean(axis=0)).T)
-    # The wave is the first harmonic of what a true circle takes.
-    assert radius == pytest.approx(np.full(80, 0.12), abs=0.012)
+def wave():
+    """Return an aim that swings the three base joints."""
+    none = np.zeros(3)
+    return Aim(Reference(none + np.nan, none, Wave(
+        none + 0.34, none + 0.25, np.array([4.59, 2.498, 0.101]))), none == 0.0)
 
 
 @pytest.mark.parametrize('headstart, lag', [(0.0, 0.0), (0.2, 0.0), (0.0, 0.1)])
 def test_a_reference_that_began_early_is_found_and_a_lag_is_not_hidden(headstart, lag):
-    scene = load_scene('three_rrr')
-    aim = aim_of(drive_for(scene), scene.mechanism.actuated_joints)
+    scene, aim = load_scene('three_rrr'), wave()
     moment = np.linspace(0.0, 8.0, 801)
     position = np.zeros((801, 7))
     followed = np.maximum(moment + headstart - lag, 0.0)[:, np.newaxis]
@@ -253,7 +242,7 @@ def test_other_scenes_get_small_sines(name):
     drive = drive_for(scene)
     assert drive.parameters['mode'] == 'sine'
     assert 0.0 < drive.parameters['amplitude'][0] < 5.0
-    assert aim_of(drive, scene.mechanism.actuated_joints) is None
+    assert aim_of(drive, scene) is None
 
 
 def test_a_scene_of_the_users_gets_no_drive_of_a_shipped_one(tmp_path):
@@ -264,116 +253,123 @@ def test_a_scene_of_the_users_gets_no_drive_of_a_shipped_one(tmp_path):
     assert len(drive_for(load_scene(path)).parameters['amplitude']) == 3
 
 
-STORE = get_typestore(Stores.ROS2_JAZZY)
+def platform_on_a_circle(share=1.0):
+    """Return the 3-RRR with its platform on a circle, and where that is led."""
+    scene, aim = shipped_aim('three_rrr')
+    simulation = Simulation(scene)
+    base = [simulation.joint_names.index(name) for name in simulation.actuated_joints]
+    moment = np.arange(0.0, 8.0, 0.1)
+    mean = np.real(aim.reference._harmonics[0])
+    position = []
+    for instant in moment:
+        joints = simulation.position
+        joints[base] = mean + share * (aim.reference.at(instant)[0] - mean)
+        simulation.set_state(joints, hold=simulation.actuated_joints)
+        position.append(simulation.position)
+    zero = np.zeros((len(moment), 7))
+    return Motion(scene.mechanism, moment, np.array(position), zero, zero, np.ones(
+        (len(moment), 2, 3))), aim
 
 
-def message(kind, **fields):
-    return STORE.serialize_cdr(STORE.types[kind](**fields), kind)
+def test_platform_is_to_go_round_a_circle():
+    motion, aim = platform_on_a_circle()
+    (text, failure), (circle, off) = compared(motion, aim)
+    assert failure is None and off is None
+    miss = float(re.search(r'stays within (\S+) mm of a circle of 0.12 m radius', circle)[1])
+    assert miss < 0.01
 
 
-def header(nanoseconds):
-    return STORE.types['std_msgs/msg/Header'](
-        stamp=STORE.types['builtin_interfaces/msg/Time'](*divmod(nanoseconds, 10 ** 9)),
-        frame_id='')
+def test_a_path_that_is_no_circle_is_told():
+    motion, aim = platform_on_a_circle(0.8)
+    failures = [failure for _, failure in compared(motion, aim)]
+    assert 'away from their reference' in failures[0]
+    assert 'away from its circle of 0.12 m radius' in failures[1]
 
 
-def wrench(force_x, force_y, torque):
-    vector = STORE.types['geometry_msgs/msg/Vector3']
-    return STORE.types['geometry_msgs/msg/Wrench'](
-        force=vector(x=force_x, y=force_y, z=0.0), torque=vector(x=0.0, y=0.0, z=torque))
+def turning(mean, ripple):
+    """Return a motion of the scraper's crank, ten ripples a second around a speed, and its aim."""
+    scene, aim = shipped_aim('carpet_scraper')
+    moment = np.linspace(0.0, 8.0, 801)
+    position, velocity = np.tile(Simulation(scene).position, (801, 1)), np.zeros((801, 7))
+    position[:, 0] = mean * moment - ripple / (20 * np.pi) * np.cos(20 * np.pi * moment)
+    velocity[:, 0] = mean + ripple * np.sin(20 * np.pi * moment)
+    return Motion(scene.mechanism, moment, position, velocity, np.zeros((801, 7)),
+                  np.ones((801, 3, 3))), aim
 
 
-def write_bag(path, answered=1, at_rest=0, states=5):
-    """Write states of the four-bar; a command answers one, the first ones are at rest."""
-    writer = BagWriter(path, 'mcap', STORE)
-    kinds = {'joint_states': 'sensor_msgs/msg/JointState',
-             'constraint_forces/cut_1': 'geometry_msgs/msg/WrenchStamped',
-             'torque_command': 'std_msgs/msg/Float64MultiArray'}
-    for topic, kind in kinds.items():
-        writer.add_topic(f'/cell/{topic}', kind)
-    begin = 5 * 10 ** 9
-    for k in range(states):
-        stamp = begin + k * 10 ** 7
-        writer.write('/cell/joint_states', stamp + 10 ** 6, message(
-            kinds['joint_states'], header=header(stamp), name=['a', 'b', 'c'],
-            position=np.array([max(k, at_rest), 0.0, 1.0]), velocity=np.array([0.0, k, 0.0]),
-            effort=np.zeros(3)))
-        if k != 3:
-            writer.write('/cell/constraint_forces/cut_1', stamp + 2 * 10 ** 6, message(
-                kinds['constraint_forces/cut_1'], header=header(stamp),
-                wrench=wrench(float(k), 10.0, 0.5)))
-        if k == answered:
-            layout = STORE.types['std_msgs/msg/MultiArrayLayout'](dim=[], data_offset=0)
-            writer.write('/cell/torque_command', stamp + 3 * 10 ** 6, message(
-                kinds['torque_command'], layout=layout, data=np.array([1.0])))
-    writer.close()
-    assert writer.error is None
+SPEED = 45 * 2 * np.pi / 60
 
 
-@pytest.fixture
-def bag(tmp_path):
-    """Return a bag of five states, the second answered by a command."""
-    write_bag(tmp_path / 'bag')
-    return tmp_path / 'bag'
+@pytest.mark.parametrize('mean, ripple, failed', [
+    (SPEED, 0.1, None), (-5.0, 0.1, 'theta_1 turned backwards, at -5 rad/s instead of 4.712'),
+    (4.6, 0.1, 'theta_1 turned at 4.6 rad/s instead of 4.712 rad/s'),
+    (SPEED, 0.5, r'ripple of 0.35 rad/s \(rms\), more than 5 % of 4.7')])
+def test_speed_and_ripple_are_compared_with_what_was_wanted(mean, ripple, failed):
+    motion, aim = turning(mean, ripple)
+    text, failure = compared(motion, aim)[0]
+    assert float(re.search(r'at (\S+) rad/s over (\d+) whole', text)[1]) == pytest.approx(
+        mean, abs=1e-3 + ripple / 200.0)
+    assert failure is None if failed is None else re.search(failed, failure)
 
 
-def test_recording_is_what_the_bag_holds(bag):
-    recording = read_recording(bag, '/cell', load_scene('four_bar').mechanism)
-    assert {topic: len(times) for topic, times in recording.arrivals.items()} == {
-        'joint_states': 5, 'constraint_forces/cut_1': 4, 'torque_command': 1}
-    assert recording.count == 10
-    assert recording.rate('joint_states') == pytest.approx(100.0)
-    assert np.isnan(recording.rate('torque_command'))
-    # Time counts from the state that the first command answered.
-    assert recording.motion.time == pytest.approx([0.0, 0.01, 0.02, 0.03])
-    assert recording.motion.position[:, 0].tolist() == [1.0, 2.0, 3.0, 4.0]
-    assert recording.motion.velocity[:, 1].tolist() == [1.0, 2.0, 3.0, 4.0]
-    forces = recording.motion.forces[:, 0]
-    assert forces[0].tolist() == [0.5, 1.0, 10.0]
-    assert np.isnan(forces[2]).all() and forces[3, 1] == 4.0
-    assert recording.arrivals['joint_states'][0] == pytest.approx(-0.009)
+def test_loops_that_are_open_are_told():
+    motion, aim = turning(SPEED, 0.0)
+    *_, (_, failure) = compared(motion, aim)
+    # Only the crank was turned.
+    assert 'the loops were open' in failure
 
 
-def test_motion_begins_with_itself_where_the_first_commands_were_missed(tmp_path):
-    write_bag(tmp_path / 'bag', answered=18, at_rest=7, states=30)
-    recording = read_recording(tmp_path / 'bag', '/cell', load_scene('four_bar').mechanism)
-    assert len(recording.motion.time) == 30 - 7
-    assert recording.motion.position[:2, 0].tolist() == [7.0, 8.0]
+def run_of(moment, simulated=None, commands=None):
+    motion = Motion(load_scene('four_bar').mechanism, moment, *np.zeros((3, len(moment), 3)),
+                    np.zeros((len(moment), 1, 3)))
+    commands = moment + 0.001 if commands is None else commands
+    return Run(motion, moment[-1] if simulated is None else simulated,
+               {'joint_states': moment, 'torque_command': commands})
 
 
-def test_a_motion_without_commands_is_taken_whole(tmp_path):
-    write_bag(tmp_path / 'bag', answered=None)
-    recording = read_recording(tmp_path / 'bag', '/cell', load_scene('four_bar').mechanism)
-    assert len(recording.motion.time) == 5
+CALM = np.arange(0.0, 8.0, 0.01)
 
 
-def test_a_bag_without_states_is_refused(bag):
-    with pytest.raises(ValueError, match='no joint_states'):
-        read_recording(bag, '/elsewhere', load_scene('four_bar').mechanism)
+@pytest.mark.parametrize('run, reason', [
+    (run_of(CALM), None),
+    # Found late by the recorder, but regular.
+    (run_of(CALM, commands=CALM[150:] + 0.001), None),
+    (run_of(CALM, simulated=7.0), '0.99 s of 7.99 s were dropped'),
+    (run_of(CALM[CALM % 0.5 > 0.02]), 'states are missing'),
+    (run_of(CALM, commands=CALM[::2] + 0.001), '400 of 798 states were answered'),
+    (run_of(CALM, commands=CALM[(CALM < 3.0) | (CALM > 3.2)]), 'for 0.22 s no command came'),
+    (run_of(CALM[:10]), 'only 0.09 s of 8 s were simulated')])
+def test_a_run_on_a_busy_machine_is_called_not_representative(run, reason):
+    reasons = not_representative(run, 8.0)
+    assert not reasons if reason is None else any(reason in each for each in reasons), reasons
 
 
-def test_summary_tells_mean_speed_and_ripple(tmp_path):
-    scene = load_scene('carpet_scraper')
-    aim = aim_of(drive_for(scene), scene.mechanism.actuated_joints)
-    speed, moment = aim.reference.velocity[0], np.linspace(0.0, 8.0, 801)
-    position, velocity = np.zeros((2, 801, 7))
-    # Ten ripples a second around the speed wanted.
-    position[:, 0] = speed * moment - 0.1 / (20 * np.pi) * np.cos(20 * np.pi * moment)
-    velocity[:, 0] = speed + 0.1 * np.sin(20 * np.pi * moment)
-    motion = Motion(scene.mechanism, moment, position, velocity, np.zeros((801, 7)),
-                    np.ones((801, 3, 3)))
-    recording = Recording(motion, {'joint_states': moment, 'torque_command': moment[150:]})
-    said = summary(recording, aim)
+@pytest.mark.parametrize('failures, reasons, wanted, lines', [
+    ([], [], True, ['as wanted']), ([], [], False, ['it ran in real time']),
+    (['backwards'], ['late'], True, ['NOT as wanted: backwards', 'NOT representative']),
+    (['backwards'], [], True, ['NOT as wanted: backwards', 'the machine had the time']),
+    ([], ['late'], True, ['as wanted', 'NOT representative'])])
+def test_verdict_names_what_and_why(failures, reasons, wanted, lines):
+    said = demo.verdict(failures, reasons, wanted)
+    assert len(said) == len(lines)
+    assert all(line.startswith(start) for line, start in zip(said, lines))
+
+
+def test_a_machine_that_fails_makes_the_exit_code(monkeypatch, tmp_path, capsys):
+    monkeypatch.setattr(demo, 'demonstrate', lambda scene, *of: scene.name != 'carpet_scraper')
+    assert demo.main(['--output', str(tmp_path / 'out')]) == 1
+    assert 'carpet_scraper did not do what was wanted' in capsys.readouterr().err
+
+
+def test_summary_and_pictures_of_a_run(tmp_path):
+    motion, aim = turning(SPEED, 0.1)
+    run = Run(motion, 8.0, {'joint_states': motion.time, 'torque_command': motion.time[150:]})
+    said = summary(run)
     assert [text.endswith(', from 1.5 s of motion on') for key, text in said if key == ''] == [
         False, True]
-    text = dict(said)['tracking']
-    mean, turns = re.search(r'at ([\d.]+) rad/s over (\d+) whole', text).groups()
-    assert float(mean) == pytest.approx(speed, abs=1e-3)
-    assert turns == '5'
-    assert 'ripple 0.071 rad/s (rms), 0.095 rad/s (largest)' in text
     wanted, rate, _ = wanted_motion(motion, aim)
-    assert wanted[-1, 0] == pytest.approx(position[-1, 0], abs=0.01) and rate[0, 0] == speed
-    assert np.isnan(wanted[:, 1:]).all()
-    for path in draw(recording, aim, scene.name, tmp_path):
+    assert wanted[-1, 0] == pytest.approx(motion.position[-1, 0], abs=0.01)
+    assert rate[0, 0] == pytest.approx(SPEED) and np.isnan(wanted[:, 1:]).all()
+    for path in draw(motion, aim, 'carpet_scraper', tmp_path):
         assert path.is_file()
     check_pictures(tmp_path)

@@ -18,13 +18,13 @@ from dataclasses import replace
 import math
 from pathlib import Path
 
-from closedloop_dynamics.effects.accounts import EnergyBalance
+from closedloop_dynamics.effects.energy_balance import Energies
 from closedloop_dynamics.health import Health
-from closedloop_dynamics.monitor import RunReport
 from closedloop_dynamics.ros import diagnostic_checks as checks
 from closedloop_dynamics.ros.diagnostic_checks import ERROR
 from closedloop_dynamics.ros.diagnostic_checks import OK
 from closedloop_dynamics.ros.diagnostic_checks import WARN
+from closedloop_dynamics.simulation.monitor import RunReport
 import pytest
 
 DOCUMENT = Path(__file__).resolve().parents[2] / 'doc' / 'interface.md'
@@ -33,7 +33,8 @@ HEALTH = Health(
     smallest_pivot=0.5, smallest_pivot_ever=0.4, condition=3.0, rank=4, equations=4,
     rank_revealing_count=0, singular_count=0, evaluations=40000, projection_iterations=1,
     closure=1e-13)
-BOOK = {'accepted': 5, 'rejected': 0, 'timed out': 0, 'states set': 0, 'states refused': 0}
+BOOK = {'accepted': 5, 'rejected': 0, 'timed out': 0, 'states set': 0, 'states refused': 0,
+        'lost': 0}
 
 
 @pytest.mark.parametrize('factor, missed, level', [
@@ -71,7 +72,7 @@ def test_open_loops_are_told(closure, level):
 @pytest.mark.parametrize('residual, level', [
     (0.0, OK), (1e-3, OK), (-0.01, WARN), (5.0, ERROR), (-5.0, ERROR)])
 def test_energy_from_nowhere_is_told(residual, level):
-    balance = EnergyBalance(1.0, 2.0, 3.0, 4.0, residual)
+    balance = Energies(1.0, 2.0, 3.0, 4.0, residual)
     assert checks.energy_finding(balance, 8.0).level == level
 
 
@@ -90,6 +91,7 @@ def test_singular_configurations_are_told_though_they_are_over():
     ({'rejected': 3}, ['/a'], False, WARN, '3 refused'),
     ({'states refused': 1}, ['/a'], False, WARN, '1 refused'),
     ({}, ['/a', '/b'], False, WARN, 'the last command counts'),
+    ({'lost': 2}, ['/a'], False, WARN, '2 commands lost'),
     ({}, ['/a'], True, WARN, 'torques are zero')])
 def test_commands_that_do_not_arrive_as_they_should_are_told(
         change, sources, expired, level, word):
@@ -105,3 +107,9 @@ def test_thresholds_are_those_of_the_document():
         value = getattr(checks, name)
         shown = f'{100 * value:g} %' if not name.startswith(('ERROR', 'CLOSURE')) else f'{value:g}'
         assert shown in text, (name, shown)
+
+
+def test_what_a_run_found_is_a_warning():
+    found = replace(REPORT, findings=('the energy balance misses 2 J',))
+    finding = checks.method_finding(found, 0.1)
+    assert finding.level == WARN and 'misses 2 J' in finding.message

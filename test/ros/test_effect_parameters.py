@@ -53,7 +53,6 @@ def test_an_effect_is_switched_and_changed_while_the_node_runs(node):
     ({'carpet__friction': -0.1}, 'effects.carpet.friction'),
     ({'carpet__stiffness': 'soft'}, 'effects.carpet.stiffness'),
     ({'carpet__point': 'heel'}, 'tool'),
-    ({'motor__lag': 1e-5}, 'stiff'),
     ({'gravity__acceleration': [1.0]}, 'effects.gravity.acceleration')])
 def test_impossible_values_are_refused_with_the_reason(node, values, reason):
     before = node.simulation.effects

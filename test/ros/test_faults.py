@@ -16,7 +16,7 @@
 
 import math
 import signal
-from test.ros.processes import memory
+from test.ros.soak import memory
 import time
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -82,8 +82,9 @@ def test_flood_of_commands_delays_nothing_and_the_last_one_counts(processes, lis
     assert memory(simulator) - before < 30e6
     assert '0 rejected' in last_words(simulator)
     accepted = int(last_words(simulator).split('commands: ')[1].split()[0])
-    # A queue of ten: what came too fast was superseded, not worked off.
-    assert 10 < accepted < sent
+    # Each was taken or counted as lost; the first and the last may have been sent twice.
+    lost = int(last_words(simulator).split(' lost')[0].split()[-1])
+    assert sent <= accepted + lost <= sent + 20 and accepted > 10
 
 
 def last_words(simulator):
@@ -110,19 +111,14 @@ def test_rogue_publishers_change_nothing(processes, listener, rogue):
     publisher = listener.publisher('torque_command', Float64MultiArray)
     listener.send(publisher, Float64MultiArray(data=[1.0, 2.0, 3.0]),
                   lambda: applied(states, [1.0, 2.0, 3.0]), 'state with the command')
-    # Another type, on both topics; and a quality of service that the simulator does not take.
+    # Another type, on both topics.
     rogues = [rogue.create_publisher(String, 'torque_command', 10),
               rogue.create_publisher(String, 'joint_command', 10)]
-    loose = listener.node.create_publisher(
-        Float64MultiArray, 'torque_command',
-        QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT))
     for _ in range(20):
         for each in rogues:
             each.publish(String(data='9.0 9.0 9.0'))
-        loose.publish(Float64MultiArray(data=[9.0, 9.0, 9.0]))
         spin(listener, 0.02)
-    simulator.wait_for('incompatible QoS')
-    for data in ([9.0] * 1_000_000, [math.nan] * 3, [math.inf, 0.0, 0.0], []):
+    for data in ([9.0] * 1000, [math.nan] * 3, [math.inf, 0.0, 0.0], []):
         publisher.publish(Float64MultiArray(data=data))
     simulator.wait_for('torque_command rejected: expected 3 values')
     publisher.publish(Float64MultiArray(data=[4.0, 5.0, 6.0]))

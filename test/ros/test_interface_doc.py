@@ -17,29 +17,19 @@
 from pathlib import Path
 
 from closedloop_dynamics.ros.companions import COMPANION_PARAMETERS
+from closedloop_dynamics.ros.frames import FRAME_PARAMETERS
+from closedloop_dynamics.ros.parameters import in_yaml
 from closedloop_dynamics.ros.recorder_node import PARAMETERS as RECORDER_PARAMETERS
 from closedloop_dynamics.ros.simulator_parameters import SIMULATOR_PARAMETERS
 from closedloop_dynamics.ros.torque_source_parameters import TORQUE_SOURCE_PARAMETERS
 import pytest
-from rclpy.parameter import Parameter
 
 DOCUMENT = Path(__file__).resolve().parents[2] / 'doc' / 'interface.md'
 
 
-def in_yaml(value):
-    """Return a value as one writes it on a command line."""
-    if isinstance(value, list):
-        return f'[{", ".join(map(in_yaml, value))}]'
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, str):
-        return value or "''"
-    return '.nan' if value != value else str(value)
-
-
 def row(parameter):
     """Return the row of the table that describes a parameter."""
-    kind = Parameter.Type.from_parameter_value(parameter.default).name.lower()
+    kind = parameter.kind.name.lower()
     allowed = ', '.join(f'`{in_yaml(choice)}`' for choice in parameter.choices)
     if parameter.limits:
         allowed = '{:g} to {:g}'.format(*parameter.limits)
@@ -50,7 +40,7 @@ def row(parameter):
 
 @pytest.mark.parametrize('row', [
     row(parameter) for parameter in (
-        *SIMULATOR_PARAMETERS, *COMPANION_PARAMETERS, *TORQUE_SOURCE_PARAMETERS,
-        *RECORDER_PARAMETERS)])
+        *SIMULATOR_PARAMETERS, *FRAME_PARAMETERS, *COMPANION_PARAMETERS,
+        *TORQUE_SOURCE_PARAMETERS, *RECORDER_PARAMETERS)])
 def test_parameter_is_described_as_it_is(row):
     assert row in DOCUMENT.read_text().splitlines()

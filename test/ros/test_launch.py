@@ -23,26 +23,24 @@ given, tell what would be started; where the real one is installed, it starts th
 import importlib.util
 import json
 from pathlib import Path
+import subprocess
 import sys
 from types import ModuleType, SimpleNamespace
 
+from ament_index_python.packages import PackageNotFoundError
 from closedloop_dynamics.bags.reading import Bag
-from closedloop_dynamics.config import shipped_names, shipped_path
-from closedloop_dynamics.mechanism.reader import read_mechanism
+from closedloop_dynamics.config import shipped_path
 from closedloop_dynamics.ros.simulator_parameters import SIMULATOR_PARAMETERS
-from closedloop_dynamics.urdf import urdf
 import pytest
 
 FOLDER = Path(__file__).resolve().parents[2] / 'launch'
 STAND_INS = {
     'launch': ['LaunchDescription'],
     'launch.actions': ['DeclareLaunchArgument', 'GroupAction', 'IncludeLaunchDescription',
-                       'LogInfo', 'OpaqueFunction', 'Shutdown'],
-    'launch.conditions': ['IfCondition'],
+                       'OpaqueFunction', 'Shutdown'],
     'launch.launch_description_sources': ['PythonLaunchDescriptionSource'],
-    'launch.substitutions': ['LaunchConfiguration', 'PythonExpression'],
+    'launch.substitutions': ['LaunchConfiguration'],
     'launch_ros': [], 'launch_ros.actions': ['Node'],
-    'launch_ros.parameter_descriptions': ['ParameterValue'],
 }
 
 
@@ -77,9 +75,16 @@ def stand_ins(monkeypatch):
 
 
 @pytest.fixture
-def simulate(stand_ins):
+def simulate(stand_ins, monkeypatch):
     """Return a function that tells what simulate.launch.py starts for arguments."""
     module = load('simulate')
+    installed = {'rviz2', 'tf2_ros'}
+
+    def prefix(package):
+        if package not in installed:
+            raise PackageNotFoundError(package)
+
+    monkeypatch.setattr(module, 'get_package_prefix', prefix)
     *declared, opaque = module.generate_launch_description().given[0]
     defaults = {each.given[0]: each.default_value for each in declared}
 
@@ -87,7 +92,7 @@ def simulate(stand_ins):
         assert set(arguments) <= set(defaults)
         return opaque.function({**defaults, **arguments})
 
-    nodes.declared = declared
+    nodes.declared, nodes.installed = declared, installed
     return nodes
 
 
@@ -105,7 +110,8 @@ def test_every_parameter_of_the_simulator_is_an_argument(simulate):
 def test_one_simulator_is_started_without_arguments(simulate):
     node, = simulate()
     assert (node.package, node.executable) == ('closedloop_dynamics', 'closedloop_simulator')
-    assert node.parameters == [{'scene': 'three_rrr', 'marker_frame': 'world'}]
+    assert node.parameters == [
+        {'scene': 'three_rrr', 'marker_frame': 'world', 'frame_prefix': ''}]
 
 
 def test_arguments_have_the_types_of_the_parameters(simulate):
@@ -114,7 +120,7 @@ def test_arguments_have_the_types_of_the_parameters(simulate):
     values = node.parameters[-1]
     assert values == {
         'scene': 'four_bar', 'publish_rate': 200.0, 'wait_for_command': True, 'step_count': 5,
-        'step_size': 0.001, 'mode': 'lockstep', 'marker_frame': 'world'}
+        'step_size': 0.001, 'mode': 'lockstep', 'marker_frame': 'world', 'frame_prefix': ''}
     assert {type(parameter.default) for parameter in SIMULATOR_PARAMETERS} == set(
         map(type, values.values()))
     assert node.namespace == 'cell'
@@ -129,7 +135,7 @@ def test_wrong_arguments_are_named(simulate, name, value, problem):
         simulate(**{name: value})
 
 
-@pytest.mark.parametrize('drive', ['three_rrr_circle', 'carpet_scraper_speed', 'three_rrr'])
+@pytest.mark.parametrize('drive', ['three_rrr_circle', 'carpet_scraper_speed'])
 def test_a_drive_brings_its_torque_source(simulate, drive):
     simulator, source = simulate(drive=drive)
     assert executables([simulator, source]) == [
@@ -148,34 +154,59 @@ def test_recorder_is_started_when_asked_for(simulate):
     assert recorder.parameters == [{'output': 'my_bag'}]
 
 
-@pytest.mark.parametrize('arguments, mechanism', [
-    ({'scene': 'slider_crank'}, 'slider_crank'), ({}, 'three_rrr'),
-    ({'drive': 'carpet_scraper_speed'}, 'carpet_scraper')])
-def test_viewer_is_given_the_machine(simulate, arguments, mechanism):
-    *_, publisher, viewer = simulate(rviz='true', **arguments)
-    assert executables([publisher, viewer]) == ['robot_state_publisher', 'rviz2']
-    description = publisher.parameters[0]['robot_description']
-    assert description.given[0] == urdf(read_mechanism(shipped_path('mechanisms', mechanism)))
+def test_viewer_is_given_the_frames_of_the_links(simulate):
+    simulator, viewer = simulate(rviz='true', scene='slider_crank')
+    assert executables([simulator, viewer]) == ['closedloop_simulator', 'rviz2']
+    assert simulator.parameters[-1]['publish_tf'] is True
     assert Path(viewer.arguments[-1]).is_file()
 
 
+@pytest.mark.parametrize('prefix, missing', [('', 'rviz2'), ('left/', 'rviz2'),
+                                             ('left/', 'tf2_ros')])
+def test_what_is_not_installed_is_named_before_anything_starts(simulate, prefix, missing):
+    simulate.installed.remove(missing)
+    with pytest.raises(RuntimeError, match=f"rviz:=true needs the package '{missing}'"):
+        simulate(rviz='true', frame_prefix=prefix)
+
+
+def test_launch_ends_with_the_simulator_and_fails_with_it(simulate):
+    simulator, = simulate()
+    action = simulator.on_exit(SimpleNamespace(returncode=0), None)
+    assert type(action).__name__ == 'Shutdown'
+    for code in (1, 2, -9):
+        with pytest.raises(RuntimeError, match=f'exit code {code}'):
+            simulator.on_exit(SimpleNamespace(returncode=code), None)
+
+
+def test_launch_files_need_no_more_than_names_of_the_package():
+    imports = [line for path in FOLDER.glob('*.py') for line in path.read_text().splitlines()
+               if line.startswith(('from closedloop_dynamics', 'import closedloop_dynamics'))]
+    assert imports
+    code = '\n'.join([
+        'import sys, warnings', 'warnings.simplefilter("error", RuntimeWarning)',
+        'sys.modules.update(numba=None, llvmlite=None, scipy=None, matplotlib=None)', *imports])
+    subprocess.run([sys.executable, '-c', code], cwd=FOLDER.parent, check=True)
+
+
 def test_two_mechanisms_stand_apart(stand_ins, simulate):
-    entities = load('two_mechanisms').generate_launch_description().given[0]
-    kinds = [type(each).__name__ for each in entities]
-    assert kinds.count('GroupAction') == 2
-    arguments = [dict(each.given[0][0].launch_arguments) for each in entities
-                 if type(each).__name__ == 'GroupAction']
+    *declared, opaque = load('two_mechanisms').generate_launch_description().given[0]
+    # Those of what is included are not shown as its own.
+    assert [each.given[0] for each in declared] == ['record', 'rviz', 'mode']
+    defaults = {each.given[0]: each.default_value for each in declared}
+    assert len(opaque.function(defaults)) == 2
+    groups, shown = [], []
+    for each in opaque.function({**defaults, 'rviz': 'true', 'record': 'true'}):
+        (groups if type(each).__name__ == 'GroupAction' else shown).append(each)
+    arguments = [dict(each.given[0][0].launch_arguments) for each in groups]
     assert [each['namespace'] for each in arguments] == ['left', 'right']
-    declared = {each.given[0] for each in simulate.declared}
     for each in arguments:
-        assert set(each) <= declared
-        assert each['marker_frame'] == f"{each['namespace']}/world"
-        plain = {key: value for key, value in each.items() if isinstance(value, str)}
-        assert executables(simulate(**plain)) == [
-            'closedloop_simulator', 'closedloop_torque_source']
-    shown = [each for each in entities if type(each).__name__ == 'Node']
-    assert {each.package for each in shown} == {'tf2_ros', 'rviz2'}
-    assert all('condition' in each.named for each in shown)
+        assert each['marker_frame'] == f"{each['frame_prefix']}world"
+        nodes = simulate(**each)
+        assert executables(nodes) == [
+            'closedloop_simulator', 'closedloop_torque_source', 'closedloop_recorder']
+        assert nodes[0].parameters[-1]['frame_prefix'] == f"{each['namespace']}/"
+        assert nodes[-1].parameters == [{'output': each['namespace']}]
+    assert [each.package for each in shown] == ['tf2_ros', 'tf2_ros', 'rviz2']
 
 
 def test_shipped_views_look_at_what_is_published():
@@ -199,16 +230,12 @@ def test_shipped_views_look_at_what_is_published():
                    for path in panel.get('paths', ()))
 
 
-def test_drives_and_controllers_have_names_of_their_own():
-    assert not set(shipped_names('controllers')) & set(shipped_names('drives'))
-
-
 @pytest.mark.slow
 @pytest.mark.timeout(600)
 def test_real_launch_starts_and_ends_all(tmp_path, monkeypatch, domain):
     """Needs ``launch`` and ``launch_ros``, and the package installed where they look."""
     pytest.importorskip('launch_ros', reason='comes with ROS 2 only')
-    from ament_index_python.packages import get_package_prefix, PackageNotFoundError
+    from ament_index_python.packages import get_package_prefix
     import launch
     from launch.launch_description_sources import PythonLaunchDescriptionSource
     try:

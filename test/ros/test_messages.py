@@ -43,7 +43,7 @@ class Recorder:
 @pytest.fixture
 def publisher(make_node):
     def build(joints=('a', 'b'), cuts=('cut_1', 'cut_2')):
-        publisher = StatePublisher(make_node(_Plain), joints, cuts)
+        publisher = StatePublisher(make_node(_Plain), joints, cuts, [f'at_{cut}' for cut in cuts])
         publisher._state_publisher = Recorder(JointState)
         publisher._force_publishers = [Recorder(WrenchStamped) for _ in cuts]
         return publisher
@@ -68,7 +68,7 @@ def check_state(publisher):
         wrenches = [each.messages[-1] for each in publisher._force_publishers]
         for each in (state, *wrenches):
             assert (each.header.stamp.sec, each.header.stamp.nanosec) == (12, 345_678_901)
-        assert [each.header.frame_id for each in wrenches] == ['world', 'world']
+        assert [each.header.frame_id for each in wrenches] == ['at_cut_1', 'at_cut_2']
         for each, (torque, x, y) in zip(wrenches, forces):
             wrench = each.wrench
             assert (wrench.torque.z, wrench.force.x, wrench.force.y) == (torque, x, y)
@@ -84,7 +84,7 @@ def test_messages_carry_the_state_and_one_stamp(publisher):
 
 def test_they_carry_the_same_where_the_serialised_bytes_are_not_understood(
         publisher, monkeypatch):
-    monkeypatch.setattr(WireMessage, '_place', lambda self, mark: None)
+    monkeypatch.setattr(WireMessage, '_places', lambda self, mark: [])
     publisher = publisher()
     check_state(publisher)
     assert publisher._state_publisher.raw == 0

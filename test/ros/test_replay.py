@@ -27,6 +27,25 @@ RECORDER = 'closedloop_recorder'
 SOURCE = 'closedloop_torque_source'
 
 
+def test_a_recording_that_began_late_is_met_exactly(processes, listener, tmp_path, capsys):
+    simulator = processes.start(SIMULATOR, scene='three_rrr', integrator='rk4')
+    simulator.wait_until_ready()
+    source = processes.start(SOURCE, mode='sine', amplitude='[8.0]', frequency='[2.0]')
+    states = listener.listen('/joint_states', JointState)
+    listener.wait(lambda: len(states) > 20 and max(np.abs(states[-1].velocity)) > 0.1, 'motion')
+    recorder = processes.start(RECORDER, output='bag').wait_until_ready()
+    for topic in ('scene', 'joint_states', 'replay_log'):
+        recorder.wait_for(f'/{topic}: first message')
+    count = len(states)
+    listener.wait(lambda: len(states) > count + 100, '1 s of motion')
+    for process in (source, simulator, recorder):
+        assert process.stop() == 0
+    assert main(['replay', str(tmp_path / 'bag')]) == 0
+    output = capsys.readouterr().out
+    assert 'the recording began later' in output
+    assert 'largest deviation of a position: 0 rad or m' in output
+
+
 @pytest.mark.parametrize('scene', ['three_rrr_payload_friction', 'carpet_scraper_on_carpet'])
 def test_a_recorded_run_is_met_exactly(processes, listener, tmp_path, capsys, scene):
     recorder = processes.start(RECORDER, output='bag').wait_until_ready()

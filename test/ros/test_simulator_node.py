@@ -193,6 +193,15 @@ def test_no_command_for_too_long_means_no_torque(node, monkeypatch):
     assert node.command.timed_out == 1
 
 
+def test_late_tick_holds_no_command_longer_than_the_timeout(node):
+    node.set_parameters([Parameter('command_timeout', value=0.025)])
+    advance(node, 0.0)
+    node.on_torque_command(Float64MultiArray(data=[1.0, 2.0, 3.0]))
+    # Six ticks were slept through; the command was taken in just now. It ends in the third period.
+    advance(node, 0.06)
+    assert [any(effort) for _, _, effort in node.seen[-6:]] == 2 * [True] + 4 * [False]
+
+
 def test_parameters_that_can_change_take_effect(node):
     results = node.set_parameters([
         Parameter('publish_rate', value=200.0), Parameter('real_time_factor', value=0.5)])
@@ -204,7 +213,8 @@ def test_parameters_that_can_change_take_effect(node):
 
 @pytest.mark.parametrize('name, value', [
     ('scene', 'four_bar'), ('mode', 'lockstep'), ('actuated_joints', ['theta_1']),
-    ('step_size', -0.002), ('integrator', 'magic'), ('integrator', 'scipy_radau'),
+    ('step_size', -0.002), ('step_size', 1e-320), ('integrator', 'magic'),
+    ('integrator', 'scipy_radau'),
     ('stabilisation', 'glue'), ('step_count', 0),
     ('publish_rate', 0.0), ('publish_rate', 1e9), ('real_time_factor', -1.0),
     ('real_time_factor', math.nan), ('command_timeout', -0.1), ('command_timeout', 'long')])
@@ -231,14 +241,32 @@ def test_parameters_are_described(node):
     ({'scene': 'no_such'}, 'no_such'),
     ({'scene': '/no/such/file.yaml'}, '/no/such/file.yaml'),
     ({'scene': 3}, "'scene': expected a string"),
-    ({'publish_rate': 100}, r"'publish_rate': expected a floating-point number \(write 5.0"),
+    ({'publish_rate': '100'}, "'publish_rate': expected a number"),
+    ({'publish_rate': True}, "'publish_rate': expected a number"),
+    ({'publish_rate': 0}, 'publish_rate out of range'),
     ({'publish_rate': 0.0}, 'publish_rate out of range'),
     ({'step_size': -0.001}, 'step_size out of range'),
+    ({'step_size': 1e-320}, 'step_size: expected a number of at least 1e-09'),
     ({'real_time_factor': math.inf}, 'real_time_factor out of range'),
 ])
 def test_node_with_a_bad_parameter_does_not_start(make_node, parameters, problem):
     with pytest.raises(StartError, match=problem):
         make_node(SimulatorNode, **parameters)
+
+
+def test_whole_numbers_serve_as_floating_point_ones(make_node):
+    node = make_node(SimulatorNode, scene='four_bar', publish_rate=200, marker_rate=0)
+    assert node.get_parameter('publish_rate').value == 200.0
+    for value in (50, 50.5):
+        result, = node.set_parameters([Parameter('publish_rate', value=value)])
+        assert result.successful, result.reason
+        assert node.get_parameter('publish_rate').value == value
+        assert node.get_parameter('publish_rate').type_ == Parameter.Type.DOUBLE
+    result, = node.set_parameters([Parameter('publish_rate', value=0)])
+    assert not result.successful and node.get_parameter('publish_rate').value == 50.5
+    # The other way round nothing is rounded.
+    result, = node.set_parameters([Parameter('step_count', value=2.0)])
+    assert not result.successful
 
 
 def test_step_size_of_the_parameter_is_used(make_node):

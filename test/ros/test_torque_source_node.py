@@ -16,10 +16,15 @@
 
 import math
 
+from builtin_interfaces.msg import Duration
+from closedloop_dynamics import Simulation
 from closedloop_dynamics.ros.process import StartError
 from closedloop_dynamics.ros.torque_source_node import TorqueSourceNode
 import pytest
+from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
+from trajectory_msgs.msg import JointTrajectory
+from trajectory_msgs.msg import JointTrajectoryPoint
 
 
 @pytest.fixture
@@ -157,6 +162,80 @@ def test_computed_torque_drives_all_actuated_joints_of_its_scene(make_source):
     assert source.sent[0] == pytest.approx(held.tolist(), rel=1e-6)
 
 
+def test_state_that_knows_nothing_of_the_last_command_is_skipped(make_source):
+    source = make_source(mode='pd', joints=['a'], kp=[10.0], target_position=[1.0])
+
+    def answer(time, effort):
+        message = state(time, [0.5, 0.0, 0.0], [0.0] * 3)
+        message.effort = [effort, 0.0, 0.0]
+        count = len(source.sent)
+        source.on_joint_states(message)
+        return source.sent[count:]
+
+    assert answer(1.0, 0.0) == [[5.0]]
+    # On its way; taken for lost; on its way again; in effect.
+    assert [answer(1.0 + 0.1 * i, 0.0) for i in range(1, 5)] == [[], [], [[5.0]], []]
+    assert answer(1.5, 5.0) == [[5.0]]
+    # A simulation that was reset begins anew.
+    assert answer(0.0, 0.0) == [[5.0]]
+
+
+def test_torque_limit_is_that_of_the_actuator(make_source):
+    source = make_source(mode='computed_torque', scene='carpet_scraper_dry', kp=[1e6])
+    assert source._law._limit.tolist() == [60.0]
+    source = make_source(mode='computed_torque', scene='carpet_scraper_dry', kp=[1e6],
+                         torque_limit=[7])
+    assert source._law._limit.tolist() == [7.0]
+
+
+def test_gains_change_while_it_runs(make_source):
+    source = make_source(mode='pd', joints=['a'], kp=[10.0], ki=[2.0], target_position=[1.0])
+    source.on_joint_states(state(0.0, [0.5, 0.0, 0.0], [0.0] * 3))
+    source.on_joint_states(state(1.0, [0.5, 0.0, 0.0], [0.0] * 3))
+    # 10 * 0.5 and the integral of 0.5 over a second.
+    assert source.sent[-1] == pytest.approx([5.0 + 1.0])
+    results = source.set_parameters([
+        Parameter('kp', value=[20]), Parameter('ki', value=[4.0]),
+        Parameter('kp', value=[1.0, 2.0]), Parameter('kd', value=[-1.0]),
+        Parameter('mode', value='sine'), Parameter('torque_limit', value=[10.5])])
+    assert [result.successful for result in results] == [True, True, False, False, False, True]
+    assert "'kp': expected 1 value" in results[2].reason
+    # The torque of the integral goes on from 1 and grows with the new gain; the limit holds.
+    source.on_joint_states(state(1.125, [0.5, 0.0, 0.0], [0.0] * 3))
+    assert source.sent[-1] == pytest.approx([10.5])
+    source.set_parameters([Parameter('torque_limit', value=[0.0])])
+    source.on_joint_states(state(1.125 + 1e-9, [0.5, 0.0, 0.0], [0.0] * 3))
+    assert source.sent[-1] == pytest.approx([10.0 + 1.0], abs=1e-6)
+
+
+def test_constant_torque_changes_while_it_runs(make_source):
+    source = make_source(joints=['a'], torque=[1.0])
+    source.set_parameters([Parameter('torque', value=[2])])
+    source._on_timer()
+    assert source.sent == [[2.0]]
+    result, = source.set_parameters([Parameter('torque', value=[math.inf])])
+    assert not result.successful
+
+
+def test_trajectory_from_a_topic_is_followed_from_the_next_state(make_source):
+    source = make_source(mode='computed_torque', scene='three_rrr', kp=[100.0], kd=[20.0])
+    machine = Simulation.from_scene('three_rrr')
+    goal = machine.position[[0, 5, 6]] + [0.1, -0.1, 0.05]
+    trajectory = JointTrajectory(
+        joint_names=list(reversed(source.joints)),
+        points=[JointTrajectoryPoint(positions=list(goal[::-1]),
+                                     time_from_start=Duration(nanosec=500_000_000))])
+    source.on_trajectory(trajectory)
+    # One that is refused changes nothing.
+    source.on_trajectory(JointTrajectory(joint_names=['theta_1'], points=trajectory.points))
+    while machine.time < 0.8:
+        source.on_joint_states(state(
+            machine.time, machine.position, machine.velocity, machine.joint_names))
+        machine.step(source.sent[-1], 0.01)
+    assert machine.position[[0, 5, 6]] == pytest.approx(goal, abs=1e-3)
+    assert machine.velocity[[0, 5, 6]] == pytest.approx([0.0] * 3, abs=2e-2)
+
+
 @pytest.mark.parametrize('parameters, problem', [
     ({'mode': 'wild'}, "'mode': expected one of constant, sine, pd, computed_torque; got 'wild'"),
     ({'mode': 'pd'}, 'needs a gain'),
@@ -164,8 +243,8 @@ def test_computed_torque_drives_all_actuated_joints_of_its_scene(make_source):
     ({'mode': 'computed_torque', 'kp': [1.0], 'scene': 'nowhere'}, 'nowhere'),
     ({'mode': 'computed_torque', 'kp': [1.0], 'scene': 'four_bar', 'joints': ['a']}, 'leave'),
     ({'mode': 'computed_torque', 'kp': [1.0] * 2, 'scene': 'four_bar'}, "'kp': expected 1 value"),
-    ({'torque': 5.0}, r'list of floating-point numbers \(write \[5.0\]'),
-    ({'torque': [5]}, 'list of floating-point numbers'),
+    ({'torque': 5.0}, r'list of numbers \(write \[5.0\]'),
+    ({'torque': ['a']}, 'list of numbers'),
     ({'torque': [math.nan]}, "'torque': expected finite"),
     ({'torque': [1.0, 2.0], 'joints': ['a', 'b', 'c']}, 'or 3 in the order a, b, c; got 2'),
     ({'mode': 'pd', 'kp': [-1.0]}, "'kp': expected no negative"),

@@ -18,13 +18,16 @@ from dataclasses import replace
 
 from closedloop_dynamics.mechanism.mechanism import Body, Joint, Mechanism
 from closedloop_dynamics.scene import load_scene, scene_names
+from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.studies.check import describe
 import pytest
 
+from ..reference.machines import parallelogram
 
-def paragraphs(described):
+
+def paragraphs(*described):
     """Return the lines of each paragraph by its heading."""
-    parts = [part.splitlines() for part in describe(described).split('\n\n')]
+    parts = [part.splitlines() for part in describe(*described).split('\n\n')]
     return {lines[0]: [line.strip() for line in lines[1:]] for lines in parts}
 
 
@@ -35,11 +38,11 @@ def cells(lines):
 
 def test_three_rrr_is_described_whole():
     scene = load_scene('three_rrr')
-    parts = paragraphs(scene)
+    parts = paragraphs(scene, Simulation(scene))
     assert list(parts) == [
         'Scene three_rrr', 'Mechanism three_rrr', 'Bodies: 7', 'Joints: 7', 'Subsystems: 3',
         'Cut joints: 2', 'Points: 4', 'Summary',
-        'Joints at the start, before the loops are closed: 7', 'Effects: 1', 'Method']
+        'Joints at the start, as given and with the loops closed: 7', 'Effects: 1', 'Method']
     assert parts['Scene three_rrr'] == [scene.description]
     assert parts['Mechanism three_rrr'] == [scene.mechanism.description]
     assert cells(parts['Bodies: 7'])[:2] == [
@@ -53,15 +56,18 @@ def test_three_rrr_is_described_whole():
         'cut_2', 'revolute', 'distal_3', '[-0.6, 0]', 'proximal_3', '[0.4, 0]', '2', '1, 3']
     assert cells(parts['Summary']) == [
         ['constraint equations', '4'],
-        ['degrees of freedom', '3 = 7 joints - 4 equations '
-                               '(the generic count; dependent equations leave more)'],
+        ['degrees of freedom', '3 = 7 joints - 4 equations'],
         ['elimination order', 'cut_1, cut_2; blocks of fill: 0'],
         ['actuated joints', 'theta_1, theta_6, theta_7']]
-    assert cells(parts['Joints at the start, before the loops are closed: 7'])[1:3] == [
-        ['theta_1', '1.0467', '0', 'held'], ['theta_2', '5.4206', '0', 'free']]
+    assert cells(parts['Joints at the start, as given and with the loops closed: 7'])[1:3] == [
+        ['theta_1', '1.0467', '0', 'held', '1.0467', '0'],
+        ['theta_2', '5.4206', '0', 'free', '5.42081', '0']]
+    given = 'Joints at the start, before the loops are closed: 7'
+    assert cells(paragraphs(scene)[given])[2] == ['theta_2', '5.4206', '0', 'free']
     assert cells(parts['Effects: 1'])[1:] == [['gravity', 'gravity', 'acceleration = [0, -9.81]']]
     assert cells(parts['Method']) == [
-        ['integrator', 'rk4'], ['step size', '0.001 s'], ['stabilisation', 'projection'],
+        ['integrator', 'auto'], ['accuracy', '1e-06 rad or m within a second'],
+        ['step size', '0.001 s'], ['stabilisation', 'projection'],
         ['formulation', 'subsystem']]
 
 
@@ -91,8 +97,7 @@ def test_tree_without_cuts_or_drives():
     assert not any(title.startswith('Points') for title in parts)
     assert dict(cells(parts['Summary'])) == {
         'constraint equations': '0',
-        'degrees of freedom': '1 = 1 joints - 0 equations '
-                              '(the generic count; dependent equations leave more)',
+        'degrees of freedom': '1 = 1 joints - 0 equations',
         'elimination order': 'none; blocks of fill: 0', 'actuated joints': 'none'}
 
 
@@ -111,3 +116,8 @@ def test_every_shipped_scene_is_described_in_plain_columns(name):
     assert text.isascii() and not text.endswith('\n')
     for joint in load_scene(name).mechanism.joints:
         assert joint.name in text
+
+
+def test_an_over_constrained_mechanism_is_told_what_can_move():
+    assert dict(cells(paragraphs(parallelogram(rockers=4))['Summary']))['degrees of freedom'] == (
+        '1 = 6 joints - 5 independent equations (3 of 8 repeat others)')

@@ -14,9 +14,9 @@
 
 """The joints lead the point round the circle, and their rates are those of their positions."""
 
-from closedloop_dynamics.simulation import Simulation
+from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.studies.circle import Circle, CircleError
-from closedloop_dynamics.studies.motion import body_poses, named_point, pose_of
+from closedloop_dynamics.visual.motion import body_poses, named_point, pose_of
 import numpy as np
 import pytest
 

@@ -108,9 +108,9 @@ def test_rates_of_all_driven_joints_are_kept():
 
 @pytest.mark.parametrize('arguments, reason', [
     (['three_rrr_horizontal'], 'lists no effects'),
-    (['three_rrr', '--rate', 'theta_1=1'], 'theta_6'),
+    (['three_rrr', '--joint-rate', 'theta_1=1'], 'theta_6'),
     (['three_rrr', '--torque', 'theta_2=1'], 'theta_2'),
-    (['four_bar', '--torque', 'crank_joint=1', '--rate', 'crank_joint=1'], 'got both')])
+    (['four_bar', '--torque', 'crank_joint=1', '--joint-rate', 'crank_joint=1'], 'got both')])
 def test_impossible_questions_are_refused(arguments, reason, capsys):
     assert main(['effects', *arguments]) == 2
     assert reason in capsys.readouterr().err

@@ -27,8 +27,7 @@ from closedloop_dynamics.scene import load_scene
 from closedloop_dynamics.studies.formulation_errors import exact_dynamics
 from closedloop_dynamics.studies.formulations import (
     exponent, growing_case, Row, scene_case, study_formulations, VARIANTS)
-from closedloop_dynamics.studies.formulations_picture import growth
-from closedloop_dynamics.studies.formulations_report import growth_text, table
+from closedloop_dynamics.studies.formulations_report import growth, growth_text, table
 import numpy as np
 import pytest
 

@@ -16,7 +16,7 @@
 
 from closedloop_dynamics.errors import SimulationError
 from closedloop_dynamics.scene import load_scene
-from closedloop_dynamics.simulation import Simulation
+from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.studies.run import columns, Report, row, run
 import numpy as np
 import pytest

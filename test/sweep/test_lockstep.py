@@ -23,7 +23,7 @@ from closedloop_dynamics.integration.advance import DONE
 from closedloop_dynamics.integration.lockstep import LANES
 from closedloop_dynamics.recording import QUANTITIES
 from closedloop_dynamics.recording_together import Together
-from closedloop_dynamics.simulation import Simulation
+from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest
 
@@ -69,7 +69,7 @@ def assert_each_as_alone(simulation, result, torques, **arguments):
     ('three_rrr', {'integrator': 'semi_implicit_euler', 'stabilisation': 'velocity_projection'}),
     ('carpet_scraper', {}), ('slider_crank', {'stabilisation': 'baumgarte'})])
 def test_runs_together_are_those_alone(packs, scene, method):
-    simulation = Simulation.from_scene(scene, **method)
+    simulation = Simulation.from_scene(scene, **{'integrator': 'rk4', **method})
     torques = torques_for(simulation, LANES + 3, 40)
     result = simulation.rollout(torques, quantities=QUANTITIES, threads=1)
     assert packs == [LANES, 3]
@@ -77,7 +77,7 @@ def test_runs_together_are_those_alone(packs, scene, method):
 
 
 def test_lanes_differ_in_masses_lengths_and_starts(packs):
-    simulation = Simulation.from_scene('four_bar')
+    simulation = Simulation.from_scene('four_bar', integrator='rk4')
     torques = torques_for(simulation, 5, 60)
     arguments = {
         'parameters': {'mechanism.bodies.crank.mass': np.linspace(0.5, 2.0, 5),
@@ -90,7 +90,7 @@ def test_lanes_differ_in_masses_lengths_and_starts(packs):
 
 
 def test_what_fails_in_one_lane_is_run_alone(packs):
-    simulation = Simulation.from_scene('four_bar')
+    simulation = Simulation.from_scene('four_bar', integrator='rk4')
     torques = torques_for(simulation, 4, 30)
     torques[2, 10:] = 1e300
     result = simulation.rollout(torques, quantities=QUANTITIES)
@@ -100,7 +100,7 @@ def test_what_fails_in_one_lane_is_run_alone(packs):
 
 
 def test_what_fails_to_start_leaves_the_others_together(packs):
-    simulation = Simulation.from_scene('four_bar')
+    simulation = Simulation.from_scene('four_bar', integrator='rk4')
     result = simulation.rollout(duration=0.01, parameters={
         'mechanism.bodies.crank.mass': [1.0, -1.0, 2.0, 3.0]})
     assert packs == [3]
@@ -109,14 +109,14 @@ def test_what_fails_to_start_leaves_the_others_together(packs):
 
 
 def test_other_steps_are_not_made_together(packs):
-    simulation = Simulation.from_scene('four_bar')
+    simulation = Simulation.from_scene('four_bar', integrator='rk4')
     result = simulation.rollout(duration=0.01, parameters={
         'method.step_size': [1e-3, 5e-4, 2.5e-4]})
     assert packs == [None] and result.failures == {}
 
 
 def test_angles_beyond_the_polynomials_are_not_for_lanes():
-    simulation = Simulation.from_scene('four_bar', stabilisation='none')
+    simulation = Simulation.from_scene('four_bar', integrator='rk4', stabilisation='none')
     system, driver = simulation.system, simulation.monitor.driver
     pack = lockstep.build_pack([system])
     for turns, status in ((2e5, DONE), (3e5, lockstep.SINGULAR)):
@@ -127,4 +127,5 @@ def test_angles_beyond_the_polynomials_are_not_for_lanes():
         motion = np.zeros((2, LANES, 2, 3))
         assert lockstep.march(
             pack, driver.tableau, driver.stabilisation, state, 1e-3, np.zeros((1, 3 * LANES)),
-            1, 1, 1, np.zeros((len(driver.scratch), 6 * LANES)), *motion) == status
+            1, 1, 1, np.zeros((len(driver.scratch), 6 * LANES)), *motion,
+            np.zeros(LANES)) == status

@@ -24,7 +24,7 @@ import time
 from closedloop_dynamics.cli import main
 from closedloop_dynamics.mechanism.fields import FieldError
 from closedloop_dynamics.scene import load_scene
-from closedloop_dynamics.simulation import Simulation
+from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.sweep import sweep
 from closedloop_dynamics.sweep.storage import StorageError
 import numpy as np
@@ -60,7 +60,8 @@ def test_results_are_those_of_single_simulations(netcdf):
     scene = load_scene('three_rrr')
     torques = np.random.default_rng(0).normal(size=(3, 10, 3))
     sweep(scene, {'effects.gravity.acceleration.1': [-9.81, -1.62, 0.0]}, netcdf, duration=0.1,
-          torques=torques, keep=('position', 'constraint_forces', 'energy'), workers=1)
+          torques=torques, workers=1,
+          keep=('position', 'constraint_forces', 'joint_forces', 'points', 'energy'))
     data = read(netcdf)
     assert data['status'].tolist() == [1, 1, 1]
     np.testing.assert_array_equal(data['time'], np.arange(11) / 100)
@@ -71,9 +72,9 @@ def test_results_are_those_of_single_simulations(netcdf):
         forces, initial = [], simulation.energy
         for instant in range(11):
             simulation.step(torques[sample][max(instant - 1, 0)], 0.01 if instant else 0.0)
-            np.testing.assert_array_equal(data['position'][sample, instant], simulation.position)
-            np.testing.assert_array_equal(
-                data['constraint_forces'][sample, instant], simulation.constraint_forces)
+            for name in ('position', 'constraint_forces', 'joint_forces', 'points'):
+                np.testing.assert_array_equal(
+                    data[name][sample, instant], getattr(simulation, name))
             assert data['energy'][sample, instant] == simulation.energy
             forces.append(simulation.constraint_forces)
         np.testing.assert_array_equal(data['final_velocity'][sample], simulation.velocity)

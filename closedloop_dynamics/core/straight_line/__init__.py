@@ -22,9 +22,9 @@ their address (``linkage``): one more second at the first start, a third of the 
 
 """
 
-from .linkage import available
+from .linkage import ALWAYS, available, REFINED, take
 
-__all__ = ['available', 'relink']
+__all__ = ['available', 'refined', 'relink']
 
 
 def relink(model, linkage):
@@ -41,5 +41,23 @@ def relink(model, linkage):
     """
     # Here, as there may be no compiler.
     from .routines import addresses
-    for which, address in addresses(model).items():
-        linkage[which] = address
+    take(linkage, addresses(model, ALWAYS))
+
+
+def refined(model):
+    """
+    Return the addresses of a model's routines with refinement.
+
+    Parameters
+    ----------
+    model : core.types.Model
+        Constant arrays of the mechanism.
+
+    Returns
+    -------
+    dict of int to int
+
+    """
+    # Here, as there may be no compiler.
+    from .routines import addresses
+    return addresses(model, REFINED)

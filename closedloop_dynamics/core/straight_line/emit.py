@@ -14,11 +14,7 @@
 
 """From unrolled arithmetic to machine code, by the LLVM that numba brings along."""
 
-import functools
 import hashlib
-import os
-import pathlib
-import tempfile
 
 from llvmlite import binding, ir
 
@@ -26,6 +22,7 @@ from . import sincos
 from .tape import (
     ADD, BOTH, CHOOSE, COSINE, DIVIDE, GREATER_EQUAL, LESS, LOAD, MULTIPLY, NEGATE, SINE,
     SUBTRACT)
+from .. import cache
 
 _DOUBLE, _WORD = ir.DoubleType(), ir.IntType(64)
 _FUNCTION = ir.FunctionType(_WORD, [_WORD.as_pointer()] + 2 * [_DOUBLE.as_pointer()])
@@ -174,16 +171,6 @@ def _needed_for(operations, places):
     return found
 
 
-@functools.cache
-def _sources():
-    """Return a digest of all kernels: unrolled code is as old as they are."""
-    here = pathlib.Path(__file__).parent
-    digest = hashlib.sha256()
-    for path in sorted([*here.glob('*.py'), *here.parent.glob('*.py')]):
-        digest.update(path.read_bytes())
-    return digest.hexdigest()
-
-
 # Machine code in use: it must stay where it is as long as the process lives.
 _engines = []
 
@@ -213,12 +200,11 @@ def machine_code(key, routines, writer=Writer):
     cpu, features = binding.get_host_cpu_name(), binding.get_host_cpu_features().flatten()
     machine = target.create_target_machine(cpu=cpu, features=features, opt=3)
     digest = hashlib.sha256(repr(
-        (key, writer.__name__, _sources(), cpu, features, binding.llvm_version_info)
-    ).encode()).hexdigest()[:32]
-    path = os.path.join(_cache_directory(), f'straight_line.{digest}.o')
+        (key, writer.__name__, cpu, features)).encode()).hexdigest()[:32]
+    name = f'straight_line.{digest}.o'
     # An engine needs a module to start from; the code itself is added as an object.
     engine = binding.create_mcjit_compiler(binding.parse_assembly(''), machine)
-    code = _read(path)
+    code = cache.read(name)
     if code is None:
         module = ir.Module()
         module.triple = target.triple
@@ -227,37 +213,8 @@ def machine_code(key, routines, writer=Writer):
         parsed = binding.parse_assembly(str(module))
         parsed.verify()
         code = machine.emit_object(parsed)
-        _write(path, code)
+        cache.write(name, code)
     engine.add_object_file(binding.ObjectFileRef.from_data(code))
     engine.finalize_object()
     _engines.append(engine)
     return engine.get_function_address
-
-
-def _cache_directory():
-    from numba import config
-    if config.CACHE_DIR:
-        return config.CACHE_DIR
-    return os.path.join(os.environ.get('XDG_CACHE_HOME') or os.path.expanduser('~/.cache'),
-                        'closedloop_dynamics')
-
-
-def _read(path):
-    """Return cached code, None where there is none that is whole."""
-    try:
-        with open(path, 'rb') as file:
-            digest, code = file.read(32), file.read()
-    except OSError:
-        return None
-    return code if hashlib.sha256(code).digest() == digest else None
-
-
-def _write(path, code):
-    """Keep code for later processes; without a place to keep it, each compiles its own."""
-    try:
-        os.makedirs(os.path.dirname(path), exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=os.path.dirname(path), delete=False) as file:
-            file.write(hashlib.sha256(code).digest() + code)
-        os.replace(file.name, path)
-    except OSError:
-        pass

@@ -36,14 +36,16 @@ except ImportError:
 # Addresses of unrolled routines: of a state the accelerations and multipliers; the outward
 # recursion alone, and what follows it; the corrections that close the loops.
 (EVALUATION, OUTWARD, ACCELERATION, CORRECTION,
- # Addresses of the rank-revealing path, which need not be compiled before it is needed.
- CAREFUL_ACCELERATION, CAREFUL_POSITION, CAREFUL_VELOCITY) = range(7)
-# How many of the routines, the first ones, are unrolled.
-UNROLLED = 4
+ # The latter two with refinement, which are not compiled before they are needed.
+ REFINED_ACCELERATION, REFINED_CORRECTION,
+ # Addresses of the rank-revealing path.
+ CAREFUL_ACCELERATION, CAREFUL_POSITION, CAREFUL_VELOCITY) = range(9)
+ALWAYS = (EVALUATION, OUTWARD, ACCELERATION, CORRECTION)
+REFINED = (REFINED_ACCELERATION, REFINED_CORRECTION)
 # Addresses of arrays.
 (BODY, GRAVITY, CUT_POINT, TAU, BAUMGARTE, QDD, LAM, HEALTH, WORK_BODY, CLOSURE, CLOSURE_RATE,
- CORRECTIONS) = range(7, 19)
-LINKAGE_COLUMNS = 19
+ CORRECTIONS) = range(9, 21)
+LINKAGE_COLUMNS = 21
 # States side by side in the vectors of ``lanes``: one of AVX-512, two of AVX2, four of NEON.
 LANES = 8
 
@@ -149,9 +151,9 @@ def run(linkage, which, q, qd):
     return 1
 
 
-def connect(arrays, careful):
+def connect(arrays, careful, find):
     """
-    Return a linkage without unrolled routines.
+    Return a linkage without unrolled routines, but for those compiled when they are called.
 
     Parameters
     ----------
@@ -159,6 +161,8 @@ def connect(arrays, careful):
         From the places BODY to CORRECTIONS; they must live as long as the linkage is used.
     careful : dict of int to callable
         From CAREFUL_ACCELERATION, CAREFUL_POSITION and CAREFUL_VELOCITY; called with q and qd.
+    find : callable
+        Returns the addresses of REFINED_ACCELERATION and REFINED_CORRECTION, as ``take`` has them.
 
     Returns
     -------
@@ -169,13 +173,43 @@ def connect(arrays, careful):
     for place, array in arrays.items():
         linkage[place] = array.ctypes.data
     nv = len(arrays[QDD])
-    kept = {}
+    kept = {place: _SIGNATURE(_compiling(find, place)) for place in REFINED}
     for place, function in careful.items():
         kept[place] = _SIGNATURE(_on_arrays(function, nv))
-        linkage[place] = ctypes.cast(kept[place], ctypes.c_void_p).value
+    for place, routine in kept.items():
+        linkage[place] = ctypes.cast(routine, ctypes.c_void_p).value
     _callbacks[id(linkage)] = kept, careful
     weakref.finalize(linkage, _callbacks.pop, id(linkage))
     return linkage
+
+
+def take(linkage, routines):
+    """
+    Give a linkage other unrolled routines; those with refinement are found when called.
+
+    Parameters
+    ----------
+    linkage : ndarray of int
+        As ``connect`` returned it; changed in place.
+    routines : dict of int to int
+        Addresses of EVALUATION, OUTWARD, ACCELERATION and CORRECTION.
+
+    """
+    for place, address in routines.items():
+        linkage[place] = address
+    for place in REFINED:
+        linkage[place] = ctypes.cast(
+            _callbacks[id(linkage)][0][place], ctypes.c_void_p).value
+
+
+def _compiling(find, place):
+    """Return a function that finds a routine, links it in its own place, and calls it."""
+    def called(linkage, q, qd):
+        address = find()[place]
+        (ctypes.c_int64 * LINKAGE_COLUMNS).from_address(linkage)[place] = address
+        return _SIGNATURE(address)(linkage, q, qd)
+
+    return called
 
 
 def _on_arrays(function, nv):

@@ -19,13 +19,16 @@ import numpy as np
 from . import emit
 from .linkage import (
     ACCELERATION, BAUMGARTE, BODY, CLOSURE, CLOSURE_RATE, CORRECTION, CORRECTIONS, CUT_POINT,
-    EVALUATION, GRAVITY, HEALTH, LAM, OUTWARD, QDD, TAU, WORK_BODY)
+    EVALUATION, GRAVITY, HEALTH, LAM, OUTWARD, QDD, REFINED_ACCELERATION, REFINED_CORRECTION, TAU,
+    WORK_BODY)
 from .tape import LOAD, Tape, unrolled
-from .. import articulated_inertia, elimination, forward_dynamics, kinematics, loop_closure
+from .. import (
+    articulated_inertia, elimination, forward_dynamics, kinematics, loop_closure, refinement)
 from ..types import allocate, AX, AY, COS, RHS, TYPE, Workspace
 
 NAMES = {EVALUATION: 'evaluation', OUTWARD: 'outward', ACCELERATION: 'acceleration',
-         CORRECTION: 'correction'}
+         CORRECTION: 'correction', REFINED_ACCELERATION: 'refined_acceleration',
+         REFINED_CORRECTION: 'refined_correction'}
 
 
 def topology(model):
@@ -50,7 +53,7 @@ def topology(model):
 _addresses = {}
 
 
-def addresses(model, which=tuple(NAMES), writer=emit.Writer):
+def addresses(model, which, writer=emit.Writer):
     """
     Return the addresses of a mechanism's routines, compiled where nobody has before.
 
@@ -59,7 +62,7 @@ def addresses(model, which=tuple(NAMES), writer=emit.Writer):
     model : Model
         Constant arrays of the mechanism.
     which : tuple of int
-        From EVALUATION, OUTWARD, ACCELERATION and CORRECTION.
+        Places in the linkage.
     writer : type
         Who writes them.
 
@@ -68,7 +71,7 @@ def addresses(model, which=tuple(NAMES), writer=emit.Writer):
     dict of int to int
 
     """
-    key = topology(model), writer.__name__
+    key = topology(model), which, writer.__name__
     if key not in _addresses:
         find = emit.machine_code(
             key, lambda: [_Unrolling(model).routine(one) for one in which], writer)
@@ -112,43 +115,47 @@ class _Unrolling:
     def evaluation(self):
         """Accelerations and multipliers of a state where nothing but gravity and torques acts."""
         unrolled(kinematics.outward)(self.model, self.q, self.qd, self.work)
-        self.accelerate()
+        self.accelerate(forward_dynamics)
 
     def outward(self):
         """Poses, velocities and forces of inertia: what effects work on."""
         unrolled(kinematics.outward)(self.model, self.q, self.qd, self.work)
         self.store(WORK_BODY, self.work.body)
 
-    def acceleration(self):
+    def acceleration(self, by=forward_dynamics):
         """Accelerations and multipliers after ``outward`` and the effects."""
         body = self.symbols(WORK_BODY, self.work.body.shape)
         self.work.body[1:] = body[1:]
         # Of the ground, only gravity is not known already.
         self.work.body[0, COS] = 1.0
         self.work.body[0, AX:AY + 1] = body[0, AX:AY + 1]
-        self.accelerate()
+        self.accelerate(by)
         self.store(CLOSURE, self.work.closure)
         self.store(CLOSURE_RATE, self.work.closure_rate)
 
-    def accelerate(self):
-        """Unroll the forward dynamics."""
+    def refined_acceleration(self):
+        """Do as ``acceleration`` does, with refinement."""
+        self.acceleration(refinement)
+
+    def accelerate(self, by):
+        """Unroll the forward dynamics of one of the modules."""
         baumgarte = self.symbols(BAUMGARTE, (1,))[0]
         tau, qdd, lam = self.symbols(TAU, (self.nv,)), _zeros(self.nv), _zeros(self.nc)
-        unrolled(forward_dynamics.accelerate)(
-            self.model, self.work, tau, baumgarte, qdd, lam)
+        bool(unrolled(by.accelerate)(self.model, self.work, tau, baumgarte, qdd, lam))
         self.store(QDD, qdd)
         self.store(LAM, lam)
         self.store(HEALTH, self.work.health)
 
-    def correction(self):
+    def refined_correction(self):
+        """Do as ``correction`` does, for links much lighter than others."""
+        self.correction(refinement)
+
+    def correction(self, by=forward_dynamics):
         """Least changes of coordinates and of rates that close the loops, one after the other."""
         model, work = self.model, self.work
         known = {}
         unrolled(kinematics.outward, known)(model, self.q, self.qd, work)
-        unrolled(articulated_inertia.inward, known)(model, _zeros(self.nv), work)
-        unrolled(loop_closure.update, known)(model, work, True)
-        unrolled(elimination.assemble, known)(model, work)
-        bool(unrolled(elimination.factorize, known)(model, work))
+        bool(unrolled(by.prepare, known)(model, _zeros(self.nv), work))
         for n, error in enumerate((work.closure, work.closure_rate)):
             right, out = -error, _zeros(self.nv)
             unrolled(elimination.solve, known)(model, work, right)

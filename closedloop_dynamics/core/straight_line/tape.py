@@ -181,6 +181,8 @@ def cosine(angle):
 
 def chosen(condition, yes, no):
     """Return one of two values, as ``compiled.choose`` does."""
+    if isinstance(condition, bool):
+        return yes if condition else no
     return condition._put(CHOOSE, condition, yes, no)
 
 

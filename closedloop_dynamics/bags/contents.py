@@ -1,0 +1,69 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""What a bag holds, and what is damaged in it."""
+
+from dataclasses import dataclass
+from typing import Optional
+
+
+@dataclass(frozen=True)
+class Topic:
+    """One topic: name, type, the text of the type's definition, offered QoS (YAML), type hash."""
+
+    name: str
+    type: str  # noqa: A003
+    definition: str
+    profiles: str = ''
+    digest: str = ''
+
+
+@dataclass(frozen=True)
+class Serialised:
+    """One message of a bag, as it was serialised, with its time of reception [ns]."""
+
+    topic: Topic
+    time: int
+    data: bytes
+
+
+@dataclass
+class Damage:
+    """
+    A place of a bag that cannot be read as it was written.
+
+    Attributes
+    ----------
+    place : str
+        File, and byte or message in it.
+    what : str
+        What is wrong there.
+    lost : int or None
+        Messages lost by it; None where that is not known.
+
+    """
+
+    place: str
+    what: str
+    lost: Optional[int] = None
+
+    def __str__(self):
+        """Return it as a line for the user."""
+        return f'{self.place}: {self.what}; {messages(self.lost)} lost'
+
+
+def messages(count):
+    """Return a number of messages in words; None: not known."""
+    return (f'{"an unknown number of" if count is None else count or "no"} '
+            f'message{"s" * (count != 1)}')

@@ -1,0 +1,109 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The sub-commands of ``closedloop``, and its command line made of them."""
+
+import os
+import sys
+import warnings
+
+from . import (
+    accuracy, animate, check, effects, formulations, plot, recover, replay, simulate, stability,
+    sweep, urdf)
+from .command import HelpfulParser, UsageError
+from ..errors import SimulationError
+from ..mechanism.mechanism import MechanismError
+from ..scene import SceneError
+from ..signals import Interrupted, program_watch
+
+COMMANDS = (accuracy.COMMAND, animate.COMMAND, check.COMMAND, effects.COMMAND,
+            formulations.COMMAND, plot.COMMAND, recover.COMMAND, replay.COMMAND, simulate.COMMAND,
+            stability.COMMAND, sweep.COMMAND, urdf.COMMAND)
+
+FAILED, USAGE, BROKEN_PIPE = 1, 2, 141
+DESCRIPTION = """\
+Simulate planar mechanisms with closed kinematic loops.
+
+A mechanism and a scene (a mechanism, its start, what acts on it) are YAML files.
+The shipped ones go by their names; anything else is the path of a file:
+
+  closedloop check three_rrr
+  closedloop simulate three_rrr --duration 2 --torque theta_1=5 --output run.csv
+"""
+EPILOG = """\
+Exit codes: 0 done; 1 the simulation failed; 2 a wrong option, scene or mechanism;
+130 interrupted.
+"""
+
+
+def parser():
+    """Return the parser of the whole command line."""
+    whole = HelpfulParser(prog='closedloop', description=DESCRIPTION, epilog=EPILOG)
+    commands = whole.add_subparsers(
+        title='commands', metavar='COMMAND', required=True, parser_class=HelpfulParser)
+    for command in COMMANDS:
+        one = commands.add_parser(
+            command.name, help=command.summary, description=command.description,
+            epilog=command.epilog)
+        command.add_arguments(one)
+        one.set_defaults(run=command.run, prog=one.prog)
+    return whole
+
+
+def run(argv):
+    """
+    Run ``closedloop``.
+
+    Parameters
+    ----------
+    argv : list of str or None
+        Arguments without the program's name; None: those of this process.
+
+    Returns
+    -------
+    int
+        Exit code.
+
+    """
+    for stream in (sys.stdout, sys.stderr):
+        # Names of files and texts of scenes need not be what the terminal can show.
+        stream.reconfigure(errors='backslashreplace')
+    arguments = parser().parse_args(argv)
+    with warnings.catch_warnings():
+        warnings.showwarning = lambda message, *where: _complain(arguments.prog, message, None)
+        with program_watch.interrupting():
+            return _run(arguments)
+
+
+def _run(arguments):
+    """Run a command; return the exit code."""
+    try:
+        code = arguments.run(arguments)
+        sys.stdout.flush()
+        return code
+    except (SceneError, MechanismError, UsageError) as error:
+        return _complain(arguments.prog, error, USAGE)
+    except BrokenPipeError:
+        # Whoever read the output has enough; what is left goes nowhere when Python ends.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return BROKEN_PIPE
+    except (SimulationError, OSError) as error:
+        return _complain(arguments.prog, error, FAILED)
+    except Interrupted as interrupt:
+        return _complain(arguments.prog, 'interrupted', 128 + interrupt.args[0])
+
+
+def _complain(prog, message, code):
+    print(f'{prog}: {message}', file=sys.stderr)
+    return code

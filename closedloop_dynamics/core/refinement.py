@@ -1,0 +1,240 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+The block elimination with iterative refinement, for links much lighter than others.
+
+Entered after a small pivot. In the mass metric the closure equations of a light link are nearly
+parallel: all of them move it. So the pivots are formed once more for the angles of the bodies and
+the slides alone, without masses. If one is small there, too, a singular configuration is near.
+If not, the configuration is regular and only the arithmetic has lost digits: what is left of the
+closure accelerations is computed directly, as J qdd + Jdot qd, and eliminated with the
+same factors.
+
+A joint without any inertia gets a small one as a stand-in, whose effect the same
+refinement removes.
+
+"""
+
+from . import articulated_inertia, elimination, loop_closure
+from .compiled import choose, inlined
+from .forward_dynamics import constraint_right_side
+from .types import (
+    CUT_PRISMATIC, CUT_ROW, CUT_TYPE, DINV, DOF, DZ, PRISMATIC, RHS, ROW, ROWS, SLOT_A, SLOT_END,
+    SQUARE, STAND_IN, TOTAL, TYPE)
+
+# The error shrinks each time by the rounding of the smallest pivot: twice is enough for masses
+# that differ by 12 decades.
+REFINEMENTS = 2
+# What is left before the last refinement, of the closure accelerations against their terms and of
+# the forces on joints without inertia against theirs; and, where nothing accelerates, of the
+# closure accelerations against those without constraint forces.
+CONVERGED = 1e-7
+ROUNDING = 1e-13
+# Mobility of a joint without inertia, against that of the lightest one beside it.
+VERY_MOBILE = 1e8
+
+
+@inlined
+def _geometry(model, work):
+    """
+    Factor J W J^T for the angles of the bodies and the slides, weighted by W.
+
+    Angles count by the longest lever of any in the same loops, so that they compare with
+    slides. Keeps J, by slots, in ``lever``. Returns the smallest relative pivot.
+
+    """
+    tree, cut, slot_body = model.tree, model.cut, model.slot_body
+    response, scaled, lever, joint = (
+        work.response, work.response_scaled, work.lever, work.joint)
+    loop_closure.update(model, work, loop_closure.LEVERS)
+    for i in range(tree.shape[0]):
+        joint[i, SQUARE] = 0.0
+    for a in range(cut.shape[0]):
+        most = 0.0
+        for slot in range(cut[a, SLOT_A], cut[a, SLOT_END]):
+            if tree[slot_body[slot], TYPE] != PRISMATIC:
+                square = response[slot, 0] * response[slot, 0]
+                if cut[a, CUT_TYPE] != CUT_PRISMATIC:
+                    square += response[slot, 1] * response[slot, 1]
+                most = max(most, square)
+        for slot in range(cut[a, SLOT_A], cut[a, SLOT_END]):
+            i = slot_body[slot]
+            joint[i, SQUARE] = (
+                1.0 if tree[i, TYPE] == PRISMATIC else max(joint[i, SQUARE], most))
+    for a in range(cut.shape[0]):
+        for slot in range(cut[a, SLOT_A], cut[a, SLOT_END]):
+            for k in range(cut[a, ROWS]):
+                lever[slot, k] = response[slot, k]
+                scaled[slot, k] = response[slot, k] / joint[slot_body[slot], SQUARE]
+    elimination.assemble(model, work)
+    return elimination.factorize(model, work)
+
+
+@inlined
+def _stand_in(model, work):
+    """
+    Give joints a small inertia where they have none.
+
+    Returns whether cut forces act on all of these: nothing else can hold them.
+
+    """
+    body, joint, slot_body = work.body, work.joint, model.slot_body
+    most, held = 0.0, 1.0
+    for slot in range(slot_body.shape[0]):
+        i = slot_body[slot]
+        most = max(most, body[i, DINV] * joint[i, SQUARE])
+    for i in range(1, body.shape[0]):
+        mobility = VERY_MOBILE * most / joint[i, SQUARE]
+        heavy = body[i, DINV] > 0.0
+        joint[i, STAND_IN] = choose(heavy, 0.0, 1.0 / mobility)
+        body[i, DINV] = choose(heavy, body[i, DINV], mobility)
+        held = choose(heavy, held, choose(joint[i, SQUARE] > 0.0, held, 0.0))
+    return held > 0.0
+
+
+@inlined
+def prepare(model, tau, work):
+    """
+    Judge the configuration, and factor the constraint matrix where it is regular.
+
+    Parameters
+    ----------
+    model : Model
+        Constant topology and geometry.
+    tau : ndarray, shape (nv,)
+        Joint torques [N m] and forces [N].
+    work : Workspace
+        After ``kinematics.outward``, afresh, and the applied forces. ``health`` tells the smallest
+        relative pivot, without masses.
+
+    Returns
+    -------
+    bool
+        Whether it is regular.
+
+    """
+    smallest = _geometry(model, work)
+    elimination.note(model, work, smallest)
+    if not elimination.good(model, smallest, elimination.POOR_PIVOT):
+        return False
+    articulated_inertia.inward(model, tau, work, True)
+    if not _stand_in(model, work):
+        return False
+    loop_closure.update(model, work, loop_closure.REDUCED)
+    elimination.assemble(model, work)
+    return elimination.factorize(model, work) > 0.0
+
+
+@inlined
+def _unclosed(model, work, lam, right):
+    """
+    Add J qdd to ``right``.
+
+    Returns the squares of all terms of J qdd and Jdot qd, and of all forces on massless joints.
+
+    """
+    cut, slot_body = model.cut, model.slot_body
+    lever, response, joint = work.lever, work.response, work.joint
+    size, load = 0.0, 0.0
+    for a in range(cut.shape[0]):
+        for k in range(cut[a, ROWS]):
+            row, force = cut[a, ROW] + k, lam[cut[a, CUT_ROW] + k]
+            size += work.bias[row] * work.bias[row]
+            for slot in range(cut[a, SLOT_A], cut[a, SLOT_END]):
+                i = slot_body[slot]
+                term = lever[slot, k] * joint[i, TOTAL]
+                right[row] += term
+                size += term * term
+                term = response[slot, k] * force
+                load += choose(joint[i, STAND_IN] > 0.0, term * term / joint[i, SQUARE], 0.0)
+    return size, load
+
+
+@inlined
+def _hand_over(model, work):
+    """
+    Add the latest change to the accelerations, and leave what refinement has to do.
+
+    That is the forces on the stand-ins; the sum of their squares is returned.
+
+    """
+    tree, body, joint = model.tree, work.body, work.joint
+    total = 0.0
+    for i in range(1, tree.shape[0]):
+        latest = work.change[tree[i, DOF]] if tree[i, TYPE] == PRISMATIC else body[i, DZ]
+        joint[i, TOTAL] += latest
+        force = joint[i, STAND_IN] * latest
+        body[i, RHS] = force
+        total += choose(joint[i, STAND_IN] > 0.0, force * force / joint[i, SQUARE], 0.0)
+    return total
+
+
+@inlined
+def accelerate(model, work, tau, baumgarte, qdd, lam):
+    """
+    Compute accelerations and multipliers, as ``forward_dynamics.accelerate`` does.
+
+    Parameters
+    ----------
+    model, tau, baumgarte, qdd, lam
+        As for ``forward_dynamics.accelerate``.
+    work : Workspace
+        After ``kinematics.outward`` and the applied forces, afresh: the elimination has used
+        both up.
+
+    Returns
+    -------
+    bool
+        Whether the configuration is regular, with masses that double precision can tell apart.
+        If not, ``rank_revealing.accelerate`` must be asked, after the outward recursion again.
+
+    Notes
+    -----
+    With stand-ins E, (I + E) dqdd = J^T dlam + E dqdd' leaves E dqdd for the next one.
+
+    """
+    cut, joint, right, change = model.cut, work.joint, work.right, work.change
+    if not prepare(model, tau, work):
+        return False
+    for i in range(qdd.shape[0]):
+        qdd[i] = 0.0
+    for k in range(lam.shape[0]):
+        lam[k] = 0.0
+    first, error, left, size, load = 0.0, 0.0, 0.0, 0.0, 0.0
+    for n in range(1 + REFINEMENTS):
+        if n == 0:
+            for i in range(joint.shape[0]):
+                joint[i, TOTAL] = 0.0
+        else:
+            left = _hand_over(model, work)
+        loop_closure.free_acceleration(model, work, right)
+        size, load = _unclosed(model, work, lam, right)
+        constraint_right_side(work, baumgarte, right)
+        error = 0.0
+        for k in range(right.shape[0]):
+            error += right[k] * right[k]
+        if n == 0:
+            first = error
+        elimination.solve(model, work, right)
+        loop_closure.apply(model, work, right)
+        articulated_inertia.outward_acceleration(model, work, change)
+        for i in range(qdd.shape[0]):
+            qdd[i] += change[i]
+        for a in range(cut.shape[0]):
+            for k in range(cut[a, ROWS]):
+                lam[cut[a, CUT_ROW] + k] += right[cut[a, ROW] + k]
+    if not error <= CONVERGED * CONVERGED * size + ROUNDING * ROUNDING * first:
+        return False
+    return left <= CONVERGED * CONVERGED * load

@@ -1,0 +1,85 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Commands on their way to the drives: what is due when."""
+
+from collections import deque
+import math
+
+import numpy as np
+
+
+class DelayLine:
+    """Joint torques of which some arrive late."""
+
+    def __init__(self):
+        """Start with nothing on the way."""
+        self._way = deque()
+
+    @property
+    def pending(self):
+        """Whether anything is on the way."""
+        return bool(self._way)
+
+    def order(self, time, tau, delays, present):
+        """
+        Take a command.
+
+        Parameters
+        ----------
+        time : float
+            When it is given [s].
+        tau : ndarray, shape (nv,)
+            Joint torques.
+        delays : dict of int to float
+            Delay [s] of every joint that has one.
+        present : ndarray, shape (nv,)
+            The torques acting so far.
+
+        """
+        ordered = present.copy()
+        for _, joint, value in sorted(self._way):
+            ordered[joint] = value
+        for joint in np.flatnonzero(tau != ordered):
+            self._way.append((time + delays.get(int(joint), 0.0), int(joint), tau[joint]))
+
+    def due(self, time, tolerance, present):
+        """
+        Return the torques that act from a time on.
+
+        Parameters
+        ----------
+        time, tolerance : float
+            [s].
+        present : ndarray, shape (nv,)
+            The torques acting so far.
+
+        Returns
+        -------
+        ndarray, shape (nv,)
+
+        """
+        acting = present.copy()
+        for item in sorted(self._way):
+            if item[0] <= time + tolerance:
+                acting[item[1]] = item[2]
+                self._way.remove(item)
+        return acting
+
+    def steps_until_next(self, time, step_size, most):
+        """Return how many whole steps, at least one and ``most`` at most, until one is due."""
+        if not self._way:
+            return most
+        wait = (min(self._way)[0] - time) / step_size
+        return max(1, min(most, math.ceil(wait - 1e-9)))

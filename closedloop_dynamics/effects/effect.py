@@ -1,0 +1,116 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""What every effect can be asked: the base of the records in a scene."""
+
+
+class Effect:
+    """
+    An effect with its parameters; a frozen dataclass that checks itself when it is built.
+
+    An effect acts by changing the model's constants, by a row of the table of forces, or on what
+    is measured. Each answers what applies to it; here is the answer of all others.
+
+    """
+
+    # Names of the columns of the row's output beyond the stored energy, in their order.
+    READINGS = ()
+    # Whether a change of parameters can make the scene too stiff for its steps.
+    STIFFENS = True
+    # Whether steps must end where the effect's joint comes to rest; its first own state is then
+    # the direction in which the joint slides (``integration.stick_slip``).
+    ENDS_STEPS = False
+
+    def fit(self, mechanism):
+        """
+        Refuse a mechanism without the joints, bodies or points that the effect names.
+
+        Parameters
+        ----------
+        mechanism : Mechanism
+            What it is to act on.
+
+        Raises
+        ------
+        FieldError
+
+        """
+
+    def change(self, model, machine):
+        """
+        Change the constants of the model.
+
+        Parameters
+        ----------
+        model : core.types.Model
+            Changed in place.
+        machine : Machine
+            Where joints, bodies and points are.
+
+        """
+
+    def element(self, machine):
+        """
+        Return the row of the table.
+
+        Parameters
+        ----------
+        machine : Machine
+            Where joints, bodies and points are.
+
+        Returns
+        -------
+        table.ForceElement or None
+            None where there is no force.
+
+        """
+
+    def drive(self):
+        """
+        Return the joint whose command passes through the effect, and the command's delay.
+
+        Returns
+        -------
+        tuple of str and float, or None
+            Name; [s]. None where no command does.
+
+        """
+
+    def direction(self, rate):
+        """
+        Return the direction in which the effect's joint slides, where it ENDS_STEPS.
+
+        Parameters
+        ----------
+        rate : float
+            [rad/s; m/s].
+
+        Returns
+        -------
+        float
+            1 or -1; 0 at rest.
+
+        """
+        return 0.0
+
+    def instrument(self):
+        """
+        Return what measures.
+
+        Returns
+        -------
+        sensor.Instrument or None
+            None where nothing is measured.
+
+        """

@@ -1,0 +1,366 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+The effects of one scene, put together: model constants, table of force elements, energies.
+
+Nothing here knows a type of effect: each is asked what an ``effect.Effect`` can be asked.
+
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from .table import build_table, DISSIPATED, fill_row, FIRST, LOADED, OWN, STATE, STORED, WORK
+from ..core import straight_line
+from ..core.types import TYPE
+from ..mechanism.checks import boolean, one_of
+from ..mechanism.fields import at, FieldError, keys_of, mapping
+
+
+def require_one_drive_each(records):
+    """
+    Refuse two drives of one joint, of which each would replace the command.
+
+    Parameters
+    ----------
+    records : dict of str to Effect
+        Effects by name.
+
+    Raises
+    ------
+    FieldError
+
+    """
+    drives = {}
+    for name, record in records.items():
+        if record.drive() is not None:
+            joint, _ = record.drive()
+            other = drives.setdefault(joint, name)
+            if other != name:
+                raise FieldError('one drive for each joint',
+                                 f'a second one for {joint!r}, which {other!r} drives',
+                                 path=(name, 'joint'))
+
+
+class EffectSet:
+    """
+    The listed effects, which may be switched and changed while a simulation runs.
+
+    Parameters
+    ----------
+    effects : dict of str to Effect
+        As a scene has them.
+    model : core.types.Model
+        Without any effect; changed in place.
+    machine : Machine
+        Where joints, bodies and points are.
+
+    Attributes
+    ----------
+    records : dict of str to Effect
+        With their present parameters.
+    enabled : dict of str to bool
+        What is switched on.
+    elements : tuple of ForceElement
+        For ``table.build_table``.
+    initial : ndarray, shape (nz,)
+        The effects' states at the start.
+    own : ndarray of int
+        Which of these act back on the motion; the others are energies.
+    drives : dict of int to float
+        Delay of the command [s] of every joint whose command passes through a drive.
+    instruments : list
+        What measures.
+
+    """
+
+    def __init__(self, effects, model, machine):
+        """Keep the bare model, change it, collect the force elements."""
+        self.records, self.enabled = dict(effects), dict.fromkeys(effects, True)
+        self._model, self._machine, self._table, self._system = model, machine, None, None
+        self._bare = model.body.copy(), model.tree[:, TYPE].copy(), model.gravity.copy()
+        elements = {name: record.element(machine) for name, record in effects.items()}
+        self._rows = [name for name, element in elements.items() if element is not None]
+        self.elements = tuple(elements[name] for name in self._rows)
+        states = [state for element in self.elements for state in element.states]
+        self.initial = np.array([state.initial for state in states], dtype=float)
+        roles = np.array([state.role for state in states], dtype=int)
+        self._roles = roles
+        self.own, self._dissipated, self._work = (
+            np.flatnonzero(roles == role) for role in (OWN, DISSIPATED, WORK))
+        self._update()
+        self.restart()
+
+    def bind(self, system):
+        """
+        Take the table that a system was built with from ``elements``; it is kept up to date.
+
+        Parameters
+        ----------
+        system : integration.system.System
+            Without a table where there are none.
+
+        Returns
+        -------
+        EffectTable
+            Empty where there are none.
+
+        """
+        self._table, self._system = system.effects, system
+        if self._table is None:
+            self._table = build_table((), system.tau, 0, 0)
+        return self._table
+
+    def _update(self):
+        """Bring model constants, drives and instruments in line with the records."""
+        model = self._model
+        model.body[:], model.tree[:, TYPE], model.gravity[:] = self._bare
+        active = [record for name, record in self.records.items() if self.enabled[name]]
+        for record in active:
+            record.change(model, self._machine)
+        if self._system is not None and self._system.unrolled is not None:
+            straight_line.relink(model, self._system.linkage)
+        self.drives = {}
+        for record in active:
+            if record.drive() is not None:
+                joint, delay = record.drive()
+                self.drives[self._machine.joint(joint)] = delay
+
+    def restart(self):
+        """Let the instruments begin anew."""
+        instruments = [record.instrument() for name, record in self.records.items()
+                       if self.enabled[name]]
+        self.instruments = [each for each in instruments if each is not None]
+        self._measured_at = None
+
+    @property
+    def ending_steps(self):
+        """Names of the effects that find instants where steps must end."""
+        return [name for name, record in self.records.items() if record.ENDS_STEPS]
+
+    @property
+    def remembers(self):
+        """Whether what is measured depends on the states in between."""
+        return any(instrument.remembers for instrument in self.instruments)
+
+    def measure(self, time, position, velocity):
+        """
+        Return what is measured of a state; the same again for the same time.
+
+        Parameters
+        ----------
+        time : float
+            [s].
+        position, velocity : ndarray, shape (nv,)
+            The true ones.
+
+        Returns
+        -------
+        position, velocity : ndarray, shape (nv,)
+
+        """
+        if not self.instruments:
+            return position, velocity
+        if time != self._measured_at:
+            self._measured_at, self._measured = time, (position.copy(), velocity.copy())
+            for instrument in self.instruments:
+                instrument.show(time, *self._measured)
+                self._measured = instrument.read()
+        return self._measured
+
+    def checked(self, name, enabled, parameters):
+        """
+        Return the record that a change would give, or refuse the change.
+
+        Parameters
+        ----------
+        name : str
+            Of a listed effect.
+        enabled : bool or None
+            None leaves it as it is.
+        parameters : dict
+            New values by the effect's keys.
+
+        Returns
+        -------
+        Effect
+
+        Raises
+        ------
+        FieldError
+
+        """
+        with at('effects'):
+            one_of(tuple(self.records), 'one of the effects listed in the scene')(name)
+        with at('effects', name):
+            if enabled is not None:
+                with at('enabled'):
+                    boolean(enabled)
+            record = self.records[name]
+            mapping(parameters, (), [key for keys in keys_of(type(record)) for key in keys])
+            record = replace(record, **parameters)
+            record.fit(self._machine.mechanism)
+        with at('effects'):
+            require_one_drive_each({**self.records, name: record})
+        return record
+
+    def change(self, name, enabled, parameters):
+        """
+        Switch an effect, or change its parameters; nothing changes where anything is refused.
+
+        Parameters
+        ----------
+        name, enabled, parameters
+            As for ``checked``.
+
+        Returns
+        -------
+        ndarray of int
+            Places of the own states that start anew.
+
+        Raises
+        ------
+        FieldError
+
+        """
+        record = self.checked(name, enabled, parameters)
+        return self.put(name, record, self.enabled[name] if enabled is None else enabled)
+
+    def put(self, name, record, enabled):
+        """
+        Put a record that fits in the place of an effect; see ``change``.
+
+        Parameters
+        ----------
+        name : str
+            Of a listed effect.
+        record : Effect
+            Of its type.
+        enabled : bool
+            Whether it is switched on.
+
+        Returns
+        -------
+        ndarray of int
+
+        """
+        was = self.enabled[name]
+        self.records[name], self.enabled[name] = record, enabled
+        self._update()
+        if record.instrument() is not None:
+            self.restart()
+        if name not in self._rows:
+            return np.zeros(0, dtype=int)
+        row = self._rows.index(name)
+        fill_row(self._table, row, record.element(self._machine))
+        self._table.enabled[row] = self.enabled[name]
+        if not self.enabled[name]:
+            self._table.output[row] = 0.0
+            self._table.index[row, LOADED] = 0
+        self._table.loaded[0] = self._table.index[:, LOADED].sum()
+        if was or not self.enabled[name]:
+            return np.zeros(0, dtype=int)
+        first = self._table.index[row, STATE]
+        return np.intersect1d(np.arange(first, first + len(self.elements[row].states)), self.own)
+
+    def start_anew(self, states):
+        """Set the own states, not the energies, back to those of the start, in place."""
+        states[self.own] = self.initial[self.own]
+        self._measured_at = None
+
+    def follow(self, states, qd):
+        """Let the own states begin with joint rates as they are, in place."""
+        for row, name in enumerate(self._rows):
+            if self.enabled[name] and self.records[name].ENDS_STEPS:
+                states[self._table.index[row, STATE]] = self.records[name].direction(
+                    qd[self._table.index[row, FIRST]])
+
+    def stored(self):
+        """Return the energy that they store at the latest evaluation [J]."""
+        return float(self._table.output[:, STORED].sum())
+
+    def dissipated(self, states):
+        """Return the energy dissipated so far, from the effects' states [J]."""
+        return float(states[self._dissipated].sum())
+
+    def work(self, states):
+        """Return the work that effects did from outside so far [J]."""
+        return float(states[self._work].sum())
+
+    def readings(self, name, states):
+        """
+        Return what an effect says of itself at the latest evaluation.
+
+        Parameters
+        ----------
+        name : str
+            Of a listed effect.
+        states : ndarray, shape (nz,)
+            The effects' states.
+
+        Returns
+        -------
+        dict of str to float
+
+        """
+        with at('effects'):
+            one_of(tuple(self.records), 'one of the effects listed in the scene')(name)
+        if name not in self._rows:
+            return {}
+        row = self._rows.index(name)
+        values = self._table.output[row]
+        return {'stored_energy': float(values[STORED]), **self._flows(row, states), **{
+            key: float(value) for key, value in zip(self.records[name].READINGS, values[1:])}}
+
+    def drive_rows(self):
+        """Return the rows of the drives that are switched on, and the joints they drive."""
+        rows = np.array([row for row, name in enumerate(self._rows)
+                         if self.enabled[name] and self.records[name].drive() is not None],
+                        dtype=int)
+        return rows, self._table.index[rows, FIRST]
+
+    def _flows(self, row, states):
+        """Return what the effect of a row has dissipated, or done in work, and does now."""
+        first = self._table.index[row, STATE]
+        flows = {}
+        for place in range(first, first + len(self.elements[row].states)):
+            if self._roles[place] == DISSIPATED:
+                flows['dissipated_energy'] = float(states[place])
+                flows['dissipated_power'] = float(self._table.rates[place])
+            elif self._roles[place] == WORK:
+                flows['work'] = float(states[place])
+        return flows
+
+    def efforts(self, tau):
+        """Put what the drives really exert, at the latest evaluation, into joint torques."""
+        rows, joints = self.drive_rows()
+        tau[joints] = self._table.output[rows, 1]
+
+    def loads(self):
+        """Return the places among the states, and the values, of the joint reactions felt."""
+        rows = np.flatnonzero(self._table.index[:, LOADED])
+        return self._table.index[rows, STATE] + 1, self._table.output[rows, 2]
+
+    def steady(self, qd):
+        """Set the table's states to those of a steady motion, and switch the drives off."""
+        self.follow(self._table.states, qd)
+        rows, _ = self.drive_rows()
+        self._table.enabled[rows] = 0
+
+    def unsteady(self):
+        """Switch the drives on again after ``steady``."""
+        for row, name in enumerate(self._rows):
+            self._table.enabled[row] = self.enabled[name]

@@ -1,0 +1,124 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+The instants at which dry friction lets joints stick or slip.
+
+Within a step every joint under dry friction slides in one direction, or is held
+(``effects.sticking``), so that all methods keep their order. A step on which a sliding joint
+would turn round is cut where it comes to rest; there it sticks, or sets out again.
+
+"""
+
+import math
+
+from .system import evaluate, take_states
+from ..core.compiled import compiled, inlined
+from ..effects import sticking
+from ..effects.table import FIRST, JOINT_FRICTION, STATE
+
+# A sliding joint has come to rest where its rate is less than this [rad/s; m/s].
+ARRIVED = 1e-9
+# Cuts of one step: beyond, it is taken as it is.
+MOST_CUTS = 200
+# The least part of a step that is made.
+LEAST_PART = 1e-12
+
+
+@compiled
+def _first_rest(effects, before, after, nv, size, floor):
+    """Return when the first joint comes to rest, by the secant; ``size`` where none does."""
+    shortest = size
+    for row in range(effects.kind.shape[0]):
+        if effects.kind[row] == JOINT_FRICTION and effects.enabled[row] == 1:
+            joint = nv + effects.index[row, FIRST]
+            grip = before[2 * nv + effects.index[row, STATE]]
+            start, end = max(0.0, grip * before[joint]), grip * after[joint]
+            if end < -ARRIVED:
+                shortest = min(shortest, size * start / (start - end))
+    return shortest if shortest > floor else size
+
+
+@inlined
+def least(size, cuts):
+    """Return the least part of a step worth trying after a number of cuts [s]."""
+    return size * (LEAST_PART if cuts < MOST_CUTS else 1.0)
+
+
+@inlined
+def part(effects, before, after, nv, size, floor):
+    """
+    Return the part of a step on which no joint turns round.
+
+    Parameters
+    ----------
+    effects : EffectTable or None
+        Of the system.
+    before, after : ndarray, shape (ns,)
+        States before and after the step.
+    nv : int
+        Number of joint coordinates.
+    size : float
+        Of the step [s].
+    floor : float
+        Parts of no more than this are not worth a step [s].
+
+    Returns
+    -------
+    float
+        [s]; ``size`` where the step may be taken. A smaller one is an estimate, to be tried.
+
+    """
+    if effects is None:
+        return size
+    return _first_rest(effects, before, after, nv, size, floor)
+
+
+@compiled
+def _rest(effects, system, state):
+    """Let joints stick or slip, where a scene has dry friction."""
+    nv, slow = system.qdd.shape[0], False
+    for row in range(effects.kind.shape[0]):
+        if effects.kind[row] == JOINT_FRICTION and effects.enabled[row] == 1:
+            rate = state[nv + effects.index[row, FIRST]]
+            place = 2 * nv + effects.index[row, STATE]
+            if abs(rate) > sticking.REST:
+                state[place] = math.copysign(1.0, rate)
+            elif rate * state[place] <= ARRIVED:
+                state[place] = 0.0
+                slow = slow or rate != 0.0
+    if slow:
+        take_states(effects, state, nv)
+        evaluate(system, state[:nv], state[nv:2 * nv])
+        sticking.stop(effects, state[nv:2 * nv])
+
+
+@inlined
+def rest(effects, system, state):
+    """
+    Let joints stick that have come to rest, and slip that have broken away, after a step.
+
+    Parameters
+    ----------
+    effects : EffectTable or None
+        Of the system.
+    system : System
+        What moves.
+    state : ndarray, shape (ns,)
+        Corrected in place.
+
+    """
+    if effects is not None:
+        if effects.sticking.response.shape[0] > 1:
+            _rest(effects, system, state)

@@ -1,0 +1,152 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""
+Frames on ``/tf``: one at each cut point, to which constraint forces refer, and those of the links.
+
+A wrench's moment refers to the origin of its ``frame_id``. So constraint forces carry a frame
+whose origin is the cut point of body A; its axes are those of the world.
+
+"""
+
+from closedloop_dynamics.mechanism.mechanism import GROUND
+from closedloop_dynamics.ros.parameters import declare
+from closedloop_dynamics.ros.parameters import Parameter
+from closedloop_dynamics.ros.process import StartError
+from closedloop_dynamics.ros.wire import WireMessage
+from geometry_msgs.msg import TransformStamped
+import numpy as np
+from rclpy.qos import QoSProfile
+
+try:
+    from tf2_msgs.msg import TFMessage
+except ImportError:
+    # It comes with ROS installations, but not from the Python package index.
+    TFMessage = None
+
+WORLD = 'world'
+FRAME_PARAMETERS = (
+    Parameter(
+        'cut_frames', True,
+        'Broadcast a frame at every cut point, axes as those of world, on /tf; constraint forces '
+        'refer to it. false, or where tf2_msgs is not installed: their frame_id is world.'),
+    Parameter(
+        'publish_tf', False,
+        'Broadcast the frames of all links on /tf, in place of robot_state_publisher.'),
+    Parameter('frame_prefix', '', 'In front of the names of all frames on /tf.'),
+)
+
+
+class Frames:
+    """
+    Broadcasts frames with every state, as long as somebody subscribes to ``/tf``.
+
+    Parameters
+    ----------
+    node : simulator_node.SimulatorNode
+        Offers ``simulation``, and calls what is put into ``on_published``.
+
+    Attributes
+    ----------
+    of_cuts : list of str
+        ``frame_id`` of the force at each cut joint.
+
+    Raises
+    ------
+    StartError
+        If frames of links are asked for and there is no message type for them.
+
+    """
+
+    def __init__(self, node):
+        values = declare(node, FRAME_PARAMETERS)
+        self._node, self._prefix = node, values['frame_prefix']
+        cuts = node.simulation.mechanism.cut_joints
+        bodies = [GROUND, *(body.name for body in node.simulation.mechanism.bodies)]
+        self._with_cuts = values['cut_frames'] and bool(cuts)
+        self._with_links = values['publish_tf']
+        if TFMessage is None:
+            self._do_without()
+        self.of_cuts = [self._prefix + (f'constraint_forces/{cut.name}' if self._with_cuts
+                                        else WORLD) for cut in cuts]
+        # Name, body, place on it, and whether it turns with it.
+        frames = [*((name, cut.body_a, cut.point_a, False)
+                    for name, cut in zip(self.of_cuts, cuts) if self._with_cuts),
+                  *((self._prefix + body, body, (0.0, 0.0), True)
+                    for body in bodies if self._with_links)]
+        if frames:
+            self._names, of, points, turns = zip(*frames)
+            self._rows = np.array([bodies.index(body) for body in of])
+            self._points, self._turns = np.array(points), np.array(turns, dtype=float)
+            self._poses = np.zeros((len(bodies), 3))
+            self._transforms = np.zeros((len(frames), 7))
+            self._message = WireMessage(self._build, len(frames) * [7])
+            self._publisher = node.create_publisher(TFMessage, '/tf', QoSProfile(depth=100))
+            node.on_published.append(self.follow)
+
+    def _do_without(self):
+        if self._with_links:
+            raise StartError("parameter 'publish_tf': the message type tf2_msgs/msg/TFMessage is "
+                             'not installed here; it comes with a ROS installation')
+        if self._with_cuts:
+            self._with_cuts = False
+            self._node.get_logger().info(
+                'no frames at cut points, as tf2_msgs is not installed: the frame_id of '
+                f"constraint forces is '{self._prefix}{WORLD}'")
+
+    def follow(self, stamp):
+        """
+        Broadcast the frames of the node's present state.
+
+        Parameters
+        ----------
+        stamp : builtin_interfaces.msg.Time
+            Of the state.
+
+        """
+        if self._publisher.get_subscription_count():
+            self._publisher.publish(
+                self._message.filled(stamp.sec, stamp.nanosec, *self.transforms()))
+
+    def transforms(self):
+        """
+        Return where the frames are.
+
+        Returns
+        -------
+        ndarray, shape (number of frames, 7)
+            Origin in the world [m], then a quaternion x, y, z, w.
+
+        """
+        # The first is the ground's, which stays zero.
+        self._poses[1:] = self._node.simulation.body_poses
+        x, y, angle = self._poses[self._rows].T
+        cosine, sine = np.cos(angle), np.sin(angle)
+        out, along, across = self._transforms, *self._points.T
+        out[:, 0] = x + cosine * along - sine * across
+        out[:, 1] = y + sine * along + cosine * across
+        half = 0.5 * self._turns * angle
+        out[:, 5], out[:, 6] = np.sin(half), np.cos(half)
+        return out
+
+    def _build(self, sec, nanosec, *transforms):
+        """Return a TFMessage."""
+        message = TFMessage()
+        for name, numbers in zip(self._names, transforms):
+            frame = TransformStamped(child_frame_id=name)
+            frame.header.frame_id = self._prefix + WORLD
+            frame.header.stamp.sec, frame.header.stamp.nanosec = sec, nanosec
+            place, turn = frame.transform.translation, frame.transform.rotation
+            place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w = numbers.tolist()
+            message.transforms.append(frame)
+        return message

@@ -1,0 +1,139 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+What a program does when a signal asks it to stop: one place for all programs of the package.
+
+This module is light on purpose: a program begins to watch for signals before it imports rclpy
+and numba, which take seconds.
+
+"""
+
+from contextlib import contextmanager
+import os
+import signal
+import threading
+
+STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+
+class Interrupted(KeyboardInterrupt):
+    """A signal asked for the end; its number is the argument."""
+
+
+class SignalWatch:
+    """
+    The reaction of this process to signals: the latest one that was set up and is not over.
+
+    Parameters
+    ----------
+    leave : callable
+        The first reaction: ``leave(number)`` ends the process, which has nothing to close yet.
+    numbers : sequence of signal.Signals
+        What is watched for.
+
+    """
+
+    def __init__(self, leave, numbers=STOP_SIGNALS):
+        self._numbers = numbers
+        self._reactions = [leave]
+        # A handler may interrupt its own thread while that holds the lock.
+        self._lock = threading.RLock()
+
+    def install(self):
+        """React in the main thread, between two of its bytecodes, from now on."""
+        self._handle_with(lambda number, frame: self._react(number))
+
+    def install_thread(self):
+        """
+        React in a thread of its own from now on.
+
+        So a signal is noticed at once, even while the main thread waits in DDS or compiles.
+
+        """
+        reader, writer = os.pipe()
+        os.set_blocking(writer, False)
+        # Python needs a handler for the wakeup descriptor to be written.
+        self._handle_with(lambda number, frame: None)
+        signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
+        threading.Thread(
+            target=self._read, args=(reader,), name='signal_watch', daemon=True).start()
+
+    def ignore(self):
+        """Make the process immune for its last moments, the interpreter's end included."""
+        self._handle_with(signal.SIG_IGN)
+
+    @contextmanager
+    def reacting(self, reaction):
+        """
+        Let ``reaction(number)`` be what a signal does while the body runs.
+
+        Parameters
+        ----------
+        reaction : callable
+            Takes the number of the signal.
+
+        """
+        with self._lock:
+            depth = len(self._reactions)
+            self._reactions.append(reaction)
+        try:
+            yield
+        finally:
+            with self._lock:
+                del self._reactions[depth:]
+
+    @contextmanager
+    def interrupting(self):
+        """Raise ``Interrupted`` in the body at the first signal; then react as before it."""
+        def interrupt(number):
+            self._reactions.pop()
+            raise Interrupted(number)
+
+        with self.reacting(interrupt):
+            yield
+
+    @contextmanager
+    def noting(self):
+        """Yield a list to which the first signal is appended; then react as before the body."""
+        received = []
+
+        def note(number):
+            self._reactions.pop()
+            received.append(number)
+
+        with self.reacting(note):
+            yield received
+
+    def _handle_with(self, handler):
+        for number in self._numbers:
+            signal.signal(number, handler)
+
+    def _react(self, number):
+        with self._lock:
+            self._reactions[-1](number)
+
+    def _read(self, reader):
+        while True:
+            for number in os.read(reader, 64):
+                if number in self._numbers:
+                    self._react(number)
+
+
+def leave(number):
+    """End the process at once, with the exit code that shells give to a signal."""
+    os._exit(128 + number)
+
+
+program_watch = SignalWatch(leave)

@@ -1,0 +1,455 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+What watches a run: energy from nowhere, loops that open, steps that cannot be stable.
+
+Every guard says after how many steps it wants to look again, looks, and raises where the motion
+has become meaningless.
+
+The fastest rate of the motion, the largest eigenvalue of the derivative's
+Jacobian J, is estimated by a power iteration on differences of the derivative, J v =
+(f(y + e v) - f(y)) / e. It is taken in pairs, J J v, as oscillations have conjugate pairs
+of eigenvalues. States of effects take part where the motion depends on them: the lag of a drive
+is a rate of its own.
+
+"""
+
+from dataclasses import dataclass
+import math
+import warnings
+
+import numpy as np
+
+from ..core.types import SINGULAR_COUNT
+from ..errors import (
+    ClosureError, InaccuracyWarning, NumericalError, SingularityError, StiffnessError)
+from ..integration.registry import ADAPTIVE, AUTO, EXPLICIT, FIXED, INTEGRATORS
+from ..integration.system import derivative
+
+# Step size times fastest rate at which the explicit methods leave stability, along the
+# imaginary axis (springs without damping) or the negative real one (dampers).
+STABILITY_LIMITS = {'semi_implicit_euler': 2.0, 'heun': 2.0, 'rk4': 2.78}
+# Error-controlled explicit methods stay stable by taking steps as small as it needs; more than
+# this many of them for one step of the raster is no simulation but a standstill.
+MOST_SMALL_STEPS = 3000.0
+PAIRS = 4
+DIFFERENCE = 1e-7
+
+# The energy balance is looked at after so many steps at first, then twice as rarely each time.
+# With methods of order 1 the first steps miss as much as they move: that says nothing of the rest.
+FIRST_LOOK, FIRST_LOOK_ORDER_1, LOOK_EVERY = 16, 128, 512
+# The same with fixed steps among force laws: contacts and stops are left quickly.
+LOOK_EVERY_AMONG_LAWS = 100
+# Energy from nowhere, against all that has moved, that is worth a warning, and at which the motion
+# is none any more.
+ENERGY_WARN, ENERGY_ERROR = 1e-3, 0.1
+# Less than this share of the energy there is may be rounding; and between two looks, less than
+# this share of all that has moved.
+ROUNDING, LITTLE = 1e-9, 1e-6
+# Less energy than this [J] is none.
+NOTHING = 1e-15
+
+# Steps between two looks at the closure; and the closure error, against the size of the mechanism,
+# at which loops count as open.
+CLOSURE_LOOK_EVERY, OPEN = 500, 1e-3
+# What keeps the loops closed to rounding.
+CLOSING = ('projection', 'independent')
+
+
+def fastest_rate(system, state, own=()):
+    """
+    Estimate the largest eigenvalue, in magnitude, of the derivative's Jacobian.
+
+    Parameters
+    ----------
+    system : System
+        What moves.
+    state : ndarray, shape (ns,)
+        Where.
+    own : sequence of int
+        Places, among the effects' states, of those that act back on the motion, such as the
+        lag of a drive; dissipated energy and work do not.
+
+    Returns
+    -------
+    float
+        [1/s].
+
+    """
+    nv = len(system.qdd)
+    silent = np.ones(len(state), dtype=bool)
+    silent[:2 * nv] = False
+    silent[2 * nv + np.array(own, dtype=int)] = False
+    slope, moved = np.zeros_like(state), np.zeros_like(state)
+    derivative(system, state.copy(), slope)
+    direction = np.random.default_rng(0).normal(size=len(state))
+    direction[silent] = 0.0
+
+    def turned(vector):
+        size = DIFFERENCE / max(np.abs(vector).max(), 1e-300)
+        derivative(system, state + size * vector, moved)
+        result = (moved - slope) / size
+        result[silent] = 0.0
+        return result
+
+    rate = 0.0
+    for _ in range(PAIRS):
+        norm = np.linalg.norm(direction)
+        if not (math.isfinite(norm) and norm > 0.0):
+            return rate
+        direction = turned(turned(direction / norm))
+        rate = math.sqrt(np.linalg.norm(direction))
+    return rate
+
+
+@dataclass
+class Look:
+    """
+    Where a simulation stood when the energy guard looked at it.
+
+    Attributes
+    ----------
+    balance : effects.energy_balance.Energies
+    state : ndarray
+        As ``Simulation.state`` has it.
+    time : float
+        [s].
+
+    """
+
+    balance: object
+    state: np.ndarray
+    time: float
+
+
+class EnergyGuard:
+    """
+    Looks at the energy balance: seldom where it holds, from the first steps on.
+
+    Parameters
+    ----------
+    method : Method
+        Of the scene.
+    rate : callable
+        Returns the fastest rate of the motion in a state [1/s].
+    limit : float
+        Step size times rate up to which the method is stable; infinite where it always is.
+    among_laws : bool
+        Whether fixed steps are taken among effects with force laws.
+
+    Attributes
+    ----------
+    moved : float
+        The most energy that has moved up to any look since the start [J].
+    among_laws : bool
+        As given.
+    worst, worst_time : float
+        Largest energy from nowhere against what had moved by then, and when [s].
+
+    """
+
+    def __init__(self, method, rate, limit=math.inf, among_laws=False):
+        """Begin with nothing seen."""
+        self._method, self._rate, self._limit = method, rate, limit
+        self.among_laws = among_laws
+        integrator = INTEGRATORS[method.integrator]
+        order = integrator.tableau.order if integrator.tableau else None
+        self._first = FIRST_LOOK_ORDER_1 if order == 1 else FIRST_LOOK
+        # Where error control steps, how often it is looked at would show in the last digits.
+        self._whole = integrator.kind == ADAPTIVE
+        self._rarely = LOOK_EVERY_AMONG_LAWS if among_laws else LOOK_EVERY
+        self.restart()
+
+    def restart(self):
+        """Forget what has been seen: a run begins."""
+        self._since, self._between, self._look, self._start = 0, self._first, None, None
+        self.moved, self.worst, self.worst_time, self._warned = 0.0, 0.0, 0.0, False
+
+    def jump(self):
+        """Do not compare with what was before: the state or an effect has been changed."""
+        self._look = None
+
+    @property
+    def until_look(self):
+        """Return the steps left until the next look."""
+        return math.inf if self._whole else self._between - self._since
+
+    def begin(self, simulation):
+        """See where a run, or what follows a jump, begins."""
+        if self._look is None:
+            self._take(simulation, simulation.energy_balance)
+
+    def look(self, simulation, steps):
+        """
+        Raise where energy has come from nowhere; warn, once, where it is little.
+
+        Parameters
+        ----------
+        simulation : Simulation
+            After some steps.
+        steps : int
+            How many.
+
+        Raises
+        ------
+        StiffnessError, NumericalError
+            The state of the latest look that was well is kept.
+
+        """
+        self._since += steps
+        if self._since < self._between:
+            return
+        self._since, self._between = 0, max(min(2 * self._between, self._rarely), self._first)
+        self.judge(simulation)
+        if self.worst > ENERGY_WARN and not self._warned:
+            self._warned = True
+            warnings.warn(self.finding, InaccuracyWarning, stacklevel=2)
+
+    def judge(self, simulation):
+        """
+        Look at the balance now.
+
+        Parameters
+        ----------
+        simulation : Simulation
+            After some steps.
+
+        Raises
+        ------
+        StiffnessError, NumericalError
+            As for ``look``.
+
+        """
+        before, balance = self._look, simulation.energy_balance
+        self.note(balance, simulation.time)
+        if before is not None:
+            moving = (before.balance.kinetic + abs(balance.stored - before.balance.stored)
+                      + abs(balance.dissipated - before.balance.dissipated)
+                      + abs(balance.work - before.balance.work))
+            lost = abs(balance.residual - before.balance.residual)
+            allowed = (ENERGY_ERROR * moving + LITTLE * self.moved
+                       + ROUNDING * (balance.kinetic + abs(balance.stored)) + NOTHING)
+            if not lost <= allowed or self.worst > ENERGY_ERROR:
+                worst = self.worst if math.isfinite(lost) else math.inf
+                problem = self._problem(lost, moving, before, simulation, worst)
+                simulation.restore(before.state, before.time, before.balance.residual)
+                raise problem
+        self._take(simulation, balance)
+
+    def _take(self, simulation, balance):
+        if self._start is None:
+            self._start = balance.stored
+        self._look = Look(balance, simulation.state, simulation.time)
+
+    def note(self, balance, time):
+        """Note how much energy has moved and how much of it came from nowhere."""
+        start = balance.stored if self._start is None else self._start
+        self.compare(
+            abs(balance.residual),
+            balance.kinetic + abs(balance.stored - start) + abs(balance.dissipated)
+            + abs(balance.work), balance.kinetic + abs(balance.stored), time)
+
+    def compare(self, lost, moved, present, time):
+        """
+        Note how much energy came from nowhere.
+
+        Parameters
+        ----------
+        lost, moved, present : float
+            Energy that came from nowhere or went there, that has moved, that there is [J].
+        time : float
+            [s].
+
+        """
+        self.moved = max(self.moved, moved)
+        lost -= ROUNDING * present + NOTHING
+        share = lost / self.moved if lost > 0.0 and self.moved > 0.0 else 0.0
+        if not math.isfinite(lost):
+            share = math.inf
+        if not share <= self.worst:
+            self.worst, self.worst_time = share, time
+
+    @property
+    def finding(self):
+        """Return in words what is wrong with the energy of the run; empty where nothing is."""
+        if not self.worst > ENERGY_WARN:
+            return ''
+        return (f'the energy balance misses {self.worst * self.moved:.3g} J of the '
+                f'{self.moved:.3g} J that moved (at t = {self.worst_time:.6g} s): '
+                f'{_setting(self._method)} does not follow this motion. {_cure(self._method)}')
+
+    def _problem(self, lost, moving, before, simulation, worst):
+        """Return the error to raise."""
+        rate, size = self._rate(simulation.state), self._method.step_size
+        kept = f'The state of t = {before.time:.9g} s is kept.'
+        what = (f'{lost:.3g} J came from nowhere between t = {before.time:.9g} and '
+                f'{simulation.time:.9g} s, where {moving:.3g} J moved')
+        if worst > ENERGY_ERROR and not lost > ENERGY_ERROR * moving:
+            what = f'The energy balance misses {worst:.0%} of all energy that moved'
+        if rate * size > self._limit:
+            return StiffnessError(
+                f'{what}: the scene is stiff (fastest rate about {rate:.3g} 1/s, for which '
+                f'{self._method.integrator} is stable with steps up to {self._limit / rate:.3g} s '
+                f'only). {kept} Take integrator: auto or rodas4, or a smaller step.')
+        return NumericalError(
+            f'{what}: {_setting(self._method)} does not follow this motion. {kept} '
+            f'{_cure(self._method)}')
+
+
+def _setting(method):
+    """Return a method with what its accuracy depends on, in words."""
+    if method.integrator == AUTO:
+        setting = f'accuracy {method.accuracy:g}'
+    elif INTEGRATORS[method.integrator].kind == ADAPTIVE:
+        setting = f'tolerance {method.tolerance:g}'
+    else:
+        setting = f'steps of {method.step_size:g} s'
+    return f'{method.integrator} with {setting} and stabilisation: {method.stabilisation}'
+
+
+def _cure(method):
+    """Return what to do where a method does not follow a motion."""
+    if method.stabilisation not in CLOSING:
+        return 'Take stabilisation: projection, and integrator: auto or a smaller step.'
+    if method.integrator == AUTO:
+        return 'Ask for a smaller accuracy.'
+    if INTEGRATORS[method.integrator].kind == ADAPTIVE:
+        return 'Take integrator: auto, or a smaller tolerance.'
+    return 'Take integrator: auto, which controls its error, or a smaller step.'
+
+
+class ClosureGuard:
+    """
+    Looks at the closure where the method alone does not keep the loops closed.
+
+    Parameters
+    ----------
+    method : Method
+        Of the scene.
+    extent : float
+        Size of the mechanism [m].
+
+    """
+
+    def __init__(self, method, extent):
+        """Decide what to look for."""
+        self._method, self._extent = method, extent
+
+    # However few steps are made at once, the loops are looked at after them.
+    until_look = CLOSURE_LOOK_EVERY
+
+    def restart(self):
+        """Do nothing: every look stands by itself."""
+
+    jump = restart
+
+    def begin(self, simulation):
+        """Do nothing: every look stands by itself."""
+
+    def look(self, simulation, steps):
+        """
+        Raise where loops have opened.
+
+        Parameters
+        ----------
+        simulation : Simulation
+            After some steps.
+        steps : int
+            How many.
+
+        Raises
+        ------
+        SingularityError
+            Where a singular configuration was met without any stabilisation.
+        ClosureError
+            Where the loops have drifted apart.
+
+        """
+        method = self._method
+        if method.stabilisation == 'none' and simulation.system.work.health[SINGULAR_COUNT] > 0.0:
+            raise SingularityError(
+                f'A singular configuration was met up to t = {simulation.time:.9g} s: closure '
+                'equations vanish there, and with the drift that stabilisation: none allows the '
+                'branch on which the mechanism goes on cannot be told. Take stabilisation: '
+                'projection.')
+        closure = simulation.closure
+        if not closure <= OPEN * self._extent:
+            raise ClosureError(
+                f'The loops have drifted apart by {closure:.3g} m (or rad) at t = '
+                f'{simulation.time:.9g} s: stabilisation: {method.stabilisation} does not close '
+                'them again. Take stabilisation: projection, or a smaller step.')
+
+
+class StiffnessGuard:
+    """
+    Refuses explicit steps that cannot be stable, before they are made.
+
+    Parameters
+    ----------
+    system : System
+    method : Method
+    own : sequence of int
+        As for ``fastest_rate``.
+
+    Attributes
+    ----------
+    limit : float
+        Step size times fastest rate up to which the method is stable.
+    among_laws : bool
+        Whether fixed explicit steps are taken among effects with force laws.
+
+    """
+
+    def __init__(self, system, method, own=()):
+        """Decide whether to look at all."""
+        integrator = INTEGRATORS[method.integrator]
+        self._system, self._name, self._own = system, method.integrator, own
+        self._fixed = integrator.kind == FIXED
+        self.limit = STABILITY_LIMITS.get(
+            method.integrator, math.inf if self._fixed else 3.0 * MOST_SMALL_STEPS)
+        self._explicit = integrator.family == EXPLICIT and system.effects is not None
+        self.among_laws = self._explicit and self._fixed
+
+    def stable(self, state, step_size):
+        """Return whether steps of ``step_size`` from ``state`` can be stable."""
+        return not self._explicit or self.rate(state) * step_size <= self.limit
+
+    def rate(self, state):
+        """Return the fastest rate of the motion in a state [1/s]."""
+        return fastest_rate(self._system, state, self._own)
+
+    def check(self, state, step_size):
+        """
+        Raise where steps of ``step_size`` from ``state`` cannot be stable.
+
+        Raises
+        ------
+        StiffnessError
+
+        """
+        if self.stable(state, step_size):
+            return
+        rate = self.rate(state)
+        if self._fixed:
+            raise StiffnessError(
+                f'The scene is stiff: its fastest motion has a rate of about {rate:.3g} 1/s, for '
+                f'which {self._name} is stable with steps up to {self.limit / rate:.3g} s only; '
+                f'the step is {step_size:g} s. Take integrator: auto or rodas4, a smaller step, '
+                'or softer springs, dampers and contacts.')
+        raise StiffnessError(
+            f'The scene is stiff: its fastest motion has a rate of about {rate:.3g} 1/s, which '
+            f'{self._name} follows with steps up to {3.0 / rate:.3g} s only, '
+            f'{rate * step_size / 3.0:.2g} of them for each step of {step_size:g} s. Take '
+            'integrator: auto or rodas4, or softer springs, dampers and contacts.')

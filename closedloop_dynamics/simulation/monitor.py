@@ -1,0 +1,290 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""What a running simulation knows about itself: its cost, and how far off it may be."""
+
+from copy import deepcopy
+from dataclasses import dataclass
+import math
+import time
+
+import numpy as np
+
+from ..core.independent import forget
+from ..core.straight_line import linkage as links
+from ..core.types import EVALUATIONS
+from ..integration import adaptive, switching
+from ..integration.advance import DONE
+from ..integration.drivers import build_driver, Switching
+from ..integration.registry import FIXED, INTEGRATORS
+
+# A step is made again in two halves, on a copy of everything: first one of so many, then, twice as
+# rarely each time, one of so many.
+FIRST_SAMPLE, SAMPLE_EVERY = 30, 1000
+# An accuracy counts as kept up to this factor.
+KEPT = 3.0
+# Order of the methods that are no tableau: Rosenbrock's.
+ROSENBROCK_ORDER = 4
+
+
+@dataclass(frozen=True)
+class RunReport:
+    """
+    What a run has cost so far, and how far off it may be.
+
+    Attributes
+    ----------
+    method : str
+        Names of integrator and stabilisation.
+    time : float
+        Simulated since the start or the last reset [s].
+    steps : int
+        Steps made for it; of an error-controlled method those accepted.
+    compute_time : float
+        Spent on them [s].
+    local_error : float
+        Largest estimate of the error of one step [rad or m], from a sample of steps made again in
+        two halves, or of an error-controlled method its own; NaN where there is none.
+    closure : float
+        Present closure error [m or rad].
+    energy_error : float
+        Change of energy that neither work nor dissipation explains [J].
+    evaluations : int
+        Of the accelerations.
+    energy_moved : float
+        The most energy that has moved since the start [J]; NaN where nobody has looked.
+    error_bound : float
+        Of ``integrator: auto``: what the error of coordinates within a second was at most, by a
+        companion run with a larger tolerance [rad or m]; NaN for other methods.
+    findings : tuple of str
+        What is wrong with the run, each with its remedy; empty where nothing is known to be.
+
+    """
+
+    method: str
+    time: float
+    steps: int
+    compute_time: float
+    local_error: float
+    closure: float
+    energy_error: float
+    evaluations: int
+    energy_moved: float = math.nan
+    error_bound: float = math.nan
+    findings: tuple = ()
+
+    @property
+    def time_per_step(self):
+        """Return the mean computing time of a step [s]."""
+        return self.compute_time / self.steps if self.steps else math.nan
+
+    @property
+    def share(self):
+        """Return the computing time per simulated time: 1 is all that real time allows."""
+        return self.compute_time / self.time if self.time else math.nan
+
+    def __str__(self):
+        """Return the report in a line for each thing."""
+        lines = [
+            f'cost         {_number(1e6 * self.time_per_step)} us per step, '
+            f'{_number(100.0 * self.share)} % of real time ({self.method}; {self.steps} steps, '
+            f'{self.evaluations} evaluations)',
+            f'local error  {_number(self.local_error, 2)} rad or m in the worst step looked at '
+            '(the error of one step, not of the run)',
+            f'closure      {_number(self.closure, 2)} m or rad',
+            f'energy       {energy_in_words(self.energy_error, self.energy_moved)}']
+        if not math.isnan(self.error_bound):
+            lines.insert(1, f'error        at most about {_number(self.error_bound, 2)} rad or m '
+                            'within a second, by a companion run')
+        return '\n'.join([*lines, *(f'warning      {finding}' for finding in self.findings)])
+
+
+def energy_in_words(error, moved):
+    """Return what the energy balance misses, and of how much that is."""
+    of_what = '' if math.isnan(moved) else f' of {_number(moved)} J that moved'
+    if error == 0.0:
+        return f'balanced to the last digit{of_what}'
+    return f'{_number(abs(error), 2)} J too {"much" if error > 0.0 else "little"}{of_what}'
+
+
+def _number(value, digits=3):
+    return 'unknown' if math.isnan(value) else f'{value:.{digits}g}'
+
+
+class Monitor:
+    """
+    A driver that keeps account of its cost and of the local error.
+
+    Parameters
+    ----------
+    driver : object
+        Of ``integration.drivers``.
+    system : System
+        What it drives.
+    method : Method
+        What the driver was built from.
+
+    Attributes
+    ----------
+    driver : object
+        The driver itself, for calls that are not to be counted.
+    sampling : bool
+        Whether to estimate the error of fixed steps, at the cost of some 20 steps in 1000.
+
+    """
+
+    def __init__(self, driver, system, method):
+        """Count from zero."""
+        self.driver, self.sampling = driver, True
+        self._system, self._method = system, method
+        integrator = INTEGRATORS[method.integrator]
+        self._fixed = integrator.kind == FIXED
+        tableau = getattr(integrator, 'tableau', None)
+        self._order = tableau.order if tableau is not None else ROSENBROCK_ORDER
+        self._probe = None
+        self.clear()
+
+    def clear(self):
+        """Forget what has been counted: the time starts again."""
+        self._time, self._steps, self._nanoseconds = 0.0, 0, 0
+        self._to_sample, self._between, self._local_error = 0, FIRST_SAMPLE, math.nan
+        control = getattr(self.driver, 'control', None)
+        if control is not None:
+            control[[adaptive.ACCEPTED, adaptive.REJECTED, adaptive.ERROR,
+                     adaptive.LARGEST_ERROR]] = 0.0
+
+    def rewind(self):
+        """Begin as a new driver would: a motion repeated is the same to its last digit."""
+        self.driver.rewind()
+        if self._system.partition is not None:
+            forget(self._system.partition)
+        self.restart()
+        self.clear()
+
+    @property
+    def memory(self):
+        """Return what outlasts ``restart``: the step to try next, the choice of coordinates."""
+        return np.concatenate((np.zeros(0), *self._memory()))
+
+    def recall(self, memory):
+        """Take over the memory of another run."""
+        for part in self._memory():
+            part[:], memory = memory[:len(part)], memory[len(part):]
+
+    def _memory(self):
+        """Return views of what outlasts ``restart``."""
+        partition = self._system.partition
+        chosen = [] if partition is None else [partition.order, partition.record]
+        return [*self.driver.memory, *chosen]
+
+    def restart(self, moved=False):
+        """Forget the past of the motion, as a driver does."""
+        self.driver.restart(moved)
+
+    def advance(self, state, time, step_size, steps):
+        """Advance as the driver does, and count; see ``drivers.FixedSteps.advance``."""
+        if not (self._fixed and self.sampling):
+            return self._counted(state, time, step_size, steps)
+        status, done = DONE, 0
+        elapsed = 0.0
+        while done < steps and status == DONE:
+            if self._to_sample == 0:
+                self._sample(state, time + elapsed, step_size)
+                self._to_sample = self._between
+                self._between = min(2 * self._between, SAMPLE_EVERY)
+            portion = min(steps - done, self._to_sample)
+            status, part = self._counted(state, time + elapsed, step_size, portion)
+            done += portion
+            elapsed = done * step_size if status == DONE else elapsed + part
+            self._to_sample -= portion
+        return status, elapsed
+
+    def _counted(self, state, now, step_size, steps):
+        """Advance and add up time and cost."""
+        begin = time.perf_counter_ns()
+        status, elapsed = self.driver.advance(state, now, step_size, steps)
+        self._nanoseconds += time.perf_counter_ns() - begin
+        self._time += elapsed
+        self._steps += round(elapsed / step_size)
+        return status, elapsed
+
+    def _sample(self, state, now, step_size):
+        """Estimate the error of the next step, leaving everything as it is."""
+        if self._probe is None:
+            system = deepcopy(self._system)
+            self._probe = system, build_driver(system, self._method)
+        system, driver = self._probe
+        copy_into(self._system, system)
+        whole, halves = state.copy(), state.copy()
+        statuses = (driver.advance(whole, now, step_size, 1)[0],
+                    driver.advance(halves, now, 0.5 * step_size, 2)[0])
+        if statuses == (DONE, DONE):
+            count = len(system.tau)
+            apart = float(np.abs(whole[:count] - halves[:count]).max(initial=0.0))
+            error = apart / (1.0 - 0.5 ** self._order)
+            self._local_error = error if math.isnan(self._local_error) else max(
+                error, self._local_error)
+
+    def report(self, closure, energy_error, energy_guard):
+        """
+        Report what has been counted and found.
+
+        Parameters
+        ----------
+        closure : float
+            Present closure error [m or rad].
+        energy_error : float
+            Change of energy that neither work nor dissipation explains [J].
+        energy_guard : guards.EnergyGuard
+            Of the run.
+
+        Returns
+        -------
+        RunReport
+
+        """
+        steps, error = self._steps, self._local_error
+        control = getattr(self.driver, 'control', None)
+        bound = math.nan
+        findings = [energy_guard.finding] if energy_guard.finding else []
+        if isinstance(self.driver, Switching):
+            watch = self.driver.watch
+            steps = int(control[adaptive.ACCEPTED])
+            error = float(control[adaptive.LARGEST_ERROR]) * watch[switching.TOLERANCE]
+            bound = float(watch[switching.LARGEST_BOUND])
+            if bound > KEPT * self._method.accuracy:
+                findings.append(
+                    f'the accuracy of {self._method.accuracy:g} rad or m within a second was not '
+                    f'kept: it was about {bound:.2g}, with the smallest tolerance there is. The '
+                    'motion is too sensitive: differences of the last digit grow to that.')
+        elif not self._fixed and control is not None:
+            steps = int(control[adaptive.ACCEPTED])
+            error = float(control[adaptive.LARGEST_ERROR]) * self._method.tolerance
+        method = f'{self._method.integrator}, {self._method.stabilisation}'
+        return RunReport(
+            method, self._time, steps, 1e-9 * self._nanoseconds, error, closure, energy_error,
+            int(self._system.work.health[EVALUATIONS]), energy_guard.moved, bound,
+            tuple(findings))
+
+
+def copy_into(record, target):
+    """Copy all arrays of a record, and of the records in it, into a deep copy of it."""
+    for name, value, place in zip(record._fields, record, target):
+        if name == 'linkage':
+            # The routines may be others by now; the arrays they work on are the copy's own.
+            links.take(place, {which: value[which] for which in links.ALWAYS})
+        elif isinstance(value, tuple):
+            copy_into(value, place)
+        elif isinstance(value, np.ndarray):
+            place[...] = value

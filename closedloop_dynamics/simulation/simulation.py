@@ -1,0 +1,1148 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""A scene brought to life: the Python interface that users script with."""
+
+from dataclasses import replace
+import math
+import warnings
+
+import numpy as np
+
+from .guards import CLOSING, ClosureGuard, EnergyGuard, StiffnessGuard
+from .monitor import Monitor
+from ..assembly import angle_notes, Assembler
+from ..core import energy, kinematics
+from ..core import types as t
+from ..core.formulations import AUGMENTED, SUBSYSTEM, SYSTEM
+from ..core.independent import allocate_partition
+from ..core.joint_wrenches import cut_wrenches
+from ..core.loop_closure import largest
+from ..effects.delay_line import DelayLine
+from ..effects.effect_set import EffectSet
+from ..effects.energy_balance import EnergyBalance
+from ..effects.machine import Machine
+from ..errors import (
+    AssemblyError, ClosureError, NumericalError, SimulationError, StiffnessError)
+from ..health import health_of
+from ..integration.adaptive import MOST_EVALUATIONS
+from ..integration.advance import DONE, NOT_FINITE, OPEN_LOOP, TOO_MUCH_WORK
+from ..integration.drivers import build_driver
+from ..integration.march import joint_forces
+from ..integration.registry import INTEGRATORS, SCIPY
+from ..integration.system import (
+    BAUMGARTE, build_system, CLOSURE_LIMIT, evaluate, number_of_states, Probe)
+from ..inverse_dynamics import InverseDynamics
+from ..mechanism.decomposition import decompose
+from ..mechanism.fields import at, keys_of, mapping
+from ..modeling import body_rows, build_model, extent
+from ..rollout import rollout
+from ..scene import load_scene
+from ..scene_records import Method
+
+FORMULATIONS = {'subsystem': SUBSYSTEM, 'system': SYSTEM, 'augmented': AUGMENTED}
+# In a step, of a joint [rad, m]: error-controlled methods would divide it for minutes.
+LARGEST_MOTION = 1e3
+
+
+class Simulation:
+    """
+    One mechanism, its state, and the method that advances it.
+
+    Parameters
+    ----------
+    scene : scene.Scene
+        The initial state is assembled: positions and velocities close the loops.
+
+    Attributes
+    ----------
+    scene : scene.Scene
+    mechanism : mechanism.mechanism.Mechanism
+    decomposition : mechanism.decomposition.Decomposition
+
+    Raises
+    ------
+    AssemblyError
+        Where the loops cannot be closed from the scene's initial state.
+
+    """
+
+    def __init__(self, scene):
+        """Assemble the initial state, ready to move."""
+        self.scene = scene
+        self.mechanism = scene.mechanism
+        self.decomposition = decompose(self.mechanism)
+        self._rows = body_rows(self.mechanism, self.decomposition)
+        model = build_model(self.mechanism, decomposition=self.decomposition)
+        self._effects = EffectSet(scene.effects, model, Machine(self.mechanism, self._rows))
+        method = scene.method
+        baumgarte = 1.0 / method.time_constant if method.stabilisation == 'baumgarte' else 0.0
+        size = extent(self.mechanism)
+        self.system = build_system(
+            model, FORMULATIONS[method.formulation], baumgarte, size,
+            method.stabilisation == 'independent', self._effects.elements)
+        self._table = self._effects.bind(self.system)
+        self._balance = EnergyBalance(self._effects)
+        nv = len(self.mechanism.joints)
+        self._state = np.zeros(number_of_states(self.system))
+        self._q, self._qd = self._state[:nv], self._state[nv:2 * nv]
+        self._own = self._state[2 * nv:]
+        self._assembler = Assembler(self.mechanism, model, self.system.work, size)
+        self._actuated = np.array([k for k, joint in enumerate(self.mechanism.joints)
+                                   if joint.actuated], dtype=int)
+        self._passive = np.array([k for k, joint in enumerate(self.mechanism.joints)
+                                  if not joint.actuated], dtype=int)
+        self._points = {point.name: point for point in self.mechanism.points}
+        self._initial = self._assembled(
+            scene.initial.position, scene.initial.velocity, scene.initial.hold)
+        if method.stabilisation == 'independent':
+            self._assembler.require_independent(self._initial[0])
+        self._time_base, self._steps, self._fresh = 0.0, 0, False
+        self._require_known_steps(method)
+        self._driver = Monitor(build_driver(self.system, method), self.system, method)
+        self._set_guards(StiffnessGuard(self.system, method, self._effects.own), method)
+        self._inverse = InverseDynamics(
+            self.mechanism, self.system, self._effects, self._table)
+        self._probe = Probe(self.system)
+        self.reset()
+
+    @classmethod
+    def from_scene(cls, name_or_path, **method):
+        """
+        Build a simulation from a scene.
+
+        Parameters
+        ----------
+        name_or_path : str or pathlib.Path
+            A shipped scene's name or a scene file's path.
+        **method
+            Overrides of the scene's method, by the keys a scene has there (``integrator``,
+            ``step_size``, ``stabilisation``, ``formulation``, ...); None leaves the scene's.
+
+        Returns
+        -------
+        Simulation
+
+        Raises
+        ------
+        SceneError, AssemblyError
+        ValueError
+            For an override that no scene could have there.
+
+        Warns
+        -----
+        RuntimeWarning
+            Where the start that was assembled may not be the one that was meant.
+
+        """
+        with at('method'):
+            mapping(method, *keys_of(Method))
+        scene = load_scene(name_or_path)
+        overrides = {key: value for key, value in method.items() if value is not None}
+        with at('method'):
+            scene = replace(scene, method=replace(scene.method, **overrides))
+        simulation = cls(scene)
+        for note in simulation.start_notes():
+            warnings.warn(note, RuntimeWarning, stacklevel=2)
+        return simulation
+
+    # Names and sizes.
+
+    @property
+    def joint_names(self):
+        """Names of the joints, in the order of positions and velocities."""
+        return self.mechanism.joint_names
+
+    @property
+    def actuated_joints(self):
+        """Names of the actuated joints, in the order of torque sequences."""
+        return self.mechanism.actuated_joints
+
+    @property
+    def cut_joints(self):
+        """Return the cut joints, in the order of the constraint forces."""
+        return self.mechanism.cut_joints
+
+    @property
+    def step_size(self):
+        """Step size [s]."""
+        return self.scene.method.step_size
+
+    # The state.
+
+    @property
+    def time(self):
+        """Time since the start or the last reset [s]."""
+        # Counted, not summed: an hour of steps adds up to an hour.
+        return self._time_base + self._steps * self.step_size
+
+    @property
+    def position(self):
+        """Joint coordinates, shape (nv,) [rad or m]."""
+        return self._q.copy()
+
+    @property
+    def velocity(self):
+        """Joint rates, shape (nv,) [rad/s or m/s]."""
+        return self._qd.copy()
+
+    @property
+    def state(self):
+        """
+        Whole state: joint coordinates, joint rates, the effects' own states, the method's memory.
+
+        A run that is started from it by ``restore`` goes on in the same way to the last bit, with
+        error control from where a command changes.
+
+        """
+        return np.concatenate((self._state, self._driver.memory))
+
+    @property
+    def command_delay(self):
+        """Longest time that a command is on its way to a drive [s]."""
+        return max(self._effects.drives.values(), default=0.0)
+
+    @property
+    def effort(self):
+        """Joint torques applied last, behind the drives, shape (nv,) [N m or N]."""
+        tau = self.system.tau.copy()
+        if self._effects.drives:
+            self._evaluate()
+            self._effects.efforts(tau)
+        return tau
+
+    @property
+    def acceleration(self):
+        """Joint accelerations of the present state under the last torques, shape (nv,)."""
+        self._evaluate()
+        return self.system.qdd.copy()
+
+    @property
+    def multipliers(self):
+        """Lagrange multipliers of the present state, shape (nc,) [N, N m]."""
+        self._evaluate()
+        return self.system.lam.copy()
+
+    @property
+    def constraint_forces(self):
+        """
+        Wrenches at the cut joints, shape (number of cuts, 3): moment, force x, force y.
+
+        What body B exerts on body A, in world axes, at body A's cut point [N m, N].
+
+        """
+        self._evaluate()
+        out = np.empty((len(self.cut_joints), 3))
+        model = self.system.model
+        cut_wrenches(model.cut, model.cut_point, self.system.work.body, self.system.lam, out)
+        return out
+
+    @property
+    def joint_forces(self):
+        """
+        Wrenches in the joints, shape (nv, 3): moment, force x, force y.
+
+        What the parent exerts on the child, in world axes, at the child's origin [N m, N]: the
+        reaction, and what the joint's drive, springs, dampers and friction hand over.
+
+        """
+        self._evaluate()
+        system = self.system
+        self._fresh = False
+        return joint_forces(
+            system, system.tau[np.newaxis], 1, 1, self._state[np.newaxis],
+            system.qdd[np.newaxis], system.lam[np.newaxis])[0]
+
+    def force(self, name):
+        """
+        Return the wrench in a joint or cut joint, shape (3,): moment, force x, force y.
+
+        Parameters
+        ----------
+        name : str
+            Of a joint, as in ``joint_forces``, or of a cut joint, as in ``constraint_forces``.
+
+        """
+        if name in self.joint_names:
+            return self.joint_forces[self.joint_names.index(name)]
+        cuts = [cut.name for cut in self.cut_joints]
+        if name not in cuts:
+            raise SimulationError(
+                f'There is no joint {name!r} on {self.mechanism.name}; its joints: '
+                f'{", ".join([*self.joint_names, *cuts])}.')
+        return self.constraint_forces[cuts.index(name)]
+
+    @property
+    def closure(self):
+        """Largest closure error of positions [m or rad]."""
+        self._evaluate()
+        return float(largest(self.system.work.closure))
+
+    @property
+    def energy(self):
+        """Kinetic energy and energy stored in gravity and effects [J]."""
+        return sum(self._energies())
+
+    @property
+    def energy_balance(self):
+        """Energy balance since the last reset, an ``effects.energy_balance.Energies`` [J]."""
+        self._start_balance()
+        self._balance.add_work(self._q, self.system.tau)
+        return self._balance.balance(self._own, *self._energies())
+
+    def _start_balance(self):
+        """Find the energy at the start, when it is needed for the first time."""
+        if self._balance.started:
+            return
+        present = self._state.copy()
+        self._q[:], self._qd[:] = self._initial
+        self._own[:] = self._effects.initial
+        self._fresh = False
+        self._balance.start(self.energy)
+        self._state[:] = present
+        self._fresh = False
+
+    def _feel_loads(self):
+        """Let effects start with the rates and the reactions of their joints as they are."""
+        self._effects.follow(self._own, self._qd)
+        if self._table.loaded[0] > 0:
+            # A fixed point: friction changes the reactions a little.
+            for _ in range(20):
+                self._fresh = False
+                self._evaluate()
+                places, values = self._effects.loads()
+                self._own[places] = values
+            self._fresh = False
+
+    def _energies(self):
+        """Return kinetic and stored energy of the present state."""
+        self._evaluate()
+        model, work = self.system.model, self.system.work
+        return (energy.kinetic_energy(model, work, self._qd),
+                energy.potential_energy(model, work) + self._effects.stored())
+
+    @property
+    def body_poses(self):
+        """Poses of the bodies, shape (nb, 3): x, y [m], angle [rad], in the bodies' order."""
+        self._evaluate()
+        rows = [self._rows[body.name] for body in self.mechanism.bodies]
+        return self.system.work.body[np.ix_(rows, (t.PX, t.PY, t.ALPHA))]
+
+    def point(self, name):
+        """Return the world place of a named point, shape (2,) [m]."""
+        point = self._named_point(name)
+        self._evaluate()
+        out = np.zeros(2)
+        kinematics.point_position(self.system.work, self._rows[point.body], *point.position, out)
+        return out
+
+    @property
+    def points(self):
+        """Places of all named points, shape (number of points, 2) [m]."""
+        return np.array([self.point(name) for name in self._points]).reshape(-1, 2)
+
+    def _named_point(self, name):
+        if name not in self._points:
+            raise SimulationError(
+                f'There is no point {name!r} on {self.mechanism.name}; its points: '
+                f'{", ".join(self._points) or "none"}.')
+        return self._points[name]
+
+    @property
+    def health(self):
+        """How well posed the equations of motion are in the present state: a ``Health``."""
+        self._evaluate()
+        return health_of(
+            self.system.model, self.system.work, self._q, self._qd, self._passive)
+
+    def measured(self):
+        """
+        Return what the scene's sensors show of the present state; the true one without any.
+
+        Returns
+        -------
+        position, velocity : ndarray, shape (nv,)
+
+        """
+        position, velocity = self._effects.measure(self.time, self._q, self._qd)
+        return position.copy(), velocity.copy()
+
+    def effect_readings(self, name):
+        """
+        Return what an effect says of itself in the present state.
+
+        Parameters
+        ----------
+        name : str
+            Of an effect that the scene lists.
+
+        Returns
+        -------
+        dict of str to float
+            Stored energy; energy dissipated and its power, or work done, since the last reset,
+            where the effect has such; the effect's own readings, such as forces; SI units.
+
+        """
+        self._evaluate()
+        return self._effects.readings(name, self._own)
+
+    def _assembled(self, position, velocity, hold):
+        nv = len(self.joint_names)
+        q = vector('position', position, nv)
+        qd = np.zeros(nv) if velocity is None else vector('velocity', velocity, nv)
+        # The assembler works in the same workspace, whether it succeeds or not.
+        self._fresh = False
+        closed = self._assembler.positions(q, hold)
+        self._assembly = q, qd, closed, self._assembler.velocities(closed, qd, hold), hold
+        return self._assembly[2:4]
+
+    def _by_joint(self, what, values, present):
+        """Return a mapping by joint name as an array, anything else as it is."""
+        if not hasattr(values, 'items'):
+            return values
+        result = present.copy()
+        for name, value in values.items():
+            with at(what):
+                mapping({name: value}, (), self.joint_names)
+            result[self.joint_names.index(name)] = value
+        return result
+
+    def assembly_notes(self):
+        """
+        Tell what the last assembly, of the start or of a state set, made of what was given.
+
+        Returns
+        -------
+        list of str
+            Sentences, where it may not be what was meant: joints moved far, another branch, a
+            change point, other velocities.
+
+        """
+        self._fresh = False
+        return self._assembler.notes(*self._assembly)
+
+    def start_notes(self):
+        """
+        Tell of the start of a new simulation: its ``assembly_notes``, and angles beyond 2 pi.
+
+        Returns
+        -------
+        list of str
+
+        """
+        return angle_notes(self.mechanism, self.scene.initial.position) + self.assembly_notes()
+
+    def degrees_of_freedom(self):
+        """
+        Count the degrees of freedom at the present position and near it.
+
+        Returns
+        -------
+        int
+            Joints less the closure equations that do not depend on the others.
+
+        """
+        self._fresh = False
+        return self._assembler.degrees_of_freedom(self._q)
+
+    def _evaluate(self):
+        """Evaluate the present state once for all that is asked of it."""
+        if not self._fresh:
+            self._table.states[:] = self._own
+            evaluate(self.system, self._q, self._qd)
+            self._fresh = True
+
+    # Motion.
+
+    def _require_known_steps(self, method):
+        """Refuse solvers that do not tell where their steps end beside effects that end them."""
+        names = self._effects.ending_steps
+        if names and INTEGRATORS[method.integrator].family == SCIPY:
+            own = [name for name, one in INTEGRATORS.items() if one.family != SCIPY]
+            raise SimulationError(
+                f'The scene lists dry friction ({", ".join(names)}): steps must end where a '
+                f'joint comes to rest, and {method.integrator} does not tell where its steps end. '
+                f'Take another integrator ({", ".join(own)}), or leave the friction out.')
+
+    def step(self, torque=None, duration=None):
+        """
+        Advance by ``duration`` under constant torques.
+
+        Parameters
+        ----------
+        torque : mapping, sequence or None
+            Joint torques [N m or N]: by joint name, or for all actuated joints in their
+            order; joints that are not named get none.
+        duration : float, optional
+            [s]; one step when not given. Covered by whole steps, and one shorter step at the
+            end where it is no multiple of the step size.
+
+        Raises
+        ------
+        NumericalError, ClosureError
+            The state before the failing step is kept.
+        ValueError
+            For a torque or duration that makes no sense.
+
+        """
+        tau = self.joint_torques(torque)
+        size = self.step_size
+        if duration is None:
+            return self.advance(tau, 1)
+        if not (math.isfinite(duration) and duration >= 0.0):
+            raise ValueError(f'duration: expected a finite number >= 0 [s], got {duration!r}')
+        whole = math.floor(duration / size * (1.0 + 1e-12) + 1e-9)
+        self.advance(tau, whole)
+        rest = duration - whole * size
+        if rest > 1e-9 * size:
+            self._advance(rest, 1)
+
+    def advance(self, tau, steps):
+        """
+        Advance by whole steps under constant joint torques; the fast path of ``step``.
+
+        Parameters
+        ----------
+        tau : ndarray, shape (nv,)
+            Joint torques [N m or N], finite.
+        steps : int
+            Number of steps.
+
+        Raises
+        ------
+        NumericalError, ClosureError
+            The state before the failing step is kept.
+
+        """
+        if not self._delayed():
+            self._command(tau)
+            self._advance(self.step_size, steps)
+            return
+        self._delay_line.order(self.time, tau, self._effects.drives, self.system.tau)
+        while True:
+            self._command(self._delay_line.due(
+                self.time, 1e-9 * self.step_size, self.system.tau))
+            if steps <= 0:
+                break
+            count = self._delay_line.steps_until_next(self.time, self.step_size, steps)
+            self._advance(self.step_size, count)
+            steps -= count
+
+    def _delayed(self):
+        """Return whether any command is, or will be, on its way to a drive."""
+        return self._delay_line.pending or any(self._effects.drives.values())
+
+    def _command(self, tau):
+        """Let joint torques act from now on."""
+        if not np.array_equal(tau, self.system.tau):
+            self._balance.add_work(self._q, self.system.tau)
+            self._driver.restart()
+            self.system.tau[:] = tau
+            self._fresh = False
+
+    def _set_guards(self, stiffness, method):
+        """Let a run by a method be watched."""
+        self._stiffness = stiffness
+        self.energy_guard = EnergyGuard(
+            method, stiffness.rate, stiffness.limit, stiffness.among_laws)
+        self._guards = [self.energy_guard]
+        if method.stabilisation not in CLOSING:
+            self._guards.append(ClosureGuard(method, extent(self.mechanism)))
+
+    def _advance(self, size, steps):
+        """Advance by steps of one size, watched by the guards."""
+        for guard in self._guards:
+            guard.begin(self)
+        if self._effects.remembers:
+            self.measured()
+        while steps > 0:
+            portion = min((steps, *(guard.until_look for guard in self._guards)))
+            if self._effects.remembers:
+                portion = 1
+            try:
+                self._advance_unguarded(size, portion)
+            except SimulationError:
+                # What stopped it may be steps that cannot be stable.
+                self._stiffness.check(self._state, size)
+                raise
+            if self._effects.remembers:
+                self.measured()
+            for guard in self._guards:
+                guard.look(self, portion)
+            steps -= portion
+
+    @property
+    def fastest_rate(self):
+        """Estimate of the fastest rate of the motion in the present state [1/s]."""
+        return self._stiffness.rate(self._state)
+
+    def judge(self):
+        """
+        Look at the energy balance of the run so far, as is done now and then while it goes on.
+
+        Raises
+        ------
+        NumericalError, StiffnessError
+            Where the motion is none; the latest state that was well is kept.
+
+        """
+        self.energy_guard.judge(self)
+
+    def _advance_unguarded(self, size, steps):
+        self._fresh = False
+        status, elapsed = self._driver.advance(self._state, self.time, size, steps)
+        if status == DONE and size == self.step_size:
+            self._steps += steps
+            return
+        self._time_base += elapsed
+        if status == NOT_FINITE:
+            raise NumericalError(
+                f'The state left the finite numbers at t = {self.time:.9g} s; the last finite '
+                f'state is kept. Take a smaller step than {size:g} s, or smaller torques '
+                f'(largest now {np.abs(self.system.tau).max(initial=0.0):g}).')
+        if status == OPEN_LOOP:
+            error = self.system.work.health[t.CLOSURE]
+            advice = self._assembler.advice_on_opening(self._q) or (
+                f'Take a smaller step than {size:g} s: the motion in one step is too large.')
+            raise ClosureError(
+                f'The loops could not be closed after the step at t = {self.time:.9g} s (error '
+                f'{error:.3g}); the state before it is kept. {advice}')
+        if status == TOO_MUCH_WORK:
+            raise NumericalError(
+                f'The motion at t = {self.time:.9g} s takes more than {MOST_EVALUATIONS} '
+                f'evaluations for {size:g} s; the last good state is kept. Take smaller torques '
+                f'(largest now {np.abs(self.system.tau).max(initial=0.0):g}), allow a larger '
+                'error, or leave out what is so fast.')
+        if status != DONE:
+            raise NumericalError(
+                f'No step at t = {self.time:.9g} s is small enough to keep the error that is '
+                'allowed; the last good state is kept. The motion is not smooth there: allow '
+                'more, or take a fixed step.')
+
+    def joint_torques(self, torque):
+        """
+        Return joint torques as an array from any form that ``step`` takes.
+
+        Parameters
+        ----------
+        torque : mapping, sequence or None
+            By joint name, or in the order of the actuated joints.
+
+        Returns
+        -------
+        ndarray, shape (nv,)
+
+        Raises
+        ------
+        ValueError
+
+        """
+        tau = np.zeros(len(self.joint_names))
+        if torque is None:
+            return tau
+        if hasattr(torque, 'items'):
+            for name, value in torque.items():
+                if name not in self.actuated_joints:
+                    raise ValueError(f'torque: expected actuated joints '
+                                     f'({", ".join(self.actuated_joints)}), got {name!r}')
+                tau[self.joint_names.index(name)] = value
+        else:
+            values = np.array(torque, dtype=float)
+            if values.shape != (len(self._actuated),):
+                raise ValueError(
+                    f'torque: expected {len(self._actuated)} values, for '
+                    f'{", ".join(self.actuated_joints)}; got shape {values.shape}')
+            tau[self._actuated] = values
+        # The sum of squares is finite where all are, and quicker to tell; it may overflow alone.
+        if not (math.isfinite(tau.dot(tau)) or np.isfinite(tau).all()):
+            raise ValueError(f'torque: expected finite numbers, got {torque!r}')
+        return tau
+
+    def reset(self):
+        """Return to the initial state, time zero and no torque."""
+        self._q[:], self._qd[:] = self._initial
+        self._own[:] = self._effects.initial
+        self._driver.rewind()
+        self._effects.restart()
+        self._delay_line = DelayLine()
+        self.system.tau[:] = 0.0
+        self._time_base, self._steps, self._fresh = 0.0, 0, False
+        self.system.work.health[:] = 0.0
+        self.system.work.health[[t.SMALLEST_PIVOT, t.SMALLEST_PIVOT_EVER]] = 1.0
+        self._feel_loads()
+        self._balance.restart(self._q)
+        for guard in self._guards:
+            guard.restart()
+        self._stiffness.check(self._state, self.step_size)
+
+    def set_step_size(self, step_size):
+        """
+        Change the step size while running; time and state go on.
+
+        Parameters
+        ----------
+        step_size : float
+            [s], positive.
+
+        Raises
+        ------
+        ValueError
+            Where it is no positive number; the present one stays.
+        StiffnessError
+            Where the scene is too stiff for it; the present one stays.
+
+        """
+        method = replace(self.scene.method, step_size=step_size)
+        self._stiffness.check(self._state, method.step_size)
+        self._take_method(method, self._stiffness)
+
+    def prepare_method(self, **changes):
+        """
+        Check and compile another method, leaving everything as it is.
+
+        Parameters
+        ----------
+        **changes
+            By the keys that a scene has under ``method``, except ``formulation``.
+
+        Returns
+        -------
+        callable
+            Lets the method take effect, from the next step on; time and state go on, the
+            account of cost and local error starts anew.
+
+        Raises
+        ------
+        ValueError
+            Where a name or value makes no sense.
+        SimulationError
+            Where the scene is too stiff for the method, or its closure equations here too
+            dependent or its loops too far open.
+
+        """
+        method = replace(self.scene.method, **changes)
+        if method.formulation != self.scene.method.formulation:
+            raise ValueError('method: the formulation is chosen when a scene is loaded, and stays')
+        self._require_known_steps(method)
+        self._require_closable(method.stabilisation)
+        system = self.system._replace(partition=allocate_partition(
+            self.system.model) if method.stabilisation == 'independent' else None)
+        guard = StiffnessGuard(system, method, self._effects.own)
+        guard.check(self._state, method.step_size)
+        driver = build_driver(system, method)
+        driver.advance(self._state.copy(), self.time, 1e-9, 1)
+        driver.rewind()
+        self._fresh = False
+
+        def take_effect():
+            self.system = system
+            self._driver = Monitor(driver, system, method)
+            self._take_method(method, guard)
+
+        return take_effect
+
+    def _require_closable(self, stabilisation):
+        """Refuse a stabilisation that cannot start from the present state."""
+        if stabilisation != 'none' and self.closure > self.system.settings[CLOSURE_LIMIT]:
+            raise ClosureError(
+                f'The loops have drifted apart by {self.closure:.3g} m or rad: more than '
+                f'{stabilisation} may be asked to close. Reset, or set a state, first.')
+        if stabilisation == 'independent':
+            self._fresh = False
+            self._assembler.require_independent(self._q)
+
+    def _jump(self):
+        """Compare nothing with what was before."""
+        self._fresh = False
+        for guard in self._guards:
+            guard.jump()
+
+    def _take_method(self, method, stiffness):
+        self._time_base, self._steps = self.time, 0
+        self.scene = replace(self.scene, method=method)
+        self._set_guards(stiffness, method)
+        self.system.settings[BAUMGARTE] = (
+            1.0 / method.time_constant if method.stabilisation == 'baumgarte' else 0.0)
+        self._driver.restart()
+        self._jump()
+
+    def set_state(self, position, velocity=None, hold=None):
+        """
+        Move to another state, assembled.
+
+        Parameters
+        ----------
+        position : mapping, or sequence of shape (nv,)
+            Approximate joint coordinates [rad or m]; in a mapping by joint name, those of the
+            joints that are not named stay as they are.
+        velocity : mapping, or sequence of shape (nv,), optional
+            Approximate joint rates [rad/s or m/s], likewise; zero when not given.
+        hold : sequence of str, optional
+            Joints kept as given; none when not given: the nearest closed state is taken.
+
+        Raises
+        ------
+        AssemblyError
+            Where no such state closes the loops, or not even a step can be made from it; the
+            present state is kept.
+
+        """
+        with np.errstate(all='ignore'):
+            state = self._assembled(
+                self._by_joint('position', position, self._q),
+                self._by_joint('velocity', velocity, self._qd), hold or ())
+        if self.scene.method.stabilisation == 'independent':
+            self._assembler.require_independent(state[0])
+        self._require_step_from(*state)
+        self._balance.add_work(self._q, self.system.tau)
+        self._start_balance()
+        before = self.energy
+        self._q[:], self._qd[:] = state
+        self._effects.start_anew(self._own)
+        self._driver.restart(moved=True)
+        self._jump()
+        self._feel_loads()
+        self._balance.jump(self._q, self.energy - before)
+
+    def _require_step_from(self, position, velocity):
+        """Refuse a state from which a step cannot be made."""
+        fastest = np.abs(velocity).max(initial=0.0)
+        if not fastest * self.step_size <= LARGEST_MOTION:
+            raise AssemblyError(
+                f'The largest velocity is {fastest:.3g} rad/s or m/s, so that a joint would move '
+                f'by {fastest * self.step_size:.3g} rad or m in a step of {self.step_size:g} s; '
+                f'at most {LARGEST_MOTION:g} can be followed.')
+        trial, health = self._state.copy(), self.system.work.health.copy()
+        own = trial[2 * len(position):]
+        own[self._effects.own] = self._effects.initial[self._effects.own]
+        trial[:len(position)], trial[len(position):2 * len(position)] = position, velocity
+        status = NOT_FINITE
+        if np.isfinite(trial).all():
+            status = self._try_step(trial, self.step_size)
+        self.system.work.health[:] = health
+        if status != DONE:
+            raise AssemblyError(
+                f'From this state not even a step of {self.step_size:g} s can be made: '
+                + ('the numbers grow beyond all bounds'
+                   if status == NOT_FINITE else 'the loops cannot be closed after it'
+                   if status == OPEN_LOOP else 'it takes too many evaluations'
+                   if status == TOO_MUCH_WORK else 'no part of it keeps the tolerance')
+                + f'. Take smaller velocities (largest now {fastest:.3g} rad/s or m/s), or a '
+                'smaller step.')
+
+    def restore(self, state, time, residual=None):
+        """
+        Take a state of another run of the same scene, bit for bit; torques stay.
+
+        Parameters
+        ----------
+        state : sequence
+            From ``state``; not assembled.
+        time : float
+            Of that state [s].
+        residual : float, optional
+            Of the energy balance in that state [J]; the present one when not given.
+
+        Raises
+        ------
+        ValueError
+            Where it is no state of this scene.
+
+        """
+        state = vector('state', state, len(self.state))
+        if residual is None:
+            residual = self.energy_balance.residual
+        self._start_balance()
+        self._state[:] = state[:len(self._state)]
+        steps = round(time / self.step_size)
+        exact = steps * self.step_size == time
+        self._time_base, self._steps = (0.0, steps) if exact else (time, 0)
+        self._effects.restart()
+        self._driver.recall(state[len(self._state):])
+        self._driver.restart()
+        self._jump()
+        self._balance.jump(self._q, self.energy_balance.residual - residual)
+
+    def _try_step(self, state, size):
+        """Make a step from a copy of a state, leaving all else as it is; return its status."""
+        memory = self._driver.memory
+        self._driver.restart(moved=True)
+        status, _ = self._driver.driver.advance(state, self.time, size, 1)
+        self._driver.recall(memory)
+        self._driver.restart()
+        self._fresh = False
+        return status
+
+    def warm_up(self):
+        """
+        Compile all that a run needs, leaving the state as it is.
+
+        Not the rank-revealing path, which takes several times as long as all the rest: that is
+        compiled, once for an installation, where a mechanism first needs it.
+
+        """
+        self._try_step(self._state.copy(), 1e-9)
+        self.constraint_forces, self.energy, self.closure
+
+    @property
+    def monitor(self):
+        """Return what keeps account of cost and local error, a ``monitor.Monitor``."""
+        return self._driver
+
+    def report(self):
+        """
+        Tell what the run has cost since the start or the last reset, and how far off it may be.
+
+        Returns
+        -------
+        monitor.RunReport
+
+        """
+        balance = self.energy_balance
+        self.energy_guard.note(balance, self.time)
+        return self._driver.report(self.closure, balance.residual, self.energy_guard)
+
+    def rollout(self, torques=None, initial_position=None, initial_velocity=None, *, hold=None,
+                duration=None, steps=None, every=1, parameters=None,
+                quantities=('position', 'velocity'), threads=None):
+        """
+        Run many simulations of this scene from its start, in parallel.
+
+        This simulation stays as it is. Every result is the same, bit for bit, as that of a
+        simulation of its own that is advanced by ``step``, whatever the number of threads.
+
+        Parameters
+        ----------
+        torques : array_like, shape (samples, rows, number of actuated joints)
+            Torques of the actuated joints [N m or N], one row after the other, each for the
+            same number of steps. Without the first axis for all samples; a single row stays
+            for the whole run; none when not given.
+        initial_position, initial_velocity : array_like, shape (samples, nv) or (nv,)
+            To start from instead of the scene's start, as for ``set_state``.
+        hold : sequence of str, optional
+            As for ``set_state``; those of the scene where only velocities are given.
+        duration, steps : float, int
+            Length of a run [s], or in steps; one step a row when neither is given.
+        every : int
+            Steps from one instant of the results to the next.
+        parameters : mapping of str to array_like, shape (samples,)
+            Numbers of the scene by key path, such as ``'mechanism.bodies.crank.mass'``,
+            ``'effects.gravity.acceleration.1'``, ``'initial.position.crank_joint'``.
+        quantities : sequence of str
+            What to return: names of the fields of ``rollout.Rollout``.
+        threads : int, optional
+            As many as there are processors, when not given.
+
+        Returns
+        -------
+        rollout.Rollout
+            A sample that fails is told of in ``failures``; its numbers are NaN from then on.
+            One whose energy balance misses more than a thousandth of what moved is told of
+            there, too, with its numbers kept.
+
+        Raises
+        ------
+        ValueError
+            For arguments that make no sense, whatever the sample.
+
+        """
+        return rollout(
+            self, torques, initial_position, initial_velocity, hold=hold, duration=duration,
+            steps=steps, every=every, parameters=parameters, quantities=quantities,
+            threads=threads)
+
+    # Effects.
+
+    @property
+    def effects(self):
+        """Return the listed effects, with their present parameters: records by name."""
+        return dict(self._effects.records)
+
+    @property
+    def enabled_effects(self):
+        """Names of the effects that are switched on."""
+        return tuple(name for name, enabled in self._effects.enabled.items() if enabled)
+
+    def set_effect(self, name, enabled=None, **parameters):
+        """
+        Switch an effect on or off, or change its parameters, from the next step on.
+
+        Parameters
+        ----------
+        name : str
+            Of an effect that the scene lists.
+        enabled : bool, optional
+            As it is, when not given.
+        **parameters
+            New values by the effect's keys.
+
+        Raises
+        ------
+        ValueError
+            Where a name or value makes no sense; nothing is changed.
+        StiffnessError
+            Where the steps would be too large for it in the present state; nothing is changed.
+
+        Notes
+        -----
+        An energy that appears or vanishes with the change (a spring that is switched on
+        stretched) is not booked as work: the energy balance goes on from the new energy.
+
+        """
+        self._balance.add_work(self._q, self.system.tau)
+        self._start_balance()
+        before = self.energy
+        anew = self._try_effect(name, enabled, parameters)
+        self._own[anew] = self._effects.initial[anew]
+        self._driver.restart()
+        self._jump()
+        if len(anew):
+            self._feel_loads()
+        self._balance.jump(self._q, self.energy - before)
+
+    def check_effect(self, name, enabled=None, **parameters):
+        """
+        Refuse, as ``set_effect`` would, a change that makes no sense; change nothing.
+
+        Parameters
+        ----------
+        name, enabled, **parameters
+            As for ``set_effect``.
+
+        Raises
+        ------
+        ValueError, StiffnessError
+
+        """
+        effects = self._effects
+        effects.checked(name, enabled, parameters)
+        was = effects.records[name], effects.enabled[name]
+        self._try_effect(name, enabled, parameters)
+        effects.put(name, *was)
+
+    def _try_effect(self, name, enabled, parameters):
+        """Change an effect, unless steps that can be stable now could not be with it."""
+        effects = self._effects
+        was = effects.records.get(name), effects.enabled.get(name)
+        anew = effects.change(name, enabled, parameters)
+        self._fresh = False
+        if effects.records[name].STIFFENS:
+            self._require_stable(name, was)
+        return anew
+
+    def _require_stable(self, name, was):
+        try:
+            self._stiffness.check(self._state, self.step_size)
+        except StiffnessError:
+            changed = self._effects.records[name], self._effects.enabled[name]
+            self._effects.put(name, *was)
+            if self._stiffness.stable(self._state, self.step_size):
+                raise
+            # It has been too stiff before: a change may be for the better.
+            self._effects.put(name, *changed)
+
+    # Dynamics of any state.
+
+    def forward_dynamics(self, position, velocity, torque=None):
+        """
+        Compute accelerations and multipliers of a state that closes the loops.
+
+        Parameters
+        ----------
+        position, velocity : sequence, shape (nv,)
+            State, closing the loops.
+        torque : mapping, sequence or None
+            As for ``step``.
+
+        Returns
+        -------
+        acceleration : ndarray, shape (nv,)
+        multipliers : ndarray, shape (nc,)
+
+        """
+        nv, system = len(self.joint_names), self.system
+        probe = self._probe
+        probe.q[:] = vector('position', position, nv)
+        probe.qd[:] = vector('velocity', velocity, nv)
+        tau, applied = self.joint_torques(torque), system.tau.copy()
+        system.tau[:] = tau
+        self._table.states[:] = self._own
+        self._effects.follow(self._table.states, probe.qd)
+        probe.evaluate()
+        system.tau[:] = applied
+        self._fresh = False
+        return system.qdd.copy(), system.lam.copy()
+
+    def inverse_dynamics(self, position, velocity, acceleration):
+        """
+        Compute the torques and constraint forces that a motion needs.
+
+        Parameters
+        ----------
+        position, velocity, acceleration : sequence, shape (nv,)
+            Consistent with the loops.
+
+        Returns
+        -------
+        torque : ndarray, shape (number of actuated joints,)
+            The least ones where the mechanism is actuated redundantly [N m or N].
+        multipliers : ndarray, shape (nc,)
+
+        Raises
+        ------
+        SimulationError
+            Where the actuated joints cannot produce the motion, or it opens the loops.
+
+        Notes
+        -----
+        Solves tau + tau_effects + J^T lambda = I qdd + c, tau zero at the joints that are not
+        actuated. The torques are those at the joints, after limits and lags of the drives; dry
+        friction is that of a steady motion, none where a joint rests.
+
+        """
+        nv = len(self.joint_names)
+        q, qd, qdd = (vector(name, values, nv) for name, values in (
+            ('position', position), ('velocity', velocity), ('acceleration', acceleration)))
+        self._fresh = False
+        return self._inverse.solve(q, qd, qdd)
+
+
+def vector(name, values, length):
+    """
+    Return finite numbers as a new array.
+
+    Parameters
+    ----------
+    name : str
+        What they are, for the error message.
+    values : sequence
+        Of numbers.
+    length : int
+        How many are expected.
+
+    Returns
+    -------
+    ndarray, shape (length,)
+
+    Raises
+    ------
+    ValueError
+
+    """
+    array = np.array(values, dtype=float, order='C')
+    # The sum of squares is finite where all are, and quicker to tell; it may overflow alone.
+    if array.shape != (length,) or not (
+            math.isfinite(array.dot(array)) or np.isfinite(array).all()):
+        raise ValueError(f'{name}: expected {length} finite numbers, got {values!r}')
+    return array

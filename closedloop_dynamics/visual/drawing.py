@@ -1,0 +1,331 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Draw any planar mechanism from its description; ``appearance`` says what it looks like."""
+
+from dataclasses import dataclass
+
+from matplotlib.colors import to_rgb
+from matplotlib.lines import Line2D
+from matplotlib.patches import Polygon
+import matplotlib.patheffects
+import numpy as np
+
+from .motion import named_point, pose_of, world_points
+from ..appearance import (
+    body_colors, CUT_COLOR, FORCE_COLOR, outline, PATH_COLOR, sliders)
+from ..mechanism.mechanism import GROUND, PRISMATIC
+
+# Length of the longest force arrow, as a share of the picture's extent.
+ARROW_SIZE = 0.22
+LINK_WIDTH = 5.0
+INK = '#333333'
+# Of a pivot's triangle, and of the block of a slider, as shares of the picture's extent.
+PIVOT_SIZE, SLIDER_SIZE = 0.035, 0.04
+# Above the positions in the background, below the strong one.
+GROUND_LAYER = 24.0
+PALEST = 0.18
+
+
+@dataclass(frozen=True)
+class Part:
+    """
+    A line, a polygon or dots that move with bodies.
+
+    Attributes
+    ----------
+    artist : matplotlib.lines.Line2D or matplotlib.patches.Polygon
+    points : tuple of (str, array_like of shape (m, 2))
+        Names of bodies, and places in their frames [m].
+
+    """
+
+    artist: object
+    points: tuple
+
+    def place(self, places):
+        """Move it to places in the world, shape (m, 2) [m]."""
+        if isinstance(self.artist, Polygon):
+            self.artist.set_xy(places)
+        else:
+            self.artist.set_data(*places.T)
+
+
+class MechanismArtist:
+    """
+    Draws one mechanism into one pair of axes.
+
+    Parameters
+    ----------
+    axes : matplotlib.axes.Axes
+        Where to draw.
+    mechanism : mechanism.mechanism.Mechanism
+        What to draw.
+    poses : ndarray, shape (n, nb, 3)
+        All poses that will be drawn; they fix the extent of the picture.
+
+    Attributes
+    ----------
+    extent : float
+        Largest width or height of all that moves [m].
+
+    """
+
+    def __init__(self, axes, mechanism, poses):
+        """Find outlines and extent; draw nothing yet."""
+        self.axes = axes
+        self.mechanism = mechanism
+        self.poses = poses
+        self.outlines = {body.name: outline(mechanism, body.name) for body in mechanism.bodies}
+        self.color = body_colors(mechanism)
+        self.sliders = sliders(mechanism)
+        places = np.concatenate([
+            world_points(pose_of(mechanism, poses, name), points).reshape(-1, 2)
+            for name, points in self.outlines.items()])
+        self.extent = float(np.ptp(places, axis=0).max()) or 1.0
+        axes.set_aspect('equal')
+        axes.set_xlabel('x [m]')
+        axes.set_ylabel('y [m]')
+        axes.set_axisbelow(True)
+        axes.grid(color='0.93')
+        # Room around what moves, for pivots and arrows.
+        axes.update_datalim([places.min(axis=0) - 0.06 * self.extent,
+                             places.max(axis=0) + 0.06 * self.extent])
+        axes.autoscale_view()
+
+    def ground(self):
+        """Draw what stands still."""
+        draw_ground(self.axes, self.mechanism, self.poses, self.extent)
+
+    def bodies(self, index, strength=1.0):
+        """
+        Draw all bodies with their joints in one pose.
+
+        Parameters
+        ----------
+        index : int
+            Of the pose.
+        strength : float
+            1: full colours; less: paler, for positions in the background.
+
+        Returns
+        -------
+        list of Part
+
+        """
+        layer = 10.0 + 15.0 * strength
+        parts = []
+        for body in self.mechanism.bodies:
+            parts += self._body(body.name, strength, layer)
+        for driven in (True, False):
+            ends = tuple((joint.child, ((0.0, 0.0),)) for joint in self.mechanism.joints
+                         if joint.type != PRISMATIC and joint.actuated == driven)
+            parts.append(Part(self._dots(INK if driven else 'white', INK, 6.5 if driven else 5.0,
+                                         strength, layer), ends))
+        parts.append(Part(
+            self._dots('white', CUT_COLOR, 7.5, strength, layer, edge_width=2.2),
+            tuple((cut.body_a, (cut.point_a,)) for cut in self.mechanism.cut_joints)))
+        for part in parts:
+            part.place(self.places(part)[index])
+        return parts
+
+    def places(self, part):
+        """Return where a part is in each pose, shape (n, m, 2) [m]."""
+        places = [world_points(pose_of(self.mechanism, self.poses, body), points)
+                  for body, points in part.points]
+        return np.concatenate([np.zeros((len(self.poses), 0, 2)), *places], axis=1)
+
+    def path(self, name):
+        """Draw the path of a named point over all poses."""
+        places = named_point(self.mechanism, self.poses, name)
+        self.axes.plot(*places.T, color=PATH_COLOR, linewidth=1.6, zorder=31)
+        return places
+
+    def mark(self, place):
+        """Mark where a traced point is; return the mark."""
+        return self.axes.plot(*place, marker='D', markersize=5, color=PATH_COLOR, zorder=32,
+                              markeredgecolor='white', markeredgewidth=0.8)[0]
+
+    def forces(self, index, forces, largest):
+        """
+        Draw the constraint forces on body A of every cut joint.
+
+        Parameters
+        ----------
+        index : int
+            Of the pose.
+        forces : ndarray, shape (number of cut joints, 3)
+            Moment [N m] and force [N].
+        largest : float
+            The force [N] that gets the longest arrow.
+
+        Returns
+        -------
+        list of matplotlib.text.Annotation
+            An arrow for each cut joint.
+
+        """
+        arrows = []
+        for start, end in self.arrow_ends(index, forces, largest):
+            arrows.append(self.axes.annotate('', end, start, zorder=33, arrowprops={
+                'arrowstyle': '-|>', 'color': FORCE_COLOR, 'linewidth': 1.8,
+                'shrinkA': 4, 'shrinkB': 0, 'mutation_scale': 12}))
+            self.axes.update_datalim([end])
+        self.axes.autoscale_view()
+        return arrows
+
+    def arrow_ends(self, index, forces, largest):
+        """Return where the arrow of each cut joint starts and ends; see ``forces``."""
+        scale = ARROW_SIZE * self.extent / largest if largest > 0.0 else 0.0
+        starts = [self._cut_place(cut, self.poses[index]) for cut in self.mechanism.cut_joints]
+        return [(start, start + scale * np.array(force))
+                for start, (_, *force) in zip(starts, forces)]
+
+    def cut_names(self, index, forces):
+        """Write the names of the cut joints beside them, where the force arrows do not go."""
+        written = {}
+        for cut, (_, *force) in zip(self.mechanism.cut_joints, forces):
+            place = self._cut_place(cut, self.poses[index])
+            key = tuple(np.round(place / self.extent, 3))
+            names, arrows = written.setdefault(key, ([], []))
+            names.append(cut.name)
+            arrows.append(np.array(force) / (np.hypot(*force) or 1.0))
+        for place, (names, arrows) in written.items():
+            right, up = -np.sum(arrows, axis=0)
+            self.axes.annotate(
+                ', '.join(names), np.array(place) * self.extent, zorder=34,
+                xytext=(11 if right >= 0.0 else -11, 9 if up >= 0.0 else -9),
+                textcoords='offset points', ha='left' if right >= 0.0 else 'right', va='center',
+                color=CUT_COLOR, fontsize=9, fontweight='bold', path_effects=_halo())
+
+    def legend_handles(self, path=None, force=None):
+        """Return what a legend needs to explain the drawing; ``force`` says what arrows are."""
+        colors = dict.fromkeys(self.color.values())
+        handles = [
+            Line2D([], [], color=mixed(color, 0.75), linewidth=LINK_WIDTH,
+                   label=f'subsystem {number}')
+            for number, color in enumerate(colors, 1)]
+        actuated = any(joint.actuated for joint in self.mechanism.joints)
+        marker = {'linestyle': 'none', 'marker': 'o'}
+        handles += [Line2D([], [], markersize=6.5, color=INK, label='driven joint',
+                           **marker)] * actuated
+        handles += [Line2D([], [], markersize=7.5, markerfacecolor='white', label='cut joint',
+                           markeredgecolor=CUT_COLOR, markeredgewidth=2.2,
+                           **marker)] * bool(self.mechanism.cut_joints)
+        if path is not None:
+            handles.append(Line2D([], [], color=PATH_COLOR, linewidth=1.6, marker='D',
+                                  markersize=5, label=f'path of {path}'))
+        if force:
+            handles.append(Line2D([], [], color=FORCE_COLOR, linewidth=1.8, marker='>',
+                                  markersize=6, label=force))
+        return handles
+
+    def _body(self, name, strength, layer):
+        """Return the parts that a body is drawn as."""
+        color, points = self.color[name], self.outlines[name]
+        style = {'facecolor': mixed(color, 0.35 * strength), 'joinstyle': 'round',
+                 'edgecolor': mixed(color, 0.75 * strength), 'zorder': layer}
+        parts = []
+        if len(points) > 2:
+            parts.append(Part(self.axes.add_patch(Polygon(points, linewidth=2.2, **style)),
+                              ((name, points),)))
+        elif len(points) == 2:
+            line, = self.axes.plot([], [], color=mixed(color, 0.75 * strength), zorder=layer,
+                                   linewidth=LINK_WIDTH, solid_capstyle='round')
+            parts.append(Part(line, ((name, points),)))
+        if name in self.sliders or len(points) == 1:
+            block = SLIDER_SIZE * self.extent * np.array(
+                [[-1.0, -0.62], [1.0, -0.62], [1.0, 0.62], [-1.0, 0.62]])
+            parts.append(Part(self.axes.add_patch(Polygon(block, linewidth=1.5, **style)),
+                              ((name, block),)))
+        return parts
+
+    def _dots(self, face, edge, size, strength, layer, edge_width=1.3):
+        dots, = self.axes.plot([], [], marker='o', markersize=size, zorder=layer + 0.5,
+                               linestyle='none', markerfacecolor=mixed(face, strength),
+                               markeredgecolor=mixed(edge, strength), markeredgewidth=edge_width)
+        return dots
+
+    def _cut_place(self, cut, poses):
+        return world_points(pose_of(self.mechanism, poses, cut.body_a), cut.point_a)
+
+
+def _halo():
+    return [matplotlib.patheffects.withStroke(linewidth=2.5, foreground='white')]
+
+
+def mixed(color, strength):
+    """Mix a colour with white; opaque, so that overlapping parts do not darken."""
+    strength = PALEST + (1.0 - PALEST) * strength if strength < 1.0 else 1.0
+    return tuple(strength * part + 1.0 - strength for part in to_rgb(color))
+
+
+def draw_ground(axes, mechanism, poses, extent):
+    """
+    Draw what stands still: pivots as hatched triangles, slides as hatched lines.
+
+    Parameters
+    ----------
+    axes : matplotlib.axes.Axes
+        Where to draw.
+    mechanism : mechanism.mechanism.Mechanism
+        What is drawn.
+    poses : ndarray, shape (n, nb, 3)
+        All that are drawn: a rail is as long as its slider needs it.
+    extent : float
+        Of the picture [m].
+
+    """
+    for kind, angle, place, body in _on_ground(mechanism):
+        if kind == PRISMATIC:
+            axis = np.array([np.cos(angle), np.sin(angle)])
+            along = (pose_of(mechanism, poses, body)[..., :2] - place) @ axis
+            _draw_rail(axes, np.array(place), axis, along, SLIDER_SIZE * extent)
+        else:
+            _draw_pivot(axes, np.array(place), PIVOT_SIZE * extent)
+
+
+def _on_ground(mechanism):
+    """Yield type, angle and place of every joint and cut joint on the ground, and the body."""
+    for joint in mechanism.joints:
+        if joint.parent == GROUND:
+            yield joint.type, joint.angle, joint.position, joint.child
+    for cut in mechanism.cut_joints:
+        if cut.body_b == GROUND:
+            yield cut.type, cut.angle, cut.point_b, cut.body_a
+        elif cut.body_a == GROUND and cut.type != PRISMATIC:
+            # The axis of a prismatic cut joint belongs to body B: nothing to draw here.
+            yield cut.type, 0.0, cut.point_a, cut.body_b
+
+
+def _draw_pivot(axes, place, size):
+    left, right = place + [-0.7 * size, -size], place + [0.7 * size, -size]
+    axes.add_patch(Polygon([place, left, right], facecolor='0.85', edgecolor=INK,
+                           linewidth=1.2, joinstyle='round', zorder=GROUND_LAYER))
+    wide = np.array([0.45 * size, 0.0])
+    _draw_hatched(axes, left - wide, right + wide, np.array([0.0, -0.4 * size]))
+
+
+def _draw_rail(axes, place, axis, along, size):
+    below = np.array([axis[1], -axis[0]]) * size * 0.62
+    start, end = (place + axis * reach + below
+                  for reach in (along.min() - 1.6 * size, along.max() + 1.6 * size))
+    _draw_hatched(axes, start, end, below * 0.55)
+
+
+def _draw_hatched(axes, start, end, depth):
+    axes.add_patch(Polygon([start, end, end + depth, start + depth], facecolor='none',
+                           edgecolor='0.55', hatch='//////', linewidth=0.0,
+                           zorder=GROUND_LAYER))
+    axes.plot(*np.transpose([start, end]), color=INK, linewidth=1.2, zorder=GROUND_LAYER)

@@ -1,0 +1,292 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Pictures of a motion: joints, constraint forces, the mechanism in several positions."""
+
+import matplotlib.figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import SymmetricalLogLocator
+import numpy as np
+
+from .drawing import MechanismArtist
+from .motion import body_poses
+from ..mechanism.mechanism import PRISMATIC, REVOLUTE
+
+# Okabe and Ito's palette, its yellow darkened; with the dashes, 21 lines can be told apart.
+COLORS = ('#0072B2', '#D55E00', '#009E73', '#CC79A7', '#56B4E9', '#B8A200', '#333333')
+DASHES = ('-', '--', ':')
+DOTS_PER_INCH = 120
+WANTED = {'color': '#D55E00', 'linewidth': 1.1, 'linestyle': (0, (4, 3))}
+TURN = 2.0 * np.pi
+# Poses looked at when positions to draw are chosen.
+CANDIDATES = 400
+
+
+def joint_motion(motion, title, wanted=None):
+    """
+    Draw positions, velocities and the efforts of the driven joints over time, a row a joint.
+
+    Parameters
+    ----------
+    motion : Motion
+        What is drawn.
+    title : str
+        Above it.
+    wanted : tuple of 2 ndarrays, shape (n, nv), optional
+        Positions and velocities that the joints were to have; NaN where nothing was wanted.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    """
+    joints = motion.mechanism.joints
+    wanted_position, wanted_velocity = wanted or (None, None)
+    columns = [('position', motion.position, wanted_position, ('rad', 'm')),
+               ('velocity', motion.velocity, wanted_velocity, ('rad/s', 'm/s'))]
+    if any(joint.actuated for joint in joints):
+        columns.append(('effort', motion.effort, None, ('N m', 'N')))
+    figure = matplotlib.figure.Figure(
+        figsize=(10.0, 1.4 + 1.15 * len(joints)), layout='constrained', dpi=DOTS_PER_INCH)
+    panels = figure.subplots(len(joints), len(columns), sharex=True, squeeze=False)
+    figure.suptitle(title, fontweight='bold', x=0.02, ha='left')
+    for k, (joint, row) in enumerate(zip(joints, panels)):
+        for axes, (quantity, values, goals, units) in zip(row, columns):
+            if quantity == 'effort' and not joint.actuated:
+                axes.axis('off')
+                continue
+            turning = (quantity == 'position' and joint.type == REVOLUTE
+                       and np.ptp(values[:, k]) > TURN)
+            shown = _wrapped if turning else np.asarray
+            axes.plot(motion.time, shown(values[:, k]), color=COLORS[0], linewidth=1.3)
+            if goals is not None and np.isfinite(goals[:, k]).any():
+                axes.plot(motion.time, shown(goals[:, k]), label='wanted', **WANTED)
+            unit = units[joint.type == PRISMATIC]
+            name = f'{joint.name}\n' if quantity == 'position' else ''
+            axes.set_ylabel(f'{name}[{unit}]', fontsize=9)
+            if turning:
+                axes.set_title('within a turn', fontsize=8, color='0.35', loc='right', pad=2)
+            _plain(axes)
+    for axes, (quantity, *_) in zip(panels[0], columns):
+        axes.set_title(quantity, fontsize=10, loc='left')
+    for column in panels.T:
+        lowest = [axes for axes in column if axes.axison][-1]
+        lowest.set_xlabel('time [s]')
+        lowest.tick_params(labelbottom=True)
+    figure.align_ylabels()
+    if wanted is not None:
+        figure.legend(handles=[Line2D([], [], label='wanted', **WANTED)],
+                      loc='outside lower right', frameon=False, fontsize=9)
+    return figure
+
+
+def constraint_forces(motion, title):
+    """
+    Draw the constraint force of every cut joint over time.
+
+    Parameters
+    ----------
+    motion : Motion
+        What is drawn.
+    title : str
+        Above it.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    """
+    cuts = motion.mechanism.cut_joints
+    torques = [k for k, cut in enumerate(cuts) if cut.type != REVOLUTE]
+    figure, rows = _panels(len(cuts) + bool(torques), title)
+    for k, (axes, cut) in enumerate(zip(rows, cuts)):
+        _, x, y = motion.forces[:, k].T
+        axes.plot(motion.time, x, label='x', **_style(0))
+        axes.plot(motion.time, y, label='y', **_style(1))
+        axes.plot(motion.time, np.hypot(x, y), label='magnitude', color='0.35', linestyle='--',
+                  linewidth=1.1)
+        axes.set_ylabel(f'{cut.name} [N]')
+        axes.set_title(f'on {cut.body_a}, by {cut.body_b}', fontsize=9, color='0.35', loc='right')
+        _legend_beside(axes)
+    for k in torques:
+        rows[-1].plot(motion.time, motion.forces[:, k, 0], label=cuts[k].name, **_style(k))
+    if torques:
+        rows[-1].set_ylabel('torque [N m]')
+        _legend_beside(rows[-1])
+    return figure
+
+
+def positions(motion, title, point=None, count=5):
+    """
+    Draw the mechanism in several positions, with a point's path and the constraint forces.
+
+    Parameters
+    ----------
+    motion : Motion
+        What is drawn.
+    title : str
+        Above it.
+    point : str, optional
+        Whose path is drawn; the mechanism's first named point when not given.
+    count : int
+        How many positions.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    """
+    poses = body_poses(motion.mechanism, motion.position)
+    if point is None and motion.mechanism.points:
+        point = motion.mechanism.points[0].name
+    figure = matplotlib.figure.Figure(layout='constrained', dpi=DOTS_PER_INCH)
+    axes = figure.add_subplot()
+    artist = MechanismArtist(axes, motion.mechanism, poses)
+    artist.ground()
+    chosen = spread_positions(poses, count)
+    for rank, index in enumerate(chosen, 1):
+        artist.bodies(index, (rank / len(chosen)) ** 1.5)
+    last = chosen[-1]
+    if point is not None:
+        artist.mark(artist.path(point)[last])
+    forces = motion.forces[last]
+    # Forces that were not recorded are no numbers.
+    known = bool(np.isfinite(forces).all())
+    largest = np.hypot(*forces[:, 1:].T).max(initial=0.0) if known else 0.0
+    if known:
+        artist.forces(last, forces, largest)
+    artist.cut_names(last, np.nan_to_num(forces))
+    times = ', '.join(f'{motion.time[index]:.2f}' for index in chosen)
+    figure.suptitle(title, fontweight='bold', x=0.02, ha='left')
+    force = (f'force on body A at {motion.time[last]:.2f} s: up to {largest:.3g} N\n'
+             f'(in the whole run up to {_largest_force(motion):.3g} N)') if largest else None
+    figure.legend(handles=artist.legend_handles(point, force), loc='outside lower center',
+                  ncols=4, fontsize=9, frameon=False, title_fontsize=9,
+                  title=f'positions at {times} s, pale to strong')
+    (left, right), (low, high) = axes.get_xlim(), axes.get_ylim()
+    figure.set_size_inches(8.0, np.clip(7.0 * (high - low) / (right - left), 3.0, 8.5) + 1.5)
+    return figure
+
+
+def _largest_force(motion):
+    """Return the largest constraint force that is known [N]."""
+    return np.nanmax(np.hypot(motion.forces[..., 1], motion.forces[..., 2]))
+
+
+def deviations(result, title):
+    """
+    Draw how far recorded states are from those simulated again, over time.
+
+    Parameters
+    ----------
+    result : replay.Replay
+        What is drawn.
+    title : str
+        Above it.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    """
+    motion = result.recorded
+    forces = result.deviation('forces')
+    panels = [(f'{quantity} [{unit}]', np.abs(result.deviation(quantity)),
+               [joint.name for joint in motion.mechanism.joints])
+              for quantity, unit in (('position', 'rad, m'), ('velocity', 'rad/s, m/s'))]
+    if motion.mechanism.cut_joints:
+        panels.append(('force [N]', np.hypot(forces[..., 1], forces[..., 2]),
+                       [cut.name for cut in motion.mechanism.cut_joints]))
+    figure, rows = _panels(len(panels), title)
+    for axes, (label, values, names) in zip(rows, panels):
+        for k, name in enumerate(names):
+            axes.plot(motion.time, values[:, k], label=name, **_style(k))
+        # Zero and rounding side by side with what is visible.
+        largest = np.nanmax(values, initial=0.0)
+        axes.set_yscale('symlog', linthresh=1e-15)
+        axes.yaxis.set_major_locator(SymmetricalLogLocator(base=1e3, linthresh=1e-15))
+        axes.set_ylim(0.0, max(10.0 * largest, 1e-14))
+        axes.set_ylabel(label)
+        _legend_beside(axes)
+    return figure
+
+
+def spread_positions(poses, count):
+    """
+    Choose positions that differ most from each other; the last one is always among them.
+
+    Parameters
+    ----------
+    poses : ndarray, shape (n, nb, 3)
+        Of the bodies.
+    count : int
+        How many to choose, at most.
+
+    Returns
+    -------
+    list of int
+        Indices, ascending.
+
+    """
+    candidates = np.unique(np.linspace(0, len(poses) - 1, CANDIDATES).astype(int))
+    extent = np.ptp(poses[..., :2], axis=(0, 1)).max()
+    angle = poses[candidates, :, 2]
+    places = np.concatenate([
+        poses[candidates, :, 0], poses[candidates, :, 1],
+        0.3 * extent * np.cos(angle), 0.3 * extent * np.sin(angle)], axis=1)
+    chosen = [len(candidates) - 1]
+    distance = np.full(len(candidates), np.inf)
+    while len(chosen) < count:
+        distance = np.minimum(distance, np.linalg.norm(places - places[chosen[-1]], axis=1))
+        if distance.max() <= 1e-3 * extent:
+            break
+        chosen.append(int(distance.argmax()))
+    return sorted(int(candidates[index]) for index in chosen)
+
+
+def _panels(count, title):
+    """Return a figure and its panels, one below the other with one time axis."""
+    figure = matplotlib.figure.Figure(
+        figsize=(9.0, 1.2 + 2.1 * max(count, 1)), layout='constrained', dpi=DOTS_PER_INCH)
+    rows = figure.subplots(max(count, 1), 1, sharex=True, squeeze=False)[:, 0]
+    figure.suptitle(title, fontweight='bold', x=0.02, ha='left')
+    for axes in rows:
+        _plain(axes)
+    rows[-1].set_xlabel('time [s]')
+    figure.align_ylabels()
+    return figure, rows
+
+
+def _plain(axes):
+    axes.grid(color='0.92')
+    axes.spines[['top', 'right']].set_visible(False)
+    axes.margins(x=0.01)
+
+
+def _legend_beside(axes):
+    axes.legend(loc='center left', bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize=9)
+
+
+def _style(index):
+    # Thinner and thinner, so that a line that another one follows can still be seen below it.
+    return {'color': COLORS[index % len(COLORS)], 'linewidth': max(2.4 - 0.2 * index, 1.1),
+            'linestyle': DASHES[index // len(COLORS) % len(DASHES)]}
+
+
+def _wrapped(angle):
+    """Return an angle between -pi and pi, with a gap where it jumps."""
+    wrapped = np.array((angle + np.pi) % TURN - np.pi)
+    jumps = np.flatnonzero(np.abs(np.diff(wrapped)) > np.pi)
+    wrapped[jumps] = np.nan
+    return wrapped

@@ -1,0 +1,109 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Write ``doc/scene_keys.md``: every key of mechanism and scene files, from the code that reads them.
+
+Keys and defaults are those of the records, meanings and units those of their docstrings.
+
+"""
+
+from dataclasses import fields, MISSING
+import inspect
+from pathlib import Path
+import re
+
+from closedloop_dynamics.effects.registry import EFFECTS
+from closedloop_dynamics.integration.registry import INTEGRATORS, STABILISATIONS
+from closedloop_dynamics.mechanism.fields import keys_of
+from closedloop_dynamics.mechanism.mechanism import Mechanism
+from closedloop_dynamics.mechanism.validation import SECTIONS
+from closedloop_dynamics.scene import INITIAL_KEYS, SCENE_KEYS
+from closedloop_dynamics.scene_records import AUTO, FORMULATIONS, Initial, Method
+
+PAGE = Path(__file__).with_name('scene_keys.md')
+TYPES = {'str': 'text', 'bool': 'true or false', 'float': 'number', 'int': 'whole number',
+         'tuple of 2 floats': '[x, y]', 'float or None': 'number', 'str or None': 'text',
+         'tuple of 2 floats or None': '[x, y]', 'tuple of str': 'list of names',
+         'tuple of nv floats': 'number by joint name'}
+CHOICES = {'integrator': (AUTO, *INTEGRATORS), 'stabilisation': STABILISATIONS,
+           'formulation': FORMULATIONS}
+HEAD = """\
+# Keys of mechanism and scene files
+
+Written by `python doc/make_scene_keys.py` from the code that reads the files; a test compares.
+SI units and radians. [Describe your own mechanism](describe_a_mechanism.md) shows them at work,
+[effects.md](effects.md) tells what the effects do.
+"""
+
+
+def documented(record_type):
+    """Return type and meaning of each attribute that a docstring describes."""
+    text = inspect.getdoc(record_type).partition('----------\n')[2]
+    found = {}
+    for names, kind, below in re.findall(r'^(\w[\w, ]*) : (.*)\n((?:    .*\n?)*)', text, re.M):
+        meaning = ' '.join(below.split())
+        for name in names.split(', '):
+            found[name] = TYPES[kind], meaning or 'Its name.'
+    return found
+
+
+def default(record_type, key):
+    """Return how a file would say what holds where a key is left out."""
+    value = next(field.default for field in fields(record_type) if field.name == key)
+    if value is MISSING or value is None or value == () or value == '':
+        return 'none'
+    if isinstance(value, bool):
+        return str(value).lower()
+    return f'{list(value)}' if isinstance(value, tuple) else f'{value}'
+
+
+def table(record_type, keys):
+    """Return the lines of a table of keys."""
+    required, optional = keys
+    told = documented(record_type)
+    lines = ['| Key | | Value | Meaning |', '|---|---|---|---|']
+    for key in (*required, *optional):
+        kind, meaning = told[key]
+        if key in CHOICES:
+            kind = ', '.join(f'`{choice}`' for choice in CHOICES[key])
+        given = 'required' if key in required else f'optional, {default(record_type, key)}'
+        lines.append(f'| `{key}` | {given} | {kind} | {meaning.replace("``", "`")} |')
+    return lines
+
+
+def page():
+    """Return the whole page."""
+    lines = [HEAD, '## Mechanism', '', *_names(keys_of(Mechanism))]
+    for section, (record_type, _) in SECTIONS.items():
+        lines += ['', f'### An entry of `{section}`, by its name', '',
+                  *table(record_type, keys_of(record_type, leave_out=('name',)))]
+    lines += ['', 'Of a body with `massless: true`, `mass`, `center_of_mass` and `inertia` may be '
+              'left out.', '', '## Scene', '', *_names(SCENE_KEYS), '', '### `initial`', '',
+              *table(Initial, INITIAL_KEYS), '', '### `method`', '',
+              *table(Method, keys_of(Method))]
+    for kind, record_type in EFFECTS.items():
+        summary = inspect.getdoc(record_type).partition('\n')[0]
+        lines += ['', f'### An entry of `effects` with `type: {kind}`', '', summary, '',
+                  *table(record_type, keys_of(record_type))]
+    return '\n'.join(lines) + '\n'
+
+
+def _names(keys):
+    return ['Required: ' + ', '.join(f'`{key}`' for key in keys[0]) + '. Optional: '
+            + ', '.join(f'`{key}`' for key in keys[1]) + '.']
+
+
+if __name__ == '__main__':
+    PAGE.write_text(page(), encoding='utf-8')

@@ -1,0 +1,177 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Bags with flipped, zeroed, doubled and missing bytes: an error, or the damage is told.
+
+Every case runs the reader, ``closedloop recover`` and the reader of ``closedloop replay`` in
+this process. *Silent* is a case where messages are lost or altered and nothing says so. Of a
+recording that was killed, a shorter one cannot be told from one that was killed earlier; that it
+was cut short is said in both cases.
+
+"""
+
+from collections import Counter
+import random
+import shutil
+from test.bags.sample import QOS, STORE
+import warnings
+
+from closedloop_dynamics.bags.contents import Topic
+from closedloop_dynamics.bags.metadata import dump
+from closedloop_dynamics.bags.reading import Bag, BagReadError
+from closedloop_dynamics.bags.writer import BagFiles
+from closedloop_dynamics.cli import main
+from closedloop_dynamics.scene import load_scene, SceneError
+from closedloop_dynamics.scene_text import scene_text
+from closedloop_dynamics.simulation.simulation import Simulation
+from closedloop_dynamics.studies.recording import read_recording, RecordingError
+import numpy as np
+import pytest
+
+STATES, CHUNK = 60, 10
+VARIANTS = (('mcap', 'none', True), ('mcap', 'zstd', True), ('sqlite3', 'none', True),
+            ('mcap', 'none', False), ('mcap', 'lz4', False), ('sqlite3', 'zstd', False))
+
+
+def record(path, storage, compression, finished):
+    """Record a simulation as the nodes do; return the bag as a list of its messages."""
+    scene = load_scene('four_bar')
+    simulation = Simulation(scene)
+    files, channels = BagFiles(path, storage, compression), {}
+    names = simulation.joint_names
+    columns = ['stamp_sec', 'stamp_nanosec', 'index', 'jumps', 'simulated_time', *names,
+               *(f'state.{k}' for k in range(len(simulation.state)))]
+
+    def write(topic, kind, time, **values):
+        if topic not in channels:
+            definition, _ = STORE.generate_msgdef(kind, ros_version=2)
+            channels[topic] = files.add_topic(
+                Topic(topic, kind, definition, dump(QOS), STORE.hash_rihs01(kind)))
+        files.write(channels[topic], time, bytes(
+            STORE.serialize_cdr(STORE.types[kind](**values), kind)))
+
+    write('/scene', 'std_msgs/msg/String', 1, data=scene_text(scene, scene.effects, [], after=0))
+    types = STORE.types
+    for k in range(STATES):
+        stamp = types['builtin_interfaces/msg/Time'](sec=k // 10, nanosec=k % 10 * 10 ** 8)
+        write('/joint_states', 'sensor_msgs/msg/JointState', 10 * k + 2,
+              header=types['std_msgs/msg/Header'](stamp=stamp, frame_id=''), name=list(names),
+              position=simulation.position, velocity=simulation.velocity,
+              effort=simulation.effort)
+        label = types['std_msgs/msg/MultiArrayDimension'](
+            label=' '.join(columns), size=len(columns), stride=len(columns))
+        write('/replay_log', 'std_msgs/msg/Float64MultiArray', 10 * k + 3,
+              layout=types['std_msgs/msg/MultiArrayLayout'](dim=[label], data_offset=0),
+              data=np.concatenate(([stamp.sec, stamp.nanosec, k + 1, 0, simulation.time],
+                                   np.zeros(len(names)), simulation.state)))
+        simulation.advance(np.zeros(len(names)), 10)
+        if k % CHUNK == CHUNK - 1:
+            files.flush()
+    files.close()
+    if not finished:
+        (path / 'metadata.yaml').unlink()
+        if storage == 'mcap':
+            file, = path.glob('*.mcap')
+            with open(file, 'rb') as content:
+                data = content.read()
+            # Behind the last chunk and its index.
+            file.write_bytes(data[:data.rindex(b'\x0c', 0, data.rindex(b'rosbag2_bagfile')
+                                               if b'rosbag2_bagfile' in data
+                                               else data.rindex(b'serialized_metadata'))])
+    return [(message.topic.name, message.time, message.data)
+            for message in Bag(path).serialised()]
+
+
+def spoil(path, chance):
+    """Damage one file of a bag; return what was done."""
+    file = chance.choice(sorted(each for each in path.iterdir() if each.is_file()))
+    data = bytearray(file.read_bytes())
+    kind = chance.choice(('flip', 'flips', 'cut', 'zero', 'double', 'remove'))
+    place, size = chance.randrange(len(data)), chance.choice((1, 8, 300, 5000))
+    if kind == 'flip':
+        data[place] ^= 1 << chance.randrange(8)
+    elif kind == 'flips':
+        for _ in range(8):
+            data[chance.randrange(len(data))] ^= 1 << chance.randrange(8)
+    elif kind == 'cut':
+        del data[place:]
+    elif kind == 'zero':
+        data[place:place + size] = bytes(len(data[place:place + size]))
+    elif kind == 'double':
+        data[place:place] = data[place:place + size]
+    else:
+        del data[place:place + size]
+    file.write_bytes(data)
+    return f'{kind} at {place} of {file.name}, {size}'
+
+
+def outcome(path, original, finished, out):
+    """Read, recover and read for a replay; return what became of it."""
+    try:
+        bag = Bag(path)
+        found = [(message.topic.name, message.time, message.data)
+                 for message in bag.serialised()]
+        cut = not bag.finished and found == original[:len(found)]
+        told = bool(bag.damages) or (finished and not bag.finished)
+        code = main(['recover', str(path), '--output', str(out)])
+        if (code == 0) != (not bag.damages or bag.lost == 0):
+            return 'silent'
+        for _ in Bag(path).messages():
+            pass
+    except BagReadError:
+        return 'error'
+    with warnings.catch_warnings(record=True) as complaints:
+        warnings.simplefilter('always')
+        try:
+            read_recording(path)
+        except (RecordingError, SceneError, OSError):
+            complaints.append('error')
+    if found == original:
+        return 'accepted'
+    if not told and not cut:
+        return 'silent'
+    # What is told by the reader is told by the replay.
+    return 'told' if complaints or not bag.damages else 'silent'
+
+
+@pytest.mark.parametrize('count', [
+    10, pytest.param(100, marks=pytest.mark.slow)])
+def test_damaged_bags_end_in_an_error_or_are_told(tmp_path, capsys, count):
+    results, worst = Counter(), []
+    for number, variant in enumerate(VARIANTS):
+        whole = tmp_path / f'whole_{number}'
+        original = record(whole, *variant)
+        assert len(original) == 2 * STATES + 1
+        for case in range(count):
+            chance = random.Random(1000 * number + case)
+            path, out = tmp_path / 'bag', tmp_path / 'out'
+            shutil.copytree(whole, path)
+            done = spoil(path, chance)
+            try:
+                result = outcome(path, original, variant[2], out)
+            except Exception as error:
+                result = 'traceback'
+                done += f': {type(error).__name__} {error}'
+            results[result] += 1
+            if result in ('traceback', 'silent'):
+                worst.append(f'{variant}, case {case}: {done}: {result}')
+            for each in (path, out):
+                shutil.rmtree(each, ignore_errors=True)
+    capsys.readouterr()
+    with capsys.disabled():
+        print(f'\ndamaged bags: {results.total()} tried, {results["error"]} clean errors, '
+              f'{results["accepted"]} accepted unharmed, {results["told"]} accepted with the '
+              f'damage told, {results["traceback"]} tracebacks, {results["silent"]} silent')
+    assert not worst, '\n'.join(worst)

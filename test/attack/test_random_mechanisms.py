@@ -1,0 +1,106 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Attack: random mechanisms with absurd masses, under held and changing torques, by every method.
+
+The energy balance is drawn up here, from positions, velocities and torques alone; a run that
+misses more than a thousandth of what moved, and says nothing, is a silent one.
+
+"""
+
+from dataclasses import replace
+import warnings
+
+from closedloop_dynamics.effects.gravity import Gravity
+from closedloop_dynamics.errors import SimulationError
+from closedloop_dynamics.integration.registry import INTEGRATORS
+from closedloop_dynamics.scene_records import Initial, Method, Scene
+from closedloop_dynamics.simulation.simulation import Simulation
+import numpy as np
+import pytest
+
+from ..reference.linkages import random_linkage
+
+# SciPy's solvers are offline yardsticks, and slow.
+METHODS = [name for name in INTEGRATORS if not name.startswith('scipy')]
+SILENT = 1e-3
+STEPS, HOLD = 200, 10
+# Less than this share of the energy there is may be rounding, as the guard has it.
+ROUNDING = 1e-9
+# Variants of one topology: compiling costs more than running.
+VARIANTS = 8
+
+
+def variant(rng, mechanism):
+    """Return a mechanism with masses over twelve decades, inertias to match."""
+    factors = 10.0 ** rng.uniform(-6.0, 6.0, len(mechanism.bodies))
+    return replace(mechanism, bodies=tuple(
+        replace(body, mass=body.mass * factor, inertia=body.inertia * factor)
+        for body, factor in zip(mechanism.bodies, factors)))
+
+
+def attack(rng, mechanism, q, qd, integrator):
+    """Run one mechanism; return what became of it, and the share of energy that it lost."""
+    held = rng.random() < 0.5
+    scale = 10.0 ** rng.uniform(-3.0, 4.0)
+    scene = Scene('random', None, '', mechanism, Initial(tuple(q), tuple(qd)),
+                  {'gravity': Gravity((0.0, -9.81))},
+                  Method(integrator=integrator, tolerance=10.0 ** rng.uniform(-8.0, -4.0)))
+    try:
+        simulation = Simulation(scene)
+        start = simulation.energy_balance
+        actuated = [simulation.joint_names.index(name) for name in simulation.actuated_joints]
+        tau = np.zeros(len(q))
+        work = moved = 0.0
+        for number in range(STEPS // HOLD):
+            if number == 0 or not held:
+                tau[actuated] = scale * rng.normal(size=len(actuated))
+            before = simulation.position
+            simulation.advance(tau, HOLD)
+            work += float(tau @ (simulation.position - before))
+            now = simulation.energy_balance
+            moved = max(moved, now.kinetic + abs(now.stored - start.stored) + abs(work))
+        simulation.judge()
+    except SimulationError:
+        return 'refused', 0.0
+    energy = now.kinetic + now.stored
+    lost = abs(energy - start.kinetic - start.stored - work) - ROUNDING * (
+        now.kinetic + abs(now.stored))
+    share = lost / moved if moved > 0.0 else 0.0
+    if simulation.report().findings:
+        return 'warned', share
+    return ('accepted' if share <= SILENT else 'silent'), share
+
+
+@pytest.mark.parametrize('topologies', [
+    2, pytest.param(64, marks=[pytest.mark.slow, pytest.mark.timeout(7200)])])
+def test_no_random_mechanism_loses_energy_in_silence(topologies):
+    counts = {'refused': 0, 'warned': 0, 'accepted': 0, 'silent': 0}
+    silent = []
+    with warnings.catch_warnings():
+        warnings.simplefilter('ignore')
+        for number in range(topologies):
+            rng = np.random.default_rng([41, number])
+            mechanism, q, qd = random_linkage(
+                rng, n_subsystems=1 + number % 3, max_cuts=1 + number % 3)
+            for k in range(VARIANTS):
+                method = METHODS[(number + k) % len(METHODS)]
+                outcome, share = attack(rng, variant(rng, mechanism), q, qd, method)
+                counts[outcome] += 1
+                if outcome == 'silent':
+                    silent.append((number, k, method, share))
+    print(f'tried {topologies * VARIANTS}:', counts)
+    assert not silent
+    assert counts['accepted'] > 0

@@ -1,0 +1,92 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Simulator and torque source, started again and again on a machine that has no time for them."""
+
+from contextlib import contextmanager
+import os
+from pathlib import Path
+import subprocess
+import sys
+
+import pytest
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+
+CONFIG = Path(__file__).resolve().parents[2] / 'config'
+GAINS = {'mode': 'pd', 'kp': '[600.0]', 'kd': '[50.0]', 'ki': '[1000.0]'}
+# The pairs of commands in the documents: a file for both nodes, or parameters of each.
+PAIRS = {
+    'scraper': (None, {'scene': 'carpet_scraper', 'wait_for_command': 'true'}, {
+        'mode': 'computed_torque', 'scene': 'carpet_scraper', 'target_velocity': '[4.7124]',
+        'kp': '[100.0]', 'kd': '[20.0]', 'torque_limit': '[100.0]'}),
+    'platform': (None, {'scene': 'three_rrr', 'wait_for_command': 'true'}, {
+        **GAINS, 'torque_limit': '[200.0]'}),
+    'circle': (CONFIG / 'controllers' / 'three_rrr_circle.yaml', {}, {}),
+    'circle_in_lockstep': (
+        CONFIG / 'controllers' / 'three_rrr_circle.yaml', {'mode': 'lockstep'}, {}),
+}
+# States that a run lasts, at 100 a second.
+STATES = 200
+
+
+@contextmanager
+def load():
+    """Keep twice as many processes busy as there are cores, while the body runs."""
+    busy = [subprocess.Popen([sys.executable, '-S', '-c', 'while True: pass'])
+            for _ in range(2 * len(os.sched_getaffinity(0)))]
+    try:
+        yield
+    finally:
+        for process in busy:
+            process.kill()
+            process.wait()
+
+
+def attack(pair, starts, processes, listener):
+    """Start a pair so often; return what those said that did not end well."""
+    file, simulated, driven = PAIRS[pair]
+    arguments = ['--ros-args', '--params-file', str(file)] if file else []
+    states, bad = listener.listen('joint_states', JointState), []
+    for _ in range(starts):
+        states.clear()
+        simulator = processes.start('closedloop_simulator', arguments=arguments, **simulated)
+        # It begins when this one listens, too, and by then the machine is busy.
+        source = processes.start(
+            'closedloop_torque_source', arguments=arguments, wait_for_subscribers=2, **driven)
+        source.wait_until_ready()
+        simulator.wait_until_ready()
+        with load():
+            ear = listener.node.create_subscription(
+                Float64MultiArray, 'torque_command', lambda message: None, 10)
+            listener.wait(
+                lambda: simulator.popen.poll() is not None or source.popen.poll() is not None
+                or sum(any(state.effort) for state in states) > STATES, 'a run that ends or lasts')
+        codes = simulator.stop(), source.stop()
+        listener.node.destroy_subscription(ear)
+        if codes != (0, 0) or 'Traceback' in simulator.output + source.output:
+            bad.append(simulator.output + source.output)
+    print(f'{pair}: {starts} starts, {starts - len(bad)} ended well')
+    return bad
+
+
+def test_pair_of_commands_ends_well_on_a_busy_machine(processes, listener):
+    assert attack('scraper', 1, processes, listener) == []
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3600)
+@pytest.mark.parametrize('pair', PAIRS)
+def test_every_pair_of_commands_ends_well_however_often(pair, processes, listener):
+    assert attack(pair, 20, processes, listener) == []

@@ -1,0 +1,69 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Tests of closedloop_dynamics.core.cache: what stored code depends on."""
+
+import os
+from pathlib import Path
+from test.test_imports import our_imports, SOURCES, unit
+import time
+
+from closedloop_dynamics.core import cache
+import pytest
+
+
+@pytest.fixture
+def package(tmp_path, monkeypatch):
+    for name in ('core/kernel.py', 'effects/law.py', 'integration/step.py', 'cli/command.py'):
+        (tmp_path / name).parent.mkdir()
+        (tmp_path / name).write_text('VALUE = 1\n')
+    monkeypatch.setattr(cache, 'PACKAGE', tmp_path)
+    return tmp_path
+
+
+@pytest.mark.parametrize('name, depends', [
+    ('core/kernel.py', True), ('effects/law.py', True), ('integration/step.py', True),
+    ('cli/command.py', False)])
+def test_edits_of_compiled_sources_lead_to_another_directory(package, name, depends):
+    before = cache._sources()
+    (package / name).write_text('VALUE = 2\n')
+    assert (cache._sources() != before) == depends
+
+
+def test_compiled_functions_elsewhere_are_called_by_no_others():
+    compiled = {name for name in SOURCES if 'core.compiled' in our_imports(name)}
+    elsewhere = {name for name in compiled if unit(name) not in cache.COMPILED_FOLDERS}
+    assert len(compiled) > 20
+    for name in compiled:
+        assert not our_imports(name) & elsewhere, name
+
+
+def test_code_that_nobody_used_for_long_is_removed(tmp_path):
+    for name, age in (('old', 2.0 * cache.UNUSED), ('new', 0.0)):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / 'kernel.nbc').write_text('code')
+        os.utime(tmp_path / name, 2 * (time.time() - age,))
+    cache._remove_unused(tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ['new']
+
+
+@pytest.mark.parametrize('environment, place', [
+    ({'XDG_CACHE_HOME': '{home}/xdg'}, 'xdg'), ({'XDG_CACHE_HOME': ''}, '.cache')])
+def test_code_is_kept_where_users_keep_caches(tmp_path, monkeypatch, environment, place):
+    monkeypatch.setattr(cache.numba.config, 'CACHE_DIR', '')
+    monkeypatch.setenv('HOME', str(tmp_path))
+    for name, value in environment.items():
+        monkeypatch.setenv(name, value.format(home=tmp_path))
+    found = cache.directory.__wrapped__()
+    assert found.parent == tmp_path / place / Path(cache.__file__).parents[1].name
+    assert found.is_dir()

@@ -1,0 +1,108 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Regular mechanisms stay regular whatever their masses; singular and redundant ones do not."""
+
+from dataclasses import replace
+
+from closedloop_dynamics.core.types import RANK, RANK_REVEALING_COUNT, SMALLEST_PIVOT
+from closedloop_dynamics.integration.projection import correction, factor_configuration
+from closedloop_dynamics.integration.system import build_system, evaluate
+from closedloop_dynamics.modeling import build_model
+import numpy as np
+import pytest
+
+from .test_elimination import every_loop_twice
+from ..reference import cases, dense, maximal, special
+from ..reference.dense import EARTH
+
+
+def lighter(mechanism, factor, names):
+    """Return a mechanism with the mass and inertia of some bodies multiplied."""
+    return replace(mechanism, bodies=tuple(
+        replace(body, mass=body.mass * factor, inertia=body.inertia * factor)
+        if body.name in names else body for body in mechanism.bodies))
+
+
+def machine(name):
+    """Return a mechanism, its state, and names of bodies to make lighter."""
+    if name == 'three_rrr':
+        _, mechanism, q, qd = cases.drawn(name)
+        return mechanism, q, qd, ('distal_1', 'distal_2', 'distal_3')
+    if name == 'ladder':
+        return *special.ladder(3, 0.4), ('coupler_0', 'coupler_1', 'coupler_2')
+    if name == 'four_bar':
+        return *special.parallelogram(), ('coupler_0',)
+    return *special.scissor_lift(3), ('block',)
+
+
+MACHINES = ('three_rrr', 'four_bar', 'ladder', 'scissor_lift')
+
+
+@pytest.mark.parametrize('unrolled', [None, False], ids=['unrolled', 'loops'])
+@pytest.mark.parametrize('factor', [1e-3, 1e-5, 1e-8, 1e-12, 0.0])
+@pytest.mark.parametrize('name', MACHINES)
+def test_light_links_are_regular(name, factor, unrolled):
+    mechanism, q, qd, names = machine(name)
+    mechanism = lighter(mechanism, factor, names)
+    system = build_system(build_model(mechanism, EARTH), unrolled=unrolled)
+    system.tau[:] = np.random.default_rng(5).normal(size=len(q))
+    evaluate(system, q, qd)
+    expected = maximal.forward_dynamics(
+        mechanism, q, qd, system.tau, EARTH, maximal.extended)
+    for found, wanted in ((system.qdd, expected.qdd), (system.lam, expected.lam)):
+        np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-11 * np.abs(wanted).max())
+    health = system.work.health
+    assert health[RANK_REVEALING_COUNT] == 0
+    assert health[RANK] == mechanism.number_of_equations
+    assert health[SMALLEST_PIVOT] > 1e-3
+
+
+@pytest.mark.parametrize('unrolled', [None, False], ids=['unrolled', 'loops'])
+@pytest.mark.parametrize('name', MACHINES)
+def test_loops_of_massless_links_are_closed(name, unrolled):
+    mechanism, q, qd, names = machine(name)
+    system = build_system(build_model(lighter(mechanism, 0.0, names), EARTH), unrolled=unrolled)
+    q = q + 1e-3 * np.random.default_rng(5).normal(size=len(q))
+    for _ in range(4):
+        good = factor_configuration(system, q, qd)
+        assert good
+        correction(system, good, 0, q, qd, system.qdd)
+        q += system.qdd
+    np.testing.assert_allclose(dense.closure(mechanism, q), 0.0, atol=1e-12)
+    assert system.work.health[RANK_REVEALING_COUNT] == 0
+
+
+def test_light_links_hide_neither_singular_nor_redundant_loops():
+    for mechanism, q, qd, rank in (
+            (*special.ladder(2, 0.5 * np.pi), 2),
+            (every_loop_twice(special.ladder(2, 0.4)[0]), *special.ladder(2, 0.4)[1:], 4)):
+        mechanism = lighter(mechanism, 1e-6, ('coupler_0', 'coupler_1'))
+        system = build_system(build_model(mechanism, EARTH))
+        evaluate(system, q, qd)
+        assert system.work.health[RANK_REVEALING_COUNT] == 1
+        assert system.work.health[RANK] == rank
+        assert np.isfinite(system.qdd).all()
+
+
+def test_what_nothing_holds_needs_mass():
+    # A massless rod that hangs on the last leg of a ladder, in no loop.
+    mechanism, q, qd = special.ladder(1, 0.4)
+    bodies = (*mechanism.bodies, special.bar('rod', 0.0, 1.0, 0.5))
+    joints = (*mechanism.joints, special.revolute('hook', 'leg_1', 'rod', (1.0, 0.0)))
+    system = build_system(build_model(
+        replace(mechanism, bodies=bodies, joints=joints), EARTH))
+    system.tau[-1] = 1.0
+    evaluate(system, np.append(q, 0.0), np.append(qd, 0.0))
+    assert np.isnan(system.qdd).all()

@@ -1,0 +1,216 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Effects together: energy balance of any set, switching, inverse dynamics, none at all."""
+
+from closedloop_dynamics.effects.actuator import Actuator
+from closedloop_dynamics.effects.contact import Contact
+from closedloop_dynamics.effects.end_stop import EndStop
+from closedloop_dynamics.effects.external_force import ExternalForce
+from closedloop_dynamics.effects.gravity import Gravity
+from closedloop_dynamics.effects.joint_damping import JointDamping
+from closedloop_dynamics.effects.joint_friction import JointFriction
+from closedloop_dynamics.effects.joint_spring import JointSpring
+from closedloop_dynamics.effects.payload import Payload
+from closedloop_dynamics.effects.point_spring import PointSpring
+from closedloop_dynamics.effects.registry import EFFECTS
+from closedloop_dynamics.effects.rotor import Rotor
+from closedloop_dynamics.effects.sensor import Sensor
+from closedloop_dynamics.effects.table import JOINT_FRICTION
+import numpy as np
+import pytest
+
+from .machines import assert_balanced, block, simulated
+from ..reference import cases
+
+EARTH = Gravity((0.0, -9.81))
+
+
+def every_effect(rng, mechanism, q):
+    """Return one effect of every type, at random places of a mechanism with points."""
+    def joint():
+        return str(rng.choice(mechanism.joint_names))
+
+    def point():
+        return str(rng.choice([point.name for point in mechanism.points]))
+
+    motor = str(rng.choice(mechanism.actuated_joints))
+    stopped = int(rng.integers(len(q)))
+    place = tuple(rng.normal(size=2))
+    return {
+        'gravity': EARTH,
+        'damping': JointDamping(joint(), 0.3),
+        'spring': JointSpring(joint(), 5.0, float(rng.normal())),
+        'stop': EndStop(mechanism.joint_names[stopped], 200.0, lower=q[stopped] - 0.05,
+                        upper=q[stopped] + 0.05, damping=0.5),
+        'friction': JointFriction(joint(), 0.5, static_ratio=1.2, stribeck_velocity=0.5,
+                                  friction_coefficient=0.1, radius=0.02, load_time=0.02),
+        'cord': PointSpring(point(), anchor=place, stiffness=30.0, damping=2.0),
+        'push': ExternalForce(point(), tuple(rng.normal(size=2))),
+        'floor': Contact(point(), (0.0, float(rng.normal())), 500.0, exponent=1.5, damping=0.4,
+                         friction=0.3, slip_velocity=0.2, scraping=10.0),
+        'motor': Actuator(motor, max_torque=1.5, max_speed=20.0, lag=0.02, delay=0.003),
+        'rotor': Rotor(joint(), 0.001, 5.0),
+        'part': Payload(str(rng.choice([body.name for body in mechanism.bodies])), 0.5),
+        'encoder': Sensor(position_noise=0.1, seed=1)}
+
+
+def test_every_type_of_effect_takes_part():
+    rng, mechanism, q, _ = cases.drawn('three_rrr')
+    assert {type(effect) for effect in every_effect(rng, mechanism, q).values()} == set(
+        EFFECTS.values())
+
+
+@pytest.mark.parametrize('seed', range(6))
+@pytest.mark.parametrize('case', ['three_rrr', 'slider_crank', 'carpet_scraper'])
+def test_the_energy_balance_of_random_sets_closes_with_the_step(case, seed):
+    rng, mechanism, q, qd = cases.drawn(case, seed)
+    effects = every_effect(rng, mechanism, q)
+    chosen = {name: effect for name, effect in effects.items() if rng.random() < 0.6}
+    torque = {name: float(rng.normal()) for name in mechanism.actuated_joints}
+    residuals = []
+    for step_size in (4e-4, 1e-4):
+        simulation = simulated(mechanism, chosen, q, 0.3 * qd, step_size=step_size)
+        simulation.step(torque, 0.1)
+        simulation.step({name: -value for name, value in torque.items()}, 0.1)
+        balance = simulation.energy_balance
+        residuals.append(abs(balance.residual))
+    size = balance.kinetic + abs(balance.work) + balance.dissipated + 1.0
+    # Kinks of stops, contacts and friction leave order 2.
+    assert residuals[1] <= 1e-5 * size, (residuals, list(chosen))
+    assert residuals[1] <= max(0.5 * residuals[0], 1e-9 * size), (residuals, list(chosen))
+
+
+def test_the_energy_balance_survives_switching_and_new_states():
+    rng, mechanism, q, qd = cases.drawn('three_rrr')
+    simulation = simulated(mechanism, every_effect(rng, mechanism, q), q, qd, step_size=2e-4)
+    for name in simulation.effects:
+        simulation.step([1.0, -1.0, 0.5], 0.01)
+        simulation.set_effect(name, enabled=False)
+        simulation.step([0.5, 0.5, 0.5], 0.01)
+        simulation.set_effect(name, enabled=True)
+    simulation.set_effect('part', mass=2.0)
+    simulation.set_effect('spring', stiffness=20.0)
+    simulation.set_state(q)
+    simulation.step(duration=0.05)
+    assert_balanced(simulation, 1e-3)
+
+
+def test_effects_that_are_absent_or_off_leave_identical_bits():
+    rng, mechanism, q, qd = cases.drawn('three_rrr')
+    bare = simulated(mechanism, {'gravity': EARTH}, q, qd)
+    assert bare.system.applied is bare.system.tau
+    assert bare.system.effects is None
+    off = simulated(mechanism, every_effect(rng, mechanism, q), q, qd)
+    for name in off.effects:
+        off.set_effect(name, enabled=name == 'gravity')
+    assert off.enabled_effects == ('gravity',)
+    for simulation in (bare, off):
+        simulation.step([1.0, 2.0, 3.0], 0.1)
+    assert np.array_equal(bare.position, off.position)
+    assert np.array_equal(bare.velocity, off.velocity)
+    assert np.array_equal(bare.multipliers, off.multipliers)
+
+
+def test_readings_of_all_effects_add_up_to_the_balance():
+    rng, mechanism, q, qd = cases.drawn('three_rrr')
+    simulation = simulated(mechanism, every_effect(rng, mechanism, q), q, qd, step_size=2e-4)
+    simulation.step([1.0, -1.0, 0.5], 0.1)
+    readings = {name: simulation.effect_readings(name) for name in simulation.effects}
+    dissipated = [each['dissipated_energy'] for each in readings.values()
+                  if 'dissipated_energy' in each]
+    assert len(dissipated) >= 5
+    balance = simulation.energy_balance
+    assert sum(dissipated) == pytest.approx(balance.dissipated, rel=1e-12)
+    before = readings['damping']
+    simulation.step([1.0, -1.0, 0.5], 2e-4)
+    after = simulation.effect_readings('damping')
+    assert after['dissipated_energy'] - before['dissipated_energy'] == pytest.approx(
+        1e-4 * (before['dissipated_power'] + after['dissipated_power']), rel=1e-3)
+    # The damping's own law.
+    rate = simulation.velocity[simulation.joint_names.index(simulation.effects['damping'].joint)]
+    assert after['dissipated_power'] == pytest.approx(0.3 * rate ** 2, rel=1e-12)
+
+
+def test_parameters_take_effect_at_the_next_step():
+    simulation = simulated(block(), {'push': ExternalForce('center')}, [0.0])
+    simulation.step(duration=0.1)
+    assert simulation.velocity[0] == 0.0
+    simulation.set_effect('push', force=(2.0, 0.0))
+    simulation.step(duration=0.1)
+    assert simulation.velocity[0] == pytest.approx(0.2, rel=1e-12)
+    simulation.set_effect('push', enabled=False)
+    simulation.step(duration=0.1)
+    assert simulation.velocity[0] == pytest.approx(0.2, rel=1e-12)
+    assert simulation.energy_balance.work == pytest.approx(0.02, rel=1e-12)
+
+
+@pytest.mark.parametrize('name, values, match', [
+    ('pusch', {'enabled': True}, "did you mean 'push'"),
+    ('push', {'enabled': 1}, 'effects.push.enabled'),
+    ('push', {'force': [1.0]}, 'effects.push.force'),
+    ('push', {'forse': [1.0, 0.0]}, "did you mean 'force'"),
+    ('push', {'point': 'rear'}, 'effects.push.point')])
+def test_impossible_changes_are_refused_and_change_nothing(name, values, match):
+    simulation = simulated(block(), {'push': ExternalForce('center', (1.0, 0.0))}, [0.0])
+    with pytest.raises(ValueError, match=match):
+        simulation.set_effect(name, **values)
+    assert simulation.effects == {'push': ExternalForce('center', (1.0, 0.0))}
+    simulation.step(duration=0.1)
+    assert simulation.velocity[0] == pytest.approx(0.1, rel=1e-12)
+
+
+@pytest.mark.parametrize('case', ['three_rrr', 'slider_crank', 'carpet_scraper'])
+def test_inverse_dynamics_sees_the_effects(case):
+    rng, mechanism, q, qd = cases.drawn(case)
+    effects = every_effect(rng, mechanism, q)
+    simulation = simulated(mechanism, effects, q, qd)
+    # What the drive does to a command is not the mechanism's.
+    simulation.set_effect('motor', enabled=False)
+    moving = simulation._state
+    table = simulation.system.effects
+    row = list(table.kind).index(JOINT_FRICTION)
+    state = table.index[row, 0]
+    torque = {name: float(rng.normal()) for name in mechanism.actuated_joints}
+    for _ in range(60):
+        qdd, lam = simulation.forward_dynamics(q, qd, torque)
+        # The load of a steady motion: what the joint feels.
+        moving[2 * len(q) + state + 1] = table.output[row, 2]
+    found, multipliers = simulation.inverse_dynamics(q, qd, qdd)
+    scale = np.abs(lam).max()
+    assert np.allclose(found, list(torque.values()), atol=1e-9 * scale)
+    assert np.allclose(multipliers, lam, atol=1e-9 * scale)
+
+
+@pytest.mark.parametrize('method', [
+    {'integrator': 'semi_implicit_euler'}, {'integrator': 'heun'}, {'integrator': 'dop853'},
+    {'integrator': 'rodas4'},
+    # A kernel of its own each, for this test alone.
+    *(pytest.param({key: value}, marks=pytest.mark.slow) for key, value in (
+        ('stabilisation', 'independent'), ('formulation', 'augmented')))])
+def test_every_method_moves_the_effects_own_states(method):
+    rng, mechanism, q, qd = cases.drawn('slider_crank')
+    effects = every_effect(rng, mechanism, q)
+    ends = []
+    for chosen in ({'step_size': 2e-4}, {'step_size': 2e-4, 'tolerance': 1e-8, **method}):
+        simulation = simulated(mechanism, effects, q, 0.3 * qd, **chosen)
+        simulation.step([1.0], 0.1)
+        ends.append(np.append(simulation.position, simulation.energy_balance.dissipated))
+    assert np.allclose(*ends, atol=2e-3 if 'euler' in str(method) else 2e-5)
+
+
+def test_readings_of_an_effect_that_is_not_listed_are_refused():
+    simulation = simulated(block(), {'push': ExternalForce('center')}, [0.0])
+    with pytest.raises(ValueError, match='one of the effects'):
+        simulation.effect_readings('pull')

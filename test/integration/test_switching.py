@@ -1,0 +1,144 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Tests of the default method: it keeps its accuracy, and steps as its steps ask for."""
+
+from dataclasses import replace
+
+from closedloop_dynamics.integration import adaptive, switching
+from closedloop_dynamics.scene import load_scene, scene_names
+from closedloop_dynamics.scene_records import Method
+from closedloop_dynamics.simulation.simulation import Simulation
+import numpy as np
+import pytest
+
+from ..reference import famous
+
+# An accuracy counts as kept up to this factor.
+KEPT = 3.0
+
+
+def worst_error(scene, torque, accuracy, change=None, duration=1.0):
+    """Return the largest error of coordinates over a time, and the run."""
+    scene = load_scene(scene) if isinstance(scene, str) else scene
+    runs = [Simulation(replace(scene, method=method)) for method in (
+        Method(accuracy=accuracy), Method(integrator='dop853', tolerance=1e-13))]
+    worst = 0.0
+    for number in range(20):
+        if change:
+            torque = change(number)
+        for one in runs:
+            one.step(torque, 0.05 * duration)
+        worst = max(worst, np.abs(runs[0].position - runs[1].position).max())
+    return worst, runs[0]
+
+
+@pytest.mark.parametrize('scene', scene_names())
+def test_every_shipped_scene_is_right_to_the_default_accuracy(scene):
+    accuracy = Method().accuracy
+    error, simulation = worst_error(scene, None, accuracy)
+    assert error <= accuracy and simulation.report().findings == ()
+
+
+@pytest.mark.parametrize('scene, torque', [
+    ('three_rrr', [5.0, -3.0, 2.0]), ('three_rrr_horizontal', [5.0, -3.0, 2.0]),
+    ('carpet_scraper', [30.0])])
+@pytest.mark.parametrize('accuracy', [1e-3, 1e-6, 1e-9])
+def test_the_accuracy_is_kept_under_torques(scene, torque, accuracy):
+    error, simulation = worst_error(scene, torque, accuracy)
+    assert error <= KEPT * accuracy
+    # What it says of itself is no less than a third of the truth, and no empty warning.
+    assert simulation.report().error_bound > 0.3 * error
+    assert simulation.report().error_bound < KEPT * accuracy
+
+
+@pytest.mark.parametrize('make, torque', [
+    (famous.jansen, None), (famous.jansen, [20.0]), (famous.four_rrr, [5.0, -3.0, 2.0, 1.0])])
+def test_the_accuracy_is_kept_by_well_known_linkages(make, torque):
+    error, simulation = worst_error(make(), torque, 1e-6)
+    assert error <= 1e-6 and simulation.report().findings == ()
+
+
+def test_the_accuracy_is_kept_by_a_mechanism_of_grams_and_milliseconds():
+    scene, small, light = load_scene('four_bar'), 0.02, 1e-3
+    mechanism = scene.mechanism
+
+    def shrunk(place):
+        return tuple(small * value for value in place)
+
+    tiny = replace(
+        mechanism,
+        bodies=tuple(replace(
+            body, mass=light * body.mass, inertia=light * small ** 2 * body.inertia,
+            center_of_mass=shrunk(body.center_of_mass)) for body in mechanism.bodies),
+        joints=tuple(replace(joint, position=shrunk(joint.position))
+                     for joint in mechanism.joints),
+        cut_joints=tuple(replace(cut, point_a=shrunk(cut.point_a), point_b=shrunk(cut.point_b))
+                         for cut in mechanism.cut_joints))
+    torque = [2e-2]
+    start = Simulation(replace(scene, mechanism=tiny))
+    start.step(torque, 0.0)
+    assert np.abs(start.acceleration).max() > 1e4
+    error, _ = worst_error(replace(scene, mechanism=tiny), torque, 1e-6, duration=0.03)
+    assert error <= KEPT * 1e-6
+
+
+def test_the_accuracy_is_kept_under_torques_that_change():
+    error, _ = worst_error('three_rrr', None, 1e-6,
+                           lambda number: [20.0 * np.sin(number), -3.0, 5.0 * np.cos(number)])
+    assert error <= 1e-6
+
+
+def test_a_motion_too_sensitive_for_its_accuracy_is_told():
+    simulation = Simulation.from_scene('three_rrr')
+    simulation.step({'theta_1': 3000.0}, 1.0)
+    finding, = simulation.report().findings
+    assert 'was not kept' in finding and 'sensitive' in finding
+
+
+def test_a_run_does_not_depend_on_how_often_it_is_looked_at():
+    once, often = (Simulation.from_scene('three_rrr') for _ in range(2))
+    tau = once.joint_torques([5.0, -3.0, 2.0])
+    once.advance(tau, 600)
+    for steps in (1, 99, 200, 300):
+        often.advance(tau, steps)
+    assert np.array_equal(once.position, often.position)
+
+
+def test_steps_end_where_torques_are_expected_to_change():
+    free, held = (Simulation.from_scene('three_rrr', integrator='dop853') for _ in range(2))
+    for number in range(50):
+        held.step([5.0 + 1e-9 * number, -3.0, 2.0], 0.01)
+    free.step([5.0, -3.0, 2.0], 0.5)
+    steps = held.monitor.driver.control[adaptive.ACCEPTED]
+    # One for each torque, but for the first interval, of which nothing was known.
+    assert steps <= 60
+    assert np.abs(held.position - free.position).max() < 1e-5
+
+
+def test_what_is_stiff_is_stepped_stiffly_and_back():
+    scene = load_scene('carpet_scraper_on_carpet')
+    drive = scene.effects
+    name = next(key for key, one in drive.items() if type(one).__name__ == 'Actuator')
+    stiff = replace(drive[name], lag=1e-6)
+    simulation = Simulation(replace(scene, effects={**drive, name: stiff}))
+    tau = simulation.joint_torques([30.0])
+    control = simulation.monitor.driver.control
+    was_stiff = False
+    for _ in range(20):
+        simulation.advance(tau, 10)
+        was_stiff = was_stiff or control[switching.STIFF] == 1.0
+    assert was_stiff
+    # An explicit method would need a million steps a second.
+    assert control[adaptive.ACCEPTED] < 3e4
+    assert simulation.report().findings == ()

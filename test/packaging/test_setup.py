@@ -1,0 +1,39 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Tests of scripts/_setup.sh: which Python environments are made from."""
+
+import os
+import subprocess
+import sys
+from test.packaging.package import ROOT
+
+
+def chosen(folder):
+    """Return name, base and digest that a shell with this folder first on its path arrives at."""
+    script = 'source scripts/_setup.sh; choose_kind; echo "$name"; echo "$base_python"; digest'
+    environment = {**os.environ, 'PATH': f'{folder}{os.pathsep}{os.environ["PATH"]}'}
+    for name in ('ROS_DISTRO', 'PYTHON', 'VERSIONS'):
+        environment.pop(name, None)
+    return subprocess.run(
+        ['bash', '-c', script], cwd=ROOT, env=environment, stdin=subprocess.DEVNULL, text=True,
+        stdout=subprocess.PIPE, check=True).stdout.splitlines()
+
+
+def test_an_active_environment_is_not_taken_for_the_python_to_make_it_from(tmp_path):
+    base = os.path.realpath(sys._base_executable)
+    subprocess.run([base, '-m', 'venv', '--without-pip', str(tmp_path)], check=True)
+    name, python, digest = chosen(tmp_path / 'bin')
+    assert python == base
+    # Nothing would be made anew, either.
+    assert [name, python, digest] == chosen(os.path.dirname(base))

@@ -1,0 +1,111 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Peaucellier and Lipkin's linkage through the positions in which two of its pins meet.
+
+Where the crank's pin A meets the tracing pin C, the four short links fold: a singular
+configuration, from which another branch leads away. Along the branch on which C keeps to its
+straight line all places are known in closed form, and so are kinetic and potential energy as
+functions of the crank's angle: one equation of motion, which notices no singularity.
+
+"""
+
+from closedloop_dynamics.effects.gravity import Gravity
+from closedloop_dynamics.mechanism.mechanism import Body, CutJoint, Joint, Mechanism, REVOLUTE
+from closedloop_dynamics.scene_records import Initial, Method, Scene
+import numpy as np
+from scipy.integrate import solve_ivp
+
+from .trees import derivative, turned, unit
+
+# Lengths of the crank, which is also the distance of the two ground pivots, of the long arms and
+# of the short links [m]; all are uniform rods of 1 kg/m.
+CRANK, ARM, LINK = 0.5, 1.0, 0.4
+GRAVITY = 9.81
+# A meets C where the crank is at 0.823 rad: before that, and rate there.
+START, RATE = 0.95, -10.0
+
+
+def pins(angle):
+    """Return the places of A, B, C and D, for real and for complex angles of the crank."""
+    a = np.array([CRANK, 0.0]) + CRANK * unit(angle)
+    distance = np.sqrt(a @ a)
+    along, inverse = a / distance, (ARM ** 2 - LINK ** 2) / distance
+    middle = 0.5 * (distance + inverse) * along
+    side = np.sqrt(LINK ** 2 - 0.25 * (inverse - distance) ** 2) * turned(along)
+    return a, middle + side, inverse * along, middle - side
+
+
+def rods(angle):
+    """Yield both ends of each body, and its length."""
+    a, b, c, d = pins(angle)
+    ground = np.zeros(2)
+    yield np.array([CRANK, 0.0]), a, CRANK
+    yield from ((ground, b, ARM), (ground, d, ARM))
+    yield from ((b, a, LINK), (b, c, LINK), (d, c, LINK), (d, a, LINK))
+
+
+def scene():
+    """Return the linkage before its singular position, on the way to it."""
+    names = ('crank', 'left', 'right', 'left_a', 'left_c', 'right_c', 'right_a')
+    lengths = [length for _, _, length in rods(START)]
+    bodies = tuple(Body(name, length, (length / 2, 0.0), length ** 3 / 12)
+                   for name, length in zip(names, lengths))
+    parents = ('ground', 'ground', 'ground', 'left', 'left', 'right', 'right')
+    places = ((CRANK, 0.0), (0.0, 0.0), (0.0, 0.0), *[(ARM, 0.0)] * 4)
+    joints = tuple(Joint(f'to_{name}', REVOLUTE, parent, name, place, 0.0, name == 'crank')
+                   for name, parent, place in zip(names, parents, places))
+    cuts = tuple(CutJoint(name, REVOLUTE, first, second, (length, 0.0), (LINK, 0.0))
+                 for name, first, second, length in (
+                     ('a_left', 'crank', 'left_a', CRANK), ('a_right', 'crank', 'right_a', CRANK),
+                     ('c', 'left_c', 'right_c', LINK)))
+    turns = [np.arctan2(*(end - start)[::-1]) for start, end, _ in rods(START)]
+    position = (START, turns[1], turns[2], *(
+        turns[k] - turns[1 if k < 5 else 2] for k in range(3, 7)))
+    return Scene('peaucellier', None, '', Mechanism('peaucellier', bodies, joints, cuts),
+                 Initial(position, (RATE,) + (0.0,) * 6, ('to_crank',)),
+                 {'gravity': Gravity((0.0, -GRAVITY))}, Method())
+
+
+def inertia(angle):
+    """Return twice the kinetic energy at a crank's rate of 1 rad/s [kg m^2]."""
+    total = 0.0
+    rates = derivative(lambda x: np.array([(*start, *end) for start, end, _ in rods(x[0])]),
+                       [angle], [1.0])
+    for (_, _, length), (*start, right, up) in zip(rods(angle), rates):
+        first, second = np.array(start), np.array([right, up])
+        total += length / 3.0 * (first @ first + first @ second + second @ second)
+    return total
+
+
+def slope(angle, reach=5e-3):
+    """Return the derivative of the inertia by central differences of eighth order."""
+    return sum(share * (inertia(angle + k * reach) - inertia(angle - k * reach)) for k, share in (
+        (1, 0.8), (2, -0.2), (3, 4.0 / 105.0), (4, -1.0 / 280.0))) / reach
+
+
+def weight(angle):
+    """Return the derivative of the potential energy [N m]."""
+    return derivative(lambda x: sum(length * GRAVITY * (start + end)[1] / 2.0
+                                    for start, end, length in rods(x[0])), [angle], [1.0])
+
+
+def crank_angles(times):
+    """Return the angles of the crank at rising times, to some 1e-12 rad."""
+    def rates(_, state):
+        angle, rate = state
+        return rate, -(0.5 * slope(angle) * rate ** 2 + weight(angle)) / inertia(angle)
+    return solve_ivp(rates, (0.0, times[-1]), (START, RATE), 'DOP853', times, rtol=1e-12,
+                     atol=1e-13).y[0]

@@ -1,0 +1,137 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+"""Tests of what watches a run: no motion that is none is reported as one."""
+
+from closedloop_dynamics.cli import main
+from closedloop_dynamics.errors import InaccuracyWarning, NumericalError
+from closedloop_dynamics.scene import load_scene
+from closedloop_dynamics.simulation.simulation import Simulation
+import numpy as np
+import pytest
+
+# A torque that lets the 3-RRR whirl faster than steps of a millisecond can follow.
+WHIRL = {'theta_1': 1000.0}
+
+
+def run(**method):
+    """Return a run of one second under a large torque, before it is judged."""
+    simulation = Simulation.from_scene('three_rrr', **method)
+    simulation.step(WHIRL, 1.0)
+    return simulation
+
+
+def test_energy_from_nowhere_ends_a_short_run():
+    with pytest.raises(NumericalError, match='came from nowhere') as caught:
+        run(integrator='rk4').judge()
+    assert 'integrator: auto' in str(caught.value)
+
+
+def test_the_state_before_the_loss_is_kept():
+    simulation = Simulation.from_scene('three_rrr', integrator='rk4')
+    with pytest.raises(NumericalError):
+        simulation.step(WHIRL, 1.0)
+        simulation.judge()
+    assert 0.0 < simulation.time < 1.0
+    assert abs(simulation.energy_balance.residual) < 0.1 * simulation.report().energy_moved
+
+
+def test_the_default_method_keeps_the_energy_of_the_same_run():
+    simulation = run()
+    simulation.judge()
+    report = simulation.report()
+    assert abs(report.energy_error) < 1e-8 * report.energy_moved
+
+
+def test_a_small_loss_is_a_warning_with_figure_and_remedy():
+    simulation = Simulation.from_scene('carpet_scraper', integrator='heun', step_size=4e-3)
+    with pytest.warns(InaccuracyWarning, match='Take integrator: auto'):
+        simulation.step(duration=6.0)
+    finding, = simulation.report().findings
+    assert 'J of the' in finding and f'{simulation.report().energy_moved:.3g}' in finding
+    simulation.reset()
+    assert simulation.report().findings == ()
+
+
+def test_a_run_that_is_well_has_no_findings():
+    for integrator in ('rk4', 'auto', 'dopri5'):
+        simulation = Simulation.from_scene('four_bar', integrator=integrator)
+        simulation.step({'crank_joint': 1.0}, 1.0)
+        simulation.judge()
+        assert simulation.report().findings == ()
+
+
+def test_nothing_that_rests_is_suspected():
+    simulation = Simulation.from_scene('three_rrr_horizontal', integrator='rk4')
+    simulation.step(duration=0.2)
+    simulation.judge()
+    assert simulation.report().findings == ()
+
+
+@pytest.mark.parametrize('samples', [1, 4], ids=['alone', 'in_lanes'])
+def test_rollouts_tell_of_energy_from_nowhere(samples):
+    simulation = Simulation.from_scene('three_rrr', integrator='rk4')
+    torques = np.zeros((samples, 1, 3))
+    torques[0, 0, 0] = WHIRL['theta_1']
+    result = simulation.rollout(torques, steps=1000, every=100)
+    assert list(result.failures) == [0] and 'does not follow this motion' in result.failures[0]
+
+
+def test_rollouts_tell_of_a_small_loss_and_keep_the_numbers():
+    simulation = Simulation.from_scene('three_rrr', integrator='heun', step_size=1e-2)
+    result = simulation.rollout(np.zeros((3, 1, 3)), steps=100, every=20)
+    assert set(result.failures) == {0, 1, 2} and np.isfinite(result.position).all()
+    assert 'the energy balance misses' in result.failures[1]
+
+
+def test_work_of_changing_torques_is_no_loss():
+    simulation = Simulation.from_scene('three_rrr', integrator='rk4')
+    torques = np.random.default_rng(5).normal(scale=5.0, size=(4, 100, 3))
+    assert simulation.rollout(torques, steps=200, every=10).failures == {}
+
+
+def test_a_change_of_method_keeps_what_the_guard_knows_of_effects():
+    simulation = Simulation.from_scene('carpet_scraper_dry', integrator='rk4')
+    before = simulation.fastest_rate
+    simulation.prepare_method(step_size=5e-4)()
+    assert simulation.fastest_rate == pytest.approx(before, rel=1e-6)
+    assert before > 100.0
+
+
+def test_simulate_ends_with_a_verdict(tmp_path, capsys):
+    output = tmp_path / 'q.csv'
+    assert main(['simulate', 'three_rrr', '--duration', '1', '--torque', 'theta_1=1000',
+                 '--integrator', 'rk4', '--output', str(output)]) == 1
+    assert 'came from nowhere' in capsys.readouterr().err
+    kept = (tmp_path / 'q.csv.report.txt').read_text()
+    assert 'FAILED' in kept and 'not to be trusted' in kept
+    assert len(output.read_text().splitlines()) > 2
+
+
+def test_simulate_tells_the_error_of_the_run(capsys):
+    assert main(['simulate', 'four_bar', '--duration', '1', '--integrator', 'heun',
+                 '--step-size', '1e-3']) == 0
+    told = float(capsys.readouterr().out.split('at most about ')[1].split()[0])
+    coarse, fine = (Simulation.from_scene('four_bar', **method) for method in (
+        {'integrator': 'heun', 'step_size': 1e-3}, {'accuracy': 1e-10}))
+    worst = 0.0
+    for _ in range(100):
+        coarse.step(duration=0.01)
+        fine.step(duration=0.01)
+        worst = max(worst, np.abs(coarse.position - fine.position).max())
+    assert told == pytest.approx(worst, rel=0.1)
+
+
+def test_keys_of_a_method_that_mean_nothing_are_named():
+    method = load_scene('four_bar').method
+    assert set(method.unused) == {'tolerance', 'baumgarte_time_constant'}
