@@ -151,8 +151,8 @@ def begin(time, state, control, scratch):
 
 
 @compiled
-def advance(system, tableau, stabilisation, state, time, step_size, steps, control, scale,
-            scratch):
+def advance(system, tableau, stabilisation, state, origin, done, step_size, steps, control,
+            scale, scratch):
     """
     Advance a state to a time, by error-controlled steps that need not end there.
 
@@ -165,11 +165,16 @@ def advance(system, tableau, stabilisation, state, time, step_size, steps, contr
     stabilisation : int
         One of ``projection``.
     state : ndarray, shape (ns,)
-        State at ``time``, replaced by the one ``steps * step_size`` later.
-    time, step_size : float
-        [s].
+        After ``done`` steps of the raster, replaced by the one ``steps`` later.
+    origin : float
+        Time at which the raster begins [s].
+    done : int
+        Steps of the raster before this call. Times are computed from ``origin``, so that the
+        same run in other portions ends at the same times to the last bit.
+    step_size : float
+        Of the raster [s].
     steps : int
-        How many.
+        How many to advance.
     control : ndarray, shape (CONTROL_COLUMNS,)
         With STEP_SIZE zero the integration starts at ``state``; otherwise it goes on from where
         the latest step ended.
@@ -186,8 +191,9 @@ def advance(system, tableau, stabilisation, state, time, step_size, steps, contr
 
     """
     if control[STEP_SIZE] == 0.0:
-        begin(time, state, control, scratch)
-    target, most = time + steps * step_size, control[WORK] + MOST_EVALUATIONS * steps
+        begin(origin + done * step_size, state, control, scratch)
+    target = origin + (done + steps) * step_size
+    most = control[WORK] + MOST_EVALUATIONS * steps
     status = DONE
     while is_before(control[REACHED], target) and status == DONE:
         status = accepted_step(system, tableau, stabilisation, control, scale, scratch)

@@ -79,7 +79,7 @@ class FixedSteps:
         self.stabilisation = stabilisation
         self.scratch = np.zeros((len(self.tableau.a) + 3, number_of_states(system)))
 
-    def advance(self, state, time, step_size, steps):
+    def advance(self, state, origin, done, step_size, steps):
         """
         Advance a state by whole steps.
 
@@ -87,12 +87,14 @@ class FixedSteps:
         ----------
         state : ndarray, shape (ns,)
             Advanced in place; on failure the one before the failing step.
-        time : float
-            Of the state [s].
+        origin : float
+            Time of step 0 [s].
+        done : int
+            Steps made since then.
         step_size : float
             [s].
         steps : int
-            How many.
+            How many to make.
 
         Returns
         -------
@@ -102,10 +104,10 @@ class FixedSteps:
             Time advanced by [s].
 
         """
-        status, done = advance.advance(
+        status, made = advance.advance(
             self._system, self.tableau, self.stabilisation, state, step_size, steps,
             self.scratch)
-        return status, done * step_size
+        return status, made * step_size
 
     def restart(self, moved=False):
         """Forget the past: torques, or with ``moved`` the state. Fixed steps have none."""
@@ -144,14 +146,14 @@ class ErrorControlled:
             (len(self._tableau.a) + adaptive.FIRST_SLOPE, self._scale.shape[1]))
         self.control = np.zeros(adaptive.CONTROL_COLUMNS)
 
-    def advance(self, state, time, step_size, steps):
+    def advance(self, state, origin, done, step_size, steps):
         """Advance a state by ``steps`` times ``step_size``; see ``FixedSteps.advance``."""
         status = adaptive.advance(
-            self._system, self._tableau, self._stabilisation, state, time, step_size, steps,
-            self.control, self._scale, self._scratch)
+            self._system, self._tableau, self._stabilisation, state, origin, done, step_size,
+            steps, self.control, self._scale, self._scratch)
         if status == advance.DONE:
             return status, steps * step_size
-        return status, self.control[adaptive.REACHED] - time
+        return status, self.control[adaptive.REACHED] - (origin + done * step_size)
 
     @property
     def memory(self):
@@ -201,14 +203,14 @@ class Switching:
         self.control, self.watch = self._runs.control[switching.RUN], self._runs.watch
         self.rewind()
 
-    def advance(self, state, time, step_size, steps):
+    def advance(self, state, origin, done, step_size, steps):
         """Advance a state by ``steps`` times ``step_size``; see ``FixedSteps.advance``."""
         status = switching.advance(
-            self._system, self._tableau, self._stabilisation, state, time, step_size, steps,
-            self._runs)
+            self._system, self._tableau, self._stabilisation, state, origin, done, step_size,
+            steps, self._runs)
         if status == advance.DONE:
             return status, steps * step_size
-        return status, self.control[adaptive.REACHED] - time
+        return status, self.control[adaptive.REACHED] - (origin + done * step_size)
 
     @property
     def memory(self):
@@ -264,20 +266,20 @@ class Stiff:
         self._matrix, self._pivots = np.zeros((states, states)), np.zeros(states, dtype=np.int64)
         self.control = np.zeros(adaptive.CONTROL_COLUMNS)
 
-    def advance(self, state, time, step_size, steps):
+    def advance(self, state, origin, done, step_size, steps):
         """Advance a state by ``steps`` times ``step_size``; see ``FixedSteps.advance``."""
         if not self._adaptive:
-            status, done = rosenbrock.advance_fixed(
+            status, made = rosenbrock.advance_fixed(
                 self._system, self._stabilisation, state, step_size, steps, self._matrix,
                 self._pivots, self._scratch)
-            return status, done * step_size
-        self.control[adaptive.REACHED] = time
+            return status, made * step_size
+        begin = self.control[adaptive.REACHED] = origin + done * step_size
         status = rosenbrock.advance_adaptive(
-            self._system, self._stabilisation, state, time + steps * step_size, self.control,
-            self._scale, self._matrix, self._pivots, self._scratch)
+            self._system, self._stabilisation, state, origin + (done + steps) * step_size,
+            self.control, self._scale, self._matrix, self._pivots, self._scratch)
         if status == advance.DONE:
             return status, steps * step_size
-        return status, self.control[adaptive.REACHED] - time
+        return status, self.control[adaptive.REACHED] - begin
 
     memory = ()
 

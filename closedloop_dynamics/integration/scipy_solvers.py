@@ -52,10 +52,10 @@ class SciPySolver:
         self._stabilisation, self._tolerance = stabilisation, tolerance
         self._solver = self._dense = None
 
-    def advance(self, state, time, step_size, steps):
+    def advance(self, state, origin, done, step_size, steps):
         """Advance a state by ``steps`` times ``step_size``; see ``FixedSteps.advance``."""
-        target = time + steps * step_size
-        self._start = time, state
+        target = origin + (done + steps) * step_size
+        self._start = origin + done * step_size, state
         self._evaluations = 0
         status = self._step_to(target)
         if status != DONE:

@@ -131,13 +131,13 @@ def allocate_runs(tableau, states):
 
 
 @compiled
-def advance(system, tableau, stabilisation, state, time, step_size, steps, runs):
+def advance(system, tableau, stabilisation, state, origin, done, step_size, steps, runs):
     """
     Advance a state by a number of steps of the raster.
 
     Parameters
     ----------
-    system, tableau, stabilisation, state, time, step_size, steps
+    system, tableau, stabilisation, state, origin, done, step_size, steps
         As for ``adaptive.advance``.
     runs : Runs
         With STEP_SIZE of the run zero, both start at ``state``.
@@ -154,16 +154,16 @@ def advance(system, tableau, stabilisation, state, time, step_size, steps, runs)
     """
     control, watch, scratch = runs.control, runs.watch, runs.scratch
     if control[RUN, STEP_SIZE] == 0.0:
-        _begin(time, state, runs)
-    target = time + steps * step_size
+        _begin(origin + done * step_size, state, runs)
+    target = origin + (done + steps) * step_size
     most = control[RUN, WORK] + control[COMPANION, WORK] + 2.0 * MOST_EVALUATIONS * steps
     status, follows = DONE, False
     while status == DONE and (follows or is_before(control[RUN, REACHED], target)):
         which, limit = COMPANION, control[RUN, REACHED]
         if not follows:
             # A stiff step ends on the raster, where the state may be asked for.
-            passed = math.floor((control[RUN, REACHED] - time) / step_size + 1e-6)
-            which, limit = RUN, time + (passed + 1.0) * step_size
+            passed = math.floor((control[RUN, REACHED] - origin) / step_size + 1e-6)
+            which, limit = RUN, origin + (passed + 1.0) * step_size
         now = control[which]
         if now[STIFF] == 0.0:
             status = adaptive.accepted_step(

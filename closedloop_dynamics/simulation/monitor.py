@@ -192,34 +192,33 @@ class Monitor:
         """Forget the past of the motion, as a driver does."""
         self.driver.restart(moved)
 
-    def advance(self, state, time, step_size, steps):
+    def advance(self, state, origin, done, step_size, steps):
         """Advance as the driver does, and count; see ``drivers.FixedSteps.advance``."""
         if not (self._fixed and self.sampling):
-            return self._counted(state, time, step_size, steps)
-        status, done = DONE, 0
-        elapsed = 0.0
-        while done < steps and status == DONE:
+            return self._counted(state, origin, done, step_size, steps)
+        status, made, elapsed = DONE, 0, 0.0
+        while made < steps and status == DONE:
             if self._to_sample == 0:
-                self._sample(state, time + elapsed, step_size)
+                self._sample(state, step_size)
                 self._to_sample = self._between
                 self._between = min(2 * self._between, SAMPLE_EVERY)
-            portion = min(steps - done, self._to_sample)
-            status, part = self._counted(state, time + elapsed, step_size, portion)
-            done += portion
-            elapsed = done * step_size if status == DONE else elapsed + part
+            portion = min(steps - made, self._to_sample)
+            status, part = self._counted(state, origin, done + made, step_size, portion)
+            made += portion
+            elapsed = made * step_size if status == DONE else elapsed + part
             self._to_sample -= portion
         return status, elapsed
 
-    def _counted(self, state, now, step_size, steps):
+    def _counted(self, state, origin, done, step_size, steps):
         """Advance and add up time and cost."""
         begin = time.perf_counter_ns()
-        status, elapsed = self.driver.advance(state, now, step_size, steps)
+        status, elapsed = self.driver.advance(state, origin, done, step_size, steps)
         self._nanoseconds += time.perf_counter_ns() - begin
         self._time += elapsed
         self._steps += round(elapsed / step_size)
         return status, elapsed
 
-    def _sample(self, state, now, step_size):
+    def _sample(self, state, step_size):
         """Estimate the error of the next step, leaving everything as it is."""
         if self._probe is None:
             system = deepcopy(self._system)
@@ -227,8 +226,8 @@ class Monitor:
         system, driver = self._probe
         copy_into(self._system, system)
         whole, halves = state.copy(), state.copy()
-        statuses = (driver.advance(whole, now, step_size, 1)[0],
-                    driver.advance(halves, now, 0.5 * step_size, 2)[0])
+        statuses = (driver.advance(whole, 0.0, 0, step_size, 1)[0],
+                    driver.advance(halves, 0.0, 0, 0.5 * step_size, 2)[0])
         if statuses == (DONE, DONE):
             count = len(system.tau)
             apart = float(np.abs(whole[:count] - halves[:count]).max(initial=0.0))

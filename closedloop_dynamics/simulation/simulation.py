@@ -601,7 +601,8 @@ class Simulation:
 
     def _advance_unguarded(self, size, steps):
         self._fresh = False
-        status, elapsed = self._driver.advance(self._state, self.time, size, steps)
+        raster = (self._time_base, self._steps) if size == self.step_size else (self.time, 0)
+        status, elapsed = self._driver.advance(self._state, *raster, size, steps)
         if status == DONE and size == self.step_size:
             self._steps += steps
             return
@@ -741,7 +742,7 @@ class Simulation:
         guard = StiffnessGuard(system, method, self._effects.own)
         guard.check(self._state, method.step_size)
         driver = build_driver(system, method)
-        driver.advance(self._state.copy(), self.time, 1e-9, 1)
+        driver.advance(self._state.copy(), self.time, 0, 1e-9, 1)
         driver.rewind()
         self._fresh = False
 
@@ -878,7 +879,7 @@ class Simulation:
         """Make a step from a copy of a state, leaving all else as it is; return its status."""
         memory = self._driver.memory
         self._driver.restart(moved=True)
-        status, _ = self._driver.driver.advance(state, self.time, size, 1)
+        status, _ = self._driver.driver.advance(state, self.time, 0, size, 1)
         self._driver.recall(memory)
         self._driver.restart()
         self._fresh = False

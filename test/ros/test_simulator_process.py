@@ -181,7 +181,8 @@ def test_state_that_leaves_the_finite_numbers_ends_the_process(processes, listen
 
 def test_machine_that_cannot_keep_up_says_so_and_stays_responsive(processes, listener):
     simulator = processes.start(
-        SIMULATOR, scene='three_rrr', real_time_factor='1000.0', step_size='0.0001')
+        SIMULATOR, scene='three_rrr', integrator='rk4', real_time_factor='1000.0',
+        step_size='0.0001')
     simulator.wait_for('cannot keep up')
     states = listener.listen('joint_states', JointState)
     publisher = listener.publisher('torque_command', Float64MultiArray)
