@@ -64,9 +64,9 @@ def steps(scene, **method):
 
 def large_ladder():
     """Return one evaluation of a ladder of 201 joints."""
-    from closedloop_dynamics.studies.formulations import evaluate_again, growing_case
     from closedloop_dynamics.integration.system import build_system
-    from closedloop_dynamics.modeling import build_model
+    from closedloop_dynamics.simulation.modeling import build_model
+    from closedloop_dynamics.studies.formulations import evaluate_again, growing_case
     case = growing_case('ladder', 100)
     system = build_system(build_model(case.mechanism))
     return lambda count: evaluate_again(system, case.q, case.qd, count)

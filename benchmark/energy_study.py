@@ -23,9 +23,9 @@ import numpy as np
 
 sys.path.insert(0, str(ROOT))
 
-from closedloop_dynamics.errors import NumericalError  # noqa: E402,I100
+from closedloop_dynamics.simulation.errors import NumericalError  # noqa: E402,I100
 from closedloop_dynamics.simulation.simulation import Simulation  # noqa: E402
-from closedloop_dynamics.studies.tables import markdown_table, seconds  # noqa: E402
+from closedloop_dynamics.visual.tables import markdown_table, seconds  # noqa: E402
 
 SCENES = (('three_rrr', '3-RRR'), ('carpet_scraper', 'carpet scraper'))
 DURATION = 10.0

@@ -37,7 +37,7 @@ from numba.core.runtime import _nrt_python, rtsys
 
 sys.path.insert(0, str(ROOT))
 
-from closedloop_dynamics.scene import scene_names  # noqa: E402,I100
+from closedloop_dynamics.simulation.scene import scene_names  # noqa: E402,I100
 from closedloop_dynamics.simulation.simulation import Simulation  # noqa: E402
 from closedloop_dynamics.studies.formulations import evaluate_again  # noqa: E402
 

@@ -39,16 +39,17 @@ import numpy as np
 
 sys.path.insert(0, str(ROOT))
 
-from closedloop_dynamics.core import forward_dynamics as dynamics  # noqa: E402,I100
-from closedloop_dynamics.core import kinematics, loop_closure  # noqa: E402
+from closedloop_dynamics.core import (  # noqa: E402,I100
+    forward_dynamics as dynamics, kinematics, loop_closure)
 from closedloop_dynamics.core.compiled import compiled  # noqa: E402
 from closedloop_dynamics.core.types import allocate  # noqa: E402
-from closedloop_dynamics.mechanism.families import ladder  # noqa: E402
-from closedloop_dynamics.modeling import build_model  # noqa: E402
-from closedloop_dynamics.scene import config_directory, load_scene, scene_names  # noqa: E402
+from closedloop_dynamics.simulation.modeling import build_model  # noqa: E402
+from closedloop_dynamics.simulation.scene import (  # noqa: E402
+    config_directory, load_scene, scene_names)
 from closedloop_dynamics.simulation.simulation import Simulation  # noqa: E402
+from closedloop_dynamics.studies.families import ladder  # noqa: E402
 from closedloop_dynamics.studies.formulations import evaluate_again, growing_case  # noqa: E402
-from closedloop_dynamics.studies.tables import markdown_table, seconds, text_table  # noqa: E402
+from closedloop_dynamics.visual.tables import markdown_table, seconds, text_table  # noqa: E402
 
 KINDS = ('add', 'multiply', 'divide', 'sine and cosine')
 LADDER = 10

@@ -28,10 +28,9 @@ import numpy as np
 
 sys.path.insert(0, str(ROOT))
 
-from closedloop_dynamics.core import kinematics, loop_closure  # noqa: E402,I100
-from closedloop_dynamics.core import types as t  # noqa: E402
+from closedloop_dynamics.core import kinematics, loop_closure, types as t  # noqa: E402,I100
 from closedloop_dynamics.integration.system import evaluate  # noqa: E402
-from closedloop_dynamics.scene import load_scene  # noqa: E402
+from closedloop_dynamics.simulation.scene import load_scene  # noqa: E402
 from closedloop_dynamics.simulation.simulation import Simulation  # noqa: E402
 
 # What computes the answer, and what confirms it: an integrator and its tolerance.

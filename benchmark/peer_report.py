@@ -24,7 +24,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 sys.path.insert(0, str(ROOT))
 
-from closedloop_dynamics.studies.tables import (  # noqa: E402,I100
+from closedloop_dynamics.visual.tables import (  # noqa: E402,I100
     markdown_table, seconds, text_table, write_csv)
 
 OURS = 'closedloop_dynamics'

@@ -34,7 +34,7 @@ from machine import description, ROOT
 
 sys.path.insert(0, str(ROOT))
 
-from closedloop_dynamics.studies.tables import (  # noqa: E402,I100
+from closedloop_dynamics.visual.tables import (  # noqa: E402,I100
     markdown_table, seconds, text_table)
 
 # Rows of the table: a kind of start, and what happens in it in turn.

@@ -37,7 +37,7 @@ import numpy as np
 
 sys.path.insert(0, str(ROOT))
 
-from closedloop_dynamics.scene import load_scene  # noqa: E402,I100
+from closedloop_dynamics.simulation.scene import load_scene  # noqa: E402,I100
 from closedloop_dynamics.simulation.simulation import Simulation  # noqa: E402
 from closedloop_dynamics.sweep import sweep  # noqa: E402
 

@@ -29,10 +29,11 @@ import os
 os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
 
 _HOMES = {
-    'AssemblyError': 'errors', 'ClosureError': 'errors', 'load_scene': 'scene',
-    'MechanismError': 'mechanism.mechanism', 'NumericalError': 'errors',
-    'scene_names': 'scene', 'SceneError': 'scene', 'Simulation': 'simulation.simulation',
-    'SimulationError': 'errors', 'SingularityError': 'errors'}
+    'AssemblyError': 'simulation.errors', 'ClosureError': 'simulation.errors',
+    'load_scene': 'simulation.scene', 'MechanismError': 'mechanism.mechanism',
+    'NumericalError': 'simulation.errors', 'scene_names': 'simulation.scene',
+    'SceneError': 'simulation.scene', 'Simulation': 'simulation.simulation',
+    'SimulationError': 'simulation.errors', 'SingularityError': 'simulation.errors'}
 __all__ = sorted(_HOMES)
 __version__ = '0.1.0'
 

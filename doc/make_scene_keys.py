@@ -29,8 +29,8 @@ from closedloop_dynamics.integration.registry import INTEGRATORS, STABILISATIONS
 from closedloop_dynamics.mechanism.fields import keys_of
 from closedloop_dynamics.mechanism.mechanism import Mechanism
 from closedloop_dynamics.mechanism.validation import SECTIONS
-from closedloop_dynamics.scene import INITIAL_KEYS, SCENE_KEYS
-from closedloop_dynamics.scene_records import AUTO, FORMULATIONS, Initial, Method
+from closedloop_dynamics.simulation.scene import INITIAL_KEYS, SCENE_KEYS
+from closedloop_dynamics.simulation.scene_records import AUTO, FORMULATIONS, Initial, Method
 
 PAGE = Path(__file__).with_name('scene_keys.md')
 TYPES = {'str': 'text', 'bool': 'true or false', 'float': 'number', 'int': 'whole number',

@@ -26,7 +26,7 @@ from pathlib import Path
 
 from ament_index_python.packages import get_package_prefix
 from ament_index_python.packages import PackageNotFoundError
-from closedloop_dynamics.config import config_directory
+from closedloop_dynamics.mechanism.config import config_directory
 # Names only: this runs in the Python of ros2, which may lack what the nodes compute with.
 from closedloop_dynamics.ros.simulator_parameters import SIMULATOR_PARAMETERS
 from launch import LaunchDescription

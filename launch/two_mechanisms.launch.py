@@ -23,7 +23,7 @@ The left one is the 3-RRR on its circle, the right one the carpet scraper at 45 
 
 from pathlib import Path
 
-from closedloop_dynamics.config import config_directory
+from closedloop_dynamics.mechanism.config import config_directory
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument
 from launch.actions import GroupAction

@@ -20,7 +20,7 @@ in a traceback there either.
 
 """
 
-from ..signals import program_watch
+from ..simulation.signals import program_watch
 
 
 def main(argv=None):

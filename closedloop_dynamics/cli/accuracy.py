@@ -17,13 +17,13 @@
 from pathlib import Path
 
 from .command import assignment, Command, mapping, positive, UsageError
-from ..errors import AssemblyError
-from ..scene import load_scene
+from ..simulation.errors import AssemblyError
+from ..simulation.scene import load_scene
 from ..simulation.simulation import Simulation
 from ..studies import accuracy_report
 from ..studies.accuracy import study_accuracy
 from ..studies.advice import for_budget, for_target
-from ..studies.progress import progress_bar
+from ..visual.progress import progress_bar
 
 TARGET = 1e-6
 

@@ -17,11 +17,10 @@
 from pathlib import Path
 
 from .command import Command, positive, UsageError
-from ..scene import load_scene
-from ..studies.progress import announced, progress_bar
-from ..studies.recording import (
-    part, read_recording, RecordingError, since_the_last_reset)
+from ..recording.recording import part, read_recording, RecordingError, since_the_last_reset
+from ..simulation.scene import load_scene
 from ..visual.animation import Animation, AnimationError, frame_times, require_writable, write
+from ..visual.progress import announced, progress_bar
 
 # More would take long, and fill a disk.
 MOST_FRAMES = 20_000

@@ -19,12 +19,12 @@ import sys
 import numpy as np
 
 from .command import Command, UsageError
-from ..errors import NumericalError, SimulationError
 from ..mechanism.mechanism import Mechanism
-from ..scene import load_scene_or_mechanism
+from ..simulation.errors import NumericalError, SimulationError
+from ..simulation.scene import load_scene_or_mechanism
 from ..simulation.simulation import Simulation
 from ..studies.check import describe
-from ..studies.progress import announced
+from ..visual.progress import announced
 
 
 def _add_arguments(parser):

@@ -22,10 +22,10 @@ from . import (
     accuracy, animate, check, effects, formulations, plot, recover, replay, simulate, stability,
     sweep, urdf)
 from .command import HelpfulParser, UsageError
-from ..errors import SimulationError
 from ..mechanism.mechanism import MechanismError
-from ..scene import SceneError
-from ..signals import Interrupted, program_watch
+from ..simulation.errors import SimulationError
+from ..simulation.scene import SceneError
+from ..simulation.signals import Interrupted, program_watch
 
 COMMANDS = (accuracy.COMMAND, animate.COMMAND, check.COMMAND, effects.COMMAND,
             formulations.COMMAND, plot.COMMAND, recover.COMMAND, replay.COMMAND, simulate.COMMAND,

@@ -17,12 +17,12 @@
 from pathlib import Path
 
 from .command import assignment, Command, mapping, positive, UsageError
-from ..errors import AssemblyError
-from ..scene import load_scene
+from ..simulation.errors import AssemblyError
+from ..simulation.scene import load_scene
 from ..simulation.simulation import Simulation
 from ..studies import effects_report
 from ..studies.effects import study_effects
-from ..studies.progress import progress_bar
+from ..visual.progress import progress_bar
 
 
 def _add_arguments(parser):

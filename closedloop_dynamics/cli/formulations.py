@@ -19,7 +19,7 @@ from pathlib import Path
 from .command import Command, UsageError
 from ..studies import formulations_report
 from ..studies.formulations import SIZES, study_formulations
-from ..studies.progress import progress_bar
+from ..visual.progress import progress_bar
 
 
 def _add_arguments(parser):

@@ -17,10 +17,10 @@
 from pathlib import Path
 
 from .command import Command, UsageError
-from ..scene import load_scene
-from ..studies.progress import announced
-from ..studies.recording import read_recording, RecordingError, since_the_last_reset
+from ..recording.recording import read_recording, RecordingError, since_the_last_reset
+from ..simulation.scene import load_scene
 from ..visual import pictures
+from ..visual.progress import announced
 
 DRAWERS = {
     'joint_motion': ('joint motion', pictures.joint_motion),

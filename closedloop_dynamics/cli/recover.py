@@ -18,9 +18,9 @@ from pathlib import Path
 import sys
 
 from .command import Command
-from ..bags.contents import messages
-from ..bags.recover import recover
-from ..studies.tables import text_table
+from ..recording.contents import messages
+from ..recording.recover import recover
+from ..visual.tables import text_table
 
 LOST = 1
 

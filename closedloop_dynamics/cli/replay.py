@@ -19,11 +19,11 @@ from pathlib import Path
 import sys
 
 from .command import Command, positive, UsageError
-from ..scene import load_scene
-from ..studies.progress import announced, progress_bar
-from ..studies.recording import read_recording, RecordingError
-from ..studies.replay import PERTURBATION, replay, table
+from ..recording.recording import read_recording, RecordingError
+from ..recording.replay import PERTURBATION, replay, table
+from ..simulation.scene import load_scene
 from ..visual import pictures
+from ..visual.progress import announced, progress_bar
 
 DIFFERENT = 1
 

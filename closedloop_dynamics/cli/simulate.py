@@ -22,14 +22,14 @@ import sys
 import warnings
 
 from .command import assignment, Command, mapping, positive, UsageError
-from ..errors import AssemblyError, InaccuracyWarning, SimulationError
 from ..integration.registry import ADAPTIVE, AUTO, INTEGRATORS, STABILISATIONS
-from ..scene_records import FORMULATIONS
-from ..signals import program_watch
+from ..recording.run import columns, ErrorEstimate, Report, run
+from ..simulation.errors import AssemblyError, InaccuracyWarning, SimulationError
 from ..simulation.monitor import energy_in_words
+from ..simulation.scene_records import FORMULATIONS
+from ..simulation.signals import program_watch
 from ..simulation.simulation import Simulation
-from ..studies.progress import announced, progress_bar
-from ..studies.run import columns, ErrorEstimate, Report, run
+from ..visual.progress import announced, progress_bar
 
 FAILED = 1
 STANDARD_OUTPUT = '-'

@@ -18,7 +18,7 @@ from pathlib import Path
 
 from .command import Command, UsageError
 from ..studies import stability
-from ..studies.progress import progress_bar
+from ..visual.progress import progress_bar
 
 FILES = ('stability.csv', 'stability_table.md', 'stability_atlas.png')
 FAILED = 1

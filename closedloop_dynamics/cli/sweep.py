@@ -20,11 +20,11 @@ import numpy as np
 
 from .command import assignment, Command, mapping, positive, UsageError
 from ..mechanism.fields import FieldError
-from ..recording import QUANTITIES, STATE
-from ..signals import program_watch
-from ..studies.progress import progress_bar
+from ..simulation.rollout_run import QUANTITIES, STATE
+from ..simulation.signals import program_watch
 from ..sweep import sweep
 from ..sweep.parameters import FORMS, parse
+from ..visual.progress import progress_bar
 
 FAILED = 1
 NOTHING = 'nothing'

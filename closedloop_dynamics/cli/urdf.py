@@ -17,8 +17,8 @@
 from pathlib import Path
 
 from .command import Command, UsageError
-from ..scene import load_scene_or_mechanism
-from ..urdf import urdf
+from ..simulation.scene import load_scene_or_mechanism
+from ..visual.urdf import urdf
 
 
 def _add_arguments(parser):

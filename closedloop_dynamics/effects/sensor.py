@@ -30,8 +30,7 @@ import numpy as np
 
 from .effect import Effect
 from ..mechanism.checks import not_negative, number
-from ..mechanism.fields import FieldError, normalise
-from ..mechanism.fields import shown
+from ..mechanism.fields import FieldError, normalise, shown
 
 
 @dataclass(frozen=True)

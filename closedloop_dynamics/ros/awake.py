@@ -29,8 +29,7 @@ import ctypes
 import os
 import sys
 
-from closedloop_dynamics.child import die_with
-from closedloop_dynamics.child import start_child
+from closedloop_dynamics.ros.child import die_with, start_child
 
 
 class Awake:

@@ -22,9 +22,9 @@ from threading import Event
 from threading import Thread
 import time
 
-from closedloop_dynamics.bags.contents import Topic
-from closedloop_dynamics.bags.metadata import dump
-from closedloop_dynamics.bags.writer import BagFiles
+from closedloop_dynamics.recording.contents import Topic
+from closedloop_dynamics.recording.metadata import dump
+from closedloop_dynamics.recording.writer import BagFiles
 
 # What was received is in the file after this time [s]: so much is lost if the process is killed.
 FLUSH_PERIOD = 1.0

@@ -20,12 +20,11 @@ to nothing.
 
 """
 
-from closedloop_dynamics.ros.markers import MARKER_PARAMETERS
-from closedloop_dynamics.ros.markers import Markers
+from closedloop_dynamics.ros.markers import MARKER_PARAMETERS, Markers
 from closedloop_dynamics.ros.parameters import declare
 from closedloop_dynamics.ros.replay_log import ReplayLog
-from closedloop_dynamics.scene_text import scene_text
-from closedloop_dynamics.urdf import urdf
+from closedloop_dynamics.simulation.scene_text import scene_text
+from closedloop_dynamics.visual.urdf import urdf
 from rclpy.qos import DurabilityPolicy
 from rclpy.qos import QoSProfile
 from std_msgs.msg import String

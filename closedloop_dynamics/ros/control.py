@@ -16,10 +16,10 @@
 
 import math
 
-from closedloop_dynamics.errors import SimulationError
 from closedloop_dynamics.ros.modes import PORTION
 from closedloop_dynamics.ros.pacing import Throttle
 from closedloop_dynamics.ros.process import stop_requested
+from closedloop_dynamics.simulation.errors import SimulationError
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool
 from std_srvs.srv import Trigger

@@ -31,17 +31,17 @@ import signal
 import sys
 import time
 
-from closedloop_dynamics.bags.reading import BagReadError
 from closedloop_dynamics.mechanism.mechanism import MechanismError
+from closedloop_dynamics.recording.reading import BagReadError
+from closedloop_dynamics.recording.recording import RecordingError
 from closedloop_dynamics.ros.demo_drive import (
     aim_of, drive_for, RECORDER, shipped_drives, SIMULATOR, TORQUE_SOURCE)
 from closedloop_dynamics.ros.demo_report import (
     compared, draw, not_representative, read_run, summary)
 from closedloop_dynamics.ros.programs import LOOK, ProgramError, Programs, READY
-from closedloop_dynamics.scene import load_scene, SceneError
-from closedloop_dynamics.signals import Interrupted, SignalWatch
-from closedloop_dynamics.studies.progress import progress_bar
-from closedloop_dynamics.studies.recording import RecordingError
+from closedloop_dynamics.simulation.scene import load_scene, SceneError
+from closedloop_dynamics.simulation.signals import Interrupted, SignalWatch
+from closedloop_dynamics.visual.progress import progress_bar
 
 DEFAULT_OUTPUT = 'demo_output'
 EXIT_CODES = ('Exit codes: 0 done; 1 a node failed, or a machine did not do what was wanted; '

@@ -17,11 +17,10 @@
 from dataclasses import dataclass
 from typing import Optional
 
-from closedloop_dynamics.config import shipped_names, shipped_path
+from closedloop_dynamics.mechanism.config import shipped_names, shipped_path
 from closedloop_dynamics.mechanism.mechanism import PRISMATIC
 from closedloop_dynamics.ros.parameters import per_joint
-from closedloop_dynamics.ros.torque_source_parameters import reference
-from closedloop_dynamics.ros.torque_source_parameters import TORQUE_SOURCE_PARAMETERS
+from closedloop_dynamics.ros.torque_source_parameters import reference, TORQUE_SOURCE_PARAMETERS
 from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.visual.motion import body_poses
 import numpy as np

@@ -15,8 +15,8 @@
 
 from dataclasses import dataclass
 
-from closedloop_dynamics.bags.reading import Bag
-from closedloop_dynamics.studies.recording import read_recording
+from closedloop_dynamics.recording.reading import Bag
+from closedloop_dynamics.recording.recording import read_recording
 from closedloop_dynamics.visual import pictures
 from closedloop_dynamics.visual.motion import body_poses, closure, Motion, named_point
 import numpy as np

@@ -23,7 +23,7 @@ doc/interface.md.
 from dataclasses import dataclass, field
 from typing import Dict
 
-from closedloop_dynamics.health import WARN_BELOW
+from closedloop_dynamics.simulation.health import WARN_BELOW
 from diagnostic_msgs.msg import DiagnosticStatus
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR

@@ -19,16 +19,9 @@ import time
 
 from closedloop_dynamics.core.types import SMALLEST_PIVOT
 from closedloop_dynamics.effects.registry import effect_type
-from closedloop_dynamics.ros.diagnostic_checks import closure_finding
-from closedloop_dynamics.ros.diagnostic_checks import commands_finding
-from closedloop_dynamics.ros.diagnostic_checks import elimination_finding
-from closedloop_dynamics.ros.diagnostic_checks import energy_finding
-from closedloop_dynamics.ros.diagnostic_checks import ERROR
-from closedloop_dynamics.ros.diagnostic_checks import Finding
-from closedloop_dynamics.ros.diagnostic_checks import method_finding
-from closedloop_dynamics.ros.diagnostic_checks import near_singular
-from closedloop_dynamics.ros.diagnostic_checks import OK
-from closedloop_dynamics.ros.diagnostic_checks import time_finding
+from closedloop_dynamics.ros.diagnostic_checks import (
+    closure_finding, commands_finding, elimination_finding, energy_finding, ERROR, Finding,
+    method_finding, near_singular, OK, time_finding)
 from closedloop_dynamics.ros.modes import COMPUTING_SHARE
 from closedloop_dynamics.ros.pacing import Throttle
 from closedloop_dynamics.ros.simulator_parameters import REALTIME

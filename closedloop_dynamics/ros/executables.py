@@ -21,8 +21,7 @@ clean-up, which takes seconds, too, with all that was compiled.
 
 """
 
-from closedloop_dynamics.ros.process import leave
-from closedloop_dynamics.ros.process import watch_signals
+from closedloop_dynamics.ros.process import leave, watch_signals
 
 
 def simulator():

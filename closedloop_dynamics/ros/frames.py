@@ -20,8 +20,7 @@ whose origin is the cut point of body A; its axes are those of the world.
 """
 
 from closedloop_dynamics.mechanism.mechanism import GROUND
-from closedloop_dynamics.ros.parameters import declare
-from closedloop_dynamics.ros.parameters import Parameter
+from closedloop_dynamics.ros.parameters import declare, Parameter
 from closedloop_dynamics.ros.process import StartError
 from closedloop_dynamics.ros.wire import WireMessage
 from geometry_msgs.msg import TransformStamped

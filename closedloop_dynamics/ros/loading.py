@@ -16,9 +16,8 @@
 
 import time
 
-from closedloop_dynamics.errors import SimulationError
-from closedloop_dynamics.ros.process import leaving_at_once
-from closedloop_dynamics.ros.process import StartError
+from closedloop_dynamics.ros.process import leaving_at_once, StartError
+from closedloop_dynamics.simulation.errors import SimulationError
 from closedloop_dynamics.simulation.simulation import Simulation
 
 

@@ -14,10 +14,7 @@
 
 """Markers of RViz and Foxglove: bodies as their outlines, arrows, lines."""
 
-from closedloop_dynamics.appearance import body_colors
-from closedloop_dynamics.appearance import outline
-from closedloop_dynamics.appearance import rgb
-from closedloop_dynamics.appearance import sliders
+from closedloop_dynamics.visual.appearance import body_colors, outline, rgb, sliders
 from geometry_msgs.msg import Point
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker

@@ -18,22 +18,14 @@ from collections import deque
 import math
 import time
 
-from closedloop_dynamics.appearance import CONTACT_COLOR
-from closedloop_dynamics.appearance import CUT_COLOR
-from closedloop_dynamics.appearance import FORCE_COLOR
-from closedloop_dynamics.appearance import PATH_COLOR
 from closedloop_dynamics.effects.contact import Contact
 from closedloop_dynamics.effects.external_force import ExternalForce
-from closedloop_dynamics.modeling import extent
-from closedloop_dynamics.ros.marker_shapes import arrow
-from closedloop_dynamics.ros.marker_shapes import link_markers
-from closedloop_dynamics.ros.marker_shapes import point
-from closedloop_dynamics.ros.marker_shapes import strip
-from closedloop_dynamics.ros.marker_shapes import styled
+from closedloop_dynamics.ros.marker_shapes import arrow, link_markers, point, strip, styled
 from closedloop_dynamics.ros.parameters import Parameter
 from closedloop_dynamics.ros.process import StartError
-from closedloop_dynamics.visual.motion import pose_of
-from closedloop_dynamics.visual.motion import world_points
+from closedloop_dynamics.simulation.modeling import extent
+from closedloop_dynamics.visual.appearance import CONTACT_COLOR, CUT_COLOR, FORCE_COLOR, PATH_COLOR
+from closedloop_dynamics.visual.motion import pose_of, world_points
 import numpy as np
 from rclpy.qos import QoSProfile
 from visualization_msgs.msg import Marker

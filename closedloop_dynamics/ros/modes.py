@@ -17,9 +17,7 @@
 import math
 import time
 
-from closedloop_dynamics.ros.simulator_parameters import AS_FAST_AS_POSSIBLE
-from closedloop_dynamics.ros.simulator_parameters import LOCKSTEP
-from closedloop_dynamics.ros.simulator_parameters import REALTIME
+from closedloop_dynamics.ros.simulator_parameters import AS_FAST_AS_POSSIBLE, LOCKSTEP, REALTIME
 
 # Share of a tick that may go into computing; the rest is for messages.
 COMPUTING_SHARE = 0.8

@@ -23,8 +23,8 @@ another process compiles it meanwhile, once for an installation.
 import sys
 import time
 
-from closedloop_dynamics.child import start_child
 from closedloop_dynamics.integration import ahead
+from closedloop_dynamics.ros.child import start_child
 from rclpy.clock import Clock
 from rclpy.clock import ClockType
 
@@ -32,7 +32,7 @@ from rclpy.clock import ClockType
 DELAY = 5.0
 # Between two looks whether the process has ended [s].
 LOOK = 1.0
-COMMAND = (sys.executable, '-m', 'closedloop_dynamics.prepare')
+COMMAND = (sys.executable, '-m', 'closedloop_dynamics.ros.prepare')
 
 
 class Preparation:

@@ -29,7 +29,7 @@ import sys
 import threading
 import warnings
 
-from closedloop_dynamics.signals import SignalWatch
+from closedloop_dynamics.simulation.signals import SignalWatch
 
 
 class StartError(RuntimeError):
@@ -162,8 +162,7 @@ def leave(code):
 
 
 def _run_in_context(create_node, name):
-    from closedloop_dynamics.ros.spinning import build_executor
-    from closedloop_dynamics.ros.spinning import spin
+    from closedloop_dynamics.ros.spinning import build_executor, spin
     from rclpy.exceptions import NameValidationException
     from rclpy.logging import get_logger
     warnings.showwarning = lambda message, *where: get_logger(name).warning(_one_line(message))

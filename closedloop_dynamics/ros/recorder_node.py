@@ -19,17 +19,11 @@ from datetime import datetime
 from fnmatch import fnmatchcase
 import time
 
-from closedloop_dynamics.bags.writer import COMPRESSIONS
-from closedloop_dynamics.ros.bag import BagError
-from closedloop_dynamics.ros.bag import BagWriter
-from closedloop_dynamics.ros.message_types import MessageTypes
-from closedloop_dynamics.ros.message_types import UnknownTypeError
-from closedloop_dynamics.ros.parameters import accept_whole_numbers
-from closedloop_dynamics.ros.parameters import declare
-from closedloop_dynamics.ros.parameters import Parameter
-from closedloop_dynamics.ros.parameters import usage
-from closedloop_dynamics.ros.process import run
-from closedloop_dynamics.ros.process import StartError
+from closedloop_dynamics.recording.writer import COMPRESSIONS
+from closedloop_dynamics.ros.bag import BagError, BagWriter
+from closedloop_dynamics.ros.message_types import MessageTypes, UnknownTypeError
+from closedloop_dynamics.ros.parameters import accept_whole_numbers, declare, Parameter, usage
+from closedloop_dynamics.ros.process import run, StartError
 from rclpy.clock import Clock
 from rclpy.clock import ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks

@@ -16,12 +16,11 @@
 
 from dataclasses import replace
 
-from closedloop_dynamics.errors import SimulationError
 from closedloop_dynamics.ros.modes import period_steps
 from closedloop_dynamics.ros.process import leaving_at_once
-from closedloop_dynamics.ros.simulator_parameters import REALTIME
-from closedloop_dynamics.ros.simulator_parameters import SIMULATOR_PARAMETERS
-from closedloop_dynamics.scene import load_scene
+from closedloop_dynamics.ros.simulator_parameters import REALTIME, SIMULATOR_PARAMETERS
+from closedloop_dynamics.simulation.errors import SimulationError
+from closedloop_dynamics.simulation.scene import load_scene
 from rcl_interfaces.msg import SetParametersResult
 
 METHOD = ('integrator', 'step_size', 'stabilisation')

@@ -25,38 +25,25 @@ from contextlib import contextmanager
 from functools import partial
 import time
 
-from closedloop_dynamics.errors import NumericalError
-from closedloop_dynamics.errors import SimulationError
-from closedloop_dynamics.ros.awake import Awake
-from closedloop_dynamics.ros.awake import set_priority
-from closedloop_dynamics.ros.commands import CommandError
-from closedloop_dynamics.ros.commands import TorqueCommand
-from closedloop_dynamics.ros.companions import COMPANION_PARAMETERS
-from closedloop_dynamics.ros.companions import Companions
+from closedloop_dynamics.ros.awake import Awake, set_priority
+from closedloop_dynamics.ros.commands import CommandError, TorqueCommand
+from closedloop_dynamics.ros.companions import COMPANION_PARAMETERS, Companions
 from closedloop_dynamics.ros.control import Control
 from closedloop_dynamics.ros.diagnostics import Diagnostics
 from closedloop_dynamics.ros.effect_parameters import EffectParameters
-from closedloop_dynamics.ros.frames import FRAME_PARAMETERS
-from closedloop_dynamics.ros.frames import Frames
+from closedloop_dynamics.ros.frames import FRAME_PARAMETERS, Frames
 from closedloop_dynamics.ros.loading import load_simulation
 from closedloop_dynamics.ros.messages import StatePublisher
 from closedloop_dynamics.ros.modes import MODES
-from closedloop_dynamics.ros.pacing import Overload
-from closedloop_dynamics.ros.pacing import Pacer
-from closedloop_dynamics.ros.pacing import Throttle
-from closedloop_dynamics.ros.parameters import accept_whole_numbers
-from closedloop_dynamics.ros.parameters import declare
-from closedloop_dynamics.ros.parameters import declare_fact
-from closedloop_dynamics.ros.parameters import usage
+from closedloop_dynamics.ros.pacing import Overload, Pacer, Throttle
+from closedloop_dynamics.ros.parameters import accept_whole_numbers, declare, declare_fact, usage
 from closedloop_dynamics.ros.preparation import Preparation
-from closedloop_dynamics.ros.process import run
-from closedloop_dynamics.ros.process import StartError
+from closedloop_dynamics.ros.process import run, StartError
 from closedloop_dynamics.ros.reception import subscribe
 from closedloop_dynamics.ros.run_parameters import RunParameters
-from closedloop_dynamics.ros.simulator_parameters import LOCKSTEP
-from closedloop_dynamics.ros.simulator_parameters import REALTIME
-from closedloop_dynamics.ros.simulator_parameters import SIMULATOR_PARAMETERS
+from closedloop_dynamics.ros.simulator_parameters import LOCKSTEP, REALTIME, SIMULATOR_PARAMETERS
 from closedloop_dynamics.ros.stamps import Stamps
+from closedloop_dynamics.simulation.errors import NumericalError, SimulationError
 import numpy as np
 from rclpy.clock import Clock
 from rclpy.clock import ClockType

@@ -14,9 +14,7 @@
 
 """Parameters of the simulator node."""
 
-from closedloop_dynamics.integration.registry import INTEGRATORS
-from closedloop_dynamics.integration.registry import SCIPY
-from closedloop_dynamics.integration.registry import STABILISATIONS
+from closedloop_dynamics.integration.registry import INTEGRATORS, SCIPY, STABILISATIONS
 from closedloop_dynamics.ros.parameters import Parameter
 
 REALTIME, AS_FAST_AS_POSSIBLE, LOCKSTEP = 'realtime', 'as_fast_as_possible', 'lockstep'

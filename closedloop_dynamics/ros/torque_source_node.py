@@ -22,17 +22,11 @@ import time
 from closedloop_dynamics.ros.joint_question import JointQuestion
 from closedloop_dynamics.ros.loading import load_simulation
 from closedloop_dynamics.ros.pacing import Throttle
-from closedloop_dynamics.ros.parameters import accept_whole_numbers
-from closedloop_dynamics.ros.parameters import declare
-from closedloop_dynamics.ros.parameters import usage
-from closedloop_dynamics.ros.process import run
-from closedloop_dynamics.ros.process import StartError
-from closedloop_dynamics.ros.torque_source_parameters import closed_loop
-from closedloop_dynamics.ros.torque_source_parameters import gains
-from closedloop_dynamics.ros.torque_source_parameters import open_loop
-from closedloop_dynamics.ros.torque_source_parameters import TORQUE_SOURCE_PARAMETERS
-from closedloop_dynamics.ros.trajectory import points_of
-from closedloop_dynamics.ros.trajectory import TrajectoryError
+from closedloop_dynamics.ros.parameters import accept_whole_numbers, declare, usage
+from closedloop_dynamics.ros.process import run, StartError
+from closedloop_dynamics.ros.torque_source_parameters import (
+    closed_loop, gains, open_loop, TORQUE_SOURCE_PARAMETERS)
+from closedloop_dynamics.ros.trajectory import points_of, TrajectoryError
 import numpy as np
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock

@@ -15,15 +15,11 @@
 """Parameters of the torque source, and the laws they choose."""
 
 from closedloop_dynamics.effects.actuator import Actuator
+from closedloop_dynamics.ros.circle import Circle, CircleError
 from closedloop_dynamics.ros.computed_torque import ComputedTorque
-from closedloop_dynamics.ros.parameters import Parameter
-from closedloop_dynamics.ros.parameters import per_joint
+from closedloop_dynamics.ros.parameters import Parameter, per_joint
 from closedloop_dynamics.ros.process import StartError
-from closedloop_dynamics.ros.torque_laws import ProportionalDerivative
-from closedloop_dynamics.ros.torque_laws import Reference
-from closedloop_dynamics.ros.torque_laws import Wave
-from closedloop_dynamics.studies.circle import Circle
-from closedloop_dynamics.studies.circle import CircleError
+from closedloop_dynamics.ros.torque_laws import ProportionalDerivative, Reference, Wave
 import numpy as np
 
 _PER_JOINT = 'One value for all joints, or one per joint.'

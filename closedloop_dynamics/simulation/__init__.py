@@ -12,4 +12,4 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""One mechanism in motion: its state, what advances it, and what watches the run."""
+"""One mechanism in motion: scene, state, what advances it, what watches it, and many at once."""

@@ -32,9 +32,9 @@ import warnings
 
 import numpy as np
 
-from ..core.types import SINGULAR_COUNT
-from ..errors import (
+from .errors import (
     ClosureError, InaccuracyWarning, NumericalError, SingularityError, StiffnessError)
+from ..core.types import SINGULAR_COUNT
 from ..integration.registry import ADAPTIVE, AUTO, EXPLICIT, FIXED, INTEGRATORS
 from ..integration.system import derivative
 

@@ -20,11 +20,17 @@ import warnings
 
 import numpy as np
 
+from .assembly import angle_notes, Assembler
+from .errors import AssemblyError, ClosureError, NumericalError, SimulationError, StiffnessError
 from .guards import CLOSING, ClosureGuard, EnergyGuard, StiffnessGuard
+from .health import health_of
+from .inverse_dynamics import InverseDynamics
+from .modeling import body_rows, build_model, extent
 from .monitor import Monitor
-from ..assembly import angle_notes, Assembler
-from ..core import energy, kinematics
-from ..core import types as t
+from .rollout import rollout
+from .scene import load_scene
+from .scene_records import Method
+from ..core import energy, kinematics, types as t
 from ..core.formulations import AUGMENTED, SUBSYSTEM, SYSTEM
 from ..core.independent import allocate_partition
 from ..core.joint_wrenches import cut_wrenches
@@ -33,9 +39,6 @@ from ..effects.delay_line import DelayLine
 from ..effects.effect_set import EffectSet
 from ..effects.energy_balance import EnergyBalance
 from ..effects.machine import Machine
-from ..errors import (
-    AssemblyError, ClosureError, NumericalError, SimulationError, StiffnessError)
-from ..health import health_of
 from ..integration.adaptive import MOST_EVALUATIONS
 from ..integration.advance import DONE, NOT_FINITE, OPEN_LOOP, TOO_MUCH_WORK
 from ..integration.drivers import build_driver
@@ -43,13 +46,8 @@ from ..integration.march import joint_forces
 from ..integration.registry import INTEGRATORS, SCIPY
 from ..integration.system import (
     BAUMGARTE, build_system, CLOSURE_LIMIT, evaluate, number_of_states, Probe)
-from ..inverse_dynamics import InverseDynamics
 from ..mechanism.decomposition import decompose
 from ..mechanism.fields import at, keys_of, mapping
-from ..modeling import body_rows, build_model, extent
-from ..rollout import rollout
-from ..scene import load_scene
-from ..scene_records import Method
 
 FORMULATIONS = {'subsystem': SUBSYSTEM, 'system': SYSTEM, 'augmented': AUGMENTED}
 # In a step, of a joint [rad, m]: error-controlled methods would divide it for minutes.

@@ -23,7 +23,7 @@ from .reference import compute_reference, Reference
 from .sweep import default_lines, Setting, settings
 from .trajectory import difference, record
 from ..core.types import EVALUATIONS
-from ..errors import SimulationError
+from ..simulation.errors import SimulationError
 from ..simulation.simulation import Simulation
 
 OUTPUTS = 100

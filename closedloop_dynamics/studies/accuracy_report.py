@@ -20,8 +20,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from .sweep import DEFAULT_FORMULATION, DEFAULT_INTEGRATOR, DEFAULT_STABILISATION
-from .tables import markdown_table, seconds, short, text_table, write_csv
-from ..scene_records import FORMULATIONS
+from ..simulation.scene_records import FORMULATIONS
+from ..visual.tables import markdown_table, seconds, short, text_table, write_csv
 
 HEADER = ('integrator', 'stabilisation', 'formulation', 'step or tol.', 'positions', 'velocities',
           'forces', 'closure', 'energy [J]', 'evaluations/s', 'CPU time/s')

@@ -18,8 +18,8 @@ from dataclasses import dataclass
 from typing import Optional
 
 from .accuracy import Row
-from .tables import seconds, share
 from ..integration.registry import ADAPTIVE, INTEGRATORS
+from ..visual.tables import seconds, share
 
 
 @dataclass(frozen=True)

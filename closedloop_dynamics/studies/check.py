@@ -16,12 +16,12 @@
 
 from dataclasses import asdict
 
-from ..assembly import find_degrees_of_freedom
 from ..effects.registry import effect_type
 from ..integration.registry import ADAPTIVE, INTEGRATORS
 from ..mechanism.decomposition import decompose
 from ..mechanism.mechanism import CUT_JOINT_EQUATIONS, Mechanism
-from ..scene_records import AUTO, BAUMGARTE
+from ..simulation.assembly import find_degrees_of_freedom
+from ..simulation.scene_records import AUTO, BAUMGARTE
 
 
 def describe(scene_or_mechanism, simulation=None):

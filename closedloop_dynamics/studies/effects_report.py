@@ -17,8 +17,8 @@
 import matplotlib.figure
 import numpy as np
 
-from .tables import markdown_table, seconds, short, text_table, write_csv
 from ..visual.pictures import COLORS, DASHES, DOTS_PER_INCH
+from ..visual.tables import markdown_table, seconds, short, text_table, write_csv
 
 HEADER = ('effect', 'step alone', 'step without', 'position', 'effort', 'force', 'energy',
           'dissipated')

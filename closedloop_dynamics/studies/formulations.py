@@ -21,14 +21,14 @@ import time
 
 import numpy as np
 
+from .families import chain, ladder
 from .formulation_errors import exact_dynamics
 from ..core import straight_line
 from ..core.compiled import compiled
 from ..core.formulations import SUBSYSTEM
 from ..integration.system import (
     build_system, evaluate, evaluate_only, MOST_UNROLLED_BODIES)
-from ..mechanism.families import chain, ladder
-from ..modeling import build_model
+from ..simulation.modeling import build_model
 from ..simulation.simulation import FORMULATIONS, Simulation
 
 SIZES = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)

@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from .formulations import exponent, FAMILIES, LONGEST, SCENES, UNROLLED
-from .tables import markdown_table, seconds, short, text_table, write_csv
+from ..visual.tables import markdown_table, seconds, short, text_table, write_csv
 
 HEADER = ('mechanism', 'size', 'joints', 'equations', 'formulation', 'time', 'accelerations',
           'forces')

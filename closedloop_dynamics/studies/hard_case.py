@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import math
 from typing import Callable
 
-from ..errors import SimulationError
+from ..simulation.errors import SimulationError
 
 ACCURATE, DEGRADED, REFUSED, UNSTABLE, SKIPPED = (
     'accurate', 'degraded but stable', 'refused with reason', 'unstable', 'not run')

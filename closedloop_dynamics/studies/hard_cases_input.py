@@ -22,7 +22,7 @@ import numpy as np
 from .hard_case import Case
 from .hard_cases_singular import watch_ladder
 from .hard_machines import ladder, ladder_energy, scene
-from ..scene import load_scene
+from ..simulation.scene import load_scene
 from ..simulation.simulation import Simulation
 
 GROUP = 'Inconsistent input'

@@ -21,7 +21,7 @@ import numpy as np
 
 from .hard_case import Case
 from .hard_machines import doubled, G, scene, three_rockers, welded_twice
-from ..scene import load_scene
+from ..simulation.scene import load_scene
 from ..simulation.simulation import Simulation
 
 GROUP = 'Redundant constraints'

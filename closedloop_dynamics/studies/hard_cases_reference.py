@@ -29,7 +29,7 @@ from ..effects.point_spring import PointSpring
 from ..integration.switching import SHARE
 from ..mechanism.mechanism import (
     Body, CutJoint, Joint, Mechanism, Point, PRISMATIC, REVOLUTE)
-from ..scene_records import Initial, Scene
+from ..simulation.scene_records import Initial, Scene
 from ..simulation.simulation import Simulation
 
 GROUP = 'Known answers'

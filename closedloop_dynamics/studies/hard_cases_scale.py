@@ -22,7 +22,7 @@ import numpy as np
 from .hard_case import Case
 from .hard_machines import G, gravity, hinge, ladder, off_the_branch, scene, with_masses
 from ..mechanism.mechanism import Body, Joint, Mechanism, PRISMATIC
-from ..scene import load_scene
+from ..simulation.scene import load_scene
 from ..simulation.simulation import Simulation
 
 GROUP = 'Scale'

@@ -24,7 +24,7 @@ from .hard_machines import (
     change_point_linkage, G, gravity, ladder, ladder_energy, off_the_branch, pantograph,
     pantograph_motion, scene)
 from ..integration.registry import FIXED, INTEGRATORS
-from ..scene import load_scene
+from ..simulation.scene import load_scene
 from ..simulation.simulation import Simulation
 
 GROUP = 'Singular configurations'

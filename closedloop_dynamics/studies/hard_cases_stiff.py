@@ -22,9 +22,9 @@ from .hard_machines import bar, G, gravity, hinge
 from ..effects.contact import Contact
 from ..effects.joint_damping import JointDamping
 from ..effects.joint_spring import JointSpring
-from ..errors import StiffnessError
 from ..mechanism.mechanism import Body, Mechanism, Point
-from ..scene_records import Initial, Method, Scene
+from ..simulation.errors import StiffnessError
+from ..simulation.scene_records import Initial, Method, Scene
 from ..simulation.simulation import Simulation
 
 GROUP = 'Stiffness'

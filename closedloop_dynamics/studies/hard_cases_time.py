@@ -22,7 +22,7 @@ import numpy as np
 from .hard_case import Case
 from .hard_machines import ladder, off_the_branch, scene
 from ..integration.registry import FIXED, INTEGRATORS
-from ..scene import load_scene
+from ..simulation.scene import load_scene
 from ..simulation.simulation import Simulation
 
 GROUP = 'Time'

@@ -21,7 +21,7 @@ import numpy as np
 
 from ..effects.gravity import Gravity
 from ..mechanism.mechanism import Body, CutJoint, FIXED, Joint, Mechanism, REVOLUTE
-from ..scene_records import Initial, Scene
+from ..simulation.scene_records import Initial, Scene
 
 G = 9.81
 # Direction of the ground: the world's axes must play no part.

@@ -18,7 +18,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..errors import SimulationError
+from ..simulation.errors import SimulationError
 from ..simulation.simulation import Simulation
 
 # How fast an error of the rate is to decay [1/s].

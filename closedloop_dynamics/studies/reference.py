@@ -24,10 +24,10 @@ they get through.
 from dataclasses import dataclass, replace
 
 from .trajectory import Difference, difference, record, TooSlow, Trajectory
-from ..errors import SimulationError
 from ..integration.ahead import is_stored
 from ..integration.registry import ADAPTIVE, INTEGRATORS
 from ..integration.system import ASIDE
+from ..simulation.errors import SimulationError
 from ..simulation.simulation import Simulation
 
 # The first that succeeds is the reference, the second one proves it: an integrator, and its

@@ -20,8 +20,8 @@ from . import (
     hard_cases_input, hard_cases_redundant, hard_cases_reference, hard_cases_scale,
     hard_cases_singular, hard_cases_stiff, hard_cases_time)
 from .hard_case import ACCURATE, DEGRADED, judge, Outcome, REFUSED, SKIPPED, UNSTABLE
-from .tables import markdown_table, text_table, write_csv
-from ..scene_records import Method
+from ..simulation.scene_records import Method
+from ..visual.tables import markdown_table, text_table, write_csv
 
 CASES = (*hard_cases_singular.CASES, *hard_cases_redundant.CASES, *hard_cases_scale.CASES,
          *hard_cases_input.CASES, *hard_cases_stiff.CASES, *hard_cases_time.CASES,

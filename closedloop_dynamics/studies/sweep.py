@@ -17,7 +17,7 @@
 from dataclasses import dataclass, replace
 
 from ..integration.registry import ADAPTIVE, INTEGRATORS, STABILISATIONS
-from ..scene_records import FORMULATIONS
+from ..simulation.scene_records import FORMULATIONS
 
 DEFAULT_INTEGRATOR, DEFAULT_STABILISATION, DEFAULT_FORMULATION = 'rk4', 'projection', 'subsystem'
 

@@ -19,7 +19,7 @@ import time
 
 import numpy as np
 
-from ..errors import SimulationError
+from ..simulation.errors import SimulationError
 
 
 class TooSlow(SimulationError):

@@ -20,11 +20,11 @@ from typing import Tuple
 import numpy as np
 
 from .plan import TORQUE
-from ..errors import SimulationError
-from ..key_paths import changed
-from ..recording import is_plain, nothing, QUANTITIES, Record, record, Schedule
-from ..recording_together import FEWEST, may_go_together, MOST, Start, Together
-from ..scene_records import Scene
+from ..simulation.errors import SimulationError
+from ..simulation.key_paths import changed
+from ..simulation.rollout_lockstep import FEWEST, may_go_together, MOST, Start, Together
+from ..simulation.rollout_run import is_plain, nothing, QUANTITIES, Record, record, Schedule
+from ..simulation.scene_records import Scene
 from ..simulation.simulation import Simulation
 
 # What the summary of a sample is made of.

@@ -30,7 +30,7 @@ import signal
 import threading
 import time
 
-from ..errors import SimulationError
+from ..simulation.errors import SimulationError
 
 # Between two looks how many workers a cluster has [s].
 LOOK_EVERY = 5.0

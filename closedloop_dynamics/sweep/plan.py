@@ -22,10 +22,10 @@ from typing import Optional, Tuple
 
 import numpy as np
 
-from ..key_paths import resolve
 from ..mechanism.fields import among, at, FieldError, nearest
-from ..recording import checked_quantities, Schedule, STATE
-from ..scene_records import Scene
+from ..simulation.key_paths import resolve
+from ..simulation.rollout_run import checked_quantities, Schedule, STATE
+from ..simulation.scene_records import Scene
 
 TORQUE = 'torque'
 

@@ -28,9 +28,9 @@ from .parameters import variation
 from .plan import combined, Plan
 from .storage import checked_path, opened
 from ..mechanism.fields import FieldError
-from ..recording import STATE
-from ..scene import load_scene
-from ..scene_records import Scene
+from ..simulation.rollout_run import STATE
+from ..simulation.scene import load_scene
+from ..simulation.scene_records import Scene
 
 # Samples in a batch: so many batches, so many samples, so much memory [B] at most.
 BATCHES, LARGEST_BATCH, MOST_BYTES = 64, 64, 64_000_000

@@ -12,4 +12,4 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What a motion looks like: where the bodies are, drawings, pictures over time, animations."""
+"""What people look at: drawings, pictures, animations, tables, progress, and a URDF."""

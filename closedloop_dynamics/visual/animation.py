@@ -24,10 +24,10 @@ from matplotlib.figure import Figure
 import numpy as np
 from PIL import Image
 
+from .appearance import PATH_COLOR
 from .drawing import MechanismArtist
 from .motion import body_poses, Motion, named_point
 from .pictures import COLORS
-from ..appearance import PATH_COLOR
 
 DOTS_PER_INCH = 100
 # Length of path between two of its points that are drawn, as a share of the picture's extent.

@@ -22,9 +22,8 @@ from matplotlib.patches import Polygon
 import matplotlib.patheffects
 import numpy as np
 
+from .appearance import body_colors, CUT_COLOR, FORCE_COLOR, outline, PATH_COLOR, sliders
 from .motion import named_point, pose_of, world_points
-from ..appearance import (
-    body_colors, CUT_COLOR, FORCE_COLOR, outline, PATH_COLOR, sliders)
 from ..mechanism.mechanism import GROUND, PRISMATIC
 
 # Length of the longest force arrow, as a share of the picture's extent.

@@ -25,18 +25,18 @@ was cut short is said in both cases.
 from collections import Counter
 import random
 import shutil
-from test.bags.sample import QOS, STORE
+from test.recording.sample import QOS, STORE
 import warnings
 
-from closedloop_dynamics.bags.contents import Topic
-from closedloop_dynamics.bags.metadata import dump
-from closedloop_dynamics.bags.reading import Bag, BagReadError
-from closedloop_dynamics.bags.writer import BagFiles
 from closedloop_dynamics.cli import main
-from closedloop_dynamics.scene import load_scene, SceneError
-from closedloop_dynamics.scene_text import scene_text
+from closedloop_dynamics.recording.contents import Topic
+from closedloop_dynamics.recording.metadata import dump
+from closedloop_dynamics.recording.reading import Bag, BagReadError
+from closedloop_dynamics.recording.recording import read_recording, RecordingError
+from closedloop_dynamics.recording.writer import BagFiles
+from closedloop_dynamics.simulation.scene import load_scene, SceneError
+from closedloop_dynamics.simulation.scene_text import scene_text
 from closedloop_dynamics.simulation.simulation import Simulation
-from closedloop_dynamics.studies.recording import read_recording, RecordingError
 import numpy as np
 import pytest
 

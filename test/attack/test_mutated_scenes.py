@@ -25,9 +25,9 @@ import re
 import shutil
 
 from closedloop_dynamics.cli import main
-from closedloop_dynamics.config import config_directory
+from closedloop_dynamics.mechanism.config import config_directory
 from closedloop_dynamics.mechanism.mechanism import MechanismError
-from closedloop_dynamics.scene import load_scene, SceneError
+from closedloop_dynamics.simulation.scene import load_scene, SceneError
 from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest

@@ -24,9 +24,9 @@ from dataclasses import replace
 import warnings
 
 from closedloop_dynamics.effects.gravity import Gravity
-from closedloop_dynamics.errors import SimulationError
 from closedloop_dynamics.integration.registry import INTEGRATORS
-from closedloop_dynamics.scene_records import Initial, Method, Scene
+from closedloop_dynamics.simulation.errors import SimulationError
+from closedloop_dynamics.simulation.scene_records import Initial, Method, Scene
 from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest

@@ -21,7 +21,7 @@ from closedloop_dynamics.core.formulations import SUBSYSTEM
 from closedloop_dynamics.core.types import ALPHA, PX, PY
 from closedloop_dynamics.integration.system import build_system, evaluate
 from closedloop_dynamics.mechanism.decomposition import decompose
-from closedloop_dynamics.modeling import body_rows, build_model
+from closedloop_dynamics.simulation.modeling import body_rows, build_model
 import numpy as np
 
 from ..reference.dense import EARTH

@@ -22,10 +22,10 @@ from closedloop_dynamics.effects.joint_damping import JointDamping
 from closedloop_dynamics.effects.joint_spring import JointSpring
 from closedloop_dynamics.effects.point_spring import PointSpring
 from closedloop_dynamics.effects.rotor import Rotor
-from closedloop_dynamics.errors import SimulationError
 from closedloop_dynamics.mechanism.mechanism import (
     Body, CutJoint, GROUND, Joint, Mechanism, Point, REVOLUTE)
-from closedloop_dynamics.scene_records import Initial, Method, Scene
+from closedloop_dynamics.simulation.errors import SimulationError
+from closedloop_dynamics.simulation.scene_records import Initial, Method, Scene
 from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest

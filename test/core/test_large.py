@@ -19,9 +19,9 @@ import os
 from closedloop_dynamics.core.types import RANK, RANK_REVEALING_COUNT
 from closedloop_dynamics.integration.system import build_system, evaluate
 from closedloop_dynamics.mechanism.decomposition import decompose
-from closedloop_dynamics.mechanism.families import chain, ladder, star
 from closedloop_dynamics.mechanism.validation import validate_mechanism
-from closedloop_dynamics.modeling import build_model
+from closedloop_dynamics.simulation.modeling import build_model
+from closedloop_dynamics.studies.families import chain, ladder, star
 import numpy as np
 import pytest
 

@@ -19,8 +19,8 @@ from dataclasses import replace
 from closedloop_dynamics import Simulation
 from closedloop_dynamics.core.formulations import SUBSYSTEM
 from closedloop_dynamics.effects.gravity import Gravity
-from closedloop_dynamics.errors import AssemblyError, SimulationError
-from closedloop_dynamics.scene_records import Initial, Method, Scene
+from closedloop_dynamics.simulation.errors import AssemblyError, SimulationError
+from closedloop_dynamics.simulation.scene_records import Initial, Method, Scene
 import numpy as np
 import pytest
 

@@ -25,7 +25,7 @@ from closedloop_dynamics.core.straight_line.tape import cosine, LOAD, sine, Tape
 from closedloop_dynamics.core.types import REVOLUTE_ARMATURE, TYPE
 from closedloop_dynamics.integration.projection import stabilise
 from closedloop_dynamics.integration.system import build_system, derivative, evaluate
-from closedloop_dynamics.modeling import build_model
+from closedloop_dynamics.simulation.modeling import build_model
 import numba
 import numpy as np
 import pytest

@@ -17,7 +17,7 @@
 from closedloop_dynamics import Simulation
 from closedloop_dynamics.mechanism.mechanism import (
     Body, CutJoint, Joint, Mechanism, Point)
-from closedloop_dynamics.scene_records import Initial, Method, Scene
+from closedloop_dynamics.simulation.scene_records import Initial, Method, Scene
 
 
 def block(mass=1.0, angle=0.0):

@@ -20,11 +20,11 @@ from closedloop_dynamics.effects.joint_friction import JointFriction
 from closedloop_dynamics.effects.joint_spring import JointSpring
 from closedloop_dynamics.effects.sticking import solve
 from closedloop_dynamics.effects.table import build_table, ForceElement, JOINT_FRICTION
-from closedloop_dynamics.errors import SimulationError
 from closedloop_dynamics.integration.registry import INTEGRATORS, SCIPY
 from closedloop_dynamics.mechanism.fields import FieldError
 from closedloop_dynamics.mechanism.mechanism import REVOLUTE
-from closedloop_dynamics.scene_records import Initial, Method, Scene
+from closedloop_dynamics.simulation.errors import SimulationError
+from closedloop_dynamics.simulation.scene_records import Initial, Method, Scene
 import numpy as np
 import pytest
 from scipy.optimize import lsq_linear

@@ -16,8 +16,8 @@
 from dataclasses import replace
 
 from closedloop_dynamics.integration import adaptive, switching
-from closedloop_dynamics.scene import load_scene, scene_names
-from closedloop_dynamics.scene_records import Method
+from closedloop_dynamics.simulation.scene import load_scene, scene_names
+from closedloop_dynamics.simulation.scene_records import Method
 from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest

@@ -22,7 +22,7 @@ coordinates.
 
 """
 
-from closedloop_dynamics.scene import load_scene
+from closedloop_dynamics.simulation.scene import load_scene
 import numpy as np
 import pytest
 from scipy.optimize import fsolve

@@ -17,8 +17,8 @@
 import os
 import subprocess
 import sys
-from test.packaging.package import copy_package, files_below, outside_environment
-from test.packaging.package import PACKAGE, PROGRAMS, run, SHARED
+from test.packaging.package import (
+    copy_package, files_below, outside_environment, PACKAGE, PROGRAMS, run, SHARED)
 from test.ros.domains import reserve_domain
 from xml.etree import ElementTree
 
@@ -111,7 +111,7 @@ def test_mechanisms_scenes_and_launch_files_are_installed(workspace):
 
 
 def test_package_is_found_in_the_workspace(workspace):
-    code = ('from closedloop_dynamics import config; '
+    code = ('from closedloop_dynamics.mechanism import config; '
             'print(config.__file__, config.config_directory(), sep="\\n")')
     output = run(sys.executable, '-c', code, cwd=workspace, env=sourced(workspace))
     assert all(line.startswith(str(workspace)) for line in output.splitlines()), output

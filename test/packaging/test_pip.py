@@ -18,8 +18,8 @@ import os
 from pathlib import Path
 import sys
 import sysconfig
-from test.packaging.package import copy_package, files_below, outside_environment
-from test.packaging.package import PACKAGE, PROGRAMS, run, SHARED
+from test.packaging.package import (
+    copy_package, files_below, outside_environment, PACKAGE, PROGRAMS, run, SHARED)
 import venv
 from xml.etree import ElementTree
 from zipfile import ZipFile
@@ -29,7 +29,7 @@ import pytest
 PIP = (sys.executable, '-m', 'pip', '--disable-pip-version-check', '--no-input')
 OFFLINE = ('--no-deps', '--no-index')
 SHOW_CONFIG = (
-    'from closedloop_dynamics.config import config_directory; print(config_directory())')
+    'from closedloop_dynamics.mechanism.config import config_directory; print(config_directory())')
 
 
 @pytest.fixture(scope='module')

@@ -19,7 +19,7 @@ from dataclasses import replace
 from closedloop_dynamics.core.formulations import AUGMENTED, SUBSYSTEM, SYSTEM
 from closedloop_dynamics.effects.gravity import Gravity
 from closedloop_dynamics.mechanism.mechanism import PRISMATIC
-from closedloop_dynamics.scene_records import Initial, Method, Scene
+from closedloop_dynamics.simulation.scene_records import Initial, Method, Scene
 from closedloop_dynamics.simulation.simulation import Simulation
 from hypothesis import given, settings, strategies
 import numpy as np

@@ -20,7 +20,7 @@ random linkages by number.
 
 """
 
-from closedloop_dynamics.scene import load_scene
+from closedloop_dynamics.simulation.scene import load_scene
 import numpy as np
 
 from . import linkages, special, states

@@ -17,7 +17,7 @@
 from closedloop_dynamics.effects.gravity import Gravity
 from closedloop_dynamics.mechanism.mechanism import (
     Body, CutJoint, GROUND, Joint, Mechanism, REVOLUTE)
-from closedloop_dynamics.scene_records import Initial, Method, Scene
+from closedloop_dynamics.simulation.scene_records import Initial, Method, Scene
 import numpy as np
 
 from .trees import unit

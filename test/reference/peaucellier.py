@@ -24,7 +24,7 @@ functions of the crank's angle: one equation of motion, which notices no singula
 
 from closedloop_dynamics.effects.gravity import Gravity
 from closedloop_dynamics.mechanism.mechanism import Body, CutJoint, Joint, Mechanism, REVOLUTE
-from closedloop_dynamics.scene_records import Initial, Method, Scene
+from closedloop_dynamics.simulation.scene_records import Initial, Method, Scene
 import numpy as np
 from scipy.integrate import solve_ivp
 

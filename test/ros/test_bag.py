@@ -15,13 +15,10 @@
 """Tests of closedloop_dynamics.ros.bag and message_types, read back by other readers."""
 
 import sys
-from test.ros.bags import read_with_mcap
-from test.ros.bags import read_with_rosbags
+from test.ros.bags import read_with_mcap, read_with_rosbags
 
-from closedloop_dynamics.ros.bag import BagError
-from closedloop_dynamics.ros.bag import BagWriter
-from closedloop_dynamics.ros.message_types import MessageTypes
-from closedloop_dynamics.ros.message_types import UnknownTypeError
+from closedloop_dynamics.ros.bag import BagError, BagWriter
+from closedloop_dynamics.ros.message_types import MessageTypes, UnknownTypeError
 import pytest
 from rclpy.qos import DurabilityPolicy
 from rclpy.qos import QoSProfile
@@ -111,7 +108,7 @@ def test_error_while_writing_is_kept_for_the_caller(tmp_path, monkeypatch):
     def full(*_):
         raise OSError(28, 'No space left on device')
 
-    monkeypatch.setattr('closedloop_dynamics.bags.writer.BagFiles.write', full)
+    monkeypatch.setattr('closedloop_dynamics.recording.writer.BagFiles.write', full)
     bag.add_topic('/states', STATE)
     for index in range(10):
         bag.write('/states', index, serialize_message(state(index)))

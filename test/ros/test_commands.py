@@ -17,8 +17,7 @@
 from array import array
 import math
 
-from closedloop_dynamics.ros.commands import CommandError
-from closedloop_dynamics.ros.commands import TorqueCommand
+from closedloop_dynamics.ros.commands import CommandError, TorqueCommand
 import pytest
 
 JOINTS = ('a', 'b', 'c', 'd')

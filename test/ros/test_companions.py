@@ -19,13 +19,12 @@ import math
 from builtin_interfaces.msg import Time
 from closedloop_dynamics.ros.markers import contact_force
 from closedloop_dynamics.ros.process import StartError
-from closedloop_dynamics.ros.replay_log import COLUMNS
-from closedloop_dynamics.ros.replay_log import NO_STATE
+from closedloop_dynamics.ros.replay_log import COLUMNS, NO_STATE
 from closedloop_dynamics.ros.simulator_node import SimulatorNode
-from closedloop_dynamics.scene import load_scene
-from closedloop_dynamics.scene_text import read_scene_text
-from closedloop_dynamics.urdf import urdf
+from closedloop_dynamics.simulation.scene import load_scene
+from closedloop_dynamics.simulation.scene_text import read_scene_text
 from closedloop_dynamics.visual.motion import world_points
+from closedloop_dynamics.visual.urdf import urdf
 import numpy as np
 import pytest
 from rclpy.executors import SingleThreadedExecutor

@@ -16,9 +16,7 @@
 
 from closedloop_dynamics import Simulation
 from closedloop_dynamics.ros.computed_torque import ComputedTorque
-from closedloop_dynamics.ros.torque_laws import ProportionalDerivative
-from closedloop_dynamics.ros.torque_laws import Reference
-from closedloop_dynamics.ros.torque_laws import Wave
+from closedloop_dynamics.ros.torque_laws import ProportionalDerivative, Reference, Wave
 import numpy as np
 import pytest
 

@@ -29,7 +29,7 @@ from closedloop_dynamics.ros.demo_report import (
     compared, draw, not_representative, read_run, Run, summary, wanted_motion)
 from closedloop_dynamics.ros.torque_laws import Reference, Wave
 from closedloop_dynamics.ros.torque_source_parameters import TORQUE_SOURCE_PARAMETERS
-from closedloop_dynamics.scene import load_scene, scene_names
+from closedloop_dynamics.simulation.scene import load_scene, scene_names
 from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.visual.motion import Motion
 import numpy as np

@@ -19,11 +19,9 @@ import math
 from pathlib import Path
 
 from closedloop_dynamics.effects.energy_balance import Energies
-from closedloop_dynamics.health import Health
 from closedloop_dynamics.ros import diagnostic_checks as checks
-from closedloop_dynamics.ros.diagnostic_checks import ERROR
-from closedloop_dynamics.ros.diagnostic_checks import OK
-from closedloop_dynamics.ros.diagnostic_checks import WARN
+from closedloop_dynamics.ros.diagnostic_checks import ERROR, OK, WARN
+from closedloop_dynamics.simulation.health import Health
 from closedloop_dynamics.simulation.monitor import RunReport
 import pytest
 

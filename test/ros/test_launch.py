@@ -28,8 +28,8 @@ import sys
 from types import ModuleType, SimpleNamespace
 
 from ament_index_python.packages import PackageNotFoundError
-from closedloop_dynamics.bags.reading import Bag
-from closedloop_dynamics.config import shipped_path
+from closedloop_dynamics.mechanism.config import shipped_path
+from closedloop_dynamics.recording.reading import Bag
 from closedloop_dynamics.ros.simulator_parameters import SIMULATOR_PARAMETERS
 import pytest
 

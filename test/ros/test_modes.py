@@ -14,12 +14,8 @@
 
 """Tests of closedloop_dynamics.ros.modes with a machine that only counts."""
 
-from closedloop_dynamics.ros.modes import AsFastAsPossible
-from closedloop_dynamics.ros.modes import Lockstep
-from closedloop_dynamics.ros.modes import LOOK_EVERY
-from closedloop_dynamics.ros.modes import MOST_MADE_UP
-from closedloop_dynamics.ros.modes import period_steps
-from closedloop_dynamics.ros.modes import RealTime
+from closedloop_dynamics.ros.modes import (
+    AsFastAsPossible, Lockstep, LOOK_EVERY, MOST_MADE_UP, period_steps, RealTime)
 from closedloop_dynamics.ros.pacing import Pacer
 import pytest
 

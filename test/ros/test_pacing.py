@@ -14,10 +14,7 @@
 
 """Tests of closedloop_dynamics.ros.pacing with a clock that only moves when told."""
 
-from closedloop_dynamics.ros.pacing import LARGEST_LAG
-from closedloop_dynamics.ros.pacing import Pacer
-from closedloop_dynamics.ros.pacing import PORTION
-from closedloop_dynamics.ros.pacing import Throttle
+from closedloop_dynamics.ros.pacing import LARGEST_LAG, Pacer, PORTION, Throttle
 import numpy as np
 import pytest
 

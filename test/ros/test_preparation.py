@@ -24,8 +24,7 @@ import time
 from closedloop_dynamics import Simulation
 from closedloop_dynamics.core.straight_line import linkage as links
 from closedloop_dynamics.integration import ahead
-from closedloop_dynamics.integration.system import careful_acceleration
-from closedloop_dynamics.integration.system import careful_correction
+from closedloop_dynamics.integration.system import careful_acceleration, careful_correction
 from closedloop_dynamics.ros import preparation
 from closedloop_dynamics.ros.simulator_node import SimulatorNode
 import pytest
@@ -107,7 +106,7 @@ def test_process_ends_with_the_node(build):
 
 
 def test_process_ends_with_a_parent_that_was_killed(tmp_path):
-    child = ('import os, sys, time; from closedloop_dynamics.prepare import die_with; '
+    child = ('import os, sys, time; from closedloop_dynamics.ros.prepare import die_with; '
              'die_with(int(sys.argv[1])); print(os.getpid(), flush=True); time.sleep(600)')
     parent = subprocess.Popen(
         [sys.executable, '-c', 'import os, subprocess, sys; subprocess.run('
@@ -176,6 +175,7 @@ def test_disk_is_known_to_hold_it_or_not(tmp_path):
     assert tell() == 'False'
     subprocess.run(
         [sys.executable, '-c', 'import os, subprocess, sys; sys.exit(subprocess.call(['
-         'sys.executable, "-m", "closedloop_dynamics.prepare", "three_rrr", str(os.getpid())]))'],
+         'sys.executable, "-m", "closedloop_dynamics.ros.prepare", "three_rrr", '
+         'str(os.getpid())]))'],
         cwd=ROOT, env=environment, check=True)
     assert tell() == 'True'

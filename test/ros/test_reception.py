@@ -16,10 +16,8 @@
 
 import time
 
-from closedloop_dynamics.ros.reception import SequenceGaps
-from closedloop_dynamics.ros.reception import subscribe
-from closedloop_dynamics.ros.spinning import build_executor
-from closedloop_dynamics.ros.spinning import VARIABLE
+from closedloop_dynamics.ros.reception import SequenceGaps, subscribe
+from closedloop_dynamics.ros.spinning import build_executor, VARIABLE
 import pytest
 from rclpy.node import Node
 from rclpy.qos import QoSProfile

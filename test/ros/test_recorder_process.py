@@ -17,12 +17,11 @@
 import re
 import resource
 import signal
-from test.ros.bags import read_with_mcap
-from test.ros.bags import read_with_rosbags
+from test.ros.bags import read_with_mcap, read_with_rosbags
 import time
 
-from closedloop_dynamics.bags.reading import Bag
 from closedloop_dynamics.cli import main
+from closedloop_dynamics.recording.reading import Bag
 from geometry_msgs.msg import WrenchStamped
 import pytest
 from sensor_msgs.msg import JointState

@@ -14,8 +14,7 @@
 
 """The soak: two minutes of it among the slow tests, some seconds otherwise."""
 
-from test.ros.soak import growth
-from test.ros.soak import soak
+from test.ros.soak import growth, soak
 
 import pytest
 

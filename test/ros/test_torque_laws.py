@@ -14,9 +14,7 @@
 
 """Tests of closedloop_dynamics.ros.torque_laws on one joint with a plain inertia."""
 
-from closedloop_dynamics.ros.torque_laws import ProportionalDerivative
-from closedloop_dynamics.ros.torque_laws import Reference
-from closedloop_dynamics.ros.torque_laws import Wave
+from closedloop_dynamics.ros.torque_laws import ProportionalDerivative, Reference, Wave
 import numpy as np
 import pytest
 

@@ -14,8 +14,8 @@
 """Tests of what watches a run: no motion that is none is reported as one."""
 
 from closedloop_dynamics.cli import main
-from closedloop_dynamics.errors import InaccuracyWarning, NumericalError
-from closedloop_dynamics.scene import load_scene
+from closedloop_dynamics.simulation.errors import InaccuracyWarning, NumericalError
+from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest

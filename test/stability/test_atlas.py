@@ -17,7 +17,7 @@
 import math
 
 from closedloop_dynamics.cli import main
-from closedloop_dynamics.scene_records import Method
+from closedloop_dynamics.simulation.scene_records import Method
 from closedloop_dynamics.studies import stability
 from closedloop_dynamics.studies.hard_case import (
     ACCURATE, Case, DEGRADED, judge, Outcome, REFUSED, UNSTABLE)

@@ -21,13 +21,13 @@ from closedloop_dynamics.core.types import CUT_ROW, ROW
 from closedloop_dynamics.effects.actuator import Actuator
 from closedloop_dynamics.effects.joint_damping import JointDamping
 from closedloop_dynamics.effects.joint_spring import JointSpring
-from closedloop_dynamics.errors import AssemblyError, StiffnessError
 from closedloop_dynamics.mechanism.mechanism import Body, MechanismError
 from closedloop_dynamics.mechanism.reader import read_mechanism
 from closedloop_dynamics.mechanism.validation import validate_mechanism
-from closedloop_dynamics.scene import load_scene
-from closedloop_dynamics.scene_records import Initial, Method, Scene
+from closedloop_dynamics.simulation.errors import AssemblyError, StiffnessError
 from closedloop_dynamics.simulation.guards import fastest_rate
+from closedloop_dynamics.simulation.scene import load_scene
+from closedloop_dynamics.simulation.scene_records import Initial, Method, Scene
 from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.studies import hard_machines as machines
 import numpy as np

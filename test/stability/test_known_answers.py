@@ -19,13 +19,13 @@ from dataclasses import replace
 import math
 
 from closedloop_dynamics.effects.joint_spring import JointSpring
-from closedloop_dynamics.errors import AssemblyError
 from closedloop_dynamics.mechanism.mechanism import Body, Mechanism
-from closedloop_dynamics.scene import load_scene, scene_names
-from closedloop_dynamics.scene_records import Initial, Method, Scene
+from closedloop_dynamics.simulation.errors import AssemblyError
+from closedloop_dynamics.simulation.scene import load_scene, scene_names
+from closedloop_dynamics.simulation.scene_records import Initial, Method, Scene
 from closedloop_dynamics.simulation.simulation import Simulation
-from closedloop_dynamics.studies import hard_cases_reference as reference
-from closedloop_dynamics.studies import hard_machines as machines
+from closedloop_dynamics.studies import (
+    hard_cases_reference as reference, hard_machines as machines)
 import numpy as np
 import pytest
 

@@ -17,9 +17,9 @@ from dataclasses import replace
 import math
 import warnings
 
-from closedloop_dynamics.errors import ClosureError, NumericalError, SingularityError
-from closedloop_dynamics.scene import load_scene
-from closedloop_dynamics.scene_records import Method
+from closedloop_dynamics.simulation.errors import ClosureError, NumericalError, SingularityError
+from closedloop_dynamics.simulation.scene import load_scene
+from closedloop_dynamics.simulation.scene_records import Method
 from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.studies import hard_machines as machines
 from closedloop_dynamics.studies.hard_cases_scale import light_cart

@@ -19,11 +19,11 @@ from dataclasses import replace
 import math
 
 from closedloop_dynamics.cli import main
-from closedloop_dynamics.errors import SimulationError
 from closedloop_dynamics.integration.registry import INTEGRATORS, STABILISATIONS
 from closedloop_dynamics.integration.system import ASIDE
-from closedloop_dynamics.scene import load_scene
-from closedloop_dynamics.scene_records import FORMULATIONS, Method
+from closedloop_dynamics.simulation.errors import SimulationError
+from closedloop_dynamics.simulation.scene import load_scene
+from closedloop_dynamics.simulation.scene_records import FORMULATIONS, Method
 from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.studies import accuracy, reference
 from closedloop_dynamics.studies.accuracy import Row, Study, study_accuracy

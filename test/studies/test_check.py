@@ -17,7 +17,7 @@
 from dataclasses import replace
 
 from closedloop_dynamics.mechanism.mechanism import Body, Joint, Mechanism
-from closedloop_dynamics.scene import load_scene, scene_names
+from closedloop_dynamics.simulation.scene import load_scene, scene_names
 from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.studies.check import describe
 import pytest

@@ -19,11 +19,11 @@ import math
 
 from closedloop_dynamics.cli import main
 from closedloop_dynamics.integration.system import build_system, evaluate
-from closedloop_dynamics.mechanism.families import chain, ladder
 from closedloop_dynamics.mechanism.mechanism import PRISMATIC
 from closedloop_dynamics.mechanism.validation import validate_mechanism
-from closedloop_dynamics.modeling import build_model
-from closedloop_dynamics.scene import load_scene
+from closedloop_dynamics.simulation.modeling import build_model
+from closedloop_dynamics.simulation.scene import load_scene
+from closedloop_dynamics.studies.families import chain, ladder
 from closedloop_dynamics.studies.formulation_errors import exact_dynamics
 from closedloop_dynamics.studies.formulations import (
     exponent, growing_case, Row, scene_case, study_formulations, VARIANTS)

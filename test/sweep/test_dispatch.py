@@ -16,7 +16,7 @@
 
 from concurrent.futures import BrokenExecutor, Future, ThreadPoolExecutor
 
-from closedloop_dynamics.scene import load_scene
+from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.sweep.batch import DONE, FAILED, Job
 from closedloop_dynamics.sweep.dispatch import dispatched
 from closedloop_dynamics.sweep.executors import EngineError, Handed, Inline

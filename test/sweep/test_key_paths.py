@@ -14,10 +14,10 @@
 
 """Key paths: every number of a scene can be reached, changed, and is named when it cannot."""
 
-from closedloop_dynamics.key_paths import changed, numbers, resolve
 from closedloop_dynamics.mechanism.fields import FieldError
 from closedloop_dynamics.mechanism.mechanism import MechanismError
-from closedloop_dynamics.scene import load_scene, scene_names
+from closedloop_dynamics.simulation.key_paths import changed, numbers, resolve
+from closedloop_dynamics.simulation.scene import load_scene, scene_names
 import pytest
 
 

@@ -21,8 +21,8 @@ from closedloop_dynamics.core.straight_line import lanes
 from closedloop_dynamics.integration import lockstep
 from closedloop_dynamics.integration.advance import DONE
 from closedloop_dynamics.integration.lockstep import LANES
-from closedloop_dynamics.recording import QUANTITIES
-from closedloop_dynamics.recording_together import Together
+from closedloop_dynamics.simulation.rollout_lockstep import Together
+from closedloop_dynamics.simulation.rollout_run import QUANTITIES
 from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest

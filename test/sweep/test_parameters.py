@@ -15,7 +15,7 @@
 """What ``--vary`` understands, and the samples that follow from it."""
 
 from closedloop_dynamics.mechanism.fields import FieldError
-from closedloop_dynamics.scene import load_scene
+from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.sweep.parameters import Grid, parse, Random, variation
 from closedloop_dynamics.sweep.plan import Plan
 import numpy as np

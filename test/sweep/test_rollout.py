@@ -17,9 +17,9 @@
 from dataclasses import replace
 import inspect
 
-from closedloop_dynamics.recording import is_plain, QUANTITIES
-from closedloop_dynamics.rollout import rollout
-from closedloop_dynamics.scene import load_scene
+from closedloop_dynamics.simulation.rollout import rollout
+from closedloop_dynamics.simulation.rollout_run import is_plain, QUANTITIES
+from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest

@@ -23,7 +23,7 @@ import time
 
 from closedloop_dynamics.cli import main
 from closedloop_dynamics.mechanism.fields import FieldError
-from closedloop_dynamics.scene import load_scene
+from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.sweep import sweep
 from closedloop_dynamics.sweep.storage import StorageError

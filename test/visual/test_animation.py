@@ -18,13 +18,11 @@ import os
 import signal
 
 from closedloop_dynamics.cli import main
-from closedloop_dynamics.signals import Interrupted
+from closedloop_dynamics.recording.recording import since_the_last_reset
+from closedloop_dynamics.recording.run import columns, Report, run
+from closedloop_dynamics.simulation.signals import Interrupted
 from closedloop_dynamics.simulation.simulation import Simulation
-from closedloop_dynamics.studies.recording import since_the_last_reset
-from closedloop_dynamics.studies.run import columns, Report, run
-from closedloop_dynamics.visual import animation as animations
-from closedloop_dynamics.visual import motion as motions
-from closedloop_dynamics.visual import pictures
+from closedloop_dynamics.visual import animation as animations, motion as motions, pictures
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 import numpy as np
 from PIL import Image

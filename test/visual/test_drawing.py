@@ -14,13 +14,12 @@
 
 """Pictures show the mechanism where it is, with units, and legends that cover nothing."""
 
-from closedloop_dynamics.appearance import outline
 from closedloop_dynamics.mechanism.reader import read_mechanism
-from closedloop_dynamics.scene import config_directory
+from closedloop_dynamics.recording.run import columns, Report, run
+from closedloop_dynamics.simulation.scene import config_directory
 from closedloop_dynamics.simulation.simulation import Simulation
-from closedloop_dynamics.studies.run import columns, Report, run
-from closedloop_dynamics.visual import motion as motions
-from closedloop_dynamics.visual import pictures
+from closedloop_dynamics.visual import motion as motions, pictures
+from closedloop_dynamics.visual.appearance import outline
 from closedloop_dynamics.visual.drawing import MechanismArtist
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure

@@ -1,0 +1,56 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Find the mechanisms and scenes that come with the package.
+
+They lie in ``config/`` beside the package in a source checkout, and under
+``share/closedloop_dynamics/config`` of the prefix it is installed in (colcon and
+pip alike).
+
+"""
+
+from pathlib import Path
+
+
+def config_directory():
+    """
+    Return the directory that holds ``mechanisms/`` and ``scenes/``.
+
+    Raises
+    ------
+    FileNotFoundError
+        Where the package was installed without its data files.
+
+    """
+    package = Path(__file__).resolve().parents[1]
+    candidates = [package.parent / 'config']
+    candidates += [parent / 'share' / package.name / 'config' for parent in package.parents]
+    for candidate in candidates:
+        if (candidate / 'mechanisms').is_dir() and (candidate / 'scenes').is_dir():
+            return candidate
+    raise FileNotFoundError(
+        f'the directory config/ with the mechanisms and scenes of {package.name} is neither '
+        f'beside {package} nor in share/{package.name} of any directory above it; '
+        'install the package with its data files (colcon build, or pip install)')
+
+
+def shipped_names(kind):
+    """Return the sorted names of the shipped files of a kind: mechanisms or scenes."""
+    return sorted(path.stem for path in (config_directory() / kind).glob('*.yaml'))
+
+
+def shipped_path(kind, name):
+    """Return the path of one shipped file; it need not exist."""
+    return config_directory() / kind / f'{name}.yaml'

@@ -1,0 +1,291 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""What a bag, or a CSV file of ``closedloop simulate``, holds of one simulator."""
+
+from collections import deque
+import csv
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Optional
+import warnings
+
+import numpy as np
+
+from .reading import Bag
+from ..mechanism.mechanism import MechanismError
+from ..simulation.scene import SceneError
+from ..simulation.scene_text import read_scene_text
+from ..visual.motion import from_rows, Motion
+
+STATES, FORCES, LOG, SCENE = 'joint_states', 'constraint_forces/', 'replay_log', 'scene'
+NANOSECONDS = 1e-9
+# Damages of a bag that are told one by one.
+MOST_TOLD = 5
+
+
+class RecordingError(ValueError):
+    """A recording that does not hold what is needed; the message says what to do."""
+
+
+@dataclass(frozen=True)
+class Log:
+    """
+    Entries of ``replay_log``: one for each state, and one more where a command changed between.
+
+    Attributes
+    ----------
+    index, jumps : ndarray of int, shape (n,)
+        Number of the entry, and of the resets and states set from outside before it.
+    time : ndarray, shape (n,)
+        Simulated [s].
+    torque : ndarray, shape (n, nv)
+        Commands that acted from the entry before to this one [N m or N].
+    state : ndarray of int, shape (n,)
+        Index of the state at that time in the motion; -1 where there is none.
+    whole : list of ndarray, or None
+        Whole states, as ``Simulation.restore`` takes them; None in bags of earlier versions.
+
+    """
+
+    index: np.ndarray
+    jumps: np.ndarray
+    time: np.ndarray
+    torque: np.ndarray
+    state: np.ndarray
+    whole: Optional[list] = None
+
+
+@dataclass(frozen=True)
+class Recording:
+    """
+    The states of one simulator.
+
+    Attributes
+    ----------
+    motion : Motion
+        Its times are simulated ones where the log tells them, otherwise those of the stamps
+        since the first; forces that were not recorded are NaN.
+    scene : scene_records.Scene or None
+        As it was at the beginning; None where nothing tells.
+    changes : list of (Scene, dict)
+        The scene at the beginning and after every change, with the facts beside it.
+    log : Log or None
+    finished : bool
+        Whether the recording came to its end in order.
+    stamps : ndarray of int, shape (n,), or None
+        Of the states [ns]; None for a CSV file.
+
+    """
+
+    motion: Motion
+    scene: object = None
+    changes: list = field(default_factory=list)
+    log: Optional[Log] = None
+    finished: bool = True
+    stamps: Optional[np.ndarray] = None
+
+
+def read_recording(path, scene=None, namespace=None):
+    """
+    Read a bag, or the CSV file of a run.
+
+    Parameters
+    ----------
+    path : path-like
+        Directory of a bag, one of its files, or a CSV file.
+    scene : scene_records.Scene, optional
+        What was simulated; needed where the recording does not tell.
+    namespace : str, optional
+        Of the simulator; needed where several are in the bag.
+
+    Returns
+    -------
+    Recording
+
+    Raises
+    ------
+    RecordingError
+        Where states or the scene are not in it.
+    OSError
+        Where it cannot be read.
+
+    """
+    path = Path(path)
+    if path.suffix == '.csv':
+        return _read_csv(path, scene)
+    return _read_bag(path, scene, namespace)
+
+
+def since_the_last_reset(motion):
+    """Return the part of a motion since time last went back, each instant once."""
+    steps = np.diff(motion.time)
+    backwards = np.flatnonzero(steps < 0.0)
+    kept = np.concatenate([[True], steps != 0.0])
+    kept[:backwards[-1] + 1 if len(backwards) else 0] = False
+    return part(motion, kept)
+
+
+def part(motion, kept):
+    """Return the instants of a motion that are kept, an array of truth values."""
+    return Motion(motion.mechanism, *(
+        getattr(motion, name)[kept]
+        for name in ('time', 'position', 'velocity', 'effort', 'forces')))
+
+
+def _read_csv(path, scene):
+    if scene is None:
+        raise RecordingError(f'{path}: a CSV file does not tell what was simulated; add --scene')
+    with open(path, newline='', encoding='utf-8') as file:
+        names, *rows = csv.reader(file)
+        try:
+            motion = from_rows(scene.mechanism, names, rows)
+        except (KeyError, ValueError) as error:
+            raise RecordingError(
+                f'{path}: expected the columns that `closedloop simulate {scene.name} --output` '
+                f'writes; {error} is missing or no number') from None
+    if not len(motion.time):
+        raise RecordingError(f'{path}: there is no row in it')
+    return Recording(motion, scene)
+
+
+def _read_bag(path, scene, namespace):
+    bag = Bag(path)
+    messages = {}
+    for topic, _, message in bag.messages(_of_interest):
+        messages.setdefault(topic, []).append(message)
+    for damage in bag.damages[:MOST_TOLD]:
+        warnings.warn(f'{path}: {damage}')
+    if len(bag.damages) > MOST_TOLD:
+        warnings.warn(f'{path}: {len(bag.damages) - MOST_TOLD} more damages')
+    try:
+        return _recording(path, messages, scene, namespace, bag.finished)
+    except (RecordingError, SceneError, MechanismError):
+        raise
+    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
+        raise RecordingError(f'{path}: its topics are not those of closedloop_simulator, or '
+                             f'damaged ({" ".join(str(error).split())})') from None
+
+
+def _recording(path, messages, scene, namespace, finished):
+    """Make a recording of the messages of a bag."""
+    prefix = _prefix(path, messages, namespace)
+    states = messages[prefix + STATES]
+    changes = [read_scene_text(message.data) for message in messages.get(prefix + SCENE, [])]
+    scene = scene or (changes[0][0] if changes else None)
+    if scene is None:
+        raise RecordingError(
+            f"{path}: the topic 'scene' is not in it, which tells what was simulated; add --scene")
+    stamps = [_stamp(message) for message in states]
+    mechanism, order = scene.mechanism, _order(path, states[0], scene)
+    log, rows = _log(messages.get(prefix + LOG, []), mechanism, stamps)
+    values = [np.array([getattr(states[row], name) for row in rows])[:, order]
+              for name in ('position', 'velocity', 'effort')]
+    time = (log.time[log.state >= 0] if log
+            else (np.array(stamps) - stamps[0]) * NANOSECONDS)
+    stamps = [stamps[row] for row in rows]
+    forces = _forces(messages, prefix + FORCES, mechanism, stamps)
+    return Recording(Motion(mechanism, time, *values, forces), scene, changes, log, finished,
+                     np.array(stamps))
+
+
+def _of_interest(topic):
+    *_, parent, name = ('', *topic.split('/'))
+    return name in (STATES, LOG, SCENE) or f'{parent}/' == FORCES
+
+
+def _prefix(path, messages, namespace):
+    """Return what stands before the names of the simulator's topics."""
+    found = sorted(topic.removesuffix(STATES) for topic in messages
+                   if topic.endswith(f'/{STATES}'))
+    if not found:
+        raise RecordingError(f"{path}: there are no messages of '{STATES}' in it")
+    if namespace is not None:
+        prefix = f'/{namespace.strip("/")}/'.replace('//', '/')
+        if prefix not in found:
+            raise RecordingError(f"{path}: expected a namespace of {', '.join(found)}; got "
+                                 f"'{namespace}'")
+        return prefix
+    if len(found) > 1:
+        raise RecordingError(
+            f'{path}: there are several simulators in it; choose one with --namespace: '
+            f'{", ".join(found)}')
+    return found[0]
+
+
+def _order(path, state, scene):
+    """Return where the joints of the mechanism are in the states."""
+    names = list(state.name)
+    if sorted(names) != sorted(scene.mechanism.joint_names):
+        raise RecordingError(
+            f'{path}: expected the joints of {scene.mechanism.name} '
+            f'({", ".join(scene.mechanism.joint_names)}), got {", ".join(names)}')
+    return [names.index(name) for name in scene.mechanism.joint_names]
+
+
+def _log(entries, mechanism, stamps):
+    """Return the log of the states, and which states have an entry; no log: all of them."""
+    if not entries:
+        return None, range(len(stamps))
+    columns = entries[0].layout.dim[0].label.split()
+    place = {name: columns.index(name) for name in columns}
+    try:
+        joints = [place[name] for name in mechanism.joint_names]
+    except KeyError as error:
+        raise RecordingError(f'the replay_log is of another mechanism: no joint {error}') from None
+    behind = max(joints) + 1
+    table = np.array([entry.data[:behind] for entry in entries])
+    log_stamps = [int(second) * 10 ** 9 + int(nanosecond) for second, nanosecond in (
+        table[:, [place['stamp_sec'], place['stamp_nanosec']]])]
+    # In the order of the log: entry and state.
+    pairs = list(_matched(log_stamps, stamps))
+    if not pairs:
+        return None, range(len(stamps))
+    state = np.full(len(table), -1)
+    chosen, rows = zip(*pairs)
+    state[list(chosen)] = np.arange(len(rows))
+    return Log(table[:, place['index']].astype(int), table[:, place['jumps']].astype(int),
+               table[:, place['simulated_time']], table[:, joints], state,
+               [np.array(entry.data[behind:]) for entry in entries]
+               if behind < len(columns) else None), rows
+
+
+def _forces(messages, prefix, mechanism, stamps):
+    forces = np.full((len(stamps), len(mechanism.cut_joints), 3), np.nan)
+    for k, cut in enumerate(mechanism.cut_joints):
+        entries = messages.get(prefix + cut.name, [])
+        for row, entry in _matched(stamps, [_stamp(message) for message in entries]):
+            wrench = entries[entry].wrench
+            forces[row, k] = wrench.torque.z, wrench.force.x, wrench.force.y
+    return forces
+
+
+def _matched(stamps, others):
+    """
+    Yield pairs of indices of equal stamps.
+
+    Stamps may come back: in simulated time they stand still in a pause, and begin anew after
+    a reset. The first of the one belongs to the first of the other then.
+
+    """
+    rows_of = {}
+    for row, stamp in enumerate(others):
+        rows_of.setdefault(stamp, deque()).append(row)
+    for row, stamp in enumerate(stamps):
+        if rows_of.get(stamp):
+            yield row, rows_of[stamp].popleft()
+
+
+def _stamp(message):
+    return message.header.stamp.sec * 10 ** 9 + message.header.stamp.nanosec

@@ -1,0 +1,357 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Simulate again what was recorded, and tell how far the recorded states are from that."""
+
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+
+from ..integration.registry import ADAPTIVE, INTEGRATORS
+from ..simulation.errors import SimulationError
+from ..simulation.simulation import Simulation
+from ..visual.motion import Motion
+from ..visual.tables import short, text_table
+
+# Beyond this share of a step, a time is no multiple of it.
+ROUNDING = 1e-6
+# Added to the coordinates at each start of a second replay, to see how differences grow [rad, m].
+PERTURBATION = 1e-12
+# Rounding on another machine may do this many times what the perturbation does.
+MARGIN = 10.0
+SENSORS = ('the scene has sensors: the states of the log are compared, not what was measured of '
+           'them')
+MEMORY = ('the recording does not hold what the integrator, or commands on their way to a drive, '
+          'remembered where it starts, and no command begins later: deviations are those of the '
+          "method's tolerance, and grow")
+
+
+@dataclass(frozen=True)
+class Replay:
+    """
+    A recorded motion and its re-simulation.
+
+    Attributes
+    ----------
+    recorded, simulated : Motion
+        At the same instants; the simulated values are NaN where too little is known to compare.
+    starts : list of (float, str)
+        Times at which the re-simulation began anew [s], and why.
+    notes : list of str
+        What limits the comparison.
+    growth : ndarray
+        How many times larger a small difference of positions has become up to each instant.
+
+    """
+
+    recorded: Motion
+    simulated: Motion
+    starts: list
+    notes: list
+    growth: np.ndarray
+
+    def deviation(self, quantity):
+        """
+        Return recorded minus re-simulated values.
+
+        Parameters
+        ----------
+        quantity : str
+            ``'position'``, ``'velocity'``, ``'effort'`` or ``'forces'``.
+
+        Returns
+        -------
+        ndarray
+            NaN where nothing was recorded, or too little is known to compare.
+
+        """
+        return getattr(self.recorded, quantity) - getattr(self.simulated, quantity)
+
+    @property
+    def largest(self):
+        """Return the largest deviation of a position [rad or m]; NaN where none was compared."""
+        deviation = np.abs(self.deviation('position'))
+        return float(np.nanmax(deviation)) if np.isfinite(deviation).any() else np.nan
+
+    @property
+    def unexplained(self):
+        """Return the first time at which rounding does not explain the deviation [s], or None."""
+        deviation = np.abs(self.deviation('position')).max(axis=1)
+        places = np.flatnonzero(deviation > MARGIN * PERTURBATION * np.maximum(self.growth, 1.0))
+        return float(self.recorded.time[places[0]]) if len(places) else None
+
+
+def replay(recording, progress=lambda time: None):
+    """
+    Simulate a recording again, from its commands, twice: to compare, and to see what grows.
+
+    Parameters
+    ----------
+    recording : recording.Recording
+        With its scene.
+    progress : callable
+        Told how many states are done.
+
+    Returns
+    -------
+    Replay
+
+    Raises
+    ------
+    SimulationError
+        Where the re-simulation fails.
+
+    """
+    kind = _Stamped if recording.log is None else _Logged
+    player = kind(recording)
+    motion, values, true = recording.motion, [], []
+    perturbed = _positions(kind(recording, PERTURBATION))
+    growth = []
+    for known, other in zip(player.states(), perturbed):
+        simulation = player.simulation
+        portion = (*simulation.measured(), simulation.effort, simulation.constraint_forces)
+        values.append(portion if known else tuple(np.full_like(each, np.nan) for each in portion))
+        true.append(simulation.state)
+        growth.append(np.abs(other - simulation.position).max() / PERTURBATION)
+        progress(len(values))
+    simulated = Motion(
+        motion.mechanism, motion.time, *(np.array(each) for each in zip(*values)))
+    if player.sensed and recording.log is not None and recording.log.whole is not None:
+        logged = [whole for whole, state in zip(recording.log.whole, recording.log.state)
+                  if state >= 0]
+        motion, simulated = _true(motion, logged), _true(simulated, true)
+        player.notes.append(SENSORS)
+    return Replay(motion, simulated, player.starts, player.notes, np.maximum.accumulate(growth))
+
+
+def _true(motion, states):
+    """Return a motion with positions and velocities of whole states."""
+    count = len(motion.mechanism.joints)
+    values = np.array([state[:2 * count] for state in states])
+    values[np.isnan(motion.position).any(axis=1)] = np.nan
+    return replace(motion, position=values[:, :count], velocity=values[:, count:])
+
+
+def _positions(player):
+    """Yield the positions of a replay, infinite from where it fails."""
+    try:
+        for _ in player.states():
+            yield player.simulation.position
+    except SimulationError:
+        while True:
+            yield np.full(len(player.simulation.joint_names), np.inf)
+
+
+class _Player:
+    """A simulation that follows a recording, with small differences at its starts if wanted."""
+
+    def __init__(self, recording, perturbation, off):
+        self._recording, self._perturbation = recording, perturbation
+        self.simulation = Simulation(recording.scene)
+        for name in off:
+            self.simulation.set_effect(name, enabled=False)
+        self.starts, self.notes = [], []
+        self.sensed = any(
+            effect.instrument() is not None for effect in self.simulation.effects.values())
+
+    def _start(self, state, time):
+        """Take a whole state bit for bit, but for the perturbation."""
+        count = len(self.simulation.joint_names)
+        state = state.copy()
+        state[:count] += self._perturbation * np.random.default_rng(0).standard_normal(count)
+        self.simulation.restore(state, time)
+
+
+class _Logged(_Player):
+    """Follows the replay log: simulated times and commands as they were."""
+
+    def __init__(self, recording, perturbation=0.0):
+        self._log, self._changes = recording.log, list(recording.changes[1:])
+        self._scene, facts = (*recording.changes[:1], (recording.scene, {}))[0]
+        super().__init__(recording, perturbation, facts.get('disabled', ()))
+        # Torques that act at each entry: without a step, a new command has not acted yet.
+        self._acting = self._log.torque.copy()
+        for k in np.flatnonzero(np.diff(self._log.time) == 0.0) + 1:
+            self._acting[k] = self._acting[k - 1]
+        # Whether the present state is lost; from which entry on it is known to the last bit.
+        self._lost, self._known = True, 0
+
+    def states(self):
+        """Go from entry to entry; yield at each state whether it is known to the last bit."""
+        for k, state in enumerate(self._log.state):
+            self._go_to(k)
+            if state >= 0:
+                yield k >= self._known
+
+    def _go_to(self, k):
+        """Advance to the time of an entry, or start there anew."""
+        log, before = self._log, max(k - 1, 0)
+        if k:
+            self._change(log.index[before])
+        jump = log.jumps[k] != log.jumps[before]
+        gap = log.index[k] - log.index[before] - 1
+        if k == 0 and log.jumps[0] == 0 and (log.index[0] == 1 or log.time[0] == 0.0):
+            self._reset(k, 'from the initial state of the scene')
+        elif jump and log.time[k] < log.time[before]:
+            self._reset(k, 'after a reset')
+        elif k == 0 or jump or self._lost or gap > 0:
+            self._set(k, 'from the first recorded state: the recording began later' if k == 0
+                      else 'a state was set from outside' if jump
+                      else f'{gap} entries with their commands are missing' if gap > 0
+                      else 'the first recorded state')
+        else:
+            self._advance(k, log.time[k] - log.time[before])
+            if k == self._known:
+                self._start(log.whole[k], log.time[k])
+                self.starts.append((float(log.time[k]), 'compared from here, where a command '
+                                    'begins: now all that acts is in the recording'))
+
+    def _advance(self, k, duration):
+        torque, simulation = self._log.torque[k], self.simulation
+        steps = duration / simulation.step_size
+        if abs(steps - round(steps)) > ROUNDING * max(1.0, steps):
+            simulation.step({name: torque[simulation.joint_names.index(name)]
+                             for name in simulation.actuated_joints}, duration)
+        elif round(steps):
+            simulation.advance(torque, round(steps))
+
+    def _reset(self, k, why):
+        self._lost, self._known = False, k
+        self.simulation.reset()
+        if self._perturbation:
+            self._start(self.simulation.state, 0.0)
+        self.starts.append((float(self._log.time[k]), why))
+        self._advance(k, self._log.time[k])
+
+    def _set(self, k, why):
+        """Start from a recorded state; where the entry has none, at the next that has one."""
+        log, motion = self._log, self._recording.motion
+        self._known = k
+        if log.whole is not None and len(log.whole[k]) == len(self.simulation.state):
+            self._start(log.whole[k], log.time[k])
+            self._known = self._first_known(k)
+        else:
+            # A bag of an earlier version, or another scene: without the effects' states.
+            self._lost = log.state[k] < 0
+            if self._lost:
+                return
+            self.simulation.set_state(
+                motion.position[log.state[k]], motion.velocity[log.state[k]])
+            self._start(self.simulation.state, log.time[k])
+        self._lost = False
+        self.simulation.advance(self._acting[k], 0)
+        self.starts.append((float(log.time[k]), why))
+
+    def _first_known(self, k):
+        """Return the first entry from k on at which nothing acts that is not in the log."""
+        log, simulation = self._log, self.simulation
+        delay = simulation.command_delay
+        # Error control starts anew with a command; a delayed one does so between two entries.
+        adaptive = INTEGRATORS[simulation.scene.method.integrator].kind == ADAPTIVE
+        for entry in range(k, len(log.time) - 1):
+            begins = not adaptive or delay == 0.0 and np.any(
+                self._acting[entry + 1] != self._acting[entry])
+            if begins and log.time[entry] - log.time[k] >= delay:
+                return entry
+            if (log.jumps[entry + 1] != log.jumps[k]
+                    or log.index[entry + 1] != log.index[entry] + 1):
+                break
+        if MEMORY not in self.notes and (adaptive or delay > 0.0):
+            self.notes.append(MEMORY)
+        return k
+
+    def _change(self, index):
+        """Apply changes of the scene that were told up to an entry."""
+        while self._changes and self._changes[0][1].get('after', 0) <= index:
+            scene, facts = self._changes.pop(0)
+            method = {field.name: getattr(scene.method, field.name)
+                      for field in fields(scene.method)
+                      if getattr(scene.method, field.name)
+                      != getattr(self._scene.method, field.name)}
+            if method:
+                self.simulation.prepare_method(**method)()
+            _switch(self.simulation, scene.effects, facts.get('disabled', ()))
+            self._scene = scene
+
+
+class _Stamped(_Player):
+    """Makes do with stamps and efforts, where there is no log."""
+
+    def __init__(self, recording, perturbation=0.0):
+        super().__init__(recording, perturbation, ())
+        self._motion = recording.motion
+        self.starts.append((0.0, 'from the first recorded state'))
+        self.notes.append(
+            'there is no replay_log in it: times are those of the stamps, rounded to whole steps, '
+            'and torques the recorded efforts; record the topic replay_log for an exact replay')
+        if len(recording.changes) > 1:
+            self.notes.append('the scene was changed on the way, which is left out')
+        if any(effect.drive() is not None for effect in recording.scene.effects.values()):
+            self.notes.append('the scene has drives: the efforts behind them are commanded')
+
+    def states(self):
+        """Go from stamp to stamp; yield at each."""
+        motion, simulation = self._motion, self.simulation
+        simulation.set_state(motion.position[0], motion.velocity[0])
+        self._start(simulation.state, 0.0)
+        actuated = [joint.actuated for joint in motion.mechanism.joints]
+        done = 0
+        for time, effort in zip(motion.time, motion.effort):
+            due = round(time / simulation.step_size)
+            simulation.advance(np.where(actuated, effort, 0.0), max(0, due - done))
+            done = max(due, done)
+            yield True
+
+
+def _switch(simulation, effects, off):
+    """Give the effects of a running simulation other values."""
+    for name, record in effects.items():
+        enabled = name not in off
+        if record != simulation.effects[name] or enabled != (name in simulation.enabled_effects):
+            simulation.set_effect(name, enabled=enabled, **{
+                field.name: getattr(record, field.name) for field in fields(record)})
+
+
+def table(result):
+    """
+    Return the deviations as a table.
+
+    Parameters
+    ----------
+    result : Replay
+        Compared.
+
+    Returns
+    -------
+    str
+
+    """
+    motion = result.recorded
+    rows = []
+    for k, joint in enumerate(motion.mechanism.joints):
+        rows.append((joint.name, *(_deviations(result.deviation(quantity)[:, k])
+                                   for quantity in ('position', 'velocity', 'effort'))))
+    forces = result.deviation('forces')
+    for k, cut in enumerate(motion.mechanism.cut_joints):
+        rows.append((f'{cut.name} (force)', '', '', _deviations(
+            np.hypot(*forces[:, k, 1:].T))))
+    return text_table(
+        ('largest, rms', 'position [rad, m]', 'velocity [1/s]', 'effort, force [N m, N]'), rows)
+
+
+def _deviations(values):
+    values = values[np.isfinite(values)]
+    if not len(values):
+        return 'not recorded'
+    return f'{short(np.abs(values).max())}, {short(np.sqrt(np.mean(values ** 2)))}'

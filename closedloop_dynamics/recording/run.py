@@ -1,0 +1,258 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""A simulation run to its end, with a row of numbers at even times: ``closedloop simulate``."""
+
+from dataclasses import dataclass, replace
+import math
+import time
+
+import numpy as np
+
+from ..integration.registry import AUTO, FIXED, INTEGRATORS
+from ..mechanism.mechanism import REVOLUTE
+from ..simulation.errors import SimulationError
+from ..simulation.monitor import ROSENBROCK_ORDER
+
+# Between two looks whether to go on; about 10 ms of computing.
+LARGEST_PORTION = 1000
+# Row times count as multiples of the step up to this share of it.
+ROUNDING = 1e-9
+# Tolerance of the run that tells the error, against that of the run itself.
+FINER = 1.0 / 30.0
+
+
+@dataclass
+class Report:
+    """
+    What a run did, up to date while it goes on.
+
+    Attributes
+    ----------
+    rows : int
+        Handed over so far.
+    time : float
+        Simulated time [s].
+    cpu_time : float
+        Spent on the simulated time alone, not on rows [s].
+    largest_closure : float
+        Largest closure error of positions at the rows' times [m or rad].
+    first_energy, last_energy : float
+        At the first and at the last row [J].
+    error : float
+        Largest error of a joint coordinate at the rows' times [rad or m], estimated by a second,
+        finer run; NaN without one.
+    finished : bool
+        False while it goes on, and where it was ended early.
+
+    """
+
+    rows: int = 0
+    time: float = 0.0
+    cpu_time: float = 0.0
+    largest_closure: float = 0.0
+    first_energy: float = math.nan
+    last_energy: float = math.nan
+    error: float = math.nan
+    finished: bool = False
+
+
+class ErrorEstimate:
+    """
+    A second run of the same scene, finer, that tells the error of the first.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        The first run, at its start.
+
+    Attributes
+    ----------
+    simulation : Simulation
+        The second one.
+    method : str
+        How it differs, in words.
+
+    Notes
+    -----
+    With half the step a method of order p leaves 2^-p of the error (Richardson); with a tolerance
+    or an accuracy 30 times as small what is left does not count.
+
+    """
+
+    def __init__(self, simulation):
+        """Set up the second run."""
+        method = simulation.scene.method
+        integrator = INTEGRATORS[method.integrator]
+        self._share, key = 1.0, 'accuracy' if method.integrator == AUTO else 'tolerance'
+        if integrator.kind == FIXED:
+            order = integrator.tableau.order if integrator.tableau else ROSENBROCK_ORDER
+            self._share, key = 1.0 / (1.0 - 0.5 ** order), 'step_size'
+        value = getattr(method, key) * (0.5 if key == 'step_size' else FINER)
+        self.method = f'{key.replace("_", " ")} {value:.3g}'
+        self.simulation = type(simulation)(replace(
+            simulation.scene, method=replace(method, **{key: value})))
+
+    def of(self, simulation):
+        """Return the largest error of a joint coordinate [rad or m]."""
+        apart = np.abs(simulation.position - self.simulation.position).max(initial=0.0)
+        return float(self._share * apart)
+
+
+def columns(simulation, all_forces=False):
+    """Return the names of the columns, in the order of ``row``."""
+    joints = simulation.joint_names
+    names = ['time']
+    for quantity in ('position', 'velocity', 'acceleration', 'effort'):
+        names += [f'{quantity}.{joint}' for joint in joints]
+    for cut in simulation.cut_joints:
+        names += [f'force.{cut.name}.{part}' for part in _force_parts(cut)]
+    if all_forces:
+        names += [f'force.{joint}.{part}' for joint in joints for part in ('x', 'y', 'torque')]
+    names += [f'point.{point.name}.{axis}' for point in simulation.mechanism.points
+              for axis in ('x', 'y')]
+    return [*names, 'closure', 'energy']
+
+
+def row(simulation, seconds, all_forces=False):
+    """
+    Return the present state as numbers.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        Read, not advanced.
+    seconds : float
+        The time to write [s].
+    all_forces : bool
+        Those in the joints of the trees, too, beside those at the cut joints.
+
+    Returns
+    -------
+    list of float
+
+    """
+    values = [seconds]
+    for quantity in (simulation.position, simulation.velocity, simulation.acceleration,
+                     simulation.effort):
+        values += quantity.tolist()
+    for cut, (moment, force_x, force_y) in zip(
+            simulation.cut_joints, simulation.constraint_forces.tolist()):
+        values += [force_x, force_y, moment][:len(_force_parts(cut))]
+    if all_forces:
+        # Moment last, as for the cut joints.
+        values += simulation.joint_forces[:, [1, 2, 0]].ravel().tolist()
+    return [*values, *simulation.points.ravel().tolist(), simulation.closure, simulation.energy]
+
+
+def _force_parts(cut):
+    """Return the components of a cut joint's wrench that can differ from zero."""
+    return ('x', 'y') if cut.type == REVOLUTE else ('x', 'y', 'torque')
+
+
+def run(simulation, duration, rate, torque=None, *, report, on_row, keep_going=lambda: True,
+        all_forces=False, estimate=None):
+    """
+    Advance a simulation under constant torques, with a row at every multiple of ``1 / rate``.
+
+    The time between two rows is covered by whole steps; where it is no multiple of the step
+    size, the last of them is shorter. The energy balance is looked at once more at the end.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        At time zero.
+    duration : float
+        [s].
+    rate : float
+        Rows per simulated second [Hz].
+    torque : mapping, sequence or None
+        As for ``Simulation.step``.
+    report : Report
+        Filled while the run goes on, so that it tells of a run that fails, too.
+    on_row : callable
+        Takes the numbers of ``row``.
+    keep_going : callable
+        Asked again and again; the run ends early where it returns False.
+    all_forces : bool
+        As for ``row``.
+    estimate : ErrorEstimate, optional
+        To be run beside it.
+
+    Raises
+    ------
+    SimulationError, ValueError
+
+    """
+    tau = simulation.joint_torques(torque)
+    simulation.advance(tau, 0)
+    last = math.floor(duration * rate * (1.0 + 1e-12) + ROUNDING)
+    for until in (*(index / rate for index in range(last + 1)), None):
+        if not _reached(duration if until is None else until, simulation, torque, report,
+                        keep_going):
+            return
+        if estimate is not None:
+            estimate = _estimated(estimate, simulation, torque, report)
+        if until is not None:
+            on_row(_noted(row(simulation, until, all_forces), report))
+    try:
+        simulation.judge()
+    finally:
+        report.time = simulation.time
+    report.finished = True
+
+
+def _estimated(estimate, simulation, torque, report):
+    """Let the second run follow; return it unless it fails."""
+    try:
+        _reached(simulation.time, estimate.simulation, torque, Report(), lambda: True)
+    except SimulationError:
+        report.error = math.nan
+        return None
+    error = estimate.of(simulation)
+    report.error = error if math.isnan(report.error) else max(report.error, error)
+    return estimate
+
+
+def _noted(values, report):
+    """Put what a row says into the report; return the row."""
+    report.rows += 1
+    *_, closure, report.last_energy = values
+    report.largest_closure = max(report.largest_closure, closure)
+    if report.rows == 1:
+        report.first_energy = report.last_energy
+    return values
+
+
+def _reached(until, simulation, torque, report, keep_going):
+    """Advance to a time; return False where the run is to end before."""
+    tau, size = simulation.joint_torques(torque), simulation.step_size
+    while keep_going():
+        left = until - simulation.time
+        steps = round(left / size)
+        begin = time.process_time()
+        try:
+            if steps > LARGEST_PORTION:
+                simulation.advance(tau, LARGEST_PORTION)
+                continue
+            # Counted steps: a difference of two large times would leave crumbs of a step.
+            if abs(steps * size - left) <= ROUNDING * size + 4e-16 * until:
+                simulation.advance(tau, steps)
+            elif left > 0.0:
+                simulation.step(torque, left)
+            return True
+        finally:
+            report.cpu_time += time.process_time() - begin
+            report.time = simulation.time
+    return False

@@ -1,0 +1,559 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Positions and velocities that close the loops, found from approximate ones.
+
+Set-up work: dense linear algebra, no compiled loop. Coordinates that are held stay
+as given; where none are held, or velocities are free, the change is the least one in
+the mass metric.
+
+"""
+
+from contextlib import suppress
+import math
+
+import numpy as np
+
+from .errors import AssemblyError
+from .modeling import build_model, extent
+from ..core import jacobian, kinematics, loop_closure
+from ..core.forward_dynamics import to_user_order
+from ..core.types import allocate
+from ..mechanism.mechanism import CUT_JOINT_EQUATIONS, PRISMATIC
+
+# Closed means this, relative to the mechanism's size (or 1, for a rate or an angle).
+TOLERANCE = 1e-12
+MOST_ITERATIONS = 200
+# No single correction moves a coordinate further [rad, or in units of the size], so that
+# the solution found is the one on the branch of the guess.
+LARGEST_CORRECTION = 0.25
+# Singular values of the Jacobian below this times the largest belong to dependent equations.
+RANK_TOLERANCE = 1e-7
+# Inertia of a motion against the largest: less is none.
+NO_INERTIA = 1e-13
+# Dense ranks of larger mechanisms would take longer than all the rest of the set-up.
+MOST_EQUATIONS = 300
+# How far away neighbours of a position are looked for [rad, and shares of the size], how many.
+NEARBY, NEIGHBOURS = 0.1, 3
+# How far, relatively, a change of rates may open the loops where a motion continues them.
+CONTINUATION_TOLERANCE = 1e-5
+MOST_GUESSES = 10
+# Larger changes of a guess are told [rad, and shares of the size; shares of a rate].
+LARGE_MOVE, LARGE_CHANGE_OF_RATE = 0.5, 0.1
+# With relative singular values below this a guess is too near two branches to belong to one.
+UNDECIDED = 1e-3
+
+
+class Assembler:
+    """
+    Closes the loops of one mechanism.
+
+    Parameters
+    ----------
+    mechanism : Mechanism
+    model : core.types.Model
+    work : core.types.Workspace
+        Used as scratch.
+    extent : float
+        Size of the mechanism [m].
+
+    """
+
+    def __init__(self, mechanism, model, work, extent):
+        """Allocate what every assembly needs."""
+        self.mechanism, self.model, self.work, self.extent = mechanism, model, work, extent
+        self.nv = len(mechanism.joints)
+        self.nc = mechanism.number_of_equations
+        self._still = np.zeros(self.nv)
+        self._light = any(body.inertia == 0.0 and not (body.mass and any(body.center_of_mass))
+                          for body in mechanism.bodies)
+
+    def closure(self, q):
+        """Return psi, shape (nc,), in the mechanism's order [m, rad]."""
+        kinematics.outward(self.model, q, self._still, self.work)
+        loop_closure.update(self.model, self.work, loop_closure.NO_RESPONSES)
+        psi = np.zeros(self.nc)
+        to_user_order(self.model, self.work.closure, psi)
+        return psi
+
+    def jacobian(self, q):
+        """Return J = d psi / d q, shape (nc, nv)."""
+        kinematics.outward(self.model, q, self._still, self.work)
+        jac = np.zeros((self.nc, self.nv))
+        jacobian.constraint_jacobian(self.model, self.work, jac)
+        return jac
+
+    def inertia(self, q):
+        """Return the generalized inertia matrix of the spanning tree, shape (nv, nv)."""
+        kinematics.outward(self.model, q, self._still, self.work)
+        gim = np.zeros((self.nv, self.nv))
+        jacobian.generalized_inertia_matrix(self.model, self.work, gim)
+        return gim
+
+    def positions(self, guess, hold=()):
+        """
+        Find joint coordinates that close the loops.
+
+        Parameters
+        ----------
+        guess : ndarray, shape (nv,)
+            Approximate values.
+        hold : sequence of str
+            Joints whose coordinates are kept.
+
+        Returns
+        -------
+        ndarray, shape (nv,)
+
+        Raises
+        ------
+        AssemblyError
+            Where the loops cannot be closed from there, or ``hold`` leaves freedoms open.
+
+        """
+        free = self._free(hold)
+        q, psi = self._closed(np.array(guess, dtype=float), free)
+        if not self._is_closed(psi):
+            raise AssemblyError(self._open_loops(guess, psi, hold))
+        if len(hold) > 0:
+            self._require_complete(q, free, hold)
+        if self._light:
+            self._require_inertia(q)
+        return q
+
+    def _closed(self, q, free):
+        """Return the coordinates where Newton's method ended, and psi there."""
+        psi, metric = self.closure(q), None
+        if self._is_closed(psi):
+            # As it is, to the last digit.
+            return q, psi
+        for _ in range(MOST_ITERATIONS):
+            if np.abs(psi).max(initial=0.0) <= 0.01 * TOLERANCE * self.extent:
+                break
+            # Dense, and so for mechanisms of a thousand joints only where there is need.
+            metric = self._metric(q, free) if metric is None else metric
+            q, psi, better = self._correct(q, psi, free, metric)
+            if not better:
+                break
+        return q, psi
+
+    def _is_closed(self, psi):
+        return np.abs(psi).max(initial=0.0) <= TOLERANCE * self.extent
+
+    def velocities(self, q, guess, hold=()):
+        """
+        Find joint rates that keep the loops closed.
+
+        Parameters
+        ----------
+        q : ndarray, shape (nv,)
+            Closing the loops.
+        guess : ndarray, shape (nv,)
+            Approximate values.
+        hold : sequence of str
+            Joints whose rates are kept.
+
+        Returns
+        -------
+        ndarray, shape (nv,)
+
+        Raises
+        ------
+        AssemblyError
+            Where the held rates contradict one another, or no motion continues the rates.
+
+        """
+        qd = np.array(guess, dtype=float)
+        if not qd.any():
+            return qd
+        jac = self.jacobian(q)
+        if np.abs(jac @ qd).max(initial=0.0) <= TOLERANCE * self.extent * np.abs(qd).max():
+            # As they are, to the last digit.
+            return self._continued(q, qd, jac, hold)
+        free = self._free(hold)
+        if len(hold) > 0:
+            qd[free] = 0.0
+        rate = jac @ qd
+        qd[free] -= _least_change(jac[:, free], rate, self._metric(q, free))
+        left = np.abs(jac @ qd).max(initial=0.0)
+        scale = max(np.abs(qd).max(initial=0.0) * self.extent, np.abs(rate).max(initial=0.0))
+        if left > 1e-9 * scale:
+            raise AssemblyError(
+                f'The velocities held at {", ".join(hold)} contradict the loops: the cut joints '
+                f'would part at {left:.3g} m/s. Hold fewer joints, or start at other '
+                'velocities.')
+        return self._continued(q, qd, jac, hold)
+
+    def _continued(self, q, qd, jac, hold):
+        """Return rates, unless the position is singular and no motion goes on with them."""
+        if self.nc > MOST_EQUATIONS or not qd.any():
+            return qd
+        left, singular, _ = np.linalg.svd(jac)
+        dependent = left[:, _count(singular):]
+        if not dependent.size:
+            return qd
+        fastest = np.abs(qd).max()
+        ahead = qd * (1e-4 / fastest)
+        bias = (self.jacobian(q + ahead) - self.jacobian(q - ahead)) @ qd * (0.5e4 * fastest)
+        if np.abs(dependent.T @ bias).max() > CONTINUATION_TOLERANCE * self.extent * fastest ** 2:
+            raise AssemblyError(
+                f'{self.mechanism.name} stands at a change point (a singular position): '
+                f'{self._dependence(dependent.shape[1])}, and the velocities '
+                f'{"that follow from those held" if len(hold) > 0 else "nearest to those given"} '
+                f'belong to none of the ways in which the loops can move on. '
+                f'{self._beside(hold)}')
+        return qd
+
+    def degrees_of_freedom(self, q):
+        """
+        Return the degrees of freedom at and near a closed position: nv less the largest rank.
+
+        Parameters
+        ----------
+        q : ndarray, shape (nv,)
+            Closing the loops.
+
+        Returns
+        -------
+        int
+
+        """
+        return self.nv - self._largest_rank(q)
+
+    def lost_equations(self, q):
+        """
+        Return how many closure equations are lost at a closed position, and only there.
+
+        Parameters
+        ----------
+        q : ndarray, shape (nv,)
+            Closing the loops.
+
+        Returns
+        -------
+        int
+            Positive at a change point or another singular position; zero where equations depend
+            on one another everywhere nearby.
+
+        """
+        return self._largest_rank(q) - _rank(self.jacobian(q))
+
+    def _largest_rank(self, q):
+        """Return the largest rank of the Jacobian at a closed position and near it."""
+        rank = _rank(self.jacobian(q))
+        if rank < min(self.nc, self.nv):
+            rank = max([rank, *(_rank(self.jacobian(near)) for near in self._neighbours(q))])
+        return rank
+
+    def _neighbours(self, q):
+        """Yield closed positions near a closed one."""
+        rng = np.random.default_rng(0)
+        size = np.array([self.extent if joint.type == PRISMATIC else 1.0
+                         for joint in self.mechanism.joints])
+        for _ in range(NEIGHBOURS):
+            with suppress(AssemblyError):
+                near, psi = self._closed(
+                    q + NEARBY * size * rng.uniform(-1.0, 1.0, self.nv), np.arange(self.nv))
+                if self._is_closed(psi):
+                    yield near
+
+    def advice_on_opening(self, q):
+        """
+        Return why a step near a change point could not be closed, and what to do; or ''.
+
+        Parameters
+        ----------
+        q : ndarray, shape (nv,)
+            Where the step began.
+
+        Returns
+        -------
+        str
+
+        """
+        if not 0 < self.nc <= MOST_EQUATIONS:
+            return ''
+        rank = self._largest_rank(q)
+        away = [_singular(self.jacobian(near))[rank - 1] for near in self._neighbours(q)]
+        if not away or _singular(self.jacobian(q))[rank - 1] > 0.1 * max(away):
+            return ''
+        return ('The mechanism is at a change point (a singular position), where the loops can '
+                'move on in more than one way, and forces or velocities push it out of all of '
+                f'them. {self._beside(())}')
+
+    def _dependence(self, count):
+        return (f'{count} of {self.nc} closure equations depend{"s" if count == 1 else ""} on the '
+                'others there')
+
+    def _beside(self, hold):
+        joint = [*hold, *self.mechanism.actuated_joints, *self.mechanism.joint_names][0]
+        return (f'Start beside it, on the side it is to move on: with {joint} further by 0.01, '
+                'say.')
+
+    def notes(self, position, velocity, q, qd, hold):
+        """
+        Tell of what an assembly made of its guess, where that may surprise.
+
+        Parameters
+        ----------
+        position, velocity : ndarray, shape (nv,)
+            Guesses.
+        q, qd : ndarray, shape (nv,)
+            What they were assembled to.
+        hold : sequence of str
+            Joints that were held.
+
+        Returns
+        -------
+        list of str
+            Sentences.
+
+        """
+        return [*self._notes_on_position(position, q, hold),
+                *self._notes_on_singularity(q, hold),
+                *(f'The velocity {wanted:g} wanted of {name} became {got:.6g}: the nearest motion '
+                  f'that keeps the loops closed. To have it as given, hold {name}.'
+                  for name, wanted, got in zip(self.mechanism.joint_names, velocity, qd)
+                  if abs(got - wanted) > LARGE_CHANGE_OF_RATE * abs(wanted) > 0.0)]
+
+    def _notes_on_position(self, guess, q, hold):
+        moved = []
+        for joint, was, now in zip(self.mechanism.joints, guess, q):
+            prismatic = joint.type == PRISMATIC
+            if abs(now - was) > LARGE_MOVE * (self.extent if prismatic else 1.0):
+                moved.append(f'{joint.name} moved from {was:.6g} to {now:.6g} '
+                             f'{"m" if prismatic else "rad"}')
+        where = ('on the other branch than that of the position given, mirrored'
+                 if self._mirrored(guess, q, hold) else
+                 'far from the position given' if moved else '')
+        if not where:
+            return []
+        return [f'The loops closed {where}{": " * bool(moved)}{", ".join(moved)}. Give a position '
+                'nearer to the closed one that is wanted.']
+
+    def _mirrored(self, guess, q, hold):
+        """Return whether held joints fix the others, and on another branch than the guess's."""
+        free = self._free(hold)
+        if len(free) != self.nc or not 0 < self.nc <= MOST_EQUATIONS:
+            return False
+        before, after = (self.jacobian(place)[:, free] for place in (guess, q))
+        if min(singular[-1] / max(singular[0], 1e-300)
+               for singular in map(_singular, (before, after))) < UNDECIDED:
+            return False
+        return np.linalg.slogdet(before)[0] != np.linalg.slogdet(after)[0]
+
+    def _notes_on_singularity(self, q, hold):
+        lost = self.lost_equations(q) if self.nc <= MOST_EQUATIONS else 0
+        if not lost:
+            return []
+        return [f'The start is a change point (a singular position): {self._dependence(lost)}, '
+                'and the loops can move on in more than one way. From rest, forces decide which, '
+                f'or none can be followed. {self._beside(hold)}']
+
+    def require_independent(self, q):
+        """
+        Refuse a configuration with dependent closure equations.
+
+        Parameters
+        ----------
+        q : ndarray, shape (nv,)
+            Closing the loops.
+
+        Raises
+        ------
+        AssemblyError
+            Where a method needs them independent, and they are not.
+
+        """
+        rank = _rank(self.jacobian(q))
+        if rank < self.nc:
+            raise AssemblyError(
+                f'{self.nc - rank} of {self.nc} closure equations of {self.mechanism.name} depend '
+                'on the others here (redundant cut joints, or a singular configuration), so that '
+                'no set of independent coordinates can be chosen by them. Take stabilisation: '
+                'projection.')
+
+    def _free(self, hold):
+        hold = set(hold)
+        return np.array([k for k, name in enumerate(self.mechanism.joint_names)
+                         if name not in hold], dtype=int)
+
+    def _metric(self, q, free):
+        """Return the Cholesky factor of the free coordinates' inertia."""
+        inertia = self.inertia(q)[np.ix_(free, free)]
+        diagonal = np.diag(inertia)
+        # Coordinates without inertia of their own get a little: the change stays finite.
+        little = NO_INERTIA * diagonal.max(initial=0.0) if self._light else 0.0
+        # LAPACK answers numbers that overflow in more than one way.
+        with suppress(np.linalg.LinAlgError):
+            factor = np.linalg.cholesky(inertia + little * np.eye(len(free)))
+            if np.isfinite(factor).all():
+                return factor
+        raise AssemblyError(
+            f'The masses and lengths of {self.mechanism.name} give an inertia that cannot be '
+            'computed with: look for values that are far too large, or next to nothing.')
+
+    def _require_inertia(self, q):
+        """Refuse massless bodies that the loops leave free to move."""
+        jac = self.jacobian(q)
+        levers = np.abs(jac).max(axis=0, initial=0.0)
+        levers[levers == 0.0] = 1.0
+        _, singular, right = np.linalg.svd(jac / levers)
+        rank = int(np.sum(singular > RANK_TOLERANCE * singular.max(initial=0.0)))
+        basis = right[rank:] / levers
+        if not len(basis):
+            return
+        inertia = basis @ self.inertia(q) @ basis.T
+        values, vectors = np.linalg.eigh(inertia)
+        if values[0] > NO_INERTIA * values[-1]:
+            return
+        motion = np.abs(vectors[:, 0] @ basis)
+        names = [name for name, part in zip(self.mechanism.joint_names, motion)
+                 if part > 0.1 * motion.max()]
+        raise AssemblyError(
+            f'{self.mechanism.name} has a motion without inertia: {", ".join(names)} can move '
+            'while nothing that has mass does, so that forces would accelerate it without limit. '
+            'Give the bodies there some mass, or close a loop that guides them.')
+
+    def _correct(self, q, psi, free, metric):
+        """Return the state after one damped Newton correction, and whether it helped."""
+        change = _least_change(self.jacobian(q)[:, free], psi, metric)
+        largest = np.abs(change).max(initial=0.0)
+        limit = LARGEST_CORRECTION * max(1.0, self.extent)
+        change *= min(1.0, limit / largest) if largest > 0.0 else 0.0
+        before = np.linalg.norm(psi)
+        for _ in range(30):
+            trial = q.copy()
+            trial[free] -= change
+            trial_psi = self.closure(trial)
+            if np.linalg.norm(trial_psi) < before:
+                return trial, trial_psi, True
+            change *= 0.5
+        return q, psi, False
+
+    def _require_complete(self, q, free, hold):
+        """Refuse held coordinates that leave others undetermined, here and all around."""
+        missing = len(free) - _rank(self.jacobian(q)[:, free])
+        if missing == 0:
+            return
+        # At a singular position even a complete choice leaves freedoms for an instant.
+        missing = min([missing, *(len(free) - _rank(self.jacobian(near)[:, free])
+                                  for near in self._neighbours(q))])
+        if missing:
+            raise AssemblyError(
+                f'Holding {", ".join(hold)} is not a complete choice: {missing} degree'
+                f'{"s" if missing > 1 else ""} of freedom stay{"" if missing > 1 else "s"} open. '
+                f'Hold {missing} more of {", ".join(self.mechanism.joints[k].name for k in free)}'
+                ', or hold none to take the nearest closed state.')
+
+    def _open_loops(self, guess, psi, hold):
+        """Return what to say of loops that do not close."""
+        worst, first = [], 0
+        for cut in self.mechanism.cut_joints:
+            rows = CUT_JOINT_EQUATIONS[cut.type]
+            gap = np.abs(psi[first:first + rows]).max()
+            first += rows
+            if not gap <= TOLERANCE * self.extent:
+                worst.append(f'{cut.name} stays open by {gap:.3g}')
+        held = f' with {", ".join(hold)} held' if len(hold) > 0 else ''
+        return (f'{self.mechanism.name} cannot be assembled from this position{held}: '
+                f'{"; ".join(worst)} (m or rad). ' + ' '.join(
+                    [self._advice_on_assembly(guess, hold), *angle_notes(self.mechanism, guess)]))
+
+    def _advice_on_assembly(self, guess, hold):
+        nearer = ('Move the initial position closer to a closed one, or check lengths and cut '
+                  'points.')
+        if len(hold) == 0:
+            return nearer
+        q, psi = self._closed(np.array(guess, dtype=float), np.arange(self.nv))
+        if not self._is_closed(psi):
+            return f'Nor can it with none held. {nearer}'
+        freedoms = self.degrees_of_freedom(q)
+        if len(hold) > freedoms:
+            return (f'{len(hold)} joints are held, but this mechanism has only {freedoms} '
+                    f'degree{"s" if freedoms != 1 else ""} of freedom: hold fewer.')
+        nearest = ', '.join(f'{name} = {value:.6g}' for name, value
+                            in zip(self.mechanism.joint_names, q) if name in hold)
+        return f'With none held it closes at {nearest}: hold such values.'
+
+
+def find_degrees_of_freedom(mechanism):
+    """
+    Count the degrees of freedom of a mechanism, in positions that are found by trial.
+
+    Parameters
+    ----------
+    mechanism : Mechanism
+        Valid.
+
+    Returns
+    -------
+    int or None
+        The most among the positions: there may be some in which it is locked. None where no
+        guess led to one that closes the loops, and for mechanisms too large to try.
+
+    """
+    if mechanism.number_of_equations > MOST_EQUATIONS:
+        return None
+    model = build_model(mechanism)
+    assembler = Assembler(mechanism, model, allocate(model), extent(mechanism))
+    rng, found = np.random.default_rng(0), []
+    for _ in range(MOST_GUESSES):
+        with suppress(AssemblyError):
+            q = assembler.positions(rng.uniform(-2.0, 2.0, assembler.nv))
+            found.append(assembler.degrees_of_freedom(q))
+    return max(found, default=None)
+
+
+def angle_notes(mechanism, position):
+    """
+    Tell of angles beyond a whole turn, which may have been meant as degrees.
+
+    Parameters
+    ----------
+    mechanism : Mechanism
+        Whose joints are meant.
+    position : sequence, shape (nv,)
+        Joint coordinates.
+
+    Returns
+    -------
+    list of str
+        Sentences.
+
+    """
+    large = [f'{joint.name} = {value:g}' for joint, value in zip(mechanism.joints, position)
+             if joint.type != PRISMATIC and abs(value) > 2.0 * math.pi]
+    return [f'The start has angles beyond 2 pi: {", ".join(large)}. They are taken as radians; '
+            'in degrees?'] if large else []
+
+
+def _least_change(jac, error, metric):
+    """Return the x with ``jac`` x = ``error`` that is least in the metric L L^T."""
+    weighted = np.linalg.solve(metric, jac.T).T
+    y = np.linalg.lstsq(weighted, error, rcond=RANK_TOLERANCE)[0]
+    return np.linalg.solve(metric.T, y)
+
+
+def _rank(jac):
+    return _count(_singular(jac))
+
+
+def _singular(jac):
+    return np.linalg.svd(jac, compute_uv=False) if jac.size else np.zeros(1)
+
+
+def _count(singular):
+    return int(np.sum(singular > RANK_TOLERANCE * singular.max(initial=1e-300)))

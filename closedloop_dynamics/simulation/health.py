@@ -1,0 +1,268 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""How well posed the equations of motion are where a simulation stands."""
+
+from dataclasses import dataclass
+import math
+
+import numpy as np
+
+from ..core import kinematics
+from ..core.jacobian import constraint_jacobian, generalized_inertia_matrix
+from ..core.types import (
+    CLOSURE, CUT_PRISMATIC, CUT_ROW, CUT_TYPE, DOF, EVALUATIONS, PARENT, PRISMATIC,
+    PROJECTION_ITERATIONS, RANK, RANK_REVEALING_COUNT, ROW, ROWS, SINGULAR_COUNT,
+    SMALLEST_PIVOT, SMALLEST_PIVOT_EVER, TYPE)
+
+# Smallest pivots below this (about 2 degrees from a singular configuration) are worth a
+# warning: forces grow with the inverse distance, errors of the input with them.
+WARN_BELOW = 1e-3
+# Largest number of closure equations whose condition is worth its cost, that of a dense matrix.
+MOST_FOR_CONDITION = 40
+# Sine of the angle to a parallel singularity below which it is worth mentioning: a degree.
+LOOSE = 0.02
+# Condition beyond which no digit is left.
+SINGULAR = 1e15
+
+
+@dataclass(frozen=True)
+class Health:
+    """
+    Condition of the latest evaluation, and of all since the last reset.
+
+    Attributes
+    ----------
+    smallest_pivot : float
+        Of the block elimination, relative to the largest diagonal entry of its cut point: about
+        the squared sine of the angle between one closure equation and the others. 1: as
+        independent as can be; 0: dependent. Below 1e-3 without masses, so that light links
+        play no part.
+    smallest_pivot_ever : float
+        Since the last reset.
+    condition : float
+        Largest condition number of the pivots of the block elimination, one block a cut joint: by
+        what errors grow at most in it. Infinite where one is singular; NaN for more than 40
+        closure equations.
+    rank : int
+        Closure equations that took part.
+    equations : int
+        All closure equations.
+    rank_revealing_count : int
+        Evaluations since the last reset that took the rank-revealing path.
+    singular_count : int
+        Those among them that were next to a singular configuration, not only on dependent closure
+        equations or massless bodies.
+    evaluations : int
+        All evaluations since the last reset.
+    projection_iterations : int
+        Corrections of the positions after the latest step.
+    closure : float
+        Closure error that projection left after the latest step [m or rad].
+    drive_sine : float
+        Sine of the smallest angle between one of the closure equations and locked drives, and
+        all others, with the sign of their determinant. 0: a parallel ("type-2")
+        singularity, where locked drives would not hold the mechanism; the sign changes where it
+        is passed. NaN where the drives are not as many as the freedoms, and for more than
+        40 closure equations.
+
+    """
+
+    smallest_pivot: float
+    smallest_pivot_ever: float
+    condition: float
+    rank: int
+    equations: int
+    rank_revealing_count: int
+    singular_count: int
+    evaluations: int
+    projection_iterations: int
+    closure: float
+    drive_sine: float = math.nan
+
+    @property
+    def unique_forces(self):
+        """Whether the constraint forces are the only ones possible, not just the least."""
+        return self.rank == self.equations
+
+    @property
+    def near_singular(self):
+        """Whether constraint forces deserve a warning: they are about to lose their meaning."""
+        return not self.smallest_pivot >= WARN_BELOW
+
+    def __str__(self):
+        """Return the record in words, one line for each thing worth knowing."""
+        lines = [
+            f'smallest pivot {self.smallest_pivot:.2g} (worst {self.smallest_pivot_ever:.2g}), '
+            f'condition {self.condition:.2g}, closure {self.closure:.2g} after '
+            f'{self.projection_iterations} corrections, {self.rank_revealing_count} of '
+            f'{self.evaluations} evaluations rank-revealing']
+        if abs(self.drive_sine) < LOOSE:
+            lines.append('a parallel (type-2) singularity is near: held drives would hardly hold '
+                         f'the mechanism (an angle of {abs(self.drive_sine):.2g} rad)')
+        if not self.unique_forces:
+            lines.append(
+                f'the constraint forces are not unique: {self.equations - self.rank} of '
+                f'{self.equations} closure equations depend on the others; the least forces '
+                'that give the motion are shown')
+        elif self.near_singular:
+            lines.append('a singular configuration is near: constraint forces may be very large, '
+                         'and small errors of the state show in them')
+        return '\n'.join(lines)
+
+
+def health_of(model, work, q, qd, passive=()):
+    """
+    Return the record of a workspace.
+
+    Parameters
+    ----------
+    model : core.types.Model
+        Of the mechanism.
+    work : core.types.Workspace
+        After an evaluation.
+    q, qd : ndarray, shape (nv,)
+        The state.
+    passive : sequence of int
+        Coordinates of the joints that are not actuated.
+
+    Returns
+    -------
+    Health
+
+    """
+    values = work.health
+    nc, nv = len(work.right), len(model.tree) - 1
+    condition, loose = math.nan if nc else 1.0, math.nan
+    if 0 < nc <= MOST_FOR_CONDITION:
+        jac = np.zeros((nc, nv))
+        kinematics.outward(model, q, qd, work)
+        constraint_jacobian(model, work, jac)
+        condition = block_condition(model, work, jac)
+        loose = drive_sine(model, jac, passive)
+    return Health(
+        smallest_pivot=float(values[SMALLEST_PIVOT]),
+        smallest_pivot_ever=float(values[SMALLEST_PIVOT_EVER]),
+        condition=condition,
+        rank=int(values[RANK]), equations=len(work.right),
+        rank_revealing_count=int(values[RANK_REVEALING_COUNT]),
+        singular_count=int(values[SINGULAR_COUNT]),
+        evaluations=int(values[EVALUATIONS]),
+        projection_iterations=int(values[PROJECTION_ITERATIONS]),
+        closure=float(values[CLOSURE]),
+        drive_sine=loose)
+
+
+def drive_sine(model, jac, passive):
+    """
+    Return how far locked drives are from leaving the mechanism loose, as in ``Health``.
+
+    Parameters
+    ----------
+    model : core.types.Model
+        Of the mechanism.
+    jac : ndarray, shape (nc, nv)
+        Constraint Jacobian, of one equation or more.
+    passive : sequence of int
+        Coordinates of the joints that are not actuated.
+
+    Returns
+    -------
+    float
+
+    Notes
+    -----
+    Angles are those between rows of the rates of the bodies' angles, times the longest lever of
+    any, and of the slides: no unit plays a part, nor where the trees begin. The two equations
+    of a cut point share their scale, and with it the direction of the world's axes plays none.
+
+    """
+    nv = jac.shape[1]
+    if len(passive) != len(jac):
+        return math.nan
+    tree, joints, turning = model.tree, np.eye(nv), np.zeros(nv, dtype=bool)
+    for i in range(1, nv + 1):
+        parent = tree[i, PARENT]
+        while parent > 0 and tree[parent, TYPE] == PRISMATIC:
+            parent = tree[parent, PARENT]
+        turning[tree[i, DOF]] = tree[i, TYPE] != PRISMATIC
+        if turning[tree[i, DOF]] and parent > 0:
+            joints[tree[i, DOF], tree[parent, DOF]] = -1.0
+    places, angles = [], []
+    for cut in model.cut:
+        points = 1 if cut[CUT_TYPE] == CUT_PRISMATIC else 2
+        places.append(slice(cut[CUT_ROW], cut[CUT_ROW] + points))
+        angles += range(cut[CUT_ROW] + points, cut[CUT_ROW] + cut[ROWS])
+    by_angles = jac @ joints
+    lever = max((np.abs(by_angles[rows][:, turning]).max(initial=0.0) for rows in places))
+    weight = np.where(turning, 1.0 / lever if lever > 0.0 else 1.0, 1.0)
+    drives = np.setdiff1d(np.arange(nv), passive)
+    rows = np.vstack([by_angles, joints[drives]]) * weight
+    lengths = np.linalg.norm(rows, axis=1)
+    for place in places:
+        lengths[place] = lengths[place].max()
+    # An equation that no motion can change has no length, and cannot be held.
+    rows /= np.where(lengths > 0.0, lengths, 1.0)[:, None]
+    try:
+        # Column k of the inverse is as long as one over row k's distance from the others.
+        distance = 1.0 / np.linalg.norm(np.linalg.inv(rows), axis=0).max()
+    except np.linalg.LinAlgError:
+        return 0.0
+    return float(np.copysign(distance, np.linalg.det(rows)))
+
+
+def block_condition(model, work, jac):
+    """
+    Return the largest condition number of the block pivots of J I^-1 J^T.
+
+    Parameters
+    ----------
+    model : core.types.Model
+        Of the mechanism.
+    work : core.types.Workspace
+        With the kinematics of the state.
+    jac : ndarray, shape (nc, nv)
+        Constraint Jacobian, of one equation or more.
+
+    Returns
+    -------
+    float
+
+    Notes
+    -----
+    Eliminates anew, blocks in the order of the method, so that evaluations need not keep
+    anything for it. Each equation is scaled by its entry on the diagonal: a fixed cut
+    joint has equations of forces and of a torque.
+
+    """
+    inertia = np.zeros((jac.shape[1], jac.shape[1]))
+    generalized_inertia_matrix(model, work, inertia)
+    worst = 1.0
+    try:
+        half = np.linalg.solve(np.linalg.cholesky(inertia), jac.T)
+        lengths = np.linalg.norm(half, axis=0)
+        half /= np.where(lengths > 0.0, lengths, 1.0)
+        matrix = half.T @ half
+        for cut in model.cut[np.argsort(model.cut[:, ROW])]:
+            rows = slice(cut[CUT_ROW], cut[CUT_ROW] + cut[ROWS])
+            pivot = matrix[rows, rows].copy()
+            condition = float(np.linalg.cond(pivot))
+            # Written so that a NaN (0/0: an equation no motion can change) counts as singular.
+            if not condition < SINGULAR:
+                return math.inf
+            worst = max(worst, condition)
+            matrix -= matrix[:, rows] @ np.linalg.solve(pivot, matrix[rows, :])
+    except np.linalg.LinAlgError:
+        return math.inf
+    return worst

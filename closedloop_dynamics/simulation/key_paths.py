@@ -1,0 +1,220 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+The numbers of a scene by their key paths: ``mechanism.bodies.crank.mass``.
+
+A key path is written as the keys stand in the files, with the places in lists as numbers:
+``mechanism.joints.elbow.position.0``, ``initial.velocity.theta_1``,
+``effects.gravity.acceleration.1``, ``method.step_size``.
+
+"""
+
+from dataclasses import fields, replace
+from functools import lru_cache
+from typing import get_args
+
+from ..mechanism.checks import number
+from ..mechanism.fields import among, at, FieldError, nearest
+from ..mechanism.validation import SECTIONS
+
+
+def numbers(scene):
+    """
+    Return the numbers that a scene is made of.
+
+    Parameters
+    ----------
+    scene : Scene
+        With its mechanism.
+
+    Returns
+    -------
+    dict of str to float or None
+        By key path; None for a number that may be given but is not.
+
+    """
+    return dict(_leaves(_tree(scene)))
+
+
+def resolve(scene, key):
+    """
+    Return the keys of a key path, or refuse one that leads to no number.
+
+    Parameters
+    ----------
+    scene : Scene
+        Where it leads.
+    key : str
+        The key path; list places may stand in brackets.
+
+    Returns
+    -------
+    tuple of str
+
+    Raises
+    ------
+    FieldError
+
+    """
+    path = tuple(str(key).replace('[', '.').replace(']', '').split('.'))
+    here = _tree(scene)
+    for depth, word in enumerate(path):
+        if not isinstance(here, dict):
+            raise FieldError('a key path that ends with a number', 'more below it',
+                             f'remove .{".".join(path[depth:])}', (str(key),))
+        if word not in here:
+            raise FieldError(
+                f'one of {among(here) or "no keys"}' + (
+                    f' after {".".join(path[:depth])}' if depth else ''),
+                repr(word), nearest(word, here), (str(key),))
+        here = here[word]
+    if isinstance(here, dict):
+        raise FieldError('a key path that leads to a number', 'one that leads to several',
+                         f'add one of {among(here)}', (str(key),))
+    return path
+
+
+def changed(scene, values):
+    """
+    Return a scene with other numbers.
+
+    Parameters
+    ----------
+    scene : Scene
+        Left as it is.
+    values : dict of tuple of str to float
+        By the keys that ``resolve`` returns.
+
+    Returns
+    -------
+    Scene
+
+    Raises
+    ------
+    FieldError, MechanismError
+        Where a value is impossible at its place, or impossible beside the others.
+
+    """
+    changes = {}
+    for path, value in values.items():
+        with at('.'.join(path)):
+            value = number(value)
+        here = changes
+        for word in path[:-1]:
+            here = here.setdefault(word, {})
+        here[path[-1]] = value
+    new = {}
+    for section, below in changes.items():
+        with at(section):
+            new[section] = _SECTIONS[section](scene, below)
+    return replace(scene, **new)
+
+
+def _tree(scene):
+    """Return the numbers of a scene as nested dicts by their keys."""
+    mechanism, initial = scene.mechanism, scene.initial
+    velocity = dict(zip(mechanism.joint_names, initial.velocity))
+    if initial.hold:
+        # The others follow from the loops, whatever is given.
+        velocity = {joint: velocity[joint] for joint in initial.hold}
+    whole = {
+        'mechanism': {key: {record.name: _below(record) for record in getattr(mechanism, key)}
+                      for key in SECTIONS},
+        'initial': {'position': dict(zip(mechanism.joint_names, initial.position)),
+                    'velocity': velocity},
+        'effects': {name: _below(record) for name, record in scene.effects.items()},
+        'method': _below(scene.method)}
+    return _pruned(whole)
+
+
+def _below(value):
+    """Return the numbers below a record or a tuple as nested dicts, a number as it is."""
+    if isinstance(value, tuple):
+        return {str(index): _below(item) for index, item in enumerate(value)}
+    if isinstance(value, float):
+        return value
+    try:
+        keys = fields(value)
+    except TypeError:
+        return {}
+    return {key.name: None if float in get_args(key.type) and getattr(value, key.name) is None
+            else _below(getattr(value, key.name)) for key in keys}
+
+
+def _pruned(tree):
+    """Leave out branches without numbers."""
+    if not isinstance(tree, dict):
+        return tree
+    below = {key: _pruned(value) for key, value in tree.items()}
+    return {key: value for key, value in below.items() if value != {}}
+
+
+def _leaves(tree, path=()):
+    for key, value in tree.items():
+        if isinstance(value, dict):
+            yield from _leaves(value, (*path, key))
+        else:
+            yield '.'.join((*path, key)), value
+
+
+def _with(value, below):
+    """Return a record or tuple with what is nested in a dict put into it."""
+    if isinstance(value, tuple):
+        return tuple(_replaced(item, below, str(index)) for index, item in enumerate(value))
+    return replace(value, **{key: _replaced(getattr(value, key), below, key) for key in below})
+
+
+def _replaced(value, below, key):
+    if key not in below:
+        return value
+    return _with(value, below[key]) if isinstance(below[key], dict) else below[key]
+
+
+def _mechanism(scene, below):
+    mechanism = scene.mechanism
+    return replace(mechanism, **{
+        key: tuple(_replaced(record, records, record.name) for record in getattr(mechanism, key))
+        for key, records in below.items()})
+
+
+def _initial(scene, below):
+    places = _places(scene.mechanism.joint_names)
+    new = {}
+    for key, joints in below.items():
+        values = list(getattr(scene.initial, key))
+        for joint, value in joints.items():
+            values[places[joint]] = value
+        new[key] = tuple(values)
+    return replace(scene.initial, **new)
+
+
+@lru_cache(maxsize=8)
+def _places(names):
+    return {name: place for place, name in enumerate(names)}
+
+
+def _effects(scene, below):
+    new = dict(scene.effects)
+    for name, values in below.items():
+        with at(name):
+            new[name] = _with(new[name], values)
+    return new
+
+
+def _method(scene, below):
+    return _with(scene.method, below)
+
+
+_SECTIONS = {'mechanism': _mechanism, 'initial': _initial, 'effects': _effects, 'method': _method}

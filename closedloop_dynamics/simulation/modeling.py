@@ -1,0 +1,205 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""From a mechanism's description to the arrays that the kernels work on."""
+
+import math
+
+import numpy as np
+
+from ..core import types as t
+from ..mechanism.decomposition import decompose
+from ..mechanism.mechanism import CUT_JOINT_EQUATIONS, FIXED, GROUND, PRISMATIC, REVOLUTE
+
+_CUT_TYPES = {REVOLUTE: t.CUT_REVOLUTE, PRISMATIC: t.CUT_PRISMATIC, FIXED: t.CUT_FIXED}
+
+
+def build_model(mechanism, gravity=(0.0, 0.0), decomposition=None):
+    """
+    Build the constant arrays of a mechanism.
+
+    Parameters
+    ----------
+    mechanism : Mechanism
+        What is described.
+    gravity : sequence of 2 floats
+        [m/s^2].
+    decomposition : Decomposition, optional
+        Found here when not given.
+
+    Returns
+    -------
+    core.types.Model
+
+    """
+    decomposition = decomposition or decompose(mechanism)
+    tree, body, body_row = _tree_arrays(mechanism, decomposition)
+    cut, cut_point, slot_body = _cut_arrays(mechanism, decomposition, tree, body_row)
+    block, pair = _block_arrays(decomposition, cut, slot_body)
+    column, row, entry = _factor_arrays(decomposition, cut, block)
+    dependency, dependency_place = _dependencies(column, row)
+    return t.Model(
+        tree=tree, body=body, gravity=np.array(gravity, dtype=float), cut=cut,
+        cut_point=cut_point, slot_body=slot_body, pair=pair, block=block, column=column,
+        row=row, entry=entry, dependency=dependency, dependency_place=dependency_place)
+
+
+def body_rows(mechanism, decomposition):
+    """
+    Return the row of each body in the kernels' arrays (0 is the ground).
+
+    Parameters
+    ----------
+    mechanism : Mechanism
+        What is described.
+    decomposition : Decomposition
+        Of the mechanism.
+
+    Returns
+    -------
+    dict of str to int
+
+    """
+    rows = {GROUND: 0}
+    for row, j in enumerate(decomposition.joint_order, start=1):
+        rows[mechanism.joints[j].child] = row
+    return rows
+
+
+def _tree_arrays(mechanism, decomposition):
+    rows = body_rows(mechanism, decomposition)
+    bodies = {body.name: body for body in mechanism.bodies}
+    subsystem = {name: k for k, names in enumerate(decomposition.subsystems) for name in names}
+    tree = np.zeros((len(mechanism.joints) + 1, t.TREE_COLUMNS), dtype=np.int64)
+    constant = np.zeros((len(tree), t.BODY_COLUMNS))
+    for row, j in enumerate(decomposition.joint_order, start=1):
+        joint = mechanism.joints[j]
+        body = bodies[joint.child]
+        x, y = body.center_of_mass
+        tree[row, [t.PARENT, t.DOF, t.TYPE, t.SUBSYSTEM]] = (
+            rows[joint.parent], j,
+            t.PRISMATIC if joint.type == PRISMATIC else t.REVOLUTE, subsystem[joint.name])
+        constant[row] = (
+            body.mass, body.mass * x, body.mass * y,
+            body.inertia + body.mass * (x * x + y * y), *joint.position, joint.angle, 0.0)
+    return tree, constant, rows
+
+
+def _cut_arrays(mechanism, decomposition, tree, body_row):
+    cut = np.zeros((len(mechanism.cut_joints), t.CUT_COLUMNS), dtype=np.int64)
+    point = np.zeros((len(cut), 5))
+    slots = []
+    first = 0
+    user_first = np.cumsum([0] + [CUT_JOINT_EQUATIONS[c.type] for c in mechanism.cut_joints])
+    for k, index in enumerate(decomposition.cut_order):
+        joint = mechanism.cut_joints[index]
+        a, b = body_row[joint.body_a], body_row[joint.body_b]
+        path_a, path_b = _path(tree, a), _path(tree, b)
+        shared = set(path_b)
+        common = [row for row in path_a if row in shared]
+        own_a = path_a[:len(path_a) - len(common)]
+        own_b = path_b[:len(path_b) - len(common)]
+        start = len(slots)
+        slots += own_a + own_b + common
+        middle = start + len(own_a)
+        rows = CUT_JOINT_EQUATIONS[joint.type]
+        cut[k] = (_CUT_TYPES[joint.type], a, b, rows, user_first[index], first, start, middle,
+                  middle + len(own_b), len(slots), index)
+        point[k] = (*joint.point_a, *joint.point_b, joint.angle)
+        first += rows
+    return cut, point, np.array(slots, dtype=np.int64)
+
+
+def _path(tree, row):
+    """Return the rows from ``row`` inward, the ground left out."""
+    path = []
+    while row > 0:
+        path.append(row)
+        row = int(tree[row, t.PARENT])
+    return path
+
+
+def _block_arrays(decomposition, cut, slot_body):
+    """Return the blocks below the diagonal and, for each, the slots that meet on a body."""
+    visitors = {}
+    for k in range(len(cut)):
+        for slot in range(cut[k, t.SLOT_A], cut[k, t.SLOT_END]):
+            visitors.setdefault(int(slot_body[slot]), []).append((k, slot))
+    meeting = {}
+    for visits in visitors.values():
+        for m, (earlier, slot) in enumerate(visits):
+            for later, later_slot in visits[m + 1:]:
+                meeting.setdefault((earlier, later), []).append((later_slot, slot))
+    block, pair = [], []
+    for (earlier, later), slots in sorted(meeting.items()):
+        block.append((later, earlier, len(pair), len(pair) + len(slots)))
+        pair += slots
+    return (np.array(block, dtype=np.int64).reshape(-1, 4),
+            np.array(pair, dtype=np.int64).reshape(-1, 2))
+
+
+def _factor_arrays(decomposition, cut, block):
+    """Return the sparsity of L by columns, and where each block goes."""
+    column, row = [0], []
+    place_of = {}
+    for k, later in enumerate(decomposition.structure):
+        first, rows = cut[k, t.ROW], cut[k, t.ROWS]
+        below = []
+        for m in sorted(later):
+            below += range(cut[m, t.ROW], cut[m, t.ROW] + cut[m, t.ROWS])
+        for c in range(rows):
+            start = len(row)
+            row += [*range(first + c, first + rows), *below]
+            column.append(len(row))
+            place = start + rows - c
+            for m in sorted(later):
+                place_of[m, k, c] = place
+                place += cut[m, t.ROWS]
+    entry = np.zeros((len(block), 3), dtype=np.int64)
+    for n, (later, earlier) in enumerate(block[:, :2]):
+        for c in range(cut[earlier, t.ROWS]):
+            entry[n, c] = place_of[int(later), int(earlier), c]
+    return np.array(column, dtype=np.int64), np.array(row, dtype=np.int64), entry
+
+
+def _dependencies(column, row):
+    """Return, for each row of L, the entries left of its diagonal."""
+    rows = len(column) - 1
+    left = [[] for _ in range(rows)]
+    for k in range(rows):
+        for place in range(column[k] + 1, column[k + 1]):
+            left[row[place]].append((k, place))
+    start = np.cumsum([0] + [len(places) for places in left], dtype=np.int64)
+    return start, np.array([p for places in left for p in places], dtype=np.int64).reshape(-1, 2)
+
+
+def extent(mechanism):
+    """
+    Return the size that tolerances are relative to: the longest distance on any body [m].
+
+    Parameters
+    ----------
+    mechanism : Mechanism
+        What is described.
+
+    Returns
+    -------
+    float
+        At least the smallest positive float of any use, never zero.
+
+    """
+    places = [joint.position for joint in mechanism.joints]
+    places += [p for cut in mechanism.cut_joints for p in (cut.point_a, cut.point_b)]
+    longest = max((math.hypot(*place) for place in places), default=0.0)
+    return longest or 1.0

@@ -1,0 +1,311 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+A run from the start under a sequence of torques, and what is kept of it.
+
+Fixed explicit steps are made in one compiled loop, which leaves Python's lock alone; whatever
+needs looking after between the steps is made step by step. Both give the same numbers, bit for
+bit.
+
+"""
+
+from dataclasses import dataclass
+from typing import Optional
+
+import numpy as np
+
+from .errors import SimulationError
+from ..integration.advance import DONE
+from ..integration.drivers import FixedSteps
+from ..integration.march import allocate_tape, energies, joint_forces, march
+from ..mechanism.checks import one_of
+from ..mechanism.fields import at
+
+STATE = ('position', 'velocity')
+QUANTITIES = (*STATE, 'acceleration', 'effort', 'constraint_forces', 'joint_forces', 'points',
+              'closure', 'energy')
+# A time counts as a multiple of the step up to this share of the step.
+ROUNDING = 1e-9
+# Instants of a run at which its energy is looked at.
+MOST_LOOKS = 9
+# Energy from nowhere, against all that moved, at which a motion is none.
+ENERGY_ERROR = 0.1
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """
+    When torques change and when instants are kept, all in multiples of one interval.
+
+    Attributes
+    ----------
+    interval : float
+        [s].
+    intervals : int
+        Length of the run.
+    hold : int
+        Intervals that a row of torques acts for.
+    every : int
+        Intervals from one instant to the next.
+
+    """
+
+    interval: float
+    intervals: int
+    hold: int
+    every: int
+
+    @property
+    def instants(self):
+        """Return how many instants are kept: the start, and one after each ``every``."""
+        return self.intervals // self.every + 1
+
+    def steps(self, step_size):
+        """Return how many whole steps an interval is; 0 where it is no whole number of them."""
+        steps = round(self.interval / step_size)
+        return steps if abs(steps * step_size - self.interval) <= ROUNDING * step_size else 0
+
+
+@dataclass
+class Record:
+    """
+    What is kept of one run; NaN from a failure on.
+
+    Attributes
+    ----------
+    values : dict of str to ndarray
+        By the names of ``QUANTITIES``, those that were asked for: position, velocity,
+        acceleration, effort (instants, nv), constraint_forces (instants, number of cuts, 3),
+        joint_forces (instants, nv, 3), points (instants, number of points, 2), closure, energy
+        (instants,). SI units.
+    failure : str or None
+        Why the run ended early; or, where all values are there, by how much its energy balance
+        is off.
+
+    """
+
+    values: dict
+    failure: Optional[str] = None
+
+
+def shape_of(quantity, mechanism):
+    """Return the shape that a quantity has at one instant."""
+    shapes = {'constraint_forces': (len(mechanism.cut_joints), 3),
+              'joint_forces': (len(mechanism.joints), 3), 'points': (len(mechanism.points), 2),
+              'closure': (), 'energy': ()}
+    return shapes.get(quantity, (len(mechanism.joints),))
+
+
+def nothing(quantities, mechanism, instants):
+    """Return what is kept of a run that did not even begin: NaN."""
+    return {name: np.full((instants, *shape_of(name, mechanism)), np.nan) for name in quantities}
+
+
+def checked_quantities(names):
+    """Return names of quantities as a tuple, or raise FieldError."""
+    for index, name in enumerate(names):
+        with at('quantities', index):
+            one_of(QUANTITIES)(name)
+    return tuple(names)
+
+
+def is_plain(simulation):
+    """
+    Tell whether a run needs nothing but fixed steps, so that one compiled loop can make it.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        To be run.
+
+    Returns
+    -------
+    bool
+        False for error-controlled and stiff methods, independent coordinates, scenes that are
+        watched for stiffness, commands that arrive late, and sensors that remember.
+
+    """
+    effects = simulation._effects
+    return (isinstance(simulation.monitor.driver, FixedSteps)
+            and simulation.system.partition is None and not simulation.energy_guard.among_laws
+            and not any(effects.drives.values()) and not effects.remembers)
+
+
+def record(simulation, torques, schedule, quantities=QUANTITIES):
+    """
+    Run a simulation that stands at its start, and keep what it does.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        At time zero. What it is left as is not to be used but after ``reset``.
+    torques : ndarray, shape (rows, number of actuated joints)
+        [N m or N]; at least one row.
+    schedule : Schedule
+        No longer than the rows last.
+    quantities : sequence of str
+        What to keep, of ``QUANTITIES``.
+
+    Returns
+    -------
+    Record
+
+    """
+    tau = all_torques(simulation, torques)
+    steps = schedule.steps(simulation.step_size)
+    if steps and is_plain(simulation):
+        start = simulation._state.copy()
+        done = _marched(simulation, tau, schedule, steps, quantities)
+        if done is not None:
+            return done
+        # It failed: again, step by step, to stop where it does and to say why.
+        simulation._state[:] = start
+        simulation._fresh = False
+        simulation.energy_guard.restart()
+    return _stepped(simulation, tau, schedule, steps, quantities)
+
+
+def all_torques(simulation, torques):
+    """Return torques of actuated joints as those of all joints, shape (rows, nv)."""
+    tau = np.zeros((len(torques), len(simulation.joint_names)))
+    tau[:, simulation._actuated] = torques
+    return tau
+
+
+def tape_for(simulation, schedule, quantities):
+    """Return a tape for all that is to be kept of a run."""
+    points = simulation.mechanism.points
+    return allocate_tape(
+        simulation.system, schedule.instants, any(name not in STATE for name in quantities),
+        np.array([simulation._rows[point.body] for point in points], dtype=np.int64),
+        np.array([point.position for point in points]).reshape(-1, 2))
+
+
+def _marched(simulation, tau, schedule, steps, quantities):
+    """Return the record of a run made by one compiled loop; None where it fails."""
+    system, driver = simulation.system, simulation.monitor.driver
+    tape = tape_for(simulation, schedule, quantities)
+    status, _ = march(
+        system, driver.tableau, driver.stabilisation, simulation._state, simulation.step_size,
+        tau, schedule.hold * steps, schedule.every * steps, schedule.intervals * steps,
+        driver.scratch, tape)
+    simulation._fresh = False
+    if status != DONE:
+        return None
+    share, finding = verdict(simulation, tape.state, simulation._state, tape.work[0], schedule)
+    if not share <= ENERGY_ERROR:
+        return None
+    return Record(values_of(simulation, tape, tau, schedule, quantities), finding)
+
+
+def verdict(simulation, states, last, work, schedule):
+    """
+    Judge the energy balance of a run, as the energy guard does where steps are made one by one.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        That made it; left somewhere else.
+    states : ndarray, shape (instants, ns)
+        Of the run.
+    last : ndarray, shape (ns,)
+        At its end.
+    work : float
+        Of the torques [J].
+    schedule : Schedule
+        Of the run.
+
+    Returns
+    -------
+    share : float
+        Energy from nowhere at the end, against all that moved.
+    finding : str or None
+        What is wrong, in words.
+
+    """
+    some = np.unique(np.linspace(0, len(states) - 1, MOST_LOOKS).round().astype(int))
+    looked = np.vstack((states[some], last))
+    out = np.empty((len(looked), 2))
+    energies(simulation.system, looked, out)
+    kinetic, stored = out.T
+    moved = (kinetic + np.abs(stored - stored[0])).max() + abs(work)
+    lost = abs(out[-1].sum() - out[0].sum() - work)
+    guard = simulation.energy_guard
+    guard.restart()
+    guard.compare(lost, moved, kinetic[-1] + abs(stored[-1]),
+                  schedule.interval * schedule.intervals)
+    return guard.worst, guard.finding or None
+
+
+def values_of(simulation, tape, tau, schedule, quantities):
+    """Return what a run keeps by quantity, of its tape."""
+    nv = tau.shape[1]
+    take = {
+        'position': lambda: tape.state[:, :nv].copy(),
+        'velocity': lambda: tape.state[:, nv:2 * nv].copy(),
+        'acceleration': lambda: tape.qdd,
+        'effort': lambda: _efforts(simulation, tape, tau, schedule),
+        'constraint_forces': lambda: tape.wrench,
+        'joint_forces': lambda: joint_forces(
+            simulation.system, tau, schedule.hold, schedule.every, tape.state, tape.qdd, tape.lam),
+        'points': lambda: tape.place,
+        'closure': lambda: tape.scalars[:, 0].copy(),
+        'energy': lambda: tape.scalars[:, 1] + (
+            tape.scalars[:, 2] + tape.output[:, :, 0].sum(axis=1)),
+    }
+    return {name: take[name]() for name in quantities}
+
+
+def _efforts(simulation, tape, tau, schedule):
+    """Return the joint torques at the instants: those of the step before."""
+    ends = np.arange(schedule.instants) * schedule.every
+    efforts = tau[np.maximum(ends - 1, 0) // schedule.hold]
+    rows, joints = simulation._effects.drive_rows()
+    efforts[:, joints] = tape.output[:, rows, 1]
+    return efforts
+
+
+def _stepped(simulation, tau, schedule, steps, quantities):
+    """Return the record of a run made step by step."""
+    values = nothing(quantities, simulation.mechanism, schedule.instants)
+    failure = None
+    actuated = tau[:, simulation._actuated]
+    try:
+        simulation.advance(tau[0], 0)
+        _note(simulation, values, 0)
+        done = 0
+        while done < schedule.intervals:
+            row = done // schedule.hold
+            if steps:
+                portion = min(schedule.hold - done % schedule.hold,
+                              schedule.every - done % schedule.every, schedule.intervals - done)
+                simulation.advance(tau[row], portion * steps)
+            else:
+                portion = 1
+                simulation.step(actuated[row], schedule.interval)
+            done += portion
+            if done % schedule.every == 0:
+                _note(simulation, values, done // schedule.every)
+        simulation.judge()
+        failure = simulation.energy_guard.finding or None
+    except SimulationError as error:
+        failure = str(error)
+    return Record(values, failure)
+
+
+def _note(simulation, values, instant):
+    """Write one instant."""
+    for name, rows in values.items():
+        rows[instant] = getattr(simulation, name)

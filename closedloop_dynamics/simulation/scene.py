@@ -1,0 +1,211 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Scenes: which mechanism is simulated, from where, with what effects, and how.
+
+``load_scene('three_rrr')`` reads a shipped scene, ``load_scene('my/scene.yaml')``
+a file. Every error names file and line, key path, what was expected and what was
+got.
+
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from .scene_records import Initial, Method, Scene
+from ..effects.registry import EFFECTS
+from ..mechanism.checks import list_of, name, NAME_PATTERN, number, one_of
+from ..mechanism.config import config_directory, shipped_names, shipped_path
+from ..mechanism.document import Document
+from ..mechanism.fields import among, at, FieldError, keys_of, mapping, nearest, shown
+from ..mechanism.mechanism import MechanismError
+from ..mechanism.reader import read_mechanism
+
+__all__ = ['config_directory', 'Initial', 'load_scene', 'load_scene_or_mechanism', 'Method',
+           'Scene', 'scene_names', 'SceneError']
+
+# Required and optional keys.
+SCENE_KEYS = ('mechanism', 'initial'), ('description', 'effects', 'method')
+INITIAL_KEYS = ('position',), ('hold', 'velocity')
+
+
+class SceneError(ValueError):
+    """A scene that cannot be read or simulated."""
+
+
+def scene_names():
+    """Return the names of the shipped scenes, sorted."""
+    return shipped_names('scenes')
+
+
+def load_scene(name_or_path):
+    """
+    Read a scene.
+
+    Parameters
+    ----------
+    name_or_path : str or pathlib.Path
+        A shipped scene by its name (a single word), or the path of a file.
+
+    Returns
+    -------
+    Scene
+
+    Raises
+    ------
+    SceneError
+        Where there is no such scene, or it or its mechanism is faulty.
+
+    """
+    return _scene_of(Document(_scene_path(name_or_path), SceneError))
+
+
+def load_scene_or_mechanism(name_or_path):
+    """
+    Read a scene, or a mechanism where a file or shipped name stands for one.
+
+    Raises
+    ------
+    SceneError, MechanismError
+
+    """
+    if _is_name(name_or_path):
+        if name_or_path not in scene_names() and name_or_path in shipped_names('mechanisms'):
+            return read_mechanism(shipped_path('mechanisms', name_or_path))
+        return load_scene(name_or_path)
+    document = Document(name_or_path, SceneError)
+    if isinstance(document.data, Mapping) and 'bodies' in document.data:
+        return read_mechanism(name_or_path)
+    return _scene_of(document)
+
+
+def _is_name(name_or_path):
+    return isinstance(name_or_path, str) and NAME_PATTERN.fullmatch(name_or_path) is not None
+
+
+def _scene_path(name_or_path):
+    """Return the path of a scene given by name or path."""
+    if not _is_name(name_or_path):
+        return Path(name_or_path)
+    try:
+        with at('scene'):
+            return _shipped('scenes', name_or_path)
+    except FieldError as error:
+        raise SceneError(str(error)) from None
+
+
+def _shipped(kind, value):
+    """Return the path of the shipped scene or mechanism that ``value`` names."""
+    names = shipped_names(kind)
+    if value not in names:
+        raise FieldError(
+            f'one of {among(names)}, or the path of a YAML file (./NAME.yaml)', shown(value),
+            nearest(value, names))
+    return shipped_path(kind, value)
+
+
+def _scene_of(document):
+    with document.errors():
+        return _scene(document)
+
+
+def _scene(document):
+    """Return the scene that a document describes, or raise FieldError."""
+    data = document.data
+    if isinstance(data, Mapping) and 'bodies' in data:
+        raise FieldError('a scene', 'a mechanism', 'a scene names one under `mechanism`',
+                         ('bodies',))
+    mapping(data, *SCENE_KEYS)
+    with at('mechanism'):
+        mechanism = _mechanism(data['mechanism'], document.path.parent)
+    with at('initial'):
+        initial = _initial(data['initial'], mechanism.joint_names)
+    with at('effects'):
+        effects = {key: _effect(key, values)
+                   for key, values in _section(data, 'effects').items()}
+    with at('method'):
+        method = _method(_section(data, 'method'))
+    return Scene(document.path.stem, document.path, data.get('description', ''), mechanism,
+                 initial, effects, method)
+
+
+def _section(data, key):
+    """Return an optional mapping; a key with nothing below it counts as absent."""
+    value = data.get(key)
+    return mapping({} if value is None else value)
+
+
+def _mechanism(value, directory):
+    """Return the mechanism that ``value`` names or is the path of."""
+    if isinstance(value, str) and not _is_name(value):
+        path = directory / value
+    else:
+        path = _shipped('mechanisms', value)
+    try:
+        return read_mechanism(path)
+    except MechanismError as error:
+        raise FieldError('a valid mechanism', f'this error in its file:\n{error}') from None
+
+
+def _initial(value, joints):
+    """Return the initial state for joints of the names given."""
+    mapping(value, *INITIAL_KEYS)
+    with at('position'):
+        position = _numbers(mapping(value['position'], joints, ()))
+    with at('hold'):
+        hold = list_of(one_of(joints, 'one of the joints'))(value.get('hold', ()))
+    with at('velocity'):
+        velocity = _numbers(mapping(_section(value, 'velocity'), (), joints))
+        for joint in velocity:
+            if hold and joint not in hold:
+                raise FieldError(f'velocities of held joints only ({among(hold)})',
+                                 f'one of {joint!r}', 'the others follow from the loops; '
+                                 'add the joint to hold, or remove its velocity', (joint,))
+    return Initial(tuple(position[joint] for joint in joints),
+                   tuple(velocity.get(joint, 0.0) for joint in joints), hold)
+
+
+def _numbers(values):
+    """Return a mapping of names to finite numbers."""
+    result = {}
+    for key, value in values.items():
+        with at(key):
+            result[key] = number(value)
+    return result
+
+
+def _effect(key, values):
+    """Return the record of one effect."""
+    with at(key):
+        name(key)
+        mapping(values, ('type',))
+        with at('type'):
+            record_type = EFFECTS[one_of(tuple(EFFECTS), 'one of the effects')(values['type'])]
+        required, optional = keys_of(record_type)
+        values = dict(mapping(values, ['type', *required], optional))
+        del values['type']
+        return record_type(**values)
+
+
+def _method(values):
+    """Return the method of a scene."""
+    method = Method(**mapping(values, *keys_of(Method)))
+    for key, need in method.unused.items():
+        if key in values:
+            raise FieldError(
+                f'this key only with {need}',
+                f'it with integrator: {method.integrator}, stabilisation: {method.stabilisation}',
+                'remove it', (key,))
+    return method

@@ -1,0 +1,174 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""What a scene is: frozen records that check themselves when built."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Optional, Tuple
+
+from ..effects.effect_set import require_one_drive_each
+from ..effects.registry import EFFECTS
+from ..integration.registry import ADAPTIVE, AUTO, INTEGRATORS, STABILISATIONS
+from ..mechanism.checks import list_of, name, number, one_of, positive, text
+from ..mechanism.fields import at, FieldError, mapping, normalise, shown
+from ..mechanism.mechanism import Mechanism
+from ..mechanism.validation import validate_mechanism
+
+BAUMGARTE = 'baumgarte'
+FORMULATIONS = ('subsystem', 'system', 'augmented')
+
+
+@dataclass(frozen=True)
+class Initial:
+    """
+    The state that a simulation starts from, before the loops are closed.
+
+    Attributes
+    ----------
+    position : tuple of nv floats
+        Joint coordinates [rad or m]; approximate is enough.
+    velocity : tuple of nv floats
+        Joint rates [rad/s or m/s]; of the held joints where any are held, else approximate.
+    hold : tuple of str
+        Joints whose position and velocity are kept as given; may be empty.
+
+    """
+
+    position: Tuple[float, ...]
+    velocity: Tuple[float, ...]
+    hold: Tuple[str, ...] = ()
+
+    def __post_init__(self):
+        """Refuse what is no list of finite numbers, and joints held twice."""
+        normalise(self, position=list_of(number), velocity=list_of(number), hold=list_of(name))
+        for index, joint in enumerate(self.hold):
+            if joint in self.hold[:index]:
+                raise FieldError('every joint once', f'{joint!r} again', path=('hold', index))
+
+
+# What the stamps of messages tell apart [s].
+SMALLEST_STEP = 1e-9
+
+
+@dataclass(frozen=True)
+class Method:
+    """
+    How the motion is computed.
+
+    Attributes
+    ----------
+    integrator : str
+        A name of ``integration.registry.INTEGRATORS``; ``'auto'`` keeps ``accuracy``.
+    step_size : float
+        Size of the steps, or, with an error-controlled integrator, the raster on which the
+        state is asked for [s]; at least 1e-9.
+    stabilisation : str
+        How the loops are kept closed: a name of ``integration.registry.STABILISATIONS``.
+    tolerance : float
+        Local error that an error-controlled integrator allows per step [rad, m; rad/s, m/s].
+    baumgarte_time_constant : float or None
+        In which Baumgarte's method lets a closure error decay [s], positive; ten steps where
+        none is given.
+    formulation : str
+        ``'subsystem'``, ``'system'`` or ``'augmented'``.
+    accuracy : float
+        Error of positions after a second of motion [rad, m], that ``'auto'`` keeps.
+
+    """
+
+    integrator: str = AUTO
+    step_size: float = 0.001
+    stabilisation: str = 'projection'
+    tolerance: float = 1e-6
+    baumgarte_time_constant: Optional[float] = None
+    formulation: str = 'subsystem'
+    accuracy: float = 1e-6
+
+    def __post_init__(self):
+        """Refuse unknown methods and impossible times."""
+        normalise(self, integrator=one_of(tuple(INTEGRATORS)), step_size=positive,
+                  stabilisation=one_of(tuple(STABILISATIONS)), tolerance=positive,
+                  accuracy=positive, formulation=one_of(FORMULATIONS))
+        if self.step_size < SMALLEST_STEP:
+            raise FieldError(f'a number of at least {SMALLEST_STEP:g} [s]', shown(self.step_size),
+                             path=('step_size',))
+        if self.baumgarte_time_constant is not None:
+            normalise(self, baumgarte_time_constant=positive)
+
+    @property
+    def unused(self):
+        """Return what each key that means nothing here would need, by key."""
+        adaptive = INTEGRATORS[self.integrator].kind == ADAPTIVE
+        needs = {
+            'accuracy': (self.integrator == AUTO, f'integrator: {AUTO}'),
+            'tolerance': (adaptive and self.integrator != AUTO,
+                          'an error-controlled integrator that is chosen by name'),
+            'baumgarte_time_constant': (
+                self.stabilisation == BAUMGARTE, f'stabilisation: {BAUMGARTE}')}
+        return {key: need for key, (used, need) in needs.items() if not used}
+
+    @property
+    def time_constant(self):
+        """Time constant of Baumgarte's method [s]: as given, or tied to the step."""
+        return self.baumgarte_time_constant or 10.0 * self.step_size
+
+
+@dataclass(frozen=True)
+class Scene:
+    """
+    What a user chooses to simulate.
+
+    Attributes
+    ----------
+    name : str
+    path : pathlib.Path or None
+        The file it was read from; None where it was built in Python.
+    description : str
+    mechanism : Mechanism
+    initial : Initial
+    effects : dict of str to record
+        One record of ``effects.registry`` for each effect, by its free name.
+    method : Method
+
+    """
+
+    name: str
+    path: Optional[Path]
+    description: str
+    mechanism: Mechanism
+    initial: Initial
+    effects: dict = field(default_factory=dict)
+    method: Method = Method()
+
+    def __post_init__(self):
+        """Refuse an initial state or an effect that does not fit the mechanism."""
+        normalise(self, description=text, mechanism=validate_mechanism, effects=mapping)
+        joints = self.mechanism.joint_names
+        for key in ('position', 'velocity'):
+            values = getattr(self.initial, key)
+            if len(values) != len(joints):
+                raise FieldError(f'{len(joints)} numbers, one for each joint', f'{len(values)}',
+                                 path=('initial', key))
+        for index, joint in enumerate(self.initial.hold):
+            with at('initial', 'hold', index):
+                one_of(joints, 'one of the joints')(joint)
+        for key, effect in self.effects.items():
+            with at('effects', key):
+                name(key)
+                if type(effect) not in EFFECTS.values():
+                    raise FieldError('a record of effects.registry', shown(effect))
+                effect.fit(self.mechanism)
+        with at('effects'):
+            require_one_drive_each(self.effects)

@@ -1,0 +1,128 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+A scene with its mechanism as one text, to travel in a bag and be simulated again elsewhere.
+
+The text is JSON, which the readers of scenes and mechanisms take as well: what comes
+back went through the same checks as any other file.
+
+"""
+
+from dataclasses import fields, MISSING, replace
+import json
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from .scene import load_scene, SceneError
+from ..effects.registry import effect_type
+from ..mechanism.validation import SECTIONS
+
+FORMAT = 1
+MECHANISM_FILE = 'mechanism.yaml'
+
+
+def scene_text(scene, effects=None, disabled=(), **facts):
+    """
+    Return a scene as text.
+
+    Parameters
+    ----------
+    scene : scene_records.Scene
+        With its mechanism.
+    effects : dict of str to record, optional
+        In place of the scene's own: with values that were changed since.
+    disabled : sequence of str
+        Names of effects that are switched off.
+    **facts
+        What else is to be told, as JSON can: a simulated time, say.
+
+    Returns
+    -------
+    str
+
+    """
+    joints = scene.mechanism.joint_names
+    initial = scene.initial
+    effects = scene.effects if effects is None else effects
+    return json.dumps({
+        'format': FORMAT, 'name': scene.name, **facts, 'disabled': list(disabled),
+        'scene': {
+            'mechanism': f'./{MECHANISM_FILE}',
+            'description': scene.description,
+            'initial': {
+                'position': dict(zip(joints, initial.position)),
+                'hold': list(initial.hold),
+                'velocity': {name: value for name, value in zip(joints, initial.velocity)
+                             if name in initial.hold or not initial.hold}},
+            'effects': {name: {'type': effect_type(record), **_values(record)}
+                        for name, record in effects.items()},
+            'method': {key: value for key, value in _values(scene.method).items()
+                       if key not in scene.method.unused}},
+        'mechanism': _mechanism(scene.mechanism)}, allow_nan=False,
+        ensure_ascii=False)
+
+
+def read_scene_text(text):
+    """
+    Return the scene that a text tells, and the facts beside it.
+
+    Parameters
+    ----------
+    text : str
+        Of ``scene_text``.
+
+    Returns
+    -------
+    scene : scene_records.Scene
+    facts : dict
+        ``disabled`` and what else was told.
+
+    Raises
+    ------
+    SceneError
+        Where the text is no scene, or a faulty one.
+
+    """
+    try:
+        facts = json.loads(text)
+        scene, mechanism = facts.pop('scene'), facts.pop('mechanism')
+        number, name = facts.pop('format'), str(facts.pop('name'))
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise SceneError(f'expected the text of a scene, got something else ({error})') from None
+    if number != FORMAT:
+        raise SceneError(f'expected the text of a scene in format {FORMAT}, got {number!r}; a '
+                         'newer version of this package may read it')
+    with TemporaryDirectory() as directory:
+        path = Path(directory) / 'scene.yaml'
+        path.write_text(json.dumps(scene, ensure_ascii=False), encoding='utf-8')
+        (path.parent / MECHANISM_FILE).write_text(
+            json.dumps(mechanism, ensure_ascii=False), encoding='utf-8')
+        return replace(load_scene(path), name=name, path=None), facts
+
+
+def _mechanism(mechanism):
+    return {'name': mechanism.name, 'description': mechanism.description, **{
+        key: {record.name: _values(record, leave_out=('name',))
+              for record in getattr(mechanism, key)}
+        for key in SECTIONS}}
+
+
+def _values(record, leave_out=()):
+    """Return the fields of a record that differ from their defaults."""
+    return {
+        field.name: value for field in fields(record)
+        if field.name not in leave_out
+        and ((value := getattr(record, field.name)) != field.default
+             or field.default is MISSING)}

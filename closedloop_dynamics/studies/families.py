@@ -1,0 +1,136 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Mechanisms of any size, closed as they are built, to study how costs grow."""
+
+import math
+
+from ..mechanism.mechanism import Body, CutJoint, GROUND, Joint, Mechanism, REVOLUTE
+
+
+def ladder(loops, angle=0.5):
+    """
+    Build N + 1 cranks side by side on the ground, N couplers between their tips: N loops.
+
+    Each crank carries the coupler to the next one, where it is cut: the cut joints form a chain
+    between subsystems of two bodies. All bars are uniform, 1 m long, of 1 kg.
+
+    Parameters
+    ----------
+    loops : int
+        N, at least 1.
+    angle : float
+        Of all cranks [rad]; upright at pi / 2, flat and singular at 0.
+
+    Returns
+    -------
+    mechanism : Mechanism
+        With 2 N + 1 joints and 2 N equations.
+    position : tuple of floats
+        Coordinates that close the loops.
+
+    """
+    bodies, joints, cuts, position = [], [], [], []
+    for k in range(loops + 1):
+        bodies.append(_bar(f'crank_{k}', 1.0))
+        joints.append(Joint(f'pivot_{k}', REVOLUTE, GROUND, f'crank_{k}', (float(k), 0.0),
+                            actuated=k == 0))
+        position.append(angle)
+        if k < loops:
+            bodies.append(_bar(f'coupler_{k}', 1.0))
+            joints.append(Joint(f'tip_{k}', REVOLUTE, f'crank_{k}', f'coupler_{k}', (1.0, 0.0)))
+            position.append(-angle)
+            cuts.append(CutJoint(f'cut_{k}', REVOLUTE, f'coupler_{k}', f'crank_{k + 1}',
+                                 (1.0, 0.0), (1.0, 0.0)))
+    return Mechanism(f'ladder_{loops}', tuple(bodies), tuple(joints), tuple(cuts)), tuple(position)
+
+
+def chain(links):
+    """
+    Build N links in a row, together 1 m long, hung up at both ends along a half circle.
+
+    Parameters
+    ----------
+    links : int
+        N, at least 3.
+
+    Returns
+    -------
+    mechanism : Mechanism
+        With N joints and one cut joint: 2 equations.
+    position : tuple of floats
+        Coordinates that close the loop.
+
+    """
+    length, turn = 1.0 / links, math.pi / links
+    bodies = tuple(_bar(f'link_{k}', length, length) for k in range(links))
+    joints = [Joint('joint_0', REVOLUTE, GROUND, 'link_0', (0.0, 0.0), actuated=True)]
+    joints += [Joint(f'joint_{k}', REVOLUTE, f'link_{k - 1}', f'link_{k}', (length, 0.0))
+               for k in range(1, links)]
+    angles = [-math.pi / 2 + (k + 0.5) * turn for k in range(links)]
+    end = tuple(length * math.fsum(part(angle) for angle in angles)
+                for part in (math.cos, math.sin))
+    cut = CutJoint('cut', REVOLUTE, f'link_{links - 1}', GROUND, (length, 0.0), end)
+    position = (angles[0], *[turn] * (links - 1))
+    return Mechanism(f'chain_{links}', bodies, tuple(joints), (cut,)), position
+
+
+def star(loops, arms=8, angle=0.5):
+    """
+    Build ladders that meet at one crank: a star of subsystems.
+
+    The subsystem in the middle touches as many cut joints as there are arms, every other one two.
+    All cranks turn alike, as in a ladder.
+
+    Parameters
+    ----------
+    loops : int
+        Of each arm, at least 1.
+    arms : int
+        Ladders, evenly around the crank in the middle.
+    angle : float
+        Of all cranks [rad].
+
+    Returns
+    -------
+    mechanism : Mechanism
+        With 2 arms loops + 1 joints and one equation less.
+    position : tuple of floats
+        Coordinates that close the loops.
+
+    """
+    bodies, cuts = [_bar('hub', 1.0)], []
+    joints = [Joint('pivot', REVOLUTE, GROUND, 'hub', (0.0, 0.0), actuated=True)]
+    position = [angle]
+    for arm in range(arms):
+        turn = 2.0 * math.pi * arm / arms
+        x, y = math.cos(turn), math.sin(turn)
+        before = 'hub'
+        for k in range(1, loops + 1):
+            crank, coupler = f'crank_{arm}_{k}', f'coupler_{arm}_{k}'
+            bodies += [_bar(crank, 1.0), _bar(coupler, 1.0)]
+            joints += [
+                Joint(f'pivot_{arm}_{k}', REVOLUTE, GROUND, crank, (k * x, k * y)),
+                Joint(f'tip_{arm}_{k}', REVOLUTE, before, coupler, (1.0, 0.0))]
+            position += [angle, turn - angle]
+            cuts.append(CutJoint(f'cut_{arm}_{k}', REVOLUTE, coupler, crank, (1.0, 0.0),
+                                 (1.0, 0.0)))
+            before = crank
+    mechanism = Mechanism(f'star_{arms}_{loops}', tuple(bodies), tuple(joints), tuple(cuts))
+    return mechanism, tuple(position)
+
+
+def _bar(name, length, mass=1.0):
+    """Return a uniform bar along its x axis."""
+    return Body(name, mass, (0.5 * length, 0.0), mass * length ** 2 / 12.0)

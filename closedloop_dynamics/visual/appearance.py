@@ -1,0 +1,115 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+What a mechanism looks like: outlines and colours that pictures, URDF and markers share.
+
+A body is drawn through the points the description gives it: its own joint, the
+joints and cut joints it carries, its named points. Colours tell subsystems
+apart; all of them can be told apart by colour-blind readers, too.
+
+"""
+
+import numpy as np
+
+from ..mechanism.decomposition import decompose
+from ..mechanism.mechanism import GROUND, PRISMATIC
+
+# Okabe and Ito's palette: subsystems in turn, and what has a colour of its own.
+SUBSYSTEM_COLORS = ('#0072B2', '#E69F00', '#009E73', '#56B4E9', '#CC79A7')
+CUT_COLOR, FORCE_COLOR, PATH_COLOR = '#D55E00', '#B2182B', '#6A3D9A'
+CONTACT_COLOR = '#8C6D31'
+# Three points count as on a line where they span less of the outline's own area than this.
+FLAT = 1e-9
+
+
+def outline(mechanism, body):
+    """
+    Return the corners of a body as the description suggests them.
+
+    Parameters
+    ----------
+    mechanism : mechanism.mechanism.Mechanism
+        With that body.
+    body : str
+        Its name.
+
+    Returns
+    -------
+    ndarray, shape (m, 2)
+        In the body's frame [m]: one point, the two ends of a bar, or the corners of the convex
+        hull of its joints, cut joints and named points, counter-clockwise.
+
+    """
+    points = [(0.0, 0.0)]
+    points += [joint.position for joint in mechanism.joints if joint.parent == body]
+    points += [cut.point_a for cut in mechanism.cut_joints if cut.body_a == body]
+    points += [cut.point_b for cut in mechanism.cut_joints if cut.body_b == body]
+    points += [point.position for point in mechanism.points if point.body == body]
+    # Sorted, so that all on one line are in order along it.
+    return _convex_hull(np.unique(np.array(points), axis=0))
+
+
+def _convex_hull(points):
+    """Return the convex hull of sorted points (Andrew's monotone chain)."""
+    if len(points) < 3:
+        return points
+    flat = FLAT * np.ptp(points, axis=0).max() ** 2
+    halves = []
+    for ordered in (points, points[::-1]):
+        half = []
+        for point in ordered:
+            while len(half) > 1 and _turn(half[-2], half[-1], point) <= flat:
+                half.pop()
+            half.append(point)
+        halves.append(half[:-1])
+    return np.array(halves[0] + halves[1])
+
+
+def _turn(first, second, third):
+    """Return twice the area of a triangle, positive counter-clockwise."""
+    (x, y), (u, v) = second - first, third - first
+    return x * v - y * u
+
+
+def body_colors(mechanism):
+    """
+    Return the colour of every body: that of its subsystem.
+
+    Parameters
+    ----------
+    mechanism : mechanism.mechanism.Mechanism
+        What is coloured.
+
+    Returns
+    -------
+    dict of str to str
+        ``#RRGGBB`` by the body's name.
+
+    """
+    child = {joint.name: joint.child for joint in mechanism.joints}
+    return {child[name]: SUBSYSTEM_COLORS[number % len(SUBSYSTEM_COLORS)]
+            for number, tree in enumerate(decompose(mechanism).subsystems) for name in tree}
+
+
+def sliders(mechanism):
+    """Return the names of the bodies that are drawn as blocks on a slide, a set."""
+    names = {joint.child for joint in mechanism.joints if joint.type == PRISMATIC}
+    names |= {cut.body_a for cut in mechanism.cut_joints if cut.type == PRISMATIC}
+    return names - {GROUND}
+
+
+def rgb(color):
+    """Return red, green and blue of ``#RRGGBB``, each 0 to 1."""
+    return tuple(int(color[k:k + 2], 16) / 255.0 for k in (1, 3, 5))

@@ -1,0 +1,54 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Messages to fill bags with; light, for processes of their own."""
+
+from closedloop_dynamics.recording.contents import Topic
+from closedloop_dynamics.recording.metadata import dump
+from closedloop_dynamics.recording.writer import BagFiles
+import numpy as np
+from rosbags.typesys import get_typestore, Stores
+
+__all__ = ['BagFiles']
+STORE = get_typestore(Stores.ROS2_JAZZY)
+VALUES = 'std_msgs/msg/Float64MultiArray'
+TEXT = 'std_msgs/msg/String'
+QOS = [{'history': 'keep_last', 'depth': 5, 'reliability': 'reliable', 'durability': 'volatile',
+        'deadline': {'sec': 0, 'nsec': 0}, 'lifespan': {'sec': 0, 'nsec': 0},
+        'liveliness': 'automatic', 'liveliness_lease_duration': {'sec': 0, 'nsec': 0},
+        'avoid_ros_namespace_conventions': False}]
+
+
+def add(files, topic, kind, profiles=QOS):
+    definition, _ = STORE.generate_msgdef(kind, ros_version=2)
+    return files.add_topic(Topic(topic, kind, definition, dump(profiles), STORE.hash_rihs01(kind)))
+
+
+def values(index, size=50):
+    message = STORE.types[VALUES](
+        layout=STORE.types['std_msgs/msg/MultiArrayLayout'](dim=[], data_offset=0),
+        data=np.full(size, index / 3.0))
+    return bytes(STORE.serialize_cdr(message, VALUES))
+
+
+def text(index):
+    return bytes(STORE.serialize_cdr(STORE.types[TEXT](data=f'gr\u00fcezi {index}'), TEXT))
+
+
+def write(files, count, first=0):
+    """Write count messages to each of two topics."""
+    numbers, words = add(files, '/numbers', VALUES), add(files, '/words', TEXT)
+    for index in range(first, first + count):
+        files.write(numbers, 1000 + index, values(index))
+        files.write(words, 1000 + index, text(index))

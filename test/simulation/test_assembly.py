@@ -1,0 +1,209 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Assembly: loops close, nearest in the metric of mass, held joints stay, surprises are told."""
+
+from dataclasses import replace
+
+from closedloop_dynamics.core.types import allocate
+from closedloop_dynamics.simulation.assembly import (
+    angle_notes, Assembler, find_degrees_of_freedom, TOLERANCE)
+from closedloop_dynamics.simulation.errors import AssemblyError
+from closedloop_dynamics.simulation.modeling import build_model, extent
+from closedloop_dynamics.simulation.scene import load_scene, scene_names
+import numpy as np
+import pytest
+
+from ..reference.linkages import random_linkage
+from ..reference.machines import parallelogram
+
+STILL = np.zeros(3)
+
+
+def assembler(mechanism):
+    model = build_model(mechanism)
+    return Assembler(mechanism, model, allocate(model), extent(mechanism))
+
+
+def tangents(one, q):
+    """Return the motions that keep the loops closed, a row each."""
+    jac = one.jacobian(q)
+    _, singular, right = np.linalg.svd(jac)
+    return right[int(np.sum(singular > 1e-7 * singular[0])):]
+
+
+@pytest.mark.parametrize('name', scene_names())
+def test_shipped_starts_close_with_held_joints_as_given_and_nothing_to_tell(name):
+    scene = load_scene(name)
+    one, hold = assembler(scene.mechanism), scene.initial.hold
+    position, velocity = np.array(scene.initial.position), np.array(scene.initial.velocity)
+    q = one.positions(position, hold)
+    held = [scene.mechanism.joint_names.index(joint) for joint in hold]
+    assert np.abs(one.closure(q)).max() <= TOLERANCE * one.extent
+    assert np.array_equal(q[held], position[held])
+    rates = np.zeros(one.nv)
+    rates[held] = np.arange(1.0, 1.0 + len(held))
+    qd = one.velocities(q, rates, hold)
+    assert np.array_equal(qd[held], rates[held])
+    assert np.abs(one.jacobian(q) @ qd).max() <= 1e-12
+    assert one.notes(position, velocity, q, one.velocities(q, velocity, hold), hold) == []
+    assert one.degrees_of_freedom(q) == len(hold) == find_degrees_of_freedom(scene.mechanism)
+
+
+@pytest.mark.parametrize('seed', range(12))
+def test_nearest_state_in_the_metric_of_mass(seed):
+    rng = np.random.default_rng(seed)
+    mechanism, closed, _ = random_linkage(rng)
+    one = assembler(mechanism)
+    guess = closed + 1e-5 * rng.normal(size=one.nv)
+    q = one.positions(guess)
+    assert np.abs(one.closure(q)).max() <= TOLERANCE * one.extent
+    # At the nearest point the change is orthogonal to every motion that keeps the loops closed.
+    inertia, free = one.inertia(q), tangents(one, q)
+    change = inertia @ (q - guess)
+    assert np.abs(free @ change).max() <= 1e-3 * np.linalg.norm(change)
+    wanted = rng.normal(size=one.nv)
+    qd = one.velocities(q, wanted)
+    assert np.abs(one.jacobian(q) @ qd).max() <= 1e-9
+    change = inertia @ (qd - wanted)
+    assert np.abs(free @ change).max() <= 1e-9 * np.linalg.norm(change)
+
+
+@pytest.mark.parametrize('hold', [(), ('crank_joint',)])
+def test_a_closed_state_is_taken_as_it_is(hold):
+    scene = load_scene('four_bar')
+    one = assembler(scene.mechanism)
+    q = one.positions(scene.initial.position, hold)
+    qd = one.velocities(q, [2.0, 0.0, 0.0], hold)
+    assert np.array_equal(one.positions(q, hold), q)
+    assert np.array_equal(one.velocities(q, qd, hold), qd)
+
+
+def test_the_branch_is_that_of_the_guess_or_it_is_told():
+    scene = load_scene('four_bar')
+    one, hold = assembler(scene.mechanism), ('crank_joint',)
+
+    def bend(q):
+        # Which way the coupler and the rocker are bent at the pin between them.
+        return np.sign(np.sin(q[2] - q[0] - q[1]))
+
+    told, rng = 0, np.random.default_rng(0)
+    start = one.positions(scene.initial.position, hold)
+    for _ in range(60):
+        guess = start + [0.0, *rng.uniform(-2.5, 2.5, 2)]
+        if abs(np.sin(guess[2] - guess[0] - guess[1])) < 0.1:
+            continue
+        try:
+            q = one.positions(guess, hold)
+        except AssemblyError:
+            continue
+        note = ' '.join(one.notes(guess, STILL, q, STILL, hold))
+        assert ('mirrored' in note) == (bend(q) != bend(guess))
+        assert ('moved from' in note) == (np.abs(q - guess).max() > 0.5)
+        told += 'mirrored' in note
+    assert told > 3
+    for guess in start + rng.uniform(-0.3, 0.3, (20, 3)) * [0, 1, 1]:
+        assert np.allclose(one.positions(guess, hold), start, atol=1e-9)
+
+
+def test_refusal_names_the_open_loop_and_a_cure_that_works():
+    scene = load_scene('four_bar')
+    long = replace(scene.mechanism, joints=tuple(
+        replace(joint, position=(3.0, 0.0)) if joint.name == 'rocker_joint' else joint
+        for joint in scene.mechanism.joints))
+    one, (cut,) = assembler(long), long.cut_joints
+    with pytest.raises(AssemblyError, match=f'{cut.name} stays open by .*check lengths'):
+        one.positions(np.array(scene.initial.position))
+    assert find_degrees_of_freedom(long) is None
+
+    # A crank-rocker's rocker cannot stand at every angle.
+    one, guess = assembler(scene.mechanism), np.array(scene.initial.position)
+    guess[2] = 0.2
+    with pytest.raises(AssemblyError, match='closes at rocker_joint = ([0-9.-]+): hold') as error:
+        one.positions(guess, ('rocker_joint',))
+    guess[2] = float(str(error.value).split('rocker_joint = ')[1].split(':')[0])
+    one.positions(guess, ('rocker_joint',))
+
+
+def test_too_many_and_too_few_held_joints_are_counted_by_what_can_move():
+    one = assembler(parallelogram(rockers=4))
+    assert (one.nv, one.nc) == (6, 8)
+    guess = np.array([1.0, -1.0, 1.0, 1.0, 1.0, 1.0])
+    assert one.degrees_of_freedom(one.positions(guess)) == 1
+    assert find_degrees_of_freedom(one.mechanism) == 1
+    with pytest.raises(AssemblyError, match='has only 1 degree of freedom: hold fewer'):
+        one.positions(guess + [0.1, 0, 0, 0, 0, 0], ('crank_joint', 'joint_0'))
+    scene = load_scene('three_rrr')
+    with pytest.raises(AssemblyError, match='2 degrees of freedom stay open. Hold 2 more of'):
+        assembler(scene.mechanism).positions(scene.initial.position, ('theta_1',))
+
+
+def test_velocities_that_become_others_are_told():
+    scene = load_scene('four_bar')
+    one = assembler(scene.mechanism)
+    q = one.positions(scene.initial.position)
+    wanted = np.array([0.0, 1.0, 0.0])
+    qd = one.velocities(q, wanted)
+    assert abs(qd[1] - 1.0) > 0.1
+    note, = one.notes(q, wanted, q, qd, ())
+    assert note == (f'The velocity 1 wanted of coupler_joint became {qd[1]:.6g}: the nearest '
+                    'motion that keeps the loops closed. To have it as given, hold '
+                    'coupler_joint.')
+    # The cure that is named.
+    qd = one.velocities(q, wanted, ('coupler_joint',))
+    assert qd[1] == 1.0 and one.notes(q, wanted, q, qd, ('coupler_joint',)) == []
+
+
+def test_held_velocities_that_contradict_the_loops_are_refused():
+    scene = load_scene('four_bar')
+    one = assembler(scene.mechanism)
+    q = one.positions(scene.initial.position)
+    with pytest.raises(AssemblyError, match='crank_joint, rocker_joint contradict the loops'):
+        one.velocities(q, [1.0, 0.0, -1.0], ('crank_joint', 'rocker_joint'))
+
+
+@pytest.mark.parametrize('hold', [(), ('crank_joint',)])
+def test_a_change_point_is_named_and_left_by_the_cure_that_is_named(hold):
+    one = assembler(parallelogram())
+    flat = one.positions(STILL, hold)
+    assert one.lost_equations(flat) == 1
+    note, = one.notes(STILL, STILL, flat, STILL, hold)
+    assert 'change point' in note and '1 of 2 closure equations' in note
+    assert 'crank_joint further by 0.01' in note and one.advice_on_opening(flat)
+    # The links stay in line to first order whatever their rates; to second order they do so in
+    # two ways only: 0.2 w_1^2 + 0.5 w_2^2 = 0.2 w_3^2 and 0.2 w_1 + 0.5 w_2 = 0.2 w_3.
+    with pytest.raises(AssemblyError, match='change point .*belong to none of the ways'):
+        one.velocities(flat, [1.0, 0.0, 0.0], hold)
+    for turn in (0.0, -4.0 / 3.0):
+        branch = np.array([1.0, turn - 1.0, 1.0 + 2.5 * turn])
+        assert np.array_equal(one.velocities(flat, branch, hold), branch)
+    beside = one.positions([0.01, -0.01, 0.01], ('crank_joint',))
+    assert one.lost_equations(beside) == 0
+    assert np.allclose(one.velocities(beside, [1.0, 0.0, 0.0], ('crank_joint',)), [1.0, -1.0, 1.0])
+
+
+def test_equations_that_depend_everywhere_are_no_change_point():
+    one = assembler(parallelogram(rockers=3))
+    q = one.positions([1.0, -1.0, 1.0, 1.0, 1.0])
+    rest = np.zeros(one.nv)
+    assert one.lost_equations(q) == 0 and one.notes(q, rest, q, rest, ()) == []
+    assert one.advice_on_opening(q) == ''
+    assert np.allclose(one.velocities(q, [1.0, 0, 0, 0, 0], ('crank_joint',)), [1, -1, 1, 1, 1])
+
+
+def test_angles_in_degrees_are_told():
+    mechanism = load_scene('four_bar').mechanism
+    note, = angle_notes(mechanism, [60.0, -0.5, 6.0])
+    assert 'crank_joint = 60.' in note and 'degrees?' in note and 'rocker' not in note
+    assert angle_notes(load_scene('slider_crank').mechanism, [0.0, 0.0, 60.0]) == []

@@ -1,0 +1,57 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""A scene that went through text is the same scene."""
+
+from dataclasses import replace
+import json
+
+from closedloop_dynamics.simulation.scene import load_scene, scene_names, SceneError
+from closedloop_dynamics.simulation.scene_text import read_scene_text, scene_text
+import pytest
+
+
+@pytest.mark.parametrize('name', scene_names())
+def test_shipped_scenes_come_back(name):
+    scene = load_scene(name)
+    back, facts = read_scene_text(scene_text(scene, disabled=('one',), simulated_time=0.1 + 0.2))
+    assert back == replace(scene, path=None)
+    assert facts == {'disabled': ['one'], 'simulated_time': 0.1 + 0.2}
+
+
+def test_changed_effects_and_methods_are_told():
+    scene = load_scene('three_rrr')
+    changed = replace(scene.effects['gravity'], acceleration=(1e-7, -1.62))
+    slower = replace(scene, method=replace(scene.method, step_size=1e-5),
+                     description='Gr\u00fc\u00dfe, "quoted" \\ \U0001f600')
+    back, _ = read_scene_text(scene_text(slower, {'gravity': changed}))
+    assert back.effects == {'gravity': changed}
+    assert back.description == slower.description
+    assert (back.mechanism, back.initial, back.method) == (
+        slower.mechanism, slower.initial, slower.method)
+
+
+@pytest.mark.parametrize('text', ['', 'mechanism: three_rrr', '[]', '{}', 'null'])
+def test_other_text_is_refused(text):
+    with pytest.raises(SceneError, match='text of a scene'):
+        read_scene_text(text)
+
+
+def test_a_newer_format_is_named():
+    data = json.loads(scene_text(load_scene('four_bar')))
+    with pytest.raises(SceneError, match='format 1, got 2'):
+        read_scene_text(json.dumps({**data, 'format': 2}))
+    data['scene']['initial'] = {}
+    with pytest.raises(SceneError, match='initial'):
+        read_scene_text(json.dumps(data))
