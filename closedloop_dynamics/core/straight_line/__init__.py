@@ -15,10 +15,12 @@
 """
 Kernels unrolled for the topology of one mechanism.
 
-The loops of ``core`` serve every mechanism; a mechanism of a few bodies spends most of its time
-in them on indices. Here the same kernels are run once on symbols (``tape``), and the
-arithmetic that they leave behind is compiled (``emit``) to routines that compiled code calls by
-their address (``linkage``): one more second at the first start, a third of the time ever after.
+The loops of ``core`` serve every planar mechanism; one of a few bodies spends most of its time
+in them on indices. Here an evaluation is run once on symbols (``tape``): the recursions over the
+bodies are those in space (``spatial``), which a mechanism in the plane reduces to its own
+(``plane``); the elimination is that of the loops. The arithmetic that is left behind is compiled
+(``emit``) to routines that compiled code calls by their address (``linkage``): one more second at
+the first start, a third of the time ever after.
 
 """
 

@@ -16,15 +16,16 @@
 
 import numpy as np
 
-from . import emit
+from . import emit, plane
 from .linkage import (
     ACCELERATION, BAUMGARTE, BODY, CLOSURE, CLOSURE_RATE, CORRECTION, CORRECTIONS, CUT_POINT,
     EVALUATION, GRAVITY, HEALTH, LAM, OUTWARD, QDD, REFINED_ACCELERATION, REFINED_CORRECTION, TAU,
     WORK_BODY)
+from .spatial import Recursion
 from .tape import LOAD, Tape, unrolled
 from .. import (
     articulated_inertia, elimination, forward_dynamics, kinematics, loop_closure, refinement)
-from ..types import allocate, AX, AY, COS, RHS, TYPE, Workspace
+from ..types import allocate, RHS, TYPE, Workspace
 
 NAMES = {EVALUATION: 'evaluation', OUTWARD: 'outward', ACCELERATION: 'acceleration',
          CORRECTION: 'correction', REFINED_ACCELERATION: 'refined_acceleration',
@@ -74,15 +75,24 @@ def addresses(model, which, writer=emit.Writer):
     key = topology(model), which, writer.__name__
     if key not in _addresses:
         find = emit.machine_code(
-            key, lambda: [_Unrolling(model).routine(one) for one in which], writer)
+            key, lambda: [Unrolling(model).routine(one) for one in which], writer)
         _addresses[key] = {one: find(NAMES[one]) for one in which}
     return _addresses[key]
 
 
-class _Unrolling:
-    """One mechanism with symbols in the place of all numbers that may change."""
+class Unrolling:
+    """
+    One mechanism with symbols in the place of all numbers that may change.
+
+    Parameters
+    ----------
+    model : Model
+        Constant arrays of the mechanism.
+
+    """
 
     def __init__(self, model):
+        """Make the symbols of all inputs."""
         self.tape = Tape()
         self.nv, self.nc = len(model.tree) - 1, len(model.column) - 1
         self.model = model._replace(
@@ -92,6 +102,19 @@ class _Unrolling:
         self.work = work._replace(health=self.symbols(HEALTH, work.health.shape))
         self.q, self.qd = self.symbols(emit.Q, (self.nv,)), self.symbols(emit.QD, (self.nv,))
         self.outputs = []
+        self.recursion = Recursion(
+            plane.bodies(model.tree, self.model.body), plane.cuts(model.cut, self.model.cut_point),
+            (*self.model.gravity, 0.0))
+        # The elimination and what leads up to it are the kernels' own.
+        self.known = {stage.py_func: own for stage, own in (
+            (kinematics.outward, self.recursion.outward),
+            (articulated_inertia.inward, self.recursion.inward),
+            (articulated_inertia.outward_acceleration, self.recursion.outward_acceleration),
+            (loop_closure.update, self.recursion.update))}
+
+    def run(self, kernel, *arguments):
+        """Run a kernel on symbols."""
+        return unrolled(kernel, self.known)(*arguments)
 
     def symbols(self, source, shape):
         """Return an array of numbers to be read from an input."""
@@ -114,21 +137,18 @@ class _Unrolling:
 
     def evaluation(self):
         """Accelerations and multipliers of a state where nothing but gravity and torques acts."""
-        unrolled(kinematics.outward)(self.model, self.q, self.qd, self.work)
+        self.recursion.outward(self.model, self.q, self.qd, self.work)
         self.accelerate(forward_dynamics)
 
     def outward(self):
         """Poses, velocities and forces of inertia: what effects work on."""
-        unrolled(kinematics.outward)(self.model, self.q, self.qd, self.work)
+        self.recursion.outward(self.model, self.q, self.qd, self.work)
+        plane.write(self.recursion, self.work.body)
         self.store(WORK_BODY, self.work.body)
 
     def acceleration(self, by=forward_dynamics):
         """Accelerations and multipliers after ``outward`` and the effects."""
-        body = self.symbols(WORK_BODY, self.work.body.shape)
-        self.work.body[1:] = body[1:]
-        # Of the ground, only gravity is not known already.
-        self.work.body[0, COS] = 1.0
-        self.work.body[0, AX:AY + 1] = body[0, AX:AY + 1]
+        plane.read(self.recursion, self.symbols(WORK_BODY, self.work.body.shape))
         self.accelerate(by)
         self.store(CLOSURE, self.work.closure)
         self.store(CLOSURE_RATE, self.work.closure_rate)
@@ -141,7 +161,7 @@ class _Unrolling:
         """Unroll the forward dynamics of one of the modules."""
         baumgarte = self.symbols(BAUMGARTE, (1,))[0]
         tau, qdd, lam = self.symbols(TAU, (self.nv,)), _zeros(self.nv), _zeros(self.nc)
-        bool(unrolled(by.accelerate)(self.model, self.work, tau, baumgarte, qdd, lam))
+        bool(self.run(by.accelerate, self.model, self.work, tau, baumgarte, qdd, lam))
         self.store(QDD, qdd)
         self.store(LAM, lam)
         self.store(HEALTH, self.work.health)
@@ -153,15 +173,14 @@ class _Unrolling:
     def correction(self, by=forward_dynamics):
         """Least changes of coordinates and of rates that close the loops, one after the other."""
         model, work = self.model, self.work
-        known = {}
-        unrolled(kinematics.outward, known)(model, self.q, self.qd, work)
-        bool(unrolled(by.prepare, known)(model, _zeros(self.nv), work))
+        self.recursion.outward(model, self.q, self.qd, work)
+        bool(self.run(by.prepare, model, _zeros(self.nv), work))
         for n, error in enumerate((work.closure, work.closure_rate)):
             right, out = -error, _zeros(self.nv)
-            unrolled(elimination.solve, known)(model, work, right)
+            self.run(elimination.solve, model, work, right)
             work.body[:, RHS] = 0.0
-            unrolled(loop_closure.apply, known)(model, work, right)
-            unrolled(articulated_inertia.outward_acceleration, known)(model, work, out)
+            self.run(loop_closure.apply, model, work, right)
+            self.recursion.outward_acceleration(model, work, out)
             self.store(CORRECTIONS, out, n * self.nv)
         self.store(CLOSURE, work.closure)
         self.store(CLOSURE_RATE, work.closure_rate)

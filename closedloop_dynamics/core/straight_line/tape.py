@@ -13,11 +13,11 @@
 # limitations under the License.
 
 """
-Unroll kernels for one topology: run them on symbols and keep the arithmetic.
+Unroll an evaluation for one topology: run it on symbols and keep the arithmetic.
 
-The kernels of ``core`` are loops over a mechanism described by arrays. Run with these arrays
-as they are, but with symbols in the place of numbers, they leave behind the list of additions
-and multiplications that this one mechanism needs: no loop, no index, no zero added.
+Recursions and loops over a mechanism, run with symbols in the place of numbers, leave behind the
+list of additions and multiplications that this one mechanism needs: no loop, no index, no zero
+added.
 
 """
 
@@ -193,9 +193,6 @@ def larger(first, second):
     return chosen(second > first, second, first)
 
 
-_MATH = types.SimpleNamespace(sin=sine, cos=cosine)
-
-
 class _Unrolled:
     """A module of kernels, each made to work on symbols when it is asked for."""
 
@@ -213,11 +210,11 @@ def _translate(value, known):
     if function is not None:
         return unrolled(value, known)
     if isinstance(value, types.ModuleType):
-        return _MATH if value.__name__ == 'math' else _Unrolled(value, known)
+        return _Unrolled(value, known)
     return value
 
 
-def unrolled(kernel, known=None):
+def unrolled(kernel, known):
     """
     Return a kernel as a Python function that works on arrays of symbols.
 
@@ -225,15 +222,14 @@ def unrolled(kernel, known=None):
     ----------
     kernel : numba dispatcher
         One that branches on topology only, and chooses by ``choose``.
-    known : dict, optional
-        Kernels translated before.
+    known : dict of function to function
+        What stands in for kernels, by their Python functions; those translated here are added.
 
     Returns
     -------
     function
 
     """
-    known = {} if known is None else known
     function = kernel.py_func
     if function not in known:
         names = {'max': larger, '__builtins__': function.__globals__['__builtins__']}

@@ -1,0 +1,482 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+The recursions of one evaluation in space, on symbols.
+
+One engine serves the plane and space. Each body has six coordinates of motion, in world axes at
+its own origin. Components that a description fixes at 0 or 1 (an axis, a position out of the
+plane) are numbers here, all others symbols; what these numbers decide vanishes before
+anything is compiled. Of a planar mechanism the planar recursions are left.
+
+A row of the tree is a body with a joint of one freedom. The methods of ``Recursion`` take the
+places of ``kinematics.outward``, ``articulated_inertia.inward`` and ``outward_acceleration``, and
+``loop_closure.update``, when the forward dynamics run on symbols.
+
+"""
+
+from typing import NamedTuple
+
+from .tape import chosen, cosine, sine
+from .vectors import (
+    add, cross, dot, IDENTITY, is_number, is_zero, negate, product, scale, skew, subtract,
+    symmetric, times, transpose, ZERO)
+from ..loop_closure import LEVERS, NO_RESPONSES
+from ..types import (
+    BODY_A, BODY_B, DINV, DOF, DZ, PARENT, RHS, ROW, ROWS, SLOT_A, SLOT_B, SLOT_COMMON, SLOT_END)
+
+X, Y, Z = range(3)
+
+
+class Body(NamedTuple):
+    """
+    What one row of the tree is made of; numbers or symbols.
+
+    Attributes
+    ----------
+    turns, slides : float
+        How far the body turns about its axis, and slides along it, for a unit of its coordinate.
+    axis : int
+        X, Y or Z: the column of the body's frame. What turns does so about Z.
+    place : tuple of 3
+        The joint in the parent's frame [m].
+    turned : tuple of 3 tuples or None
+        The joint's frame in the parent's frame; None where it shares the Z axis.
+    angle : number
+        Of the joint's frame about Z [rad].
+    mass : number
+        [kg].
+    moment : tuple of 3
+        First moments in the body's frame [kg m].
+    inertia : tuple of 3 tuples
+        About the body's origin, in the body's frame [kg m^2].
+    armature : number or None
+        Inertia of a rotor as seen at the joint.
+
+    """
+
+    turns: float
+    slides: float
+    axis: int
+    place: tuple
+    turned: tuple
+    angle: object
+    mass: object
+    moment: tuple
+    inertia: tuple
+    armature: object
+
+
+class Cut(NamedTuple):
+    """
+    What closes a loop; numbers or symbols.
+
+    Attributes
+    ----------
+    along : tuple of int
+        Axes of its frame on body B along which nothing moves; the world's where they are three.
+    perpendicular : tuple of pairs of int
+        Axes of its frames on body A and on body B that stay perpendicular.
+    point_a, point_b : tuple of 3
+        The joint in the frames of both bodies [m].
+    turned_a, turned_b : tuple of 3 tuples or None
+        Its frames in those of the bodies; None where they are the bodies' own.
+    angle : number
+        Of the frame on body B, about its Z axis [rad].
+
+    """
+
+    along: tuple
+    perpendicular: tuple
+    point_a: tuple
+    point_b: tuple
+    turned_a: tuple
+    turned_b: tuple
+    angle: object
+
+
+class Motion(NamedTuple):
+    """
+    A body's motion, in world axes.
+
+    Attributes
+    ----------
+    run : int
+        The first of the bodies in a row that turn about parallel axes, or the ground.
+    base : tuple of 3 tuples
+        The frame that their angles are counted from.
+    angle : number
+        From there [rad].
+    frame : tuple of 3 tuples
+        The body's axes are its columns.
+    origin, offset : tuple of 3
+        The body's origin, from the world's and from its parent's [m].
+    spin, velocity : tuple of 3
+        Angular velocity, velocity of the origin.
+    spin_rate, acceleration : tuple of 3
+        What q, qd and gravity leave of their rates when qdd = 0.
+    axis : tuple of 6
+        The motion for a unit rate of the body's own joint.
+
+    """
+
+    run: int
+    base: tuple
+    angle: object
+    frame: tuple
+    origin: tuple
+    offset: tuple
+    spin: tuple
+    velocity: tuple
+    spin_rate: tuple
+    acceleration: tuple
+    axis: tuple
+
+    def carried(self, vector):
+        """Return the acceleration of a point at a place fixed in the body, from its origin."""
+        return times(self.gradient(), vector)
+
+    def gradient(self):
+        """Return the matrix of that: vector products with the spin's rate, twice the spin."""
+        (x, y, z), (xx, yy, zz) = self.spin, (s * s for s in self.spin)
+        xy, xz, yz = x * y, x * z, y * z
+        ax, ay, az = self.spin_rate
+        return ((0.0 - (yy + zz), xy - az, xz + ay),
+                (xy + az, 0.0 - (xx + zz), yz - ax),
+                (xz - ay, yz + ax, 0.0 - (xx + yy)))
+
+
+class Closure(NamedTuple):
+    """
+    One equation of a cut joint.
+
+    Attributes
+    ----------
+    value, rate, bias : number
+        psi, J qd and Jdot qd.
+    on_a, on_b : tuple of 6
+        Moment and force of a unit multiplier on both bodies, at their origins.
+
+    """
+
+    value: object
+    rate: object
+    bias: object
+    on_a: tuple
+    on_b: tuple
+
+
+class Recursion:
+    """
+    The stages of one evaluation.
+
+    Parameters
+    ----------
+    bodies : sequence of Body
+        One for each row of the tree; the first is the ground and is not looked at.
+    cuts : sequence of Cut
+        In the model's order.
+    gravity : tuple of 3
+        [m/s^2].
+
+    Attributes
+    ----------
+    motion : list of Motion
+        After ``outward``.
+    inertia : list of 6 by 6 tuples
+        Of the rigid bodies after ``outward``, articulated after ``inward``.
+    force : list of tuples of 6
+        What accelerates the bodies as ``motion`` says; with all that hangs on them after
+        ``inward``.
+
+    """
+
+    def __init__(self, bodies, cuts, gravity):
+        """Keep the description."""
+        self.bodies, self.cuts = bodies, cuts
+        self.ground = Motion(
+            0, IDENTITY, 0.0, IDENTITY, ZERO, ZERO, ZERO, ZERO, ZERO, negate(gravity), 2 * ZERO)
+        self.motion, self.inertia, self.force = [], [], []
+        self._factors, self._acceleration = {}, {}
+
+    def outward(self, model, q, qd, work):
+        """Do as ``kinematics.outward`` does."""
+        self.motion, self.inertia, self.force = [self.ground], [None], [None]
+        for i in range(1, len(self.bodies)):
+            parent, dof = model.tree[i, PARENT], model.tree[i, DOF]
+            motion = self._moved(i, self.motion[parent], q[dof], qd[dof])
+            inertia, force = _rigid(self.bodies[i], motion)
+            self.motion.append(motion)
+            self.inertia.append(inertia)
+            self.force.append(force)
+
+    def _moved(self, i, parent, coordinate, rate):
+        """Return the motion of a body on its parent's."""
+        body = self.bodies[i]
+        run, base, angle = parent.run, parent.base, parent.angle
+        if body.turned is not None:
+            run, base, angle = i, product(parent.frame, body.turned), 0.0
+        angle = angle + body.angle
+        if body.turns:
+            angle = angle + coordinate
+        frame = _turned(base, angle)
+        direction = transpose(frame)[body.axis]
+        turn, slide = scale(direction, body.turns), scale(direction, body.slides)
+        offset = add(times(parent.frame, body.place), scale(slide, coordinate))
+        sliding, spinning = scale(slide, rate), scale(turn, rate)
+        return Motion(
+            run, base, angle, frame, add(parent.origin, offset), offset,
+            add(parent.spin, spinning),
+            add(add(parent.velocity, sliding), cross(parent.spin, offset)),
+            add(parent.spin_rate, cross(parent.spin, spinning)),
+            # Coriolis acceleration of sliding along a turning axis.
+            add(add(parent.acceleration, scale(cross(parent.spin, sliding), 2.0)),
+                parent.carried(offset)),
+            turn + slide)
+
+    def inward(self, model, tau, work, massless=False):
+        """Do as ``articulated_inertia.inward`` does."""
+        self.inertia, self.force = list(self.inertia), list(self.force)
+        for i in range(len(self.bodies) - 1, 0, -1):
+            parent, dof = model.tree[i, PARENT], model.tree[i, DOF]
+            inertia, force, axis = self.inertia[i], self.force[i], self.motion[i].axis
+            alone, armature = _aligned(axis), self.bodies[i].armature
+            share = times(inertia, axis)
+            pivot = dot(axis, share)
+            if armature is not None:
+                pivot, alone = pivot + armature, None
+            inverse = _inverse(pivot, massless)
+            right = tau[dof] - dot(axis, force)
+            work.body[i, DINV], work.body[i, RHS] = inverse, right
+            self._factors[i] = share, alone
+            if parent == 0:
+                continue
+            scaled = scale(share, inverse)
+            # An axis of the world's takes its whole row and column: what is left is exactly zero.
+            left = symmetric(
+                lambda m, n: (0.0 if alone in (m, n) else inertia[m][n] - share[m] * scaled[n]),
+                size=6)
+            force = tuple(
+                tau[dof] if alone == n else force[n] + scaled[n] * right for n in range(6))
+            offset = self.motion[i].offset
+            self.inertia[parent] = tuple(
+                map(add, self.inertia[parent], _shifted(left, offset)))
+            self.force[parent] = add(self.force[parent], _at_parent(force, offset))
+
+    def outward_acceleration(self, model, work, qdd):
+        """Do as ``articulated_inertia.outward_acceleration`` does."""
+        self._acceleration = {0: 2 * ZERO}
+        for i in range(1, len(self.bodies)):
+            dof, motion = model.tree[i, DOF], self.motion[i]
+            before = self._acceleration[model.tree[i, PARENT]]
+            before = before[:3] + add(before[3:], cross(before[:3], motion.offset))
+            share, alone = self._factors[i]
+            right = work.body[i, RHS]
+            for n in range(6):
+                if n != alone:
+                    right = right - share[n] * before[n]
+            change = right * work.body[i, DINV]
+            if alone is None:
+                qdd[dof] = change
+                after = add(before, scale(motion.axis, change))
+            else:
+                # What the joint's own coordinate and all before it add up to.
+                qdd[dof] = change - before[alone]
+                after = before[:alone] + (change,) + before[alone + 1:]
+            self._acceleration[i] = after
+            if self.bodies[i].turns:
+                since = self._acceleration[self._first(model, motion.run)]
+                work.body[i, DZ] = (dot(motion.axis[:3], after[:3])
+                                    - dot(motion.axis[:3], since[:3]))
+
+    def _first(self, model, run):
+        """Return the body that the angles of some are counted from."""
+        return model.tree[run, PARENT] if run else 0
+
+    def update(self, model, work, responses):
+        """Do as ``loop_closure.update`` does."""
+        for a, cut in enumerate(model.cut):
+            equations = self.closures(model, a)
+            assert len(equations) == cut[ROWS]
+            for row, equation in enumerate(equations):
+                place = cut[ROW] + row
+                work.closure[place] = equation.value
+                work.closure_rate[place] = equation.rate
+                work.bias[place] = equation.bias
+                if responses != NO_RESPONSES:
+                    self._respond(model, work, responses, cut, row, equation)
+
+    def closures(self, model, a):
+        """Return the equations of a cut joint, but for those that always hold."""
+        cut = self.cuts[a]
+        first, second = self.motion[model.cut[a, BODY_A]], self.motion[model.cut[a, BODY_B]]
+        at_a = times(first.frame, cut.point_a)
+        at_b = times(second.frame, cut.point_b)
+        found = list(_translations(cut, first, second, at_a, at_b))
+        found += _rotations(cut, first, second)
+        return [one for one in found if not is_zero((one.value,))]
+
+    def _respond(self, model, work, responses, cut, row, equation):
+        """Carry a unit multiplier's wrenches inward and keep their share at each joint."""
+        middle, common, end = cut[SLOT_B], cut[SLOT_COMMON], cut[SLOT_END]
+        one = self._reduced(model, work, responses, cut[SLOT_A], middle, row, equation.on_a)
+        other = self._reduced(model, work, responses, middle, common, row, equation.on_b)
+        self._reduced(model, work, responses, common, end, row, add(one, other))
+
+    def _reduced(self, model, work, responses, begin, end, row, wrench):
+        """Carry a wrench inward along slots; return what arrives at the last one's parent."""
+        for slot in range(begin, end):
+            i = model.slot_body[slot]
+            motion = self.motion[i]
+            force = dot(motion.axis, wrench)
+            work.response[slot, row] = force
+            if responses == LEVERS:
+                work.response_scaled[slot, row] = 0.0
+                if self.bodies[i].turns and self.bodies[i].turned is None:
+                    wrench = _beyond(wrench, motion.axis, force)
+            else:
+                share, alone = self._factors[i]
+                scaled = force * work.body[i, DINV]
+                work.response_scaled[slot, row] = scaled
+                wrench = tuple(0.0 if n == alone else wrench[n] - share[n] * scaled
+                               for n in range(6))
+            wrench = _at_parent(wrench, motion.offset)
+        return wrench
+
+
+def _turned(base, angle):
+    """Return a frame that is turned about its Z axis."""
+    if is_zero((angle,)):
+        return base
+    x, y, z = transpose(base)
+    cos, sin = cosine(angle), sine(angle)
+    return transpose((add(scale(x, cos), scale(y, sin)),
+                      subtract(scale(y, cos), scale(x, sin)), z))
+
+
+def _rigid(body, motion):
+    """Return a body's inertia and the force that its acceleration takes, at its origin."""
+    moment = times(motion.frame, body.moment)
+    about = product(product(motion.frame, body.inertia), transpose(motion.frame))
+    coupling = skew(moment)
+    inertia = tuple(
+        one + other for one, other in zip(about, coupling)) + tuple(
+        one + tuple(body.mass if n == m else 0.0 for m in range(3))
+        for n, one in enumerate(transpose(coupling)))
+    force = add(scale(motion.acceleration, body.mass), motion.carried(moment))
+    torque = add(cross(moment, motion.acceleration),
+                 add(times(about, motion.spin_rate),
+                     cross(motion.spin, times(about, motion.spin))))
+    return inertia, torque + force
+
+
+def _aligned(axis):
+    """Return the coordinate that an axis is, None where it is none or not known yet."""
+    for n in range(6):
+        if is_number(axis[n], 1.0) and is_zero(axis[:n] + axis[n + 1:]):
+            return n
+    return None
+
+
+def _beyond(wrench, axis, moment):
+    """
+    Return a wrench without its moment about an axis.
+
+    The angles of parallel axes are counted from the first one's frame: no angle turns the bodies
+    beyond the next one.
+
+    """
+    alone = _aligned(axis)
+    if alone is None:
+        return subtract(wrench, scale(axis, moment))
+    return wrench[:alone] + (0.0,) + wrench[alone + 1:]
+
+
+def _inverse(pivot, massless):
+    """Return one over a pivot, 0 for none where there may be none."""
+    if massless:
+        return chosen(pivot > 0.0, 1.0 / chosen(pivot > 0.0, pivot, 1.0), 0.0)
+    return 1.0 / pivot
+
+
+def _at_parent(wrench, offset):
+    """Return a wrench at the parent's origin."""
+    return add(wrench[:3], cross(offset, wrench[3:])) + wrench[3:]
+
+
+def _shifted(inertia, offset):
+    """Return an inertia at the parent's origin."""
+    coupling = [row[3:] for row in inertia[:3]]
+    mass = [row[3:] for row in inertia[3:]]
+    # [r] M: the vector product with each column.
+    more = transpose([cross(offset, column) for column in transpose(mass)])
+    shifted = [add(*rows) for rows in zip(coupling, more)]
+    before, after = ([cross(offset, row) for row in rows] for rows in (coupling, shifted))
+    about = symmetric(lambda m, n: inertia[m][n] + before[n][m] + after[m][n])
+    return tuple(one + other for one, other in zip(about, shifted)) + tuple(
+        one + tuple(other) for one, other in zip(transpose(shifted), mass))
+
+
+def _translations(cut, first, second, at_a, at_b):
+    """Yield the equations that keep two points together, in the world's axes or in body B's."""
+    apart = subtract(add(first.origin, at_a), add(second.origin, at_b))
+    rate = subtract(add(first.velocity, cross(first.spin, at_a)),
+                    add(second.velocity, cross(second.spin, at_b)))
+    bias = subtract(add(first.acceleration, first.carried(at_a)),
+                    add(second.acceleration, second.carried(at_b)))
+    if len(cut.along) == 3:
+        for n, axis in enumerate(IDENTITY):
+            yield Closure(apart[n], rate[n], bias[n], cross(at_a, axis) + axis,
+                          cross(axis, at_b) + negate(axis))
+        return
+    axes, spin = transpose(_joint_frame(second, cut.turned_b, cut.angle)), second.spin
+    for axis in (axes[n] for n in cut.along):
+        value = dot(axis, apart)
+        # The axis turns with body B.
+        turning = cross(axis, apart)
+        yield Closure(
+            value, dot(axis, rate) + dot(spin, turning),
+            dot(axis, bias) + 2.0 * dot(spin, cross(axis, rate)) + (
+                dot(second.spin_rate, turning) + dot(spin, axis) * dot(spin, apart)
+                - dot(spin, spin) * value),
+            cross(at_a, axis) + axis, cross(axis, add(apart, at_b)) + negate(axis))
+
+
+def _rotations(cut, first, second):
+    """Yield the equations that keep axes of body A perpendicular to axes of body B."""
+    turns = subtract(first.spin, second.spin)
+    for n, m in cut.perpendicular:
+        if (n, m) == (X, Y) and first.run == second.run and cut.turned_a is cut.turned_b is None:
+            # Of parallel axes the angle itself, however many turns.
+            axis = transpose(first.base)[Z]
+            yield Closure(
+                first.angle - second.angle - cut.angle, dot(axis, turns),
+                dot(axis, subtract(first.spin_rate, second.spin_rate)), axis + ZERO,
+                negate(axis) + ZERO)
+            continue
+        one = transpose(_joint_frame(first, cut.turned_a, 0.0))[n]
+        other = transpose(_joint_frame(second, cut.turned_b, cut.angle))[m]
+        lever = cross(one, other)
+        yield Closure(
+            dot(one, other), dot(lever, turns),
+            dot(first.carried(one), other) + dot(one, second.carried(other)) + 2.0 * dot(
+                cross(first.spin, one), cross(second.spin, other)),
+            lever + ZERO, negate(lever) + ZERO)
+
+
+def _joint_frame(motion, turned, angle):
+    """Return the axes of a cut joint on one of its bodies."""
+    if turned is None:
+        return _turned(motion.base, motion.angle + angle)
+    return _turned(product(motion.frame, turned), angle)

@@ -1,0 +1,93 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Of the recursions in space nothing is left, for planar mechanisms, but the planar ones."""
+
+import copy
+
+from closedloop_dynamics.core.straight_line import available
+from closedloop_dynamics.core.types import CUT_FIXED, CUT_PRISMATIC, CUT_REVOLUTE, CUT_TYPE
+from closedloop_dynamics.integration.system import build_system, evaluate
+from closedloop_dynamics.simulation.modeling import build_model
+import pytest
+
+from ..reference import cases
+from ..reference.compare import assert_agree, IDENTITY
+
+pytestmark = pytest.mark.skipif(not available(), reason='nothing is unrolled without a compiler')
+if available():
+    from closedloop_dynamics.core.straight_line import routines, tape
+    from closedloop_dynamics.core.straight_line.linkage import EVALUATION
+    from closedloop_dynamics.core.straight_line.vectors import is_zero
+
+ARITHMETIC = ('ADD', 'SUBTRACT', 'MULTIPLY', 'DIVIDE', 'NEGATE')
+# Additions, multiplications, divisions and negations for accelerations and multipliers that
+# recursions written for the plane alone, unrolled, come to.
+PLANAR = {'three_rrr': 781, 'carpet_scraper': 891, 'hoeken_pantograph_leg': 891, 'four_bar': 223,
+          'slider_crank': 223}
+
+
+def unrolling(name):
+    """Return the unrolling of a case, not yet run."""
+    _, mechanism, _, _ = cases.drawn(name)
+    return routines.Unrolling(build_model(mechanism, (0.0, -9.81)))
+
+
+@pytest.mark.parametrize('name', cases.SHIPPED)
+def test_planar_mechanisms_take_the_operations_of_planar_recursions(name):
+    routine = unrolling(name).routine(EVALUATION)
+    kinds = {getattr(tape, kind) for kind in ARITHMETIC}
+    operations = [routine.tape.operations[place] for place in routine.needed()]
+    assert sum(kind in kinds for kind, *_ in operations) <= 1.03 * PLANAR[name]
+    # One sine and one cosine serve all that turns with a body.
+    sines = sum(kind == tape.SINE for kind, *_ in operations)
+    assert sines == len(cases.drawn(name)[1].bodies)
+
+
+@pytest.mark.parametrize('name', cases.SHIPPED)
+def test_planar_motion_has_no_third_dimension(name):
+    one = unrolling(name)
+    one.outward()
+    for motion in one.recursion.motion[1:]:
+        assert is_zero((motion.origin[2], motion.velocity[2], motion.acceleration[2]))
+        assert is_zero((*motion.spin[:2], *motion.spin_rate))
+        assert motion.frame[2] == (0.0, 0.0, 1.0)
+
+
+@pytest.mark.parametrize('kind, left', [(CUT_REVOLUTE, 2), (CUT_PRISMATIC, 2), (CUT_FIXED, 3)])
+def test_equations_out_of_the_plane_fall_away(kind, left):
+    _, mechanism, _, _ = cases.drawn('four_bar')
+    model = build_model(mechanism)
+    model.cut[:, CUT_TYPE] = kind
+    one = routines.Unrolling(model)
+    one.outward()
+    held = one.recursion.cuts[0]
+    # In space five, five and six.
+    assert len(held.along) + len(held.perpendicular) == (6 if kind == CUT_FIXED else 5)
+    assert len(one.recursion.closures(model, 0)) == left
+
+
+@pytest.mark.parametrize('name', cases.SHIPPED)
+def test_planar_results_are_those_of_planar_loops(name):
+    for seed in range(5):
+        rng, mechanism, q, qd = cases.drawn(name, seed)
+        tau, results = rng.normal(size=len(q)), []
+        model = build_model(mechanism, (0.3, -9.81))
+        for unrolled in (True, False):
+            system = build_system(copy.deepcopy(model), unrolled=unrolled)
+            system.tau[:] = tau
+            evaluate(system, q, qd)
+            results.append((system.qdd, system.lam))
+        for space, plane in zip(*results):
+            assert_agree(space, plane, IDENTITY)
