@@ -77,9 +77,9 @@ setup(
     entry_points={
         'console_scripts': [
             'closedloop = closedloop_dynamics.cli:program',
-            'closedloop_recorder = closedloop_dynamics.ros.executables:recorder',
-            'closedloop_simulator = closedloop_dynamics.ros.executables:simulator',
-            'closedloop_torque_source = closedloop_dynamics.ros.executables:torque_source',
+            'closedloop_recorder = closedloop_dynamics.ros.process:recorder',
+            'closedloop_simulator = closedloop_dynamics.ros.process:simulator',
+            'closedloop_torque_source = closedloop_dynamics.ros.process:torque_source',
         ],
     },
 )

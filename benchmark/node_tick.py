@@ -52,7 +52,7 @@ def parts(node, rate, count):
     """Return the times of the parts of a tick, in the order of ``COLUMNS``."""
     simulation, states = node.simulation, node.states
     steps = max(1, round(1.0 / (rate * simulation.step_size)))
-    stamp = node.stamps.now()
+    stamp = node.live.stamps.now()
 
     def read():
         # Something new to read: as after a step.
@@ -62,31 +62,30 @@ def parts(node, rate, count):
     content = read()
     sec, nanosec = divmod(stamp, 10 ** 9)
     wrench = states._wrenches[0]
-    cuts = len(states._force_publishers)
 
     def fill():
         states._state.filled(sec, nanosec, *content[:3])
-        for _ in range(cuts):
-            states._wrench.filled(sec, nanosec, wrench)
+        for message in states._messages:
+            message.filled(sec, nanosec, wrench)
 
     def publish_objects():
         states._state_publisher.publish(states.joint_state(sec, nanosec, *content[:3]))
         for publisher in states._force_publishers:
             publisher.publish(wrench_message)
 
-    wrench_message = states._wrench._build(sec, nanosec, wrench)
-    physics = timed(lambda: node.advance(steps), count)
+    wrench_message = states._messages[0]._build(sec, nanosec, wrench)
+    physics = timed(lambda: node.live.advance(steps), count)
     reading = timed(read, count)
     filling = timed(fill, count)
     publishing = timed(lambda: states.publish(stamp, *content), count) - filling
-    companions = timed(lambda: [follow(states.stamp) for follow in node.on_published], count)
+    companions = timed(lambda: [follow(states.stamp) for follow in node.live.on_published], count)
 
     def tick():
-        node.advance(steps)
-        node.publish()
+        node.live.advance(steps)
+        node.live.publish()
 
     return (physics, reading, filling, publishing, companions, timed(tick, count),
-            timed(publish_objects, count), timed(node.diagnostics.publish, max(count // 10, 5)))
+            timed(publish_objects, count), timed(node.look_after, max(count // 10, 5)))
 
 
 def measure(scene, rate, count):

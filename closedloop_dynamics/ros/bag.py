@@ -12,9 +12,10 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""A rosbag2 bag, written from a thread of its own."""
+"""A rosbag2 bag with the definitions of its types, written from a thread of its own."""
 
 from collections import Counter
+from importlib import import_module
 from pathlib import Path
 from queue import Empty
 from queue import SimpleQueue
@@ -25,6 +26,11 @@ import time
 from closedloop_dynamics.recording.contents import Topic
 from closedloop_dynamics.recording.metadata import dump
 from closedloop_dynamics.recording.writer import BagFiles
+from rosbags.interfaces import Nodetype
+from rosbags.typesys import get_types_from_msg
+from rosbags.typesys import get_typestore
+from rosbags.typesys import Stores
+from rosbags.typesys import TypesysError
 
 # What was received is in the file after this time [s]: so much is lost if the process is killed.
 FLUSH_PERIOD = 1.0
@@ -48,7 +54,7 @@ class BagWriter:
     typestore : rosbags.typesys.store.Typestore
         Where the definitions of the types are taken from.
     compression : str
-        One of ``bags.writer.COMPRESSIONS[storage]``.
+        One of ``recording.writer.COMPRESSIONS[storage]``.
     max_size : float
         A file that has become larger is followed by another one [bytes]; 0: never.
 
@@ -83,16 +89,9 @@ class BagWriter:
 
     def add_topic(self, topic, type_name, profiles=()):
         """
-        Make a topic known; to be called once, before its first message.
+        Make a topic known, by its full name; to be called once, before its first message.
 
-        Parameters
-        ----------
-        topic : str
-            Full name.
-        type_name : str
-            ``package/msg/Type``, known to the typestore.
-        profiles : sequence of rclpy.qos.QoSProfile
-            What the publishers offer.
+        ``type_name`` is known to the typestore; ``profiles`` are those that the publishers offer.
 
         """
         definition, _ = self._typestore.generate_msgdef(type_name, ros_version=2)
@@ -101,19 +100,7 @@ class BagWriter:
             self._typestore.hash_rihs01(type_name)))
 
     def write(self, topic, nanoseconds, data):
-        """
-        Put one message into the bag, soon.
-
-        Parameters
-        ----------
-        topic : str
-            Made known by ``add_topic``.
-        nanoseconds : int
-            Time of reception.
-        data : bytes
-            The message as it was serialised.
-
-        """
+        """Put one message, as it was serialised, into the bag, soon; received at a time [ns]."""
         self._queue.put((topic, nanoseconds, data))
 
     def close(self):
@@ -183,3 +170,72 @@ def _offered(profile):
 def _duration(duration):
     seconds, nanoseconds = divmod(duration.nanoseconds, NANOSECONDS)
     return {'sec': seconds, 'nsec': nanoseconds}
+
+
+class UnknownTypeError(LookupError):
+    """A message type that is not installed here."""
+
+
+class MessageTypes:
+    """
+    Message types by name: their Python classes and their definitions.
+
+    The definitions of Jazzy's own messages come with ``rosbags``; others are
+    read from the ``.msg`` files installed with their package.
+
+    Attributes
+    ----------
+    typestore : rosbags.typesys.store.Typestore
+        Holds every type that ``message_class`` returned.
+
+    """
+
+    def __init__(self):
+        self.typestore = get_typestore(Stores.ROS2_JAZZY)
+
+    def message_class(self, name):
+        """
+        Return the class of a type, ``package/msg/Type``, and make sure of its definition.
+
+        Raises UnknownTypeError if the type, or one it is made of, is not installed here.
+
+        """
+        self._define(name)
+        package, _, type_name = name.split('/')
+        try:
+            return getattr(import_module(f'{package}.msg'), type_name)
+        except (ImportError, AttributeError) as error:
+            raise UnknownTypeError(f'{name} has no Python messages here ({error})') from None
+
+    def _define(self, name):
+        if name in self.typestore.fielddefs:
+            return
+        try:
+            types = get_types_from_msg(_definition_path(name).read_text(), name)
+        except (OSError, TypesysError) as error:
+            raise UnknownTypeError(f'{name} has no readable definition ({error})') from None
+        self.typestore.register(types)
+        for _, fields in types.values():
+            for _, description in fields:
+                self._define_nested(description)
+
+    def _define_nested(self, description):
+        kind, detail = description
+        if kind == Nodetype.NAME:
+            self._define(detail)
+        elif kind in (Nodetype.ARRAY, Nodetype.SEQUENCE):
+            self._define_nested(detail[0])
+
+
+def _definition_path(name):
+    """Return the ``.msg`` file of a type, in share/ of the prefix its Python package is in."""
+    package, _, type_name = name.split('/')
+    try:
+        module = Path(import_module(package).__file__).resolve()
+    except ImportError:
+        raise UnknownTypeError(f'{name}: package {package} is not installed here') from None
+    for prefix in module.parents:
+        path = prefix / 'share' / package / 'msg' / f'{type_name}.msg'
+        if path.is_file():
+            return path
+    raise UnknownTypeError(f'{name}: no {type_name}.msg in share/{package} above {module.parent}')

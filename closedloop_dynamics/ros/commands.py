@@ -12,11 +12,16 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Torque commands: checked on arrival, kept until the next one or a timeout."""
+"""Torque commands and states from outside: counted if lost on the way, checked on arrival."""
 
+import inspect
 import math
 
 import numpy as np
+from rclpy.event_handler import SubscriptionEventCallbacks
+
+
+NOT_ACTUATED = 'efforts of joints not actuated'
 
 
 class CommandError(ValueError):
@@ -25,66 +30,45 @@ class CommandError(ValueError):
 
 class TorqueCommand:
     """
-    The torques in force, and the book of the commands that set them.
+    The torques in force, and the counts of the commands that set them.
 
-    A command that is refused changes nothing: the last good one stays.
+    A command that is refused changes nothing: the last good one stays. Times are those of a
+    steady clock [s].
 
     Parameters
     ----------
-    joint_names : sequence of str
-        All joints of the mechanism.
-    actuated_joints : sequence of str
-        Those that a command drives; their order is the order of ``torque``.
+    joint_names, actuated_joints : sequence of str
+        All joints, and those that a command drives, in the order of ``torque``.
+    timeout : float
+        Torques fall to zero when no command came, or the last one acted, for so long [s];
+        0: the last command holds for ever.
 
     Attributes
     ----------
     torque : ndarray, shape (number of actuated joints,)
         In force now [N m, or N for prismatic joints].
-    accepted, rejected, timed_out : int
-        Commands followed, commands refused, and how often the torques fell to
-        zero because no command came in time.
-    lost : int
-        Commands that were sent and never arrived; counted by who receives them.
-    not_actuated : int
-        Efforts that were ignored because their joints are not actuated.
+    counts : dict of str to int
+        Commands accepted, rejected, timed out (how often the torques fell to zero) and lost on
+        the way, counted by who receives them; efforts of joints that are not actuated, ignored.
     expired : bool
-        Whether they are zero because of that.
+        Whether the torques are zero because no command came in time.
     held : float
         How long the simulation has advanced under the last command [s of the clock that time
         follows]; counted by who advances it.
 
     """
 
-    def __init__(self, joint_names, actuated_joints):
-        self.actuated_joints = tuple(actuated_joints)
+    def __init__(self, joint_names, actuated_joints, timeout=0.0):
+        self.actuated_joints, self.timeout = tuple(actuated_joints), timeout
         self.torque = np.zeros(len(self.actuated_joints))
-        self.accepted = 0
-        self.rejected = 0
-        self.timed_out = 0
-        self.lost = 0
-        self.not_actuated = 0
+        self.counts = dict.fromkeys(('accepted', 'rejected', 'timed out', 'lost', NOT_ACTUATED), 0)
         self.expired, self.held = False, 0.0
         self._joint_names = frozenset(joint_names)
         self._index = {name: i for i, name in enumerate(self.actuated_joints)}
         self._last_arrival = None
 
     def accept_values(self, values, now):
-        """
-        Follow a command of one value per actuated joint.
-
-        Parameters
-        ----------
-        values : sequence of float
-            In the order of ``actuated_joints``.
-        now : float
-            Time of arrival on a steady clock [s].
-
-        Raises
-        ------
-        CommandError
-            If the command is refused.
-
-        """
+        """Follow one value per actuated joint that arrived now; raise CommandError if refused."""
         if len(values) != len(self.actuated_joints):
             raise self._refusal(
                 f'expected {len(self.actuated_joints)} values '
@@ -95,22 +79,11 @@ class TorqueCommand:
 
     def accept_named(self, names, efforts, now):
         """
-        Follow a command by joint name; joints not named keep their value.
+        Follow efforts by joint name that arrived now; joints not named keep their value.
 
-        Parameters
-        ----------
-        names : sequence of str
-            Of joints, in any order. Those that are not actuated are ignored, and counted: the
-            hardware interfaces of ros2_control name all joints of their tag.
-        efforts : sequence of float
-            As many as names, or as there are actuated joints among them.
-        now : float
-            Time of arrival on a steady clock [s].
-
-        Raises
-        ------
-        CommandError
-            If the command is refused.
+        Joints that are not actuated are ignored, and counted: the hardware interfaces of
+        ros2_control name all joints of their tag. Efforts are as many as names, or as there are
+        actuated joints among them. Raises CommandError if the command is refused.
 
         """
         if not names:
@@ -126,51 +99,41 @@ class TorqueCommand:
                 f'expected one effort per name, got {len(efforts)} for {len(names)} names '
                 f'(positions and velocities are not followed)')
         self._require_finite(actuated, efforts)
-        self.not_actuated += len(names) - len(actuated)
+        self.counts[NOT_ACTUATED] += len(names) - len(actuated)
         indices = [self._index[name] for name in actuated]
         self.torque[indices] = efforts
         self._follow(now)
 
-    def expire(self, now, timeout):
+    def expire(self, now):
         """
         Let the torques fall to zero if no command came, or the last one acted, for too long.
 
-        Parameters
-        ----------
-        now : float
-            On the same clock as the arrivals [s].
-        timeout : float
-            [s]; 0: hold the last command for ever.
-
-        Returns
-        -------
-        bool
-            True once, when the torques fall.
+        Returns True once, when they fall.
 
         """
-        if timeout <= 0.0 or self._last_arrival is None:
+        if self.timeout <= 0.0 or self._last_arrival is None:
             return False
-        if max(now - self._last_arrival, self.held) <= timeout:
+        if max(now - self._last_arrival, self.held) <= self.timeout:
             return False
         self._last_arrival = None
         self.torque[:] = 0.0
-        self.timed_out += 1
+        self.counts['timed out'] += 1
         self.expired = True
         return True
 
     def forget(self):
-        """Let the torques fall to zero until the next command; the book stays."""
+        """Let the torques fall to zero until the next command; the counts stay."""
         self.expired = False
         self._last_arrival = None
         self.torque[:] = 0.0
 
     def _follow(self, now):
-        self.accepted += 1
+        self.counts['accepted'] += 1
         self.expired, self.held = False, 0.0
         self._last_arrival = now
 
     def _refusal(self, reason):
-        self.rejected += 1
+        self.counts['rejected'] += 1
         return CommandError(reason)
 
     def _require_finite(self, names, values):
@@ -188,3 +151,95 @@ class TorqueCommand:
 
     def _choice(self):
         return f'the actuated joints are {", ".join(self.actuated_joints)}'
+
+
+def state_of(message, joints, position):
+    """
+    Return the positions, velocities and held joints that a JointState asks for.
+
+    ``joints`` are all joints of the mechanism; those that the message does not name begin at
+    ``position``, shape (nv,) [rad or m], and follow those it names, which are held. None is held
+    where all are named. Raises CommandError if the message makes no sense.
+
+    """
+    names = list(message.name)
+    unknown = [name for name in names if name not in joints]
+    if unknown or not names:
+        raise CommandError((f"'{unknown[0]}' is not a joint" if unknown else 'it names no joint')
+                           + f'; the joints are {", ".join(joints)}')
+    if len(set(names)) != len(names):
+        raise CommandError(f'a joint is named twice in {", ".join(names)}')
+    if len(message.position) != len(names):
+        raise CommandError(f'expected one position per name, got {len(message.position)} for '
+                           f'{len(names)} names')
+    if len(message.velocity) not in (0, len(names)):
+        raise CommandError(f'expected no velocity, or one per name, got {len(message.velocity)} '
+                           f'for {len(names)} names')
+    wanted = {'position': np.array(position), 'velocity': np.zeros(len(joints))}
+    for key, values in wanted.items():
+        for name, value in zip(names, getattr(message, key)):
+            if not math.isfinite(value):
+                raise CommandError(f"the {key} of '{name}' is {value}, not a finite number")
+            values[joints.index(name)] = value
+    return *wanted.values(), tuple(names) if len(names) < len(joints) else ()
+
+
+class SequenceGaps:
+    """Counts the messages of a topic that were sent and did not arrive, by their numbers."""
+
+    def __init__(self):
+        # Latest number of each publisher, the least recent first: who sent a message is not told.
+        self._latest = []
+
+    def forget(self):
+        """Begin anew: publishers have come or gone."""
+        self._latest.clear()
+
+    def missing(self, number, publishers):
+        """
+        Return how many messages are missing before one of a number.
+
+        Numbers are consecutive for each publisher; ``publishers()`` returns how many there are,
+        and is asked where it matters.
+
+        """
+        latest = self._latest
+        if number - 1 in latest:
+            latest.remove(number - 1)
+            latest.append(number)
+            return 0
+        # A publisher that was not heard before, or one of those whose number is lower.
+        before = max((one for one in latest if one < number), default=None)
+        if before is None or len(latest) < publishers():
+            latest.append(number)
+            return 0
+        latest.remove(before)
+        latest.append(number)
+        return number - before - 1
+
+
+def subscribe(node, kind, topic, callback, qos, on_lost):
+    """
+    Subscribe to a topic, and tell of messages that were lost on the way.
+
+    ``on_lost`` takes the number of messages that were lost before the present one, before
+    ``callback`` takes that. It is never called where the middleware does not number messages.
+
+    """
+    gaps = SequenceGaps()
+
+    def received(*arguments):
+        # rclpy's events executor hands over message and information as one.
+        message, info = arguments if len(arguments) == 2 else arguments[0]
+        number = info['publication_sequence_number']
+        missing = gaps.missing(number, subscription.get_publisher_count) if number else 0
+        if missing:
+            on_lost(missing)
+        callback(message)
+
+    # What rclpy looks at to find out whether the information is wanted.
+    received.__signature__ = inspect.signature(lambda message, info: None)
+    subscription = node.create_subscription(
+        kind, topic, received, qos,
+        event_callbacks=SubscriptionEventCallbacks(matched=lambda change: gaps.forget()))
+    return subscription

@@ -12,75 +12,51 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""
-What a simulator publishes beside its state: descriptions, a log for replays, markers.
 
-The node makes one ``Companions``, which hooks itself in. What nobody subscribes to costs next
-to nothing.
+"""What a simulator publishes beside its state: descriptions and a log for replays."""
 
-"""
+from array import array
 
-from closedloop_dynamics.ros.markers import MARKER_PARAMETERS, Markers
-from closedloop_dynamics.ros.parameters import declare
-from closedloop_dynamics.ros.replay_log import ReplayLog
 from closedloop_dynamics.simulation.scene_text import scene_text
 from closedloop_dynamics.visual.urdf import urdf
+import numpy as np
 from rclpy.qos import DurabilityPolicy
 from rclpy.qos import QoSProfile
+from std_msgs.msg import Float64MultiArray
+from std_msgs.msg import MultiArrayDimension
 from std_msgs.msg import String
 
 LATCHED_QOS = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-COMPANION_PARAMETERS = MARKER_PARAMETERS
+LOG_QOS = QoSProfile(depth=1000)
+# Names of the columns, before the commands by joint and the state by number.
+COLUMNS = ('stamp_sec', 'stamp_nanosec', 'index', 'jumps', 'simulated_time')
+# In place of the stamp, in an entry for a time at which no state was published.
+NO_STATE = -1
 
 
-class Companions:
+class Descriptions:
     """
-    Everything that goes along with the states of a simulator node.
+    Tells latecomers of robot and scene: ``robot_description`` once, ``scene`` when it changes.
 
-    Parameters
-    ----------
-    node : simulator_node.SimulatorNode
-        Offers ``simulation`` and ``torque``, and calls what is put into its lists.
+    ``node`` publishes; a scene holds from an entry of ``log`` on.
 
     """
 
-    def __init__(self, node):
-        self._node = node
-        values = declare(node, COMPANION_PARAMETERS)
-        self._description = node.create_publisher(String, 'robot_description', LATCHED_QOS)
+    def __init__(self, node, simulation, log):
+        self._simulation, self._log, self._told = simulation, log, None
+        self._robot = node.create_publisher(String, 'robot_description', LATCHED_QOS)
         self._scene = node.create_publisher(String, 'scene', LATCHED_QOS)
-        self._log = ReplayLog(node)
-        self._markers = Markers(node, values)
-        self._simulation = self._told = None
-        self._look()
-        node.on_published.append(self.follow)
-        node.on_advance.append(self.advancing)
-        node.on_jump.append(self._log.jumped)
+        try:
+            self._robot.publish(String(data=urdf(
+                simulation.mechanism, *map(node.resolve_topic_name, (
+                    'joint_command', 'joint_states')))))
+        except ValueError as error:
+            node.get_logger().warning(f'no robot_description: {error}')
+        self.follow()
 
-    def follow(self, stamp):
-        """
-        Go along with a state that was just published.
-
-        Parameters
-        ----------
-        stamp : builtin_interfaces.msg.Time
-            Of the state.
-
-        """
-        self._look()
-        self._log.follow(stamp, self._simulation)
-        self._markers.follow(stamp, self._simulation)
-
-    def advancing(self):
-        """Note that the simulation is about to advance under the node's ``torque``."""
-        self._log.advancing(self._simulation, self._node.torque)
-
-    def _look(self):
-        """Tell the descriptions when they are new: at the start, and after changes."""
-        simulation = self._node.simulation
-        if simulation is not self._simulation:
-            self._simulation = simulation
-            self._tell_robot(simulation)
+    def follow(self, stamp=None):
+        """Tell the scene if it has changed since the state before."""
+        simulation = self._simulation
         told = simulation.scene, simulation.effects, simulation.enabled_effects
         # Records that were not replaced are found equal without being compared. What changed did
         # so after the last state that was published.
@@ -90,10 +66,68 @@ class Companions:
             self._scene.publish(String(data=scene_text(
                 scene, effects, disabled, after=self._log.index)))
 
-    def _tell_robot(self, simulation):
-        try:
-            self._description.publish(String(data=urdf(
-                simulation.mechanism, *map(self._node.resolve_topic_name, (
-                    'joint_command', 'joint_states')))))
-        except ValueError as error:
-            self._node.get_logger().warning(f'no robot_description: {error}')
+
+class ReplayLog:
+    """
+    Publishes one entry for each state, as long as somebody subscribes.
+
+    The stamps of states may follow the system's clock, and the efforts in them are those behind
+    drives with limits and lag. What a replay needs is the simulated time, the command
+    before the drives, and the whole state (``Simulation.state``), to begin there to the last bit.
+    Where the command changes between two published states, an entry without a stamp
+    says up to when the old one acted. ``index`` counts the entries, so that a gap is
+    seen; ``jumps`` counts the resets and the states that were set from outside.
+
+    """
+
+    def __init__(self, node, simulation):
+        self._simulation = simulation
+        self._publisher = node.create_publisher(Float64MultiArray, 'replay_log', LOG_QOS)
+        self._message = Float64MultiArray()
+        self._values = self._states = self._torque = None
+        self.index = self._jumps = 0
+        self._time = 0.0
+
+    def jumped(self):
+        """Note that the next state does not follow from the last by simulating."""
+        self._jumps += 1
+
+    def advancing(self, torque):
+        """Note the command of the steps that come now, shape (nv,) [N m or N]."""
+        if self._torque is None:
+            self._torque = torque.copy()
+        elif not np.array_equal(torque, self._torque):
+            if self._simulation.time > self._time:
+                self._note(NO_STATE, NO_STATE)
+            self._torque[:] = torque
+
+    def follow(self, stamp):
+        """Publish the entry of the present state."""
+        self._note(stamp.sec, stamp.nanosec)
+
+    def _note(self, second, nanosecond):
+        time = self._simulation.time
+        if time < self._time:
+            self._jumps += 1
+        self._time = time
+        self.index += 1
+        if not self._publisher.get_subscription_count():
+            return
+        state = self._simulation.state
+        self._size(len(state))
+        self._values[:len(COLUMNS)] = second, nanosecond, self.index, self._jumps, time
+        if self._torque is not None:
+            self._values[len(COLUMNS):-len(state)] = self._torque
+        self._values[-len(state):] = state
+        self._publisher.publish(self._message)
+
+    def _size(self, states):
+        """Size the message for another method or other effects, and name what is in it."""
+        if states == self._states:
+            return
+        self._states = states
+        columns = [*COLUMNS, *self._simulation.joint_names, *(f'state.{k}' for k in range(states))]
+        self._message.layout.dim = [MultiArrayDimension(
+            label=' '.join(columns), size=len(columns), stride=len(columns))]
+        self._message.data = array('d', bytes(8 * len(columns)))
+        self._values = np.frombuffer(self._message.data)

@@ -80,20 +80,7 @@ def _seconds(text):
 
 
 def main(argv=None):
-    """
-    Run the demonstration.
-
-    Parameters
-    ----------
-    argv : list of str, optional
-        Arguments without the program's name; ``sys.argv[1:]`` when not given.
-
-    Returns
-    -------
-    int
-        Exit code.
-
-    """
+    """Run the demonstration; return the exit code."""
     # Unless asked for, nothing leaves this machine.
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     parser, arguments = arguments_of(argv)
@@ -129,28 +116,10 @@ def main(argv=None):
 
 def demonstrate(scene, duration, directory):
     """
-    Run one scene, then tell and draw what happened.
+    Run one scene, then tell and draw what happened, in a directory that is made here.
 
-    Parameters
-    ----------
-    scene : scene.Scene
-        What is simulated.
-    duration : float
-        Of the motion [s].
-    directory : pathlib.Path
-        For bag, logs and pictures; made here.
-
-    Returns
-    -------
-    bool
-        Whether the machine did what was wanted of it.
-
-    Raises
-    ------
-    ProgramError
-        Where a node failed.
-    RecordingError, BagReadError
-        Where nothing was recorded.
+    Returns whether the machine did what was wanted of it. Raises ProgramError where a node failed,
+    RecordingError or BagReadError where nothing was recorded.
 
     """
     directory.mkdir(parents=True)
@@ -183,18 +152,8 @@ def verdict(failures, reasons, wanted):
     """
     Return what a run is worth, in one or two lines.
 
-    Parameters
-    ----------
-    failures : list of str
-        What was not as wanted.
-    reasons : list of str
-        Why it is not representative.
-    wanted : bool
-        Whether more was wanted than that it moves.
-
-    Returns
-    -------
-    list of str
+    ``failures`` are what was not as wanted, ``reasons`` why it is not representative; ``wanted``
+    says whether more was wanted than that it moves.
 
     """
     lines = []
@@ -216,14 +175,14 @@ def _run_nodes(scene, drive, namespace, duration, directory):
     with Programs(directory) as programs:
         def heard(*topics):
             for topic in topics:
-                _wait(programs, recorder, f'{namespace}/{topic}: first message', FINDING)
+                recorder.wait_for(f'{namespace}/{topic}: first message', FINDING, programs.check)
 
         recorder = programs.start(RECORDER, namespace, output=directory / 'bag')
-        _wait(programs, recorder, READY[RECORDER], FINDING)
+        recorder.wait_for(READY[RECORDER], FINDING, programs.check)
         waiting = {'wait_for_command': 'true'} if drive.parameters else {}
         simulator = programs.start(
             SIMULATOR, namespace, parameters, **waiting, scene=scene.path.resolve())
-        _wait(programs, simulator, READY[SIMULATOR], COMPILING)
+        simulator.wait_for(READY[SIMULATOR], COMPILING, programs.check)
         heard('joint_states', 'replay_log', *cuts)
         source = None
         if drive.parameters:
@@ -231,7 +190,7 @@ def _run_nodes(scene, drive, namespace, duration, directory):
             given = {} if drive.file else drive.parameters
             source = programs.start(
                 TORQUE_SOURCE, namespace, parameters, wait_for_subscribers=2, **given)
-            _wait(programs, source, READY[TORQUE_SOURCE], COMPILING)
+            source.wait_for(READY[TORQUE_SOURCE], COMPILING, programs.check)
             heard('torque_command')
         _let_run(programs, duration, scene.name)
         # The recorder first: what the simulator does without its torques is no part of the show.
@@ -241,17 +200,6 @@ def _run_nodes(scene, drive, namespace, duration, directory):
                     f'{program.executable} did not end well, with exit code '
                     f'{program.popen.returncode}; it said last: {program.last_words()}')
         return simulator.last_words()
-
-
-def _wait(programs, program, text, patience):
-    """Wait until a program has said something, while all of them run."""
-    deadline = time.monotonic() + patience
-    while text not in program.output:
-        programs.check()
-        if time.monotonic() > deadline:
-            raise ProgramError(f"{program.executable} did not say '{text}' within "
-                               f'{patience:g} s; its log is {program.log}')
-        time.sleep(LOOK)
 
 
 def _let_run(programs, duration, name):

@@ -95,19 +95,7 @@ def _values(path, node):
 
 
 def drive_for(scene):
-    """
-    Return the drive of a scene: its controller if it is a shipped one, otherwise small sines.
-
-    Parameters
-    ----------
-    scene : scene.Scene
-        What is to be driven.
-
-    Returns
-    -------
-    Drive
-
-    """
+    """Return the drive of a scene: that of its shipped controller, otherwise small sines."""
     path = _controllers().get(scene.name)
     if path is None or scene.path != shipped_path('scenes', scene.name):
         return _sines(scene)
@@ -132,22 +120,7 @@ def _sines(scene):
 
 
 def aim_of(drive, scene):
-    """
-    Return where a drive is to lead the joints.
-
-    Parameters
-    ----------
-    drive : Drive
-        Of the scene.
-    scene : scene.Scene
-        What is driven.
-
-    Returns
-    -------
-    Aim or None
-        None where the drive has no aim.
-
-    """
+    """Return where a drive is to lead the joints of a scene; None where it has no aim."""
     if drive.parameters.get('mode') not in FEEDBACK_MODES:
         return None
     values = {parameter.name: parameter.default for parameter in TORQUE_SOURCE_PARAMETERS}

@@ -63,25 +63,9 @@ class Run:
 
 def read_run(path, namespace):
     """
-    Read a bag of the demonstration.
+    Read a bag of the demonstration, of a simulator in a namespace.
 
-    Parameters
-    ----------
-    path : pathlib.Path
-        Its directory.
-    namespace : str
-        Of the simulator.
-
-    Returns
-    -------
-    Run
-
-    Raises
-    ------
-    RecordingError
-        Where no states are in it.
-    BagReadError
-        Where it cannot be read.
+    Raises RecordingError where no states are in it, BagReadError where it cannot be read.
 
     """
     recording = read_recording(path, namespace=namespace)
@@ -101,28 +85,13 @@ def read_run(path, namespace):
 
 def wanted_motion(motion, aim):
     """
-    Return where all joints were to be, and how fast.
+    Return positions and velocities that all joints were to have, shape (n, nv), and a headstart.
 
-    Parameters
-    ----------
-    motion : visual.motion.Motion
-        What they did.
-    aim : demo_drive.Aim or None
-        Where the actuated joints were led.
-
-    Returns
-    -------
-    position, velocity : ndarray, shape (n, nv)
-        NaN where nothing was wanted.
-    headstart : float
-        Time by which the reference was ahead of the motion [s].
-
-    Notes
-    -----
-    The torque source starts its reference with the first state that it answers; the motion
-    begins when that answer has arrived, which may be a period later. How much is found from the
-    motion, as the shift that fits best. It is never negative, so that a joint that lags behind
-    is not made to look better.
+    NaN where nothing was wanted. The headstart is the time by which the reference was ahead of the
+    motion [s]: the torque source starts its reference with the first state that it answers; the
+    motion begins when that answer has arrived, which may be a period later. How much is found
+    from the motion, as the shift that fits best. It is never negative, so that a joint that lags
+    behind is not made to look better.
 
     """
     position, velocity = (np.full_like(motion.position, np.nan) for _ in range(2))
@@ -147,20 +116,7 @@ def wanted_motion(motion, aim):
 
 
 def summary(run):
-    """
-    Say what was recorded.
-
-    Parameters
-    ----------
-    run : Run
-        What happened.
-
-    Returns
-    -------
-    list of (str, str)
-        Key and text of each line.
-
-    """
+    """Say what was recorded: key and text of each line."""
     motion = run.motion
     count, width = sum(map(len, run.arrivals.values())), max(map(len, run.arrivals))
     return [
@@ -181,17 +137,7 @@ def compared(motion, aim):
     """
     Compare a motion with what was wanted.
 
-    Parameters
-    ----------
-    motion : visual.motion.Motion
-        What happened.
-    aim : demo_drive.Aim or None
-        What was to happen.
-
-    Returns
-    -------
-    list of (str, str or None)
-        What is to be said of each aim, and what was not as wanted.
+    Returns what is to be said of each aim, and what was not as wanted or None.
 
     """
     lines = []
@@ -264,19 +210,9 @@ def _circle(motion, settled, point, center, radius):
 
 def not_representative(run, duration):
     """
-    Say why a run does not show what the same nodes do where they have the time.
+    Say why a run of a duration [s] does not show what the same nodes do where they have the time.
 
-    Parameters
-    ----------
-    run : Run
-        What happened.
-    duration : float
-        That the motion was to have [s].
-
-    Returns
-    -------
-    list of str
-        Empty where it is representative.
+    Empty where it is representative.
 
     """
     time, reasons = run.motion.time, []
@@ -305,25 +241,7 @@ def not_representative(run, duration):
 
 
 def draw(motion, aim, scene, directory):
-    """
-    Write the pictures.
-
-    Parameters
-    ----------
-    motion : visual.motion.Motion
-        What happened.
-    aim : demo_drive.Aim or None
-        What was to happen.
-    scene : str
-        Its name.
-    directory : pathlib.Path
-        Where to.
-
-    Returns
-    -------
-    list of pathlib.Path
-
-    """
+    """Write the pictures of a motion into a directory; return their paths."""
     figures = {
         'joint_motion.png': pictures.joint_motion(
             motion, f'{scene}: joint motion', wanted_motion(motion, aim)[:2]),

@@ -12,155 +12,152 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Diagnostics of a simulator: ``diagnostic_msgs/DiagnosticArray`` on ``/diagnostics``."""
 
+"""
+Diagnostics of a simulator: ``diagnostic_msgs/DiagnosticArray`` on ``/diagnostics``.
+
+Every check takes plain records and returns a ``Finding``; the thresholds stand here, and in
+doc/interface.md.
+
+"""
+
+from dataclasses import dataclass, field
 import math
 import time
+from typing import Dict
 
 from closedloop_dynamics.core.types import SMALLEST_PIVOT
 from closedloop_dynamics.effects.registry import effect_type
-from closedloop_dynamics.ros.diagnostic_checks import (
-    closure_finding, commands_finding, elimination_finding, energy_finding, ERROR, Finding,
-    method_finding, near_singular, OK, time_finding)
-from closedloop_dynamics.ros.modes import COMPUTING_SHARE
-from closedloop_dynamics.ros.pacing import Throttle
-from closedloop_dynamics.ros.simulator_parameters import REALTIME
+from closedloop_dynamics.ros.pacing import COMPUTING_SHARE, REALTIME, Throttle
+from closedloop_dynamics.simulation.health import WARN_BELOW
 from diagnostic_msgs.msg import DiagnosticArray
 from diagnostic_msgs.msg import DiagnosticStatus
 from diagnostic_msgs.msg import KeyValue
-from rclpy.clock import Clock
-from rclpy.clock import ClockType
 
-PERIOD = 1.0
 MESSAGE_PERIOD = 5.0
-COMMAND_TOPICS = ('torque_command', 'joint_command')
+OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
+# Share of the real-time factor asked for that is achieved.
+FACTOR_WARN, FACTOR_ERROR = 0.95, 0.5
+# Share of ticks that came so late that the next one was due.
+MISSED_WARN = 0.05
+# Share of the time left for computing that steps take.
+LOAD_WARN = 0.8
+# Estimate of the local error of a step [rad or m].
+ERROR_WARN, ERROR_ERROR = 1e-4, 1e-2
+# Closure error [m or rad].
+CLOSURE_WARN, CLOSURE_ERROR = 1e-6, 1e-3
+# Energy from nowhere, as a share of what was moved; less than the floor [J] is rounding.
+ENERGY_WARN, ENERGY_ERROR, ENERGY_FLOOR = 1e-3, 0.1, 1e-6
+
+
+@dataclass
+class Finding:
+    """
+    One status of the diagnostics.
+
+    ``level`` is OK, WARN or ERROR; ``values`` are shown as text, numbers with 6 digits.
+
+    """
+
+    level: bytes
+    message: str
+    values: Dict[str, object] = field(default_factory=dict)
 
 
 class Diagnostics:
     """
-    Looks at a simulator once a second, and at its health after every state published.
+    Judges a simulator when asked to, and its health after every state published.
 
-    Parameters
-    ----------
-    node : simulator_node.SimulatorNode
-        What is looked at.
+    ``node`` publishes; a ``LiveSimulation`` and the mode that advances it are looked at.
 
     """
 
-    def __init__(self, node):
-        self._node = node
+    def __init__(self, node, live, mode):
+        self._live, self._mode, self._logger = live, mode, node.get_logger()
         self._publisher = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
         self._prefix = node.get_fully_qualified_name().lstrip('/')
         self._singular, self._sources = Throttle(MESSAGE_PERIOD), ()
         self._redundant = False
-        self._worst = math.inf
-        self._mark()
-        node.on_published.append(self.watch_health)
-        node.create_timer(PERIOD, self.publish, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._mark({})
 
     def watch_health(self, stamp):
         """Note the smallest pivot of a state, and warn before forces lose their meaning."""
-        pivot = self._node.simulation.system.work.health[SMALLEST_PIVOT]
+        pivot = self._live.simulation.system.work.health[SMALLEST_PIVOT]
         if pivot < self._worst:
             self._worst = pivot
         if near_singular(pivot) and not self._redundant and self._singular.ready():
-            health = self._node.simulation.health
+            health = self._live.simulation.health
             # Redundant closure equations are so for ever: said once.
             self._redundant = not health.unique_forces
-            self._node.get_logger().warning(str(health).rpartition('\n')[2])
+            self._logger.warning(str(health).rpartition('\n')[2])
 
-    def publish(self):
-        """Publish all findings."""
-        self._send(self.findings())
-        self._mark()
-
-    def fail(self, reason):
+    def publish(self, standing, counts, sources):
         """
-        Publish that the simulation has stopped.
+        Publish all findings, and begin another period.
 
-        Parameters
-        ----------
-        reason : str
-            Why.
+        ``standing`` says why time does not run; ``counts`` and ``sources`` are as for
+        ``commands_finding``.
 
         """
-        self._send({'time': Finding(ERROR, f'stopped: {reason}')})
-
-    def findings(self):
-        """Return what there is to say, by the name of the status."""
-        simulation = self._node.simulation
-        report, balance = simulation.report(), simulation.energy_balance
-        return {
-            'time': self._time(),
+        if len(sources) > 1 and sources != self._sources:
+            self._logger.warning(f'{len(sources)} sources of commands ({", ".join(sources)}): '
+                                 'the last command counts, whoever sent it')
+        self._sources = sources
+        simulation = self._live.simulation
+        report = simulation.report()
+        self._send({
+            'time': self._time(standing),
             'method': self._method(report),
             'closure': closure_finding(report.closure),
-            'energy': energy_finding(balance, report.energy_moved),
+            'energy': energy_finding(simulation.energy_balance, report.energy_moved),
             'elimination': elimination_finding(
                 simulation.health, min(self._worst, simulation.health.smallest_pivot)),
-            'commands': self._commands(),
-            'effects': self._effects(),
-        }
+            'commands': commands_finding(
+                counts, self._counts, sources, self._live.command.expired),
+            'effects': self._effects()})
+        self._mark(counts)
 
-    def _mark(self):
+    def fail(self, reason):
+        """Publish that the simulation has stopped, and why."""
+        self._send({'time': Finding(ERROR, f'stopped: {reason}')})
+
+    def _mark(self, counts):
         """Begin another period."""
-        pacer = self._node.pacer
-        mode = self._node.mode
+        mode, pacer = self._mode, self._mode.pacer
         self._begin = (time.monotonic(), pacer.simulated, pacer.dropped, mode.missed_ticks,
                        mode.left_out)
-        self._worst = math.inf
-        self._book = self._counts()
+        self._worst, self._counts = math.inf, dict(counts)
 
-    def _time(self):
-        node, pacer, mode = self._node, self._node.pacer, self._node.mode
+    def _time(self, standing):
+        mode, pacer = self._mode, self._mode.pacer
         began, simulated, dropped, missed, left_out = self._begin
         elapsed = time.monotonic() - began
         now = {'factor': (pacer.simulated - simulated) / elapsed,
                'dropped': pacer.dropped - dropped, 'missed': mode.missed_ticks - missed,
                'left out': mode.left_out - left_out,
                'ticks': round(elapsed / mode.tick_period)}
-        finding = time_finding(
-            now, node.control.standing, pacer.real_time_factor if mode.name == REALTIME else None)
+        wanted = pacer.real_time_factor if mode.name == REALTIME else None
+        finding = time_finding(now, standing, wanted)
         finding.values = {
-            'mode': mode.name, 'simulated time [s]': node.simulation.time,
+            'mode': mode.name, 'simulated time [s]': self._live.simulation.time,
             'real-time factor, last second': now['factor'],
-            'real-time factor, asked for': (
-                pacer.real_time_factor if mode.name == REALTIME else 'any'),
+            'real-time factor, asked for': 'any' if wanted is None else wanted,
             'simulated time dropped, last second [s]': now['dropped'],
             'simulated time dropped [s]': pacer.dropped,
             'missed ticks, last second': now['missed'], 'missed ticks': mode.missed_ticks,
             'states left out, last second': now['left out'], 'states left out': mode.left_out,
-            'messages published': node.states.published}
+            'messages published': self._live.states.published}
         return finding
 
     def _method(self, report):
-        node = self._node
-        load = report.share * node.pacer.real_time_factor / COMPUTING_SHARE if (
-            node.mode.name == REALTIME) else math.nan
+        load = report.share * self._mode.pacer.real_time_factor / COMPUTING_SHARE if (
+            self._mode.name == REALTIME) else math.nan
         finding = method_finding(report, load)
-        finding.values['step size [s]'] = node.simulation.step_size
+        finding.values['step size [s]'] = self._live.simulation.step_size
         return finding
 
-    def _counts(self):
-        book, control = self._node.command, self._node.control
-        return {'accepted': book.accepted, 'rejected': book.rejected,
-                'timed out': book.timed_out, 'lost': book.lost,
-                'efforts of joints not actuated': book.not_actuated,
-                'states set': control.states_set, 'states refused': control.states_refused}
-
-    def _commands(self):
-        node = self._node
-        sources = tuple(sorted(
-            f'{info.node_namespace.rstrip("/")}/{info.node_name}'
-            for topic in COMMAND_TOPICS for info in node.get_publishers_info_by_topic(topic)))
-        if len(sources) > 1 and sources != self._sources:
-            node.get_logger().warning(
-                f'{len(sources)} sources of commands ({", ".join(sources)}): the last command '
-                'counts, whoever sent it')
-        self._sources = sources
-        return commands_finding(self._counts(), self._book, sources, node.command.expired)
-
     def _effects(self):
-        simulation = self._node.simulation
+        simulation = self._live.simulation
         enabled = simulation.enabled_effects
         values = {}
         for name, record in simulation.effects.items():
@@ -171,13 +168,12 @@ class Diagnostics:
         return Finding(OK, ', '.join(enabled) or 'none', values)
 
     def _send(self, findings):
-        node = self._node
         message = DiagnosticArray()
-        message.header.stamp = node.stamps.message()
+        message.header.stamp = self._live.stamps.message()
         message.status = [
             DiagnosticStatus(
                 level=finding.level, name=f'{self._prefix}: {name}', message=finding.message,
-                hardware_id=node.simulation.scene.name,
+                hardware_id=self._live.simulation.scene.name,
                 values=[KeyValue(key=key, value=_text(value))
                         for key, value in finding.values.items()])
             for name, finding in findings.items()]
@@ -186,3 +182,125 @@ class Diagnostics:
 
 def _text(value):
     return f'{value:.6g}' if isinstance(value, float) else str(value)
+
+
+def graded(value, warn, error, good, bad):
+    """Return level and message of a value that should be small; NaN is not known."""
+    if value > error:
+        return ERROR, bad
+    return (WARN, bad) if value > warn else (OK, good)
+
+
+def time_finding(now, standing, wanted_factor):
+    """
+    Judge whether simulated time keeps up.
+
+    ``now`` has, of the last period, the ``factor`` achieved, time ``dropped`` [s], ``ticks``,
+    ``missed`` ones and ``left out`` ones; ``standing`` says why time does not run, empty where it
+    does; ``wanted_factor`` is None where time may run as it likes.
+
+    """
+    if standing:
+        return Finding(OK, standing)
+    if wanted_factor is None:
+        return Finding(OK, f'{now["factor"]:.3g} x real time')
+    share = now['factor'] / wanted_factor
+    if share < FACTOR_WARN:
+        return Finding(
+            ERROR if share < FACTOR_ERROR else WARN,
+            f'cannot keep up: {now["factor"]:.3g} x real time instead of {wanted_factor:g}')
+    if now['left out']:
+        return Finding(WARN, f'{now["left out"]} states left out: the machine was busy, or '
+                             'publish_rate is too high for it')
+    if now['missed'] > MISSED_WARN * max(now['ticks'], 1):
+        return Finding(WARN, f'{now["missed"]} of {now["ticks"]} ticks missed: the machine is '
+                             'busy, or publish_rate too high for it')
+    return Finding(OK, f'{now["factor"]:.3g} x real time')
+
+
+def method_finding(report, load):
+    """Judge a ``RunReport``, and the share of the time there is that steps take, or NaN."""
+    level, message = graded(
+        report.local_error, ERROR_WARN, ERROR_ERROR, report.method,
+        f'a step may be off by {report.local_error:.2g} rad or m: take a smaller step_size or '
+        'another integrator')
+    if level == OK and report.findings:
+        level, message = WARN, '; '.join(report.findings)
+    if level == OK and load > LOAD_WARN:
+        level, message = WARN, (f'computing takes {100.0 * load:.0f} % of the time there is: '
+                                'a larger step_size or a smaller real_time_factor helps')
+    return Finding(level, message, {
+        'method': report.method, 'steps': report.steps, 'evaluations': report.evaluations,
+        'compute time per step [us]': 1e6 * report.time_per_step,
+        'share of real time [%]': 100.0 * report.share,
+        'local error [rad or m]': report.local_error,
+        'bound of the error within a second [rad or m]': report.error_bound})
+
+
+def closure_finding(closure):
+    """Judge how far the loops are open: the largest error at the cut joints [m or rad]."""
+    level, message = graded(
+        closure, CLOSURE_WARN, CLOSURE_ERROR, 'closed',
+        f'the loops are open by {closure:.2g} m or rad: take stabilisation projection')
+    return Finding(level, message, {'closure error [m or rad]': closure})
+
+
+def energy_finding(balance, moved):
+    """Judge the energy balance, ``Energies``, against the energy that was moved so far [J]."""
+    lost = abs(balance.residual)
+    level, message = graded(
+        lost, ENERGY_FLOOR + ENERGY_WARN * moved, ENERGY_FLOOR + ENERGY_ERROR * moved, 'balanced',
+        f'{lost:.2g} J came from nowhere or went there: take a smaller step_size or another '
+        'integrator')
+    return Finding(level, message, {
+        f'{key} [J]': getattr(balance, key)
+        for key in ('kinetic', 'stored', 'dissipated', 'work', 'residual')})
+
+
+def elimination_finding(health, worst):
+    """Judge how well posed the equations were, by ``Health`` and the period's worst pivot."""
+    level, message = OK, 'well posed'
+    if not health.unique_forces:
+        level, message = WARN, (
+            f'{health.equations - health.rank} of {health.equations} closure equations depend on '
+            'the others: the constraint forces are not unique, the least ones are shown')
+    elif near_singular(worst):
+        level, message = WARN, (
+            f'near a singular configuration (smallest pivot {worst:.2g}): constraint forces may '
+            'be very large and mean little')
+    return Finding(level, message, {
+        'smallest pivot, now': health.smallest_pivot, 'smallest pivot, last second': worst,
+        'smallest pivot, ever': health.smallest_pivot_ever,
+        'closure equations': health.equations, 'independent ones': health.rank,
+        'rank-revealing evaluations': health.rank_revealing_count,
+        'projection iterations': health.projection_iterations,
+        'sine of the angle to a parallel singularity': health.drive_sine})
+
+
+def commands_finding(counts, before, sources, zero_after_timeout):
+    """
+    Judge the commands.
+
+    ``counts`` and ``before`` are the counts of commands and states so far, now and a period ago;
+    ``sources`` the nodes that publish commands, one entry for each publisher;
+    ``zero_after_timeout`` whether torques are zero because commands stopped.
+
+    """
+    level, message = OK, f'from {", ".join(sources)}' if sources else 'nobody commands'
+    refused = sum(counts[key] - before.get(key, 0) for key in ('rejected', 'states refused'))
+    lost = counts['lost'] - before.get('lost', 0)
+    if refused:
+        level, message = WARN, f'{refused} refused in the last second; the log says why'
+    elif lost:
+        level, message = WARN, f'{lost} commands lost in the last second'
+    elif len(sources) > 1:
+        level, message = WARN, (f'{len(sources)} sources of commands ({", ".join(sources)}): the '
+                                'last command counts, whoever sent it')
+    elif zero_after_timeout:
+        level, message = WARN, 'torques are zero: no command came in time'
+    return Finding(level, message, {**counts, 'sources': ', '.join(sources)})
+
+
+def near_singular(pivot):
+    """Return whether a smallest pivot is worth a warning; as ``Health.near_singular``."""
+    return not pivot >= WARN_BELOW

@@ -12,10 +12,12 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
+
 """Effects of a running simulation as parameters ``effects.NAME.KEY``, and forces from topics."""
 
 from dataclasses import fields
 
+from closedloop_dynamics.effects.external_force import ExternalForce
 from closedloop_dynamics.effects.registry import effect_type
 from closedloop_dynamics.ros.pacing import Throttle
 from closedloop_dynamics.ros.process import StartError
@@ -25,9 +27,7 @@ from rcl_interfaces.msg import ParameterDescriptor
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
 
-ENABLED = 'enabled'
-# Effects of a type with this key also take it from a topic of their own.
-FORCE = 'force'
+ENABLED, FORCE = 'enabled', 'force'
 MESSAGE_PERIOD = 5.0
 
 
@@ -38,26 +38,15 @@ class EffectParameters:
     ``effects.NAME.enabled`` switches an effect, ``effects.NAME.KEY`` sets one of its values. An
     impossible value is refused with the reason; what is set together is checked together.
     A force also follows ``geometry_msgs/Vector3`` on the topic ``effects/NAME/force`` [N].
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        Given the parameters.
-    simulation : Simulation
-        What is simulated.
-
-    Raises
-    ------
-    StartError
-        Where a value given at the start is refused.
+    Raises StartError where a value given at the start is refused.
 
     """
 
     def __init__(self, node, simulation):
-        self._node, self._simulation = node, simulation
+        self._simulation, self._logger = simulation, node.get_logger()
         self._rejection = Throttle(MESSAGE_PERIOD)
         given = [parameter for name, record in simulation.effects.items()
-                 for parameter in self._declare(name, record)]
+                 for parameter in self._declare(node, name, record)]
         try:
             self._apply(given)
         except (ValueError, StiffnessError) as error:
@@ -68,9 +57,9 @@ class EffectParameters:
             node.create_subscription(
                 Vector3, f'effects/{name}/{FORCE}',
                 lambda message, name=name: self.on_force(name, message), 10)
-            for name, record in simulation.effects.items() if hasattr(record, FORCE)]
+            for name, record in simulation.effects.items() if isinstance(record, ExternalForce)]
 
-    def _declare(self, name, record):
+    def _declare(self, node, name, record):
         """Declare the parameters of one effect; return those that differ from the scene."""
         kind = effect_type(record)
         descriptor = ParameterDescriptor(
@@ -85,7 +74,7 @@ class EffectParameters:
                     description=f'{field.name} of the effect {name!r} ({kind}), SI units; see '
                                 'doc/effects.md.',
                     dynamic_typing=True))
-        declared = [self._node.declare_parameter(f'effects.{name}.{key}', value, about)
+        declared = [node.declare_parameter(f'effects.{name}.{key}', value, about)
                     for key, (value, about) in values.items()]
         return [parameter for parameter, (value, _) in zip(declared, values.values())
                 if _plain(parameter) != value]
@@ -117,7 +106,7 @@ class EffectParameters:
         try:
             self._apply(parameters)
         except StiffnessError as error:
-            self._node.get_logger().error(f'A change of effects is not followed: {error}')
+            self._logger.error(f'A change of effects is not followed: {error}')
 
     def on_force(self, name, message):
         """Let a force from a topic act, or refuse it."""
@@ -125,7 +114,7 @@ class EffectParameters:
             self._simulation.set_effect(name, **{FORCE: (message.x, message.y)})
         except ValueError as error:
             if self._rejection.ready():
-                self._node.get_logger().warning(f'effects/{name}/{FORCE} rejected: {error}')
+                self._logger.warning(f'effects/{name}/{FORCE} rejected: {error}')
 
 
 def _plain(parameter):

@@ -20,9 +20,9 @@ whose origin is the cut point of body A; its axes are those of the world.
 """
 
 from closedloop_dynamics.mechanism.mechanism import GROUND
+from closedloop_dynamics.ros.messages import WireMessage
 from closedloop_dynamics.ros.parameters import declare, Parameter
 from closedloop_dynamics.ros.process import StartError
-from closedloop_dynamics.ros.wire import WireMessage
 from geometry_msgs.msg import TransformStamped
 import numpy as np
 from rclpy.qos import QoSProfile
@@ -50,15 +50,14 @@ class Frames:
     """
     Broadcasts frames with every state, as long as somebody subscribes to ``/tf``.
 
-    Parameters
-    ----------
-    node : simulator_node.SimulatorNode
-        Offers ``simulation``, and calls what is put into ``on_published``.
+    ``node`` broadcasts and is given ``FRAME_PARAMETERS``.
 
     Attributes
     ----------
     of_cuts : list of str
         ``frame_id`` of the force at each cut joint.
+    any : bool
+        Whether there are frames to broadcast.
 
     Raises
     ------
@@ -67,22 +66,29 @@ class Frames:
 
     """
 
-    def __init__(self, node):
+    def __init__(self, node, simulation):
         values = declare(node, FRAME_PARAMETERS)
-        self._node, self._prefix = node, values['frame_prefix']
-        cuts = node.simulation.mechanism.cut_joints
-        bodies = [GROUND, *(body.name for body in node.simulation.mechanism.bodies)]
-        self._with_cuts = values['cut_frames'] and bool(cuts)
-        self._with_links = values['publish_tf']
+        self._simulation, self._prefix = simulation, values['frame_prefix']
+        cuts = simulation.mechanism.cut_joints
+        bodies = [GROUND, *(body.name for body in simulation.mechanism.bodies)]
+        with_cuts, with_links = values['cut_frames'] and bool(cuts), values['publish_tf']
         if TFMessage is None:
-            self._do_without()
-        self.of_cuts = [self._prefix + (f'constraint_forces/{cut.name}' if self._with_cuts
-                                        else WORLD) for cut in cuts]
+            if with_links:
+                raise StartError("parameter 'publish_tf': the message type tf2_msgs/msg/TFMessage "
+                                 'is not installed here; it comes with a ROS installation')
+            if with_cuts:
+                with_cuts = False
+                node.get_logger().info(
+                    'no frames at cut points, as tf2_msgs is not installed: the frame_id of '
+                    f"constraint forces is '{self._prefix}{WORLD}'")
+        self.of_cuts = [self._prefix + (f'constraint_forces/{cut.name}' if with_cuts else WORLD)
+                        for cut in cuts]
         # Name, body, place on it, and whether it turns with it.
         frames = [*((name, cut.body_a, cut.point_a, False)
-                    for name, cut in zip(self.of_cuts, cuts) if self._with_cuts),
+                    for name, cut in zip(self.of_cuts, cuts) if with_cuts),
                   *((self._prefix + body, body, (0.0, 0.0), True)
-                    for body in bodies if self._with_links)]
+                    for body in bodies if with_links)]
+        self.any = bool(frames)
         if frames:
             self._names, of, points, turns = zip(*frames)
             self._rows = np.array([bodies.index(body) for body in of])
@@ -91,44 +97,17 @@ class Frames:
             self._transforms = np.zeros((len(frames), 7))
             self._message = WireMessage(self._build, len(frames) * [7])
             self._publisher = node.create_publisher(TFMessage, '/tf', QoSProfile(depth=100))
-            node.on_published.append(self.follow)
-
-    def _do_without(self):
-        if self._with_links:
-            raise StartError("parameter 'publish_tf': the message type tf2_msgs/msg/TFMessage is "
-                             'not installed here; it comes with a ROS installation')
-        if self._with_cuts:
-            self._with_cuts = False
-            self._node.get_logger().info(
-                'no frames at cut points, as tf2_msgs is not installed: the frame_id of '
-                f"constraint forces is '{self._prefix}{WORLD}'")
 
     def follow(self, stamp):
-        """
-        Broadcast the frames of the node's present state.
-
-        Parameters
-        ----------
-        stamp : builtin_interfaces.msg.Time
-            Of the state.
-
-        """
+        """Broadcast the frames of the present state."""
         if self._publisher.get_subscription_count():
             self._publisher.publish(
                 self._message.filled(stamp.sec, stamp.nanosec, *self.transforms()))
 
     def transforms(self):
-        """
-        Return where the frames are.
-
-        Returns
-        -------
-        ndarray, shape (number of frames, 7)
-            Origin in the world [m], then a quaternion x, y, z, w.
-
-        """
+        """Return origins [m] and quaternions x, y, z, w, shape (number of frames, 7)."""
         # The first is the ground's, which stays zero.
-        self._poses[1:] = self._node.simulation.body_poses
+        self._poses[1:] = self._simulation.body_poses
         x, y, angle = self._poses[self._rows].T
         cosine, sine = np.cos(angle), np.sin(angle)
         out, along, across = self._transforms, *self._points.T

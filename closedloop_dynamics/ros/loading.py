@@ -18,30 +18,16 @@ import time
 
 from closedloop_dynamics.ros.process import leaving_at_once, StartError
 from closedloop_dynamics.simulation.errors import SimulationError
+from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.simulation.simulation import Simulation
 
 
 def load_simulation(scene, logger, **method):
     """
-    Return the simulation of a scene, compiled, and say so.
+    Return the simulation of a scene, compiled, and the scene's own method; say so.
 
-    Parameters
-    ----------
-    scene : str
-        Name of a shipped scene, or path of a file.
-    logger : rclpy logger
-        Of the node.
-    **method
-        What differs from the scene's method; None: nothing.
-
-    Returns
-    -------
-    Simulation
-
-    Raises
-    ------
-    StartError
-        If the scene cannot be read or simulated.
+    ``method`` is what differs from that; None: nothing. Raises StartError if the scene cannot be
+    read or simulated.
 
     """
     logger.info(f"loading scene '{scene}' and compiling (a quarter of a minute at the very first "
@@ -49,9 +35,10 @@ def load_simulation(scene, logger, **method):
     begin = time.monotonic()
     try:
         with leaving_at_once():
-            simulation = Simulation.from_scene(scene, **method)
+            read = load_scene(scene)
+            simulation = Simulation.from_scene(read, **method)
             simulation.warm_up()
     except (ValueError, OSError, SimulationError) as error:
         raise StartError(f"scene '{scene}': {error}") from None
     logger.info(f'loaded in {time.monotonic() - begin:.1f} s')
-    return simulation
+    return simulation, read.method

@@ -20,14 +20,16 @@ import time
 
 from closedloop_dynamics.effects.contact import Contact
 from closedloop_dynamics.effects.external_force import ExternalForce
-from closedloop_dynamics.ros.marker_shapes import arrow, link_markers, point, strip, styled
-from closedloop_dynamics.ros.parameters import Parameter
+from closedloop_dynamics.ros.parameters import declare, Parameter
 from closedloop_dynamics.ros.process import StartError
 from closedloop_dynamics.simulation.modeling import extent
-from closedloop_dynamics.visual.appearance import CONTACT_COLOR, CUT_COLOR, FORCE_COLOR, PATH_COLOR
+from closedloop_dynamics.visual.appearance import (
+    body_colors, CONTACT_COLOR, CUT_COLOR, FORCE_COLOR, outline, PATH_COLOR, rgb, sliders)
 from closedloop_dynamics.visual.motion import pose_of, world_points
+from geometry_msgs.msg import Point
 import numpy as np
 from rclpy.qos import QoSProfile
+from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker
 from visualization_msgs.msg import MarkerArray
 
@@ -38,6 +40,9 @@ PATH_POINTS, PATH_STEP = 400, 0.01
 ARROW_SIZE, HALF_LIFE = 0.5, 2.0
 # Above the links [share of the size].
 ABOVE = 0.2
+# Widths and lengths of links and arrows, as shares of the size.
+LINK_WIDTH, SLIDER_SIZE = 0.06, 0.1
+SHAFT, HEAD, HEAD_LENGTH = 0.025, 0.06, 0.09
 MARKER_PARAMETERS = (
     Parameter(
         'marker_rate', 30.0,
@@ -58,57 +63,47 @@ class Markers:
     """
     Publishes pictures of the state at a rate of their own, as long as somebody subscribes.
 
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        Publishes.
-    values : dict
-        Of ``MARKER_PARAMETERS``.
-
-    Raises
-    ------
-    StartError
-        If there is no point of the name given.
+    ``node`` publishes and is given ``MARKER_PARAMETERS``. Raises StartError if there is no point
+    of the name given.
 
     """
 
-    def __init__(self, node, values):
+    def __init__(self, node, simulation):
+        values = declare(node, MARKER_PARAMETERS)
         self._rate = values['marker_rate']
         self._frame = values['marker_frame']
         self._scale = values['marker_force_scale']
-        self._name = values['marker_point']
-        self._mechanism = None
+        self._simulation, self._mechanism = simulation, simulation.mechanism
         self._count = 0
         self._next = -math.inf
-        self._prepare(node.simulation.mechanism)
+        self._path = deque(maxlen=PATH_POINTS)
+        self._peak = 0.0
+        self._size = size = extent(self._mechanism)
+        self._height = ABOVE * size
+        names = [named.name for named in self._mechanism.points]
+        self._point = values['marker_point'] or next(iter(names), None)
+        if self._point is not None and self._point not in names:
+            raise StartError(f"parameter 'marker_point': expected one of the points of "
+                             f"{self._mechanism.name} ({', '.join(names)}), got '{self._point}'")
+        self._links = link_markers(self._mechanism, size)
+        self._cuts = styled(Marker.SPHERE_LIST, 'cut_joints', 0, CUT_COLOR, 0.09 * size)
+        self._trail = styled(Marker.LINE_STRIP, 'path', 0, PATH_COLOR, 0.02 * size)
         self._publisher = self._rate > 0.0 and node.create_publisher(
             MarkerArray, 'visualization_marker_array', QoSProfile(depth=5))
 
-    def follow(self, stamp, simulation):
-        """
-        Publish the markers of a state if it is time to, and if anybody wants them.
-
-        Parameters
-        ----------
-        stamp : builtin_interfaces.msg.Time
-            Of the state.
-        simulation : Simulation
-            Which is in that state.
-
-        """
+    def follow(self, stamp):
+        """Publish the markers of the present state if it is time to, and if anybody wants them."""
         if not self._publisher or (now := time.monotonic()) < self._next:
             return
         self._next = max(self._next + 1.0 / self._rate, now)
         if self._publisher.get_subscription_count():
-            self._publisher.publish(self.array(stamp, simulation))
+            self._publisher.publish(self.array(stamp))
         else:
             self._path.clear()
 
-    def array(self, stamp, simulation):
-        """Return the markers of a simulation's present state, a MarkerArray."""
-        if simulation.mechanism is not self._mechanism:
-            self._prepare(simulation.mechanism)
-        poses = simulation.body_poses
+    def array(self, stamp):
+        """Return the markers of the present state, a MarkerArray."""
+        poses = self._simulation.body_poses
         for marker, body in self._links:
             x, y, angle = poses[body].tolist()
             marker.pose.position.x, marker.pose.position.y = x, y
@@ -117,9 +112,9 @@ class Markers:
         places = [self._cut_place(cut, poses) for cut in self._mechanism.cut_joints]
         self._cuts.points = [point(*place, self._height) for place in places]
         markers = [marker for marker, _ in self._links] + [self._cuts] * bool(places)
-        markers += self._forces(simulation, poses, places)
+        markers += self._forces(places)
         if self._point is not None:
-            markers += self._trace(simulation)
+            markers += self._trace()
         for marker in markers:
             marker.header.frame_id, marker.header.stamp = self._frame, stamp
         if len(markers) < self._count:
@@ -128,27 +123,12 @@ class Markers:
         self._count = len(markers)
         return MarkerArray(markers=markers)
 
-    def _prepare(self, mechanism):
-        self._mechanism = mechanism
-        self._size = size = extent(mechanism)
-        self._height = ABOVE * size
-        names = [named.name for named in mechanism.points]
-        if self._name and self._name not in names:
-            raise StartError(f"parameter 'marker_point': expected one of the points of "
-                             f"{mechanism.name} ({', '.join(names)}), got '{self._name}'")
-        self._point = self._name or next(iter(names), None)
-        self._path = deque(maxlen=PATH_POINTS)
-        self._peak = 0.0
-        self._links = link_markers(mechanism, size)
-        self._cuts = styled(Marker.SPHERE_LIST, 'cut_joints', 0, CUT_COLOR, 0.09 * size)
-        self._trail = styled(Marker.LINE_STRIP, 'path', 0, PATH_COLOR, 0.02 * size)
-
     def _cut_place(self, cut, poses):
         return world_points(pose_of(self._mechanism, poses, cut.body_a), cut.point_a).tolist()
 
-    def _trace(self, simulation):
+    def _trace(self):
         """Return the path of the point so far; nothing until it has moved."""
-        place = simulation.point(self._point).tolist()
+        place = self._simulation.point(self._point).tolist()
         if not self._path or math.dist(place, self._path[-1]) > PATH_STEP * self._size:
             self._path.append(place)
         if len(self._path) < 2:
@@ -156,15 +136,16 @@ class Markers:
         self._trail.points = [point(*each, self._height) for each in self._path]
         return [self._trail]
 
-    def _forces(self, simulation, poses, places):
+    def _forces(self, places):
         """Return arrows for the forces at cut joints and of effects, and lines of contacts."""
+        simulation = self._simulation
         wanted = [('constraint_forces', k, FORCE_COLOR, place, force) for k, (place, force) in (
             enumerate(zip(places, simulation.constraint_forces[:, 1:].tolist())))]
         lines = []
         for k, name in enumerate(simulation.enabled_effects):
             record = simulation.effects[name]
             if isinstance(record, Contact):
-                lines.append(self._contact_line(k, record, simulation))
+                lines.append(self._contact_line(k, record))
                 force = contact_force(record, simulation.effect_readings(name))
             elif isinstance(record, ExternalForce):
                 force = record.force
@@ -186,11 +167,12 @@ class Markers:
         self._peak = max([self._peak * fading, *magnitudes])
         return ARROW_SIZE * self._size / self._peak if self._peak > 0.0 else 0.0
 
-    def _contact_line(self, number, contact, simulation):
+    def _contact_line(self, number, contact):
         """Return the line of a contact, as long as its point's surroundings."""
         along = np.array([math.cos(contact.angle), math.sin(contact.angle)])
         place = np.array(contact.origin)
-        middle = place + along * np.dot(simulation.point(contact.point) - place, along)
+        middle = place + along * np.dot(
+            self._simulation.point(contact.point) - place, along)
         ends = [middle - 2.0 * self._size * along, middle + 2.0 * self._size * along]
         return strip('contacts', number, CONTACT_COLOR, 0.03 * self._size,
                      [point(*end, 0.0) for end in np.array(ends).tolist()])
@@ -202,3 +184,67 @@ def contact_force(contact, readings):
     normal = readings['normal_force']
     cosine, sine = math.cos(contact.angle), math.sin(contact.angle)
     return [along * cosine - normal * sine, along * sine + normal * cosine]
+
+
+def styled(kind, namespace, number, color, width, strength=1.0):
+    """
+    Return a marker with a style and nothing in it yet.
+
+    ``kind`` is that of visualization_msgs/Marker; a viewer switches ``namespace`` off; ``width``
+    is that of lines, or the diameter of spheres [m]; ``strength`` 1 is opaque.
+
+    """
+    red, green, blue = rgb(color)
+    marker = Marker(ns=namespace, id=number, type=kind, action=Marker.ADD,
+                    color=ColorRGBA(r=red, g=green, b=blue, a=strength))
+    marker.scale.x = marker.scale.y = marker.scale.z = width
+    marker.pose.orientation.w = 1.0
+    return marker
+
+
+def point(x, y, z=0.0):
+    """Return a geometry_msgs/Point."""
+    return Point(x=x, y=y, z=z)
+
+
+def strip(namespace, number, color, width, points):
+    """Return a line through points."""
+    marker = styled(Marker.LINE_STRIP, namespace, number, color, width)
+    marker.points = points
+    return marker
+
+
+def arrow(namespace, number, color, size, start, along, height):
+    """Return an arrow from a foot, ``along`` to its head [m], ``height`` above the plane."""
+    marker = styled(Marker.ARROW, namespace, number, color, 0.0)
+    marker.scale.x, marker.scale.y, marker.scale.z = (
+        SHAFT * size, HEAD * size, HEAD_LENGTH * size)
+    marker.points = [point(*start, height),
+                     point(start[0] + along[0], start[1] + along[1], height)]
+    return marker
+
+
+def link_markers(mechanism, size):
+    """Return the markers of all bodies, in the bodies' own frames, each with its body's index."""
+    colors, blocks = body_colors(mechanism), sliders(mechanism)
+    markers = []
+
+    def add(kind, body, width, strength=1.0):
+        name = mechanism.bodies[body].name
+        markers.append((styled(kind, 'links', len(markers), colors[name], width, strength), body))
+        return markers[-1][0]
+
+    for index, body in enumerate(mechanism.bodies):
+        corners = [point(*corner) for corner in outline(mechanism, body.name).tolist()]
+        if len(corners) > 1:
+            closed = corners[:1] if len(corners) > 2 else []
+            add(Marker.LINE_STRIP, index, LINK_WIDTH * size).points = corners + closed
+        if len(corners) > 2:
+            fan = [corner for second, third in zip(corners[1:], corners[2:])
+                   for corner in (corners[0], second, third)]
+            add(Marker.TRIANGLE_LIST, index, 1.0, 0.4).points = fan
+        if body.name in blocks or len(corners) == 1:
+            block = add(Marker.CUBE, index, SLIDER_SIZE * size)
+            block.scale.x *= 1.6
+            block.scale.z *= 0.4
+    return markers

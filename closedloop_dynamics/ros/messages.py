@@ -12,27 +12,145 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What a simulator publishes of a state: joint states and constraint forces."""
+
+"""
+What a simulator publishes of a state: joint states, constraint forces and the time.
+
+Converting a message from Python takes longer than all the rest of publishing it. So messages are
+serialised once, the places of their numbers among the bytes are looked up by values put there
+to be found, and the numbers are written directly from then on. Where that does not work
+(another middleware, another encoding), a message is converted as ever.
+
+"""
 
 from array import array
 from functools import partial
+import re
+import struct
 import time
 
 from builtin_interfaces.msg import Time
 from closedloop_dynamics.ros.process import StartError
-from closedloop_dynamics.ros.wire import WireMessage
 from geometry_msgs.msg import WrenchStamped
 import numpy as np
 from rclpy.duration import Duration
 from rclpy.exceptions import InvalidTopicNameException
 from rclpy.qos import QoSProfile
+from rclpy.serialization import serialize_message
+from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 
 NANOSECONDS = 10 ** 9
+# A stamp that is found only where it was put: seconds and nanoseconds.
+_STAMP = struct.Struct('=iI')
+_MARK = (0x2F3A91C5, 0x1B7D4E63)
 # For subscribers to receive what was published: to wait at once, and all in all [s].
 PATIENCE, GIVE_UP = Duration(seconds=0.02), 2.0
 # A reliable subscriber that stalls for a second at 1 kHz still gets everything.
 STATE_QOS = QoSProfile(depth=1000)
+
+
+class WireMessage:
+    """
+    A message with stamps, in one or several headers, and blocks of numbers.
+
+    Parameters
+    ----------
+    build : callable
+        ``build(stamp_sec, stamp_nanosec, *blocks)`` returns the message, blocks being arrays.
+    sizes : sequence of int
+        Of the blocks.
+
+    """
+
+    def __init__(self, build, sizes):
+        self._build = build
+        rng = np.random.default_rng(1)
+        marks = [rng.uniform(1e100, 1e101, size) for size in sizes]
+        self._data = bytearray(serialize_message(build(*_MARK, *marks)))
+        self._stamps = self._places(_STAMP.pack(*_MARK))
+        places = [self._places(mark.tobytes()) for mark in marks if len(mark)]
+        self.direct = bool(self._stamps) and all(len(found) == 1 for found in places)
+        if self.direct:
+            offsets = iter(place for place, in places)
+            self._blocks = [np.frombuffer(self._data, count=size, offset=next(offsets))
+                            if size else np.zeros(0) for size in sizes]
+            # What was looked for is not to be published by mistake.
+            self.filled(0, 0, *(np.full(size, np.nan) for size in sizes))
+
+    def _places(self, mark):
+        """Return where a mark is among the bytes."""
+        return [match.start() for match in re.finditer(re.escape(mark), self._data)]
+
+    def filled(self, sec, nanosec, *blocks):
+        """Return the message with a stamp and blocks of numbers, ready to be published."""
+        if not self.direct:
+            return self._build(sec, nanosec, *blocks)
+        for place in self._stamps:
+            _STAMP.pack_into(self._data, place, sec, nanosec)
+        for place, block in zip(self._blocks, blocks):
+            place[:] = block
+        return bytes(self._data)
+
+
+class Stamps:
+    """
+    The time for the next messages: that of a node's clock, or simulated; and ``/clock``.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+        Whose clock is asked, and by which a clock is published.
+    simulation : Simulation
+        Whose time is taken.
+    simulated, publish_clock : bool
+        Whether to stamp in simulated time, and whether to publish it on ``/clock``.
+
+    """
+
+    def __init__(self, node, simulation, simulated, publish_clock):
+        self._source, self._simulation, self.simulated = node.get_clock(), simulation, simulated
+        self._clock = WireMessage(
+            lambda sec, nanosec: Clock(clock=Time(sec=sec, nanosec=nanosec)), ())
+        self._publisher = node.create_publisher(
+            Clock, '/clock', QoSProfile(depth=10)) if publish_clock else None
+
+    @property
+    def simulated_nanoseconds(self):
+        """Return the simulated time [ns]."""
+        return round(self._simulation.time * NANOSECONDS)
+
+    def now(self):
+        """Return the stamp for what is published now [ns]."""
+        if self.simulated:
+            return self.simulated_nanoseconds
+        return self._source.now().nanoseconds
+
+    def earlier(self, late, last):
+        """
+        Return the stamp for a state that was due ``late`` s ago [ns].
+
+        It does not precede ``last``, the stamp of the state before, unless the clock was set back.
+
+        """
+        now = self.now()
+        # A clock that somebody else publishes runs as it likes.
+        if self.simulated or self._source.ros_time_is_active:
+            return now
+        stamp = now - max(0, round(late * NANOSECONDS))
+        # Unless the clock itself was set back.
+        return last + 1 if last is not None and stamp <= last <= now else stamp
+
+    def message(self):
+        """Return the same as a message."""
+        sec, nanosec = divmod(self.now(), NANOSECONDS)
+        return Time(sec=sec, nanosec=nanosec)
+
+    def publish(self):
+        """Tell everybody the simulated time, if that was asked for."""
+        if self._publisher is not None:
+            self._publisher.publish(
+                self._clock.filled(*divmod(self.simulated_nanoseconds, NANOSECONDS)))
 
 
 class StatePublisher:
@@ -42,11 +160,9 @@ class StatePublisher:
     Parameters
     ----------
     node : rclpy.node.Node
-        Publishes.
-    joint_names : sequence of str
-        In the order of the joint coordinates.
-    cut_names : sequence of str
-        In the order of the constraint forces.
+        By which they are published.
+    joint_names, cut_names : sequence of str
+        In the order of the joint coordinates and of the constraint forces.
     frames : sequence of str
         Frames that these refer to.
 
@@ -84,21 +200,7 @@ class StatePublisher:
                 f'{list(cut_names)}') from None
 
     def joint_state(self, sec, nanosec, position, velocity, effort):
-        """
-        Return a JointState.
-
-        Parameters
-        ----------
-        sec, nanosec : int
-            The stamp.
-        position, velocity, effort : ndarray, shape (nv,)
-            Of the joints [rad or m, and per s; N m or N].
-
-        Returns
-        -------
-        sensor_msgs.msg.JointState
-
-        """
+        """Return a JointState of arrays of shape (nv,)."""
         message = JointState(name=self._names, **{
             key: array('d', values.tobytes()) for key, values in (
                 ('position', position), ('velocity', velocity), ('effort', effort))})
@@ -149,23 +251,7 @@ class StatePublisher:
 
 
 def wrench_stamped(frame, sec, nanosec, values):
-    """
-    Return a WrenchStamped.
-
-    Parameters
-    ----------
-    frame : str
-        Its axes, and the point that its moment refers to.
-    sec, nanosec : int
-        The stamp.
-    values : ndarray, shape (6,)
-        Force along x, y, z [N], torque about them [N m].
-
-    Returns
-    -------
-    geometry_msgs.msg.WrenchStamped
-
-    """
+    """Return a WrenchStamped of force [N] and torque [N m], shape (6,), in the axes of a frame."""
     message = WrenchStamped()
     message.header.frame_id = frame
     message.header.stamp = Time(sec=sec, nanosec=nanosec)

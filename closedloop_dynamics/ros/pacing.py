@@ -12,21 +12,40 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Simulated time that follows a steady clock in whole integrator steps."""
+"""How simulated time advances: with the clock, as fast as possible, or command by command."""
 
 import math
 import time
 
+REALTIME, AS_FAST_AS_POSSIBLE, LOCKSTEP = 'realtime', 'as_fast_as_possible', 'lockstep'
 # Unfinished simulated time older than this (in seconds of the steady clock) is
 # dropped: long enough to make up for a hiccup of the machine, short enough
 # that nobody waits for a simulation that plays back the past.
 LARGEST_LAG = 0.1
 # Steps are taken in portions of about this duration [s], between which the
 # time left is looked at.
-PORTION = 0.002
+PORTION_TIME = 0.002
 # Tolerates the rounding of the sum of many ticks: a step that is due up to a
 # millionth of a step is due.
 ROUNDING = 1e-6
+# Share of a tick that may go into computing; the rest is for messages.
+COMPUTING_SHARE = 0.8
+# However rarely states are published: signals and services are attended to so often [s].
+LONGEST_TICK = 0.1
+# States of ticks that were missed that are published late; those before them are left out. As long
+# as that, nobody waits for a machine that is too slow for its rate.
+MOST_MADE_UP = 10
+# A tick may be so early, as a share of its period, and be the one that is due all the same.
+EARLY = 0.05
+# As long as nothing else is to be done [s].
+IDLE_TICK = 0.05
+# A mode that runs as fast as possible attends to messages so often [s].
+SLICE = 0.005
+# States published between two looks whether reliable subscribers have received them.
+LOOK_EVERY = 200
+# Steps made at once, between which a signal may end the process. Always the same: splitting the
+# way differently would give error-controlled methods other last digits.
+PORTION = 200
 
 
 class Pacer:
@@ -38,23 +57,17 @@ class Pacer:
     and counted. So a tick's work is bounded, and a machine that is too slow
     runs slower than asked instead of ever further behind.
 
-    Parameters
+    Attributes
     ----------
     step_size : float
         [s] of simulated time.
     real_time_factor : float
         Simulated seconds per second of the clock.
-    clock : callable, optional
+    clock : callable
         Returns seconds; steady.
-
-    Attributes
-    ----------
-    simulated : float
-        Simulated time taken so far [s].
-    elapsed : float
-        Time of the clock while running, up to the last tick [s].
-    dropped : float
-        Simulated time given up so far [s].
+    simulated, elapsed, dropped : float
+        Simulated time taken so far, time of the clock while running up to the last tick,
+        simulated time given up so far [s].
 
     """
 
@@ -68,6 +81,7 @@ class Pacer:
         self.simulated = 0.0
         self.elapsed = 0.0
         self.dropped = 0.0
+        self._told = 0.0, 0.0
 
     @property
     def real_time_factor(self):
@@ -95,6 +109,16 @@ class Pacer:
         """Return the same as achieved so far; 0 before the first tick."""
         return self.simulated / self.elapsed if self.elapsed > 0 else 0.0
 
+    def overload(self):
+        """Return what to say where steps take too long, with the factor since the last time."""
+        simulated, elapsed = self._told
+        achieved = (self.simulated - simulated) / (self.elapsed - elapsed)
+        self._told = self.simulated, self.elapsed
+        return (
+            f'this machine cannot keep up: {achieved:.3g} x real time instead of '
+            f'{self.real_time_factor:g}; {self.dropped:.3f} s of simulated time dropped so far '
+            '(a larger step_size or a smaller real_time_factor helps)')
+
     def start(self):
         """Let time run from now on."""
         self._last = self.clock()
@@ -106,21 +130,10 @@ class Pacer:
 
     def tick(self, take, budget, until=None):
         """
-        Take the steps that are due, for a limited time.
+        Take the steps that are due, for a limited time; return the simulated time dropped [s].
 
-        Parameters
-        ----------
-        take : callable
-            ``take(n)`` takes n steps.
-        budget : float
-            Time of the clock after which no more steps are begun [s].
-        until : float, optional
-            Time of the clock up to which steps are due; not given: now.
-
-        Returns
-        -------
-        float
-            Simulated time dropped in this tick [s].
+        ``take(n)`` takes n steps; after ``budget`` [s of the clock] no more are begun; steps are
+        due up to ``until`` [s of the clock], or now.
 
         """
         begin = now = self.clock()
@@ -143,10 +156,10 @@ class Pacer:
             self._last = now
 
     def _portion(self, left):
-        """Return the number of steps that take about ``PORTION``, at least one."""
+        """Return the number of steps that take about ``PORTION_TIME``, at least one."""
         if not self._cost:
             return 1
-        return max(1, int(min(PORTION, left) / self._cost))
+        return max(1, int(min(PORTION_TIME, left) / self._cost))
 
     def _drop(self):
         excess = self._due - max(LARGEST_LAG * self._factor, self.step_size)
@@ -158,17 +171,7 @@ class Pacer:
 
 
 class Throttle:
-    """
-    Let one message through per period and count those held back.
-
-    Parameters
-    ----------
-    period : float
-        [s].
-    clock : callable, optional
-        Returns seconds; steady.
-
-    """
+    """Let one message through per period [s] and count those held back."""
 
     def __init__(self, period, clock=time.monotonic):
         self.period = period
@@ -191,34 +194,226 @@ class Throttle:
         return held_back
 
 
-class Overload:
+class RealTime:
     """
-    The message of a machine that cannot keep up, with the factor since the last one.
+    Simulated time follows the steady clock times a factor.
+
+    A tick that was missed is made up for in the next one: every state is that of the time at
+    which it was due, however late the process was woken for it.
 
     Parameters
     ----------
+    machine : live.LiveSimulation
+        Advanced and told when to publish.
     pacer : Pacer
         Counts time.
-    period : float
-        Between two messages [s].
+
+    Attributes
+    ----------
+    tick_period : float
+        [s] of the steady clock.
+    missed_ticks, left_out : int
+        Ticks that came so late that the next one was due; those that were not made up for.
 
     """
 
-    def __init__(self, pacer, period):
-        self.pacer = pacer
-        self._throttle = Throttle(period)
-        self._simulated = self._elapsed = 0.0
+    name = REALTIME
 
-    def ready(self):
-        """Return whether a message may pass now."""
-        return self._throttle.ready()
+    def __init__(self, machine, pacer):
+        self._machine, self.pacer = machine, pacer
+        self.missed_ticks = self.left_out = 0
+        # When the latest tick was due.
+        self._due = None
 
-    def message(self):
-        """Return it."""
+    def set_rate(self, rate):
+        """Publish ``rate`` times a second from now on."""
+        self._ticks = math.ceil(1.0 / (rate * LONGEST_TICK))
+        self._left = self._ticks
+        self.tick_period = 1.0 / (rate * self._ticks)
+        self._due = None
+
+    def start(self):
+        """Let time run from now on."""
+        self._due = None
+        self.pacer.start()
+
+    def stop(self):
+        """Let time stand still."""
+        self.pacer.stop()
+
+    def restart(self):
+        """Begin at another state; whether time runs stays."""
+
+    def take_command(self):
+        """Do nothing: a command acts from the next tick on."""
+
+    def tick(self):
+        """Advance to the present, period by period, and publish what there is to publish."""
+        missed = self._note_due() - 1
+        if not self.pacer.running:
+            # What stands still is the same at every tick.
+            missed = 0
+        made_up = min(missed, MOST_MADE_UP)
+        self.missed_ticks += missed
+        self.left_out += missed - made_up
+        budget = COMPUTING_SHARE * self.tick_period
+        for behind in range(made_up, -1, -1):
+            if behind and budget == 0.0:
+                self.left_out += 1
+                continue
+            self._take(self._due - behind * self.tick_period, budget)
+            if self.pacer.behind:
+                # It is computing that takes too long: more of the same would not help.
+                budget = 0.0
+
+    def _note_due(self):
+        """Return how many ticks have become due with this one, and note when it was due."""
+        now = self.pacer.clock()
+        if self._due is None:
+            self._due = now
+            return 1
+        ticks = max(1, math.floor((now - self._due) / self.tick_period + EARLY))
+        # Ticks are late, never early: if this one seems to be, those before were late.
+        self._due = min(self._due + ticks * self.tick_period, now)
+        return ticks
+
+    def _take(self, due, budget):
+        """Advance to the time at which a tick was due, and publish if it is time to."""
         pacer = self.pacer
-        achieved = (pacer.simulated - self._simulated) / (pacer.elapsed - self._elapsed)
-        self._simulated, self._elapsed = pacer.simulated, pacer.elapsed
-        return (
-            f'this machine cannot keep up: {achieved:.3g} x real time instead of '
-            f'{pacer.real_time_factor:g}; {pacer.dropped:.3f} s of simulated time dropped so far '
-            '(a larger step_size or a smaller real_time_factor helps)')
+        if pacer.running:
+            pacer.tick(self._machine.advance, budget, due)
+        self._left -= 1
+        if self._left <= 0:
+            self._left = self._ticks
+            self._machine.refresh(pacer.clock() - due)
+
+
+class _Periodic:
+    """What the modes share in which a period is so many steps, whatever the clock says."""
+
+    missed_ticks = left_out = 0
+
+    def __init__(self, machine, pacer):
+        self._machine, self.pacer = machine, pacer
+        self.running = False
+
+    def start(self):
+        """Let time run from now on."""
+        self.running = True
+
+    def stop(self):
+        """Let time stand still."""
+        self.running = False
+
+    def set_rate(self, rate):
+        """Publish ``rate`` times per simulated second from now on."""
+        self._period = self._left = period_steps(rate, self.pacer.step_size)
+
+    def _advance(self, steps):
+        begin = self.pacer.clock()
+        while steps > 0:
+            portion = min(steps, PORTION)
+            self._machine.advance(portion)
+            steps -= portion
+            self.pacer.simulated += portion * self.pacer.step_size
+        self.pacer.elapsed += self.pacer.clock() - begin
+
+
+class AsFastAsPossible(_Periodic):
+    """
+    One period after the other, with messages attended to in between.
+
+    It waits for reliable subscribers, so that none misses a state.
+
+    """
+
+    name = AS_FAST_AS_POSSIBLE
+
+    def __init__(self, machine, pacer):
+        super().__init__(machine, pacer)
+        self._on_the_way = 0
+
+    @property
+    def tick_period(self):
+        """Return the time between ticks [s of the steady clock]."""
+        return 1e-4 if self.running else IDLE_TICK
+
+    def restart(self):
+        """Begin at another state; whether time runs stays."""
+        self._left = self._period
+
+    def take_command(self):
+        """Do nothing: a command acts from the next tick on."""
+
+    def tick(self):
+        """Advance for a while."""
+        if not self.running:
+            self._machine.refresh()
+            return
+        if self._on_the_way >= LOOK_EVERY:
+            if not self._machine.is_received():
+                return
+            self._on_the_way = 0
+        end = time.monotonic() + SLICE
+        while self.running and self._on_the_way < LOOK_EVERY and time.monotonic() < end:
+            steps = min(self._left, PORTION)
+            self._advance(steps)
+            self._left -= steps
+            if self._left == 0:
+                self._left = self._period
+                self._machine.publish()
+                self._on_the_way += 1
+
+
+class Lockstep(_Periodic):
+    """One period for each command, nothing in between: the same run, bit for bit, every time."""
+
+    name = LOCKSTEP
+    tick_period = IDLE_TICK
+
+    def __init__(self, machine, pacer):
+        super().__init__(machine, pacer)
+        self._owed = False
+        self._answered = False
+
+    def start(self):
+        """Let commands advance the time; one that came meanwhile does so now."""
+        super().start()
+        if self._owed:
+            self.take_command()
+
+    def restart(self):
+        """Begin at another state, which nobody has answered."""
+        self._owed = self._answered = False
+
+    def take_command(self):
+        """Advance by a period and publish what that led to."""
+        self._owed = not self.running
+        if self.running:
+            self._answered = True
+            self._advance(self._period)
+            self._machine.publish()
+
+    def tick(self):
+        """Offer the state again as long as nobody has answered one."""
+        if not (self._answered and self.running):
+            self._machine.refresh()
+
+
+def period_steps(rate, step_size):
+    """
+    Return the steps in a publishing period; raise ValueError where it is no whole number.
+
+    ``rate`` is in periods per simulated second [Hz], ``step_size`` in s.
+
+    """
+    steps = round(1.0 / (rate * step_size))
+    if steps < 1 or abs(steps * rate * step_size - 1.0) > 1e-9:
+        raise ValueError(
+            f'publish_rate {rate:g} Hz: a period of {1.0 / rate:g} s is no whole number of steps '
+            f'of {step_size:g} s, which this mode needs; {1.0 / (max(steps, 1) * step_size):.10g} '
+            'Hz would do')
+    return steps
+
+
+MODES = {mode.name: mode for mode in (RealTime, AsFastAsPossible, Lockstep)}

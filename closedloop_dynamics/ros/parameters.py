@@ -104,19 +104,7 @@ class Parameter:
         return descriptor
 
     def require_choice(self, value):
-        """
-        Refuse what is none of the choices.
-
-        Parameters
-        ----------
-        value : object
-            Of the right type.
-
-        Raises
-        ------
-        ValueError
-
-        """
+        """Raise ValueError if a value of the right type is none of the choices."""
         if self.choices and value not in self.choices:
             raise ValueError(f"parameter '{self.name}': expected one of {self._choices()}; "
                              f"got '{value}'")
@@ -127,24 +115,10 @@ class Parameter:
 
 def declare(node, parameters):
     """
-    Declare parameters on a node and return their values.
+    Declare parameters on a node and return their values by name.
 
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        Given its values on the command line, or by a file.
-    parameters : iterable of Parameter
-        What to declare.
-
-    Returns
-    -------
-    dict
-        Name to value.
-
-    Raises
-    ------
-    StartError
-        If a given value has the wrong type, is out of range or not a choice.
+    A node is given its values on the command line, or by a file. Raises StartError if one has the
+    wrong type, is out of range or not a choice.
 
     """
     return {parameter.name: _declare(node, parameter) for parameter in parameters}
@@ -177,15 +151,7 @@ def _widened(given, kind):
 
 
 def accept_whole_numbers(node):
-    """
-    Let whole numbers set the floating-point parameters of a node; once for a node.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        With its parameters declared.
-
-    """
+    """Let whole numbers set the floating-point parameters of a node; once for a node."""
     def widen(parameters):
         return [_widened(given, _Type(node.describe_parameter(given.name).type))
                 if node.has_parameter(given.name) else given for given in parameters]
@@ -194,23 +160,7 @@ def accept_whole_numbers(node):
 
 
 def usage(name, node_class, parameters):
-    """
-    Return the text of ``--help``.
-
-    Parameters
-    ----------
-    name : str
-        Of the node and its executable.
-    node_class : type
-        Its docstring begins with what it does, in a sentence.
-    parameters : iterable of Parameter
-        All of them.
-
-    Returns
-    -------
-    str
-
-    """
+    """Return the text of ``--help`` of a node's executable and its parameters."""
     return '\n'.join((
         f'usage: {name} [--ros-args [-p NAME:=VALUE ...] [--params-file FILE] '
         '[-r FROM:=TO ...]]', '', node_class.__doc__.split('\n\n')[0].strip(), '', 'Parameters:',
@@ -219,19 +169,7 @@ def usage(name, node_class, parameters):
 
 
 def in_yaml(value):
-    """
-    Return a value as one writes it on a command line.
-
-    Parameters
-    ----------
-    value : bool, int, float, str or list
-        Of a parameter.
-
-    Returns
-    -------
-    str
-
-    """
+    """Return a value of a parameter as one writes it on a command line."""
     if isinstance(value, list):
         return f'[{", ".join(map(in_yaml, value))}]'
     if isinstance(value, bool):
@@ -257,28 +195,9 @@ def declare_fact(node, name, values, description):
 
 def per_joint(name, values, joints, nan_allowed=False):
     """
-    Spread a list parameter over joints.
+    Return a list parameter as one value per joint: one for all joints, or one for each.
 
-    Parameters
-    ----------
-    name : str
-        Of the parameter, for messages.
-    values : sequence of float
-        One value for all joints, or one for each.
-    joints : sequence of str
-        Names, for messages.
-    nan_allowed : bool
-        Whether NaN is a value.
-
-    Returns
-    -------
-    list of float
-        One value per joint.
-
-    Raises
-    ------
-    StartError
-        If the length fits neither, or a value is not finite.
+    Raises StartError if the length fits neither, or a value is not finite (or NaN, if allowed).
 
     """
     if not all(math.isfinite(value) or nan_allowed and math.isnan(value) for value in values):

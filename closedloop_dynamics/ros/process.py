@@ -20,6 +20,16 @@ line, no ordered close), and a second Ctrl-C while they do kills the process.
 Here SIGINT and SIGTERM only ask the spin loop to end; the node closes while
 its context is still alive, and every further signal is ignored.
 
+The executables watch for signals before they import their node: the import takes seconds,
+and Ctrl-C must not end in a traceback there either. They leave without Python's own clean-up,
+which takes seconds, too, with all that was compiled.
+
+rclpy's events executor takes a third of the processor time of the single-threaded one, which
+builds its wait set anew for every message. Its ``spin()`` does not work in every build of rclpy,
+and neither does ``spin_once()`` without a timeout; with one it does. Its timers and timeouts wake
+up a thread of its own first, and that one the caller: what has to happen in time is slept for
+here.
+
 """
 
 from contextlib import contextmanager
@@ -27,9 +37,18 @@ import gc
 import os
 import sys
 import threading
+import time
 import warnings
 
 from closedloop_dynamics.simulation.signals import SignalWatch
+
+# Which executor: anything else than 'events' means the single-threaded one.
+VARIABLE = 'CLOSEDLOOP_EXECUTOR'
+# A wait is interrupted by whatever happens; this is for the case that nothing does [s].
+LONGEST_WAIT = 0.1
+# Nearer to a beat than this, what happens waits for it; further, the executor waits until a
+# little before it [s].
+NEAR, BEFORE = 0.004, 0.002
 
 
 class StartError(RuntimeError):
@@ -37,15 +56,7 @@ class StartError(RuntimeError):
 
 
 class StopRequest:
-    """
-    Whether a signal has asked this process to stop.
-
-    Attributes
-    ----------
-    wake : callable
-        Called once, from another thread, when one does.
-
-    """
+    """Whether a signal has asked this process to stop; a thread then calls ``wake()`` once."""
 
     def __init__(self):
         self.wake = _nothing
@@ -97,7 +108,7 @@ def _nothing():
 _watch, _stop = SignalWatch(_leave_at_once), StopRequest()
 
 
-def run(create_node, name, help_text, args=None):
+def run(create_node, name, help_text, args=None, timed=False):
     """
     Create a node, spin it until a signal or the node itself ends it, close it.
 
@@ -105,14 +116,15 @@ def run(create_node, name, help_text, args=None):
     ----------
     create_node : callable
         Returns the node. The node offers ``exit_code`` (None as long as it
-        wants to go on) and ``close()``, called while its context is alive; one that has
-        something to do in time, ``take_over()``, ``due()`` and ``act()``, as ``spin`` asks.
+        wants to go on) and ``close()``, called while its context is alive.
     name : str
         Of the executable, and for messages before there is a node.
     help_text : str
         For ``--help``.
     args : list of str, optional
         Command line with the program's name first; ``sys.argv`` if None.
+    timed : bool
+        Whether the node has something to do in time, and offers what ``spin`` asks of a beat.
 
     Returns
     -------
@@ -137,22 +149,14 @@ def run(create_node, name, help_text, args=None):
         # From here on there may be something to close, such as a bag: a signal waits until it
         # can be.
         with _watch.reacting(_stop):
-            return _run_in_context(create_node, name)
+            return _run_in_context(create_node, name, timed)
     finally:
         _watch.ignore()
         rclpy.try_shutdown()
 
 
 def leave(code):
-    """
-    End the process at once.
-
-    Parameters
-    ----------
-    code : int
-        Exit code.
-
-    """
+    """End the process at once with an exit code."""
     import rclpy
     # Without this, the shared memory of DDS would stay behind.
     rclpy.get_default_context().destroy()
@@ -161,8 +165,7 @@ def leave(code):
     os._exit(code)
 
 
-def _run_in_context(create_node, name):
-    from closedloop_dynamics.ros.spinning import build_executor, spin
+def _run_in_context(create_node, name, timed):
     from rclpy.exceptions import NameValidationException
     from rclpy.logging import get_logger
     warnings.showwarning = lambda message, *where: get_logger(name).warning(_one_line(message))
@@ -180,7 +183,7 @@ def _run_in_context(create_node, name):
     _stop.wake = lambda: executor.create_task(_nothing)
     try:
         spin(executor, lambda: node.exit_code is not None or stop_requested(),
-             node if hasattr(node, 'take_over') else None)
+             node if timed else None)
     finally:
         _stop.wake = _nothing
         try:
@@ -206,3 +209,69 @@ def _refuse(stray):
 
 def _one_line(error):
     return ' '.join(str(error).split())
+
+
+def build_executor(context=None):
+    """Return the quickest executor that this rclpy has, in a context or the default one."""
+    from rclpy.executors import SingleThreadedExecutor
+    if os.environ.get(VARIABLE, 'events') == 'events':
+        try:
+            from rclpy.experimental.events_executor import EventsExecutor
+            return EventsExecutor(context=context)
+        except ImportError:
+            # An older rclpy.
+            pass
+    return SingleThreadedExecutor(context=context)
+
+
+def spin(executor, over, beat=None):
+    """
+    Run callbacks as they become due.
+
+    ``over()`` is asked after every callback whether to end. ``beat`` is something to be done in
+    time: ``take_over()`` is called once where this is possible, ``due()`` tells when (of the
+    steady clock [s]; None: not now), ``act()`` does it.
+
+    """
+    from rclpy.executors import SingleThreadedExecutor
+    if beat is not None and not isinstance(executor, SingleThreadedExecutor):
+        beat.take_over()
+    while not over():
+        due = beat.due() if beat is not None else None
+        ahead = due - time.monotonic() if due is not None else LONGEST_WAIT + BEFORE
+        if ahead > NEAR:
+            executor.spin_once(timeout_sec=min(ahead - BEFORE, LONGEST_WAIT))
+            continue
+        if ahead > 0.0:
+            time.sleep(ahead)
+        _catch_up(executor)
+        beat.act()
+
+
+def _catch_up(executor):
+    """Run all callbacks that are ready: those before a task that is added now."""
+    done = []
+    executor.create_task(done.append, True)
+    while not done:
+        executor.spin_once(timeout_sec=LONGEST_WAIT)
+
+
+def simulator():
+    """Run ``closedloop_simulator``; end the process with its exit code."""
+    watch_signals()
+    from closedloop_dynamics.ros.simulator_node import main
+    leave(main())
+
+
+def torque_source():
+    """Run ``closedloop_torque_source``; end the process with its exit code."""
+    watch_signals()
+    from closedloop_dynamics.ros.torque_source_node import main
+    leave(main())
+
+
+def recorder():
+    """Run ``closedloop_recorder``; end the process with its exit code."""
+    watch_signals()
+    from closedloop_dynamics.ros.recorder_node import main
+    leave(main())

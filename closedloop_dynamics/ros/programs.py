@@ -42,17 +42,11 @@ READY = {
 PATIENCE = 120.0
 LOOK = 0.02
 LINES_SHOWN = 12
-# On Linux a process gets SIGTERM when the one that started it is killed, and ends by itself where
-# that has happened already.
 _STARTER = """\
-import os, sys
-if sys.platform == 'linux':
-    import ctypes
-    ctypes.CDLL(None).prctl(1, 15)
-    if os.getppid() != {parent}:
-        sys.exit('whoever started this is gone')
-from closedloop_dynamics.ros import executables
-sys.exit(executables.{name}())
+import signal
+from closedloop_dynamics.ros import background, process
+background.die_with({parent}, signal.SIGTERM)
+process.{name}()
 """
 
 
@@ -111,10 +105,12 @@ class Program:
         if self.popen.poll() is not None and not self._stopping:
             raise ProgramError(f'{self.executable} ended early, {self._ending()}')
 
-    def wait_for(self, text, patience=PATIENCE):
-        """Wait until the process has said something; fail if it ends without."""
+    def wait_for(self, text, patience=PATIENCE, check=None):
+        """Wait until the process has said something; raise ProgramError if it ends without."""
         deadline = time.monotonic() + patience
         while text not in self.output:
+            if check is not None:
+                check()
             if self.popen.poll() is not None and text not in self.output:
                 raise ProgramError(f"{self.executable} ended before '{text}', {self._ending()}")
             if time.monotonic() > deadline:

@@ -20,8 +20,7 @@ from fnmatch import fnmatchcase
 import time
 
 from closedloop_dynamics.recording.writer import COMPRESSIONS
-from closedloop_dynamics.ros.bag import BagError, BagWriter
-from closedloop_dynamics.ros.message_types import MessageTypes, UnknownTypeError
+from closedloop_dynamics.ros.bag import BagError, BagWriter, MessageTypes, UnknownTypeError
 from closedloop_dynamics.ros.parameters import accept_whole_numbers, declare, Parameter, usage
 from closedloop_dynamics.ros.process import run, StartError
 from rclpy.clock import Clock

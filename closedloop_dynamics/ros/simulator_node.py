@@ -12,12 +12,13 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
+
 """
 The node ``closedloop_simulator``: a scene simulated live, driven by torque commands.
 
-A composition: ``modes`` decide when to advance, ``control`` has the services, ``stamps`` the
-time, ``messages`` what is published of a state, ``run_parameters`` and ``effect_parameters``
-what changes while it runs.
+The node has the topics, services and timers. It checks what comes in, and lets a mode of
+``pacing`` advance a ``live.LiveSimulation``, which publishes its states. None of these knows the
+node.
 
 """
 
@@ -25,26 +26,25 @@ from contextlib import contextmanager
 from functools import partial
 import time
 
-from closedloop_dynamics.ros.awake import Awake, set_priority
-from closedloop_dynamics.ros.commands import CommandError, TorqueCommand
-from closedloop_dynamics.ros.companions import COMPANION_PARAMETERS, Companions
-from closedloop_dynamics.ros.control import Control
+from closedloop_dynamics.ros.background import Awake, Preparation, set_priority
+from closedloop_dynamics.ros.commands import (
+    CommandError, NOT_ACTUATED, state_of, subscribe, TorqueCommand)
+from closedloop_dynamics.ros.companions import Descriptions, ReplayLog
 from closedloop_dynamics.ros.diagnostics import Diagnostics
 from closedloop_dynamics.ros.effect_parameters import EffectParameters
 from closedloop_dynamics.ros.frames import FRAME_PARAMETERS, Frames
+from closedloop_dynamics.ros.live import LiveSimulation
 from closedloop_dynamics.ros.loading import load_simulation
-from closedloop_dynamics.ros.messages import StatePublisher
-from closedloop_dynamics.ros.modes import MODES
-from closedloop_dynamics.ros.pacing import Overload, Pacer, Throttle
+from closedloop_dynamics.ros.markers import MARKER_PARAMETERS, Markers
+from closedloop_dynamics.ros.messages import Stamps, StatePublisher
+from closedloop_dynamics.ros.pacing import (
+    LOCKSTEP, MODES, Pacer, period_steps, PORTION, REALTIME, Throttle)
 from closedloop_dynamics.ros.parameters import accept_whole_numbers, declare, declare_fact, usage
-from closedloop_dynamics.ros.preparation import Preparation
-from closedloop_dynamics.ros.process import run, StartError
-from closedloop_dynamics.ros.reception import subscribe
-from closedloop_dynamics.ros.run_parameters import RunParameters
-from closedloop_dynamics.ros.simulator_parameters import LOCKSTEP, REALTIME, SIMULATOR_PARAMETERS
-from closedloop_dynamics.ros.stamps import Stamps
-from closedloop_dynamics.simulation.errors import NumericalError, SimulationError
-import numpy as np
+from closedloop_dynamics.ros.process import leaving_at_once, run, StartError, stop_requested
+from closedloop_dynamics.ros.simulator_parameters import (
+    CHANGEABLE, METHOD, method_changes, SIMULATOR_PARAMETERS)
+from closedloop_dynamics.simulation.errors import SimulationError
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock
 from rclpy.clock import ClockType
 from rclpy.node import Node
@@ -52,14 +52,16 @@ from rclpy.qos import QoSProfile
 from rclpy.qos import ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
+from std_srvs.srv import SetBool
+from std_srvs.srv import Trigger
 
 NAME = 'closedloop_simulator'
 # As many commands may wait while this process is held up.
 COMMAND_DEPTH = 1000
 # Between two messages of one kind [s].
 MESSAGE_PERIOD = 5.0
-# A state that does not change is published so often in simulated time [s of the steady clock].
-REPEAT_PERIOD = 1.0
+# Between two rounds of diagnostics [s].
+DIAGNOSTIC_PERIOD = 1.0
 
 
 class SimulatorNode(Node):
@@ -71,26 +73,19 @@ class SimulatorNode(Node):
     exit_code : int or None
         None while the node wants to go on.
     simulation : Simulation
-    command : TorqueCommand
-    mode : modes.RealTime, modes.AsFastAsPossible or modes.Lockstep
-        When to advance.
-    pacer : Pacer
-        Simulated and elapsed time.
-    control : Control
-        Paused, waiting, running.
-    stamps : Stamps
-        The time that messages carry.
-    torque : ndarray, shape (nv,)
-        Command that acted in the latest steps [N m or N].
-    on_published : list of callables
-        Optional publishers: each is called with the stamp, a Time message, after a state was
-        published.
-    on_advance : list of callables
-        Called before steps are made under ``torque``.
-    on_jump : list of callables
-        Called when the next state does not follow from the last by simulating.
-    states : StatePublisher
+    command : commands.TorqueCommand
+    states : messages.StatePublisher
         Joint states and constraint forces.
+    live : live.LiveSimulation
+        The simulation under the command, with its publishers.
+    pacer : pacing.Pacer
+        Simulated and elapsed time.
+    mode : pacing.RealTime, pacing.AsFastAsPossible or pacing.Lockstep
+        When to advance.
+    paused, waiting : bool
+        By the service ``~/pause``; for a command.
+    counts : dict of str to int
+        States taken from ``~/set_state``, and those that were not.
 
     """
 
@@ -98,48 +93,90 @@ class SimulatorNode(Node):
         super().__init__(NAME, **options)
         self.exit_code = None
         accept_whole_numbers(self)
-        self.on_published, self.on_advance, self.on_jump = [], [], []
-        values = declare(self, SIMULATOR_PARAMETERS)
-        self.command_timeout = values['command_timeout']
-        self.keep_core_awake, self._awake = values['keep_core_awake'], Awake()
-        self.simulation = simulation = load_simulation(
-            values['scene'], self.get_logger(),
-            **{key: values[key] or None for key in ('step_size', 'integrator', 'stabilisation')})
-        declare_fact(self, 'actuated_joints', simulation.actuated_joints,
+        self._values = values = declare(self, SIMULATOR_PARAMETERS)
+        lockstep = values['mode'] == LOCKSTEP
+        self.simulation, self._own_method = load_simulation(
+            values['scene'], self.get_logger(), **{key: values[key] or None for key in METHOD})
+        self._throttles = {key: Throttle(MESSAGE_PERIOD) for key in (
+            'rejected', 'lost', 'refused', 'overload')}
+        self._told_not_actuated, self._method_prepared = False, None
+        self.paused, self.waiting = False, values['wait_for_command'] and not lockstep
+        self.counts = {'states set': 0, 'states refused': 0}
+        declare_fact(self, 'actuated_joints', self.simulation.actuated_joints,
                      'Order of the values of torque_command; told by the scene.')
-        self._effects = EffectParameters(self, simulation)
-        self.command = TorqueCommand(simulation.joint_names, simulation.actuated_joints)
-        self._actuated = [
-            simulation.joint_names.index(name) for name in simulation.actuated_joints]
-        self.torque = np.zeros(len(simulation.joint_names))
-        self.stamps = Stamps(self, simulation, values['publish_clock'] or (
-            values['mode'] != REALTIME), values['publish_clock'])
-        self.pacer = Pacer(simulation.step_size, values['real_time_factor'])
-        self._overload = Overload(self.pacer, MESSAGE_PERIOD)
-        self._rejection, self._loss = Throttle(MESSAGE_PERIOD), Throttle(MESSAGE_PERIOD)
-        self._told_not_actuated = False
-        self._published_at = self._published_stamp = None
-        self._create_topics(values['mode'] == LOCKSTEP)
-        self.mode = self._build_mode(values)
-        self.control = Control(
-            self, values['wait_for_command'] and self.mode.name != LOCKSTEP, values['step_count'])
-        self._run_parameters = RunParameters(self, values['scene'])
-        self.diagnostics = Diagnostics(self)
-        # Optional publishers hook themselves in.
-        self.companions = Companions(self)
-        self._preparation = Preparation(self, values['scene'])
+        self._effects = EffectParameters(self, self.simulation)
+        self._create_simulation()
+        self._create_observers()
+        self._create_inputs(lockstep)
+        self.add_on_set_parameters_callback(self._check_change)
+        self.add_post_set_parameters_callback(self._change)
+        self._awake = Awake()
+        self._preparation = Preparation(
+            values['scene'], self.simulation.system, self.get_logger())
+        self.create_timer(DIAGNOSTIC_PERIOD, self.look_after,
+                          clock=Clock(clock_type=ClockType.STEADY_TIME))
         # Time begins when all is there.
         self._timer = self._due = None
         self._beats = False
-        if self.control.running:
+        if self.running:
             self.mode.start()
-        self.renew_timer()
+        self._renew_timer()
         self._take_priority(values['scheduling_priority'])
+        pace = (f"at {values['real_time_factor']:g} x real time" if self.mode.name == REALTIME
+                else f'mode {self.mode.name}')
         self.get_logger().info(
-            f"simulating '{simulation.scene.name}' in steps of {simulation.step_size:g} s, "
-            f'{self._pace(values)}; torque_command takes '
-            f'{", ".join(simulation.actuated_joints) or "no joint"}'
-            f'{"; waiting for the first command" if self.control.waiting else ""}')
+            f"simulating '{self.simulation.scene.name}' in steps of "
+            f'{self.simulation.step_size:g} s, {pace}; torque_command takes '
+            f'{", ".join(self.simulation.actuated_joints) or "no joint"}'
+            f'{"; waiting for the first command" if self.waiting else ""}')
+
+    def _create_simulation(self):
+        """Create what advances and publishes the simulation."""
+        values, simulation = self._values, self.simulation
+        self._frames = Frames(self, simulation)
+        self.states = StatePublisher(self, simulation.joint_names, [
+            cut.name for cut in simulation.cut_joints], self._frames.of_cuts)
+        self.command = TorqueCommand(
+            simulation.joint_names, simulation.actuated_joints, values['command_timeout'])
+        self.pacer = Pacer(simulation.step_size, values['real_time_factor'])
+        real_time = values['mode'] == REALTIME
+        self.live = LiveSimulation(
+            simulation, self.command,
+            Stamps(self, simulation, values['publish_clock'] or not real_time,
+                   values['publish_clock']),
+            self.states, self.pacer if real_time else None, self.get_logger())
+        self.mode = MODES[values['mode']](self.live, self.pacer)
+        try:
+            self.mode.set_rate(values['publish_rate'])
+        except ValueError as error:
+            raise StartError(str(error)) from None
+
+    def _create_observers(self):
+        """Create what looks at each state that was published."""
+        self.diagnostics = Diagnostics(self, self.live, self.mode)
+        self.log = ReplayLog(self, self.simulation)
+        descriptions = Descriptions(self, self.simulation, self.log)
+        self.markers = Markers(self, self.simulation)
+        self.live.on_published += [self._frames.follow] * self._frames.any + [
+            self.diagnostics.watch_health, descriptions.follow, self.log.follow,
+            self.markers.follow]
+        self.live.on_advance.append(self.log.advancing)
+        self.live.on_jump.append(self.log.jumped)
+
+    def _create_inputs(self, lockstep):
+        """Create the topics and services that drive the simulation."""
+        # Best effort takes commands from publishers of both kinds; in lockstep a command that is
+        # lost would never be made up for.
+        qos = QoSProfile(depth=COMMAND_DEPTH, reliability=(
+            ReliabilityPolicy.RELIABLE if lockstep else ReliabilityPolicy.BEST_EFFORT))
+        for kind, topic, follow in (
+                (Float64MultiArray, 'torque_command', self.on_torque_command),
+                (JointState, 'joint_command', self.on_joint_command)):
+            subscribe(self, kind, topic, follow, qos, partial(self._note_lost, topic))
+        self.create_subscription(JointState, '~/set_state', self.on_set_state, 10)
+        self.create_service(Trigger, '~/reset', self.on_reset)
+        self.create_service(SetBool, '~/pause', self.on_pause)
+        self.create_service(Trigger, '~/step', self.on_step)
 
     def _take_priority(self, priority):
         try:
@@ -149,36 +186,18 @@ class SimulatorNode(Node):
                 f'scheduling_priority {priority}: not allowed here ({error}); going on without. '
                 'A line "@group - rtprio 99" in /etc/security/limits.conf allows a group to')
 
-    def _build_mode(self, values):
-        mode = MODES[values['mode']](self, self.pacer)
-        try:
-            mode.set_rate(values['publish_rate'])
-        except ValueError as error:
-            raise StartError(str(error)) from None
-        return mode
+    # Commands and time.
 
-    def _pace(self, values):
-        if self.mode.name == REALTIME:
-            return f"at {values['real_time_factor']:g} x real time"
-        return f'mode {self.mode.name}'
+    @property
+    def running(self):
+        """Return whether time runs."""
+        return not (self.paused or self.waiting)
 
-    def _create_topics(self, lockstep):
-        self.states = StatePublisher(
-            self, self.simulation.joint_names, [cut.name for cut in self.simulation.cut_joints],
-            Frames(self).of_cuts)
-        # Best effort takes commands from publishers of both kinds; in lockstep a command that is
-        # lost would never be made up for.
-        qos = QoSProfile(depth=COMMAND_DEPTH, reliability=(
-            ReliabilityPolicy.RELIABLE if lockstep else ReliabilityPolicy.BEST_EFFORT))
-        for kind, topic, follow in (
-                (Float64MultiArray, 'torque_command', self.on_torque_command),
-                (JointState, 'joint_command', self.on_joint_command)):
-            subscribe(self, kind, topic, follow, qos, partial(self._note_lost, topic))
-
-    def _note_lost(self, topic, number):
-        self.command.lost += number
-        self.warn(self._loss, f'{topic}: {number} commands were lost on the way, or came faster '
-                              'than they could be taken in')
+    @property
+    def standing(self):
+        """Return what keeps time from running, if anything does."""
+        return 'paused' if self.paused else (
+            'waiting for the first command' if self.waiting else '')
 
     def on_torque_command(self, message):
         """Follow or refuse one value per actuated joint."""
@@ -187,7 +206,7 @@ class SimulatorNode(Node):
     def on_joint_command(self, message):
         """Follow or refuse efforts by joint name."""
         self._follow('joint_command', self.command.accept_named, message.name, message.effort)
-        if self.command.not_actuated and not self._told_not_actuated:
+        if self.command.counts[NOT_ACTUATED] and not self._told_not_actuated:
             self._told_not_actuated = True
             self.get_logger().info(
                 'joint_command names joints that are not actuated; their efforts are ignored')
@@ -196,27 +215,30 @@ class SimulatorNode(Node):
         try:
             accept(*content, time.monotonic())
         except CommandError as error:
-            self.warn(self._rejection, f'{topic} rejected: {error}')
+            self.warn('rejected', f'{topic} rejected: {error}')
             return
-        self.control.on_command()
-        self.guarded(self.mode.take_command)
+        if self.waiting:
+            self.waiting = False
+            if not self.paused:
+                self.mode.start()
+                self._renew_timer()
+        self._guarded(self.mode.take_command)
+
+    def _note_lost(self, topic, number):
+        self.command.counts['lost'] += number
+        self.warn('lost', f'{topic}: {number} commands were lost on the way, or came faster '
+                          'than they could be taken in')
 
     def tick(self):
         """Let the mode advance the simulation, and what depends on the clock happen."""
         if self.mode.name != LOCKSTEP:
-            self._expire()
+            self.live.expire()
         dropped = self.pacer.dropped
-        self.guarded(self.mode.tick)
-        if self.pacer.dropped > dropped and self._overload.ready():
-            self.get_logger().warning(self._overload.message())
+        self._guarded(self.mode.tick)
+        if self.pacer.dropped > dropped and self._throttles['overload'].ready():
+            self.get_logger().warning(self.pacer.overload())
 
-    def _expire(self):
-        if self.command.expire(time.monotonic(), self.command_timeout):
-            self.get_logger().warning(
-                f'no command for {self.command_timeout:g} s: all torques are zero until '
-                'the next one')
-
-    def guarded(self, action):
+    def _guarded(self, action):
         """Do something that may fail as simulations do; stop the node if it does."""
         if self.exit_code is not None:
             return
@@ -229,109 +251,162 @@ class SimulatorNode(Node):
             self.get_logger().error(
                 f'simulation stopped at {self.simulation.time:.6g} s: {error}')
 
-    def advance(self, steps):
-        """Make steps under the torques in force."""
-        if self.mode.name == REALTIME:
-            # A tick that makes up for others must not hold a command longer than they had.
-            self._expire()
-            self.command.held += steps * self.simulation.step_size / self.pacer.real_time_factor
-        self.torque[self._actuated] = self.command.torque
-        for note in self.on_advance:
-            note()
-        self.simulation.advance(self.torque, steps)
+    def look_after(self):
+        """Publish diagnostics, and get ahead with what is compiled in the background."""
+        self.diagnostics.publish(
+            self.standing, {**self.command.counts, **self.counts}, tuple(sorted(
+                f'{info.node_namespace.rstrip("/")}/{info.node_name}'
+                for topic in ('torque_command', 'joint_command')
+                for info in self.get_publishers_info_by_topic(topic))))
+        self._preparation.look()
 
-    def publish(self, late=0.0):
-        """
-        Publish the present state and constraint forces.
+    # Services.
 
-        Parameters
-        ----------
-        late : float
-            How long ago the state was due [s of the steady clock].
+    def on_reset(self, request, response):
+        """Return to the start: initial state, time zero, no torque."""
+        self._guarded(self._reset)
+        response.success = self.exit_code is None
+        response.message = (
+            f"back at the start of '{self.simulation.scene.name}', time 0{self._but()}"
+            if response.success else 'the simulation has stopped')
+        self.get_logger().info(f'reset: {response.message}')
+        return response
 
-        Raises
-        ------
-        NumericalError
-            Instead of publishing forces that are not finite.
+    def _reset(self):
+        self.mode.stop()
+        self.simulation.reset()
+        self.command.forget()
+        self.waiting = self._values['wait_for_command'] and self.mode.name != LOCKSTEP
+        if self.running:
+            self.mode.start()
+        self._renew_timer()
+        self._jump()
 
-        """
-        simulation, stamp = self.simulation, self.stamps.earlier(late, self._published_stamp)
-        forces = simulation.constraint_forces
-        if not np.isfinite(forces).all():
-            raise NumericalError('the constraint forces are not finite numbers')
-        # The clock first: who answers the state knows the time.
-        self.stamps.publish()
-        self.states.publish(stamp, *simulation.measured(), simulation.effort, forces)
-        self._published_at, self._published_stamp = time.monotonic(), stamp
-        for publish in self.on_published:
-            publish(self.states.stamp)
-
-    def is_received(self):
-        """Return whether reliable subscribers have received all states."""
-        return self.states.is_received()
-
-    def jumped(self):
-        """Publish a state that does not follow from the last by simulating."""
+    def _jump(self):
         self.mode.restart()
-        for note in self.on_jump:
-            note()
-        self.publish()
+        self.live.jump()
 
-    def refresh(self, late=0.0):
-        """
-        Publish the state if it has a new stamp, or again, for latecomers, after a while.
+    def on_pause(self, request, response):
+        """Let time stand still, or go on."""
+        if request.data != self.paused:
+            self.paused = request.data
+            self._guarded(self.mode.start if self.running else self.mode.stop)
+            self._renew_timer()
+        response.success = True
+        response.message = (
+            f'{"paused" if self.paused else "not paused"} at {self.simulation.time:.9g} s'
+            f'{self._but() if not self.paused else ""}')
+        self.get_logger().info(response.message)
+        return response
 
-        Parameters
-        ----------
-        late : float
-            How long ago the state was due [s of the steady clock].
+    def on_step(self, request, response):
+        """Advance by ``step_count`` steps while paused."""
+        if not self.paused:
+            response.message = 'refused: time runs; call ~/pause with data: true first'
+            return response
+        self._guarded(self._step)
+        response.success = self.exit_code is None
+        response.message = f'at {self.simulation.time:.9g} s' if response.success else (
+            'the simulation has stopped')
+        return response
 
-        """
-        if (not self.stamps.simulated or self.stamps.now() != self._published_stamp
-                or time.monotonic() - self._published_at >= REPEAT_PERIOD):
-            self.publish(late)
+    def _step(self):
+        left = self._values['step_count']
+        while left > 0 and not stop_requested():
+            portion = min(left, PORTION)
+            self.live.advance(portion)
+            left -= portion
+        self.live.publish()
 
-    def close(self):
-        """Say what was done."""
-        self._stop_ticking()
-        self._preparation.close()
-        self._awake.keep(False)
-        pacer, book = self.pacer, self.command
-        if pacer.simulated > 0.0 and self.exit_code is None:
-            for line in str(self.simulation.report()).splitlines():
-                self.get_logger().info(line)
-        self.get_logger().info(
-            f'simulated {pacer.simulated:.3f} s in {pacer.elapsed:.3f} s, '
-            f'{pacer.achieved:.3f} x real time, {pacer.dropped:.3f} s dropped; '
-            f'commands: {book.accepted} accepted, {book.rejected} rejected, '
-            f'{book.timed_out} timed out, {book.lost} lost; '
-            f'{self.states.published} messages published'
-            + (f', {self.mode.left_out} states left out' if self.mode.left_out else ''))
+    def on_set_state(self, message):
+        """Move to the nearest state that closes the loops, or refuse."""
+        simulation = self.simulation
+        try:
+            simulation.set_state(*state_of(message, simulation.joint_names, simulation.position))
+        except (SimulationError, ValueError) as error:
+            self.counts['states refused'] += 1
+            self.warn('refused', f'set_state refused: {error}')
+            return
+        for note in simulation.assembly_notes():
+            self.warn('refused', f'set_state: {note}')
+        self.counts['states set'] += 1
+        self._guarded(self._jump)
+
+    def _but(self):
+        return f'; {self.standing}' if self.standing else ''
+
+    # Parameters that change while time runs.
+
+    def _check_change(self, parameters):
+        """Refuse what is impossible; compile a method that is not in use yet."""
+        self._method_prepared = None
+        values = self._changeable(parameters)
+        try:
+            for name, value in values.items():
+                CHANGEABLE[name].require_choice(value)
+            changes = method_changes(values, self._own_method, self.simulation.scene.method)
+            if self.mode.name != REALTIME and (
+                    'publish_rate' in values or 'step_size' in changes):
+                period_steps(values.get('publish_rate', self._values['publish_rate']),
+                             changes.get('step_size', self.simulation.step_size))
+            if changes:
+                self.get_logger().info(
+                    'taking another method: ' + ', '.join(f'{k} {v}' for k, v in changes.items())
+                    + ' (time stands still while it compiles, if it has not been used before)')
+                with self._standing_still(), leaving_at_once():
+                    self._method_prepared = self.simulation.prepare_method(**changes)
+        except (ValueError, SimulationError) as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def _changeable(self, parameters):
+        return {parameter.name: parameter.value for parameter in parameters
+                if parameter.name in CHANGEABLE}
+
+    def _change(self, parameters):
+        """Let what was checked take effect, together."""
+        values = self._changeable(parameters)
+        self._values.update(values)
+        if self._method_prepared is not None and set(values) & set(METHOD):
+            take_effect, self._method_prepared = self._method_prepared, None
+            with self._standing_still():
+                take_effect()
+            self.pacer.step_size = self.simulation.step_size
+        if 'real_time_factor' in values:
+            self.pacer.real_time_factor = values['real_time_factor']
+        self.command.timeout = self._values['command_timeout']
+        if 'keep_core_awake' in values:
+            self._attend_to_core()
+        if {'publish_rate', 'step_size'} & set(values):
+            self.mode.set_rate(self._values['publish_rate'])
+            self._renew_timer()
 
     @contextmanager
-    def standing_still(self):
+    def _standing_still(self):
         """Let no time pass for the simulation while the body runs."""
-        if self.control.running:
+        if self.running:
             self.mode.stop()
         try:
             yield
         finally:
-            if self.control.running:
+            if self.running:
                 self.mode.start()
 
-    def renew_timer(self):
+    # Ticks: by a timer, or by the process that spins this node.
+
+    def _renew_timer(self):
         """Tick as often as the mode wants now."""
         if self._timer is not None:
             self.destroy_timer(self._timer)
         self._timer = self._due = None
-        if self._beats and self.mode.name == REALTIME and self.control.running:
+        if self._beats and self.mode.name == REALTIME and self.running:
             self._due = time.monotonic() + self.mode.tick_period
         else:
             # A steady clock: neither a jump of the system's time nor a stopped
             # /clock may stop the simulation.
             self._timer = self.create_timer(
                 self.mode.tick_period, self.tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
-        self.attend_to_core()
+        self._attend_to_core()
 
     def _stop_ticking(self):
         self._due = None
@@ -341,7 +416,7 @@ class SimulatorNode(Node):
     def take_over(self):
         """Let the process call ``act()`` when it is due, instead of a timer."""
         self._beats = True
-        self.renew_timer()
+        self._renew_timer()
 
     def due(self):
         """Return when the next tick is due [s of the steady clock]; None: a timer tells."""
@@ -356,25 +431,43 @@ class SimulatorNode(Node):
         self._due += period * (1 + max(0, int(late / period)))
         self.tick()
 
-    def attend_to_core(self):
+    def _attend_to_core(self):
         """Keep the core awake while that is wanted and time runs."""
         try:
-            self._awake.keep(self.keep_core_awake and self.control.running)
+            self._awake.keep(self._values['keep_core_awake'] and self.running)
         except OSError as error:
             self.get_logger().warning(f'keep_core_awake: not on this system ({error})')
 
-    def warn(self, throttle, message):
+    def close(self):
+        """Say what was done."""
+        self._stop_ticking()
+        self._preparation.close()
+        self._awake.keep(False)
+        pacer, counts = self.pacer, self.command.counts
+        if pacer.simulated > 0.0 and self.exit_code is None:
+            for line in str(self.simulation.report()).splitlines():
+                self.get_logger().info(line)
+        self.get_logger().info(
+            f'simulated {pacer.simulated:.3f} s in {pacer.elapsed:.3f} s, '
+            f'{pacer.achieved:.3f} x real time, {pacer.dropped:.3f} s dropped; commands: '
+            + ', '.join(f'{counts[key]} {key}' for key in (
+                'accepted', 'rejected', 'timed out', 'lost'))
+            + f'; {self.states.published} messages published'
+            + (f', {self.mode.left_out} states left out' if self.mode.left_out else ''))
+
+    def warn(self, kind, message):
         """
-        Log a warning, one per period of a throttle.
+        Log a warning, one of each kind per ``MESSAGE_PERIOD``.
 
         Parameters
         ----------
-        throttle : Throttle
-            Of messages of this kind.
+        kind : str
+            Of message: ``'rejected'``, ``'lost'`` or ``'refused'``.
         message : str
             What to say.
 
         """
+        throttle = self._throttles[kind]
         if throttle.ready():
             more = throttle.take_held_back()
             self.get_logger().warning(
@@ -384,4 +477,4 @@ class SimulatorNode(Node):
 def main(args=None):
     """Run the node; return the exit code."""
     return run(SimulatorNode, NAME, usage(NAME, SimulatorNode, (
-        *SIMULATOR_PARAMETERS, *FRAME_PARAMETERS, *COMPANION_PARAMETERS)), args)
+        *SIMULATOR_PARAMETERS, *FRAME_PARAMETERS, *MARKER_PARAMETERS)), args, timed=True)

@@ -14,10 +14,13 @@
 
 """Parameters of the simulator node."""
 
+from dataclasses import replace
+
 from closedloop_dynamics.integration.registry import INTEGRATORS, SCIPY, STABILISATIONS
+from closedloop_dynamics.ros.pacing import AS_FAST_AS_POSSIBLE, LOCKSTEP, REALTIME
 from closedloop_dynamics.ros.parameters import Parameter
 
-REALTIME, AS_FAST_AS_POSSIBLE, LOCKSTEP = 'realtime', 'as_fast_as_possible', 'lockstep'
+METHOD = ('integrator', 'step_size', 'stabilisation')
 # SciPy's take as long as they like: no signal would be heard meanwhile.
 LIVE_INTEGRATORS = tuple(
     name for name, integrator in INTEGRATORS.items() if integrator.family != SCIPY)
@@ -78,3 +81,20 @@ SIMULATOR_PARAMETERS = (
         'Steps of the time integration that the service ~/step advances by [1].', (1, 100000),
         read_only=False),
 )
+CHANGEABLE = {
+    parameter.name: parameter for parameter in SIMULATOR_PARAMETERS if not parameter.read_only}
+
+
+def method_changes(values, own, used):
+    """
+    Return what new values of parameters change of the method in use, by key.
+
+    The scene's ``own`` method holds where a value is left empty. Raises ValueError where there can
+    be no such method.
+
+    """
+    wanted = {key: values[key] or getattr(own, key) for key in METHOD if key in values}
+    changes = {key: value for key, value in wanted.items() if value != getattr(used, key)}
+    # Refuses what makes no sense.
+    replace(used, **changes)
+    return changes

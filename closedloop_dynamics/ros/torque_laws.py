@@ -12,96 +12,29 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""
-Laws of the torque source: torques as a function of time and joint state.
-
-Every quantity is an array over the joints driven, in one order. They know
-nothing of a mechanism.
 
 """
+Laws of the torque source: torques from the state of joints and where they are to be.
 
-from dataclasses import dataclass
+A mechanism with closed loops may need a hundred times the torque in one
+position that it needs in another, for the same acceleration. Gains that hold
+it in the one shake it to pieces in the other. With the model between them (computed torque), the
+controller sees a unit inertia everywhere.
 
+"""
+
+import math
+
+from closedloop_dynamics.ros.references import Trajectory
 import numpy as np
 
-
-@dataclass(frozen=True)
-class Wave:
-    """
-    ``amplitude * sin(2 pi frequency t + phase)`` for every joint.
-
-    Attributes
-    ----------
-    amplitude : ndarray, shape (n,)
-    frequency : ndarray, shape (n,)
-        [Hz].
-    phase : ndarray, shape (n,)
-        [rad].
-
-    """
-
-    amplitude: np.ndarray
-    frequency: np.ndarray
-    phase: np.ndarray
-
-    def value(self, time):
-        """Return the wave at a time [s]."""
-        return self.amplitude * np.sin(2 * np.pi * self.frequency * time + self.phase)
-
-    def rate(self, time):
-        """Return its derivative with respect to time."""
-        pulsation = 2 * np.pi * self.frequency
-        return self.amplitude * pulsation * np.cos(pulsation * time + self.phase)
-
-    def acceleration(self, time):
-        """Return its second derivative with respect to time."""
-        return -(2 * np.pi * self.frequency) ** 2 * self.value(time)
-
-
-@dataclass(frozen=True)
-class Reference:
-    """
-    Where a joint should be: a start, a constant velocity and a wave on top.
-
-    Attributes
-    ----------
-    position : ndarray, shape (n,)
-        At time 0 [rad or m]; NaN: where the joint is then.
-    velocity : ndarray, shape (n,)
-        [rad/s or m/s].
-    wave : Wave
-        [rad or m]; its value at time 0 is taken off, so that the reference
-        begins at ``position`` whatever the phase.
-
-    """
-
-    position: np.ndarray
-    velocity: np.ndarray
-    wave: Wave
-
-    def at(self, time, start):
-        """
-        Return position and velocity at a time.
-
-        Parameters
-        ----------
-        time : float
-            Since the first state [s].
-        start : ndarray, shape (n,)
-            Position of the joints at time 0.
-
-        Returns
-        -------
-        tuple of 2 ndarrays
-
-        """
-        origin = np.where(np.isnan(self.position), start, self.position)
-        wave = self.wave.value(time) - self.wave.value(0.0)
-        return origin + self.velocity * time + wave, self.velocity + self.wave.rate(time)
-
-    def acceleration(self, time):
-        """Return the acceleration at a time [rad/s^2 or m/s^2]."""
-        return self.wave.acceleration(time)
+# A torque answers a state, acts from that state on and is held for one period:
+# in the middle of which, half a period ahead, it should be right.
+LEAD_PERIODS = 0.5
+# The period is the shortest time between two states; by this share a longer one makes it longer.
+# States that were missed, as on a busy machine, must not make it longer: a state carried forward
+# by a hundredth of a second too much may be on the other side of a dead centre.
+RELAXATION = 0.01
 
 
 class ProportionalDerivative:
@@ -115,14 +48,11 @@ class ProportionalDerivative:
 
     Parameters
     ----------
-    reference : Reference or studies.circle.Circle
+    reference : references.Reference, references.Circle or references.Trajectory
     kp, kd, ki : ndarray, shape (n,)
-        [N m/rad], [N m s/rad] and [N m/(rad s)], of a joint with kp = 0
-        [N m/rad].
-    feedforward : ndarray, shape (n,)
-        [N m].
-    limit : ndarray, shape (n,)
-        Largest magnitude of the torque [N m]; infinite: none.
+        [N m/rad], [N m s/rad] and [N m/(rad s)], of a joint with kp = 0 [N m/rad].
+    feedforward, limit : ndarray, shape (n,)
+        Torque added, largest magnitude of the torque (infinite: none) [N m].
     inertia : float
         By which the acceleration of the reference is multiplied, to be added: 1 where the
         torques are taken for accelerations.
@@ -156,19 +86,10 @@ class ProportionalDerivative:
 
     def torque(self, time, position, velocity):
         """
-        Return the torques for a state.
+        Return the torques for a state, shape (n,).
 
-        Parameters
-        ----------
-        time : float
-            [s], from any origin. The first state, and one from before the
-            last (a simulation that was reset), starts the reference anew.
-        position, velocity : ndarray, shape (n,)
-            Of the joints [rad or m, and per s].
-
-        Returns
-        -------
-        ndarray, shape (n,)
+        The time [s] has any origin: the first state, and one from before the last (a simulation
+        that was reset), starts the reference anew. Position and velocity have shape (n,).
 
         """
         if self._first is None or time < self._last:
@@ -188,3 +109,87 @@ class ProportionalDerivative:
         winding_up = (wanted != torque) & (self.ki * integrand * wanted > 0.0)
         self._integral = np.where(winding_up, self._integral, integral)
         return torque
+
+
+class ComputedTorque:
+    """
+    Torques of all actuated joints for the accelerations that a controller asks for.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        The model; its own state is not used.
+    controller : ProportionalDerivative
+        Its torques are taken for accelerations [rad/s^2 or m/s^2].
+    feedforward, limit : ndarray, shape (n,)
+        Added always; largest magnitude, infinite: none [N m or N].
+
+    """
+
+    def __init__(self, simulation, controller, feedforward, limit):
+        self._simulation = simulation
+        self._controller = controller
+        self._feedforward = feedforward
+        self._limit = limit
+        self._actuated = [
+            simulation.joint_names.index(name) for name in simulation.actuated_joints]
+        self._torque = np.zeros(len(self._actuated))
+        self._last = None
+
+    def tune(self, kp, kd, ki, feedforward, limit):
+        """Take other gains."""
+        none = np.zeros_like(limit)
+        self._controller.tune(kp, kd, ki, none, none + np.inf)
+        self._feedforward, self._limit = feedforward, limit
+
+    def restart(self):
+        """Let the next state be the first one."""
+        self._last = None
+        self._torque[:] = 0.0
+        self._controller.restart()
+
+    def follow(self, points, time, position, velocity):
+        """
+        Follow ``references.Points`` from the present state, in place of the reference there was.
+
+        Time [s], position and velocity, shape (nv,), are those of the state. Raises
+        TrajectoryError if the trajectory is over.
+
+        """
+        self._controller.follow(Trajectory(
+            points, time, position[self._actuated], velocity[self._actuated]), time)
+
+    def torque(self, time, position, velocity):
+        """Return the torques, shape (n,), for a state, shape (nv,), at a time [s]."""
+        lead = self._lead(time)
+        acceleration, _ = self._simulation.forward_dynamics(position, velocity, self._torque)
+        position = position + lead * velocity + 0.5 * lead ** 2 * acceleration
+        velocity = velocity + lead * acceleration
+        wanted = self._controller.torque(
+            time + lead, position[self._actuated], velocity[self._actuated])
+        torque = self._torque_for(wanted, position, velocity) + self._feedforward
+        if np.isfinite(torque).all():
+            self._torque = np.clip(torque, -self._limit, self._limit)
+        return self._torque
+
+    def _torque_for(self, wanted, position, velocity):
+        """Solve the actuated rows of ``qdd = free + response tau`` for tau."""
+        units = np.eye(len(self._actuated))
+        free, *responses = (
+            self._simulation.forward_dynamics(position, velocity, torque)[0][self._actuated]
+            for torque in (np.zeros(len(units)), *units))
+        response = np.transpose(responses) - free[:, np.newaxis]
+        try:
+            return np.linalg.solve(response, wanted - free)
+        except np.linalg.LinAlgError:
+            # A position in which the actuated joints cannot move on their own.
+            return np.full(len(units), np.nan)
+
+    def _lead(self, time):
+        """Return half the period between states; 0 until there is one."""
+        if self._last is None or time < self._last:
+            self._period = math.inf
+        elif time > self._last:
+            self._period = min(time - self._last, (1.0 + RELAXATION) * self._period)
+        self._last = time
+        return LEAD_PERIODS * self._period if math.isfinite(self._period) else 0.0

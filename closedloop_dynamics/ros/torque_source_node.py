@@ -19,16 +19,17 @@ from itertools import chain
 from math import isfinite
 import time
 
-from closedloop_dynamics.ros.joint_question import JointQuestion
 from closedloop_dynamics.ros.loading import load_simulation
 from closedloop_dynamics.ros.pacing import Throttle
 from closedloop_dynamics.ros.parameters import accept_whole_numbers, declare, usage
 from closedloop_dynamics.ros.process import run, StartError
+from closedloop_dynamics.ros.references import points_of, TrajectoryError
 from closedloop_dynamics.ros.torque_source_parameters import (
     closed_loop, gains, open_loop, TORQUE_SOURCE_PARAMETERS)
-from closedloop_dynamics.ros.trajectory import points_of, TrajectoryError
 import numpy as np
+from rcl_interfaces.msg import ParameterType
 from rcl_interfaces.msg import SetParametersResult
+from rcl_interfaces.srv import GetParameters
 from rclpy.clock import Clock
 from rclpy.clock import ClockType
 from rclpy.node import Node
@@ -44,6 +45,9 @@ QUEUE_DEPTH = 10
 STATE_DEPTH = 1
 # Between two looks for the simulator [s].
 QUESTION_PERIOD = 0.1
+# A question without an answer for so long is asked again: the node asked may
+# have gone in between [s].
+ANSWER_TIMEOUT = 0.5
 # Those that answer states.
 FEEDBACK_MODES = ('pd', 'computed_torque')
 # Between two messages of one kind [s].
@@ -54,6 +58,53 @@ MOST_SKIPPED = 2
 # A state with the stamp of the one before is the same again: answered again only if the first
 # answer seems to be lost, after so long [s].
 LOST = 0.5
+
+
+class JointQuestion:
+    """
+    The parameter ``actuated_joints`` of a simulator node, asked for until it answers.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+        Who asks.
+    simulator : str
+        Name of the node asked, relative to the asking node's namespace.
+
+    Attributes
+    ----------
+    answer : tuple of str or None
+        None as long as there is none.
+
+    """
+
+    def __init__(self, node, simulator):
+        self.answer = None
+        self._client = node.create_client(GetParameters, f'{simulator}/get_parameters')
+        self._pending = None
+        self._asked = None
+
+    def ask(self):
+        """Send the question if that makes sense now; to be called again and again."""
+        now = time.monotonic()
+        if self._pending is not None:
+            if now - self._asked < ANSWER_TIMEOUT:
+                return
+            self._client.remove_pending_request(self._pending)
+            self._pending = None
+        if self._client.service_is_ready():
+            self._asked = now
+            self._pending = self._client.call_async(
+                GetParameters.Request(names=['actuated_joints']))
+            self._pending.add_done_callback(self._on_answer)
+
+    def _on_answer(self, future):
+        values = future.result().values
+        self._pending = None
+        # A node without the parameter, or a simulator that is still
+        # starting, answers with a value that is not set.
+        if values and values[0].type == ParameterType.PARAMETER_STRING_ARRAY:
+            self.answer = tuple(values[0].string_array_value)
 
 
 class TorqueSourceNode(Node):
@@ -222,7 +273,7 @@ class TorqueSourceNode(Node):
         if joints:
             raise StartError("mode 'computed_torque' drives all actuated joints of its scene: "
                              "leave parameter 'joints' out")
-        return load_simulation(self._values['scene'], self.get_logger())
+        return load_simulation(self._values['scene'], self.get_logger())[0]
 
     def _create_command(self, by_name):
         if by_name:

@@ -15,11 +15,10 @@
 """Parameters of the torque source, and the laws they choose."""
 
 from closedloop_dynamics.effects.actuator import Actuator
-from closedloop_dynamics.ros.circle import Circle, CircleError
-from closedloop_dynamics.ros.computed_torque import ComputedTorque
 from closedloop_dynamics.ros.parameters import Parameter, per_joint
 from closedloop_dynamics.ros.process import StartError
-from closedloop_dynamics.ros.torque_laws import ProportionalDerivative, Reference, Wave
+from closedloop_dynamics.ros.references import Circle, CircleError, Reference, Wave
+from closedloop_dynamics.ros.torque_laws import ComputedTorque, ProportionalDerivative
 import numpy as np
 
 _PER_JOINT = 'One value for all joints, or one per joint.'
@@ -93,24 +92,10 @@ TORQUE_SOURCE_PARAMETERS = (
 
 def open_loop(values, joints):
     """
-    Return the torques of modes constant and sine as a function of time.
+    Return the torques of modes constant and sine: ``law(time)`` returns an array, shape (n,).
 
-    Parameters
-    ----------
-    values : dict
-        Of the parameters.
-    joints : sequence of str
-        Those to drive.
-
-    Returns
-    -------
-    callable
-        ``law(time)`` returns an ndarray, shape (n,).
-
-    Raises
-    ------
-    StartError
-        If a parameter does not fit the joints.
+    ``values`` are those of the parameters, ``joints`` the names of those to drive. Raises
+    StartError if a parameter does not fit the joints; so do all functions here.
 
     """
     mean, wave = _spread(values, 'torque', joints), _wave(values, '', joints)
@@ -120,28 +105,7 @@ def open_loop(values, joints):
 
 
 def closed_loop(values, joints, simulation=None):
-    """
-    Return the law of mode pd, or with a simulation that of computed_torque.
-
-    Parameters
-    ----------
-    values : dict
-        Of the parameters.
-    joints : sequence of str
-        Those to drive.
-    simulation : Simulation, optional
-        The model.
-
-    Returns
-    -------
-    ProportionalDerivative or ComputedTorque
-
-    Raises
-    ------
-    StartError
-        If a parameter does not fit the joints.
-
-    """
+    """Return the law of mode pd, or with a simulation, the model, that of computed_torque."""
     tuning = gains(values, joints, simulation)
     *own, feedforward, limit = tuning
     wanted = reference(values, joints, simulation)
@@ -153,29 +117,7 @@ def closed_loop(values, joints, simulation=None):
 
 
 def gains(values, joints, simulation=None):
-    """
-    Return what changes while a law runs.
-
-    Parameters
-    ----------
-    values : dict
-        Of the parameters.
-    joints : sequence of str
-        Those to drive.
-    simulation : Simulation, optional
-        The model.
-
-    Returns
-    -------
-    list of ndarray, shape (n,)
-        kp, kd, ki, feedforward, limit.
-
-    Raises
-    ------
-    StartError
-        If a parameter does not fit the joints.
-
-    """
+    """Return kp, kd, ki, feedforward and limit, of shape (n,): what changes while a law runs."""
     spread = [_not_negative(values, name, joints) for name in ('kp', 'kd', 'ki')]
     if not np.any(spread):
         raise StartError(f"mode '{values['mode']}' needs a gain: kp, kd and ki are all zero")
@@ -188,16 +130,7 @@ def gains(values, joints, simulation=None):
 
 
 def reference(values, joints, simulation=None):
-    """
-    Return where the joints are to be, by time.
-
-    Parameters and errors are those of ``closed_loop``.
-
-    Returns
-    -------
-    Reference or Circle
-
-    """
+    """Return where the joints are to be, by time: a Reference or a Circle."""
     if not values['circle_point']:
         return Reference(
             _spread(values, 'target_position', joints, nan_allowed=True),

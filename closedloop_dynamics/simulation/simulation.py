@@ -29,7 +29,7 @@ from .modeling import body_rows, build_model, extent
 from .monitor import Monitor
 from .rollout import rollout
 from .scene import load_scene
-from .scene_records import Method
+from .scene_records import Method, Scene
 from ..core import energy, kinematics, types as t
 from ..core.formulations import AUGMENTED, SUBSYSTEM, SYSTEM
 from ..core.independent import allocate_partition
@@ -116,14 +116,14 @@ class Simulation:
         self.reset()
 
     @classmethod
-    def from_scene(cls, name_or_path, **method):
+    def from_scene(cls, scene, **method):
         """
         Build a simulation from a scene.
 
         Parameters
         ----------
-        name_or_path : str or pathlib.Path
-            A shipped scene's name or a scene file's path.
+        scene : str, pathlib.Path or scene.Scene
+            A shipped scene's name, a scene file's path, or what was read already.
         **method
             Overrides of the scene's method, by the keys a scene has there (``integrator``,
             ``step_size``, ``stabilisation``, ``formulation``, ...); None leaves the scene's.
@@ -146,7 +146,7 @@ class Simulation:
         """
         with at('method'):
             mapping(method, *keys_of(Method))
-        scene = load_scene(name_or_path)
+        scene = scene if isinstance(scene, Scene) else load_scene(scene)
         overrides = {key: value for key, value in method.items() if value is not None}
         with at('method'):
             scene = replace(scene, method=replace(scene.method, **overrides))

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..mechanism.mechanism import CUT_JOINT_EQUATIONS, GROUND, PRISMATIC
+from ..mechanism.mechanism import GROUND, PRISMATIC, REVOLUTE
 
 
 @dataclass(frozen=True)
@@ -172,25 +172,24 @@ def pose_of(mechanism, poses, body):
     return poses[..., [one.name for one in mechanism.bodies].index(body), :]
 
 
-def closure(mechanism, position):
+def closure_errors(mechanism, poses):
     """
-    Return the largest closure error of each state, from the description alone.
+    Return the errors of all closure equations, from the description alone.
 
     Parameters
     ----------
     mechanism : mechanism.mechanism.Mechanism
         Its loops are checked.
-    position : ndarray, shape (n, nv)
-        Joint coordinates [rad or m].
+    poses : ndarray, shape (..., nb, 3)
+        As ``body_poses`` returns them.
 
     Returns
     -------
-    ndarray, shape (n,)
-        [m or rad].
+    list of ndarray, shape (...)
+        One for each equation [m or rad].
 
     """
-    poses = body_poses(mechanism, position)
-    errors = [np.zeros(len(poses))]
+    errors = []
     for cut in mechanism.cut_joints:
         pose_a, pose_b = (pose_of(mechanism, poses, body) for body in (cut.body_a, cut.body_b))
         gap = world_points(pose_a, cut.point_a) - world_points(pose_b, cut.point_b)
@@ -199,6 +198,12 @@ def closure(mechanism, position):
             errors.append(gap[..., 1] * np.cos(axis) - gap[..., 0] * np.sin(axis))
         else:
             errors += [gap[..., 0], gap[..., 1]]
-        if cut.type == PRISMATIC or CUT_JOINT_EQUATIONS[cut.type] == 3:
+        if cut.type != REVOLUTE:
             errors.append(pose_a[..., 2] - pose_b[..., 2] - cut.angle)
-    return np.max(np.abs(errors), axis=0)
+    return errors
+
+
+def closure(mechanism, position):
+    """Return the largest closure error [m or rad], shape (n,), of positions, shape (n, nv)."""
+    poses = body_poses(mechanism, position)
+    return np.max(np.abs([np.zeros(len(poses)), *closure_errors(mechanism, poses)]), axis=0)

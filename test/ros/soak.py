@@ -36,8 +36,8 @@ from test.ros.domains import reserve_domain
 from test.ros.taker import Taker
 import time
 
+from closedloop_dynamics.ros.process import build_executor
 from closedloop_dynamics.ros.programs import Programs
-from closedloop_dynamics.ros.spinning import build_executor
 from rcl_interfaces.srv import SetParameters
 import rclpy
 from rclpy.parameter import Parameter

@@ -12,13 +12,12 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Tests of closedloop_dynamics.ros.bag and message_types, read back by other readers."""
+"""Tests of closedloop_dynamics.ros.bag, read back by other readers."""
 
 import sys
 from test.ros.bags import read_with_mcap, read_with_rosbags
 
-from closedloop_dynamics.ros.bag import BagError, BagWriter
-from closedloop_dynamics.ros.message_types import MessageTypes, UnknownTypeError
+from closedloop_dynamics.ros.bag import BagError, BagWriter, MessageTypes, UnknownTypeError
 import pytest
 from rclpy.qos import DurabilityPolicy
 from rclpy.qos import QoSProfile

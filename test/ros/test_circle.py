@@ -14,7 +14,7 @@
 
 """The joints lead the point round the circle, and their rates are those of their positions."""
 
-from closedloop_dynamics.ros.circle import Circle, CircleError
+from closedloop_dynamics.ros.references import Circle, CircleError
 from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.visual.motion import body_poses, named_point, pose_of
 import numpy as np

@@ -17,7 +17,7 @@
 from array import array
 import math
 
-from closedloop_dynamics.ros.commands import CommandError, TorqueCommand
+from closedloop_dynamics.ros.commands import CommandError, NOT_ACTUATED, TorqueCommand
 import pytest
 
 JOINTS = ('a', 'b', 'c', 'd')
@@ -26,9 +26,13 @@ ACTUATED = ('a', 'c')
 
 @pytest.fixture
 def command():
-    command = TorqueCommand(JOINTS, ACTUATED)
+    command = TorqueCommand(JOINTS, ACTUATED, timeout=0.5)
     command.accept_values([1.0, 2.0], now=0.0)
     return command
+
+
+def counted(command):
+    return command.counts['accepted'], command.counts['rejected']
 
 
 def test_torque_is_zero_before_any_command():
@@ -40,7 +44,7 @@ def test_torque_is_zero_before_any_command():
 def test_values_are_followed_in_the_order_of_the_actuated_joints(command, values):
     command.accept_values(values, now=1.0)
     assert command.torque.tolist() == [3.0, -4.0]
-    assert (command.accepted, command.rejected) == (2, 0)
+    assert counted(command) == (2, 0)
 
 
 def test_named_efforts_leave_other_joints_alone(command):
@@ -48,7 +52,7 @@ def test_named_efforts_leave_other_joints_alone(command):
     assert command.torque.tolist() == [1.0, 7.0]
     command.accept_named(['c', 'a'], array('d', [8.0, 9.0]), now=1.0)
     assert command.torque.tolist() == [9.0, 8.0]
-    assert (command.accepted, command.rejected) == (3, 0)
+    assert counted(command) == (3, 0)
 
 
 @pytest.mark.parametrize('values, problem', [
@@ -63,7 +67,7 @@ def test_bad_values_are_refused_and_change_nothing(command, values, problem):
     with pytest.raises(CommandError, match=problem):
         command.accept_values(values, now=1.0)
     assert command.torque.tolist() == [1.0, 2.0]
-    assert (command.accepted, command.rejected) == (1, 1)
+    assert counted(command) == (1, 1)
 
 
 @pytest.mark.parametrize('names, efforts, problem', [
@@ -85,7 +89,7 @@ def test_bad_named_efforts_are_refused_and_change_nothing(command, names, effort
     with pytest.raises(CommandError, match=problem):
         command.accept_named(names, efforts, now=1.0)
     assert command.torque.tolist() == [1.0, 2.0]
-    assert (command.accepted, command.rejected) == (1, 1)
+    assert counted(command) == (1, 1)
 
 
 @pytest.mark.parametrize('efforts', [[5.0, math.nan, 6.0], [5.0, 6.0]])
@@ -93,35 +97,36 @@ def test_joints_that_are_not_actuated_are_ignored_and_counted(command, efforts):
     # Of all joints, or of the actuated ones alone.
     command.accept_named(['c', 'b', 'a'], efforts, now=1.0)
     assert command.torque.tolist() == [6.0, 5.0]
-    assert (command.accepted, command.rejected, command.not_actuated) == (2, 0, 1)
+    assert (*counted(command), command.counts[NOT_ACTUATED]) == (2, 0, 1)
 
 
 def test_torques_fall_to_zero_once_when_no_command_comes(command):
-    assert not command.expire(now=0.5, timeout=0.5)
+    assert not command.expire(now=0.5)
     assert command.torque.tolist() == [1.0, 2.0]
-    assert command.expire(now=0.51, timeout=0.5)
+    assert command.expire(now=0.51)
     assert command.torque.tolist() == [0.0, 0.0]
-    assert not command.expire(now=2.0, timeout=0.5)
-    assert command.timed_out == 1
+    assert not command.expire(now=2.0)
+    assert command.counts['timed out'] == 1
     command.accept_named(['c'], [4.0], now=3.0)
     assert command.torque.tolist() == [0.0, 4.0]
-    assert command.expire(now=4.0, timeout=0.5)
-    assert command.timed_out == 2
+    assert command.expire(now=4.0)
+    assert command.counts['timed out'] == 2
 
 
 def test_refused_command_does_not_put_off_the_timeout(command):
     with pytest.raises(CommandError):
         command.accept_values([1.0], now=0.4)
-    assert command.expire(now=0.6, timeout=0.5)
+    assert command.expire(now=0.6)
 
 
 def test_command_that_acted_for_too_long_is_over(command):
     command.held = 0.6
-    assert command.expire(now=0.0, timeout=0.5)
+    assert command.expire(now=0.0)
     command.accept_values([1.0, 2.0], now=0.1)
-    assert not command.expire(now=0.2, timeout=0.5)
+    assert not command.expire(now=0.2)
 
 
 def test_no_timeout_holds_for_ever(command):
-    assert not command.expire(now=1e9, timeout=0.0)
+    command.timeout = 0.0
+    assert not command.expire(now=1e9)
     assert command.torque.tolist() == [1.0, 2.0]

@@ -17,9 +17,9 @@
 import math
 
 from builtin_interfaces.msg import Time
+from closedloop_dynamics.ros.companions import COLUMNS, NO_STATE
 from closedloop_dynamics.ros.markers import contact_force
 from closedloop_dynamics.ros.process import StartError
-from closedloop_dynamics.ros.replay_log import COLUMNS, NO_STATE
 from closedloop_dynamics.ros.simulator_node import SimulatorNode
 from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.simulation.scene_text import read_scene_text
@@ -74,12 +74,12 @@ def test_scene_is_told_anew_when_it_changes(simulator, listener):
     node = simulator(scene='three_rrr')
     scenes = collect(listener, 'scene', String, LATCHED)
     listener.wait(lambda: scenes, 'scene')
-    node.publish()
+    node.live.publish()
     node.set_parameters([Parameter('effects.gravity.acceleration', value=[0.0, -1.62])])
     node.set_parameters([Parameter('effects.gravity.enabled', value=False)])
-    node.publish()
+    node.live.publish()
     listener.wait(lambda: len(scenes) > 1, 'the changed scene')
-    node.publish()
+    node.live.publish()
     scene, facts = read_scene_text(scenes[-1].data)
     assert scene.effects['gravity'].acceleration == (0.0, -1.62)
     # Since the one state that was published before.
@@ -91,18 +91,18 @@ def test_replay_log_tells_times_and_commands(simulator, listener):
     node = simulator(scene='four_bar')
     entries = collect(listener, 'replay_log', Float64MultiArray)
     listener.wait(lambda: node.count_subscribers('replay_log'), 'subscription')
-    node.publish()
+    node.live.publish()
     for torque in (0.5, -0.25):
         node.command.torque[:] = torque
-        node.advance(7)
-        node.publish()
+        node.live.advance(7)
+        node.live.publish()
     # A command that changes between two states.
-    node.advance(2)
+    node.live.advance(2)
     node.command.torque[:] = 1.0
-    node.advance(3)
-    node.publish()
+    node.live.advance(3)
+    node.live.publish()
     node.simulation.reset()
-    node.publish()
+    node.live.publish()
     listener.wait(lambda: len(entries) == 6, 'six entries')
     names = entries[0].layout.dim[0].label.split()
     assert names == [*COLUMNS, *node.simulation.joint_names, *(
@@ -142,7 +142,7 @@ def test_markers_are_where_the_machine_is(simulator, scene):
     simulation = node.simulation
     for _ in range(20):
         simulation.step(duration=0.01)
-        markers = by_name(node.companions._markers.array(Time(sec=3), simulation))
+        markers = by_name(node.markers.array(Time(sec=3)))
     strips = [each for each in markers['links'] if each.type == Marker.LINE_STRIP]
     assert len(strips) == len(simulation.mechanism.bodies)
     for marker, pose in zip(strips, simulation.body_poses):
@@ -174,7 +174,7 @@ def test_carpet_and_its_force_are_shown(simulator):
     while simulation.effect_readings('carpet')['depth'] < 1e-3:
         simulation.step({'theta_1': 20.0}, 0.01)
         assert simulation.time < 5.0
-    markers = by_name(node.companions._markers.array(Time(), simulation))
+    markers = by_name(node.markers.array(Time()))
     line, = markers['contacts']
     assert xy(line.points)[:, 1] == pytest.approx([-0.216, -0.216])
     force, = markers['effects']
@@ -188,18 +188,18 @@ def test_carpet_and_its_force_are_shown(simulator):
         abs(readings['friction_force'] + readings['scraping_force']))
     # What ends is taken away in the viewer, too.
     simulation.set_effect('carpet', enabled=False)
-    first = node.companions._markers.array(Time(), simulation).markers[0]
+    first = node.markers.array(Time()).markers[0]
     assert first.action == Marker.DELETEALL
 
 
 def test_nothing_is_drawn_when_nobody_looks(simulator, listener, context, monkeypatch):
     node = simulator(scene='four_bar', marker_rate=200.0)
-    markers = node.companions._markers
+    markers = node.markers
     drawn = []
     array = markers.array
     monkeypatch.setattr(markers, 'array', lambda *of: drawn.append(1) or array(*of))
     markers._next = 0.0
-    node.publish()
+    node.live.publish()
     assert not drawn
     pictures = collect(listener, 'visualization_marker_array', MarkerArray)
     executor = SingleThreadedExecutor(context=context)
@@ -207,7 +207,7 @@ def test_nothing_is_drawn_when_nobody_looks(simulator, listener, context, monkey
 
     def seen():
         executor.spin_once(timeout_sec=0.0)
-        node.publish()
+        node.live.publish()
         return pictures
 
     listener.wait(seen, 'markers')
@@ -217,7 +217,7 @@ def test_nothing_is_drawn_when_nobody_looks(simulator, listener, context, monkey
 
 def test_markers_can_be_switched_off(simulator):
     node = simulator(scene='four_bar', marker_rate=0.0)
-    node.publish()
+    node.live.publish()
     topics = dict(node.get_publisher_names_and_types_by_node(node.get_name(), '/'))
     assert '/visualization_marker_array' not in topics
     assert '/joint_states' in topics

@@ -12,11 +12,11 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Tests of closedloop_dynamics.ros.computed_torque against the simulation itself."""
+"""Tests of ComputedTorque against the simulation itself."""
 
 from closedloop_dynamics import Simulation
-from closedloop_dynamics.ros.computed_torque import ComputedTorque
-from closedloop_dynamics.ros.torque_laws import ProportionalDerivative, Reference, Wave
+from closedloop_dynamics.ros.references import Reference, Wave
+from closedloop_dynamics.ros.torque_laws import ComputedTorque, ProportionalDerivative
 import numpy as np
 import pytest
 

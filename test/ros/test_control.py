@@ -19,7 +19,7 @@ import os
 import time
 
 from closedloop_dynamics import Simulation
-from closedloop_dynamics.ros.awake import set_priority
+from closedloop_dynamics.ros.background import set_priority
 from closedloop_dynamics.ros.process import StartError
 from closedloop_dynamics.ros.simulator_node import SimulatorNode
 import numpy as np
@@ -48,9 +48,9 @@ def build(make_node, monkeypatch):
         node = make_node(SimulatorNode, scene=scene, **parameters)
         node.clock = node.pacer.clock = FakeClock()
         node.warnings, node.stamps_seen = [], []
-        if node.control.running:
+        if node.running:
             node.mode.start()
-        node.on_published.append(
+        node.live.on_published.append(
             lambda stamp: node.stamps_seen.append(10 ** 9 * stamp.sec + stamp.nanosec))
         monkeypatch.setattr(node, 'warn', lambda throttle, text: node.warnings.append(text))
         return node
@@ -68,7 +68,7 @@ def trigger(callback):
 
 
 def pause(node, value=True):
-    return node.control.on_pause(SetBool.Request(data=value), SetBool.Response())
+    return node.on_pause(SetBool.Request(data=value), SetBool.Response())
 
 
 def test_time_stands_still_while_paused_and_goes_on_without_a_jump(build):
@@ -85,14 +85,14 @@ def test_time_stands_still_while_paused_and_goes_on_without_a_jump(build):
 
 def test_steps_are_made_only_while_paused(build):
     node = build(step_count=25)
-    response = trigger(node.control.on_step)
+    response = trigger(node.on_step)
     assert not response.success
     assert '~/pause' in response.message
     pause(node)
-    assert trigger(node.control.on_step).success
+    assert trigger(node.on_step).success
     assert node.simulation.time == pytest.approx(0.025, abs=1e-15)
     node.set_parameters([Parameter('step_count', value=1000)])
-    trigger(node.control.on_step)
+    trigger(node.on_step)
     reference = Simulation.from_scene('three_rrr')
     reference.step(duration=1.025)
     assert node.simulation.position.tolist() == reference.position.tolist()
@@ -103,7 +103,7 @@ def test_reset_returns_to_the_start_without_torque_and_waits_again(build):
     node.on_torque_command(Float64MultiArray(data=[5.0, 1.0, 2.0]))
     advance(node, 0.1, ticks=10)
     assert node.simulation.time > 0.09
-    response = trigger(node.control.on_reset)
+    response = trigger(node.on_reset)
     assert response.success
     assert 'waiting for the first command' in response.message
     advance(node, 0.1, ticks=10)
@@ -114,13 +114,13 @@ def test_reset_returns_to_the_start_without_torque_and_waits_again(build):
     node.on_torque_command(Float64MultiArray(data=[5.0, 1.0, 2.0]))
     advance(node, 0.1, ticks=10)
     assert node.simulation.time == pytest.approx(0.1)
-    assert node.command.accepted == 2
+    assert node.command.counts['accepted'] == 2
 
 
 def test_reset_leaves_a_pause_as_it_is(build):
     node = build()
     pause(node)
-    assert 'paused' in trigger(node.control.on_reset).message
+    assert 'paused' in trigger(node.on_reset).message
     advance(node, 0.1)
     assert node.simulation.time == 0.0
 
@@ -132,12 +132,12 @@ def test_state_of_all_joints_is_assembled(build):
     names = list(wanted.joint_names)
     # As a message of another node has them, in an order of its own, and rounded.
     order = np.random.default_rng(1).permutation(len(names))
-    node.control.on_set_state(JointState(
+    node.on_set_state(JointState(
         name=[names[k] for k in order],
         position=[round(wanted.position[k], 4) for k in order],
         velocity=[round(wanted.velocity[k], 4) for k in order]))
     assert node.warnings == []
-    assert node.control.states_set == 1
+    assert node.counts['states set'] == 1
     assert node.simulation.position == pytest.approx(wanted.position, abs=3e-4)
     assert node.simulation.velocity == pytest.approx(wanted.velocity, abs=2e-3)
     assert node.simulation.closure < 1e-12
@@ -145,7 +145,7 @@ def test_state_of_all_joints_is_assembled(build):
 
 def test_joints_that_a_state_does_not_name_follow_those_it_names(build):
     node = build('four_bar')
-    node.control.on_set_state(JointState(
+    node.on_set_state(JointState(
         name=['crank_joint'], position=[1.3], velocity=[2.0]))
     index = node.simulation.joint_names.index('crank_joint')
     assert node.simulation.position[index] == 1.3
@@ -173,9 +173,9 @@ def test_state_that_makes_no_sense_is_refused_with_the_reason_and_counted(
     node = build()
     advance(node, 0.02)
     before = node.simulation.position.tolist(), node.simulation.velocity.tolist()
-    node.control.on_set_state(message)
+    node.on_set_state(message)
     assert (node.simulation.position.tolist(), node.simulation.velocity.tolist()) == before
-    assert node.control.states_refused == 1
+    assert node.counts['states refused'] == 1
     assert node.warnings[0].startswith('set_state refused: ')
     assert problem in node.warnings[0]
 
@@ -210,7 +210,7 @@ def test_lockstep_is_the_same_bit_for_bit_whatever_happens_in_between(build, int
 def test_lockstep_after_a_reset_is_the_same_run_again(build):
     node = build(mode='lockstep')
     first = run_lockstep(node)[0]
-    trigger(node.control.on_reset)
+    trigger(node.on_reset)
     assert run_lockstep(node)[0] == first
 
 
@@ -288,27 +288,27 @@ def test_method_that_the_scene_is_too_stiff_for_is_refused(build, tmp_path):
 
 def test_states_of_late_ticks_are_a_period_apart_in_every_respect(build):
     node = build(publish_rate=200.0)
-    node.stamps.now = lambda: round(1e9 * node.clock.now)
+    node.live.stamps.now = lambda: round(1e9 * node.clock.now)
     times = []
-    node.on_published.append(lambda stamp: times.append(node.simulation.time))
+    node.live.on_published.append(lambda stamp: times.append(node.simulation.time))
     for late in (0.005, 0.006, 0.016, 0.0035, 0.005):
         advance(node, late)
     assert times == pytest.approx([0.005 * k for k in range(1, 8)])
     assert np.diff(node.stamps_seen) == pytest.approx(5_000_000, abs=2)
     # A clock that was set back is followed.
-    node.stamps.now = lambda: 1_000_000_000
+    node.live.stamps.now = lambda: 1_000_000_000
     advance(node, 0.005)
     assert node.stamps_seen[-1] == pytest.approx(1_000_000_000, abs=1_000_000)
 
 
 def test_stamps_never_go_back_while_the_clock_does_not(build):
     node = build(publish_rate=200.0)
-    node.stamps.now = lambda: round(1e9 * node.clock.now)
+    node.live.stamps.now = lambda: round(1e9 * node.clock.now)
     advance(node, 0.005)
     # A state that was set from outside is told in between, when the tick was due already.
     advance(node, 0.005)
     node.clock.now += 0.007
-    node.jumped()
+    node._jump()
     node.tick()
     assert np.all(np.diff(node.stamps_seen) > 0)
 
@@ -328,7 +328,7 @@ def test_core_is_kept_awake_while_asked_to_and_time_runs(build):
     for ask, kept in (
             (lambda: node.set_parameters([Parameter('keep_core_awake', value=True)]), True),
             (lambda: pause(node), False), (lambda: pause(node, False), True),
-            (lambda: trigger(node.control.on_reset), True),
+            (lambda: trigger(node.on_reset), True),
             (lambda: node.set_parameters([Parameter('keep_core_awake', value=False)]), False),
             (lambda: node.set_parameters([Parameter('keep_core_awake', value=True)]), True)):
         ask()

@@ -27,7 +27,7 @@ from closedloop_dynamics.ros import demo
 from closedloop_dynamics.ros.demo_drive import Aim, aim_of, drive_for, shipped_drives
 from closedloop_dynamics.ros.demo_report import (
     compared, draw, not_representative, read_run, Run, summary, wanted_motion)
-from closedloop_dynamics.ros.torque_laws import Reference, Wave
+from closedloop_dynamics.ros.references import Reference, Wave
 from closedloop_dynamics.ros.torque_source_parameters import TORQUE_SOURCE_PARAMETERS
 from closedloop_dynamics.simulation.scene import load_scene, scene_names
 from closedloop_dynamics.simulation.simulation import Simulation
@@ -68,11 +68,11 @@ class Demo:
         return found
 
     def wait_for(self, function):
-        """Return the id of the process that runs a function of ``executables``."""
+        """Return the id of the process that runs a function of ``process``."""
         deadline = time.monotonic() + PATIENCE
         while time.monotonic() < deadline:
             for number, command in self.alive().items():
-                if f'executables.{function}()' in command:
+                if f'process.{function}()' in command:
                     return number
             assert self.process.poll() is None, self.process.communicate()
             time.sleep(0.05)

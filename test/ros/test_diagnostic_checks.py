@@ -19,8 +19,8 @@ import math
 from pathlib import Path
 
 from closedloop_dynamics.effects.energy_balance import Energies
-from closedloop_dynamics.ros import diagnostic_checks as checks
-from closedloop_dynamics.ros.diagnostic_checks import ERROR, OK, WARN
+from closedloop_dynamics.ros import diagnostics as checks
+from closedloop_dynamics.ros.diagnostics import ERROR, OK, WARN
 from closedloop_dynamics.simulation.health import Health
 from closedloop_dynamics.simulation.monitor import RunReport
 import pytest

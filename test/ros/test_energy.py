@@ -91,9 +91,9 @@ def test_states_that_are_set_and_resets_are_booked_as_nobodys_energy(make_node):
         drive_starved(node, rng, 0.3)
         before = node.simulation.energy_balance.residual
         position = rng.uniform(0.5, 1.0)
-        node.control.on_set_state(JointState(
+        node.on_set_state(JointState(
             name=[joints[0]], position=[position], velocity=[5.0]))
-        assert node.control.states_set == turn + 1
+        assert node.counts['states set'] == turn + 1
         assert node.simulation.energy_balance.residual == pytest.approx(before, abs=1e-9)
     drive_starved(node, rng, 0.3)
     assert abs(node.simulation.energy_balance.residual) < 1e-4

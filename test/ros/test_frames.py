@@ -16,9 +16,9 @@
 from types import SimpleNamespace
 
 from closedloop_dynamics.ros import frames
+from closedloop_dynamics.ros.messages import WireMessage
 from closedloop_dynamics.ros.process import StartError
 from closedloop_dynamics.ros.simulator_node import SimulatorNode
-from closedloop_dynamics.ros.wire import WireMessage
 from geometry_msgs.msg import WrenchStamped
 import numpy as np
 import pytest
@@ -43,7 +43,7 @@ def broadcast(make_node, monkeypatch):
         node._timer.cancel()
         for _ in range(20):
             node.simulation.step(duration=0.01)
-        node.publish()
+        node.live.publish()
         message, = sent
         return node, {frame.child_frame_id: frame for frame in message.transforms}
 

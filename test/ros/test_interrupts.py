@@ -23,7 +23,7 @@ import time
 
 import pytest
 
-NODE = 'from closedloop_dynamics.ros import executables; executables.{}()'
+NODE = 'from closedloop_dynamics.ros import process; process.{}()'
 # Command line of Python, and the exit code after SIGINT.
 PROGRAMS = {
     'closedloop': (

@@ -12,12 +12,10 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Tests of closedloop_dynamics.ros.messages and wire: what goes over the wire."""
+"""Tests of closedloop_dynamics.ros.messages: what goes over the wire."""
 
-from closedloop_dynamics.ros.messages import StatePublisher
+from closedloop_dynamics.ros.messages import Stamps, StatePublisher, WireMessage
 from closedloop_dynamics.ros.process import StartError
-from closedloop_dynamics.ros.stamps import Stamps
-from closedloop_dynamics.ros.wire import WireMessage
 from geometry_msgs.msg import WrenchStamped
 import numpy as np
 import pytest

@@ -12,11 +12,10 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Tests of closedloop_dynamics.ros.modes with a machine that only counts."""
+"""Tests of the modes of closedloop_dynamics.ros.pacing with a machine that only counts."""
 
-from closedloop_dynamics.ros.modes import (
-    AsFastAsPossible, Lockstep, LOOK_EVERY, MOST_MADE_UP, period_steps, RealTime)
-from closedloop_dynamics.ros.pacing import Pacer
+from closedloop_dynamics.ros.pacing import (
+    AsFastAsPossible, Lockstep, LOOK_EVERY, MOST_MADE_UP, Pacer, period_steps, RealTime)
 import pytest
 
 

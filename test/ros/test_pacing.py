@@ -14,7 +14,7 @@
 
 """Tests of closedloop_dynamics.ros.pacing with a clock that only moves when told."""
 
-from closedloop_dynamics.ros.pacing import LARGEST_LAG, Pacer, PORTION, Throttle
+from closedloop_dynamics.ros.pacing import LARGEST_LAG, Pacer, PORTION_TIME, Throttle
 import numpy as np
 import pytest
 
@@ -79,7 +79,7 @@ def test_too_slow_machine_drops_time_and_never_spirals():
     for _ in range(1000):
         begin = machine.now
         dropped += pacer.tick(machine.take, BUDGET)
-        assert machine.now - begin <= BUDGET + max(machine.cost, PORTION)
+        assert machine.now - begin <= BUDGET + max(machine.cost, PORTION_TIME)
         machine.now = max(machine.now, begin + 0.01)
     elapsed = pacer.elapsed
     assert pacer.achieved == pytest.approx(0.001 / 0.004 * 0.8, rel=0.3)
@@ -106,8 +106,8 @@ def test_work_of_a_tick_is_bounded_however_much_is_due():
         machine.now += 1.0
         begin = machine.now
         pacer.tick(machine.take, BUDGET)
-        assert machine.now - begin <= BUDGET + PORTION
-    assert max(machine.portions) * machine.cost <= PORTION * 1.01
+        assert machine.now - begin <= BUDGET + PORTION_TIME
+    assert max(machine.portions) * machine.cost <= PORTION_TIME * 1.01
 
 
 def test_change_of_factor_counts_from_now_on():

@@ -12,12 +12,12 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Tests of closedloop_dynamics.ros.reception."""
+"""Tests of the subscriptions of closedloop_dynamics.ros.commands."""
 
 import time
 
-from closedloop_dynamics.ros.reception import SequenceGaps, subscribe
-from closedloop_dynamics.ros.spinning import build_executor, VARIABLE
+from closedloop_dynamics.ros.commands import SequenceGaps, subscribe
+from closedloop_dynamics.ros.process import build_executor, VARIABLE
 import pytest
 from rclpy.node import Node
 from rclpy.qos import QoSProfile

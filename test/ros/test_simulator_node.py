@@ -102,7 +102,7 @@ def test_bad_torque_command_is_refused_by_name_and_the_last_one_stays(node, data
     assert node.seen[-1][2] == [1.0, 0.0, 0.0, 0.0, 0.0, 2.0, 3.0]
     assert len(node.warnings) == 1
     assert node.warnings[0].startswith('torque_command rejected: ')
-    assert (node.command.accepted, node.command.rejected) == (1, 1)
+    assert [node.command.counts[key] for key in ('accepted', 'rejected')] == [1, 1]
 
 
 @pytest.mark.parametrize('name, effort, problem', [
@@ -141,10 +141,9 @@ def test_forces_that_are_not_finite_are_not_published(node, monkeypatch):
 
 def test_overload_is_reported_with_the_factor_and_does_not_spiral(node, monkeypatch):
     messages = []
+    node._throttles['overload'].period = 0.0
     monkeypatch.setattr(
-        node, '_overload', type('', (), {
-            'ready': lambda self: True,
-            'message': lambda self: messages.append(node.pacer.achieved) or ''})())
+        node.pacer, 'overload', lambda: messages.append(node.pacer.achieved) or '')
     steps = node.simulation.advance
 
     def slow(tau, count):
@@ -180,7 +179,7 @@ def test_time_can_wait_for_the_first_command(make_node):
 
 def test_no_command_for_too_long_means_no_torque(node, monkeypatch):
     node.set_parameters([Parameter('command_timeout', value=0.5)])
-    assert node.command_timeout == 0.5
+    assert node.command.timeout == 0.5
     steady = FakeClock()
     monkeypatch.setattr('closedloop_dynamics.ros.simulator_node.time.monotonic', steady)
     node.on_torque_command(Float64MultiArray(data=[1.0, 2.0, 3.0]))
@@ -190,7 +189,7 @@ def test_no_command_for_too_long_means_no_torque(node, monkeypatch):
     steady.now += 0.2
     advance(node, 0.01)
     assert not any(node.seen[-1][2])
-    assert node.command.timed_out == 1
+    assert node.command.counts['timed out'] == 1
 
 
 def test_late_tick_holds_no_command_longer_than_the_timeout(node):

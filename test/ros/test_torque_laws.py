@@ -14,7 +14,8 @@
 
 """Tests of closedloop_dynamics.ros.torque_laws on one joint with a plain inertia."""
 
-from closedloop_dynamics.ros.torque_laws import ProportionalDerivative, Reference, Wave
+from closedloop_dynamics.ros.references import Reference, Wave
+from closedloop_dynamics.ros.torque_laws import ProportionalDerivative
 import numpy as np
 import pytest
 

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Tests of closedloop_dynamics.ros.preparation, prepare and integration.ahead."""
+"""Tests of closedloop_dynamics.ros.background and integration.ahead."""
 
 import os
 from pathlib import Path
@@ -25,8 +25,7 @@ from closedloop_dynamics import Simulation
 from closedloop_dynamics.core.straight_line import linkage as links
 from closedloop_dynamics.integration import ahead
 from closedloop_dynamics.integration.system import careful_acceleration, careful_correction
-from closedloop_dynamics.ros import preparation
-from closedloop_dynamics.ros.simulator_node import SimulatorNode
+from closedloop_dynamics.ros import background
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -49,37 +48,38 @@ def is_alive(number):
 
 
 @pytest.fixture
-def build(make_node, monkeypatch):
+def build(monkeypatch):
     """Return a function that builds a preparation whose process runs some code, and its log."""
     def make(code, stored=False):
         loaded, said = [], []
         monkeypatch.setattr(ahead, 'is_stored', lambda system: stored)
         monkeypatch.setattr(ahead, 'preparations', lambda system: [
             lambda: loaded.append('first'), lambda: loaded.append('second')])
-        monkeypatch.setattr(preparation, 'COMMAND', (sys.executable, '-c', code))
-        node = make_node(SimulatorNode, scene='four_bar')
+        monkeypatch.setattr(background, 'COMMAND', (sys.executable, '-c', code))
+        monkeypatch.setattr(background, 'DELAY', 0.0)
         logger = type('', (), {'info': said.append, 'warning': said.append})
-        monkeypatch.setattr(node, 'get_logger', lambda: logger)
-        return node._preparation, loaded, said
+        return background.Preparation('four_bar', None, logger), loaded, said
     return make
 
 
 def test_what_is_on_disk_is_loaded_at_once_and_nothing_is_said(build):
     prepared, loaded, said = build('', stored=True)
     assert sorted(loaded) == ['first', 'second']
-    assert prepared._timer is prepared._process is None
+    prepared.look()
+    assert prepared.over and prepared._process is None
     assert said == []
 
 
 def test_what_is_not_is_compiled_by_a_process_and_loaded_then(build):
-    prepared, loaded, said = build('import sys; sys.exit(sys.argv[1] != "four_bar")')
+    prepared, loaded, said = build(
+        'import sys; sys.exit(sys.argv[1:3] != ["compile", "four_bar"])')
     assert (loaded, prepared._process) == ([], None)
-    prepared.start()
+    prepared.look()
     prepared._process.wait()
     for k in range(3):
         assert len(loaded) == k
         prepared.look()
-    assert prepared._timer is None
+    assert prepared.over
     assert [line.split(':')[0].split(' (')[0] for line in said] == [
         'compiling in the background what deals with singular configurations',
         'singular configurations']
@@ -87,16 +87,16 @@ def test_what_is_not_is_compiled_by_a_process_and_loaded_then(build):
 
 def test_process_that_fails_is_told(build):
     prepared, loaded, said = build('raise SystemExit(3)')
-    prepared.start()
+    prepared.look()
     prepared._process.wait()
     prepared.look()
     assert 'exit code 3' in said[-1]
-    assert (loaded, prepared._timer) == ([], None)
+    assert (loaded, prepared.over) == ([], True)
 
 
 def test_process_ends_with_the_node(build):
     prepared, loaded, _ = build('import time; time.sleep(600)')
-    prepared.start()
+    prepared.look()
     prepared.look()
     process = prepared._process
     assert process.poll() is None
@@ -106,7 +106,7 @@ def test_process_ends_with_the_node(build):
 
 
 def test_process_ends_with_a_parent_that_was_killed(tmp_path):
-    child = ('import os, sys, time; from closedloop_dynamics.ros.prepare import die_with; '
+    child = ('import os, sys, time; from closedloop_dynamics.ros.background import die_with; '
              'die_with(int(sys.argv[1])); print(os.getpid(), flush=True); time.sleep(600)')
     parent = subprocess.Popen(
         [sys.executable, '-c', 'import os, subprocess, sys; subprocess.run('
@@ -154,7 +154,7 @@ def test_new_installation_gets_it_ready_in_the_background(processes, tmp_path):
     assert first.stop() == 0
     second = processes.start('closedloop_simulator', scene='carpet_scraper_on_carpet')
     second.wait_until_ready()
-    time.sleep(preparation.DELAY + 2.0)
+    time.sleep(background.DELAY + 2.0)
     assert children(second) == []
     assert second.stop() == 0
     assert 'background' not in second.output
@@ -175,7 +175,7 @@ def test_disk_is_known_to_hold_it_or_not(tmp_path):
     assert tell() == 'False'
     subprocess.run(
         [sys.executable, '-c', 'import os, subprocess, sys; sys.exit(subprocess.call(['
-         'sys.executable, "-m", "closedloop_dynamics.ros.prepare", "three_rrr", '
+         'sys.executable, "-m", "closedloop_dynamics.ros.background", "compile", "three_rrr", '
          'str(os.getpid())]))'],
         cwd=ROOT, env=environment, check=True)
     assert tell() == 'True'

@@ -1,0 +1,119 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""A simulation under torque commands that publishes its states."""
+
+import time
+
+from closedloop_dynamics.simulation.errors import NumericalError
+import numpy as np
+
+# A state that does not change is published so often in simulated time [s of the steady clock].
+REPEAT_PERIOD = 1.0
+
+
+class LiveSimulation:
+    """
+    What a mode advances and lets publish.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        Advanced.
+    command : commands.TorqueCommand
+        The torques in force.
+    stamps : messages.Stamps
+        The time that messages carry.
+    states : messages.StatePublisher
+        Joint states and constraint forces.
+    pacer : pacing.Pacer or None
+        By whose simulated time a command grows old; None: it does not.
+    logger : rclpy logger
+        Told when a command has grown too old.
+
+    Attributes
+    ----------
+    torque : ndarray, shape (nv,)
+        Command that acted in the latest steps [N m or N].
+    on_published : list of callables
+        Each is called with the stamp, a Time message, after a state was published.
+    on_advance : list of callables
+        Each is called with ``torque`` before steps are made under it.
+    on_jump : list of callables
+        Called when the next state does not follow from the last by simulating.
+
+    """
+
+    def __init__(self, simulation, command, stamps, states, pacer, logger):
+        self.simulation, self.command, self.stamps, self.states = (
+            simulation, command, stamps, states)
+        self._pacer, self._logger = pacer, logger
+        self._actuated = [
+            simulation.joint_names.index(name) for name in simulation.actuated_joints]
+        self.torque = np.zeros(len(simulation.joint_names))
+        self.on_published, self.on_advance, self.on_jump = [], [], []
+        self._published_at = self._published_stamp = None
+
+    def expire(self):
+        """Let the torques fall to zero if no command came for too long, and say so."""
+        if self.command.expire(time.monotonic()):
+            self._logger.warning(f'no command for {self.command.timeout:g} s: all torques are '
+                                 'zero until the next one')
+
+    def advance(self, steps):
+        """Make steps under the torques in force."""
+        if self._pacer is not None:
+            # A tick that makes up for others must not hold a command longer than they had.
+            self.expire()
+            self.command.held += (
+                steps * self.simulation.step_size / self._pacer.real_time_factor)
+        self.torque[self._actuated] = self.command.torque
+        for note in self.on_advance:
+            note(self.torque)
+        self.simulation.advance(self.torque, steps)
+
+    def publish(self, late=0.0):
+        """
+        Publish the present state and constraint forces.
+
+        It was due ``late`` s ago, of the steady clock. Raises NumericalError instead of publishing
+        forces that are not finite.
+
+        """
+        simulation, stamp = self.simulation, self.stamps.earlier(late, self._published_stamp)
+        forces = simulation.constraint_forces
+        if not np.isfinite(forces).all():
+            raise NumericalError('the constraint forces are not finite numbers')
+        # The clock first: who answers the state knows the time.
+        self.stamps.publish()
+        self.states.publish(stamp, *simulation.measured(), simulation.effort, forces)
+        self._published_at, self._published_stamp = time.monotonic(), stamp
+        for publish in self.on_published:
+            publish(self.states.stamp)
+
+    def refresh(self, late=0.0):
+        """Publish the state if it has a new stamp, or again, for latecomers, after a while."""
+        if (not self.stamps.simulated or self.stamps.now() != self._published_stamp
+                or time.monotonic() - self._published_at >= REPEAT_PERIOD):
+            self.publish(late)
+
+    def is_received(self):
+        """Return whether reliable subscribers have received all states."""
+        return self.states.is_received()
+
+    def jump(self):
+        """Publish a state that does not follow from the last by simulating."""
+        for note in self.on_jump:
+            note()
+        self.publish()
