@@ -40,14 +40,17 @@ class Engine:
         Of ``core.formulations``.
     baumgarte : float
         Decay rate [1/s].
+    unrolled : bool, optional
+        As for ``build_system``.
 
     """
 
-    def __init__(self, mechanism, gravity=EARTH, formulation=SUBSYSTEM, baumgarte=0.0):
+    def __init__(self, mechanism, gravity=EARTH, formulation=SUBSYSTEM, baumgarte=0.0,
+                 unrolled=None):
         self.decomposition = decompose(mechanism)
         self.body_row = body_rows(mechanism, self.decomposition)
         self.model = build_model(mechanism, gravity, self.decomposition)
-        self.system = build_system(self.model, formulation, baumgarte)
+        self.system = build_system(self.model, formulation, baumgarte, unrolled=unrolled)
         self.work = self.system.work
         self.nv, self.nc = len(mechanism.joints), mechanism.number_of_equations
 

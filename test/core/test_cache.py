@@ -15,10 +15,10 @@
 
 import os
 from pathlib import Path
-from test.test_imports import our_imports, SOURCES, unit
 import time
 
 from closedloop_dynamics.core import cache
+import grimp
 import pytest
 
 
@@ -41,11 +41,14 @@ def test_edits_of_compiled_sources_lead_to_another_directory(package, name, depe
 
 
 def test_compiled_functions_elsewhere_are_called_by_no_others():
-    compiled = {name for name in SOURCES if 'core.compiled' in our_imports(name)}
-    elsewhere = {name for name in compiled if unit(name) not in cache.COMPILED_FOLDERS}
+    name = cache.PACKAGE.name
+    graph = grimp.build_graph(name, cache_dir=None)
+    compiled = graph.find_modules_that_directly_import(f'{name}.core.compiled')
+    elsewhere = {module for module in compiled
+                 if module.split('.')[1] not in cache.COMPILED_FOLDERS}
     assert len(compiled) > 20
-    for name in compiled:
-        assert not our_imports(name) & elsewhere, name
+    for module in compiled:
+        assert not graph.find_modules_directly_imported_by(module) & elsewhere, module
 
 
 def test_code_that_nobody_used_for_long_is_removed(tmp_path):

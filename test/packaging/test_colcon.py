@@ -133,4 +133,4 @@ def test_nodes_run_together_and_end_when_interrupted(start):
 def test_colcon_test_finds_the_tests(workspace):
     colcon(workspace, 'test', '--pytest-args', 'test/test_imports.py')
     results = ElementTree.parse(workspace / 'build' / PACKAGE / 'pytest.xml')
-    assert int(results.getroot().find('testsuite').get('tests')) > 10
+    assert int(results.getroot().find('testsuite').get('tests')) > 3

@@ -145,7 +145,8 @@ def test_late_recordings_and_states_set_from_outside_begin_anew():
 @pytest.mark.parametrize('scene, method', [
     ('carpet_scraper_on_carpet', {}), ('four_bar', {}), ('slider_crank', {}),
     ('three_rrr_payload_friction', {}), ('three_rrr_payload_friction', {'integrator': 'dopri5'}),
-    ('three_rrr', {'integrator': 'rodas4'}), ('three_rrr', {'stabilisation': 'independent'})])
+    ('three_rrr', {'integrator': 'rodas4'}),
+    ('three_rrr', {'integrator': 'rk4', 'stabilisation': 'independent'})])
 def test_a_late_recording_is_met_to_the_last_bit(scene, method):
     scene = load_scene(scene)
     recorder = Recorder(replace(scene, method=replace(scene.method, **method)))

@@ -24,7 +24,8 @@ import pytest
 
 
 @pytest.mark.parametrize('method', [
-    {'integrator': 'rk4'}, {'integrator': 'dop853'}, {'stabilisation': 'independent'}])
+    {'integrator': 'rk4'}, {'integrator': 'dop853'},
+    {'integrator': 'rk4', 'stabilisation': 'independent'}])
 def test_motion_is_the_same_without_samples_of_the_error(method):
     watched, alone = (Simulation.from_scene('three_rrr', **method) for _ in range(2))
     alone.monitor.sampling = False
