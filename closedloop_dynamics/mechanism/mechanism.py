@@ -174,6 +174,9 @@ class Mechanism:
     points: Tuple[Point, ...] = ()
     description: str = ''
 
+    # Set on what validation.checked returns; a copy with other values has not been checked.
+    valid = False
+
     @cached_property
     def joint_names(self):
         """Names of the joints, in the order of q."""

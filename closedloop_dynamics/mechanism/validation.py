@@ -80,9 +80,11 @@ def validate_mechanism(mechanism, source=None):
 
 
 def checked(mechanism):
-    """Return a normalised copy of a mechanism, or raise FieldError."""
+    """Return a normalised copy of a mechanism, itself if it is one, or raise FieldError."""
     if not isinstance(mechanism, Mechanism):
         raise FieldError('a Mechanism', shown(mechanism))
+    if mechanism.valid:
+        return mechanism
     mechanism = normalise(replace(mechanism), name=name, description=text, **_CHECKS)
     for key in ('bodies', 'joints'):
         if not getattr(mechanism, key):
@@ -90,6 +92,7 @@ def checked(mechanism):
     _check_names(mechanism)
     _check_references(mechanism)
     _check_tree(mechanism)
+    object.__setattr__(mechanism, 'valid', True)
     return mechanism
 
 

@@ -347,6 +347,10 @@ def test_built_mechanism_is_normalised():
                                 (Joint('j', 'revolute', 'ground', 'crank', (1.0, 2.0)),))
     assert type(checked.bodies[0].mass) is float
     assert type(given.bodies) is list and type(body.mass) is int    # given ones stay as they are
+    assert validate_mechanism(checked) is checked
+    # A copy with other values is no longer what was checked.
+    with pytest.raises(MechanismError, match='a chain of parents|a body'):
+        validate_mechanism(replace(checked, joints=(replace(joint, parent='crank'),)))
 
 
 @pytest.mark.parametrize('change, message', [

@@ -15,8 +15,11 @@
 """Tests of the simulator node by calling its callbacks; nothing spins."""
 
 import math
+from pathlib import Path
 
 from closedloop_dynamics import Simulation
+from closedloop_dynamics.mechanism import validation
+from closedloop_dynamics.mechanism.document import Document
 from closedloop_dynamics.ros.process import StartError
 from closedloop_dynamics.ros.simulator_node import SimulatorNode
 import numpy as np
@@ -266,6 +269,17 @@ def test_whole_numbers_serve_as_floating_point_ones(make_node):
     # The other way round nothing is rounded.
     result, = node.set_parameters([Parameter('step_count', value=2.0)])
     assert not result.successful
+
+
+def test_scene_is_read_and_validated_once(make_node, monkeypatch):
+    read, checked = [], []
+    begin, check = Document.__init__, validation._check_tree
+    monkeypatch.setattr(Document, '__init__', lambda self, path, *more: (
+        read.append(Path(path).parent.name), begin(self, path, *more))[1])
+    monkeypatch.setattr(validation, '_check_tree', lambda mechanism: (
+        checked.append(mechanism.name), check(mechanism)))
+    make_node(SimulatorNode, scene='four_bar', step_size=0.002, integrator='rk4')
+    assert (read, checked) == (['scenes', 'mechanisms'], ['four_bar'])
 
 
 def test_step_size_of_the_parameter_is_used(make_node):
