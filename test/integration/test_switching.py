@@ -22,7 +22,7 @@ from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest
 
-from ..reference import famous
+from ..reference import famous, peaucellier
 
 # An accuracy counts as kept up to this factor.
 KEPT = 3.0
@@ -67,6 +67,18 @@ def test_the_accuracy_is_kept_under_torques(scene, torque, accuracy):
 def test_the_accuracy_is_kept_by_well_known_linkages(make, torque):
     error, simulation = worst_error(make(), torque, 1e-6)
     assert error <= 1e-6 and simulation.report().findings == ()
+
+
+@pytest.mark.parametrize('accuracy', [1e-3, 1e-6, 1e-9])
+def test_the_accuracy_is_kept_through_a_singular_position(accuracy):
+    simulation = Simulation(replace(peaucellier.scene(), method=Method(accuracy=accuracy)))
+    times, found = 0.02 * np.arange(1, 11), []
+    for _ in times:
+        simulation.step(duration=0.02)
+        found.append(simulation.position[0])
+    error = np.abs(found - peaucellier.crank_angles(times)).max()
+    assert error <= KEPT * accuracy
+    assert simulation.report().error_bound <= KEPT * accuracy
 
 
 def test_the_accuracy_is_kept_by_a_mechanism_of_grams_and_milliseconds():
