@@ -70,7 +70,7 @@ def _judged(arguments, result):
                else f'by up to {result.largest:.3g}, more than {arguments.tolerance:g}')
     else:
         why = (None if result.unexplained is None
-               else f'from {result.unexplained:.6g} s on by more than rounding explains, up to '
+               else f'from {result.unexplained:.6g} s on by more than can be explained, up to '
                     f'{result.largest:.3g}')
     if why is not None:
         print(f'{arguments.prog}: positions are off {why}', file=sys.stderr)

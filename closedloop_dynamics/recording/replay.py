@@ -18,7 +18,7 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from ..integration.registry import ADAPTIVE, INTEGRATORS
+from ..integration.registry import ADAPTIVE, AUTO, INTEGRATORS
 from ..simulation.errors import SimulationError
 from ..simulation.simulation import Simulation
 from ..visual.motion import Motion
@@ -52,6 +52,9 @@ class Replay:
         What limits the comparison.
     growth : ndarray
         How many times larger a small difference of positions has become up to each instant.
+    explained : float
+        Difference of positions at a start that is explained [rad or m]: by rounding, or by the
+        error that the method may make where the recording does not hold its past.
 
     """
 
@@ -60,6 +63,7 @@ class Replay:
     starts: list
     notes: list
     growth: np.ndarray
+    explained: float = MARGIN * PERTURBATION
 
     def deviation(self, quantity):
         """
@@ -86,9 +90,9 @@ class Replay:
 
     @property
     def unexplained(self):
-        """Return the first time at which rounding does not explain the deviation [s], or None."""
+        """Return the first time of a deviation that nothing explains [s], or None."""
         deviation = np.abs(self.deviation('position')).max(axis=1)
-        places = np.flatnonzero(deviation > MARGIN * PERTURBATION * np.maximum(self.growth, 1.0))
+        places = np.flatnonzero(deviation > self.explained * np.maximum(self.growth, 1.0))
         return float(self.recorded.time[places[0]]) if len(places) else None
 
 
@@ -132,7 +136,12 @@ def replay(recording, progress=lambda time: None):
                   if state >= 0]
         motion, simulated = _true(motion, logged), _true(simulated, true)
         player.notes.append(SENSORS)
-    return Replay(motion, simulated, player.starts, player.notes, np.maximum.accumulate(growth))
+    explained = MARGIN * PERTURBATION
+    method = recording.scene.method
+    if MEMORY in player.notes and INTEGRATORS[method.integrator].kind == ADAPTIVE:
+        explained = method.accuracy if method.integrator == AUTO else method.tolerance
+    return Replay(motion, simulated, player.starts, player.notes, np.maximum.accumulate(growth),
+                  explained)
 
 
 def _true(motion, states):

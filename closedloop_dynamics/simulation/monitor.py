@@ -263,10 +263,14 @@ class Monitor:
             error = float(control[adaptive.LARGEST_ERROR]) * watch[switching.TOLERANCE]
             bound = float(watch[switching.LARGEST_BOUND])
             if bound > KEPT * self._method.accuracy:
+                cause = (
+                    'although the smallest tolerance there is was taken: differences in the last '
+                    'digit grow that large in this motion'
+                    if watch[switching.TOLERANCE] <= switching.FLOOR else
+                    'before the tolerance was tightened. Ask for a smaller accuracy')
                 findings.append(
                     f'the accuracy of {self._method.accuracy:g} rad or m within a second was not '
-                    f'kept: it was about {bound:.2g}, with the smallest tolerance there is. The '
-                    'motion is too sensitive: differences of the last digit grow to that.')
+                    f'kept: the error was about {bound:.2g}, {cause}.')
         elif not self._fixed and control is not None:
             steps = int(control[adaptive.ACCEPTED])
             error = float(control[adaptive.LARGEST_ERROR]) * self._method.tolerance
