@@ -64,7 +64,7 @@ setup(
             'ros-jazzy-common-interfaces',
         ],
         # What closedloop sweep writes to, and a cluster to run it on; each on its own is enough.
-        'sweep': ['distributed>=2024.1', 'netCDF4>=1.6.5', 'pyarrow>=14', 'zarr>=3.0.8'],
+        'sweep': ['distributed>=2024.1', 'netCDF4>=1.6.5', 'zarr>=3.0.8'],
         # colcon test looks for pytest here; without it, it finds no tests and passes.
         'test': ['hypothesis', 'mcap-ros2-support', 'pytest', 'pytest-timeout'],
     },

@@ -35,7 +35,7 @@ def _add_arguments(parser):
     parser.add_argument('scene', metavar='SCENE',
                         help='a shipped scene by its name, or a YAML file')
     parser.add_argument('--output', required=True, metavar='FILE',
-                        help='where the results go: FILE.nc (NetCDF), FILE.zarr or FILE.parquet')
+                        help='where the results go: FILE.nc (NetCDF) or FILE.zarr')
     what = parser.add_argument_group('what is varied')
     what.add_argument('--vary', action='append', default=[], metavar='KEY=VALUES',
                       help=f'a number of the scene or its mechanism by its key path, and '

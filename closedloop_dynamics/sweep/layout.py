@@ -12,18 +12,23 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What a sweep's results are made of: the same names, shapes and units in every kind of file."""
+"""The variables of a sweep's results: the same names, shapes and units in every kind of file."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 import json
-from typing import Tuple
+import math
+from typing import Optional, Tuple
 
+import numpy as np
+
+from .batch import DONE, FAILED
 from .plan import Plan
 from .. import __version__
 
 SAMPLE, TIME, JOINT, CUT, COMPONENT = 'sample', 'time', 'joint', 'cut_joint', 'component'
 POINT, AXIS = 'point', 'axis'
 COMPONENTS, AXES = ('moment', 'x', 'y'), ('x', 'y')
+STATUS, REASON, LONGEST_REASON = 'status', 'reason', 400
 JOINTWISE = 'rad or m'
 
 # Variable -> dimensions after the sample, unit, what it is.
@@ -50,54 +55,52 @@ SUMMARY = {
     'peak_effort': ((JOINT,), 'N m or N', 'largest joint torques, over the instants'),
     'peak_closure': ((), JOINTWISE, 'largest closure error of the loops, over the instants'),
 }
-LONGEST_REASON = 400
 
 
 @dataclass(frozen=True)
 class Variable:
     """
-    One variable of the results, a number for each sample and each place of its dimensions.
+    One array of a file of results.
 
     Attributes
     ----------
     name : str
     dimensions : tuple of str
-        After the sample.
-    unit, meaning : str
+        Names; the sample comes first where there is one value for each.
+    attributes : dict
+        Unit and meaning, by the conventions of NetCDF.
+    kind : type
+        float, int (of 8 bits) or str.
+    length : int
+        Most characters of a text.
+    values : sequence, optional
+        What it holds from the beginning.
 
     """
 
     name: str
     dimensions: Tuple[str, ...]
-    unit: str
-    meaning: str
+    attributes: dict = field(default_factory=dict)
+    kind: type = float
+    length: int = 1
+    values: Optional[object] = None
 
 
 class Layout:
     """
     The variables of a sweep, and the sizes and names of their dimensions.
 
-    Parameters
-    ----------
-    plan : Plan
-        Of the sweep.
-    batch : int
-        Samples that are written at once.
-
     Attributes
     ----------
     plan : Plan
     batch : int
+        Samples that are written at once.
     identity : dict of str to str
         What a file must have in common with the plan to be continued.
     samples : int
-    keys : tuple of str
-        The varied key paths, each a variable of one number a sample.
     variables : tuple of Variable
-        The results.
-    names : dict of str to tuple of str
-        Of the places of the dimensions joint, cut_joint and component, and of point and axis
-        where points are kept.
+    results : tuple of str
+        Names of those that a batch brings.
     sizes : dict of str to int
         Of all dimensions but the sample.
 
@@ -108,20 +111,36 @@ class Layout:
         mechanism = plan.scene.mechanism
         self.plan, self.batch, self.identity = plan, batch, plan.identity()
         self.samples = plan.samples
-        self.keys = tuple(each.key for each in plan.variations)
-        kept = {**{name: MOTION[name] for name in plan.keep}, **SUMMARY}
-        self.variables = tuple(Variable(name, *about) for name, about in kept.items())
-        self.names = {JOINT: mechanism.joint_names,
-                      CUT: tuple(cut.name for cut in mechanism.cut_joints),
-                      COMPONENT: COMPONENTS}
+        names = {JOINT: mechanism.joint_names,
+                 CUT: tuple(cut.name for cut in mechanism.cut_joints), COMPONENT: COMPONENTS}
         if 'points' in plan.keep:
-            self.names |= {POINT: tuple(point.name for point in mechanism.points), AXIS: AXES}
-        self.sizes = {TIME: plan.schedule.instants, **{
-            name: len(places) for name, places in self.names.items()}}
+            names |= {POINT: tuple(point.name for point in mechanism.points), AXIS: AXES}
+        self.sizes = {TIME: plan.schedule.instants,
+                      **{name: len(places) for name, places in names.items()}}
+        longest = max((len(word) for words in names.values() for word in words), default=1)
+        kept = {**{name: MOTION[name] for name in plan.keep}, **SUMMARY}
+        self._keys, self.results = tuple(each.key for each in plan.variations), tuple(kept)
+        self.variables = (
+            Variable(TIME, (TIME,), {'units': 's', 'long_name': 'time since the start'},
+                     values=plan.times),
+            *(Variable(name, (name,), {}, str, longest, words) for name, words in names.items()),
+            Variable(REASON, (SAMPLE,), {'long_name': 'why a sample failed'}, str,
+                     LONGEST_REASON),
+            *(Variable(key, (SAMPLE,), {'long_name': f'varied: {key}'}) for key in self._keys),
+            *(Variable(name, (SAMPLE, *dimensions), {'units': unit, 'long_name': meaning})
+              for name, (dimensions, unit, meaning) in kept.items()),
+            Variable(STATUS, (SAMPLE,), {
+                'flag_values': np.array([DONE, FAILED], dtype=np.int8),
+                'flag_meanings': 'done failed',
+                'long_name': '1 done, 2 failed, all else: not run'}, int))
 
-    def shape(self, variable):
-        """Return the shape of a variable for one sample."""
-        return tuple(self.sizes[name] for name in variable.dimensions)
+    def columns(self, batch):
+        """Return what a batch brings beside its status, by the names of variables."""
+        columns = dict(zip(self._keys, self.plan.values(batch.samples).T))
+        columns.update((name, batch.values[name]) for name in self.results)
+        if any(batch.reasons):
+            columns[REASON] = batch.reasons
+        return columns
 
     def attributes(self):
         """Return what a file says of itself as a whole."""
@@ -133,11 +152,6 @@ class Layout:
             'sweep': json.dumps(self.identity)}
 
     def bytes_per_sample(self):
-        """Return how much one sample takes in memory [B]."""
-        total = 0
-        for variable in self.variables:
-            size = 8
-            for length in self.shape(variable):
-                size *= length
-            total += size
-        return total
+        """Return how much the results of one sample take in memory [B]."""
+        return sum(8 * math.prod(self.sizes[name] for name in variable.dimensions[1:])
+                   for variable in self.variables if variable.name in self.results)

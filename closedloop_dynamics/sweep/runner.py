@@ -82,7 +82,7 @@ def sweep(scene, vary, output, *, samples=1, seed=0, duration=2.0, rate=100.0, t
     vary : mapping of str to str or sequence of float, or sequence of Grid and Random
         What is varied, by key path: the forms of the command line, or the values of a grid.
     output : str or pathlib.Path
-        Ends with .nc, .zarr or .parquet.
+        Ends with .nc or .zarr.
     samples : int
         Draws from the distributions, at each point of the grid.
     seed : int

@@ -13,11 +13,10 @@
 # limitations under the License.
 
 """
-Where results go: a NetCDF file, a Zarr or a Parquet directory, chosen by the name's ending.
+Where results go: a NetCDF file or a Zarr directory, chosen by the name's ending.
 
-Each kind offers ``create(path, layout)`` and ``open(path, layout)``, ``done()`` (which samples
-are there), ``write(batch)`` and ``close()``. A batch is written whole, and marked as done last:
-whatever ends the program, what is marked is there.
+A batch is written whole, and marked as done last: whatever ends the program, what is marked is
+there, and can be read.
 
 """
 
@@ -27,32 +26,181 @@ import json
 from pathlib import Path
 import shutil
 
-from ..mechanism.fields import among, FieldError, shown
+import numpy as np
 
-# Ending -> module, class, the library that pip installs.
-KINDS = {
-    '.nc': ('storage_netcdf', 'NetCDF', 'netCDF4'),
-    '.zarr': ('storage_zarr', 'Zarr', 'zarr'),
-    '.parquet': ('storage_parquet', 'Parquet', 'pyarrow'),
-}
+from .batch import DONE, FAILED
+from .layout import SAMPLE, STATUS
+from ..mechanism.fields import among, FieldError, shown
 
 
 class StorageError(OSError):
     """A file of results that cannot be written or continued."""
 
 
+class NetCDF:
+    """
+    One NetCDF file, for xarray, MATLAB, ncdump and the like.
+
+    It is of the classic model with 64-bit data (CDF-5): its header stands from the beginning and
+    a sample is a record, so that a program that is killed leaves a valid file.
+
+    """
+
+    library = 'netCDF4'
+
+    def __init__(self, path, layout):
+        """Create the file with its header and coordinates, or open one that is there."""
+        self._netcdf = import_module(self.library)
+        if path.exists():
+            self._file = self._netcdf.Dataset(path, 'a')
+            return
+        file = self._file = self._netcdf.Dataset(path, 'w', format='NETCDF3_64BIT_DATA')
+        file.setncatts(layout.attributes())
+        for name, size in {SAMPLE: None, **layout.sizes}.items():
+            file.createDimension(name, size)
+        for each in layout.variables:
+            dimensions, attributes = each.dimensions, each.attributes
+            if each.kind is str:
+                characters = f'{each.name}_text' if SAMPLE in dimensions else 'text'
+                if characters not in file.dimensions:
+                    file.createDimension(characters, each.length)
+                dimensions = (*dimensions, characters)
+                attributes = {**attributes, '_Encoding': 'utf-8'}
+            file.createVariable(
+                each.name, {float: 'f8', int: 'i1', str: 'S1'}[each.kind], dimensions,
+                fill_value=np.nan if each.kind is float and SAMPLE in dimensions else None
+            ).setncatts(attributes)
+        # Every variable is defined before any is written.
+        for each in layout.variables:
+            if each.values is not None and len(each.values):
+                self.put(each.name, slice(None), each.values)
+        file.sync()
+
+    @staticmethod
+    def sweep_of(path):
+        """Return the attribute of a file that says which sweep it belongs to."""
+        with import_module(NetCDF.library).Dataset(path) as file:
+            return getattr(file, 'sweep', None)
+
+    def status(self):
+        """Return the status of samples, of the first ones at least."""
+        self._file[STATUS].set_auto_mask(False)
+        return self._file[STATUS][:]
+
+    def put(self, name, where, values):
+        """Write values of some samples."""
+        variable = self._file[name]
+        if variable.dtype.kind == 'S':
+            length = variable.shape[-1]
+            values = self._netcdf.stringtochar(np.array(
+                [text.encode()[:length] for text in values], dtype=f'S{length}'))
+        variable[where] = values
+
+    def flush(self):
+        """Hand over to the system what is written."""
+        self._file.sync()
+
+    def close(self):
+        """Close the file."""
+        self._file.close()
+
+
+class Zarr:
+    """
+    A Zarr directory (format 2), for xarray, Dask and object stores.
+
+    Every batch is a chunk of its own in every array, and every write is complete.
+
+    """
+
+    library = 'zarr'
+
+    def __init__(self, path, layout):
+        """Create a directory with all arrays, nothing but coordinates in them, or open one."""
+        zarr = import_module(self.library)
+        if path.exists():
+            self._arrays = dict(zarr.open_group(path, mode='r+').arrays())
+            return
+        group = zarr.open_group(path, mode='w-', zarr_format=2)
+        sizes = {SAMPLE: layout.samples, **layout.sizes}
+        chunks = {name: max(size, 1) for name, size in sizes.items()}
+        chunks[SAMPLE] = min(layout.batch, layout.samples)
+        for each in layout.variables:
+            array = group.create_array(
+                each.name, shape=[sizes[name] for name in each.dimensions],
+                chunks=[chunks[name] for name in each.dimensions],
+                dtype={float: 'f8', int: 'i1', str: f'U{each.length}'}[each.kind],
+                fill_value=np.nan if each.kind is float else None,
+                # The first is how xarray knows the dimensions of an array in this format.
+                attributes={'_ARRAY_DIMENSIONS': list(each.dimensions), **{
+                    name: value.tolist() if isinstance(value, np.ndarray) else value
+                    for name, value in each.attributes.items()}})
+            if each.values is not None:
+                array[:] = np.array(each.values, dtype=array.dtype)
+        # Last: a directory without them is not taken for a sweep's.
+        group.attrs.update(layout.attributes())
+        self._arrays = dict(zarr.consolidate_metadata(group.store).arrays())
+
+    @staticmethod
+    def sweep_of(path):
+        """Return the attribute of a directory that says which sweep it belongs to."""
+        return import_module(Zarr.library).open_group(path, mode='r').attrs.get('sweep')
+
+    def status(self):
+        """Return the status of all samples."""
+        return self._arrays[STATUS][:]
+
+    def put(self, name, where, values):
+        """Write values of some samples."""
+        array = self._arrays[name]
+        (array if isinstance(where, slice) else array.oindex)[where] = np.asarray(
+            values, dtype=array.dtype)
+
+    def flush(self):
+        """Nothing waits to be written."""
+
+    def close(self):
+        """Nothing is held open."""
+
+
+KINDS = {'.nc': NetCDF, '.zarr': Zarr}
+
+
+class Storage:
+    """The results of one sweep on disk, in one of the kinds of file."""
+
+    def __init__(self, path, layout):
+        """Create the file, or open that of an interrupted sweep."""
+        self._layout = layout
+        try:
+            self._file = KINDS[path.suffix](path, layout)
+        except OSError as error:
+            raise StorageError(f'{path} cannot be written: {error.strerror or error}') from None
+        self.close = self._file.close
+
+    def done(self):
+        """Return whether each sample is there, shape (samples,)."""
+        done = np.zeros(self._layout.samples, dtype=bool)
+        status = self._file.status()
+        done[:len(status)] = np.isin(status, (DONE, FAILED))
+        return done
+
+    def write(self, batch):
+        """Write a batch; mark it as done when it is there."""
+        first, last = int(batch.samples[0]), int(batch.samples[-1])
+        # Samples that follow one another are written at once.
+        where = (slice(first, last + 1) if last - first + 1 == len(batch.samples)
+                 else batch.samples)
+        for name, values in self._layout.columns(batch).items():
+            self._file.put(name, where, values)
+        self._file.flush()
+        self._file.put(STATUS, where, batch.status)
+        self._file.flush()
+
+
 def checked_path(path):
     """
     Return a path of results, or refuse an ending that stands for no kind of file.
-
-    Parameters
-    ----------
-    path : str or pathlib.Path
-        Where results shall go.
-
-    Returns
-    -------
-    pathlib.Path
 
     Raises
     ------
@@ -66,19 +214,14 @@ def checked_path(path):
     if path.suffix not in KINDS:
         raise FieldError(f'a name that ends with {among(KINDS)}', shown(str(path)),
                          path=('output',))
-    _kind(path)
-    return path
-
-
-def _kind(path):
-    """Return the class that reads and writes a path."""
-    module, name, library = KINDS[path.suffix]
+    library = KINDS[path.suffix].library
     try:
-        return getattr(import_module(f'.{module}', __package__), name)
+        import_module(library)
     except ImportError as error:
         raise StorageError(f'{path.suffix} files are written by the Python package {library}, '
                            f'which cannot be used here ({error}). Install it: pip install '
                            f'{library}') from None
+    return path
 
 
 @contextmanager
@@ -104,17 +247,16 @@ def opened(path, layout, resume=False, overwrite=False):
     StorageError
 
     """
-    kind = _kind(path)
     if path.exists():
         if resume:
-            _require_same(path, kind.identity(path), layout.identity)
+            _require_same(path, _identity(path), layout.identity)
         elif overwrite:
-            _remove(path, kind)
+            _remove(path)
         else:
             raise FieldError('a name that is free', f'{path}, which exists',
                              'name another one, or add --resume to continue it or --overwrite '
                              'to replace it', ('output',))
-    storage = kind.open(path, layout) if path.exists() else kind.create(path, layout)
+    storage = Storage(path, layout)
     try:
         yield storage
     finally:
@@ -131,19 +273,21 @@ def _require_same(path, there, wanted):
                 'repeat the first command with --resume, or name another file', ('output',))
 
 
-def _remove(path, kind):
+def _remove(path):
     """Remove earlier results; nothing else."""
     if path.is_file():
         path.unlink()
         return
-    kind.identity(path)
+    _identity(path)
     shutil.rmtree(path)
 
 
-def identity_of(text, path):
-    """Return the identity that a file's attribute holds, or refuse a file without one."""
+def _identity(path):
+    """Return the identity of the sweep that a file belongs to, or refuse any other file."""
     try:
-        return dict(json.loads(text))
+        return dict(json.loads(KINDS[path.suffix].sweep_of(path)))
+    except OSError as error:
+        raise StorageError(f'{path} cannot be read: {error.strerror or error}') from None
     except (TypeError, ValueError):
         raise StorageError(f'{path} is there, but holds no results of a sweep; name another '
                            'file.') from None

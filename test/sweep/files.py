@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What sweeps leave, read back without the package: NetCDF, Zarr and Parquet alike."""
+"""What sweeps leave, read back without the package: NetCDF and Zarr alike."""
 
 import os
 from pathlib import Path
@@ -22,7 +22,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 ENVIRONMENT = {**os.environ, 'PYTHONPATH': str(ROOT)}
-LIBRARIES = {'.nc': 'netCDF4', '.zarr': 'zarr', '.parquet': 'pyarrow'}
+LIBRARIES = {'.nc': 'netCDF4', '.zarr': 'zarr'}
 
 
 def need(suffix):
@@ -32,7 +32,7 @@ def need(suffix):
 
 def read(path):
     """Return all numbers of a file by name, and the reasons of failures as a list."""
-    return {'.nc': read_netcdf, '.zarr': read_zarr, '.parquet': read_parquet}[path.suffix](path)
+    return {'.nc': read_netcdf, '.zarr': read_zarr}[path.suffix](path)
 
 
 def read_netcdf(path):
@@ -49,17 +49,6 @@ def read_zarr(path):
     group = zarr.open_group(path, mode='r')
     return {name: array[:] for name, array in group.arrays()
             if name not in ('joint', 'cut_joint', 'component')}
-
-
-def read_parquet(path):
-    """Return the columns, in the order of samples, lists as arrays."""
-    from pyarrow import parquet
-    table = parquet.read_table(path).sort_by('sample')
-    arrays = {}
-    for name in table.column_names:
-        values = table[name].to_pylist()
-        arrays[name] = np.array(values)
-    return arrays
 
 
 def assert_same(one, other):

@@ -14,7 +14,6 @@
 
 """Sweeps: what is in their files, interrupted, continued, refused."""
 
-from importlib.util import find_spec
 import signal
 import subprocess
 import sys
@@ -32,7 +31,7 @@ import pytest
 
 MASS = 'mechanism.bodies.crank.mass'
 PROGRAM = (sys.executable, '-m', 'closedloop_dynamics.cli')
-SUFFIXES = ['.nc', '.zarr', '.parquet']
+SUFFIXES = ['.nc', '.zarr']
 VARY = {MASS: [1.0, 2.0, -3.0], 'torque.crank_joint': 'uniform:-1:1'}
 SMALL = {'samples': 4, 'duration': 0.05, 'workers': 1}
 
@@ -101,8 +100,7 @@ def test_a_failed_sample_is_marked_with_its_reason(path):
     data = read(path)
     failed = data[MASS] == -3.0
     assert failed.sum() == 4
-    np.testing.assert_array_equal(data['status'] == (
-        'failed' if path.suffix == '.parquet' else 2), failed)
+    np.testing.assert_array_equal(data['status'] == 2, failed)
     final = data['final_energy']
     np.testing.assert_array_equal(np.isnan(final), failed)
 
@@ -118,21 +116,13 @@ def test_a_sample_that_fails_on_its_way_keeps_what_it_did(netcdf):
 
 
 def test_all_kinds_hold_the_same(tmp_path):
-    for suffix in SUFFIXES[:2]:
+    for suffix in SUFFIXES:
         need(suffix)
         sweep('four_bar', VARY, tmp_path / f'a{suffix}', **SMALL)
     one, other = read(tmp_path / 'a.nc'), read(tmp_path / 'a.zarr')
     reasons = one['reason'].tolist()
     assert sum('positive' in reason for reason in reasons) == 4
     assert_same(one, other)
-    if find_spec('pyarrow'):
-        sweep('four_bar', VARY, tmp_path / 'a.parquet', **SMALL)
-        rows = read(tmp_path / 'a.parquet')
-        assert rows['reason'].tolist() == reasons
-        joints = load_scene('four_bar').mechanism.joint_names
-        for k, joint in enumerate(joints):
-            np.testing.assert_array_equal(rows[f'position.{joint}'], one['position'][:, :, k])
-            np.testing.assert_array_equal(rows[f'peak_effort.{joint}'], one['peak_effort'][:, k])
 
 
 def test_an_interrupted_sweep_goes_on_and_leaves_the_same(path):
@@ -226,7 +216,7 @@ def test_the_command_says_what_it_did(capsys, netcdf, tmp_path):
     (['--keep', 'speed'], ['--keep', 'speed']), (['--workers', '0'], ['workers', '> 0']),
     (['--torque', 'crank=1'], ['torque', "did you mean 'crank_joint'?"]),
     (['--torques', 'none.npy'], ['--torques', 'none.npy', 'No such file']),
-    (['--output', 'results.csv'], ['output', '.nc, .zarr, .parquet', 'results.csv'])])
+    (['--output', 'results.csv'], ['output', '.nc, .zarr', 'results.csv'])])
 def test_usage_errors_say_what_would_do(capsys, netcdf, arguments, words):
     code, text, errors = call(capsys, 'sweep', 'four_bar', '--output', netcdf, *arguments)
     assert (code, text) == (2, '')
@@ -238,7 +228,6 @@ def test_usage_errors_say_what_would_do(capsys, netcdf, arguments, words):
 
 def test_a_library_that_is_missing_is_named(monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, 'netCDF4', None)
-    monkeypatch.delitem(sys.modules, 'closedloop_dynamics.sweep.storage_netcdf', raising=False)
     with pytest.raises(StorageError, match='pip install netCDF4'):
         sweep('four_bar', {MASS: [1.0]}, tmp_path / 'a.nc')
 

@@ -19,7 +19,7 @@ import os
 import signal
 from test.sweep.files import assert_same, read
 
-from closedloop_dynamics.sweep import executors, storage_netcdf, sweep
+from closedloop_dynamics.sweep import executors, storage, sweep
 from closedloop_dynamics.sweep.executors import EngineError
 import numpy as np
 import pytest
@@ -34,13 +34,13 @@ OPTIONS = {'samples': 12, 'duration': 0.3}
 def written(monkeypatch):
     """Return the samples that are written, as they are."""
     samples = []
-    write = storage_netcdf.NetCDF.write
+    write = storage.Storage.write
 
     def noted(self, batch):
         samples.extend(batch.samples.tolist())
         write(self, batch)
 
-    monkeypatch.setattr(storage_netcdf.NetCDF, 'write', noted)
+    monkeypatch.setattr(storage.Storage, 'write', noted)
     return samples
 
 
