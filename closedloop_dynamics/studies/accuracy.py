@@ -135,10 +135,6 @@ def study_accuracy(scene, torque=None, duration=1.0, quick=False, lines=None,
     progress : callable
         Told again and again how many of how many parts are done.
 
-    Returns
-    -------
-    Study
-
     Raises
     ------
     SimulationError

@@ -58,10 +58,6 @@ def table(study, rows=None, markdown=False):
     markdown : bool
         For a document instead of a terminal.
 
-    Returns
-    -------
-    str
-
     """
     make = markdown_table if markdown else text_table
     return make(HEADER, [_cells(row) for row in (study.rows if rows is None else rows)])
@@ -105,21 +101,7 @@ def _csv_row(row):
 
 
 def work_precision(study, title):
-    """
-    Draw a study: integrators, stabilisations and formulations side by side.
-
-    Parameters
-    ----------
-    study : Study
-        What has been measured.
-    title : str
-        Above the panels.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-
-    """
+    """Draw a study: integrators, stabilisations and formulations side by side."""
     figure = Figure(figsize=(12.0, 6.2), dpi=DOTS_PER_INCH, layout='constrained')
     figure.suptitle(title, fontsize=12)
     groups = [group for group in _groups(study) if group[1]]

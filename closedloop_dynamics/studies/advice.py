@@ -54,10 +54,6 @@ def for_target(study, target):
     target : float
         [rad or m].
 
-    Returns
-    -------
-    Advice
-
     """
     wanted = f'An error of positions of at most {target:g} rad or m over {study.duration:g} s'
     known = study.reference.error.position
@@ -78,21 +74,7 @@ def for_target(study, target):
 
 
 def for_budget(study, budget):
-    """
-    Find the most accurate setting that costs no more than a share of real time.
-
-    Parameters
-    ----------
-    study : Study
-        What has been measured.
-    budget : float
-        CPU time per simulated time.
-
-    Returns
-    -------
-    Advice
-
-    """
+    """Find the most accurate setting that costs no more than a share of real time."""
     wanted = f'For at most {share(budget)} on this machine'
     affordable = [row for row in _succeeding(study) if row.cost <= budget]
     if affordable:
@@ -103,19 +85,7 @@ def for_budget(study, budget):
 
 
 def yaml_lines(method):
-    """
-    Return the lines of a scene that choose a method.
-
-    Parameters
-    ----------
-    method : Method
-        Any but ``auto``.
-
-    Returns
-    -------
-    str
-
-    """
+    """Return the lines of a scene that choose a method."""
     lines = ['method:', f'  integrator: {method.integrator}']
     adaptive = INTEGRATORS[method.integrator].kind == ADAPTIVE
     key = 'tolerance' if adaptive else 'step_size'

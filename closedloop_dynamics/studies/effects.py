@@ -41,14 +41,7 @@ RUN_IN = 50
 
 @dataclass(frozen=True)
 class Ratio:
-    """
-    A ratio of times, with the range that its median has in 95 of 100 such measurements.
-
-    Attributes
-    ----------
-    value, low, high : float
-
-    """
+    """A ratio of times, with the range that its median has in 95 of 100 such measurements."""
 
     value: float
     low: float
@@ -176,10 +169,6 @@ def study_effects(scene, duration=2.0, torque=None, rates=None, rows=400,
     progress : callable
         Called with the parts done and all parts.
 
-    Returns
-    -------
-    Study
-
     Raises
     ------
     SimulationError, ValueError
@@ -211,21 +200,7 @@ def study_effects(scene, duration=2.0, torque=None, rates=None, rows=400,
 
 
 def record(simulation, duration, rows, torque=None, rates=None):
-    """
-    Run a simulation from its start and keep what happens.
-
-    Parameters
-    ----------
-    simulation : Simulation
-        Advanced.
-    duration, rows, torque, rates
-        As for ``study_effects``.
-
-    Returns
-    -------
-    Record
-
-    """
+    """Run a simulation from its start and keep what happens."""
     control = RateControl(simulation.scene, rates) if rates else None
     kept, step = [], 0
     steps = max(1, round(duration / simulation.step_size))
@@ -294,19 +269,7 @@ def _times(scene, types):
 
 
 def ratio(times, others):
-    """
-    Return the median ratio of times that were measured in turn, and its range.
-
-    Parameters
-    ----------
-    times, others : sequence of float
-        One of each round.
-
-    Returns
-    -------
-    Ratio
-
-    """
+    """Return the median ratio of times that were measured in turn, and its range."""
     ratios = np.sort(np.divide(times, others))
     count = len(ratios)
     # Ranks between which the median lies in 95 of 100 cases, whatever the distribution is.

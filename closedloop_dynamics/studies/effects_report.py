@@ -41,10 +41,6 @@ def table(study, style=text_table):
     style : callable
         ``tables.text_table`` or ``tables.markdown_table``.
 
-    Returns
-    -------
-    str
-
     """
     header = [f'{name} {unit}'.strip() for name, unit in zip(HEADER, UNITS)]
     return style(header, [
@@ -86,21 +82,7 @@ def label(finding):
 
 
 def write(study, directory):
-    """
-    Write table and pictures.
-
-    Parameters
-    ----------
-    study : Study
-        What was found.
-    directory : pathlib.Path
-        Made where it does not exist; files in it are replaced.
-
-    Returns
-    -------
-    list of pathlib.Path
-
-    """
+    """Write table and pictures."""
     directory.mkdir(parents=True, exist_ok=True)
     paths = [directory / name for name in file_names(study.simulation.scene)]
     name = study.simulation.scene.name
@@ -130,19 +112,7 @@ def contacts(scene):
 
 
 def changes(study):
-    """
-    Draw the scene as it is, and without each type of effect.
-
-    Parameters
-    ----------
-    study : Study
-        What was found.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-
-    """
+    """Draw the scene as it is, and without each type of effect."""
     run, simulation = study.run, study.simulation
     joint = _most_changed(study, 'position')
     cut = _most_changed(study, 'force')
@@ -213,21 +183,7 @@ def _most_changed(study, quantity):
 
 
 def work(study, contact):
-    """
-    Draw what a designer asks of a machine that works on a contact.
-
-    Parameters
-    ----------
-    study : Study
-        What was found.
-    contact : str
-        Name of the contact among the effects.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-
-    """
+    """Draw what a designer asks of a machine that works on a contact."""
     run, simulation = study.run, study.simulation
     effect = simulation.scene.effects[contact]
     joint = simulation.joint_names.index((simulation.actuated_joints or ['-'])[0])

@@ -123,23 +123,7 @@ def evaluate_again(system, q, qd, count):
 
 
 def growing_case(family, size, seed=1):
-    """
-    Build one member of a family, moving and driven.
-
-    Parameters
-    ----------
-    family : str
-        A key of ``FAMILIES``.
-    size : int
-        Loops or links.
-    seed : int
-        Of rates and torques.
-
-    Returns
-    -------
-    Case
-
-    """
+    """Build one member of a family, moving and driven."""
     mechanism, position = FAMILIES[family](size)
     rng = np.random.default_rng(seed)
     count = len(position)
@@ -172,10 +156,6 @@ def study_formulations(largest=max(SIZES), quick=False, progress=lambda done, to
         Fewer and smaller ones.
     progress : callable
         Told again and again how many of how many parts are done.
-
-    Returns
-    -------
-    list of Row
 
     """
     cases = [lambda name=name: scene_case(name) for name in SCENES]
@@ -246,11 +226,6 @@ def _relative(value, reference):
 def exponent(rows):
     """
     Fit the exponent of growth over the largest tenfold of sizes.
-
-    Parameters
-    ----------
-    rows : list of Row
-        Of one family and one formulation.
 
     Returns
     -------

@@ -35,21 +35,7 @@ SIZES = {'ladder': 'loops N', 'chain': 'links N'}
 
 
 def table(rows, markdown=False):
-    """
-    Return the rows of a study as a table.
-
-    Parameters
-    ----------
-    rows : list of formulations.Row
-        What has been measured.
-    markdown : bool
-        For a document instead of a terminal.
-
-    Returns
-    -------
-    str
-
-    """
+    """Return the rows of a study as a table."""
     make = markdown_table if markdown else text_table
     return make(HEADER, [_cells(row) for row in rows])
 
@@ -91,19 +77,7 @@ def _cells(row):
 
 
 def growth(rows):
-    """
-    Draw a study of the formulations.
-
-    Parameters
-    ----------
-    rows : list of formulations.Row
-        What has been measured.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-
-    """
+    """Draw a study of the formulations."""
     figure = Figure(figsize=(11.0, 7.2), dpi=DOTS_PER_INCH, layout='constrained')
     figure.suptitle('One evaluation of the accelerations and constraint forces: what it costs, '
                     'how many digits it keeps', fontsize=12)

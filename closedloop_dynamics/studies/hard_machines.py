@@ -53,10 +53,6 @@ def ladder(loops, tilt=0.0, rate=1.0, direction=DIRECTION, size=1.0):
     size : float
         Length of every link [m]; masses are 1 kg.
 
-    Returns
-    -------
-    mechanism, q, qd
-
     """
     cos, sin = math.cos(direction), math.sin(direction)
     bodies, joints, cuts, q, qd = [], [], [], [], []
@@ -134,10 +130,6 @@ def pantograph(arm, forearm, arm_rate, forearm_rate):
         Angles of links 4 and 6 against the ground [rad]; where they agree, it is folded flat.
     arm_rate, forearm_rate : float
         [rad/s].
-
-    Returns
-    -------
-    mechanism, q, qd
 
     """
     bodies = tuple(bar(name, mass, length) for name, (length, mass) in PANTOGRAPH.items())

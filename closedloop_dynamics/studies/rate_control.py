@@ -67,15 +67,6 @@ class RateControl:
         """
         Return the torques for the present state, by joint.
 
-        Parameters
-        ----------
-        simulation : Simulation
-            Read, not changed.
-
-        Returns
-        -------
-        dict of str to float
-
         Raises
         ------
         SimulationError

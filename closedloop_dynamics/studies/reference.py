@@ -77,10 +77,6 @@ def compute_reference(scene, torque, interval, outputs):
     outputs : int
         Instants to compare at.
 
-    Returns
-    -------
-    Reference
-
     Raises
     ------
     SimulationError

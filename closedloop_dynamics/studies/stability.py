@@ -16,16 +16,10 @@
 
 import math
 
-from . import (
-    hard_cases_input, hard_cases_redundant, hard_cases_reference, hard_cases_scale,
-    hard_cases_singular, hard_cases_stiff, hard_cases_time)
-from .hard_case import ACCURATE, DEGRADED, judge, Outcome, REFUSED, SKIPPED, UNSTABLE
+from .hard_cases import (
+    ACCURATE, CASES, DEGRADED, judge, Outcome, REFUSED, SKIPPED, UNSTABLE)
 from ..simulation.scene_records import Method
 from ..visual.tables import markdown_table, text_table, write_csv
-
-CASES = (*hard_cases_singular.CASES, *hard_cases_redundant.CASES, *hard_cases_scale.CASES,
-         *hard_cases_input.CASES, *hard_cases_stiff.CASES, *hard_cases_time.CASES,
-         *hard_cases_reference.CASES)
 
 METHODS = {
     'auto (default)': Method(),
@@ -93,21 +87,7 @@ def table(atlas, cases=CASES, methods=METHODS, write=text_table):
 
 
 def write_files(atlas, directory, cases=CASES, methods=METHODS):
-    """
-    Write the atlas as stability.csv and stability.md.
-
-    Parameters
-    ----------
-    atlas : dict
-        Of ``study_stability``.
-    directory : pathlib.Path
-        There already.
-    cases : sequence of Case
-        Rows of the atlas.
-    methods : dict of str to Method
-        Columns of the atlas.
-
-    """
+    """Write the atlas as stability.csv and stability.md."""
     write_csv(directory / 'stability.csv',
               ('group', 'case', 'method', 'outcome', 'figure', 'meaning', 'note'),
               [(case.group, case.name, name, atlas[case.name, name].status,

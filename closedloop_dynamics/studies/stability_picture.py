@@ -17,8 +17,8 @@
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch, Rectangle
 
-from .hard_case import ACCURATE, DEGRADED, REFUSED, SKIPPED, UNSTABLE
-from .stability import CASES, METHODS
+from .hard_cases import ACCURATE, CASES, DEGRADED, REFUSED, SKIPPED, UNSTABLE
+from .stability import METHODS
 
 # Told apart by colour-blind readers, and by the words in the cells.
 COLORS = {ACCURATE: '#8fd0b5', DEGRADED: '#f3dc82', REFUSED: '#b9c4d4', UNSTABLE: '#d9613c',
@@ -27,23 +27,7 @@ DOTS_PER_INCH = 120
 
 
 def stability_atlas(atlas, cases=CASES, methods=METHODS):
-    """
-    Draw the atlas.
-
-    Parameters
-    ----------
-    atlas : dict of (str, str) to Outcome
-        Of ``stability.study_stability``.
-    cases : sequence of Case
-        Rows of the atlas.
-    methods : dict of str to Method
-        Columns of the atlas.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-
-    """
+    """Draw the atlas."""
     figure = Figure(figsize=(1.35 * len(methods) + 3.4, 0.34 * len(cases) + 2.2),
                     dpi=DOTS_PER_INCH, layout='constrained')
     axes = figure.subplots()

@@ -31,14 +31,7 @@ QUICK_TOLERANCES = tuple(10.0 ** -k for k in range(3, 13, 2))
 
 @dataclass(frozen=True)
 class Line:
-    """
-    One line of a work-precision diagram: a method but for its step size or tolerance.
-
-    Attributes
-    ----------
-    integrator, stabilisation, formulation : str
-
-    """
+    """One line of a work-precision diagram: a method but for its step size or tolerance."""
 
     integrator: str
     stabilisation: str = DEFAULT_STABILISATION
@@ -114,10 +107,6 @@ def settings(line, interval, quick=False):
         Time between two outputs [s].
     quick : bool
         Fewer of them.
-
-    Returns
-    -------
-    list of Setting
 
     """
     if line.adaptive:

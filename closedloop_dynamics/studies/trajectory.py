@@ -67,19 +67,7 @@ class Difference:
 
 
 def difference(one, other):
-    """
-    Compare two motions.
-
-    Parameters
-    ----------
-    one, other : Trajectory
-        At the same times.
-
-    Returns
-    -------
-    Difference
-
-    """
+    """Compare two motions."""
     return Difference(*(
         float(np.abs(getattr(one, name) - getattr(other, name)).max(initial=0.0))
         for name in ('position', 'velocity', 'force')))
@@ -101,10 +89,6 @@ def record(simulation, tau, steps, outputs, patience=float('inf')):
         How often.
     patience : float
         Give up after this time of computing [s].
-
-    Returns
-    -------
-    Trajectory
 
     Raises
     ------

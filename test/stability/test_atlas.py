@@ -19,7 +19,7 @@ import math
 from closedloop_dynamics.cli import main
 from closedloop_dynamics.simulation.scene_records import Method
 from closedloop_dynamics.studies import stability
-from closedloop_dynamics.studies.hard_case import (
+from closedloop_dynamics.studies.hard_cases import (
     ACCURATE, Case, DEGRADED, judge, Outcome, REFUSED, UNSTABLE)
 from closedloop_dynamics.studies.stability_picture import stability_atlas
 import pytest

@@ -25,7 +25,7 @@ from closedloop_dynamics.simulation.scene import load_scene, scene_names
 from closedloop_dynamics.simulation.scene_records import Initial, Method, Scene
 from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.studies import (
-    hard_cases_reference as reference, hard_machines as machines)
+    hard_cases, hard_machines as machines)
 import numpy as np
 import pytest
 
@@ -35,21 +35,21 @@ TIGHT = Method(integrator='dop853', tolerance=1e-11, step_size=1e-2)
 
 
 def test_looped_pendulum_swings_like_a_pendulum():
-    mechanism, q, qd = reference.looped_pendulum()
+    mechanism, q, qd = hard_cases.looped_pendulum()
     simulation = Simulation(machines.scene(mechanism, q, qd, TIGHT, machines.gravity(0.0)))
     angle = 0.3 - 0.5 * math.pi
     simulation.set_state([angle, math.cos(angle), math.sin(angle)])
     assert simulation.acceleration[0] == pytest.approx(-machines.G * math.cos(angle), rel=1e-12)
     simulation.reset()
     # Half a period on, it stands still on the other side.
-    simulation.step(duration=0.5 * reference.PERIOD)
+    simulation.step(duration=0.5 * hard_cases.PERIOD)
     assert simulation.position[1:] == pytest.approx([-1.0, 0.0], abs=1e-9)
     assert simulation.closure < 1e-12
 
 
 def test_kinetic_energy_of_the_slider_crank_adds_up():
     simulation = Simulation(machines.scene(
-        *reference.slider_crank(), TIGHT, reference.SLIDER_CRANK_EFFECTS))
+        *hard_cases.slider_crank(), TIGHT, hard_cases.SLIDER_CRANK_EFFECTS))
     kinetic = [simulation.energy_balance.kinetic]
     for _ in range(1000):
         simulation.step()
@@ -72,7 +72,7 @@ def test_impulse_is_not_missed(integrator, wait):
 
 
 def test_mass_that_sticks_does_not_creep():
-    simulation = reference.stuck_mass(Method())
+    simulation = hard_cases.stuck_mass(Method())
     simulation.step(duration=1.56)
     assert abs(simulation.velocity[0]) > 1e-3
     simulation.step(duration=0.44)
