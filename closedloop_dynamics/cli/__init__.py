@@ -32,11 +32,6 @@ def main(argv=None):
     argv : list of str, optional
         Arguments without the program's name; ``sys.argv[1:]`` when not given.
 
-    Returns
-    -------
-    int
-        Exit code.
-
     """
     from .commands import run
     return run(argv)

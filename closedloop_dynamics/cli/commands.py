@@ -70,11 +70,6 @@ def run(argv):
     argv : list of str or None
         Arguments without the program's name; None: those of this process.
 
-    Returns
-    -------
-    int
-        Exit code.
-
     """
     for stream in (sys.stdout, sys.stderr):
         # Names of files and texts of scenes need not be what the terminal can show.

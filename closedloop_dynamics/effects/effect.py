@@ -36,11 +36,6 @@ class Effect:
         """
         Refuse a mechanism without the joints, bodies or points that the effect names.
 
-        Parameters
-        ----------
-        mechanism : Mechanism
-            What it is to act on.
-
         Raises
         ------
         FieldError
@@ -48,26 +43,11 @@ class Effect:
         """
 
     def change(self, model, machine):
-        """
-        Change the constants of the model.
-
-        Parameters
-        ----------
-        model : core.types.Model
-            Changed in place.
-        machine : Machine
-            Where joints, bodies and points are.
-
-        """
+        """Change the constants of the model."""
 
     def element(self, machine):
         """
         Return the row of the table.
-
-        Parameters
-        ----------
-        machine : Machine
-            Where joints, bodies and points are.
 
         Returns
         -------

@@ -34,11 +34,6 @@ def require_one_drive_each(records):
     """
     Refuse two drives of one joint, of which each would replace the command.
 
-    Parameters
-    ----------
-    records : dict of str to Effect
-        Effects by name.
-
     Raises
     ------
     FieldError
@@ -58,15 +53,6 @@ def require_one_drive_each(records):
 class EffectSet:
     """
     The listed effects, which may be switched and changed while a simulation runs.
-
-    Parameters
-    ----------
-    effects : dict of str to Effect
-        As a scene has them.
-    model : core.types.Model
-        Without any effect; changed in place.
-    machine : Machine
-        Where joints, bodies and points are.
 
     Attributes
     ----------
@@ -107,11 +93,6 @@ class EffectSet:
     def bind(self, system):
         """
         Take the table that a system was built with from ``elements``; it is kept up to date.
-
-        Parameters
-        ----------
-        system : integration.system.System
-            Without a table where there are none.
 
         Returns
         -------
@@ -194,10 +175,6 @@ class EffectSet:
         parameters : dict
             New values by the effect's keys.
 
-        Returns
-        -------
-        Effect
-
         Raises
         ------
         FieldError
@@ -221,11 +198,6 @@ class EffectSet:
         """
         Switch an effect, or change its parameters; nothing changes where anything is refused.
 
-        Parameters
-        ----------
-        name, enabled, parameters
-            As for ``checked``.
-
         Returns
         -------
         ndarray of int
@@ -242,15 +214,6 @@ class EffectSet:
     def put(self, name, record, enabled):
         """
         Put a record that fits in the place of an effect; see ``change``.
-
-        Parameters
-        ----------
-        name : str
-            Of a listed effect.
-        record : Effect
-            Of its type.
-        enabled : bool
-            Whether it is switched on.
 
         Returns
         -------
@@ -310,10 +273,6 @@ class EffectSet:
             Of a listed effect.
         states : ndarray, shape (nz,)
             The effects' states.
-
-        Returns
-        -------
-        dict of str to float
 
         """
         with at('effects'):

@@ -54,11 +54,6 @@ class EnergyBalance:
     The work of a torque that is held and passes unchanged is tau . (q - q at the hold's start),
     exactly; nothing is computed for it in between. Drives and other effects integrate theirs.
 
-    Parameters
-    ----------
-    effects : EffectSet
-        Of the simulation.
-
     """
 
     def __init__(self, effects):
@@ -129,10 +124,6 @@ class EnergyBalance:
             The effects' own.
         kinetic, stored : float
             [J].
-
-        Returns
-        -------
-        Energies
 
         """
         dissipated = self._effects.dissipated(states)

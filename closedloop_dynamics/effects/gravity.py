@@ -51,16 +51,6 @@ class Gravity(Effect):
         """Accept any mechanism."""
 
     def change(self, model, machine):
-        """
-        Add the field to the model, whose recursion starts from it: no force is computed.
-
-        Parameters
-        ----------
-        model : core.types.Model
-            Changed in place.
-        machine : Machine
-            Not needed.
-
-        """
+        """Add the field to the model, whose recursion starts from it: no force is computed."""
         model.gravity[0] += self.acceleration[0]
         model.gravity[1] += self.acceleration[1]

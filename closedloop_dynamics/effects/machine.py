@@ -19,17 +19,7 @@ from ..mechanism.fields import at, FieldError
 
 
 class Machine:
-    """
-    A mechanism's names, resolved.
-
-    Parameters
-    ----------
-    mechanism : Mechanism
-        What is simulated.
-    rows : dict of str to int
-        Row of every body in the kernels' arrays (``modeling.body_rows``).
-
-    """
+    """A mechanism's names, resolved."""
 
     def __init__(self, mechanism, rows):
         """Collect the names."""
@@ -58,17 +48,6 @@ class Machine:
 def require_joint(mechanism, key, name, actuated=False):
     """
     Refuse the name of no joint, or of one that is not driven where it should be.
-
-    Parameters
-    ----------
-    mechanism : Mechanism
-        What the effect acts on.
-    key : str
-        Where the name stands in the effect.
-    name : str
-        What it is.
-    actuated : bool
-        Whether it must be an actuated joint.
 
     Raises
     ------

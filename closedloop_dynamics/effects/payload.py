@@ -63,17 +63,7 @@ class Payload(Effect):
         require_body(mechanism, 'body', self.body)
 
     def change(self, model, machine):
-        """
-        Add the mass to the model.
-
-        Parameters
-        ----------
-        model : core.types.Model
-            Changed in place.
-        machine : Machine
-            Where the body is.
-
-        """
+        """Add the mass to the model."""
         row, (x, y) = machine.body(self.body), self.position
         model.body[row, MASS] += self.mass
         model.body[row, MASS_X] += self.mass * x

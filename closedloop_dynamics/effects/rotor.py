@@ -64,17 +64,7 @@ class Rotor(Effect):
         require_joint(mechanism, 'joint', self.joint)
 
     def change(self, model, machine):
-        """
-        Add the reflected inertia to the model.
-
-        Parameters
-        ----------
-        model : core.types.Model
-            Changed in place.
-        machine : Machine
-            Where the joint is.
-
-        """
+        """Add the reflected inertia to the model."""
         row = machine.joint_row(self.joint)
         model.body[row, ARMATURE] += self.gear_ratio ** 2 * self.inertia
         if model.tree[row, TYPE] == REVOLUTE:

@@ -77,15 +77,7 @@ class Sensor(Effect):
 
 
 class Instrument:
-    """
-    A sensor at work.
-
-    Parameters
-    ----------
-    record : Sensor
-        What it does.
-
-    """
+    """A sensor at work."""
 
     def __init__(self, record):
         """Start with nothing remembered."""

@@ -187,10 +187,6 @@ def build_table(elements, tau, bodies, equations):
     equations : int
         Number of closure equations.
 
-    Returns
-    -------
-    EffectTable
-
     """
     count, most = len(elements), sum(element.sticks for element in elements)
     states = [state for element in elements for state in element.states]
@@ -221,19 +217,7 @@ def build_table(elements, tau, bodies, equations):
 
 
 def fill_row(table, row, element):
-    """
-    Write the parameters of one effect, at the start or while a simulation runs.
-
-    Parameters
-    ----------
-    table : EffectTable
-        Written in place.
-    row : int
-        Of the effect.
-    element : ForceElement
-        Of the row's kind.
-
-    """
+    """Write the parameters of one effect, at the start or while a simulation runs."""
     table.index[row, 1:1 + len(element.index)] = element.index
     table.values[row] = 0.0
     table.values[row, :len(element.values)] = element.values

@@ -60,10 +60,6 @@ def error_norm(tableau, step_size, slopes, state, out, scale):
     scale : ndarray, shape (2, ns)
         Absolute and relative tolerance of each component.
 
-    Returns
-    -------
-    float
-
     Notes
     -----
     Hairer, Norsett and Wanner (1993), section II.10: a coarser estimate, where the
@@ -245,11 +241,6 @@ def interpolate(system, tableau, time, control, scratch, out):
 def accepted_step(system, tableau, stabilisation, control, scale, scratch):
     """
     Make one accepted step from where the latest ended.
-
-    Parameters
-    ----------
-    system, tableau, stabilisation, control, scale, scratch
-        As for ``advance``.
 
     Returns
     -------

@@ -23,21 +23,7 @@ from .system import narrowed, number_of_states
 
 
 def build_driver(system, method):
-    """
-    Build the driver of a scene's method.
-
-    Parameters
-    ----------
-    system : System
-        What moves.
-    method : Method
-        With ``integrator``, ``stabilisation``, ``step_size``, ``tolerance`` and ``accuracy``.
-
-    Returns
-    -------
-    FixedSteps, ErrorControlled, Switching, Stiff or SciPySolver
-
-    """
+    """Build the driver of a scene's method."""
     system, integrator = narrowed(system), INTEGRATORS[method.integrator]
     stabilisation = STABILISATIONS[method.stabilisation]
     if integrator.family == SCIPY:
@@ -54,15 +40,6 @@ def build_driver(system, method):
 class FixedSteps:
     """
     Steps of one size.
-
-    Parameters
-    ----------
-    system : System
-        What moves.
-    integrator : Integrator
-        Of the registry.
-    stabilisation : int
-        One of ``projection``.
 
     Attributes
     ----------
@@ -239,21 +216,7 @@ class Switching:
 
 
 class Stiff:
-    """
-    Steps of RODAS4: of one size, or error-controlled and ending where the state is asked for.
-
-    Parameters
-    ----------
-    system : System
-        What moves.
-    integrator : Integrator
-        Of the Rosenbrock family.
-    stabilisation : int
-        One of ``projection``.
-    tolerance : float
-        As for ``ErrorControlled``.
-
-    """
+    """Steps of RODAS4: of one size, or error-controlled up to where the state is asked for."""
 
     def __init__(self, system, integrator, stabilisation, tolerance):
         """Allocate the scratch of the method."""

@@ -80,13 +80,6 @@ def fits(system, stabilisation):
     """
     Tell whether a system may take a lane.
 
-    Parameters
-    ----------
-    system : System
-        What moves.
-    stabilisation : int
-        One of ``projection``.
-
     Returns
     -------
     bool
@@ -100,11 +93,6 @@ def fits(system, stabilisation):
 def build_pack(systems):
     """
     Allocate a pack.
-
-    Parameters
-    ----------
-    systems : sequence of System
-        Up to LANES; the last one fills the lanes that are left.
 
     Returns
     -------
@@ -134,19 +122,7 @@ def build_pack(systems):
 
 
 def filled(items):
-    """
-    Return one item for every lane.
-
-    Parameters
-    ----------
-    items : sequence
-        Up to LANES; the last one is repeated.
-
-    Returns
-    -------
-    list
-
-    """
+    """Return one item for every lane."""
     return [*items, *[items[-1]] * (LANES - len(items))]
 
 

@@ -87,10 +87,6 @@ def allocate_tape(system, instants, evaluated, body, point):
     point : ndarray, shape (n, 2)
         In that body's frame [m].
 
-    Returns
-    -------
-    Tape
-
     """
     count = instants if evaluated else 0
     effects = 0 if system.effects is None else len(system.effects.kind)
@@ -143,17 +139,7 @@ def _note(system, state, tape, instant):
 
 @released
 def annotate(system, torque, hold, every, tape):
-    """
-    Fill in a tape of which only the states are known.
-
-    Parameters
-    ----------
-    system, torque, hold, every
-        As for ``march``.
-    tape : Tape
-        Written in place, but for ``state``.
-
-    """
+    """Fill in a tape of which only the states are known."""
     for instant in range(tape.state.shape[0]):
         _copy(torque[max(instant * every - 1, 0) // hold], system.tau)
         _note(system, tape.state[instant], tape, instant)

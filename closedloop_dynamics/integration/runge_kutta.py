@@ -64,17 +64,7 @@ def combine(weights, count, state, step_size, slopes, out):
 
 @merged
 def extend(system, tableau, state, step_size, slopes, stage, first):
-    """
-    Evaluate the slopes from number ``first`` on that only dense output needs.
-
-    Parameters
-    ----------
-    system, tableau, state, step_size, slopes, stage
-        As for ``step``, after it.
-    first : int
-        The first of them.
-
-    """
+    """Evaluate the slopes from number ``first`` on that only dense output needs."""
     for k in range(first, tableau.a.shape[0]):
         combine(tableau.a[k], k, state, step_size, slopes, stage)
         rate_of_change(system, stage, slopes[k])

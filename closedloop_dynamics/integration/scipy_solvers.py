@@ -31,17 +31,6 @@ class SciPySolver:
     It keeps its own state between outputs, on which nothing is projected; the
     stabilisation corrects what is handed out.
 
-    Parameters
-    ----------
-    system : System
-        What moves.
-    name : str
-        Of a class of ``scipy.integrate``.
-    stabilisation : int
-        One of ``projection``.
-    tolerance : float
-        Relative and absolute.
-
     """
 
     def __init__(self, system, name, stabilisation, tolerance):

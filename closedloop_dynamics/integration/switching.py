@@ -108,21 +108,7 @@ class Runs(NamedTuple):
 
 
 def allocate_runs(tableau, states):
-    """
-    Allocate a run and its companion.
-
-    Parameters
-    ----------
-    tableau : Tableau
-        Of the explicit method.
-    states : int
-        ns.
-
-    Returns
-    -------
-    Runs
-
-    """
+    """Allocate a run and its companion."""
     stiff_rows = rosenbrock.STAGES + rosenbrock.FIRST_SLOPE
     return Runs(
         np.zeros((2, COLUMNS)), np.zeros((2, 2, states)),
@@ -134,13 +120,6 @@ def allocate_runs(tableau, states):
 def advance(system, tableau, stabilisation, state, origin, done, step_size, steps, runs):
     """
     Advance a state by a number of steps of the raster.
-
-    Parameters
-    ----------
-    system, tableau, stabilisation, state, origin, done, step_size, steps
-        As for ``adaptive.advance``.
-    runs : Runs
-        With STEP_SIZE of the run zero, both start at ``state``.
 
     Returns
     -------

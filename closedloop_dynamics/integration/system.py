@@ -121,10 +121,6 @@ def build_system(model, formulation=SUBSYSTEM, baumgarte=0.0, extent=1.0, indepe
         Whether to unroll the kernels for this mechanism; where not said, if there is a compiler,
         few bodies, and the subsystem-level formulation.
 
-    Returns
-    -------
-    System
-
     """
     nv, nc = len(model.tree) - 1, len(model.column) - 1
     if unrolled is None:
@@ -208,11 +204,6 @@ def narrowed(system):
     Every compiled kernel is handed all arrays of its system: with a third of them it is compiled
     in less than half the time.
 
-    Parameters
-    ----------
-    system : System
-        What moves.
-
     Returns
     -------
     System
@@ -227,19 +218,7 @@ def narrowed(system):
 
 
 def number_of_states(system):
-    """
-    Return ns: the length of the state vector q, qd and the effects' own states.
-
-    Parameters
-    ----------
-    system : System
-        What moves.
-
-    Returns
-    -------
-    int
-
-    """
+    """Return ns: the length of the state vector q, qd and the effects' own states."""
     own = 0 if system.effects is None else len(system.effects.states)
     return 2 * len(system.qdd) + own
 
@@ -489,11 +468,6 @@ class Probe:
 
     A compiled kernel called from Python spends several times its own time on unpacking the
     system; an unrolled routine is handed three addresses.
-
-    Parameters
-    ----------
-    system : System
-        What moves.
 
     """
 

@@ -216,25 +216,7 @@ def has_end(path):
 
 
 def read_mcap(path, name, damages, finished):
-    """
-    Yield the sound messages of an MCAP file, in the order of the file.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-        Of the file.
-    name : str
-        Of the file, to be told.
-    damages : list of Damage
-        Is appended to.
-    finished : bool
-        Whether the recording came to its end, so that the file should.
-
-    Yields
-    ------
-    Serialised
-
-    """
+    """Yield the sound messages of an MCAP file, in the order of the file."""
     with open(path, 'rb') as file:
         if not os.fstat(file.fileno()).st_size:
             if finished:

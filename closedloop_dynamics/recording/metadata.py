@@ -46,10 +46,6 @@ def metadata(storage, compression, topics, files):
     files : sequence of (str, int, int, int)
         Name, first and last time [ns], messages.
 
-    Returns
-    -------
-    dict
-
     """
     filled = [file for file in files if file[3]]
     start = min((first for _, first, _, _ in filled), default=0)

@@ -47,11 +47,6 @@ class Bag:
     """
     A bag opened for reading.
 
-    Parameters
-    ----------
-    path : path-like
-        Its directory, or one of its files.
-
     Attributes
     ----------
     finished : bool

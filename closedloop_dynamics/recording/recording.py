@@ -110,10 +110,6 @@ def read_recording(path, scene=None, namespace=None):
     namespace : str, optional
         Of the simulator; needed where several are in the bag.
 
-    Returns
-    -------
-    Recording
-
     Raises
     ------
     RecordingError

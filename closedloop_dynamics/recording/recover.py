@@ -28,13 +28,6 @@ def recover(path, output):
     """
     Copy whatever is sound in a bag into a new one, with index and metadata.
 
-    Parameters
-    ----------
-    path : pathlib.Path
-        The bag, or one of its files.
-    output : pathlib.Path
-        Directory of the new bag, MCAP; must not exist.
-
     Returns
     -------
     counts : dict of str to int

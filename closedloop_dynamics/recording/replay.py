@@ -69,11 +69,6 @@ class Replay:
         """
         Return recorded minus re-simulated values.
 
-        Parameters
-        ----------
-        quantity : str
-            ``'position'``, ``'velocity'``, ``'effort'`` or ``'forces'``.
-
         Returns
         -------
         ndarray
@@ -106,10 +101,6 @@ def replay(recording, progress=lambda time: None):
         With its scene.
     progress : callable
         Told how many states are done.
-
-    Returns
-    -------
-    Replay
 
     Raises
     ------
@@ -333,19 +324,7 @@ def _switch(simulation, effects, off):
 
 
 def table(result):
-    """
-    Return the deviations as a table.
-
-    Parameters
-    ----------
-    result : Replay
-        Compared.
-
-    Returns
-    -------
-    str
-
-    """
+    """Return the deviations as a table."""
     motion = result.recorded
     rows = []
     for k, joint in enumerate(motion.mechanism.joints):

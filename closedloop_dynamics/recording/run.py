@@ -72,11 +72,6 @@ class ErrorEstimate:
     """
     A second run of the same scene, finer, that tells the error of the first.
 
-    Parameters
-    ----------
-    simulation : Simulation
-        The first run, at its start.
-
     Attributes
     ----------
     simulation : Simulation
@@ -137,10 +132,6 @@ def row(simulation, seconds, all_forces=False):
         The time to write [s].
     all_forces : bool
         Those in the joints of the trees, too, beside those at the cut joints.
-
-    Returns
-    -------
-    list of float
 
     """
     values = [seconds]

@@ -61,15 +61,6 @@ class SqliteFile:
     """
     One database file being written; to be used from one thread.
 
-    Parameters
-    ----------
-    path : pathlib.Path
-        Must not exist.
-    compression : str
-        Of single messages, one of ``COMPRESSIONS``.
-    distribution : str
-        Of ROS.
-
     Attributes
     ----------
     counts : Counter
@@ -160,19 +151,6 @@ class SqliteFile:
 def read_database(path, name, damages):
     """
     Yield the sound messages of a database, in the order in which they were written.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-        Of the file; opening it takes back what was not committed.
-    name : str
-        Of the file, to be told.
-    damages : list of Damage
-        Is appended to.
-
-    Yields
-    ------
-    Serialised
 
     Raises
     ------

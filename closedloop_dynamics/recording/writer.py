@@ -75,11 +75,6 @@ class BagFiles:
         """
         Make a topic known.
 
-        Parameters
-        ----------
-        topic : contents.Topic
-            With its definition, and what its publishers offer.
-
         Returns
         -------
         int
@@ -91,19 +86,7 @@ class BagFiles:
         return len(self._topics)
 
     def write(self, channel, nanoseconds, data):
-        """
-        Write a message.
-
-        Parameters
-        ----------
-        channel : int
-            From ``add_topic``.
-        nanoseconds : int
-            Time of reception.
-        data : bytes
-            As it was serialised.
-
-        """
+        """Write a message."""
         if self._max_size and self._in_file and self._file.size > self._max_size:
             self._finish()
             self._write_metadata()

@@ -225,10 +225,6 @@ class Assembler:
         q : ndarray, shape (nv,)
             Closing the loops.
 
-        Returns
-        -------
-        int
-
         """
         return self.nv - self._largest_rank(q)
 
@@ -278,10 +274,6 @@ class Assembler:
         q : ndarray, shape (nv,)
             Where the step began.
 
-        Returns
-        -------
-        str
-
         """
         if not 0 < self.nc <= MOST_EQUATIONS:
             return ''
@@ -314,11 +306,6 @@ class Assembler:
             What they were assembled to.
         hold : sequence of str
             Joints that were held.
-
-        Returns
-        -------
-        list of str
-            Sentences.
 
         """
         return [*self._notes_on_position(position, q, hold),
@@ -493,11 +480,6 @@ def find_degrees_of_freedom(mechanism):
     """
     Count the degrees of freedom of a mechanism, in positions that are found by trial.
 
-    Parameters
-    ----------
-    mechanism : Mechanism
-        Valid.
-
     Returns
     -------
     int or None
@@ -527,11 +509,6 @@ def angle_notes(mechanism, position):
         Whose joints are meant.
     position : sequence, shape (nv,)
         Joint coordinates.
-
-    Returns
-    -------
-    list of str
-        Sentences.
 
     """
     large = [f'{joint.name} = {value:g}' for joint, value in zip(mechanism.joints, position)

@@ -195,13 +195,6 @@ class EnergyGuard:
         """
         Raise where energy has come from nowhere; warn, once, where it is little.
 
-        Parameters
-        ----------
-        simulation : Simulation
-            After some steps.
-        steps : int
-            How many.
-
         Raises
         ------
         StiffnessError, NumericalError
@@ -220,11 +213,6 @@ class EnergyGuard:
     def judge(self, simulation):
         """
         Look at the balance now.
-
-        Parameters
-        ----------
-        simulation : Simulation
-            After some steps.
 
         Raises
         ------
@@ -362,13 +350,6 @@ class ClosureGuard:
         """
         Raise where loops have opened.
 
-        Parameters
-        ----------
-        simulation : Simulation
-            After some steps.
-        steps : int
-            How many.
-
         Raises
         ------
         SingularityError
@@ -395,13 +376,6 @@ class ClosureGuard:
 class StiffnessGuard:
     """
     Refuses explicit steps that cannot be stable, before they are made.
-
-    Parameters
-    ----------
-    system : System
-    method : Method
-    own : sequence of int
-        As for ``fastest_rate``.
 
     Attributes
     ----------

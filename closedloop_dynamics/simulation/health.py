@@ -137,10 +137,6 @@ def health_of(model, work, q, qd, passive=()):
     passive : sequence of int
         Coordinates of the joints that are not actuated.
 
-    Returns
-    -------
-    Health
-
     """
     values = work.health
     nc, nv = len(work.right), len(model.tree) - 1
@@ -176,10 +172,6 @@ def drive_sine(model, jac, passive):
         Constraint Jacobian, of one equation or more.
     passive : sequence of int
         Coordinates of the joints that are not actuated.
-
-    Returns
-    -------
-    float
 
     Notes
     -----
@@ -234,10 +226,6 @@ def block_condition(model, work, jac):
         With the kinematics of the state.
     jac : ndarray, shape (nc, nv)
         Constraint Jacobian, of one equation or more.
-
-    Returns
-    -------
-    float
 
     Notes
     -----

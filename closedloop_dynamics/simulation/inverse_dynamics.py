@@ -25,21 +25,7 @@ from ..effects import dispatch, joint_reaction
 
 
 class InverseDynamics:
-    """
-    Solves tau + tau_effects + J^T lambda = I qdd + c, tau zero at joints without a drive.
-
-    Parameters
-    ----------
-    mechanism : mechanism.mechanism.Mechanism
-        What moves.
-    system : integration.system.System
-        Its model, and the workspace that is used.
-    effects : effects.effect_set.EffectSet
-        What acts on it.
-    table : effects.table.EffectTable
-        That of the composition.
-
-    """
+    """Solves tau + tau_effects + J^T lambda = I qdd + c, tau zero at joints without a drive."""
 
     def __init__(self, mechanism, system, effects, table):
         """Find the joints that are actuated."""

@@ -34,11 +34,6 @@ def numbers(scene):
     """
     Return the numbers that a scene is made of.
 
-    Parameters
-    ----------
-    scene : Scene
-        With its mechanism.
-
     Returns
     -------
     dict of str to float or None
@@ -51,17 +46,6 @@ def numbers(scene):
 def resolve(scene, key):
     """
     Return the keys of a key path, or refuse one that leads to no number.
-
-    Parameters
-    ----------
-    scene : Scene
-        Where it leads.
-    key : str
-        The key path; list places may stand in brackets.
-
-    Returns
-    -------
-    tuple of str
 
     Raises
     ------
@@ -89,17 +73,6 @@ def resolve(scene, key):
 def changed(scene, values):
     """
     Return a scene with other numbers.
-
-    Parameters
-    ----------
-    scene : Scene
-        Left as it is.
-    values : dict of tuple of str to float
-        By the keys that ``resolve`` returns.
-
-    Returns
-    -------
-    Scene
 
     Raises
     ------

@@ -38,10 +38,6 @@ def build_model(mechanism, gravity=(0.0, 0.0), decomposition=None):
     decomposition : Decomposition, optional
         Found here when not given.
 
-    Returns
-    -------
-    core.types.Model
-
     """
     decomposition = decomposition or decompose(mechanism)
     tree, body, body_row = _tree_arrays(mechanism, decomposition)
@@ -56,21 +52,7 @@ def build_model(mechanism, gravity=(0.0, 0.0), decomposition=None):
 
 
 def body_rows(mechanism, decomposition):
-    """
-    Return the row of each body in the kernels' arrays (0 is the ground).
-
-    Parameters
-    ----------
-    mechanism : Mechanism
-        What is described.
-    decomposition : Decomposition
-        Of the mechanism.
-
-    Returns
-    -------
-    dict of str to int
-
-    """
+    """Return the row of each body in the kernels' arrays (0 is the ground)."""
     rows = {GROUND: 0}
     for row, j in enumerate(decomposition.joint_order, start=1):
         rows[mechanism.joints[j].child] = row
@@ -187,11 +169,6 @@ def _dependencies(column, row):
 def extent(mechanism):
     """
     Return the size that tolerances are relative to: the longest distance on any body [m].
-
-    Parameters
-    ----------
-    mechanism : Mechanism
-        What is described.
 
     Returns
     -------

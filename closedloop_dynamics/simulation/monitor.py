@@ -126,15 +126,6 @@ class Monitor:
     """
     A driver that keeps account of its cost and of the local error.
 
-    Parameters
-    ----------
-    driver : object
-        Of ``integration.drivers``.
-    system : System
-        What it drives.
-    method : Method
-        What the driver was built from.
-
     Attributes
     ----------
     driver : object
@@ -247,10 +238,6 @@ class Monitor:
             Change of energy that neither work nor dissipation explains [J].
         energy_guard : guards.EnergyGuard
             Of the run.
-
-        Returns
-        -------
-        RunReport
 
         """
         steps, error = self._steps, self._local_error

@@ -82,18 +82,6 @@ def rollout(simulation, torques=None, initial_position=None, initial_velocity=No
     """
     Run many simulations; see ``Simulation.rollout``.
 
-    Parameters
-    ----------
-    simulation : Simulation
-        Left as it is.
-    torques, initial_position, initial_velocity, hold, duration, steps, every, parameters, \
-quantities, threads
-        As for ``Simulation.rollout``.
-
-    Returns
-    -------
-    Rollout
-
     Raises
     ------
     ValueError

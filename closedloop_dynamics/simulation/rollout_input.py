@@ -24,13 +24,6 @@ class Given:
     """
     What differs between the samples, as arrays of one length.
 
-    Parameters
-    ----------
-    simulation : Simulation
-        What is run.
-    torques, position, velocity, parameters
-        As for ``Simulation.rollout``.
-
     Attributes
     ----------
     torques : ndarray, shape (rows, na) or (samples, rows, na)
@@ -109,10 +102,6 @@ def scheduled(step_size, rows, duration, steps, every):
         Of torques.
     duration, steps, every
         As for ``Simulation.rollout``.
-
-    Returns
-    -------
-    recording.Schedule
 
     Raises
     ------

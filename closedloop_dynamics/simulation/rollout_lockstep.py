@@ -51,37 +51,13 @@ class Start:
 
 
 def may_go_together(simulation, schedule):
-    """
-    Tell whether runs of a simulation can be made in lockstep at all.
-
-    Parameters
-    ----------
-    simulation : Simulation
-        One of them.
-    schedule : Schedule
-        Of all.
-
-    Returns
-    -------
-    bool
-
-    """
+    """Tell whether runs of a simulation can be made in lockstep at all."""
     return bool(is_plain(simulation) and schedule.steps(simulation.step_size) and lockstep.fits(
         simulation.system, simulation.monitor.driver.stabilisation))
 
 
 class Together:
-    """
-    Makes several runs at a time, and keeps what they do.
-
-    Parameters
-    ----------
-    schedule : Schedule
-        Of all.
-    quantities : sequence of str
-        What to keep.
-
-    """
+    """Makes several runs at a time, and keeps what they do."""
 
     def __init__(self, schedule, quantities):
         """Begin without a pack."""

@@ -125,11 +125,6 @@ def is_plain(simulation):
     """
     Tell whether a run needs nothing but fixed steps, so that one compiled loop can make it.
 
-    Parameters
-    ----------
-    simulation : Simulation
-        To be run.
-
     Returns
     -------
     bool
@@ -157,10 +152,6 @@ def record(simulation, torques, schedule, quantities=QUANTITIES):
         No longer than the rows last.
     quantities : sequence of str
         What to keep, of ``QUANTITIES``.
-
-    Returns
-    -------
-    Record
 
     """
     tau = all_torques(simulation, torques)

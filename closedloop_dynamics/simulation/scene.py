@@ -59,10 +59,6 @@ def load_scene(name_or_path):
     name_or_path : str or pathlib.Path
         A shipped scene by its name (a single word), or the path of a file.
 
-    Returns
-    -------
-    Scene
-
     Raises
     ------
     SceneError

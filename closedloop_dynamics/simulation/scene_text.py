@@ -48,10 +48,6 @@ def scene_text(scene, effects=None, disabled=(), **facts):
     **facts
         What else is to be told, as JSON can: a simulated time, say.
 
-    Returns
-    -------
-    str
-
     """
     joints = scene.mechanism.joint_names
     initial = scene.initial
@@ -77,11 +73,6 @@ def scene_text(scene, effects=None, disabled=(), **facts):
 def read_scene_text(text):
     """
     Return the scene that a text tells, and the facts beside it.
-
-    Parameters
-    ----------
-    text : str
-        Of ``scene_text``.
 
     Returns
     -------

@@ -69,15 +69,7 @@ class Inline:
 
 
 class Processes:
-    """
-    Worker processes on this machine.
-
-    Parameters
-    ----------
-    workers : int
-        How many.
-
-    """
+    """Worker processes on this machine."""
 
     def __init__(self, workers):
         """Start when the first work comes."""
@@ -136,17 +128,7 @@ class Processes:
 
 
 class Growing:
-    """
-    This process at first, worker processes as soon as that is worth their start.
-
-    Parameters
-    ----------
-    batches : int
-        How many there are to do.
-    workers : int
-        How many processes.
-
-    """
+    """This process at first, worker processes as soon as that is worth their start."""
 
     def __init__(self, batches, workers):
         """Begin here."""
@@ -198,15 +180,7 @@ def _begin():
 
 
 class Handed:
-    """
-    An executor that was handed in; it is not shut down.
-
-    Parameters
-    ----------
-    executor : concurrent.futures.Executor or the like
-        With ``submit``, whose functions run where this package is installed.
-
-    """
+    """An executor that was handed in; it is not shut down."""
 
     def __init__(self, executor):
         """Take it as it is."""
@@ -298,10 +272,6 @@ def engine_for(batches, workers=None, scheduler=None, executor=None):
         Address of a Dask cluster.
     executor : object or None
         Like ``concurrent.futures.Executor``.
-
-    Yields
-    ------
-    Inline, Processes, Growing, Cluster or Handed
 
     """
     engine = _engine(batches, workers, scheduler, executor)

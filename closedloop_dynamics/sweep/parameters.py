@@ -88,13 +88,6 @@ class Random:
         """
         Draw.
 
-        Parameters
-        ----------
-        count : int
-            How often.
-        seed : int
-            The same draws for the same one.
-
         Returns
         -------
         ndarray, shape (count,)
@@ -107,15 +100,6 @@ class Random:
 def parse(text):
     """
     Read ``KEY=...``.
-
-    Parameters
-    ----------
-    text : str
-        As on the command line.
-
-    Returns
-    -------
-    Grid or Random
 
     Raises
     ------
@@ -132,17 +116,6 @@ def parse(text):
 def variation(key, what):
     """
     Return what varies one key.
-
-    Parameters
-    ----------
-    key : str
-        Key path.
-    what : str, float or sequence of float
-        One of the forms of the command line, or the values of a grid.
-
-    Returns
-    -------
-    Grid or Random
 
     Raises
     ------

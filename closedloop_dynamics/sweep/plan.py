@@ -119,11 +119,6 @@ class Plan:
         """
         Return the varied numbers of some samples.
 
-        Parameters
-        ----------
-        samples : sequence of int
-            Their places.
-
         Returns
         -------
         ndarray, shape (number of samples, number of variations)
@@ -181,14 +176,7 @@ class Plan:
             raise FieldError('finite numbers', 'others among them', path=('torques',))
 
     def identity(self):
-        """
-        Return what two sweeps of the same results have in common, as plain data.
-
-        Returns
-        -------
-        dict of str to str
-
-        """
+        """Return what two sweeps of the same results have in common, as plain data."""
         torques = b'' if self.torques is None else np.ascontiguousarray(self.torques).tobytes()
         return {
             'scene': self.scene.name,

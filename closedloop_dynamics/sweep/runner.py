@@ -113,10 +113,6 @@ def sweep(scene, vary, output, *, samples=1, seed=0, duration=2.0, rate=100.0, t
     keep_going : callable
         Asked again and again; the sweep ends early, its file valid, where it returns False.
 
-    Returns
-    -------
-    Outcome
-
     Raises
     ------
     SceneError, FieldError
@@ -163,11 +159,6 @@ def _compute(plan, layout, storage, engine, missing, outcome, on_progress, keep_
 def batch_size(layout):
     """
     Return how many samples are computed and written at once.
-
-    Parameters
-    ----------
-    layout : Layout
-        Of the sweep.
 
     Returns
     -------

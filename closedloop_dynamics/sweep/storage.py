@@ -229,17 +229,6 @@ def opened(path, layout, resume=False, overwrite=False):
     """
     Yield the storage of a sweep, new or to be continued.
 
-    Parameters
-    ----------
-    path : pathlib.Path
-        From ``checked_path``.
-    layout : Layout
-        Of the sweep.
-    resume : bool
-        Whether to continue a file that is there.
-    overwrite : bool
-        Whether to replace it.
-
     Raises
     ------
     FieldError

@@ -80,17 +80,7 @@ def between(motion, times):
 
 
 class _Moving(Figure):
-    """
-    A figure that draws what moves over a picture of what stands still.
-
-    Parameters
-    ----------
-    background : matplotlib.backends.backend_agg.BufferRegion
-        The whole picture.
-    **options
-        Of the figure.
-
-    """
+    """A figure that draws what moves over a picture of what stands still."""
 
     def __init__(self, background, **options):
         super().__init__(**options)
@@ -255,11 +245,6 @@ class Animation:
 def require_writable(path):
     """
     Refuse at once a file that could not be written.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-        Its ending chooses the format.
 
     Raises
     ------

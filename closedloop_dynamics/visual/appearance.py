@@ -38,13 +38,6 @@ def outline(mechanism, body):
     """
     Return the corners of a body as the description suggests them.
 
-    Parameters
-    ----------
-    mechanism : mechanism.mechanism.Mechanism
-        With that body.
-    body : str
-        Its name.
-
     Returns
     -------
     ndarray, shape (m, 2)
@@ -86,11 +79,6 @@ def _turn(first, second, third):
 def body_colors(mechanism):
     """
     Return the colour of every body: that of its subsystem.
-
-    Parameters
-    ----------
-    mechanism : mechanism.mechanism.Mechanism
-        What is coloured.
 
     Returns
     -------

@@ -118,10 +118,6 @@ class MechanismArtist:
         strength : float
             1: full colours; less: paler, for positions in the background.
 
-        Returns
-        -------
-        list of Part
-
         """
         layer = 10.0 + 15.0 * strength
         parts = []

@@ -47,23 +47,7 @@ class Motion:
 
 
 def from_rows(mechanism, names, rows):
-    """
-    Return the motion that the rows of ``studies.run`` tell.
-
-    Parameters
-    ----------
-    mechanism : mechanism.mechanism.Mechanism
-        Whose motion it is.
-    names : sequence of str
-        Of the columns.
-    rows : sequence of sequences of float
-        The instants.
-
-    Returns
-    -------
-    Motion
-
-    """
+    """Return the motion that the rows of ``studies.run`` tell."""
     column = dict(zip(names, np.array(rows, dtype=float).T))
     zero = np.zeros(len(rows))
 

@@ -46,10 +46,6 @@ def joint_motion(motion, title, wanted=None):
     wanted : tuple of 2 ndarrays, shape (n, nv), optional
         Positions and velocities that the joints were to have; NaN where nothing was wanted.
 
-    Returns
-    -------
-    matplotlib.figure.Figure
-
     """
     joints = motion.mechanism.joints
     wanted_position, wanted_velocity = wanted or (None, None)
@@ -92,21 +88,7 @@ def joint_motion(motion, title, wanted=None):
 
 
 def constraint_forces(motion, title):
-    """
-    Draw the constraint force of every cut joint over time.
-
-    Parameters
-    ----------
-    motion : Motion
-        What is drawn.
-    title : str
-        Above it.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-
-    """
+    """Draw the constraint force of every cut joint over time."""
     cuts = motion.mechanism.cut_joints
     torques = [k for k, cut in enumerate(cuts) if cut.type != REVOLUTE]
     figure, rows = _panels(len(cuts) + bool(torques), title)
@@ -141,10 +123,6 @@ def positions(motion, title, point=None, count=5):
         Whose path is drawn; the mechanism's first named point when not given.
     count : int
         How many positions.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
 
     """
     poses = body_poses(motion.mechanism, motion.position)
@@ -185,21 +163,7 @@ def _largest_force(motion):
 
 
 def deviations(result, title):
-    """
-    Draw how far recorded states are from those simulated again, over time.
-
-    Parameters
-    ----------
-    result : replay.Replay
-        What is drawn.
-    title : str
-        Above it.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-
-    """
+    """Draw how far recorded states are from those simulated again, over time."""
     motion = result.recorded
     forces = result.deviation('forces')
     panels = [(f'{quantity} [{unit}]', np.abs(result.deviation(quantity)),
@@ -232,11 +196,6 @@ def spread_positions(poses, count):
         Of the bodies.
     count : int
         How many to choose, at most.
-
-    Returns
-    -------
-    list of int
-        Indices, ascending.
 
     """
     candidates = np.unique(np.linspace(0, len(poses) - 1, CANDIDATES).astype(int))
