@@ -14,34 +14,25 @@
 
 """``closedloop accuracy``: what accuracy costs in time, on a scene of one's own."""
 
-from pathlib import Path
-
-from .command import assignment, Command, mapping, positive, UsageError
-from ..simulation.errors import AssemblyError
+from .command import (
+    add_directory, add_scene, add_torque, checked_torques, Command, mapping, positive,
+    require_free)
 from ..simulation.scene import load_scene
 from ..simulation.simulation import Simulation
 from ..studies import accuracy_report
 from ..studies.accuracy import study_accuracy
 from ..studies.advice import for_budget, for_target
-from ..visual.progress import progress_bar
+from ..visual.progress import parts_bar
 
 TARGET = 1e-6
 
 
 def _add_arguments(parser):
-    parser.add_argument('scene', metavar='SCENE',
-                        help='a shipped scene by its name, or a YAML file')
-    parser.add_argument('--output', metavar='DIR', type=Path,
-                        help='where to write SCENE_accuracy.csv and the diagram '
-                             'SCENE_accuracy.png (default: only print)')
-    parser.add_argument('--overwrite', action='store_true',
-                        help='replace these files if they exist')
+    add_scene(parser)
+    add_directory(parser, 'SCENE_accuracy.csv and the diagram SCENE_accuracy.png')
     parser.add_argument('--duration', type=positive, default=1.0, metavar='SECONDS',
                         help='simulated time (default: 1)')
-    parser.add_argument('--torque', type=assignment, action='append', default=[],
-                        metavar='JOINT=VALUE',
-                        help='constant torque of an actuated joint [N m], or force of a '
-                             'prismatic one [N]; may be repeated (default: none)')
+    add_torque(parser)
     parser.add_argument('--quick', action='store_true',
                         help='fewer and coarser settings: half a minute instead of two')
     parser.add_argument('--target', type=positive, metavar='ERROR',
@@ -55,14 +46,10 @@ def _add_arguments(parser):
 def _run(arguments):
     scene = load_scene(arguments.scene)
     torque = mapping(arguments.torque, '--torque')
-    _check(arguments, scene, torque)
+    # Refused at once, what would fail only after a while.
+    checked_torques(arguments, lambda: Simulation(scene), torque)
     csv_path, picture_path = _paths(arguments, scene)
-    with progress_bar(1, 'parts', scene.name) as bar:
-
-        def progress(done, total):
-            bar.total = total
-            bar.update(done - bar.n)
-
+    with parts_bar('parts', scene.name) as progress:
         study = study_accuracy(scene, torque, arguments.duration, arguments.quick,
                                progress=progress)
     print(f'{accuracy_report.title(study)}\n{study.reference.description}\n')
@@ -78,26 +65,13 @@ def _run(arguments):
     return 0
 
 
-def _check(arguments, scene, torque):
-    """Refuse at once what would fail only after a while."""
-    try:
-        Simulation(scene).joint_torques(torque)
-    except AssemblyError as error:
-        raise UsageError(f'{arguments.scene}: {error}') from None
-    except ValueError as error:
-        raise UsageError(f'--{error}') from None
-
-
 def _paths(arguments, scene):
     """Return the paths of the CSV file and the picture, or None twice."""
     if arguments.output is None:
         return None, None
     paths = tuple(arguments.output / f'{scene.name}_accuracy.{ending}'
                   for ending in ('csv', 'png'))
-    for path in paths:
-        if path.exists() and not arguments.overwrite:
-            raise UsageError(f'--output: {path} exists; name another directory, or add '
-                             '--overwrite')
+    require_free(arguments, *paths)
     return paths
 
 

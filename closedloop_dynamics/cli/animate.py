@@ -16,7 +16,7 @@
 
 from pathlib import Path
 
-from .command import Command, positive, UsageError
+from .command import add_recording, Command, positive, require_free, UsageError
 from ..recording.recording import part, read_recording, RecordingError, since_the_last_reset
 from ..simulation.scene import load_scene
 from ..visual.animation import Animation, AnimationError, frame_times, require_writable, write
@@ -27,16 +27,10 @@ MOST_FRAMES = 20_000
 
 
 def _add_arguments(parser):
-    parser.add_argument('recording', metavar='BAG_OR_CSV',
-                        help='a bag, or what `closedloop simulate --output` wrote')
+    add_recording(parser)
     parser.add_argument('--output', metavar='FILE', type=Path, required=True,
                         help='where to write it: a .gif, or a .mp4 where ffmpeg is installed')
     parser.add_argument('--overwrite', action='store_true', help='replace FILE if it exists')
-    parser.add_argument('--scene', metavar='SCENE',
-                        help='what was simulated (needed for a CSV file; default: as the bag '
-                             'tells)')
-    parser.add_argument('--namespace', metavar='NAME',
-                        help='of the simulator, where several are in the bag')
     parser.add_argument('--point', metavar='NAME',
                         help='whose path is drawn (default: the first one of the mechanism)')
     parser.add_argument('--rate', metavar='HZ', type=positive, default=20.0,
@@ -50,9 +44,7 @@ def _add_arguments(parser):
 
 
 def _run(arguments):
-    if arguments.output.exists() and not arguments.overwrite:
-        raise UsageError(f'--output: {arguments.output} exists; name another file, or add '
-                         '--overwrite')
+    require_free(arguments, arguments.output)
     scene = load_scene(arguments.scene) if arguments.scene else None
     try:
         require_writable(arguments.output)

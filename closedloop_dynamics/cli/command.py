@@ -17,8 +17,11 @@
 from argparse import ArgumentParser, ArgumentTypeError, RawDescriptionHelpFormatter
 from dataclasses import dataclass
 import math
+from pathlib import Path
 import sys
 from typing import Callable
+
+from ..simulation.errors import AssemblyError
 
 
 class UsageError(ValueError):
@@ -65,6 +68,61 @@ class HelpfulParser(ArgumentParser):
         """Say what is wrong and where to read on; exit with 2."""
         print(f'{self.prog}: {message}\nTry: {self.prog} --help', file=sys.stderr)
         self.exit(2)
+
+
+def add_scene(parser):
+    """Add the argument of a scene."""
+    parser.add_argument('scene', metavar='SCENE',
+                        help='a shipped scene by its name, or a YAML file')
+
+
+def add_torque(parser):
+    """Add the option of constant torques, to be read by ``mapping``."""
+    parser.add_argument('--torque', type=assignment, action='append', default=[],
+                        metavar='JOINT=VALUE',
+                        help='constant torque of an actuated joint [N m], or force of a '
+                             'prismatic one [N]; may be repeated (default: none)')
+
+
+def add_directory(parser, files, default=' (default: only print)'):
+    """Add the options of a directory where files are written."""
+    parser.add_argument('--output', metavar='DIR', type=Path, required=not default,
+                        help=f'where to write {files}{default}')
+    parser.add_argument('--overwrite', action='store_true',
+                        help='replace these files if they exist')
+
+
+def add_recording(parser):
+    """Add the arguments of ``recording.recording.read_recording``."""
+    parser.add_argument('recording', metavar='BAG_OR_CSV',
+                        help='a bag, or what `closedloop simulate --output` wrote')
+    parser.add_argument('--scene', metavar='SCENE',
+                        help='what was simulated (needed for a CSV file; default: as the bag '
+                             'tells)')
+    parser.add_argument('--namespace', metavar='NAME',
+                        help='of the simulator, where several are in the bag')
+
+
+def require_free(arguments, *paths, option='--output'):
+    """Refuse at once to replace files that nobody said to replace."""
+    for path in paths:
+        if path.exists() and not arguments.overwrite:
+            another = 'file' if path == Path(getattr(arguments, option[2:])) else 'directory'
+            raise UsageError(f'{option}: {path} exists; name another {another}, or add '
+                             '--overwrite')
+
+
+def checked_torques(arguments, build, torque):
+    """Return the simulation that is built, or say what is wrong with its start or torques."""
+    try:
+        simulation = build()
+    except AssemblyError as error:
+        raise UsageError(f'{arguments.scene}: {error}') from None
+    try:
+        simulation.joint_torques(torque)
+    except ValueError as error:
+        raise UsageError(f'--{error}') from None
+    return simulation
 
 
 def positive(text):

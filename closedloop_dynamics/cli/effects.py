@@ -14,31 +14,22 @@
 
 """``closedloop effects``: what each effect of a scene costs and changes."""
 
-from pathlib import Path
-
-from .command import assignment, Command, mapping, positive, UsageError
-from ..simulation.errors import AssemblyError
+from .command import (
+    add_directory, add_scene, add_torque, assignment, checked_torques, Command, mapping, positive,
+    require_free, UsageError)
 from ..simulation.scene import load_scene
 from ..simulation.simulation import Simulation
 from ..studies import effects_report
 from ..studies.effects import study_effects
-from ..visual.progress import progress_bar
+from ..visual.progress import parts_bar
 
 
 def _add_arguments(parser):
-    parser.add_argument('scene', metavar='SCENE',
-                        help='a shipped scene by its name, or a YAML file')
-    parser.add_argument('--output', metavar='DIR', type=Path,
-                        help='where to write SCENE_effects.csv, .md and .png, and a picture of '
-                             'every contact (default: only print)')
-    parser.add_argument('--overwrite', action='store_true',
-                        help='replace these files if they exist')
+    add_scene(parser)
+    add_directory(parser, 'SCENE_effects.csv, .md and .png, and a picture of every contact')
     parser.add_argument('--duration', type=positive, default=2.0, metavar='SECONDS',
                         help='simulated time (default: 2)')
-    parser.add_argument('--torque', type=assignment, action='append', default=[],
-                        metavar='JOINT=VALUE',
-                        help='constant torque of an actuated joint [N m], or force of a '
-                             'prismatic one [N]; may be repeated (default: none)')
+    add_torque(parser)
     parser.add_argument('--joint-rate', type=assignment, action='append', default=[],
                         metavar='JOINT=VALUE',
                         help='keep an actuated joint at this rate [rad/s, m/s] instead; one '
@@ -50,12 +41,7 @@ def _run(arguments):
     torque, rates = mapping(arguments.torque, '--torque'), mapping(
         arguments.joint_rate, '--joint-rate')
     _check(arguments, scene, torque, rates)
-    with progress_bar(1, 'parts', scene.name) as bar:
-
-        def progress(done, total):
-            bar.total = total
-            bar.update(done - bar.n)
-
+    with parts_bar('parts', scene.name) as progress:
         study = study_effects(scene, arguments.duration, torque, rates, progress=progress)
     print(effects_report.table(study))
     print(f'\n{effects_report.NOTE}\n\n{effects_report.summary(study)}')
@@ -71,21 +57,13 @@ def _check(arguments, scene, torque, rates):
                          'compare')
     if torque and rates:
         raise UsageError('--joint-rate: expected either --torque or --joint-rate, got both')
-    try:
-        simulation = Simulation(scene)
-        simulation.joint_torques(torque)
-    except AssemblyError as error:
-        raise UsageError(f'{arguments.scene}: {error}') from None
-    except ValueError as error:
-        raise UsageError(f'--{error}') from None
+    simulation = checked_torques(arguments, lambda: Simulation(scene), torque)
     if rates and set(rates) != set(simulation.actuated_joints):
         raise UsageError('--joint-rate: expected one for every actuated joint '
                          f'({", ".join(simulation.actuated_joints)}), got {", ".join(rates)}')
-    if arguments.output is not None and not arguments.overwrite:
-        for name in effects_report.file_names(scene):
-            if (arguments.output / name).exists():
-                raise UsageError(f'--output: {arguments.output / name} exists; name another '
-                                 'directory, or add --overwrite')
+    if arguments.output is not None:
+        require_free(arguments, *(
+            arguments.output / name for name in effects_report.file_names(scene)))
 
 
 COMMAND = Command(

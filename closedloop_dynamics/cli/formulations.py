@@ -14,20 +14,16 @@
 
 """``closedloop formulations``: what the subsystem-level method buys as mechanisms grow."""
 
-from pathlib import Path
-
-from .command import Command, UsageError
+from .command import add_directory, Command, require_free, UsageError
 from ..studies import formulations_report
 from ..studies.formulations import SIZES, study_formulations
-from ..visual.progress import progress_bar
+from ..visual.progress import parts_bar
+
+FILES = ('formulations.csv', 'formulations.png')
 
 
 def _add_arguments(parser):
-    parser.add_argument('--output', metavar='DIR', type=Path,
-                        help='where to write formulations.csv and the picture formulations.png '
-                             '(default: only print)')
-    parser.add_argument('--overwrite', action='store_true',
-                        help='replace these files if they exist')
+    add_directory(parser, ' and the picture '.join(FILES))
     parser.add_argument('--largest', type=int, default=max(SIZES), metavar='N',
                         help=f'no ladder or chain larger than this (default: {max(SIZES)})')
     parser.add_argument('--quick', action='store_true', help='fewer and smaller ones')
@@ -36,13 +32,9 @@ def _add_arguments(parser):
 def _run(arguments):
     if arguments.largest < 1:
         raise UsageError(f'--largest: expected a number > 0, got {arguments.largest}')
-    paths = _paths(arguments)
-    with progress_bar(1, 'mechanisms', 'formulations') as bar:
-
-        def progress(done, total):
-            bar.total = total
-            bar.update(done - bar.n)
-
+    paths = [arguments.output / name for name in FILES] if arguments.output else []
+    require_free(arguments, *paths)
+    with parts_bar('mechanisms', 'formulations') as progress:
         rows = study_formulations(arguments.largest, arguments.quick, progress)
     print(f'{formulations_report.table(rows)}\n\n{formulations_report.growth_text(rows)}')
     if paths:
@@ -50,18 +42,6 @@ def _run(arguments):
         formulations_report.write(rows, *paths)
         print('\n' + '\n'.join(map(str, paths)))
     return 0
-
-
-def _paths(arguments):
-    """Return the paths of the CSV file and the picture, or nothing."""
-    if arguments.output is None:
-        return ()
-    paths = tuple(arguments.output / f'formulations.{ending}' for ending in ('csv', 'png'))
-    for path in paths:
-        if path.exists() and not arguments.overwrite:
-            raise UsageError(f'--output: {path} exists; name another directory, or add '
-                             '--overwrite')
-    return paths
 
 
 COMMAND = Command(

@@ -14,9 +14,7 @@
 
 """``closedloop plot``: pictures of a run."""
 
-from pathlib import Path
-
-from .command import Command, UsageError
+from .command import add_directory, add_recording, Command, require_free, UsageError
 from ..recording.recording import read_recording, RecordingError, since_the_last_reset
 from ..simulation.scene import load_scene
 from ..visual import pictures
@@ -30,25 +28,13 @@ DRAWERS = {
 
 
 def _add_arguments(parser):
-    parser.add_argument('recording', metavar='BAG_OR_CSV',
-                        help='a bag, or what `closedloop simulate --output` wrote')
-    parser.add_argument('--output', metavar='DIR', type=Path, required=True,
-                        help=f'where to write {", ".join(f"{name}.png" for name in DRAWERS)}')
-    parser.add_argument('--overwrite', action='store_true',
-                        help='replace these files if they exist')
-    parser.add_argument('--scene', metavar='SCENE',
-                        help='what was simulated (needed for a CSV file; default: as the bag '
-                             'tells)')
-    parser.add_argument('--namespace', metavar='NAME',
-                        help='of the simulator, where several are in the bag')
+    add_recording(parser)
+    add_directory(parser, ', '.join(f'{name}.png' for name in DRAWERS), '')
 
 
 def _run(arguments):
     files = {name: arguments.output / f'{name}.png' for name in DRAWERS}
-    for path in files.values():
-        if path.exists() and not arguments.overwrite:
-            raise UsageError(f'--output: {path} exists; name another directory, or add '
-                             '--overwrite')
+    require_free(arguments, *files.values())
     scene = load_scene(arguments.scene) if arguments.scene else None
     try:
         with announced('Reading ...'):

@@ -18,7 +18,7 @@ import math
 from pathlib import Path
 import sys
 
-from .command import Command, positive, UsageError
+from .command import Command, positive, require_free, UsageError
 from ..recording.recording import read_recording, RecordingError
 from ..recording.replay import PERTURBATION, replay, table
 from ..simulation.scene import load_scene
@@ -43,9 +43,8 @@ def _add_arguments(parser):
 
 
 def _run(arguments):
-    if arguments.picture and arguments.picture.exists() and not arguments.overwrite:
-        raise UsageError(f'--picture: {arguments.picture} exists; name another file, or add '
-                         '--overwrite')
+    if arguments.picture:
+        require_free(arguments, arguments.picture, option='--picture')
     scene = load_scene(arguments.scene) if arguments.scene else None
     with announced('Reading and compiling ...'):
         try:

@@ -21,10 +21,11 @@ from pathlib import Path
 import sys
 import warnings
 
-from .command import assignment, Command, mapping, positive, UsageError
+from .command import (
+    add_scene, add_torque, checked_torques, Command, mapping, positive, require_free, UsageError)
 from ..integration.registry import ADAPTIVE, AUTO, INTEGRATORS, STABILISATIONS
 from ..recording.run import columns, ErrorEstimate, Report, run
-from ..simulation.errors import AssemblyError, InaccuracyWarning, SimulationError
+from ..simulation.errors import InaccuracyWarning, SimulationError
 from ..simulation.monitor import energy_in_words
 from ..simulation.scene_records import FORMULATIONS
 from ..simulation.signals import program_watch
@@ -41,15 +42,11 @@ COMPILING = 'Compiling (half a minute the very first time, seconds from then on)
 
 
 def _add_arguments(parser):
-    parser.add_argument('scene', metavar='SCENE',
-                        help='a shipped scene by its name, or a YAML file')
+    add_scene(parser)
     run_options = parser.add_argument_group('what to do')
     run_options.add_argument('--duration', type=positive, default=2.0, metavar='SECONDS',
                              help='simulated time (default: 2)')
-    run_options.add_argument('--torque', type=assignment, action='append', default=[],
-                             metavar='JOINT=VALUE',
-                             help='constant torque of an actuated joint [N m], or force of a '
-                                  'prismatic one [N]; may be repeated (default: none)')
+    add_torque(run_options)
     run_options.add_argument('--output', metavar='FILE',
                              help='where to write a row of numbers for each instant, as CSV; - '
                                   'is the standard output (default: no rows, only a summary)')
@@ -127,28 +124,14 @@ def _prepared(arguments):
             raise UsageError('--accuracy: expected it without --integrator, got both')
         arguments.integrator = AUTO
     with announced(COMPILING):
-        try:
-            simulation = Simulation.from_scene(
-                arguments.scene, step_size=arguments.step_size, integrator=arguments.integrator,
-                stabilisation=arguments.stabilisation, formulation=arguments.formulation,
-                tolerance=arguments.tolerance, accuracy=arguments.accuracy)
-        except AssemblyError as error:
-            raise UsageError(f'{arguments.scene}: {error}') from None
-        try:
-            simulation.joint_torques(torque)
-        except ValueError as error:
-            raise UsageError(f'--{error}') from None
-        _refuse_to_replace(arguments)
+        simulation = checked_torques(arguments, lambda: Simulation.from_scene(
+            arguments.scene, step_size=arguments.step_size, integrator=arguments.integrator,
+            stabilisation=arguments.stabilisation, formulation=arguments.formulation,
+            tolerance=arguments.tolerance, accuracy=arguments.accuracy), torque)
+        if arguments.output not in (None, STANDARD_OUTPUT) and Path(arguments.output).is_file():
+            require_free(arguments, Path(arguments.output))
         simulation.warm_up()
     return simulation, torque
-
-
-def _refuse_to_replace(arguments):
-    output = arguments.output
-    if output in (None, STANDARD_OUTPUT) or arguments.overwrite:
-        return
-    if Path(output).is_file():
-        raise UsageError(f'--output: {output} exists; name another file, or add --overwrite')
 
 
 @contextmanager

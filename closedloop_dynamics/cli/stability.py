@@ -14,21 +14,16 @@
 
 """``closedloop stability``: hard cases with every method, and what becomes of them."""
 
-from pathlib import Path
-
-from .command import Command, UsageError
+from .command import add_directory, Command, require_free, UsageError
 from ..studies import stability
-from ..visual.progress import progress_bar
+from ..visual.progress import parts_bar
 
 FILES = ('stability.csv', 'stability_table.md', 'stability_atlas.png')
 FAILED = 1
 
 
 def _add_arguments(parser):
-    parser.add_argument('--output', metavar='DIR', type=Path,
-                        help=f'where to write {", ".join(FILES)} (default: only print)')
-    parser.add_argument('--overwrite', action='store_true',
-                        help='replace these files if they exist')
+    add_directory(parser, ', '.join(FILES))
     parser.add_argument('--quick', action='store_true',
                         help='fewer trials and shorter runs of the default method, too')
     parser.add_argument('--case', action='append', metavar='NAME', default=[],
@@ -47,10 +42,9 @@ def _run(arguments):
     if arguments.default_only:
         methods = {name: methods[name] for name in (stability.DEFAULT, 'rodas4')}
     if arguments.output is not None:
-        _check(arguments)
-    with progress_bar(len(cases) * len(methods), 'cells', 'stability') as bar:
-        atlas = stability.study_stability(
-            arguments.quick, cases, methods, lambda done, total: bar.update(done - bar.n))
+        require_free(arguments, *(arguments.output / name for name in FILES))
+    with parts_bar('cells', 'stability') as progress:
+        atlas = stability.study_stability(arguments.quick, cases, methods, progress)
     print(stability.table(atlas, cases, methods))
     if arguments.output is not None:
         # Drawing takes long to import.
@@ -65,15 +59,6 @@ def _run(arguments):
     return FAILED if failed else 0
 
 
-def _check(arguments):
-    """Refuse at once to replace files that nobody said to replace."""
-    for name in FILES:
-        path = arguments.output / name
-        if path.exists() and not arguments.overwrite:
-            raise UsageError(f'--output: {path} exists; name another directory, or add '
-                             '--overwrite')
-
-
 COMMAND = Command(
     name='stability',
     summary='run the hard cases with every method and draw the stability atlas',
@@ -81,7 +66,7 @@ COMMAND = Command(
 Run hard cases (singular configurations, redundant loops, extreme scales,
 contradictory input, stiff scenes, long runs) with every method. Each cell is the
 worst figure of one case with one method, and what that means: accurate,
-degraded but stable, refused with a reason, or unstable: wrong without a word.
+degraded but stable, refused with a reason, or unstable: silently wrong.
 doc/stability.md explains every case. Exit code 1 where the default method is
 unstable.
 """,

@@ -18,7 +18,7 @@ import sys
 
 import numpy as np
 
-from .command import assignment, Command, mapping, positive, UsageError
+from .command import add_scene, add_torque, Command, mapping, positive, UsageError
 from ..mechanism.fields import FieldError
 from ..simulation.rollout_run import QUANTITIES, STATE
 from ..simulation.signals import program_watch
@@ -32,8 +32,7 @@ MOST_REASONS = 5
 
 
 def _add_arguments(parser):
-    parser.add_argument('scene', metavar='SCENE',
-                        help='a shipped scene by its name, or a YAML file')
+    add_scene(parser)
     parser.add_argument('--output', required=True, metavar='FILE',
                         help='where the results go: FILE.nc (NetCDF) or FILE.zarr')
     what = parser.add_argument_group('what is varied')
@@ -47,10 +46,7 @@ def _add_arguments(parser):
     run = parser.add_argument_group('what is run')
     run.add_argument('--duration', type=positive, default=2.0, metavar='SECONDS',
                      help='simulated time of each sample (default: 2)')
-    run.add_argument('--torque', type=assignment, action='append', default=[],
-                     metavar='JOINT=VALUE',
-                     help='constant torque of an actuated joint [N m], or force of a prismatic '
-                          'one [N]; may be repeated (default: none)')
+    add_torque(run)
     run.add_argument('--torques', metavar='FILE.npy',
                      help='sequences of torques instead: an array of NumPy of shape (rows, '
                           'actuated joints) or (samples, rows, actuated joints); the rows act for '

@@ -16,7 +16,7 @@
 
 from pathlib import Path
 
-from .command import Command, UsageError
+from .command import Command, require_free, UsageError
 from ..simulation.scene import load_scene_or_mechanism
 from ..visual.urdf import urdf
 
@@ -38,9 +38,7 @@ def _run(arguments):
     if arguments.output is None:
         print(text, end='')
         return 0
-    if arguments.output.exists() and not arguments.overwrite:
-        raise UsageError(f'--output: {arguments.output} exists; name another file, or add '
-                         '--overwrite')
+    require_free(arguments, arguments.output)
     arguments.output.write_text(text, encoding='utf-8')
     return 0
 

@@ -37,6 +37,18 @@ def progress_bar(total, unit, description):
 
 
 @contextmanager
+def parts_bar(unit, description):
+    """Yield a function that is told how many of how many parts are done, and shows it as a bar."""
+    with progress_bar(1, unit, description) as bar:
+
+        def progress(done, total):
+            bar.total = total
+            bar.update(done - bar.n)
+
+        yield progress
+
+
+@contextmanager
 def announced(message, patience=PATIENCE):
     """Print a message on stderr if the block takes longer than some seconds."""
     timer = Timer(patience, print, (message,), {'file': sys.stderr, 'flush': True})
