@@ -29,7 +29,7 @@ from ..core.types import DOF
 from ..effects.table import STORED
 
 
-class Tape(NamedTuple):
+class RunBuffer(NamedTuple):
     """
     What a run leaves at its instants; all but the states of no length where not wanted.
 
@@ -70,9 +70,9 @@ class Tape(NamedTuple):
     since: np.ndarray
 
 
-def allocate_tape(system, instants, evaluated, body, point):
+def allocate_buffer(system, instants, evaluated, body, point):
     """
-    Allocate a tape.
+    Allocate the buffer of a run.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ def allocate_tape(system, instants, evaluated, body, point):
     """
     count = instants if evaluated else 0
     effects = 0 if system.effects is None else len(system.effects.kind)
-    return Tape(
+    return RunBuffer(
         state=np.zeros((instants, number_of_states(system))),
         qdd=np.zeros((count, len(system.qdd))), lam=np.zeros((count, len(system.lam))),
         scalars=np.zeros((count, 3)), output=np.zeros((count, effects, 2)),
@@ -116,36 +116,36 @@ def _copy(values, out):
 
 
 @compiled
-def _note(system, state, tape, instant):
+def _note(system, state, buffer, instant):
     """Write one instant."""
     nv, work = system.qdd.shape[0], system.work
-    _copy(state, tape.state[instant])
-    if tape.qdd.shape[0] == 0:
+    _copy(state, buffer.state[instant])
+    if buffer.qdd.shape[0] == 0:
         return
     take_states(system.effects, state, nv)
     evaluate(system, state[:nv], state[nv:2 * nv])
-    _copy(system.qdd, tape.qdd[instant])
-    _copy(system.lam, tape.lam[instant])
-    tape.scalars[instant, 0] = largest(work.closure)
-    tape.scalars[instant, 1] = kinetic_energy(system.model, work, state[nv:2 * nv])
-    tape.scalars[instant, 2] = potential_energy(system.model, work)
-    _take_output(system.effects, tape.output[instant])
+    _copy(system.qdd, buffer.qdd[instant])
+    _copy(system.lam, buffer.lam[instant])
+    buffer.scalars[instant, 0] = largest(work.closure)
+    buffer.scalars[instant, 1] = kinetic_energy(system.model, work, state[nv:2 * nv])
+    buffer.scalars[instant, 2] = potential_energy(system.model, work)
+    _take_output(system.effects, buffer.output[instant])
     cut_wrenches(system.model.cut, system.model.cut_point, work.body, system.lam,
-                 tape.wrench[instant])
-    for k in range(tape.body.shape[0]):
+                 buffer.wrench[instant])
+    for k in range(buffer.body.shape[0]):
         kinematics.point_position(
-            work, tape.body[k], tape.point[k, 0], tape.point[k, 1], tape.place[instant, k])
+            work, buffer.body[k], buffer.point[k, 0], buffer.point[k, 1], buffer.place[instant, k])
 
 
 @released
-def annotate(system, torque, hold, every, tape):
-    """Fill in a tape of which only the states are known."""
-    for instant in range(tape.state.shape[0]):
-        _copy(torque[max(instant * every - 1, 0) // hold], system.tau)
-        _note(system, tape.state[instant], tape, instant)
+def annotate(system, torque, zero_order_hold, decimation, buffer):
+    """Fill in a buffer of which only the states are known."""
+    for instant in range(buffer.state.shape[0]):
+        _copy(torque[max(instant * decimation - 1, 0) // zero_order_hold], system.tau)
+        _note(system, buffer.state[instant], buffer, instant)
 
 
-def joint_forces(system, torque, hold, every, state, qdd, lam):
+def joint_forces(system, torque, zero_order_hold, decimation, state, qdd, lam):
     """
     Compute the wrenches in the joints of the trees at instants of a known motion.
 
@@ -153,8 +153,8 @@ def joint_forces(system, torque, hold, every, state, qdd, lam):
     ----------
     system : System
         What moves; its workspace is used up.
-    torque, hold, every
-        As for ``march``.
+    torque, zero_order_hold, decimation
+        As for ``run``.
     state : ndarray, shape (instants, ns)
         Coordinates, rates, and what effects add.
     qdd : ndarray, shape (instants, nv)
@@ -169,19 +169,19 @@ def joint_forces(system, torque, hold, every, state, qdd, lam):
 
     """
     out = np.empty((*qdd.shape, 3))
-    fill_joint_forces(system, torque, hold, every, state, qdd, lam,
+    fill_joint_forces(system, torque, zero_order_hold, decimation, state, qdd, lam,
                       np.zeros((len(system.model.tree), COLUMNS)), out)
     return out
 
 
 @released
-def fill_joint_forces(system, torque, hold, every, state, qdd, lam, scratch, out):
+def fill_joint_forces(system, torque, zero_order_hold, decimation, state, qdd, lam, scratch, out):
     """
     Fill in what ``joint_forces`` returns.
 
     Parameters
     ----------
-    system, torque, hold, every, state, qdd, lam
+    system, torque, zero_order_hold, decimation, state, qdd, lam
         As for ``joint_forces``.
     scratch : ndarray, shape (nb + 1, joint_wrenches.COLUMNS)
         Overwritten.
@@ -194,7 +194,8 @@ def fill_joint_forces(system, torque, hold, every, state, qdd, lam, scratch, out
         take_states(system.effects, state[instant], nv)
         q, qd = state[instant, :nv], state[instant, nv:2 * nv]
         kinematics.outward(model, q, qd, work)
-        apply_effects(system.effects, work, q, qd, torque[max(instant * every - 1, 0) // hold])
+        row = max(instant * decimation - 1, 0) // zero_order_hold
+        apply_effects(system.effects, work, q, qd, torque[row])
         bias_forces(work.body, scratch)
         joint_wrenches(model, work, qdd[instant], lam[instant], scratch)
         for i in range(1, tree.shape[0]):
@@ -202,8 +203,8 @@ def fill_joint_forces(system, torque, hold, every, state, qdd, lam, scratch, out
 
 
 @released
-def march(system, tableau, stabilisation, state, step_size, torque, hold, every, steps, scratch,
-          tape):
+def run(system, tableau, stabilisation, state, step_size, torque, zero_order_hold, decimation,
+        steps, scratch, buffer):
     """
     Make a whole run of fixed steps.
 
@@ -217,13 +218,13 @@ def march(system, tableau, stabilisation, state, step_size, torque, hold, every,
         At the start; advanced in place.
     torque : ndarray, shape (rows, nv)
         Joint torques, one row after the other.
-    hold : int
+    zero_order_hold : int
         Steps that a row acts for.
-    every : int
-        Steps from one instant of the tape to the next; the first is the start.
+    decimation : int
+        Steps from one instant of the buffer to the next; the first is the start.
     steps : int
         How many; no more than the rows last.
-    tape : Tape
+    buffer : RunBuffer
         Written in place.
 
     Returns
@@ -235,32 +236,32 @@ def march(system, tableau, stabilisation, state, step_size, torque, hold, every,
 
     """
     _copy(torque[0], system.tau)
-    _copy(state, tape.since)
-    tape.work[0] = 0.0
-    _note(system, state, tape, 0)
+    _copy(state, buffer.since)
+    buffer.work[0] = 0.0
+    _note(system, state, buffer, 0)
     done = 0
     while done < steps:
-        if done % hold == 0:
-            _work(system.tau, state, tape)
-            _copy(torque[done // hold], system.tau)
-        portion = min(hold - done % hold, every - done % every)
+        if done % zero_order_hold == 0:
+            _work(system.tau, state, buffer)
+            _copy(torque[done // zero_order_hold], system.tau)
+        portion = min(zero_order_hold - done % zero_order_hold, decimation - done % decimation)
         status, made = advance(
             system, tableau, stabilisation, state, step_size, min(portion, steps - done), scratch)
         done += made
         if status != DONE:
             return status, done
-        if done % every == 0:
-            _note(system, state, tape, done // every)
-    _work(system.tau, state, tape)
+        if done % decimation == 0:
+            _note(system, state, buffer, done // decimation)
+    _work(system.tau, state, buffer)
     return DONE, done
 
 
 @inlined
-def _work(tau, state, tape):
+def _work(tau, state, buffer):
     """Add the work of the torques held since the last call."""
     for i in range(tau.shape[0]):
-        tape.work[0] += tau[i] * (state[i] - tape.since[i])
-    _copy(state, tape.since)
+        buffer.work[0] += tau[i] * (state[i] - buffer.since[i])
+    _copy(state, buffer.since)
 
 
 @released

@@ -13,9 +13,9 @@
 # limitations under the License.
 
 """
-Whole runs of several mechanisms of one topology in lockstep, one in every lane.
+Whole runs of several mechanisms of one topology at once, one in every lane of a vector (SIMD).
 
-The steps are those of ``march``, number by number; only the routines compute all lanes at
+The steps are those of ``fixed_step``, number by number; only the routines compute all lanes at
 once. What a lane alone would do otherwise (the rank-revealing path, a failure) ends the run: its
 mechanisms are then run one by one.
 
@@ -35,7 +35,7 @@ from ..core.compiled import inlined, released
 from ..core.straight_line import lanes, linkage as links
 from ..core.straight_line.lanes import LANES
 
-# Status of ``march`` beside those of ``advance``: a state that needs the rank-revealing path.
+# Status of ``run`` beside those of ``advance``: a state that needs the rank-revealing path.
 SINGULAR = 9
 
 
@@ -219,17 +219,17 @@ def _note(state, position, velocity, instant):
 
 
 @released
-def march(pack, tableau, stabilisation, state, step_size, torque, hold, every, steps, scratch,
-          position, velocity, work):
+def run(pack, tableau, stabilisation, state, step_size, torque, zero_order_hold, decimation, steps,
+        scratch, position, velocity, work):
     """
-    Make whole runs of fixed steps in lockstep.
+    Make whole runs of fixed steps in all lanes.
 
     Parameters
     ----------
     pack : Pack
         What moves.
-    tableau, stabilisation, step_size, hold, every, steps
-        As for ``march.march``.
+    tableau, stabilisation, step_size, zero_order_hold, decimation, steps
+        As for ``fixed_step.run``.
     state : ndarray, shape (LANES * ns,)
         At the start; advanced in place.
     torque : ndarray, shape (rows, LANES * nv)
@@ -255,10 +255,10 @@ def march(pack, tableau, stabilisation, state, step_size, torque, hold, every, s
     for i in range(n):
         since[i] = state[i]
     for done in range(steps):
-        if done % hold == 0:
+        if done % zero_order_hold == 0:
             _work(pack.tau, state, since, work)
             for i in range(n):
-                pack.tau[i] = torque[done // hold, i]
+                pack.tau[i] = torque[done // zero_order_hold, i]
         if not _step(pack.linkage, pack.qdd, tableau, state, step_size, slopes, stage, out):
             return SINGULAR
         if stabilisation >= VELOCITY:
@@ -269,8 +269,8 @@ def march(pack, tableau, stabilisation, state, step_size, torque, hold, every, s
             return NOT_FINITE
         for i in range(out.shape[0]):
             state[i] = out[i]
-        if (done + 1) % every == 0:
-            _note(state, position, velocity, (done + 1) // every)
+        if (done + 1) % decimation == 0:
+            _note(state, position, velocity, (done + 1) // decimation)
     _work(pack.tau, state, since, work)
     return DONE
 

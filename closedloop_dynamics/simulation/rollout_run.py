@@ -27,15 +27,18 @@ from typing import Optional
 import numpy as np
 
 from .errors import SimulationError
+from ..integration import simd
 from ..integration.advance import DONE
 from ..integration.drivers import FixedSteps
-from ..integration.march import allocate_tape, energies, joint_forces, march
+from ..integration.fixed_step import allocate_buffer, annotate, energies, joint_forces, run
 from ..mechanism.checks import one_of
 from ..mechanism.fields import at
 
 STATE = ('position', 'velocity')
 QUANTITIES = (*STATE, 'acceleration', 'effort', 'constraint_forces', 'joint_forces', 'points',
               'closure', 'energy')
+# So many runs at least, and at most, are made together in the lanes of a vector.
+FEWEST, MOST = 3, simd.LANES
 # A time counts as a multiple of the step up to this share of the step.
 ROUNDING = 1e-9
 # Instants of a run at which its energy is looked at.
@@ -55,22 +58,26 @@ class Schedule:
         [s].
     intervals : int
         Length of the run.
-    hold : int
+    zero_order_hold : int
         Intervals that a row of torques acts for.
-    every : int
+    decimation : int
         Intervals from one instant to the next.
 
     """
 
     interval: float
     intervals: int
-    hold: int
-    every: int
+    zero_order_hold: int
+    decimation: int
 
     @property
     def instants(self):
-        """Return how many instants are kept: the start, and one after each ``every``."""
-        return self.intervals // self.every + 1
+        """Return how many instants are kept, the start among them."""
+        return self.intervals // self.decimation + 1
+
+    def in_steps(self, steps):
+        """Return hold, decimation and length of the run in steps, so many of them an interval."""
+        return self.zero_order_hold * steps, self.decimation * steps, self.intervals * steps
 
     def steps(self, step_size):
         """Return how many whole steps an interval is; 0 where it is no whole number of them."""
@@ -158,7 +165,7 @@ def record(simulation, torques, schedule, quantities=QUANTITIES):
     steps = schedule.steps(simulation.step_size)
     if steps and is_plain(simulation):
         start = simulation._state.copy()
-        done = _marched(simulation, tau, schedule, steps, quantities)
+        done = _in_one_loop(simulation, tau, schedule, steps, quantities)
         if done is not None:
             return done
         # It failed: again, step by step, to stop where it does and to say why.
@@ -175,30 +182,29 @@ def all_torques(simulation, torques):
     return tau
 
 
-def tape_for(simulation, schedule, quantities):
-    """Return a tape for all that is to be kept of a run."""
+def buffer_for(simulation, schedule, quantities):
+    """Return a buffer for all that is to be kept of a run."""
     points = simulation.mechanism.points
-    return allocate_tape(
+    return allocate_buffer(
         simulation.system, schedule.instants, any(name not in STATE for name in quantities),
         np.array([simulation._rows[point.body] for point in points], dtype=np.int64),
         np.array([point.position for point in points]).reshape(-1, 2))
 
 
-def _marched(simulation, tau, schedule, steps, quantities):
+def _in_one_loop(simulation, tau, schedule, steps, quantities):
     """Return the record of a run made by one compiled loop; None where it fails."""
     system, driver = simulation.system, simulation.monitor.driver
-    tape = tape_for(simulation, schedule, quantities)
-    status, _ = march(
+    buffer = buffer_for(simulation, schedule, quantities)
+    status, _ = run(
         system, driver.tableau, driver.stabilisation, simulation._state, simulation.step_size,
-        tau, schedule.hold * steps, schedule.every * steps, schedule.intervals * steps,
-        driver.scratch, tape)
+        tau, *schedule.in_steps(steps), driver.scratch, buffer)
     simulation._fresh = False
     if status != DONE:
         return None
-    share, finding = verdict(simulation, tape.state, simulation._state, tape.work[0], schedule)
+    share, finding = verdict(simulation, buffer.state, simulation._state, buffer.work[0], schedule)
     if not share <= ENERGY_ERROR:
         return None
-    return Record(values_of(simulation, tape, tau, schedule, quantities), finding)
+    return Record(values_of(simulation, buffer, tau, schedule, quantities), finding)
 
 
 def verdict(simulation, states, last, work, schedule):
@@ -240,31 +246,32 @@ def verdict(simulation, states, last, work, schedule):
     return guard.worst, guard.finding or None
 
 
-def values_of(simulation, tape, tau, schedule, quantities):
-    """Return what a run keeps by quantity, of its tape."""
+def values_of(simulation, buffer, tau, schedule, quantities):
+    """Return what a run keeps by quantity, from its buffer."""
     nv = tau.shape[1]
     take = {
-        'position': lambda: tape.state[:, :nv].copy(),
-        'velocity': lambda: tape.state[:, nv:2 * nv].copy(),
-        'acceleration': lambda: tape.qdd,
-        'effort': lambda: _efforts(simulation, tape, tau, schedule),
-        'constraint_forces': lambda: tape.wrench,
+        'position': lambda: buffer.state[:, :nv].copy(),
+        'velocity': lambda: buffer.state[:, nv:2 * nv].copy(),
+        'acceleration': lambda: buffer.qdd,
+        'effort': lambda: _efforts(simulation, buffer, tau, schedule),
+        'constraint_forces': lambda: buffer.wrench,
         'joint_forces': lambda: joint_forces(
-            simulation.system, tau, schedule.hold, schedule.every, tape.state, tape.qdd, tape.lam),
-        'points': lambda: tape.place,
-        'closure': lambda: tape.scalars[:, 0].copy(),
-        'energy': lambda: tape.scalars[:, 1] + (
-            tape.scalars[:, 2] + tape.output[:, :, 0].sum(axis=1)),
+            simulation.system, tau, schedule.zero_order_hold, schedule.decimation, buffer.state,
+            buffer.qdd, buffer.lam),
+        'points': lambda: buffer.place,
+        'closure': lambda: buffer.scalars[:, 0].copy(),
+        'energy': lambda: buffer.scalars[:, 1] + (
+            buffer.scalars[:, 2] + buffer.output[:, :, 0].sum(axis=1)),
     }
     return {name: take[name]() for name in quantities}
 
 
-def _efforts(simulation, tape, tau, schedule):
+def _efforts(simulation, buffer, tau, schedule):
     """Return the joint torques at the instants: those of the step before."""
-    ends = np.arange(schedule.instants) * schedule.every
-    efforts = tau[np.maximum(ends - 1, 0) // schedule.hold]
+    ends = np.arange(schedule.instants) * schedule.decimation
+    efforts = tau[np.maximum(ends - 1, 0) // schedule.zero_order_hold]
     rows, joints = simulation._effects.drive_rows()
-    efforts[:, joints] = tape.output[:, rows, 1]
+    efforts[:, joints] = buffer.output[:, rows, 1]
     return efforts
 
 
@@ -278,17 +285,18 @@ def _stepped(simulation, tau, schedule, steps, quantities):
         _note(simulation, values, 0)
         done = 0
         while done < schedule.intervals:
-            row = done // schedule.hold
+            row = done // schedule.zero_order_hold
             if steps:
-                portion = min(schedule.hold - done % schedule.hold,
-                              schedule.every - done % schedule.every, schedule.intervals - done)
+                portion = min(schedule.zero_order_hold - done % schedule.zero_order_hold,
+                              schedule.decimation - done % schedule.decimation,
+                              schedule.intervals - done)
                 simulation.advance(tau[row], portion * steps)
             else:
                 portion = 1
                 simulation.step(actuated[row], schedule.interval)
             done += portion
-            if done % schedule.every == 0:
-                _note(simulation, values, done // schedule.every)
+            if done % schedule.decimation == 0:
+                _note(simulation, values, done // schedule.decimation)
         simulation.judge()
         failure = simulation.energy_guard.finding or None
     except SimulationError as error:
@@ -300,3 +308,105 @@ def _note(simulation, values, instant):
     """Write one instant."""
     for name, rows in values.items():
         rows[instant] = getattr(simulation, name)
+
+
+@dataclass(frozen=True)
+class Start:
+    """
+    What a run begins with.
+
+    Attributes
+    ----------
+    simulation : Simulation
+        Whose mechanism moves; several runs may share it.
+    state : ndarray, shape (ns,)
+        Where it begins.
+    torques : ndarray, shape (rows, number of actuated joints)
+        [N m or N].
+
+    """
+
+    simulation: object
+    state: np.ndarray
+    torques: np.ndarray
+
+
+def fits_simd(simulation, schedule):
+    """Tell whether runs of a simulation can share the lanes of a vector at all."""
+    return bool(is_plain(simulation) and schedule.steps(simulation.step_size) and simd.fits(
+        simulation.system, simulation.monitor.driver.stabilisation))
+
+
+class SimdRuns:
+    """Makes several runs at a time, and keeps what they do."""
+
+    def __init__(self, schedule, quantities):
+        """Begin without a pack."""
+        self._schedule, self._quantities = schedule, quantities
+        self._systems, self._pack = [], None
+
+    def record(self, starts, room=None):
+        """
+        Make some runs.
+
+        Parameters
+        ----------
+        starts : sequence of Start
+            Of simulations that may go together, up to MOST of them.
+        room : tuple of 2 ndarrays, shape (MOST, instants, nv), optional
+            Where positions and velocities go, so that they need not be copied.
+
+        Returns
+        -------
+        list of Record, or None
+            None where they must be made one by one: they differ in their methods, or one of
+            them fails or comes to a singular configuration.
+
+        """
+        first, schedule = starts[0].simulation, self._schedule
+        if len(starts) < FEWEST or any(
+                start.simulation.scene.method != first.scene.method for start in starts[1:]):
+            return None
+        pack = self._pack_of([start.simulation.system for start in starts])
+        if pack is None:
+            return None
+        driver, steps = first.monitor.driver, schedule.steps(first.step_size)
+        torques = [all_torques(start.simulation, start.torques) for start in starts]
+        spread = np.stack(simd.filled(torques), axis=-1).reshape(len(torques[0]), -1)
+        state = simd.lanes.spread(simd.filled([start.state for start in starts]))
+        if room is None:
+            shape = simd.LANES, schedule.instants, torques[0].shape[1]
+            room = np.empty(shape), np.empty(shape)
+        work = np.zeros(simd.LANES)
+        status = simd.run(
+            pack, driver.tableau, driver.stabilisation, state, first.step_size, spread,
+            *schedule.in_steps(steps), np.zeros((len(driver.scratch), len(state))), *room, work)
+        if status != DONE:
+            return None
+        ends = state.reshape(-1, simd.LANES).T
+        judged = [verdict(start.simulation, np.hstack(motion), end, done, schedule)
+                  for start, end, done, *motion in zip(starts, ends, work, *room)]
+        if not all(share <= ENERGY_ERROR for share, _ in judged):
+            return None
+        return [Record(_values_of_motion(start.simulation, tau, schedule, steps,
+                                         self._quantities, *motion), finding)
+                for start, tau, (_, finding), *motion in zip(starts, torques, judged, *room)]
+
+    def _pack_of(self, systems):
+        """Return a pack of systems, the last one where they are still the same."""
+        if len(systems) != len(self._systems) or any(
+                one is not other for one, other in zip(systems, self._systems)):
+            self._systems, self._pack = systems, simd.build_pack(systems)
+        return self._pack
+
+
+def _values_of_motion(simulation, tau, schedule, steps, quantities, position, velocity):
+    """Return what is kept of one of the runs."""
+    if all(name in STATE for name in quantities):
+        both = {'position': position, 'velocity': velocity}
+        return {name: both[name] for name in quantities}
+    buffer = buffer_for(simulation, schedule, quantities)
+    buffer.state[:] = np.hstack((position, velocity))
+    annotate(simulation.system, tau, *schedule.in_steps(steps)[:2], buffer)
+    simulation._fresh = False
+    return values_of(simulation, buffer, tau, schedule, quantities)

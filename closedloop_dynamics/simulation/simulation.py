@@ -42,7 +42,7 @@ from ..effects.machine import Machine
 from ..integration.adaptive import MOST_EVALUATIONS
 from ..integration.advance import DONE, NOT_FINITE, OPEN_LOOP, TOO_MUCH_WORK
 from ..integration.drivers import build_driver
-from ..integration.march import joint_forces
+from ..integration.fixed_step import joint_forces
 from ..integration.registry import INTEGRATORS, SCIPY
 from ..integration.system import (
     BAUMGARTE, build_system, CLOSURE_LIMIT, evaluate, number_of_states, Probe)

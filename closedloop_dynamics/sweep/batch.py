@@ -22,8 +22,9 @@ import numpy as np
 from .plan import TORQUE
 from ..simulation.errors import SimulationError
 from ..simulation.key_paths import changed
-from ..simulation.rollout_lockstep import FEWEST, may_go_together, MOST, Start, Together
-from ..simulation.rollout_run import is_plain, nothing, QUANTITIES, Record, record, Schedule
+from ..simulation.rollout_run import (
+    FEWEST, fits_simd, is_plain, MOST, nothing, QUANTITIES, Record, record, Schedule, SimdRuns,
+    Start)
 from ..simulation.scene_records import Scene
 from ..simulation.simulation import Simulation
 
@@ -137,7 +138,7 @@ def _records(job, source, rows, torques):
                 break
     records = None
     if starts and source.together:
-        records = Together(job.schedule, wanted).record(list(starts.values()))
+        records = SimdRuns(job.schedule, wanted).record(list(starts.values()))
     done = dict(zip(starts, records or ()))
     return [done[k] if k in done else _alone(job, source, row, own, wanted)
             for k, (row, own) in enumerate(zip(rows, torques))]
@@ -222,7 +223,7 @@ class _Source:
             simulation = Simulation(changed(self._job.scene, values))
             simulation.monitor.sampling = False
             self._values = values
-            self.together &= may_go_together(simulation, self._job.schedule)
+            self.together &= fits_simd(simulation, self._job.schedule)
             if not is_plain(simulation):
                 return simulation, torque
             self._simulation = simulation

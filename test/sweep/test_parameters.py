@@ -108,9 +108,11 @@ def test_a_plan_that_cannot_be_run_is_refused(variations, options, words):
 
 def test_torques_may_change_slower_or_faster_than_instants_are_kept():
     slow = plan(duration=0.1, rate=100.0, torques=np.zeros((5, 1))).schedule
-    assert (slow.interval, slow.intervals, slow.hold, slow.every) == (0.01, 10, 2, 1)
+    assert (slow.interval, slow.intervals) == (0.01, 10)
+    assert (slow.zero_order_hold, slow.decimation) == (2, 1)
     fast = plan(duration=0.1, rate=100.0, torques=np.zeros((50, 1))).schedule
-    assert (fast.interval, fast.intervals, fast.hold, fast.every) == (0.002, 50, 1, 5)
+    assert (fast.interval, fast.intervals) == (0.002, 50)
+    assert (fast.zero_order_hold, fast.decimation) == (1, 5)
 
 
 def test_values_are_numbers_of_the_plan_and_nothing_else():

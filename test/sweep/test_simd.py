@@ -18,11 +18,10 @@ import math
 
 from closedloop_dynamics.core import straight_line
 from closedloop_dynamics.core.straight_line import lanes
-from closedloop_dynamics.integration import lockstep
+from closedloop_dynamics.integration import simd
 from closedloop_dynamics.integration.advance import DONE
-from closedloop_dynamics.integration.lockstep import LANES
-from closedloop_dynamics.simulation.rollout_lockstep import Together
-from closedloop_dynamics.simulation.rollout_run import QUANTITIES
+from closedloop_dynamics.integration.simd import LANES
+from closedloop_dynamics.simulation.rollout_run import QUANTITIES, SimdRuns
 from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest
@@ -35,14 +34,14 @@ def packs(monkeypatch):
     """Note how many runs went together, None where they came back."""
     seen = []
 
-    record = Together.record
+    record = SimdRuns.record
 
     def watched(self, starts, room=None):
         records = record(self, starts, room)
         seen.append(None if records is None else len(records))
         return records
 
-    monkeypatch.setattr(Together, 'record', watched)
+    monkeypatch.setattr(SimdRuns, 'record', watched)
     return seen
 
 
@@ -118,14 +117,14 @@ def test_other_steps_are_not_made_together(packs):
 def test_angles_beyond_the_polynomials_are_not_for_lanes():
     simulation = Simulation.from_scene('four_bar', integrator='rk4', stabilisation='none')
     system, driver = simulation.system, simulation.monitor.driver
-    pack = lockstep.build_pack([system])
-    for turns, status in ((2e5, DONE), (3e5, lockstep.SINGULAR)):
+    pack = simd.build_pack([system])
+    for turns, status in ((2e5, DONE), (3e5, simd.SINGULAR)):
         start = np.concatenate((simulation.position, simulation.velocity))
         state = lanes.spread([start] * LANES)
         # Of one lane alone.
         state[LANES - 1] += 2.0 * math.pi * turns
         motion = np.zeros((2, LANES, 2, 3))
-        assert lockstep.march(
+        assert simd.run(
             pack, driver.tableau, driver.stabilisation, state, 1e-3, np.zeros((1, 3 * LANES)),
             1, 1, 1, np.zeros((len(driver.scratch), 6 * LANES)), *motion,
             np.zeros(LANES)) == status
