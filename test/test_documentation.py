@@ -45,8 +45,8 @@ BLOCK = re.compile(
     r'(?:^<!-- (?P<note>.*?) -->\n)?^```(?P<kind>\w+)\n(?P<text>.*?)^```$', re.M | re.S)
 TERMINALS = 'each in a terminal of its own'
 AFTERWARDS = 'with what was recorded above'
-# How long nodes are left to themselves for a recording [s].
-MOTION = 1.0
+# How long a recording may take to grow on disk, which it does once a second [s].
+PATIENCE = 60.0
 # Commands that are not run from here, and why.
 ELSEWHERE = {
     'scripts/demo': 'test/ros/test_demo.py runs what it calls',
@@ -154,6 +154,22 @@ def next_block(block):
     return later[0] if later else None
 
 
+def recordings(block):
+    """Return the names of the bags that the recorders of a block write."""
+    return re.findall(r'closedloop_recorder .*-p output:=(\w+)', block.text)
+
+
+def wait_for_more(names):
+    """Wait until bags have grown on disk."""
+    def sizes():
+        return [sum(path.stat().st_size for path in Path(name).iterdir()) for name in names]
+
+    before, deadline = sizes(), time.monotonic() + PATIENCE
+    while any(now <= then for now, then in zip(sizes(), before)):
+        assert time.monotonic() < deadline, f'{names} do not grow'
+        time.sleep(0.05)
+
+
 TOGETHER = [block for page in PAGES for block in blocks_of(page) if block.note == TERMINALS]
 
 
@@ -177,14 +193,16 @@ def test_nodes_run_together_as_the_page_says(block, scratch, capsys):
                 # Something is to be in the bag.
                 for topic in ('joint_states', 'scene', 'replay_log'):
                     started[0].wait_for(f'/{topic}: first message')
-                time.sleep(MOTION)
+                names = recordings(block)
+                for _ in range(2):
+                    wait_for_more(names)
             for process in reversed(started):
                 assert process.stop(signal.SIGINT) == 0, process.output
         finally:
             for process in started:
                 process.popen.kill()
                 process.popen.wait()
-    for name in re.findall(r'closedloop_recorder .*-p output:=(\w+)', block.text):
+    for name in recordings(block):
         assert (scratch / name / 'metadata.yaml').is_file()
     following = next_block(block)
     if following is not None and following.note == AFTERWARDS:

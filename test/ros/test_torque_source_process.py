@@ -49,14 +49,12 @@ def test_parameters_that_do_not_fit_the_simulator_end_the_source(processes):
     assert 'Traceback' not in source.output
 
 
-def test_commands_come_at_the_rate_asked_for_without_a_simulator(processes, listener):
-    commands = listener.listen('joint_command', JointState)
-    source = processes.start(SOURCE, joints='[a]', mode='sine', rate='50.0')
-    source.wait_until_ready()
-    listener.wait(lambda: commands, 'a command')
-    seen, begin = len(commands), time.monotonic()
-    listener.wait(lambda: len(commands) >= seen + 50, '50 commands')
-    assert 0.8 < time.monotonic() - begin < 3.0
+def test_commands_come_without_a_simulator_and_no_faster_than_asked_for(processes, listener):
+    commands, begin = listener.listen('joint_command', JointState), time.monotonic()
+    source = processes.start(SOURCE, joints='[a]', mode='sine', rate='100.0')
+    listener.wait(lambda: len(commands) >= 200, '200 commands')
+    # A busy machine makes them fewer, none makes them more.
+    assert len(commands) <= 100.0 * (time.monotonic() - begin)
     assert commands[0].name == ['a']
     assert source.stop() == 0
 
