@@ -21,6 +21,7 @@ from pathlib import Path
 import signal
 import subprocess
 import sys
+import time
 import warnings
 
 from closedloop_dynamics.cli import main
@@ -258,11 +259,12 @@ def test_a_failing_simulation_leaves_its_rows(capsys, tmp_path):
 def test_an_interrupted_run_leaves_whole_rows_and_says_so(tmp_path, number, expected):
     output = tmp_path / 'run.csv'
     process = subprocess.Popen(
-        [*PROGRAM, 'simulate', 'four_bar', '--duration', '1e6', '--output', str(output)],
+        [*PROGRAM, 'simulate', 'four_bar', '--duration', '1e4', '--output', str(output)],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=ENVIRONMENT)
     try:
         while not (output.exists() and output.stat().st_size > 10000):
             assert process.poll() is None, process.communicate()
+            time.sleep(0.01)
         process.send_signal(number)
         text, errors = process.communicate(timeout=60)
     finally:
