@@ -1,0 +1,84 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Torques for a motion: the least of many, those that effects take over, and refusals."""
+
+from dataclasses import replace
+
+from closedloop_dynamics import Simulation
+from closedloop_dynamics.effects.gravity import Gravity
+from closedloop_dynamics.effects.joint_spring import JointSpring
+from closedloop_dynamics.simulation.errors import SimulationError
+from closedloop_dynamics.simulation.scene_records import Initial, Method, Scene
+import numpy as np
+import pytest
+
+from ..reference import cases, dense
+
+
+def built(mechanism, q, qd, **effects):
+    """Return the inverse dynamics of a simulation in the earth's gravity."""
+    return Simulation(Scene(
+        'drawn', None, '', mechanism, Initial(tuple(q), tuple(qd)),
+        {'gravity': Gravity(dense.EARTH), **effects}, Method()))._inverse
+
+
+def closed_motion(rng, mechanism, q, qd):
+    """Return accelerations that the closures allow."""
+    jac, bias = dense.closure_jacobian(mechanism, q), dense.constraint_bias(mechanism, q, qd)
+    qdd = rng.normal(size=len(q))
+    return qdd - np.linalg.lstsq(jac, jac @ qdd + bias, rcond=None)[0]
+
+
+def needed(mechanism, q, qd, qdd):
+    """Return I qdd + c by the dense twin."""
+    return (dense.generalized_inertia_matrix(mechanism, q) @ qdd
+            + dense.bias_force(mechanism, q, qd))
+
+
+@pytest.mark.parametrize('case', ['four_bar', 'three_rrr', 'carpet_scraper'])
+def test_torques_of_more_drives_than_freedoms_are_the_least(case):
+    rng, mechanism, q, qd = cases.drawn(case)
+    mechanism = replace(mechanism, joints=tuple(
+        replace(joint, actuated=True) for joint in mechanism.joints))
+    qdd = closed_motion(rng, mechanism, q, qd)
+    torque, lam = built(mechanism, q, qd).solve(q, qd, qdd)
+    jac, need = dense.closure_jacobian(mechanism, q), needed(mechanism, q, qd, qdd)
+    np.testing.assert_allclose(torque + jac.T @ lam, need, atol=1e-10 * np.abs(need).max())
+    expected = np.linalg.lstsq(np.concatenate([np.eye(len(q)), jac.T], axis=1), need, rcond=None)
+    np.testing.assert_allclose([*torque, *lam], expected[0], atol=1e-9 * np.abs(need).max())
+
+
+def test_a_spring_takes_its_part_of_the_torque_over():
+    rng, mechanism, q, qd = cases.drawn('four_bar')
+    qdd = closed_motion(rng, mechanism, q, qd)
+    alone, held = built(mechanism, q, qd).solve(q, qd, qdd)
+    helped, same = built(mechanism, q, qd, spring=JointSpring(
+        mechanism.actuated_joints[0], 7.0, 0.2)).solve(q, qd, qdd)
+    place = mechanism.joint_names.index(mechanism.actuated_joints[0])
+    assert helped[0] - alone[0] == pytest.approx(7.0 * (q[place] - 0.2), rel=1e-9)
+    np.testing.assert_allclose(same, held, atol=1e-9 * np.abs(held).max())
+
+
+def test_what_the_drives_cannot_do_and_what_opens_the_loops_is_told_with_its_size():
+    rng, mechanism, q, qd = cases.drawn('three_rrr')
+    idle = replace(mechanism, joints=tuple(
+        replace(joint, actuated=joint.name == 'theta_1') for joint in mechanism.joints))
+    qdd = closed_motion(rng, mechanism, q, qd)
+    with pytest.raises(SimulationError, match=r'theta_1\) cannot produce .* N m is missing'):
+        built(idle, q, qd).solve(q, qd, qdd)
+    opened = qdd + 1e-3 * np.eye(len(q))[0]
+    part = np.abs(dense.closure_jacobian(mechanism, q)[:, 0]).max() * 1e-3
+    with pytest.raises(SimulationError, match=f'part at {part:.3g} m/s'):
+        built(mechanism, q, qd).solve(q, qd, opened)
