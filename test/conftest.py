@@ -29,14 +29,16 @@ if 'ROS_DOMAIN_ID' not in os.environ or 'PYTEST_XDIST_WORKER' in os.environ:
     os.environ['ROS_DOMAIN_ID'] = str(1 + os.getpid() % 101)
 
 
-# Where scripts/test shares the files among processes, those that compile or wait longest go first,
-# and those that compile the same do not start together.
+# Where scripts/test shares the files among processes, those that compile or wait longest go first.
+# Two that stand side by side compile different kernels: without effects, and with them.
 FIRST = (
-    'test/integration/test_methods.py', 'test/effects/test_composition.py',
-    'test/studies/test_accuracy.py', 'test/test_core_interpreted.py',
-    'test/packaging/test_colcon.py',
-    'test/studies/test_formulations.py', 'test/ros/test_demo.py', 'test/core', 'test/effects',
-    'test/ros/test_recorder_process.py', 'test/test_linters.py', 'test/test_documentation.py')
+    'test/integration/test_methods.py', 'test/effects/test_effect_set.py',
+    'test/core/test_forward_dynamics.py', 'test/effects/test_joint_friction.py',
+    'test/core', 'test/stability/test_known_answers.py', 'test/studies', 'test/effects',
+    'test/test_core_interpreted.py', 'test/stability', 'test/packaging', 'test/simulation',
+    'test/ros/test_simulator_process.py', 'test/test_documentation.py', 'test/ros/test_faults.py',
+    'test/ros/test_recorder_process.py', 'test/attack', 'test/ros/test_demo.py',
+    'test/test_linters.py', 'test/ros', 'test/recording', 'test/sweep')
 
 
 def pytest_addoption(parser):

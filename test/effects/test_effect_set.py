@@ -195,10 +195,11 @@ def test_inverse_dynamics_sees_the_effects(case):
 
 @pytest.mark.parametrize('method', [
     {'integrator': 'semi_implicit_euler'}, {'integrator': 'heun'}, {'integrator': 'dop853'},
-    {'integrator': 'rodas4'},
+    {'integrator': 'auto'},
     # A kernel of its own each, for this test alone.
     *(pytest.param({key: value}, marks=pytest.mark.slow) for key, value in (
-        ('stabilisation', 'independent'), ('formulation', 'augmented')))])
+        ('integrator', 'rodas4'), ('stabilisation', 'independent'),
+        ('formulation', 'augmented')))])
 def test_every_method_moves_the_effects_own_states(method):
     rng, mechanism, q, qd = cases.drawn('slider_crank')
     effects = every_effect(rng, mechanism, q)

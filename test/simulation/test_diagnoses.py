@@ -43,6 +43,8 @@ def bouncing(**method):
         [-0.2], [10.0], step_size=STEP, **method)
 
 
+# A kernel of its own, RODAS4 with effects.
+@pytest.mark.slow
 def test_the_walls_are_no_stiff_scene():
     evaluations = {}
     for integrator in ('dop853', 'rodas4'):
