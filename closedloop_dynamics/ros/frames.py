@@ -20,7 +20,7 @@ whose origin is the cut point of body A; its axes are those of the world.
 """
 
 from closedloop_dynamics.mechanism.mechanism import GROUND
-from closedloop_dynamics.ros.messages import WireMessage
+from closedloop_dynamics.ros.messages import SerializedTemplate
 from closedloop_dynamics.ros.parameters import declare, Parameter
 from closedloop_dynamics.ros.process import StartError
 from geometry_msgs.msg import TransformStamped
@@ -95,7 +95,7 @@ class Frames:
             self._points, self._turns = np.array(points), np.array(turns, dtype=float)
             self._poses = np.zeros((len(bodies), 3))
             self._transforms = np.zeros((len(frames), 7))
-            self._message = WireMessage(self._build, len(frames) * [7])
+            self._message = SerializedTemplate(self._build, len(frames) * [7])
             self._publisher = node.create_publisher(TFMessage, '/tf', QoSProfile(depth=100))
 
     def follow(self, stamp):

@@ -50,7 +50,7 @@ PATIENCE, GIVE_UP = Duration(seconds=0.02), 2.0
 STATE_QOS = QoSProfile(depth=1000)
 
 
-class WireMessage:
+class SerializedTemplate:
     """
     A message with stamps, in one or several headers, and blocks of numbers.
 
@@ -110,7 +110,7 @@ class Stamps:
 
     def __init__(self, node, simulation, simulated, publish_clock):
         self._source, self._simulation, self.simulated = node.get_clock(), simulation, simulated
-        self._clock = WireMessage(
+        self._clock = SerializedTemplate(
             lambda sec, nanosec: Clock(clock=Time(sec=sec, nanosec=nanosec)), ())
         self._publisher = node.create_publisher(
             Clock, '/clock', QoSProfile(depth=10)) if publish_clock else None
@@ -184,8 +184,9 @@ class StatePublisher:
         self.stamp, self.published = Time(), 0
         self._stuck_since = None
         self._names = list(joint_names)
-        self._state = WireMessage(self.joint_state, 3 * [len(joint_names)])
-        self._messages = [WireMessage(partial(wrench_stamped, frame), (6,)) for frame in frames]
+        self._state = SerializedTemplate(self.joint_state, 3 * [len(joint_names)])
+        self._messages = [
+            SerializedTemplate(partial(wrench_stamped, frame), (6,)) for frame in frames]
         # Forces of all cut joints as the messages have them: force, then torque.
         self._wrenches = np.zeros((len(cut_names), 6))
         self._state_publisher = node.create_publisher(JointState, 'joint_states', STATE_QOS)

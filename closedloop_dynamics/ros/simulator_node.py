@@ -26,10 +26,10 @@ from contextlib import contextmanager
 from functools import partial
 import time
 
+from closedloop_dynamics.ros.auxiliary_publishers import Descriptions, ReplayLog
 from closedloop_dynamics.ros.background import Awake, Preparation, set_priority
 from closedloop_dynamics.ros.commands import (
     CommandError, NOT_ACTUATED, state_of, subscribe, TorqueCommand)
-from closedloop_dynamics.ros.companions import Descriptions, ReplayLog
 from closedloop_dynamics.ros.diagnostics import Diagnostics
 from closedloop_dynamics.ros.effect_parameters import EffectParameters
 from closedloop_dynamics.ros.frames import FRAME_PARAMETERS, Frames

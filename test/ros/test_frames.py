@@ -16,7 +16,7 @@
 from types import SimpleNamespace
 
 from closedloop_dynamics.ros import frames
-from closedloop_dynamics.ros.messages import WireMessage
+from closedloop_dynamics.ros.messages import SerializedTemplate
 from closedloop_dynamics.ros.process import StartError
 from closedloop_dynamics.ros.simulator_node import SimulatorNode
 from geometry_msgs.msg import WrenchStamped
@@ -31,7 +31,7 @@ def broadcast(make_node, monkeypatch):
     """Return a function that makes a simulator, and what it broadcasts, without the real type."""
     def make(**parameters):
         monkeypatch.setattr(frames, 'TFMessage', lambda: SimpleNamespace(transforms=[]))
-        monkeypatch.setattr(frames, 'WireMessage', lambda build, sizes: SimpleNamespace(
+        monkeypatch.setattr(frames, 'SerializedTemplate', lambda build, sizes: SimpleNamespace(
             filled=build))
         sent = []
         create = SimulatorNode.create_publisher
@@ -112,7 +112,7 @@ def test_all_headers_of_a_serialised_message_carry_its_stamp():
             message.markers.append(each)
         return message
 
-    message = WireMessage(array, (7, 7))
+    message = SerializedTemplate(array, (7, 7))
     assert message.direct
     numbers = np.arange(14.0).reshape(2, 7)
     for stamp in ((3, 4), (5, 6)):

@@ -14,7 +14,7 @@
 
 """Tests of closedloop_dynamics.ros.messages: what goes over the wire."""
 
-from closedloop_dynamics.ros.messages import Stamps, StatePublisher, WireMessage
+from closedloop_dynamics.ros.messages import SerializedTemplate, Stamps, StatePublisher
 from closedloop_dynamics.ros.process import StartError
 from geometry_msgs.msg import WrenchStamped
 import numpy as np
@@ -82,7 +82,7 @@ def test_messages_carry_the_state_and_one_stamp(publisher):
 
 def test_they_carry_the_same_where_the_serialised_bytes_are_not_understood(
         publisher, monkeypatch):
-    monkeypatch.setattr(WireMessage, '_places', lambda self, mark: [])
+    monkeypatch.setattr(SerializedTemplate, '_places', lambda self, mark: [])
     publisher = publisher()
     check_state(publisher)
     assert publisher._state_publisher.raw == 0

@@ -17,7 +17,7 @@
 import math
 
 from builtin_interfaces.msg import Time
-from closedloop_dynamics.ros.companions import COLUMNS, NO_STATE
+from closedloop_dynamics.ros.auxiliary_publishers import COLUMNS, NO_STATE
 from closedloop_dynamics.ros.markers import contact_force
 from closedloop_dynamics.ros.process import StartError
 from closedloop_dynamics.ros.simulator_node import SimulatorNode
