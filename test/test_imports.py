@@ -64,3 +64,60 @@ def test_no_mechanism_is_known_by_name():
         texts = {node.value for node in ast.walk(tree)
                  if isinstance(node, ast.Constant) and id(node) not in documentation}
         assert not shipped & texts, path
+
+
+def syntax_trees():
+    """Return the syntax tree of every file of the package, by its path."""
+    return {path: ast.parse(path.read_text()) for path in (ROOT / PACKAGE).rglob('*.py')}
+
+
+def private(names):
+    """Return those of some names that are private."""
+    return {name for name in names if name.startswith('_') and not name.startswith('__')}
+
+
+def private_members(tree):
+    """Return the private methods and attributes that the classes of a file define."""
+    methods = {node.name for each in ast.walk(tree) if isinstance(each, ast.ClassDef)
+               for node in each.body if isinstance(node, ast.FunctionDef)}
+    return private(methods | {
+        node.attr for node in ast.walk(tree)
+        if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store)})
+
+
+def test_private_names_are_used_where_they_are_defined():
+    trees = syntax_trees()
+    members = set().union(*map(private_members, trees.values()))
+    found = []
+    for path, tree in trees.items():
+        elsewhere = members - private_members(tree)
+        for node in ast.walk(tree):
+            if isinstance(node, ast.ImportFrom) and (
+                    node.level or node.module.startswith(PACKAGE)):
+                if private(alias.name for alias in node.names):
+                    found.append(f'{path}:{node.lineno}')
+            own = isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and (
+                node.value.id in ('self', 'cls'))
+            if isinstance(node, ast.Attribute) and not own and node.attr in elsewhere:
+                found.append(f'{path}:{node.lineno} {ast.unparse(node)}')
+    assert not found
+
+
+def test_no_part_of_a_node_holds_it():
+    found = []
+    for path in (ROOT / PACKAGE / 'ros').glob('*.py'):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Assign) and any(
+                    isinstance(target, ast.Attribute) for each in node.targets
+                    for target in ast.walk(each)):
+                values = node.value.elts if isinstance(node.value, ast.Tuple) else [node.value]
+                found += [f'{path}:{node.lineno}' for value in values
+                          if isinstance(value, ast.Name) and value.id == 'node']
+    assert not found
+
+
+def test_attributes_are_not_probed_for():
+    found = [f'{path}:{node.lineno}' for path, tree in syntax_trees().items()
+             if path.parent.name in ('effects', 'ros') for node in ast.walk(tree)
+             if isinstance(node, ast.Name) and node.id == 'hasattr']
+    assert not found

@@ -45,6 +45,11 @@ def _compile(function, allocates=False, **options):
     return kernel
 
 
+def is_stored(kernel, signature):
+    """Return whether what a kernel compiles to for the types of arguments is on disk."""
+    return kernel._cache.is_stored(signature, kernel.targetctx)
+
+
 def compiled(function):
     """
     Compile ``function`` with numba, cached on disk; without numba return it as it is.

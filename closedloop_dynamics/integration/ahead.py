@@ -15,7 +15,7 @@
 """The rank-revealing path ahead of time: whether it is on disk, and getting it ready."""
 
 from .system import careful_acceleration, careful_correction
-from ..core import rank_revealing
+from ..core import compiled, rank_revealing
 
 
 def is_stored(system):
@@ -32,7 +32,7 @@ def is_stored(system):
     bool
 
     """
-    return all(kernel._cache.is_stored(signature, kernel.targetctx)
+    return all(compiled.is_stored(kernel, signature)
                for kernel, signature in _kernels(system))
 
 

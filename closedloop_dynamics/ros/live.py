@@ -59,8 +59,6 @@ class LiveSimulation:
         self.simulation, self.command, self.stamps, self.states = (
             simulation, command, stamps, states)
         self._pacer, self._logger = pacer, logger
-        self._actuated = [
-            simulation.joint_names.index(name) for name in simulation.actuated_joints]
         self.torque = np.zeros(len(simulation.joint_names))
         self.on_published, self.on_advance, self.on_jump = [], [], []
         self._published_at = self._published_stamp = None
@@ -78,7 +76,7 @@ class LiveSimulation:
             self.expire()
             self.command.held += (
                 steps * self.simulation.step_size / self._pacer.real_time_factor)
-        self.torque[self._actuated] = self.command.torque
+        self.torque[self.simulation.actuated] = self.command.torque
         for note in self.on_advance:
             note(self.torque)
         self.simulation.advance(self.torque, steps)

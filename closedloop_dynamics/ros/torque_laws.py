@@ -131,8 +131,7 @@ class ComputedTorque:
         self._controller = controller
         self._feedforward = feedforward
         self._limit = limit
-        self._actuated = [
-            simulation.joint_names.index(name) for name in simulation.actuated_joints]
+        self._actuated = simulation.actuated
         self._torque = np.zeros(len(self._actuated))
         self._last = None
 

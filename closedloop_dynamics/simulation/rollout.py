@@ -203,7 +203,7 @@ class _Runs:
             if position is None:
                 position, hold = initial.position, hold or initial.hold
             simulation.set_state(position, velocity, hold)
-        return Start(simulation, simulation._state.copy(), given.torques_of(sample))
+        return Start(simulation, simulation.integrated.copy(), given.torques_of(sample))
 
     def _simulation(self, sample):
         """Return a simulation at its start."""

@@ -139,7 +139,7 @@ def is_plain(simulation):
         watched for stiffness, commands that arrive late, and sensors that remember.
 
     """
-    effects = simulation._effects
+    effects = simulation.effect_set
     return (isinstance(simulation.monitor.driver, FixedSteps)
             and simulation.system.partition is None and not simulation.energy_guard.among_laws
             and not any(effects.drives.values()) and not effects.remembers)
@@ -164,13 +164,13 @@ def record(simulation, torques, schedule, quantities=QUANTITIES):
     tau = all_torques(simulation, torques)
     steps = schedule.steps(simulation.step_size)
     if steps and is_plain(simulation):
-        start = simulation._state.copy()
+        start = simulation.integrated.copy()
         done = _in_one_loop(simulation, tau, schedule, steps, quantities)
         if done is not None:
             return done
         # It failed: again, step by step, to stop where it does and to say why.
-        simulation._state[:] = start
-        simulation._fresh = False
+        simulation.integrated[:] = start
+        simulation.touch()
         simulation.energy_guard.restart()
     return _stepped(simulation, tau, schedule, steps, quantities)
 
@@ -178,7 +178,7 @@ def record(simulation, torques, schedule, quantities=QUANTITIES):
 def all_torques(simulation, torques):
     """Return torques of actuated joints as those of all joints, shape (rows, nv)."""
     tau = np.zeros((len(torques), len(simulation.joint_names)))
-    tau[:, simulation._actuated] = torques
+    tau[:, simulation.actuated] = torques
     return tau
 
 
@@ -187,7 +187,7 @@ def buffer_for(simulation, schedule, quantities):
     points = simulation.mechanism.points
     return allocate_buffer(
         simulation.system, schedule.instants, any(name not in STATE for name in quantities),
-        np.array([simulation._rows[point.body] for point in points], dtype=np.int64),
+        np.array([simulation.body_row(point.body) for point in points], dtype=np.int64),
         np.array([point.position for point in points]).reshape(-1, 2))
 
 
@@ -196,12 +196,13 @@ def _in_one_loop(simulation, tau, schedule, steps, quantities):
     system, driver = simulation.system, simulation.monitor.driver
     buffer = buffer_for(simulation, schedule, quantities)
     status, _ = run(
-        system, driver.tableau, driver.stabilisation, simulation._state, simulation.step_size,
+        system, driver.tableau, driver.stabilisation, simulation.integrated, simulation.step_size,
         tau, *schedule.in_steps(steps), driver.scratch, buffer)
-    simulation._fresh = False
+    simulation.touch()
     if status != DONE:
         return None
-    share, finding = verdict(simulation, buffer.state, simulation._state, buffer.work[0], schedule)
+    share, finding = verdict(
+        simulation, buffer.state, simulation.integrated, buffer.work[0], schedule)
     if not share <= ENERGY_ERROR:
         return None
     return Record(values_of(simulation, buffer, tau, schedule, quantities), finding)
@@ -270,7 +271,7 @@ def _efforts(simulation, buffer, tau, schedule):
     """Return the joint torques at the instants: those of the step before."""
     ends = np.arange(schedule.instants) * schedule.decimation
     efforts = tau[np.maximum(ends - 1, 0) // schedule.zero_order_hold]
-    rows, joints = simulation._effects.drive_rows()
+    rows, joints = simulation.effect_set.drive_rows()
     efforts[:, joints] = buffer.output[:, rows, 1]
     return efforts
 
@@ -279,7 +280,7 @@ def _stepped(simulation, tau, schedule, steps, quantities):
     """Return the record of a run made step by step."""
     values = nothing(quantities, simulation.mechanism, schedule.instants)
     failure = None
-    actuated = tau[:, simulation._actuated]
+    actuated = tau[:, simulation.actuated]
     try:
         simulation.advance(tau[0], 0)
         _note(simulation, values, 0)
@@ -408,5 +409,5 @@ def _values_of_motion(simulation, tau, schedule, steps, quantities, position, ve
     buffer = buffer_for(simulation, schedule, quantities)
     buffer.state[:] = np.hstack((position, velocity))
     annotate(simulation.system, tau, *schedule.in_steps(steps)[:2], buffer)
-    simulation._fresh = False
+    simulation.touch()
     return values_of(simulation, buffer, tau, schedule, quantities)

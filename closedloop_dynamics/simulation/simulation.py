@@ -206,6 +206,36 @@ class Simulation:
         """
         return np.concatenate((self._state, self._driver.memory))
 
+    # For what integrates many states by compiled loops of its own.
+
+    @property
+    def integrated(self):
+        """
+        Joint coordinates, rates and the effects' own states, shape (ns,): not a copy.
+
+        Who writes it calls ``touch`` then.
+
+        """
+        return self._state
+
+    def touch(self):
+        """Note that the state or the system's arrays were changed from outside."""
+        self._fresh = False
+
+    @property
+    def effect_set(self):
+        """Return the effects as the kernels have them, an ``effects.effect_set.EffectSet``."""
+        return self._effects
+
+    @property
+    def actuated(self):
+        """Return the indices of the actuated joints, shape (number of them,), in their order."""
+        return self._actuated
+
+    def body_row(self, name):
+        """Return the row of a body in the arrays of ``system``."""
+        return self._rows[name]
+
     @property
     def command_delay(self):
         """Longest time that a command is on its way to a drive [s]."""

@@ -206,7 +206,7 @@ class _Source:
             torques = torques.copy()
             for joint, value in varied.items():
                 torques[:, simulation.actuated_joints.index(joint)] = value
-        return Start(simulation, simulation._state.copy(), torques)
+        return Start(simulation, simulation.integrated.copy(), torques)
 
     def _at_start(self, row):
         """Return a simulation at its start, and torques by joint that are varied."""
