@@ -23,10 +23,10 @@ from closedloop_dynamics.core import cache
 from closedloop_dynamics.core.straight_line import available, emit, linkage, relink
 from closedloop_dynamics.core.straight_line.tape import cosine, LOAD, sine, Tape
 from closedloop_dynamics.core.types import REVOLUTE_ARMATURE, TYPE
-from closedloop_dynamics.integration.projection import stabilise
-from closedloop_dynamics.integration.system import build_system, derivative, evaluate
+from closedloop_dynamics.integration.projection import stabilised
+from closedloop_dynamics.integration.system import (
+    build_system, evaluate, narrowed, rate_of_change)
 from closedloop_dynamics.simulation.modeling import build_model
-import numba
 import numpy as np
 import pytest
 
@@ -35,16 +35,6 @@ from ..reference.compare import assert_agree, SOLVE
 
 PROJECTION = 3
 pytestmark = pytest.mark.skipif(not available(), reason='nothing is unrolled without a compiler')
-
-
-@numba.njit
-def slope(system, state, out):
-    derivative(system, state, out)
-
-
-@numba.njit
-def closed(system, stabilisation, state):
-    return stabilise(system, stabilisation, state)
 
 
 def systems(mechanism, **options):
@@ -61,7 +51,7 @@ def test_evaluations_agree(drawn):
     for system in systems(mechanism, baumgarte=3.0):
         system.tau[:] = tau
         out = np.zeros(2 * len(q))
-        slope(system, np.concatenate([q, qd]), out)
+        rate_of_change(narrowed(system), np.concatenate([q, qd]), out)
         assert_agree(out[:len(q)], qd, SOLVE)
         # What is asked for from Python leaves poses and closure errors, too.
         evaluate(system, q, qd)
@@ -78,7 +68,7 @@ def test_corrections_agree(drawn):
     ends = []
     for system in systems(mechanism):
         state = start.copy()
-        assert closed(system, PROJECTION, state)
+        assert stabilised(narrowed(system), PROJECTION, state)
         assert np.abs(system.work.closure).max(initial=0.0) < 1e-11
         ends.append(state)
     assert_agree(*ends, 1e-9)
