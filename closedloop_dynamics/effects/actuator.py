@@ -35,7 +35,6 @@ from .machine import require_joint
 from .table import ACTUATOR, FIRST, ForceElement, OWN, STATE, State, WORK
 from ..core.compiled import inlined
 from ..mechanism.checks import name, not_negative, positive
-from ..mechanism.fields import normalise
 
 # Share of the speed limit over which the driving torque fades.
 FADING = 0.1
@@ -61,6 +60,8 @@ class Actuator(Effect):
 
     """
 
+    CHECKS = {'joint': name, 'lag': not_negative, 'delay': not_negative, 'max_torque': positive,
+              'max_speed': positive}
     READINGS = ('torque',)
 
     joint: str
@@ -68,13 +69,6 @@ class Actuator(Effect):
     max_speed: Optional[float] = None
     lag: float = 0.0
     delay: float = 0.0
-
-    def __post_init__(self):
-        """Refuse what cannot be a drive."""
-        normalise(self, joint=name, lag=not_negative, delay=not_negative)
-        for limit in ('max_torque', 'max_speed'):
-            if getattr(self, limit) is not None:
-                normalise(self, **{limit: positive})
 
     def fit(self, mechanism):
         """Refuse a joint that the mechanism does not have, or does not drive."""

@@ -36,12 +36,11 @@ import math
 
 from .effect import Effect
 from .forces import offset, push
-from .machine import require_point
 from .table import CONTACT, DISSIPATED, FIRST, ForceElement, STATE, State, STORED
 from ..core.compiled import inlined
 from ..core.types import OMEGA, PX, PY, VX, VY
 from ..mechanism.checks import name, not_negative, number, positive, vector2
-from ..mechanism.fields import FieldError, normalise
+from ..mechanism.fields import FieldError
 from ..mechanism.mechanism import Vector2
 
 
@@ -72,6 +71,9 @@ class Contact(Effect):
 
     """
 
+    CHECKS = {'point': name, 'origin': vector2, 'stiffness': positive, 'angle': number,
+              'exponent': positive, 'damping': not_negative, 'friction': not_negative,
+              'slip_velocity': positive, 'scraping': not_negative}
     READINGS = ('depth', 'normal_force', 'friction_force', 'scraping_force')
 
     point: str
@@ -86,16 +88,10 @@ class Contact(Effect):
 
     def __post_init__(self):
         """Refuse what cannot be a contact."""
-        normalise(self, point=name, origin=vector2, stiffness=positive, angle=number,
-                  exponent=positive, damping=not_negative, friction=not_negative,
-                  slip_velocity=positive, scraping=not_negative)
+        super().__post_init__()
         if self.exponent < 1.0:
             raise FieldError('a number that is one or more', f'{self.exponent:g}',
                              path=('exponent',))
-
-    def fit(self, mechanism):
-        """Refuse a point that the mechanism does not have."""
-        require_point(mechanism, 'point', self.point)
 
     def element(self, machine):
         """Return the effect as a row of the table."""

@@ -14,6 +14,13 @@
 
 """What every effect can be asked: the base of the records in a scene."""
 
+from .machine import require_body, require_joint, require_point
+from ..mechanism.fields import normalise
+
+# Field -> refuses a name that the mechanism does not have.
+REQUIRE = {'joint': require_joint, 'body': require_body, 'point': require_point,
+           'point_a': require_point, 'point_b': require_point}
+
 
 class Effect:
     """
@@ -24,6 +31,8 @@ class Effect:
 
     """
 
+    # Field -> its check, of ``mechanism.checks``; None passes where it is the default.
+    CHECKS = {}
     # Names of the columns of the row's output beyond the stored energy, in their order.
     READINGS = ()
     # Whether a change of parameters can make the scene too stiff for its steps.
@@ -31,6 +40,12 @@ class Effect:
     # Whether steps must end where the effect's joint comes to rest; its first own state is then
     # the direction in which the joint slides (``integration.stick_slip``).
     ENDS_STEPS = False
+
+    def __post_init__(self):
+        """Pass the fields through their checks."""
+        normalise(self, **{
+            key: check for key, check in self.CHECKS.items()
+            if getattr(self, key) is not None or getattr(type(self), key, 0) is not None})
 
     def fit(self, mechanism):
         """
@@ -41,6 +56,9 @@ class Effect:
         FieldError
 
         """
+        for key, require in REQUIRE.items():
+            if getattr(self, key, None) is not None:
+                require(mechanism, key, getattr(self, key))
 
     def change(self, model, machine):
         """Change the constants of the model."""

@@ -30,11 +30,10 @@ import math
 from typing import Optional
 
 from .effect import Effect
-from .machine import require_joint
 from .table import DISSIPATED, END_STOP, FIRST, ForceElement, STATE, State, STORED
 from ..core.compiled import inlined
 from ..mechanism.checks import name, not_negative, number, positive
-from ..mechanism.fields import FieldError, normalise
+from ..mechanism.fields import FieldError
 
 
 @dataclass(frozen=True)
@@ -54,6 +53,8 @@ class EndStop(Effect):
 
     """
 
+    CHECKS = {'joint': name, 'stiffness': positive, 'damping': not_negative, 'lower': number,
+              'upper': number}
     READINGS = ('torque', 'depth')
 
     joint: str
@@ -64,19 +65,12 @@ class EndStop(Effect):
 
     def __post_init__(self):
         """Refuse what cannot be a stop, and stops that leave no way between them."""
-        normalise(self, joint=name, stiffness=positive, damping=not_negative)
-        for side in ('lower', 'upper'):
-            if getattr(self, side) is not None:
-                normalise(self, **{side: number})
+        super().__post_init__()
         if self.lower is None and self.upper is None:
             raise FieldError('lower, upper or both', 'neither', path=('lower',))
         if None not in (self.lower, self.upper) and not self.lower < self.upper:
             raise FieldError(f'more than lower ({self.lower:g})', f'{self.upper:g}',
                              path=('upper',))
-
-    def fit(self, mechanism):
-        """Refuse a joint that the mechanism does not have."""
-        require_joint(mechanism, 'joint', self.joint)
 
     def element(self, machine):
         """Return the effect as a row of the table."""

@@ -26,12 +26,10 @@ from dataclasses import dataclass
 
 from .effect import Effect
 from .forces import offset, push
-from .machine import require_point
 from .table import EXTERNAL_FORCE, FIRST, ForceElement, STATE, State, WORK
 from ..core.compiled import inlined
 from ..core.types import OMEGA, VX, VY
 from ..mechanism.checks import name, vector2
-from ..mechanism.fields import normalise
 from ..mechanism.mechanism import Vector2
 
 
@@ -48,20 +46,13 @@ class ExternalForce(Effect):
 
     """
 
+    CHECKS = {'point': name, 'force': vector2}
     # Constant between changes, which may come a thousand times a second.
     STIFFENS = False
     READINGS = ('power',)
 
     point: str
     force: Vector2 = (0.0, 0.0)
-
-    def __post_init__(self):
-        """Refuse what is no finite vector."""
-        normalise(self, point=name, force=vector2)
-
-    def fit(self, mechanism):
-        """Refuse a point that the mechanism does not have."""
-        require_point(mechanism, 'point', self.point)
 
     def element(self, machine):
         """Return the effect as a row of the table."""

@@ -25,7 +25,6 @@ from dataclasses import dataclass
 
 from .effect import Effect
 from ..mechanism.checks import vector2
-from ..mechanism.fields import normalise
 from ..mechanism.mechanism import Vector2
 
 
@@ -41,14 +40,9 @@ class Gravity(Effect):
 
     """
 
+    CHECKS = {'acceleration': vector2}
+
     acceleration: Vector2
-
-    def __post_init__(self):
-        """Refuse what is no finite vector."""
-        normalise(self, acceleration=vector2)
-
-    def fit(self, mechanism):
-        """Accept any mechanism."""
 
     def change(self, model, machine):
         """Add the field to the model, whose recursion starts from it: no force is computed."""

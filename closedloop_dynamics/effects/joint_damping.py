@@ -25,11 +25,9 @@ grows with the rate and vanishes at rest.
 from dataclasses import dataclass
 
 from .effect import Effect
-from .machine import require_joint
 from .table import DISSIPATED, FIRST, ForceElement, JOINT_DAMPING, STATE, State
 from ..core.compiled import inlined
 from ..mechanism.checks import name, not_negative
-from ..mechanism.fields import normalise
 
 
 @dataclass(frozen=True)
@@ -45,18 +43,11 @@ class JointDamping(Effect):
 
     """
 
+    CHECKS = {'joint': name, 'coefficient': not_negative}
     READINGS = ('torque',)
 
     joint: str
     coefficient: float
-
-    def __post_init__(self):
-        """Refuse what cannot be a damper."""
-        normalise(self, joint=name, coefficient=not_negative)
-
-    def fit(self, mechanism):
-        """Refuse a joint that the mechanism does not have."""
-        require_joint(mechanism, 'joint', self.joint)
 
     def element(self, machine):
         """Return the effect as a row of the table."""

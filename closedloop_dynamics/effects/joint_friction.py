@@ -38,12 +38,11 @@ from dataclasses import dataclass
 import math
 
 from .effect import Effect
-from .machine import require_joint
 from .sticking import REST
 from .table import DISSIPATED, FIRST, ForceElement, JOINT_FRICTION, LOAD_TIME, OWN, STATE, State
 from ..core.compiled import inlined
 from ..mechanism.checks import name, not_negative, positive
-from ..mechanism.fields import FieldError, normalise
+from ..mechanism.fields import FieldError
 
 
 @dataclass(frozen=True)
@@ -69,6 +68,9 @@ class JointFriction(Effect):
 
     """
 
+    CHECKS = {'joint': name, 'coulomb': not_negative, 'static_ratio': positive,
+              'stribeck_velocity': positive, 'friction_coefficient': not_negative,
+              'radius': positive, 'load_time': positive}
     READINGS = ('torque', 'reaction', 'limit')
     ENDS_STEPS = True
 
@@ -82,16 +84,10 @@ class JointFriction(Effect):
 
     def __post_init__(self):
         """Refuse what cannot be friction."""
-        normalise(self, joint=name, coulomb=not_negative, static_ratio=positive,
-                  stribeck_velocity=positive, friction_coefficient=not_negative,
-                  radius=positive, load_time=positive)
+        super().__post_init__()
         if self.static_ratio < 1.0:
             raise FieldError('a number that is one or more', f'{self.static_ratio:g}',
                              path=('static_ratio',))
-
-    def fit(self, mechanism):
-        """Refuse a joint that the mechanism does not have."""
-        require_joint(mechanism, 'joint', self.joint)
 
     def element(self, machine):
         """Return the effect as a row of the table."""

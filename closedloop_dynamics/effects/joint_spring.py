@@ -25,11 +25,9 @@ a large k) a joint that is meant to stand still.
 from dataclasses import dataclass
 
 from .effect import Effect
-from .machine import require_joint
 from .table import FIRST, ForceElement, JOINT_SPRING, STORED
 from ..core.compiled import inlined
 from ..mechanism.checks import name, not_negative, number
-from ..mechanism.fields import normalise
 
 
 @dataclass(frozen=True)
@@ -47,19 +45,12 @@ class JointSpring(Effect):
 
     """
 
+    CHECKS = {'joint': name, 'stiffness': not_negative, 'rest': number}
     READINGS = ('torque',)
 
     joint: str
     stiffness: float
     rest: float = 0.0
-
-    def __post_init__(self):
-        """Refuse what cannot be a spring."""
-        normalise(self, joint=name, stiffness=not_negative, rest=number)
-
-    def fit(self, mechanism):
-        """Refuse a joint that the mechanism does not have."""
-        require_joint(mechanism, 'joint', self.joint)
 
     def element(self, machine):
         """Return the effect as a row of the table."""

@@ -25,10 +25,8 @@ tool, a part in the gripper, a counterweight.
 from dataclasses import dataclass
 
 from .effect import Effect
-from .machine import require_body
 from ..core.types import INERTIA, MASS, MASS_X, MASS_Y
 from ..mechanism.checks import name, not_negative, vector2
-from ..mechanism.fields import normalise
 from ..mechanism.mechanism import Vector2
 
 
@@ -49,18 +47,12 @@ class Payload(Effect):
 
     """
 
+    CHECKS = {'body': name, 'mass': not_negative, 'position': vector2, 'inertia': not_negative}
+
     body: str
     mass: float
     position: Vector2 = (0.0, 0.0)
     inertia: float = 0.0
-
-    def __post_init__(self):
-        """Refuse what cannot be a mass."""
-        normalise(self, body=name, mass=not_negative, position=vector2, inertia=not_negative)
-
-    def fit(self, mechanism):
-        """Refuse a body that the mechanism does not have."""
-        require_body(mechanism, 'body', self.body)
 
     def change(self, model, machine):
         """Add the mass to the model."""

@@ -29,12 +29,11 @@ from typing import Optional
 
 from .effect import Effect
 from .forces import offset, push
-from .machine import require_point
 from .table import DISSIPATED, FIRST, ForceElement, POINT_SPRING, SECOND, STATE, State, STORED
 from ..core.compiled import inlined
 from ..core.types import OMEGA, PX, PY, VX, VY
 from ..mechanism.checks import name, not_negative, vector2
-from ..mechanism.fields import FieldError, normalise
+from ..mechanism.fields import FieldError
 from ..mechanism.mechanism import Vector2
 
 
@@ -60,6 +59,8 @@ class PointSpring(Effect):
 
     """
 
+    CHECKS = {'point_a': name, 'stiffness': not_negative, 'damping': not_negative,
+              'free_length': not_negative, 'point_b': name, 'anchor': vector2}
     READINGS = ('tension', 'length')
 
     point_a: str
@@ -71,21 +72,10 @@ class PointSpring(Effect):
 
     def __post_init__(self):
         """Refuse what cannot be a spring, and one with no end or three."""
-        normalise(self, point_a=name, stiffness=not_negative, damping=not_negative,
-                  free_length=not_negative)
+        super().__post_init__()
         if (self.point_b is None) == (self.anchor is None):
             raise FieldError('either point_b or anchor', 'both' if self.anchor else 'neither',
                              path=('point_b',))
-        if self.anchor is None:
-            normalise(self, point_b=name)
-        else:
-            normalise(self, anchor=vector2)
-
-    def fit(self, mechanism):
-        """Refuse points that the mechanism does not have."""
-        require_point(mechanism, 'point_a', self.point_a)
-        if self.point_b is not None:
-            require_point(mechanism, 'point_b', self.point_b)
 
     def element(self, machine):
         """Return the effect as a row of the table."""

@@ -27,10 +27,9 @@ drives, whose rotor often outweighs the link.
 from dataclasses import dataclass
 
 from .effect import Effect
-from .machine import require_joint
 from ..core.types import ARMATURE, REVOLUTE, REVOLUTE_ARMATURE, TYPE
 from ..mechanism.checks import name, not_negative, number
-from ..mechanism.fields import FieldError, normalise
+from ..mechanism.fields import FieldError
 
 
 @dataclass(frozen=True)
@@ -49,19 +48,17 @@ class Rotor(Effect):
 
     """
 
+    CHECKS = {'joint': name, 'inertia': not_negative, 'gear_ratio': number}
+
     joint: str
     inertia: float
     gear_ratio: float = 1.0
 
     def __post_init__(self):
         """Refuse what cannot be a rotor."""
-        normalise(self, joint=name, inertia=not_negative, gear_ratio=number)
+        super().__post_init__()
         if self.gear_ratio == 0.0:
             raise FieldError('a number that is not zero', '0', path=('gear_ratio',))
-
-    def fit(self, mechanism):
-        """Refuse a joint that the mechanism does not have."""
-        require_joint(mechanism, 'joint', self.joint)
 
     def change(self, model, machine):
         """Add the reflected inertia to the model."""

@@ -30,7 +30,7 @@ import numpy as np
 
 from .effect import Effect
 from ..mechanism.checks import not_negative, number
-from ..mechanism.fields import FieldError, normalise, shown
+from ..mechanism.fields import FieldError, shown
 
 
 @dataclass(frozen=True)
@@ -53,6 +53,11 @@ class Sensor(Effect):
 
     """
 
+    CHECKS = {'position_noise': not_negative, 'velocity_noise': not_negative,
+              'position_bias': number, 'velocity_bias': number,
+              'position_resolution': not_negative, 'velocity_resolution': not_negative,
+              'delay': not_negative}
+
     position_noise: float = 0.0
     velocity_noise: float = 0.0
     position_bias: float = 0.0
@@ -64,9 +69,7 @@ class Sensor(Effect):
 
     def __post_init__(self):
         """Refuse what cannot be a sensor."""
-        normalise(self, position_noise=not_negative, velocity_noise=not_negative,
-                  position_bias=number, velocity_bias=number, position_resolution=not_negative,
-                  velocity_resolution=not_negative, delay=not_negative)
+        super().__post_init__()
         if type(self.seed) is not int or self.seed < 0:
             raise FieldError('a whole number that is zero or more', shown(self.seed),
                              path=('seed',))
