@@ -36,10 +36,9 @@ sys.path.insert(0, str(ROOT))
 
 from closedloop_dynamics.simulation.scene import load_scene  # noqa: E402,I100
 from closedloop_dynamics.studies import accuracy_report, formulations_report  # noqa: E402
-from closedloop_dynamics.studies.accuracy import study_accuracy  # noqa: E402
+from closedloop_dynamics.studies.accuracy import default_lines, Line, study_accuracy  # noqa: E402
 from closedloop_dynamics.studies.advice import for_target, yaml_lines  # noqa: E402
 from closedloop_dynamics.studies.formulations import study_formulations  # noqa: E402
-from closedloop_dynamics.studies.sweep import default_lines, Line  # noqa: E402
 from closedloop_dynamics.visual.tables import markdown_table, seconds, share  # noqa: E402
 
 TARGETS = (1e-3, 1e-6, 1e-9)

@@ -23,7 +23,7 @@ from ..mechanism.fields import FieldError
 from ..simulation.rollout_run import QUANTITIES, STATE
 from ..simulation.signals import program_watch
 from ..sweep import sweep
-from ..sweep.parameters import FORMS, parse
+from ..sweep.plan import FORMS, parse
 from ..visual.progress import progress_bar
 
 FAILED = 1

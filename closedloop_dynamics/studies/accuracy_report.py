@@ -19,7 +19,7 @@ import math
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from .sweep import DEFAULT_FORMULATION, DEFAULT_INTEGRATOR, DEFAULT_STABILISATION
+from .accuracy import DEFAULT_FORMULATION, DEFAULT_INTEGRATOR, DEFAULT_STABILISATION
 from ..simulation.scene_records import FORMULATIONS
 from ..visual.tables import markdown_table, seconds, short, text_table, write_csv
 

@@ -16,8 +16,8 @@
 What each effect of a scene costs, and what it changes.
 
 The scene is run as it is, and once more without each type of effect; the differences are what
-that type changes. Times are measured on short runs of every variant in turn, so that a
-machine's moods hit all of them, and each is compared with the one of the same round. How far such
+that type changes. Times are measured on short runs of every variant in turn, so that disturbances
+of the machine affect all of them, and each is compared with the one of the same round. How far such
 ratios can be trusted tells a second run of the same: the bare scene is measured twice.
 
 """
@@ -29,9 +29,80 @@ from typing import Dict, Tuple
 
 import numpy as np
 
-from .rate_control import RateControl
 from ..effects.registry import effect_type
+from ..simulation.errors import SimulationError
 from ..simulation.simulation import Simulation
+
+# How fast an error of the rate is to decay [1/s].
+GAIN = 20.0
+# Rates of a mechanism that rests [rad/s, m/s], and when it does no more [s].
+AT_REST, SOON = 1e-6, 1e-6
+
+
+class RateControl:
+    """
+    Computed torque for constant rates.
+
+    The model is the scene without drives, so that their lags and limits show in the result.
+
+    Parameters
+    ----------
+    scene : Scene
+        What is driven.
+    rates : dict of str to float
+        Wanted rate of every actuated joint [rad/s, m/s].
+
+    Raises
+    ------
+    ValueError
+        Where a joint is not actuated, or an actuated one has no rate.
+
+    """
+
+    def __init__(self, scene, rates):
+        """Build the model."""
+        effects = {name: effect for name, effect in scene.effects.items()
+                   if effect.drive() is None}
+        self._model = Simulation(replace(scene, effects=effects))
+        # At rest dry friction would hold what the torques are to move.
+        self._smooth = Simulation(replace(scene, effects={
+            name: effect for name, effect in effects.items() if not effect.ENDS_STEPS}))
+        names = self._model.actuated_joints
+        if set(rates) != set(names):
+            raise ValueError(f'rate: expected one for every actuated joint ({", ".join(names)}), '
+                             f'got {", ".join(rates) or "none"}')
+        self._joints = [self._model.joint_names.index(name) for name in names]
+        self._rates = np.array([rates[name] for name in names])
+        self._names = names
+
+    def torque(self, simulation):
+        """
+        Return the torques for the present state, by joint.
+
+        Raises
+        ------
+        SimulationError
+            Where the torques cannot set the rates.
+
+        """
+        q, qd = simulation.position, simulation.velocity
+        free, _ = self._smooth.forward_dynamics(q, qd)
+        response = np.array([
+            self._smooth.forward_dynamics(q, qd, {name: 1.0})[0] - free for name in self._names]).T
+        wanted = GAIN * (self._rates - qd[self._joints])
+        try:
+            torque = np.linalg.solve(response[self._joints], wanted - free[self._joints])
+        except np.linalg.LinAlgError:
+            raise SimulationError(
+                'The driven joints cannot keep these rates here: their torques do not move them '
+                'independently. Name fewer rates, or another start.') from None
+        acceleration = free + response @ torque
+        if np.abs(qd).max(initial=0.0) < AT_REST:
+            # Against the friction of the motion that is about to begin.
+            qd = qd + SOON * acceleration
+        torque, _ = self._model.inverse_dynamics(q, qd, acceleration)
+        return dict(zip(self._names, torque.tolist()))
+
 
 # Steps of one measurement, and how often it is repeated.
 STEPS, REPEATS = 200, 60

@@ -21,12 +21,9 @@ import re
 import numpy as np
 
 from .batch import FAILED, Job
-from .dispatch import dispatched
-from .executors import engine_for
-from .layout import Layout
-from .parameters import variation
-from .plan import combined, Plan
-from .storage import checked_path, opened
+from .executors import dispatched, engine_for
+from .plan import combined, Plan, variation
+from .storage import checked_path, Layout, opened
 from ..mechanism.fields import FieldError
 from ..simulation.rollout_run import STATE
 from ..simulation.scene import load_scene

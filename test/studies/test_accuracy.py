@@ -26,11 +26,11 @@ from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.simulation.scene_records import FORMULATIONS, Method
 from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.studies import accuracy, reference
-from closedloop_dynamics.studies.accuracy import Row, Study, study_accuracy
+from closedloop_dynamics.studies.accuracy import (
+    default_lines, Line, Row, Setting, settings, Study, study_accuracy)
 from closedloop_dynamics.studies.accuracy_report import table, title, work_precision
 from closedloop_dynamics.studies.advice import for_budget, for_target, yaml_lines
-from closedloop_dynamics.studies.sweep import default_lines, Line, Setting, settings
-from closedloop_dynamics.studies.trajectory import Difference, difference, record
+from closedloop_dynamics.studies.reference import Difference, difference, record
 import numpy as np
 import pytest
 import yaml

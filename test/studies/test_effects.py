@@ -20,7 +20,7 @@ from closedloop_dynamics import load_scene, Simulation
 from closedloop_dynamics.cli import main
 from closedloop_dynamics.simulation.scene_records import Method
 from closedloop_dynamics.studies import effects, effects_report
-from closedloop_dynamics.studies.rate_control import RateControl
+from closedloop_dynamics.studies.effects import RateControl
 import numpy as np
 import pytest
 

@@ -18,10 +18,8 @@ from concurrent.futures import BrokenExecutor, Future, ThreadPoolExecutor
 
 from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.sweep.batch import DONE, FAILED, Job
-from closedloop_dynamics.sweep.dispatch import dispatched
-from closedloop_dynamics.sweep.executors import EngineError, Handed, Inline
-from closedloop_dynamics.sweep.parameters import Grid
-from closedloop_dynamics.sweep.plan import Plan
+from closedloop_dynamics.sweep.executors import dispatched, EngineError, Handed, Inline
+from closedloop_dynamics.sweep.plan import Grid, Plan
 import numpy as np
 import pytest
 

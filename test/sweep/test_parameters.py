@@ -16,8 +16,7 @@
 
 from closedloop_dynamics.mechanism.fields import FieldError
 from closedloop_dynamics.simulation.scene import load_scene
-from closedloop_dynamics.sweep.parameters import Grid, parse, Random, variation
-from closedloop_dynamics.sweep.plan import Plan
+from closedloop_dynamics.sweep.plan import Grid, parse, Plan, Random, variation
 import numpy as np
 import pytest
 
