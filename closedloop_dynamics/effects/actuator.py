@@ -30,8 +30,7 @@ from dataclasses import dataclass
 import math
 from typing import Optional
 
-from .effect import Effect
-from .machine import require_joint
+from .effect import Effect, require_joint
 from .table import ACTUATOR, FIRST, ForceElement, OWN, STATE, State, WORK
 from ..core.compiled import inlined
 from ..mechanism.checks import name, not_negative, positive

@@ -12,10 +12,73 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What every effect can be asked: the base of the records in a scene."""
+"""What every effect can be asked, and where the joints, bodies and points that it names are."""
 
-from .machine import require_body, require_joint, require_point
-from ..mechanism.fields import normalise
+from ..mechanism.checks import one_of
+from ..mechanism.fields import at, FieldError, normalise
+
+class Machine:
+    """A mechanism's names, resolved."""
+
+    def __init__(self, mechanism, rows):
+        """Collect the names."""
+        self.mechanism, self._rows = mechanism, rows
+        self._joints = {joint.name: k for k, joint in enumerate(mechanism.joints)}
+        self._points = {point.name: point for point in mechanism.points}
+
+    def joint(self, name):
+        """Return the place of a joint in q."""
+        return self._joints[name]
+
+    def joint_row(self, name):
+        """Return the row of the body that a joint carries."""
+        return self._rows[self.mechanism.joints[self._joints[name]].child]
+
+    def body(self, name):
+        """Return the row of a body."""
+        return self._rows[name]
+
+    def point(self, name):
+        """Return the row of a point's body, and its place in that body's frame."""
+        point = self._points[name]
+        return self._rows[point.body], point.position
+
+
+def require_joint(mechanism, key, name, actuated=False):
+    """
+    Refuse the name of no joint, or of one that is not driven where it should be.
+
+    Raises
+    ------
+    FieldError
+
+    """
+    with at(key):
+        if actuated:
+            one_of(mechanism.actuated_joints, 'one of the actuated joints')(name)
+        else:
+            one_of(mechanism.joint_names, 'one of the joints')(name)
+
+
+def require_body(mechanism, key, name):
+    """Refuse the name of no body; see ``require_joint``."""
+    with at(key):
+        one_of(tuple(body.name for body in mechanism.bodies), 'one of the bodies')(name)
+
+
+def require_point(mechanism, key, name):
+    """Refuse the name of no point; see ``require_joint``."""
+    with at(key):
+        if not mechanism.points:
+            raise FieldError('a named point', repr(name),
+                             f'{mechanism.name} has none: add `points` to the mechanism')
+        one_of(tuple(point.name for point in mechanism.points), 'one of the points')(name)
+
+
+def joint_type(mechanism, name):
+    """Return the type of a joint, by its name."""
+    return next(joint.type for joint in mechanism.joints if joint.name == name)
+
 
 # Field -> refuses a name that the mechanism does not have.
 REQUIRE = {'joint': require_joint, 'body': require_body, 'point': require_point,

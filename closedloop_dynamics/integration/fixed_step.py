@@ -30,44 +30,22 @@ from ..effects.table import STORED
 
 
 class RunBuffer(NamedTuple):
-    """
-    What a run leaves at its instants; all but the states of no length where not wanted.
+    """What a run leaves at its instants; all but the states of no length where not wanted."""
 
-    Attributes
-    ----------
-    state : ndarray, shape (instants, ns)
-    qdd : ndarray, shape (instants, nv)
-    lam : ndarray, shape (instants, nc)
-    scalars : ndarray, shape (instants, 3)
-        Closure error [m or rad], kinetic energy, potential energy in gravity [J].
-    output : ndarray, shape (instants, ne, 2)
-        Stored energy and first reading of every effect with a law.
-    wrench : ndarray, shape (instants, number of cuts, 3)
-        At the cut joints [N m, N].
-    body : ndarray of int, shape (n,)
-        Of the named points.
-    point : ndarray, shape (n, 2)
-        In that body's frame [m].
-    place : ndarray, shape (instants, n, 2)
-        In the world [m].
-    work : ndarray, shape (1,)
-        Of the torques over the whole run [J].
-    since : ndarray, shape (ns,)
-        State since which it is still to be added.
-
-    """
-
-    state: np.ndarray
-    qdd: np.ndarray
-    lam: np.ndarray
+    state: np.ndarray  # Shape (instants, ns)
+    qdd: np.ndarray  # Shape (instants, nv)
+    lam: np.ndarray  # Shape (instants, nc)
+    # Shape (instants, 3): closure error [m or rad], kinetic energy, potential energy in
+    # gravity [J].
     scalars: np.ndarray
+    # Shape (instants, ne, 2): stored energy and first reading of every effect with a law.
     output: np.ndarray
-    wrench: np.ndarray
-    body: np.ndarray
-    point: np.ndarray
-    place: np.ndarray
-    work: np.ndarray
-    since: np.ndarray
+    wrench: np.ndarray  # Shape (instants, number of cuts, 3): at the cut joints [N m, N]
+    body: np.ndarray  # Shape (n,): of the named points
+    point: np.ndarray  # Shape (n, 2): in that body's frame [m]
+    place: np.ndarray  # Shape (instants, n, 2): in the world [m]
+    work: np.ndarray  # Shape (1,): of the torques over the whole run [J]
+    since: np.ndarray  # Shape (ns,): state since which it is still to be added
 
 
 def allocate_buffer(system, instants, evaluated, body, point):

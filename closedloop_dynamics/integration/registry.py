@@ -33,31 +33,17 @@ AUTO = 'auto'
 
 
 class Integrator(NamedTuple):
-    """
-    An integrator by name.
+    """An integrator by name."""
 
-    Attributes
-    ----------
-    kind : str
-        ``FIXED``: takes steps of ``step_size``; ``ADAPTIVE``: chooses its steps to keep the
-        local error below ``tolerance``.
-    summary : str
-        One line for people.
-    family : str
-        ``EXPLICIT``, ``ROSENBROCK`` (stiff), ``SWITCHING`` (between the two) or ``SCIPY``
-        (offline only).
-    tableau : Tableau or None
-        Of an explicit method.
-    solver : str or None
-        Of SciPy's.
-
-    """
-
+    # ``FIXED``: takes steps of ``step_size``; ``ADAPTIVE``: chooses its steps to keep the
+    # local error below ``tolerance``.
     kind: str
-    summary: str
+    summary: str  # One line for people
+    # ``EXPLICIT``, ``ROSENBROCK`` (stiff), ``SWITCHING`` (between the two) or ``SCIPY``
+    # (offline only).
     family: str
-    tableau: Optional[Tableau] = None
-    solver: Optional[str] = None
+    tableau: Optional[Tableau] = None  # Of an explicit method
+    solver: Optional[str] = None  # Of SciPy's
 
 
 _EULER = Tableau(np.zeros((1, 1)), np.zeros(0), np.zeros((2, 1)), np.zeros((1, 0)), 1, 0)

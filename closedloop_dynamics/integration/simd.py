@@ -40,40 +40,20 @@ SINGULAR = 9
 
 
 class Pack(NamedTuple):
-    """
-    Mechanisms of one topology in all lanes; arrays are stored lane by lane.
+    """Mechanisms of one topology in all lanes; arrays are stored lane by lane."""
 
-    Attributes
-    ----------
-    linkage : ndarray of int
-        Of their routines.
-    tau, qdd : ndarray, shape (LANES * nv,)
-        Joint torques, accelerations.
-    closure : ndarray, shape (LANES * nc,)
-        Closure errors of the latest correction.
-    corrections : ndarray, shape (2, LANES * nv)
-        Of coordinates and rates.
-    tolerance, limit : ndarray, shape (LANES,)
-        Closure error that projection leaves, and the one at which it gives up.
-    error : ndarray, shape (LANES,)
-        Largest closure error of each.
-    moving : ndarray of bool, shape (LANES,)
-        Whose coordinates are still corrected.
-    kept : tuple of ndarrays
-        What only the routines read and write.
-
-    """
-
-    linkage: np.ndarray
+    linkage: np.ndarray  # Of their routines
+    # Shape (LANES * nv,): joint torques, accelerations.
     tau: np.ndarray
     qdd: np.ndarray
-    closure: np.ndarray
-    corrections: np.ndarray
+    closure: np.ndarray  # Shape (LANES * nc,): closure errors of the latest correction
+    corrections: np.ndarray  # Shape (2, LANES * nv): of coordinates and rates
+    # Shape (LANES,): closure error that projection leaves, and the one at which it gives up.
     tolerance: np.ndarray
     limit: np.ndarray
-    error: np.ndarray
-    moving: np.ndarray
-    kept: tuple
+    error: np.ndarray  # Shape (LANES,): largest closure error of each
+    moving: np.ndarray  # Shape (LANES,): whose coordinates are still corrected
+    kept: tuple  # Tuple of ndarrays: what only the routines read and write
 
 
 def fits(system, stabilisation):

@@ -80,31 +80,16 @@ RUN, COMPANION = range(2)
 
 
 class Runs(NamedTuple):
-    """
-    A run and its companion: control records, tolerances and scratch.
+    """A run and its companion: control records, tolerances and scratch."""
 
-    Attributes
-    ----------
-    control : ndarray, shape (2, COLUMNS)
-    scale : ndarray, shape (2, 2, ns)
-        Absolute and relative tolerance of each component.
-    scratch : ndarray, shape (2, rows, ns)
-        Of the explicit method; its row AFTER is the state at REACHED.
-    stiff_scratch : ndarray, shape (2, rows, ns)
-        Of the stiff method.
-    matrix : ndarray, shape (ns, ns)
-    pivots : ndarray of int, shape (ns,)
-    watch : ndarray, shape (WATCH_COLUMNS,)
-
-    """
-
-    control: np.ndarray
-    scale: np.ndarray
+    control: np.ndarray  # Shape (2, COLUMNS)
+    scale: np.ndarray  # Shape (2, 2, ns): absolute and relative tolerance of each component
+    # Shape (2, rows, ns): of the explicit method; its row AFTER is the state at REACHED.
     scratch: np.ndarray
-    stiff_scratch: np.ndarray
-    matrix: np.ndarray
-    pivots: np.ndarray
-    watch: np.ndarray
+    stiff_scratch: np.ndarray  # Shape (2, rows, ns): of the stiff method
+    matrix: np.ndarray  # Shape (ns, ns)
+    pivots: np.ndarray  # Shape (ns,)
+    watch: np.ndarray  # Shape (WATCH_COLUMNS,)
 
 
 def allocate_runs(tableau, states):

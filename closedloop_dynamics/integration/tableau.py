@@ -28,34 +28,20 @@ from . import dop853_coefficients as dop853
 
 
 class Tableau(NamedTuple):
-    """
-    An explicit Runge-Kutta method.
+    """An explicit Runge-Kutta method."""
 
-    Attributes
-    ----------
-    a : ndarray, shape (stages, stages)
-        Row i weighs the slopes that stage i starts from. Rows beyond ``steps`` are only
-        for dense output.
-    b : ndarray, shape (steps,)
-        Weights of the result.
-    error : ndarray, shape (2, stages)
-        Weights of the error estimate and of the coarser one that steadies it (zero
-        if there is none); all zero for a method without error estimate.
-    dense : ndarray, shape (stages, degree)
-        Weights of the slopes in the polynomial of dense output, by powers of the share of
-        the step from 1 up.
-    order : int
-    error_order : int
-        Order of the error estimate's own method, for step size control.
-
-    """
-
+    # Shape (stages, stages): row i weighs the slopes that stage i starts from. Rows beyond
+    # ``steps`` are only for dense output.
     a: np.ndarray
-    b: np.ndarray
+    b: np.ndarray  # Shape (steps,): weights of the result
+    # Shape (2, stages): weights of the error estimate and of the coarser one that steadies
+    # it (zero if there is none); all zero for a method without error estimate.
     error: np.ndarray
+    # Shape (stages, degree): weights of the slopes in the polynomial of dense output, by
+    # powers of the share of the step from 1 up.
     dense: np.ndarray
     order: int
-    error_order: int
+    error_order: int  # Order of the error estimate's own method, for step size control
 
 
 def _tableau(rows, b, order, error=(), dense=(), error_order=0):

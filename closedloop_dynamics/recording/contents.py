@@ -40,23 +40,11 @@ class Serialised:
 
 @dataclass
 class Damage:
-    """
-    A place of a bag that cannot be read as it was written.
+    """A place of a bag that cannot be read as it was written."""
 
-    Attributes
-    ----------
-    place : str
-        File, and byte or message in it.
-    what : str
-        What is wrong there.
-    lost : int or None
-        Messages lost by it; None where that is not known.
-
-    """
-
-    place: str
-    what: str
-    lost: Optional[int] = None
+    place: str  # File, and byte or message in it
+    what: str  # What is wrong there
+    lost: Optional[int] = None  # Messages lost by it; None where that is not known
 
     def __str__(self):
         """Return it as a line for the user."""

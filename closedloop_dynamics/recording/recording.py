@@ -44,57 +44,35 @@ class Log:
     """
     Entries of ``replay_log``: one for each state, and one more where a command changed between.
 
-    Attributes
-    ----------
-    index, jumps : ndarray of int, shape (n,)
-        Number of the entry, and of the resets and states set from outside before it.
-    time : ndarray, shape (n,)
-        Simulated [s].
-    torque : ndarray, shape (n, nv)
-        Commands that acted from the entry before to this one [N m or N].
-    state : ndarray of int, shape (n,)
-        Index of the state at that time in the motion; -1 where there is none.
-    whole : list of ndarray, or None
-        Whole states, as ``Simulation.restore`` takes them; None in bags of earlier versions.
-
     """
 
+    # Shape (n,): number of the entry, and of the resets and states set from outside before
+    # it.
     index: np.ndarray
     jumps: np.ndarray
-    time: np.ndarray
+    time: np.ndarray  # Shape (n,): simulated [s]
+    # Shape (n, nv): commands that acted from the entry before to this one [N m or N].
     torque: np.ndarray
+    # Shape (n,): index of the state at that time in the motion; -1 where there is none.
     state: np.ndarray
+    # Whole states, as ``Simulation.restore`` takes them; None in bags of earlier versions.
     whole: Optional[list] = None
 
 
 @dataclass(frozen=True)
 class Recording:
-    """
-    The states of one simulator.
+    """The states of one simulator."""
 
-    Attributes
-    ----------
-    motion : Motion
-        Its times are simulated ones where the log tells them, otherwise those of the stamps
-        since the first; forces that were not recorded are NaN.
-    scene : scene_records.Scene or None
-        As it was at the beginning; None where nothing tells.
-    changes : list of (Scene, dict)
-        The scene at the beginning and after every change, with the facts beside it.
-    log : Log or None
-    finished : bool
-        Whether the recording came to its end in order.
-    stamps : ndarray of int, shape (n,), or None
-        Of the states [ns]; None for a CSV file.
-
-    """
-
+    # Its times are simulated ones where the log tells them, otherwise those of the stamps
+    # since the first; forces that were not recorded are NaN.
     motion: Motion
-    scene: object = None
+    scene: object = None  # Or None: as it was at the beginning; None where nothing tells
+    # List of (Scene, dict): the scene at the beginning and after every change, with the
+    # facts beside it.
     changes: list = field(default_factory=list)
     log: Optional[Log] = None
-    finished: bool = True
-    stamps: Optional[np.ndarray] = None
+    finished: bool = True  # Whether the recording came to its end in order
+    stamps: Optional[np.ndarray] = None  # Shape (n,): of the states [ns]; None for a CSV file
 
 
 def read_recording(path, scene=None, namespace=None):

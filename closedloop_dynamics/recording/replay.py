@@ -39,30 +39,18 @@ MEMORY = ('the recording does not hold what the integrator, or commands on their
 
 @dataclass(frozen=True)
 class Replay:
-    """
-    A recorded motion and its re-simulation.
+    """A recorded motion and its re-simulation."""
 
-    Attributes
-    ----------
-    recorded, simulated : Motion
-        At the same instants; the simulated values are NaN where too little is known to compare.
-    starts : list of (float, str)
-        Times at which the re-simulation began anew [s], and why.
-    notes : list of str
-        What limits the comparison.
-    growth : ndarray
-        How many times larger a small difference of positions has become up to each instant.
-    explained : float
-        Difference of positions at a start that is explained [rad or m]: by rounding, or by the
-        error that the method may make where the recording does not hold its past.
-
-    """
-
+    # At the same instants; the simulated values are NaN where too little is known to
+    # compare.
     recorded: Motion
     simulated: Motion
-    starts: list
-    notes: list
+    starts: list  # List of (float, str): times at which the re-simulation began anew [s], and why
+    notes: list  # List of str: what limits the comparison
+    # How many times larger a small difference of positions has become up to each instant.
     growth: np.ndarray
+    # Difference of positions at a start that is explained [rad or m]: by rounding, or by the
+    # error that the method may make where the recording does not hold its past.
     explained: float = MARGIN * PERTURBATION
 
     def deviation(self, quantity):

@@ -35,37 +35,20 @@ FINER = 1.0 / 30.0
 
 @dataclass
 class Report:
-    """
-    What a run did, up to date while it goes on.
+    """What a run did, up to date while it goes on."""
 
-    Attributes
-    ----------
-    rows : int
-        Handed over so far.
-    time : float
-        Simulated time [s].
-    cpu_time : float
-        Spent on the simulated time alone, not on rows [s].
-    largest_closure : float
-        Largest closure error of positions at the rows' times [m or rad].
-    first_energy, last_energy : float
-        At the first and at the last row [J].
-    error : float
-        Largest error of a joint coordinate at the rows' times [rad or m], estimated by a second,
-        finer run; NaN without one.
-    finished : bool
-        False while it goes on, and where it was ended early.
-
-    """
-
-    rows: int = 0
-    time: float = 0.0
-    cpu_time: float = 0.0
+    rows: int = 0  # Handed over so far
+    time: float = 0.0  # Simulated time [s]
+    cpu_time: float = 0.0  # Spent on the simulated time alone, not on rows [s]
+    # Largest closure error of positions at the rows' times [m or rad].
     largest_closure: float = 0.0
+    # At the first and at the last row [J].
     first_energy: float = math.nan
     last_energy: float = math.nan
+    # Largest error of a joint coordinate at the rows' times [rad or m], estimated by a
+    # second, finer run; NaN without one.
     error: float = math.nan
-    finished: bool = False
+    finished: bool = False  # False while it goes on, and where it was ended early
 
 
 class ErrorEstimate:

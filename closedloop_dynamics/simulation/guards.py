@@ -116,22 +116,11 @@ def fastest_rate(system, state, own=()):
 
 @dataclass
 class Look:
-    """
-    Where a simulation stood when the energy guard looked at it.
+    """Where a simulation stood when the energy guard looked at it."""
 
-    Attributes
-    ----------
-    balance : effects.energy_balance.Energies
-    state : ndarray
-        As ``Simulation.state`` has it.
-    time : float
-        [s].
-
-    """
-
-    balance: object
-    state: np.ndarray
-    time: float
+    balance: object  # Effects.energy_balance.Energies
+    state: np.ndarray  # As ``Simulation.state`` has it
+    time: float  # [s]
 
 
 class EnergyGuard:

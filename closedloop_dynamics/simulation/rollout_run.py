@@ -49,26 +49,12 @@ ENERGY_ERROR = 0.1
 
 @dataclass(frozen=True)
 class Schedule:
-    """
-    When torques change and when instants are kept, all in multiples of one interval.
+    """When torques change and when instants are kept, all in multiples of one interval."""
 
-    Attributes
-    ----------
-    interval : float
-        [s].
-    intervals : int
-        Length of the run.
-    zero_order_hold : int
-        Intervals that a row of torques acts for.
-    decimation : int
-        Intervals from one instant to the next.
-
-    """
-
-    interval: float
-    intervals: int
-    zero_order_hold: int
-    decimation: int
+    interval: float  # [s]
+    intervals: int  # Length of the run
+    zero_order_hold: int  # Intervals that a row of torques acts for
+    decimation: int  # Intervals from one instant to the next
 
     @property
     def instants(self):
@@ -87,23 +73,15 @@ class Schedule:
 
 @dataclass
 class Record:
-    """
-    What is kept of one run; NaN from a failure on.
+    """What is kept of one run; NaN from a failure on."""
 
-    Attributes
-    ----------
-    values : dict of str to ndarray
-        By the names of ``QUANTITIES``, those that were asked for: position, velocity,
-        acceleration, effort (instants, nv), constraint_forces (instants, number of cuts, 3),
-        joint_forces (instants, nv, 3), points (instants, number of points, 2), closure, energy
-        (instants,). SI units.
-    failure : str or None
-        Why the run ended early; or, where all values are there, by how much its energy balance
-        is off.
-
-    """
-
+    # Dict of str to ndarray: by the names of ``QUANTITIES``, those that were asked for:
+    # position, velocity, acceleration, effort (instants, nv), constraint_forces (instants,
+    # number of cuts, 3), joint_forces (instants, nv, 3), points (instants, number of points,
+    # 2), closure, energy (instants,). SI units.
     values: dict
+    # Why the run ended early; or, where all values are there, by how much its energy balance
+    # is off.
     failure: Optional[str] = None
 
 
@@ -313,23 +291,11 @@ def _note(simulation, values, instant):
 
 @dataclass(frozen=True)
 class Start:
-    """
-    What a run begins with.
+    """What a run begins with."""
 
-    Attributes
-    ----------
-    simulation : Simulation
-        Whose mechanism moves; several runs may share it.
-    state : ndarray, shape (ns,)
-        Where it begins.
-    torques : ndarray, shape (rows, number of actuated joints)
-        [N m or N].
-
-    """
-
-    simulation: object
-    state: np.ndarray
-    torques: np.ndarray
+    simulation: object  # Simulation: whose mechanism moves; several runs may share it
+    state: np.ndarray  # Shape (ns,): where it begins
+    torques: np.ndarray  # Shape (rows, number of actuated joints) [N m or N]
 
 
 def fits_simd(simulation, schedule):

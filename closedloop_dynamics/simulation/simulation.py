@@ -36,9 +36,9 @@ from ..core.independent import allocate_partition
 from ..core.joint_wrenches import cut_wrenches
 from ..core.loop_closure import largest
 from ..effects.delay_line import DelayLine
+from ..effects.effect import Machine
 from ..effects.effect_set import EffectSet
 from ..effects.energy_balance import EnergyBalance
-from ..effects.machine import Machine
 from ..integration.adaptive import MOST_EVALUATIONS
 from ..integration.advance import DONE, NOT_FINITE, OPEN_LOOP, TOO_MUCH_WORK
 from ..integration.drivers import build_driver

@@ -73,22 +73,12 @@ def default_lines():
 
 @dataclass(frozen=True)
 class Setting:
-    """
-    A method to be measured.
-
-    Attributes
-    ----------
-    line : Line
-    value : float
-        Its step size [s], or its tolerance.
-    steps, stride : int
-        Steps from one compared output to the next, and outputs that lie between these
-        (1: all of them are compared).
-
-    """
+    """A method to be measured."""
 
     line: Line
-    value: float
+    value: float  # Its step size [s], or its tolerance
+    # Steps from one compared output to the next, and outputs that lie between these (1: all
+    # of them are compared).
     steps: int
     stride: int
 
@@ -141,39 +131,19 @@ LARGEST_ERROR = 10.0
 
 @dataclass(frozen=True)
 class Row:
-    """
-    What one setting buys, and what it costs.
-
-    Attributes
-    ----------
-    setting : Setting
-    method : Method
-        What a scene would say under ``method``.
-    failure : str
-        Why there are no numbers; empty where there are.
-    position_error, velocity_error, force_error : float
-        Largest over the outputs [rad or m], [rad/s or m/s], [N or N m].
-    closure : float
-        Largest closure error [m or rad].
-    energy_error : float
-        Largest change of energy less the work done [J].
-    evaluations : float
-        Of the accelerations, per simulated second.
-    cost : float
-        CPU time per simulated time: a share of real time.
-
-    """
+    """What one setting buys, and what it costs."""
 
     setting: Setting
-    method: object
-    failure: str = ''
+    method: object  # Method: what a scene would say under ``method``
+    failure: str = ''  # Why there are no numbers; empty where there are
+    # Largest over the outputs [rad or m], [rad/s or m/s], [N or N m].
     position_error: float = math.nan
     velocity_error: float = math.nan
     force_error: float = math.nan
-    closure: float = math.nan
-    energy_error: float = math.nan
-    evaluations: float = math.nan
-    cost: float = math.nan
+    closure: float = math.nan  # Largest closure error [m or rad]
+    energy_error: float = math.nan  # Largest change of energy less the work done [J]
+    evaluations: float = math.nan  # Of the accelerations, per simulated second
+    cost: float = math.nan  # CPU time per simulated time: a share of real time
 
     @property
     def line(self):
@@ -183,26 +153,13 @@ class Row:
 
 @dataclass(frozen=True)
 class Study:
-    """
-    A finished work-precision study.
+    """A finished work-precision study."""
 
-    Attributes
-    ----------
-    scene : Scene
-    duration : float
-        [s].
-    torque : dict
-    reference : Reference
-    rows : list of Row
-        Line by line, from coarse to fine.
-
-    """
-
-    scene: object
-    duration: float
+    scene: object  # Scene
+    duration: float  # [s]
     torque: dict
     reference: Reference
-    rows: list
+    rows: list  # List of Row: line by line, from coarse to fine
 
     def lines(self):
         """Return {line: its rows}, in order."""

@@ -24,20 +24,10 @@ from ..visual.tables import seconds, share
 
 @dataclass(frozen=True)
 class Advice:
-    """
-    What to use.
+    """What to use."""
 
-    Attributes
-    ----------
-    row : Row or None
-        None where nothing will do.
-    text : str
-        The reason, and lines to paste into a scene.
-
-    """
-
-    row: Optional[Row]
-    text: str
+    row: Optional[Row]  # None where nothing will do
+    text: str  # The reason, and lines to paste into a scene
 
 
 def for_target(study, target):

@@ -126,95 +126,46 @@ class Ratio:
 
 @dataclass(frozen=True)
 class Record:
-    """
-    One run.
+    """One run."""
 
-    Attributes
-    ----------
-    time : ndarray, shape (n,)
-        [s].
-    position, velocity, effort : ndarray, shape (n, nv)
-        Of the joints, the effort behind the drives.
-    force : ndarray, shape (n, number of cuts)
-        Magnitudes of the forces at the cut joints [N].
-    balance : ndarray, shape (n, 5)
-        Kinetic, stored, dissipated energy, work, residual [J].
-    readings : dict of str to dict of str to ndarray
-        What each effect says of itself.
-    points : dict of str to ndarray, shape (n, 2)
-        Places of the named points [m].
-
-    """
-
-    time: np.ndarray
+    time: np.ndarray  # Shape (n,) [s]
+    # Shape (n, nv): of the joints, the effort behind the drives.
     position: np.ndarray
     velocity: np.ndarray
     effort: np.ndarray
-    force: np.ndarray
-    balance: np.ndarray
-    readings: Dict[str, Dict[str, np.ndarray]]
-    points: Dict[str, np.ndarray]
+    force: np.ndarray  # Shape (n, number of cuts): magnitudes of the forces at the cut joints [N]
+    balance: np.ndarray  # Shape (n, 5): kinetic, stored, dissipated energy, work, residual [J]
+    readings: Dict[str, Dict[str, np.ndarray]]  # What each effect says of itself
+    points: Dict[str, np.ndarray]  # Shape (n, 2): places of the named points [m]
 
 
 @dataclass(frozen=True)
 class Finding:
-    """
-    What one type of effect costs and changes.
+    """What one type of effect costs and changes."""
 
-    Attributes
-    ----------
-    kind : str
-        Type of the effects.
-    names : tuple of str
-        Which effects of the scene those are.
-    alone : Ratio
-        Time per step with these effects alone, over that of the scene without any.
-    without : Ratio
-        Time per step of the scene without them, over that of the whole scene.
-    position, effort, force, energy : float
-        Largest differences that leaving them out makes: positions [rad, m], efforts [N m, N],
-        forces at the cut joints [N], kinetic and stored energy [J].
-    run : Record
-        Without them.
-
-    """
-
-    kind: str
-    names: Tuple[str, ...]
-    alone: Ratio
-    without: Ratio
+    kind: str  # Type of the effects
+    names: Tuple[str, ...]  # Which effects of the scene those are
+    alone: Ratio  # Time per step with these effects alone, over that of the scene without any
+    without: Ratio  # Time per step of the scene without them, over that of the whole scene
+    # Largest differences that leaving them out makes: positions [rad, m], efforts [N m, N],
+    # forces at the cut joints [N], kinetic and stored energy [J].
     position: float
     effort: float
     force: float
     energy: float
-    run: Record
+    run: Record  # Without them
 
 
 @dataclass(frozen=True)
 class Study:
-    """
-    The findings on one scene.
+    """The findings on one scene."""
 
-    Attributes
-    ----------
-    simulation : Simulation
-        Of the scene.
-    run : Record
-        Of the scene as it is.
-    findings : tuple of Finding
-        One for each type of effect, in the scene's order.
-    bare : float
-        Time per step without any effect [s].
-    again, off, whole : Ratio
-        Time per step, over that: without any effect once more, which only noise keeps from 1; with
-        all listed but switched off; of the scene as it is.
-
-    """
-
-    simulation: Simulation
-    run: Record
-    findings: Tuple[Finding, ...]
-    bare: float
+    simulation: Simulation  # Of the scene
+    run: Record  # Of the scene as it is
+    findings: Tuple[Finding, ...]  # One for each type of effect, in the scene's order
+    bare: float  # Time per step without any effect [s]
+    # Time per step, over that: without any effect once more, which only noise keeps from 1;
+    # with all listed but switched off; of the scene as it is.
     again: Ratio
     off: Ratio
     whole: Ratio

@@ -50,23 +50,12 @@ VARIANTS = {**{name: (formulation, False) for name, formulation in FORMULATIONS.
 
 @dataclass(frozen=True)
 class Case:
-    """
-    A mechanism in motion.
+    """A mechanism in motion."""
 
-    Attributes
-    ----------
-    family : str
-        ``'ladder'``, ``'chain'``, or a scene's name.
-    size : int
-        Loops of a ladder, links of a chain, joints of a scene's mechanism.
-    mechanism : Mechanism
-    q, qd, tau : ndarray, shape (nv,)
-
-    """
-
-    family: str
-    size: int
-    mechanism: object
+    family: str  # ``'ladder'``, ``'chain'``, or a scene's name
+    size: int  # Loops of a ladder, links of a chain, joints of a scene's mechanism
+    mechanism: object  # Mechanism
+    # Shape (nv,)
     q: np.ndarray
     qd: np.ndarray
     tau: np.ndarray
@@ -74,28 +63,16 @@ class Case:
 
 @dataclass(frozen=True)
 class Row:
-    """
-    One formulation on one case.
+    """One formulation on one case."""
 
-    Attributes
-    ----------
-    family, size
-        As in ``Case``.
-    joints, equations : int
-    formulation : str
-    time : float
-        Of one evaluation [s]; NaN where it was not made.
-    acceleration_error, force_error : float
-        Largest error relative to the largest value.
-
-    """
-
+    # As in ``Case``.
     family: str
     size: int
     joints: int
     equations: int
     formulation: str
-    time: float = math.nan
+    time: float = math.nan  # Of one evaluation [s]; NaN where it was not made
+    # Largest error relative to the largest value.
     acceleration_error: float = math.nan
     force_error: float = math.nan
 

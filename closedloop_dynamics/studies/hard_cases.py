@@ -44,34 +44,19 @@ ACCURATE, DEGRADED, REFUSED, UNSTABLE, SKIPPED = (
 
 @dataclass(frozen=True)
 class Case:
-    """
-    One hard case.
-
-    Attributes
-    ----------
-    name : str
-    group : str
-        Heading that it belongs to.
-    text : str
-        What is hard, and what counts: two lines at most.
-    figure : str
-        What its number is, with its unit.
-    accurate, stable : float
-        Up to which figure a result counts as accurate, and as degraded but stable.
-    run : callable
-        Takes (method, quick); returns the worst figure. May raise SimulationError: refused.
-    lengths : str
-        How much is run, in full and with ``quick``, parted by a slash; empty where it is the same.
-
-    """
+    """One hard case."""
 
     name: str
-    group: str
-    text: str
-    figure: str
+    group: str  # Heading that it belongs to
+    text: str  # What is hard, and what counts: two lines at most
+    figure: str  # What its number is, with its unit
+    # Up to which figure a result counts as accurate, and as degraded but stable.
     accurate: float
     stable: float
+    # Takes (method, quick); returns the worst figure. May raise SimulationError: refused.
     run: Callable
+    # How much is run, in full and with ``quick``, parted by a slash; empty where it is the
+    # same.
     lengths: str = ''
 
 

@@ -38,27 +38,15 @@ class TooSlow(SimulationError):
 
 @dataclass(frozen=True)
 class Trajectory:
-    """
-    A motion at even times.
+    """A motion at even times."""
 
-    Attributes
-    ----------
-    position, velocity : ndarray, shape (outputs, nv)
-        [rad or m], [rad/s or m/s].
-    force : ndarray, shape (outputs, nc)
-        Multipliers: forces and moments at the cut joints [N, N m].
-    closure : float
-        Largest closure error of positions at the outputs [m or rad].
-    energy_error : float
-        Largest residual of the energy balance at the outputs [J].
-
-    """
-
+    # Shape (outputs, nv) [rad or m], [rad/s or m/s].
     position: np.ndarray
     velocity: np.ndarray
+    # Shape (outputs, nc): multipliers: forces and moments at the cut joints [N, N m].
     force: np.ndarray
-    closure: float
-    energy_error: float
+    closure: float  # Largest closure error of positions at the outputs [m or rad]
+    energy_error: float  # Largest residual of the energy balance at the outputs [J]
 
     def every(self, stride):
         """Return every ``stride``-th output alone, the first one counted as ``stride``."""
@@ -139,23 +127,13 @@ PATIENCE = 10.0
 
 @dataclass(frozen=True)
 class Reference:
-    """
-    A motion computed as exactly as it goes.
-
-    Attributes
-    ----------
-    trajectory : Trajectory
-    error : Difference
-        Larger one of the differences from the motions that prove it: its own error is of this
-        size.
-    description : str
-        What it was computed with, in sentences.
-
-    """
+    """A motion computed as exactly as it goes."""
 
     trajectory: Trajectory
+    # Larger one of the differences from the motions that prove it: its own error is of this
+    # size.
     error: Difference
-    description: str
+    description: str  # What it was computed with, in sentences
 
 
 def compute_reference(scene, torque, interval, outputs):

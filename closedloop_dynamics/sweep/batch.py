@@ -35,48 +35,22 @@ DONE, FAILED = 1, 2
 
 @dataclass(frozen=True)
 class Job:
-    """
-    What all samples of a sweep have in common.
-
-    Attributes
-    ----------
-    scene : Scene
-    paths : tuple of tuple of str
-        What varies.
-    schedule : Schedule
-    keep : tuple of str
-        Quantities kept at every instant.
-
-    """
+    """What all samples of a sweep have in common."""
 
     scene: Scene
-    paths: Tuple[Tuple[str, ...], ...]
+    paths: Tuple[Tuple[str, ...], ...]  # What varies
     schedule: Schedule
-    keep: Tuple[str, ...]
+    keep: Tuple[str, ...]  # Quantities kept at every instant
 
 
 @dataclass
 class Batch:
-    """
-    The results of some samples, in one array for each variable.
+    """The results of some samples, in one array for each variable."""
 
-    Attributes
-    ----------
-    samples : ndarray of int, shape (n,)
-        Their places in the sweep.
-    values : dict of str to ndarray, shape (n, ...)
-        By the names of ``layout.variables``.
-    status : ndarray of int, shape (n,)
-        ``DONE`` or ``FAILED``.
-    reasons : list of str
-        Why a sample failed; empty where it did not.
-
-    """
-
-    samples: np.ndarray
-    values: dict
-    status: np.ndarray
-    reasons: list
+    samples: np.ndarray  # Shape (n,): their places in the sweep
+    values: dict  # Shape (n, ...): by the names of ``storage.Layout.results``
+    status: np.ndarray  # Shape (n,): ``DONE`` or ``FAILED``
+    reasons: list  # List of str: why a sample failed; empty where it did not
 
 
 def run_batch(job, samples, values, torques):

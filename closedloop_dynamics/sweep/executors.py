@@ -306,19 +306,10 @@ ASK_EVERY = 0.2
 
 @dataclass
 class Task:
-    """
-    Samples to be computed together.
-
-    Attributes
-    ----------
-    samples : ndarray of int
-    lost : int
-        How often their worker was lost.
-
-    """
+    """Samples to be computed together."""
 
     samples: np.ndarray
-    lost: int = 0
+    lost: int = 0  # How often their worker was lost
 
     @property
     def suspect(self):

@@ -50,18 +50,9 @@ MOST_VALUES = 10_000_000
 
 @dataclass(frozen=True)
 class Grid:
-    """
-    Values that are combined with those of the other grids.
+    """Values that are combined with those of the other grids."""
 
-    Attributes
-    ----------
-    key : str
-        Key path.
-    values : tuple of float
-
-    """
-
-    key: str
+    key: str  # Key path
     values: Tuple[float, ...]
 
     random = False
@@ -69,22 +60,11 @@ class Grid:
 
 @dataclass(frozen=True)
 class Random:
-    """
-    A distribution that is drawn from.
+    """A distribution that is drawn from."""
 
-    Attributes
-    ----------
-    key : str
-        Key path.
-    distribution : str
-        Of ``DISTRIBUTIONS``.
-    first, second : float
-        Its two numbers.
-
-    """
-
-    key: str
-    distribution: str
+    key: str  # Key path
+    distribution: str  # Of ``DISTRIBUTIONS``
+    # Its two numbers.
     first: float
     second: float
 
@@ -191,38 +171,18 @@ TORQUE = 'torque'
 
 @dataclass(frozen=True)
 class Plan:
-    """
-    All that decides the results of a sweep.
+    """All that decides the results of a sweep."""
 
-    Attributes
-    ----------
-    scene : Scene
-        What the samples have in common.
-    variations : tuple of Grid and Random
-        What they differ in.
-    draws : int
-        From the distributions, at each point of the grid.
-    seed : int
-        Of the draws.
-    duration : float
-        [s].
-    rate : float
-        Instants per second [Hz].
-    torques : ndarray, shape (rows, na) or (samples, rows, na), or None
-        Of the actuated joints [N m or N], for equal parts of the duration; none where None.
-    keep : tuple of str
-        Quantities kept at every instant; of ``recording.QUANTITIES``.
-
-    """
-
-    scene: Scene
-    variations: Tuple = ()
-    draws: int = 1
-    seed: int = 0
-    duration: float = 2.0
-    rate: float = 100.0
+    scene: Scene  # What the samples have in common
+    variations: Tuple = ()  # What they differ in
+    draws: int = 1  # From the distributions, at each point of the grid
+    seed: int = 0  # Of the draws
+    duration: float = 2.0  # [s]
+    rate: float = 100.0  # Instants per second [Hz]
+    # Shape (rows, na): of the actuated joints [N m or N], for equal parts of the duration;
+    # none where None.
     torques: Optional[np.ndarray] = None
-    keep: Tuple[str, ...] = STATE
+    keep: Tuple[str, ...] = STATE  # Quantities kept at every instant; of ``recording.QUANTITIES``
 
     def __post_init__(self):
         """Refuse what cannot be run, whatever the sample."""

@@ -70,31 +70,15 @@ SUMMARY = {
 
 @dataclass(frozen=True)
 class Variable:
-    """
-    One array of a file of results.
-
-    Attributes
-    ----------
-    name : str
-    dimensions : tuple of str
-        Names; the sample comes first where there is one value for each.
-    attributes : dict
-        Unit and meaning, by the conventions of NetCDF.
-    kind : type
-        float, int (of 8 bits) or str.
-    length : int
-        Most characters of a text.
-    values : sequence, optional
-        What it holds from the beginning.
-
-    """
+    """One array of a file of results."""
 
     name: str
-    dimensions: Tuple[str, ...]
+    dimensions: Tuple[str, ...]  # Names; the sample comes first where there is one value for each
+    # Unit and meaning, by the conventions of NetCDF.
     attributes: dict = field(default_factory=dict)
-    kind: type = float
-    length: int = 1
-    values: Optional[object] = None
+    kind: type = float  # float, int (of 8 bits) or str
+    length: int = 1  # Most characters of a text
+    values: Optional[object] = None  # What it holds from the beginning
 
 
 class Layout:

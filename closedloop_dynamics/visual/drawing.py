@@ -39,19 +39,10 @@ PALEST = 0.18
 
 @dataclass(frozen=True)
 class Part:
-    """
-    A line, a polygon or dots that move with bodies.
+    """A line, a polygon or dots that move with bodies."""
 
-    Attributes
-    ----------
-    artist : matplotlib.lines.Line2D or matplotlib.patches.Polygon
-    points : tuple of (str, array_like of shape (m, 2))
-        Names of bodies, and places in their frames [m].
-
-    """
-
-    artist: object
-    points: tuple
+    artist: object  # Matplotlib.lines.Line2D or matplotlib.patches.Polygon
+    points: tuple  # Shape (m, 2): names of bodies, and places in their frames [m]
 
     def place(self, places):
         """Move it to places in the world, shape (m, 2) [m]."""

@@ -23,26 +23,16 @@ from ..mechanism.mechanism import GROUND, PRISMATIC, REVOLUTE
 
 @dataclass(frozen=True)
 class Motion:
-    """
-    States of one mechanism at n instants.
+    """States of one mechanism at n instants."""
 
-    Attributes
-    ----------
-    mechanism : mechanism.mechanism.Mechanism
-    time : ndarray, shape (n,)
-        [s].
-    position, velocity, effort : ndarray, shape (n, nv)
-        Of the joints in their order [rad or m, and per s; N m or N].
-    forces : ndarray, shape (n, number of cut joints, 3)
-        Moment [N m] and force [N] along x and y that body B exerts on body A, in world axes.
-
-    """
-
-    mechanism: object
-    time: np.ndarray
+    mechanism: object  # Mechanism.mechanism.Mechanism
+    time: np.ndarray  # Shape (n,) [s]
+    # Shape (n, nv): of the joints in their order [rad or m, and per s; N m or N].
     position: np.ndarray
     velocity: np.ndarray
     effort: np.ndarray
+    # Shape (n, number of cut joints, 3): moment [N m] and force [N] along x and y that body
+    # B exerts on body A, in world axes.
     forces: np.ndarray
 
 
