@@ -17,6 +17,7 @@
 from ..mechanism.checks import one_of
 from ..mechanism.fields import at, FieldError, normalise
 
+
 class Machine:
     """A mechanism's names, resolved."""
 

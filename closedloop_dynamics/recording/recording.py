@@ -41,10 +41,7 @@ class RecordingError(ValueError):
 
 @dataclass(frozen=True)
 class Log:
-    """
-    Entries of ``replay_log``: one for each state, and one more where a command changed between.
-
-    """
+    """Entries of ``replay_log``: one for each state, and for each command that changed between."""
 
     # Shape (n,): number of the entry, and of the resets and states set from outside before
     # it.

@@ -17,8 +17,8 @@ What each effect of a scene costs, and what it changes.
 
 The scene is run as it is, and once more without each type of effect; the differences are what
 that type changes. Times are measured on short runs of every variant in turn, so that disturbances
-of the machine affect all of them, and each is compared with the one of the same round. How far such
-ratios can be trusted tells a second run of the same: the bare scene is measured twice.
+of the machine affect all of them, and each is compared with the one of the same round. The bare
+scene is measured twice: that tells how far such ratios can be trusted.
 
 """
 

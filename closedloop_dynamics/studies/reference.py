@@ -32,6 +32,7 @@ from ..integration.system import ASIDE
 from ..simulation.errors import SimulationError
 from ..simulation.simulation import Simulation
 
+
 class TooSlow(SimulationError):
     """A run that was given up because it took too long."""
 
