@@ -23,6 +23,9 @@ from typing import Callable
 
 from ..simulation.errors import AssemblyError
 
+# Exit code of a simulation that failed.
+FAILED = 1
+
 
 class UsageError(ValueError):
     """A command line that makes no sense; the message says what would."""

@@ -21,7 +21,7 @@ import warnings
 from . import (
     accuracy, animate, check, effects, formulations, plot, recover, replay, simulate, stability,
     sweep, urdf)
-from .command import HelpfulParser, UsageError
+from .command import FAILED, HelpfulParser, UsageError
 from ..mechanism.mechanism import MechanismError
 from ..simulation.errors import SimulationError
 from ..simulation.scene import SceneError
@@ -31,7 +31,7 @@ COMMANDS = (accuracy.COMMAND, animate.COMMAND, check.COMMAND, effects.COMMAND,
             formulations.COMMAND, plot.COMMAND, recover.COMMAND, replay.COMMAND, simulate.COMMAND,
             stability.COMMAND, sweep.COMMAND, urdf.COMMAND)
 
-FAILED, USAGE, BROKEN_PIPE = 1, 2, 141
+USAGE, BROKEN_PIPE = 2, 141
 DESCRIPTION = """\
 Simulate planar mechanisms with closed kinematic loops.
 

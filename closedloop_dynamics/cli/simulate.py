@@ -22,20 +22,19 @@ import sys
 import warnings
 
 from .command import (
-    add_scene, add_torque, checked_torques, Command, mapping, positive, require_free, UsageError)
+    add_scene, add_torque, checked_torques, Command, FAILED, mapping, positive, require_free,
+    UsageError)
 from ..integration.registry import ADAPTIVE, AUTO, INTEGRATORS, STABILISATIONS
 from ..recording.run import columns, ErrorEstimate, Report, run
 from ..simulation.errors import InaccuracyWarning, SimulationError
 from ..simulation.monitor import energy_in_words
+from ..simulation.rollout_run import TIME_ROUNDING
 from ..simulation.scene_records import FORMULATIONS
 from ..simulation.signals import program_watch
 from ..simulation.simulation import Simulation
 from ..visual.progress import announced, progress_bar
 
-FAILED = 1
 STANDARD_OUTPUT = '-'
-# A row's period within this share of whole steps is one.
-ROUNDING = 1e-9
 # Simulated time up to which the error is estimated unless told otherwise [s].
 LONGEST_ESTIMATED = 10.0
 COMPILING = 'Compiling (half a minute the very first time, seconds from then on) ...'
@@ -192,10 +191,10 @@ def _resolution(method, arguments):
         key = 'accuracy' if method.integrator == AUTO else 'tolerance'
         return f'with {key} {getattr(method, key):g}'
     steps_in_a_row = 1.0 / (arguments.rate * method.step_size)
-    if steps_in_a_row < 1.0 - ROUNDING:
+    if steps_in_a_row < 1.0 - TIME_ROUNDING:
         return (f'in steps of {1.0 / arguments.rate:g} s, from row to row, '
                 f'instead of {method.step_size:g} s')
-    whole = abs(steps_in_a_row - round(steps_in_a_row)) < ROUNDING
+    whole = abs(steps_in_a_row - round(steps_in_a_row)) < TIME_ROUNDING
     return f'in steps of {"" if whole else "at most "}{method.step_size:g} s'
 
 

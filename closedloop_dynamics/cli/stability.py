@@ -14,12 +14,11 @@
 
 """``closedloop stability``: hard cases with every method, and what becomes of them."""
 
-from .command import add_directory, Command, require_free, UsageError
+from .command import add_directory, Command, FAILED, require_free, UsageError
 from ..studies import stability
 from ..visual.progress import parts_bar
 
 FILES = ('stability.csv', 'stability_table.md', 'stability_atlas.png')
-FAILED = 1
 
 
 def _add_arguments(parser):

@@ -18,7 +18,7 @@ import sys
 
 import numpy as np
 
-from .command import add_scene, add_torque, Command, mapping, positive, UsageError
+from .command import add_scene, add_torque, Command, FAILED, mapping, positive, UsageError
 from ..mechanism.fields import FieldError
 from ..simulation.rollout_run import QUANTITIES, STATE
 from ..simulation.signals import program_watch
@@ -26,7 +26,6 @@ from ..sweep import sweep
 from ..sweep.plan import FORMS, parse
 from ..visual.progress import progress_bar
 
-FAILED = 1
 NOTHING = 'nothing'
 MOST_REASONS = 5
 

@@ -36,7 +36,7 @@ from .sqlite_file import read_database, ZSTD
 
 SUFFIXES = ('.mcap', '.db3', '.mcap.zstd', '.db3.zstd')
 # At once, of a compressed file [bytes].
-PORTION = 1 << 20
+READ_AT_ONCE = 1 << 20
 
 
 class BagReadError(OSError):
@@ -245,7 +245,7 @@ def _unpacked(file, damages):
         with open(file, 'rb') as packed, open(path, 'wb') as out:
             try:
                 with zstandard.ZstdDecompressor().stream_reader(packed) as reader:
-                    while portion := reader.read(PORTION):
+                    while portion := reader.read(READ_AT_ONCE):
                         out.write(portion)
             except zstandard.ZstdError as error:
                 damages.append(Damage(file.name, f'it cannot be decompressed to its end ({error})',

@@ -25,7 +25,7 @@ from ..visual.motion import Motion
 from ..visual.tables import short, text_table
 
 # Beyond this share of a step, a time is no multiple of it.
-ROUNDING = 1e-6
+STAMP_ROUNDING = 1e-6
 # Added to the coordinates at each start of a second replay, to see how differences grow [rad, m].
 PERTURBATION = 1e-12
 # Rounding on another machine may do this many times what the perturbation does.
@@ -208,7 +208,7 @@ class _Logged(_Player):
     def _advance(self, k, duration):
         torque, simulation = self._log.torque[k], self.simulation
         steps = duration / simulation.step_size
-        if abs(steps - round(steps)) > ROUNDING * max(1.0, steps):
+        if abs(steps - round(steps)) > STAMP_ROUNDING * max(1.0, steps):
             simulation.step({name: torque[simulation.joint_names.index(name)]
                              for name in simulation.actuated_joints}, duration)
         elif round(steps):

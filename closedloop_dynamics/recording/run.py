@@ -24,11 +24,10 @@ from ..integration.registry import AUTO, FIXED, INTEGRATORS
 from ..mechanism.mechanism import REVOLUTE
 from ..simulation.errors import SimulationError
 from ..simulation.monitor import ROSENBROCK_ORDER
+from ..simulation.rollout_run import TIME_ROUNDING
 
 # Between two looks whether to go on; about 10 ms of computing.
 LARGEST_PORTION = 1000
-# Row times count as multiples of the step up to this share of it.
-ROUNDING = 1e-9
 # Tolerance of the run that tells the error, against that of the run itself.
 FINER = 1.0 / 30.0
 
@@ -171,7 +170,7 @@ def run(simulation, duration, rate, torque=None, *, report, on_row, keep_going=l
     """
     tau = simulation.joint_torques(torque)
     simulation.advance(tau, 0)
-    last = math.floor(duration * rate * (1.0 + 1e-12) + ROUNDING)
+    last = math.floor(duration * rate * (1.0 + 1e-12) + TIME_ROUNDING)
     for until in (*(index / rate for index in range(last + 1)), None):
         if not _reached(duration if until is None else until, simulation, torque, report,
                         keep_going):
@@ -221,7 +220,7 @@ def _reached(until, simulation, torque, report, keep_going):
                 simulation.advance(tau, LARGEST_PORTION)
                 continue
             # Counted steps: a difference of two large times would leave crumbs of a step.
-            if abs(steps * size - left) <= ROUNDING * size + 4e-16 * until:
+            if abs(steps * size - left) <= TIME_ROUNDING * size + 4e-16 * until:
                 simulation.advance(tau, steps)
             elif left > 0.0:
                 simulation.step(torque, left)

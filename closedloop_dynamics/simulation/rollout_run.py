@@ -40,7 +40,7 @@ QUANTITIES = (*STATE, 'acceleration', 'effort', 'constraint_forces', 'joint_forc
 # So many runs at least, and at most, are made together in the lanes of a vector.
 FEWEST, MOST = 3, simd.LANES
 # A time counts as a multiple of the step up to this share of the step.
-ROUNDING = 1e-9
+TIME_ROUNDING = 1e-9
 # Instants of a run at which its energy is looked at.
 MOST_LOOKS = 9
 # Energy from nowhere, against all that moved, at which a motion is none.
@@ -68,7 +68,7 @@ class Schedule:
     def steps(self, step_size):
         """Return how many whole steps an interval is; 0 where it is no whole number of them."""
         steps = round(self.interval / step_size)
-        return steps if abs(steps * step_size - self.interval) <= ROUNDING * step_size else 0
+        return steps if abs(steps * step_size - self.interval) <= TIME_ROUNDING * step_size else 0
 
 
 @dataclass

@@ -20,13 +20,12 @@ from typing import Optional, Tuple
 
 from ..effects.effect_set import require_one_drive_each
 from ..effects.registry import EFFECTS
-from ..integration.registry import ADAPTIVE, AUTO, INTEGRATORS, STABILISATIONS
+from ..integration.registry import ADAPTIVE, AUTO, BAUMGARTE, INTEGRATORS, STABILISATIONS
 from ..mechanism.checks import list_of, name, number, one_of, positive, text
 from ..mechanism.fields import at, FieldError, mapping, normalise, shown
 from ..mechanism.mechanism import Mechanism
 from ..mechanism.validation import validate_mechanism
 
-BAUMGARTE = 'baumgarte'
 FORMULATIONS = ('subsystem', 'system', 'augmented')
 
 
@@ -116,7 +115,7 @@ class Method:
             'tolerance': (adaptive and self.integrator != AUTO,
                           'an error-controlled integrator that is chosen by name'),
             'baumgarte_time_constant': (
-                self.stabilisation == BAUMGARTE, f'stabilisation: {BAUMGARTE}')}
+                STABILISATIONS[self.stabilisation] == BAUMGARTE, 'stabilisation: baumgarte')}
         return {key: need for key, (used, need) in needs.items() if not used}
 
     @property

@@ -21,6 +21,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from .accuracy import DEFAULT_FORMULATION, DEFAULT_INTEGRATOR, DEFAULT_STABILISATION
 from ..simulation.scene_records import FORMULATIONS
+from ..visual.pictures import COLORS, DOTS_PER_INCH
 from ..visual.tables import markdown_table, seconds, short, text_table, write_csv
 
 HEADER = ('integrator', 'stabilisation', 'formulation', 'step or tol.', 'positions', 'velocities',
@@ -29,12 +30,10 @@ CSV_HEADER = (
     'integrator', 'stabilisation', 'formulation', 'step_size', 'tolerance', 'position_error',
     'velocity_error', 'force_error', 'closure', 'energy_error', 'evaluations_per_second',
     'cpu_time_per_second', 'failure')
-# Okabe and Ito's palette, its yellow darkened, told apart by colour-blind readers; markers and
-# dashes tell the lines apart without any colour.
-COLORS = ('#0072B2', '#D55E00', '#009E73', '#CC79A7', '#56B4E9', '#B8A200', '#333333', '#E69F00')
+# Markers and dashes tell the lines apart without any colour.
+LINE_COLORS = (*COLORS, '#E69F00')
 MARKERS = 'osD^vP*X<>'
 REAL_TIME = 1.0
-DOTS_PER_INCH = 120
 _UNITS = ((1.0, 's'), (1e-3, 'ms'), (1e-6, 'µs'))
 
 
@@ -154,7 +153,8 @@ def _panel(axes, heading, lines, study):
             style = {'linestyle': '--' if label.startswith('scipy') else '-'}
         axes.plot([row.cost for row in rows], [max(row.position_error, 0.3 * floor)
                                                for row in rows],
-                  color=COLORS[number % len(COLORS)], marker=MARKERS[number % len(MARKERS)],
+                  color=LINE_COLORS[number % len(LINE_COLORS)],
+                  marker=MARKERS[number % len(MARKERS)],
                   markersize=4.5, linewidth=1.4, label=label, **style)
     axes.axvline(REAL_TIME, color='#B2182B', linewidth=1.2)
     axes.annotate('real time', (REAL_TIME, 1.0), xycoords=('data', 'axes fraction'),

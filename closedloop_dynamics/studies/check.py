@@ -17,11 +17,10 @@
 from dataclasses import asdict
 
 from ..effects.registry import effect_type
-from ..integration.registry import ADAPTIVE, INTEGRATORS
+from ..integration.registry import ADAPTIVE, AUTO, BAUMGARTE, INTEGRATORS, STABILISATIONS
 from ..mechanism.decomposition import decompose
 from ..mechanism.mechanism import CUT_JOINT_EQUATIONS, Mechanism
 from ..simulation.assembly import find_degrees_of_freedom
-from ..simulation.scene_records import AUTO, BAUMGARTE
 
 
 def describe(scene_or_mechanism, simulation=None):
@@ -144,7 +143,7 @@ def _method(method):
         ('stabilisation', method.stabilisation),
         ('formulation', method.formulation),
     ]
-    if method.stabilisation == BAUMGARTE:
+    if STABILISATIONS[method.stabilisation] == BAUMGARTE:
         items.insert(-1, ('time constant', f'{_value(method.time_constant)} s'))
     return _lines('Method', items)
 

@@ -20,18 +20,18 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from .formulations import exponent, FAMILIES, LONGEST, SCENES, UNROLLED
+from ..visual.pictures import DOTS_PER_INCH
 from ..visual.tables import markdown_table, seconds, short, text_table, write_csv
 
 HEADER = ('mechanism', 'size', 'joints', 'equations', 'formulation', 'time', 'accelerations',
           'forces')
 CSV_HEADER = ('mechanism', 'size', 'joints', 'equations', 'formulation', 'time',
               'acceleration_error', 'force_error')
-DOTS_PER_INCH = 120
 # Okabe and Ito's palette; markers tell the lines apart without it.
 STYLES = {'subsystem': ('#0072B2', 'o', '-'), 'system': ('#D55E00', 's', '--'),
           'augmented': ('#009E73', 'D', ':'), UNROLLED: ('#56B4E9', '^', '-')}
 HEADINGS = {'ladder': 'N four-bar loops side by side', 'chain': 'N links hung up at both ends'}
-SIZES = {'ladder': 'loops N', 'chain': 'links N'}
+SIZE_LABELS = {'ladder': 'loops N', 'chain': 'links N'}
 
 
 def table(rows, markdown=False):
@@ -86,7 +86,7 @@ def growth(rows):
         chosen = [row for row in rows if row.family == family]
         _line_panels(panels[:, column], chosen)
         panels[0, column].set_title(HEADINGS[family], fontsize=10)
-        panels[1, column].set_xlabel(SIZES[family])
+        panels[1, column].set_xlabel(SIZE_LABELS[family])
     _scene_panels(panels[:, 2], [row for row in rows if row.family in SCENES])
     panels[0, 0].set_ylabel('CPU time of one evaluation')
     panels[1, 0].set_ylabel('largest relative rounding error')

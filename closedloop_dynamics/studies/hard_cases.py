@@ -99,7 +99,7 @@ def judge(case, method, quick):
 
 LOOKS = 100
 # Of error-controlled methods, which would not notice another raster.
-TOLERANCE = 1e-8
+TRIAL_TOLERANCE = 1e-8
 
 
 def trials(method, count, seed=0):
@@ -116,7 +116,7 @@ def trials(method, count, seed=0):
         drawn *= 0.1
     if INTEGRATORS[method.integrator].kind == FIXED:
         return [(replace(method, step_size=float(size)), 0.0) for size in drawn]
-    method = replace(method, tolerance=TOLERANCE, step_size=1e-2)
+    method = replace(method, tolerance=TRIAL_TOLERANCE, step_size=1e-2)
     return [(method, float(size)) for size in drawn]
 
 
@@ -195,7 +195,7 @@ def _type_2(method, quick):
     worst, crossings = 0.0, 0
     for torque in ((5.0, -3.0, 2.0), (-4.0, 6.0, 3.0)) if quick else (
             (5.0, -3.0, 2.0), (-4.0, 6.0, 3.0), (8.0, 8.0, -8.0), (0.0, -9.0, 6.0)):
-        simulation = Simulation(replace(start, method=replace(method, tolerance=TOLERANCE)))
+        simulation = Simulation(replace(start, method=replace(method, tolerance=TRIAL_TOLERANCE)))
         sign, scale = 0.0, 1.0
         for _ in range(LOOKS):
             simulation.step(torque, 2.0 / LOOKS)
@@ -610,7 +610,7 @@ GAP, ACCURATE_PLACE = 1e-10, 1e-3
 # Place of the pendulum (A01) at 2000 s, from rest at (1, 0) [m].
 PENDULUM = (2000.0, (-0.8146030686, -0.5800188278))
 # [s].
-PERIOD = 2.367841947576
+PENDULUM_PERIOD = 2.367841947576
 # Loops, time [s], place [m] and velocity [m/s] of the first leg's tip of the ladder (A02).
 LADDERS = (
     (1, 10.0, (0.4783850578, 0.8781501788), (1.727264076, -0.940952179)),
@@ -667,7 +667,7 @@ def watch_pendulum(method, duration, looks):
 def _pendulum(method, quick):
     """Let the pendulum swing, half an hour nearly, and compare its place."""
     if quick:
-        place, _, gap = watch_pendulum(tight(method, 1e-3), 10 * PERIOD, 100)
+        place, _, gap = watch_pendulum(tight(method, 1e-3), 10 * PENDULUM_PERIOD, 100)
         error = np.abs(place - (1.0, 0.0)).max()
     else:
         time, exact = PENDULUM

@@ -19,11 +19,11 @@ from matplotlib.patches import Patch, Rectangle
 
 from .hard_cases import ACCURATE, CASES, DEGRADED, REFUSED, SKIPPED, UNSTABLE
 from .stability import METHODS
+from ..visual.pictures import DOTS_PER_INCH
 
 # Told apart by colour-blind readers, and by the words in the cells.
-COLORS = {ACCURATE: '#8fd0b5', DEGRADED: '#f3dc82', REFUSED: '#b9c4d4', UNSTABLE: '#d9613c',
-          SKIPPED: '#f4f4f4'}
-DOTS_PER_INCH = 120
+OUTCOME_COLORS = {ACCURATE: '#8fd0b5', DEGRADED: '#f3dc82', REFUSED: '#b9c4d4',
+                  UNSTABLE: '#d9613c', SKIPPED: '#f4f4f4'}
 
 
 def stability_atlas(atlas, cases=CASES, methods=METHODS):
@@ -58,15 +58,15 @@ def stability_atlas(atlas, cases=CASES, methods=METHODS):
     figure.suptitle('Stability atlas: the worst figure of each hard case (meanings: '
                     'doc/stability.md)', fontsize=11)
     figure.legend(handles=[Patch(facecolor=color, label=status)
-                           for status, color in COLORS.items()],
-                  loc='outside lower center', ncols=len(COLORS), frameon=False, fontsize=9)
+                           for status, color in OUTCOME_COLORS.items()],
+                  loc='outside lower center', ncols=len(OUTCOME_COLORS), frameon=False, fontsize=9)
     return figure
 
 
 def _cell(axes, column, row, outcome):
     """Draw one cell: a coloured box with the figure in it."""
     axes.add_patch(Rectangle((column - 0.48, row - 0.45), 0.96, 0.9, linewidth=0,
-                             facecolor=COLORS[outcome.status]))
+                             facecolor=OUTCOME_COLORS[outcome.status]))
     text = {REFUSED: 'refused', SKIPPED: '-'}.get(outcome.status, f'{outcome.figure:.1e}')
     axes.text(column, row, text, ha='center', va='center', fontsize=8,
               color='white' if outcome.status == UNSTABLE else 'black')

@@ -30,7 +30,7 @@ from ..simulation.simulation import Simulation
 
 # What the summary of a sample is made of.
 SUMMARISED = tuple(name for name in QUANTITIES if name != 'acceleration')
-DONE, FAILED = 1, 2
+SAMPLE_DONE, SAMPLE_FAILED = 1, 2
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class Batch:
 
     samples: np.ndarray  # Shape (n,): their places in the sweep
     values: dict  # Shape (n, ...): by the names of ``storage.Layout.results``
-    status: np.ndarray  # Shape (n,): ``DONE`` or ``FAILED``
+    status: np.ndarray  # Shape (n,): ``SAMPLE_DONE`` or ``SAMPLE_FAILED``
     reasons: list  # List of str: why a sample failed; empty where it did not
 
 
@@ -85,7 +85,8 @@ def run_batch(job, samples, values, torques):
     return Batch(
         np.asarray(samples), {name: np.array([result[name] for result in results])
                               for name in results[0]},
-        np.array([FAILED if reason else DONE for reason in reasons], dtype=np.int8), reasons)
+        np.array([SAMPLE_FAILED if reason else SAMPLE_DONE for reason in reasons], dtype=np.int8),
+        reasons)
 
 
 def failed(job, samples, reason):
@@ -94,7 +95,7 @@ def failed(job, samples, reason):
     empty = summary(job, nothing(wanted, job.scene.mechanism, job.schedule.instants))
     return Batch(np.asarray(samples),
                  {name: np.array([value] * len(samples)) for name, value in empty.items()},
-                 np.full(len(samples), FAILED, dtype=np.int8), [reason] * len(samples))
+                 np.full(len(samples), SAMPLE_FAILED, dtype=np.int8), [reason] * len(samples))
 
 
 def _records(job, source, rows, torques):

@@ -40,12 +40,12 @@ from .batch import failed, run_batch
 from ..simulation.errors import SimulationError
 
 # Between two looks how many workers a cluster has [s].
-LOOK_EVERY = 5.0
+COUNT_WORKERS_EVERY = 5.0
 # Computing time that is worth the start of workers, which takes some 5 s: known well, and guessed
 # from one batch [s].
 WORTH, WORTH_AT_ONCE = 15.0, 600.0
 # For a scheduler to answer [s].
-PATIENCE = 10
+SCHEDULER_PATIENCE = 10
 
 
 class EngineError(SimulationError):
@@ -232,21 +232,21 @@ class Cluster(Handed):
                               'install distributed') from None
         try:
             self._client = distributed.Client(
-                address, set_as_default=False, timeout=PATIENCE)
+                address, set_as_default=False, timeout=SCHEDULER_PATIENCE)
         except (OSError, ValueError) as error:
             raise EngineError(f'No scheduler answers at {address}: {error}. Start one with: dask '
                               'scheduler') from None
         super().__init__(self._client.get_executor(pure=False))
-        self._looked, self._limit, self._seen = -LOOK_EVERY, 2, time.monotonic()
+        self._looked, self._limit, self._seen = -COUNT_WORKERS_EVERY, 2, time.monotonic()
 
     def limit(self):
         """Return how many batches keep the workers busy that are there now."""
         now = time.monotonic()
         if self._client.status == 'running':
             self._seen = now
-        elif now - self._seen > PATIENCE:
+        elif now - self._seen > SCHEDULER_PATIENCE:
             self.renew()
-        if now - self._looked > LOOK_EVERY and self._seen == now:
+        if now - self._looked > COUNT_WORKERS_EVERY and self._seen == now:
             self._looked = now
             try:
                 self._limit = 2 * sum(self._client.nthreads().values()) + 2

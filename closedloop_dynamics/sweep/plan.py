@@ -45,7 +45,7 @@ DISTRIBUTIONS = {
 }
 FORMS = ', '.join([RANGE, 'VALUE,VALUE,...', *(
     f'{name}:{form}' for name, (form, _) in DISTRIBUTIONS.items())])
-MOST_VALUES = 10_000_000
+MOST_GRID_VALUES = 10_000_000
 
 
 @dataclass(frozen=True)
@@ -131,8 +131,8 @@ def _spaced(what):
         raise FieldError(RANGE, repr(what), 'COUNT values from FROM to TO, both included')
     first, last = (_number(part, what) for part in parts[:2])
     count = _number(parts[2], what)
-    if count != int(count) or not 1 <= count <= MOST_VALUES:
-        raise FieldError(f'a whole COUNT from 1 to {MOST_VALUES} in {RANGE}', repr(parts[2]))
+    if count != int(count) or not 1 <= count <= MOST_GRID_VALUES:
+        raise FieldError(f'a whole COUNT from 1 to {MOST_GRID_VALUES} in {RANGE}', repr(parts[2]))
     return tuple(np.linspace(first, last, int(count)).tolist())
 
 

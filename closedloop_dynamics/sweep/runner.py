@@ -20,7 +20,7 @@ import re
 
 import numpy as np
 
-from .batch import FAILED, Job
+from .batch import Job, SAMPLE_FAILED
 from .executors import dispatched, engine_for
 from .plan import combined, Plan, variation
 from .storage import checked_path, Layout, opened
@@ -30,7 +30,7 @@ from ..simulation.scene import load_scene
 from ..simulation.scene_records import Scene
 
 # Samples in a batch: so many batches, so many samples, so much memory [B] at most.
-BATCHES, LARGEST_BATCH, MOST_BYTES = 64, 64, 64_000_000
+BATCHES, LARGEST_BATCH, MOST_BATCH_BYTES = 64, 64, 64_000_000
 NUMBER = re.compile(r'(?<![\w.])-?\d+\.?\d*(e[-+]?\d+)?(?!\w)')
 
 
@@ -147,7 +147,7 @@ def _compute(plan, layout, storage, engine, missing, outcome, on_progress, keep_
     for batch in dispatched(engine, job, plan, tasks, keep_going):
         storage.write(batch)
         outcome.done += len(batch.samples)
-        outcome.failed += int((batch.status == FAILED).sum())
+        outcome.failed += int((batch.status == SAMPLE_FAILED).sum())
         outcome.reasons.update(_kind(reason) for reason in batch.reasons if reason)
         if on_progress is not None:
             on_progress(outcome)
@@ -163,7 +163,7 @@ def batch_size(layout):
         The same for the same sweep, wherever it runs.
 
     """
-    most = MOST_BYTES // layout.bytes_per_sample()
+    most = MOST_BATCH_BYTES // layout.bytes_per_sample()
     return int(max(1, min(layout.samples // BATCHES, LARGEST_BATCH, most)))
 
 

@@ -31,7 +31,7 @@ from typing import Optional, Tuple
 
 import numpy as np
 
-from .batch import DONE, FAILED
+from .batch import SAMPLE_DONE, SAMPLE_FAILED
 from .plan import Plan
 from .. import __version__
 from ..mechanism.fields import among, FieldError, shown
@@ -125,7 +125,7 @@ class Layout:
             *(Variable(name, (SAMPLE, *dimensions), {'units': unit, 'long_name': meaning})
               for name, (dimensions, unit, meaning) in kept.items()),
             Variable(STATUS, (SAMPLE,), {
-                'flag_values': np.array([DONE, FAILED], dtype=np.int8),
+                'flag_values': np.array([SAMPLE_DONE, SAMPLE_FAILED], dtype=np.int8),
                 'flag_meanings': 'done failed',
                 'long_name': '1 done, 2 failed, all else: not run'}, int))
 
@@ -301,7 +301,7 @@ class Storage:
         """Return whether each sample is there, shape (samples,)."""
         done = np.zeros(self._layout.samples, dtype=bool)
         status = self._file.status()
-        done[:len(status)] = np.isin(status, (DONE, FAILED))
+        done[:len(status)] = np.isin(status, (SAMPLE_DONE, SAMPLE_FAILED))
         return done
 
     def write(self, batch):

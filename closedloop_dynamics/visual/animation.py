@@ -29,7 +29,7 @@ from .drawing import MechanismArtist
 from .motion import body_poses, Motion, named_point
 from .pictures import COLORS
 
-DOTS_PER_INCH = 100
+FRAME_DOTS_PER_INCH = 100
 # Length of path between two of its points that are drawn, as a share of the picture's extent.
 TRAIL = 0.003
 # A GIF counts the time of a frame in hundredths of a second.
@@ -132,7 +132,7 @@ class Animation:
         known = np.isfinite(magnitudes).any()
         # Of all that was recorded, not of the instants that frames happen to show.
         self._largest = float(np.nanmax(magnitudes)) if known else 0.0
-        still = Figure(figsize=(8.0, 8.0), layout='constrained', dpi=DOTS_PER_INCH)
+        still = Figure(figsize=(8.0, 8.0), layout='constrained', dpi=FRAME_DOTS_PER_INCH)
         above, below = still.subplots(2, 1, height_ratios=[4, 1])
         artist = MechanismArtist(above, mechanism, self._poses)
         artist.ground()
@@ -150,7 +150,7 @@ class Animation:
         canvas = FigureCanvasAgg(still)
         canvas.draw()
         self.figure = _Moving(canvas.copy_from_bbox(still.bbox), figsize=still.get_size_inches(),
-                              dpi=DOTS_PER_INCH)
+                              dpi=FRAME_DOTS_PER_INCH)
         self._canvas = FigureCanvasAgg(self.figure)
         axes, cursor = (self.figure.add_axes(
             each.get_position(), xlim=each.get_xlim(), ylim=each.get_ylim(), autoscale_on=False)
@@ -346,7 +346,7 @@ def _nearest(palette):
 def _write_mp4(animation, path, rate, progress):
     writer = FFMpegWriter(fps=rate, codec='h264')
     try:
-        with writer.saving(animation.figure, str(path), DOTS_PER_INCH):
+        with writer.saving(animation.figure, str(path), FRAME_DOTS_PER_INCH):
             for index in range(len(animation)):
                 animation.show(index)
                 writer.grab_frame()

@@ -30,7 +30,7 @@ DOTS_PER_INCH = 120
 WANTED = {'color': '#D55E00', 'linewidth': 1.1, 'linestyle': (0, (4, 3))}
 TURN = 2.0 * np.pi
 # Poses looked at when positions to draw are chosen.
-CANDIDATES = 400
+POSE_CANDIDATES = 400
 
 
 def joint_motion(motion, title, wanted=None):
@@ -198,7 +198,7 @@ def spread_positions(poses, count):
         How many to choose, at most.
 
     """
-    candidates = np.unique(np.linspace(0, len(poses) - 1, CANDIDATES).astype(int))
+    candidates = np.unique(np.linspace(0, len(poses) - 1, POSE_CANDIDATES).astype(int))
     extent = np.ptp(poses[..., :2], axis=(0, 1)).max()
     angle = poses[candidates, :, 2]
     places = np.concatenate([

@@ -21,7 +21,7 @@ from threading import Timer
 from tqdm import tqdm
 
 # Nobody needs to be told about less [s].
-PATIENCE = 1.0
+SHOW_AFTER = 1.0
 BAR = '{desc}: {percentage:3.0f}%|{bar}| {n:.4g} of {total:.4g} {unit} [{elapsed} < {remaining}]'
 
 
@@ -33,7 +33,7 @@ def progress_bar(total, unit, description):
 
     """
     return tqdm(total=total, unit=unit, desc=description, file=sys.stderr, disable=None,
-                delay=PATIENCE, leave=False, bar_format=BAR)
+                delay=SHOW_AFTER, leave=False, bar_format=BAR)
 
 
 @contextmanager
@@ -49,7 +49,7 @@ def parts_bar(unit, description):
 
 
 @contextmanager
-def announced(message, patience=PATIENCE):
+def announced(message, patience=SHOW_AFTER):
     """Print a message on stderr if the block takes longer than some seconds."""
     timer = Timer(patience, print, (message,), {'file': sys.stderr, 'flush': True})
     timer.daemon = True

@@ -17,7 +17,7 @@
 from concurrent.futures import BrokenExecutor, Future, ThreadPoolExecutor
 
 from closedloop_dynamics.simulation.scene import load_scene
-from closedloop_dynamics.sweep.batch import DONE, FAILED, Job
+from closedloop_dynamics.sweep.batch import Job, SAMPLE_DONE, SAMPLE_FAILED
 from closedloop_dynamics.sweep.executors import dispatched, EngineError, Handed, Inline
 from closedloop_dynamics.sweep.plan import Grid, Plan
 import numpy as np
@@ -82,14 +82,14 @@ def keep_going(engine):
 def test_all_samples_come_back_once():
     samples, status, _ = run(Inline())
     np.testing.assert_array_equal(samples, np.arange(20))
-    assert (status == DONE).all()
+    assert (status == SAMPLE_DONE).all()
 
 
 def test_what_was_on_its_way_when_workers_were_lost_is_done_again():
     engine = Lossy(first_loss=3)
     samples, status, _ = run(engine)
     np.testing.assert_array_equal(samples, np.arange(20))
-    assert (status == DONE).all() and engine.renewals == 1
+    assert (status == SAMPLE_DONE).all() and engine.renewals == 1
     assert sorted(engine.ran) == list(range(20))
 
 
@@ -97,7 +97,7 @@ def test_only_the_sample_that_kills_its_worker_fails():
     engine = Lossy(deadly=[7])
     samples, status, batches = run(engine)
     np.testing.assert_array_equal(samples, np.arange(20))
-    assert np.flatnonzero(status == FAILED).tolist() == [7]
+    assert np.flatnonzero(status == SAMPLE_FAILED).tolist() == [7]
     reason = next(batch.reasons[0] for batch in batches if 7 in batch.samples)
     assert 'lost, each time' in reason
 
@@ -105,7 +105,7 @@ def test_only_the_sample_that_kills_its_worker_fails():
 def test_an_engine_that_reports_each_loss_alone_is_served_the_same():
     samples, status, _ = run(Lossy(deadly=[7, 8], error=RuntimeError))
     np.testing.assert_array_equal(samples, np.arange(20))
-    assert np.flatnonzero(status == FAILED).tolist() == [7, 8]
+    assert np.flatnonzero(status == SAMPLE_FAILED).tolist() == [7, 8]
 
 
 def test_a_handed_in_executor_computes_the_same():
