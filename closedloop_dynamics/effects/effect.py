@@ -76,11 +76,6 @@ def require_point(mechanism, key, name):
         one_of(tuple(point.name for point in mechanism.points), 'one of the points')(name)
 
 
-def joint_type(mechanism, name):
-    """Return the type of a joint, by its name."""
-    return next(joint.type for joint in mechanism.joints if joint.name == name)
-
-
 # Field -> refuses a name that the mechanism does not have.
 REQUIRE = {'joint': require_joint, 'body': require_body, 'point': require_point,
            'point_a': require_point, 'point_b': require_point}

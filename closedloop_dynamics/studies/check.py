@@ -15,12 +15,14 @@
 """What a mechanism or a scene was understood to be, in plain text."""
 
 from dataclasses import asdict
+from textwrap import indent
 
 from ..effects.registry import effect_type
 from ..integration.registry import ADAPTIVE, AUTO, BAUMGARTE, INTEGRATORS, STABILISATIONS
 from ..mechanism.decomposition import decompose
 from ..mechanism.mechanism import CUT_JOINT_EQUATIONS, Mechanism
 from ..simulation.assembly import find_degrees_of_freedom
+from ..visual.tables import text_table
 
 
 def describe(scene_or_mechanism, simulation=None):
@@ -176,10 +178,7 @@ def _table(title, header, rows):
     title = f'{title}: {len(rows) or "none"}'
     if not rows:
         return title
-    widths = [max(map(len, column)) for column in zip(header, *rows)]
-    lines = ['  '.join(f'{cell:{width}}' for cell, width in zip(row, widths)).rstrip()
-             for row in (header, *rows)]
-    return '\n'.join([title, *(f'  {line}' for line in lines)])
+    return f'{title}\n' + indent(text_table(header, rows), '  ')
 
 
 def _value(value):

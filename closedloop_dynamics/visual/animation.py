@@ -35,8 +35,6 @@ TRAIL = 0.003
 # A GIF counts the time of a frame in hundredths of a second.
 GIF_TICKS = 100
 COLORS_OF_A_GIF = 64
-# Bits of each of red, green and blue that choose the colour of a GIF.
-DEPTH = 5
 
 
 class AnimationError(OSError):
@@ -304,21 +302,11 @@ def _write_gif(animation, path, rate, progress):
     # The last frame has all that is drawn, the whole path among it.
     sample = Image.fromarray(animation.frame(len(animation) - 1)).convert('RGB')
     palette = sample.quantize(COLORS_OF_A_GIF, Image.Quantize.MAXCOVERAGE)
-    nearest = _nearest(palette)
-
-    colors = palette.getpalette()
 
     def frames():
-        last = np.zeros(sample.size[::-1], dtype=np.uint32)
-        pixels = np.zeros(sample.size[::-1], dtype=np.uint8)
         for index in range(len(animation)):
-            frame = animation.frame(index).view('<u4')[..., 0]
-            changed = frame != last
-            pixels[changed] = nearest[_shortened(frame[changed])]
-            last[:] = frame
-            picture = Image.fromarray(pixels)
-            picture.putpalette(colors)
-            yield picture
+            picture = Image.fromarray(animation.frame(index)).convert('RGB')
+            yield picture.quantize(palette=palette, dither=Image.Dither.NONE)
             progress(index + 1)
 
     pictures = frames()
@@ -326,21 +314,6 @@ def _write_gif(animation, path, rate, progress):
     duration = max(2, round(1000 / rate / tick)) * tick
     next(pictures).save(path, save_all=True, append_images=pictures, duration=duration, loop=0,
                         optimize=False)
-
-
-def _shortened(colors):
-    """Return colours (red in the lowest byte) as numbers of ``DEPTH`` bits for each channel."""
-    low = (1 << DEPTH) - 1
-    red, green, blue = (colors >> (8 * k + 8 - DEPTH) & low for k in range(3))
-    return red << 2 * DEPTH | green << DEPTH | blue
-
-
-def _nearest(palette):
-    """Return the index in a palette for each of the numbers of ``_shortened``."""
-    levels = np.arange(1 << DEPTH) * 255 // ((1 << DEPTH) - 1)
-    colors = np.stack(np.meshgrid(levels, levels, levels, indexing='ij'), axis=-1)
-    picture = Image.fromarray(colors.reshape(1, -1, 3).astype(np.uint8))
-    return np.asarray(picture.quantize(palette=palette, dither=Image.Dither.NONE))[0]
 
 
 def _write_mp4(animation, path, rate, progress):
