@@ -30,7 +30,7 @@ from .advance import DONE, NOT_FINITE, OPEN_LOOP
 from .projection import all_finite, MOST_CORRECTIONS
 from .registry import INDEPENDENT, PROJECTION, VELOCITY
 from .runge_kutta import combine
-from .system import BAUMGARTE, CLOSURE_LIMIT, CLOSURE_TOLERANCE
+from .system import BAUMGARTE_GAIN, CLOSURE_LIMIT, CLOSURE_TOLERANCE
 from ..core.compiled import inlined, released
 from ..core.straight_line import lanes, linkage as links
 from ..core.straight_line.lanes import LANES
@@ -86,12 +86,12 @@ def build_pack(systems):
     first = systems[0]
     settings = np.array([system.settings for system in systems])
     shape = topology(first.model)
-    if (settings[:, BAUMGARTE] != settings[0, BAUMGARTE]).any() or any(
+    if (settings[:, BAUMGARTE_GAIN] != settings[0, BAUMGARTE_GAIN]).any() or any(
             topology(system.model) != shape for system in systems if system is not first):
         return None
     nv, nc = len(first.qdd), len(first.lam)
     arrays = lanes.allocate([system.model for system in systems], (nv, nc),
-                            settings[0, BAUMGARTE:BAUMGARTE + 1].copy())
+                            settings[0, BAUMGARTE_GAIN:BAUMGARTE_GAIN + 1].copy())
     return Pack(
         linkage=lanes.connect(first.model, arrays), tau=arrays[links.TAU],
         qdd=arrays[links.QDD], closure=arrays[links.CLOSURE],

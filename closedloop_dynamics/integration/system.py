@@ -32,7 +32,7 @@ from ..effects.table import build_table, EffectTable
 
 # Columns of System.settings: which formulation, Baumgarte's decay rate [1/s] (0: none), the
 # closure error [m, rad] that projection leaves and the one at which it gives up.
-FORMULATION, BAUMGARTE, CLOSURE_TOLERANCE, CLOSURE_LIMIT, ASIDE = range(5)
+FORMULATION, BAUMGARTE_GAIN, CLOSURE_TOLERANCE, CLOSURE_LIMIT, ASIDE = range(5)
 
 # Unrolled code grows with the mechanism: beyond this number of bodies it takes too long to
 # compile and falls out of the fastest memory.
@@ -148,7 +148,7 @@ def _linked(system):
     linkage = links.connect(
         {links.BODY: model.body, links.GRAVITY: model.gravity, links.CUT_POINT: model.cut_point,
          links.TAU: system.applied, links.QDD: system.qdd,
-         links.BAUMGARTE: system.settings[BAUMGARTE:],
+         links.BAUMGARTE: system.settings[BAUMGARTE_GAIN:],
          links.LAM: system.lam, links.HEALTH: work.health, links.WORK_BODY: work.body,
          links.CLOSURE: work.closure, links.CLOSURE_RATE: work.closure_rate,
          links.CORRECTIONS: system.corrections},
@@ -314,7 +314,7 @@ def careful_acceleration(model, work, effects, settings, tau, applied, q, qd, qd
     kinematics.outward(model, q, qd, work)
     apply_effects(effects, work, q, qd, tau)
     rank_revealing.accelerate(
-        model, work, applied, settings[BAUMGARTE], settings[ASIDE], q, qd, qdd, lam)
+        model, work, applied, settings[BAUMGARTE_GAIN], settings[ASIDE], q, qd, qdd, lam)
 
 
 @allocating
@@ -345,7 +345,7 @@ def _evaluate_by_loops(by_loops, system, q, qd):
     """Evaluate a state by the kernels' loops, where nothing is unrolled."""
     if by_loops is not None:
         model, work, formulation = system.model, system.work, int(system.settings[FORMULATION])
-        applied, baumgarte, good = system.applied, system.settings[BAUMGARTE], False
+        applied, baumgarte, good = system.applied, system.settings[BAUMGARTE_GAIN], False
         for attempt in range(2):
             # An elimination uses up what the outward recursion and the effects leave.
             kinematics.outward(model, q, qd, work)

@@ -45,7 +45,7 @@ from ..integration.drivers import build_driver
 from ..integration.fixed_step import joint_forces
 from ..integration.registry import INTEGRATORS, SCIPY
 from ..integration.system import (
-    BAUMGARTE, build_system, CLOSURE_LIMIT, evaluate, number_of_states, Probe)
+    BAUMGARTE_GAIN, build_system, CLOSURE_LIMIT, evaluate, number_of_states, Probe)
 from ..mechanism.decomposition import decompose
 from ..mechanism.fields import at, keys_of, mapping
 
@@ -801,7 +801,7 @@ class Simulation:
         self._time_base, self._steps = self.time, 0
         self.scene = replace(self.scene, method=method)
         self._set_guards(stiffness, method)
-        self.system.settings[BAUMGARTE] = (
+        self.system.settings[BAUMGARTE_GAIN] = (
             1.0 / method.time_constant if method.stabilisation == 'baumgarte' else 0.0)
         self._driver.restart()
         self._jump()

@@ -118,8 +118,6 @@ def record(simulation, tau, steps, outputs, patience=float('inf')):
 # The first that succeeds is the reference, the second one proves it: an integrator, and its
 # tolerance or its share of the time between two outputs as step size.
 CANDIDATES = (('dop853', 1e-13), ('dopri5', 1e-13), ('rk4', 1e-3), ('rodas4', 1e-11))
-# Stabilisation of the reference and of its first proof, and of the second proof.
-PROJECTION, INDEPENDENT = 'projection', 'independent'
 # Distance of the places that a proof looks at beside a singular configuration, against that of
 # the reference.
 NEARER = 0.7
@@ -164,7 +162,7 @@ def compute_reference(scene, torque, interval, outputs):
             continue
         try:
             found.append(((integrator, value), _motion(
-                scene, torque, interval, outputs, integrator, value, PROJECTION,
+                scene, torque, interval, outputs, integrator, value, 'projection',
                 NEARER if found else 1.0)))
         except SimulationError as error:
             failures.append(f'{_named(integrator, value, interval)}: {error}')
@@ -177,9 +175,9 @@ def compute_reference(scene, torque, interval, outputs):
     proofs = {_named(*found[1][0], interval): difference(reference, found[1][1])}
     try:
         proofs['independent coordinates'] = difference(reference, _motion(
-            scene, torque, interval, outputs, name, value, INDEPENDENT, NEARER))
+            scene, torque, interval, outputs, name, value, 'independent', NEARER))
     except SimulationError as error:
-        failures.append(f'{_named(name, value, interval)}, {INDEPENDENT}: {error}')
+        failures.append(f'{_named(name, value, interval)}, independent: {error}')
     own = Difference(*(max(getattr(proof, each) for proof in proofs.values())
                        for each in ('position', 'velocity', 'force')))
     lines = [
