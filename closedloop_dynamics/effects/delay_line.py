@@ -56,7 +56,7 @@ class DelayLine:
 
     def due(self, time, tolerance, present):
         """
-        Return the torques that act from a time on.
+        Return the torques that act from a time on, shape (nv,).
 
         Parameters
         ----------
@@ -64,10 +64,6 @@ class DelayLine:
             [s].
         present : ndarray, shape (nv,)
             The torques acting so far.
-
-        Returns
-        -------
-        ndarray, shape (nv,)
 
         """
         acting = present.copy()

@@ -21,7 +21,7 @@ from ..core.types import COS, FX, FY, FZ, SIN
 @inlined
 def offset(body, row, x, y):
     """
-    Return the offset of a point from its body's origin, in world axes.
+    Return the offset of a point from its body's origin, in world axes [m].
 
     Parameters
     ----------
@@ -31,11 +31,6 @@ def offset(body, row, x, y):
         Of the body, 0 for the ground.
     x, y : float
         Place in the body's frame [m].
-
-    Returns
-    -------
-    tuple of 2 floats
-        [m].
 
     """
     return (body[row, COS] * x - body[row, SIN] * y, body[row, SIN] * x + body[row, COS] * y)

@@ -104,7 +104,7 @@ class Assembler:
 
     def positions(self, guess, hold=()):
         """
-        Find joint coordinates that close the loops.
+        Find joint coordinates that close the loops, shape (nv,).
 
         Parameters
         ----------
@@ -112,10 +112,6 @@ class Assembler:
             Approximate values.
         hold : sequence of str
             Joints whose coordinates are kept.
-
-        Returns
-        -------
-        ndarray, shape (nv,)
 
         Raises
         ------
@@ -154,7 +150,7 @@ class Assembler:
 
     def velocities(self, q, guess, hold=()):
         """
-        Find joint rates that keep the loops closed.
+        Find joint rates that keep the loops closed, shape (nv,).
 
         Parameters
         ----------
@@ -164,10 +160,6 @@ class Assembler:
             Approximate values.
         hold : sequence of str
             Joints whose rates are kept.
-
-        Returns
-        -------
-        ndarray, shape (nv,)
 
         Raises
         ------

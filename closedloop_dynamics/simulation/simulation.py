@@ -661,16 +661,12 @@ class Simulation:
 
     def joint_torques(self, torque):
         """
-        Return joint torques as an array from any form that ``step`` takes.
+        Return joint torques as an array from any form that ``step`` takes, shape (nv,).
 
         Parameters
         ----------
         torque : mapping, sequence or None
             By joint name, or in the order of the actuated joints.
-
-        Returns
-        -------
-        ndarray, shape (nv,)
 
         Raises
         ------
@@ -1149,7 +1145,7 @@ class Simulation:
 
 def vector(name, values, length):
     """
-    Return finite numbers as a new array.
+    Return finite numbers as a new array, shape (length,).
 
     Parameters
     ----------
@@ -1159,10 +1155,6 @@ def vector(name, values, length):
         Of numbers.
     length : int
         How many are expected.
-
-    Returns
-    -------
-    ndarray, shape (length,)
 
     Raises
     ------

@@ -236,11 +236,7 @@ class Plan:
 
     def values(self, samples):
         """
-        Return the varied numbers of some samples.
-
-        Returns
-        -------
-        ndarray, shape (number of samples, number of variations)
+        Return the varied numbers of some samples, shape (number of samples, number of variations).
 
         """
         samples = np.asarray(samples, dtype=int)

@@ -119,7 +119,7 @@ def world_points(pose, points):
 
 def named_point(mechanism, poses, name):
     """
-    Return the places of a named point.
+    Return the places of a named point, shape (..., 2).
 
     Parameters
     ----------
@@ -129,10 +129,6 @@ def named_point(mechanism, poses, name):
         Of the bodies.
     name : str
         Of the point.
-
-    Returns
-    -------
-    ndarray, shape (..., 2)
 
     """
     point = next(point for point in mechanism.points if point.name == name)
