@@ -107,7 +107,7 @@ def add_recording(parser):
 
 
 def require_free(arguments, *paths, option='--output'):
-    """Refuse at once to replace files that nobody said to replace."""
+    """Refuse, before anything is computed, to replace files without ``--overwrite``."""
     for path in paths:
         if path.exists() and not arguments.overwrite:
             another = 'file' if path == Path(getattr(arguments, option[2:])) else 'directory'

@@ -101,7 +101,7 @@ class EnergyBalance:
 
     def jump(self, q, energy):
         """
-        Book a change of state or parameters from outside as nobody's energy.
+        Leave the energy of a change from outside out of the balance.
 
         Parameters
         ----------

@@ -30,7 +30,7 @@ def load(model, work, table, qdd, lam):
     Parameters
     ----------
     model : Model
-        What moves.
+        Constant topology and geometry.
     work : Workspace
         After ``kinematics.outward``; only poses are read.
     table : EffectTable

@@ -155,7 +155,7 @@ def advance(system, tableau, stabilisation, state, origin, done, step_size, step
     Parameters
     ----------
     system : System
-        What moves.
+        Model and workspace of the mechanism.
     tableau : Tableau
         With error estimate and dense output.
     stabilisation : int

@@ -31,7 +31,7 @@ def advance(system, tableau, stabilisation, state, step_size, steps, scratch):
     Parameters
     ----------
     system : System
-        What moves.
+        Model and workspace of the mechanism.
     tableau : Tableau
         One without weights (order 1) stands for semi-implicit Euler.
     stabilisation : int

@@ -103,7 +103,7 @@ class ErrorControlled:
     Parameters
     ----------
     system : System
-        What moves.
+        Model and workspace of the mechanism.
     integrator : Integrator
         Of the registry.
     stabilisation : int
@@ -154,7 +154,7 @@ class Switching:
     Parameters
     ----------
     system : System
-        What moves.
+        Model and workspace of the mechanism.
     integrator : Integrator
         Of the registry.
     stabilisation : int

@@ -55,7 +55,7 @@ def allocate_buffer(system, instants, evaluated, body, point):
     Parameters
     ----------
     system : System
-        What moves.
+        Model and workspace of the mechanism.
     instants : int
         How many there will be.
     evaluated : bool
@@ -130,7 +130,7 @@ def joint_forces(system, torque, zero_order_hold, decimation, state, qdd, lam):
     Parameters
     ----------
     system : System
-        What moves; its workspace is used up.
+        Model and workspace of the mechanism; the workspace is overwritten.
     torque, zero_order_hold, decimation
         As for ``run``.
     state : ndarray, shape (instants, ns)
@@ -189,7 +189,7 @@ def run(system, tableau, stabilisation, state, step_size, torque, zero_order_hol
     Parameters
     ----------
     system : System
-        What moves; ``tau`` is set from ``torque``.
+        Model and workspace of the mechanism; ``tau`` is set from ``torque``.
     tableau, stabilisation, step_size, scratch
         As for ``advance.advance``.
     state : ndarray, shape (ns,)
@@ -250,7 +250,7 @@ def energies(system, state, out):
     Parameters
     ----------
     system : System
-        What moves; without effects that store energy.
+        Model and workspace of the mechanism; without effects that store energy.
     state : ndarray, shape (n, ns)
         Of one state each row.
     out : ndarray, shape (n, 2)

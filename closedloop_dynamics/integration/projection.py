@@ -61,7 +61,7 @@ def factor_configuration(system, q, qd):
     Parameters
     ----------
     system : System
-        What moves.
+        Model and workspace of the mechanism.
     q, qd : ndarray, shape (nv,)
         Joint coordinates and rates.
 
@@ -180,7 +180,7 @@ def stabilise(system, stabilisation, state):
     Parameters
     ----------
     system : System
-        What moves.
+        Model and workspace of the mechanism.
     stabilisation : int
         ``NONE`` or ``BAUMGARTE`` (nothing is done), ``VELOCITY``, ``PROJECTION`` or
         ``INDEPENDENT``.

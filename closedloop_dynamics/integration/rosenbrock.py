@@ -143,7 +143,7 @@ def step(system, state, step_size, matrix, pivots, slopes, stage, out):
     Parameters
     ----------
     system : System
-        What moves.
+        Model and workspace of the mechanism.
     state : ndarray, shape (ns,)
         Start of the step.
     step_size : float
@@ -182,7 +182,7 @@ def advance_fixed(system, stabilisation, state, step_size, steps, matrix, pivots
     Parameters
     ----------
     system : System
-        What moves.
+        Model and workspace of the mechanism.
     stabilisation : int
         One of ``projection``.
     state : ndarray, shape (ns,)

@@ -26,7 +26,7 @@ def step(system, tableau, state, step_size, slopes, stage, out):
     Parameters
     ----------
     system : System
-        What moves.
+        Model and workspace of the mechanism.
     tableau : Tableau
         Of the method.
     state : ndarray, shape (ns,)

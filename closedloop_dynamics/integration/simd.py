@@ -207,7 +207,7 @@ def run(pack, tableau, stabilisation, state, step_size, torque, zero_order_hold,
     Parameters
     ----------
     pack : Pack
-        What moves.
+        Mechanisms in all lanes.
     tableau, stabilisation, step_size, zero_order_hold, decimation, steps
         As for ``fixed_step.run``.
     state : ndarray, shape (LANES * ns,)

@@ -114,7 +114,7 @@ def rest(effects, system, state):
     effects : EffectTable or None
         Of the system.
     system : System
-        What moves.
+        Model and workspace of the mechanism.
     state : ndarray, shape (ns,)
         Corrected in place.
 

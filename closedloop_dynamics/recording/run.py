@@ -157,7 +157,7 @@ def run(simulation, duration, rate, torque=None, *, report, on_row, keep_going=l
     on_row : callable
         Takes the numbers of ``row``.
     keep_going : callable
-        Asked again and again; the run ends early where it returns False.
+        Polled; the run ends early where it returns False.
     all_forces : bool
         As for ``row``.
     estimate : ErrorEstimate, optional

@@ -75,7 +75,7 @@ def fastest_rate(system, state, own=()):
     Parameters
     ----------
     system : System
-        What moves.
+        Model and workspace of the mechanism.
     state : ndarray, shape (ns,)
         Where.
     own : sequence of int

@@ -63,7 +63,7 @@ class RunReport:
     evaluations : int
         Of the accelerations.
     energy_moved : float
-        The most energy that has moved since the start [J]; NaN where nobody has looked.
+        The most energy that has moved since the start [J]; NaN before the first look.
     error_bound : float
         Of ``integrator: auto``: what the error of coordinates within a second was at most, by a
         companion run with a larger tolerance [rad or m]; NaN for other methods.

@@ -187,7 +187,7 @@ def study_accuracy(scene, torque=None, duration=1.0, quick=False, lines=None,
     lines : list of Line, optional
         ``sweep.default_lines`` when not given.
     progress : callable
-        Told again and again how many of how many parts are done.
+        Called with the number of parts done and of all parts.
 
     Raises
     ------

@@ -51,7 +51,7 @@ def table(study, rows=None, markdown=False):
     Parameters
     ----------
     study : Study
-        What has been measured.
+        Of ``accuracy.study_accuracy``.
     rows : list of Row, optional
         Some of its rows; all of them when not given.
     markdown : bool
@@ -81,7 +81,7 @@ def write(study, csv_path, picture_path):
     Parameters
     ----------
     study : Study
-        What has been measured.
+        Of ``accuracy.study_accuracy``.
     csv_path, picture_path : pathlib.Path
         Replaced if they exist.
 

@@ -40,7 +40,7 @@ def for_target(study, target):
     Parameters
     ----------
     study : Study
-        What has been measured.
+        Of ``accuracy.study_accuracy``.
     target : float
         [rad or m].
 

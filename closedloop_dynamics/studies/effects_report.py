@@ -37,7 +37,7 @@ def table(study, style=text_table):
     Parameters
     ----------
     study : Study
-        What was found.
+        Of ``effects.study_effects``.
     style : callable
         ``tables.text_table`` or ``tables.markdown_table``.
 

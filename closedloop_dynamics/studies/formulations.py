@@ -132,7 +132,7 @@ def study_formulations(largest=max(SIZES), quick=False, progress=lambda done, to
     quick : bool
         Fewer and smaller ones.
     progress : callable
-        Told again and again how many of how many parts are done.
+        Called with the number of parts done and of all parts.
 
     """
     cases = [lambda name=name: scene_case(name) for name in SCENES]

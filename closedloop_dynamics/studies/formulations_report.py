@@ -59,7 +59,7 @@ def write(rows, csv_path, picture_path):
     Parameters
     ----------
     rows : list of formulations.Row
-        What has been measured.
+        Of ``formulations.study_formulations``.
     csv_path, picture_path : pathlib.Path
         Replaced if they exist.
 

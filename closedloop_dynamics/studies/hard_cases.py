@@ -277,8 +277,8 @@ def _welded(method, quick):
         x, y = simulation.scene.effects['gravity'].acceleration
         moment = (0.5 + 2.0 * 1.25) * (math.cos(angle) * y - math.sin(angle) * x)
         worst = max(worst, abs(simulation.acceleration[0] - moment / inertia) / G)
-    lonely = Simulation(scene(once, q, qd, method)).health.unique_forces
-    return math.inf if simulation.health.unique_forces or lonely else worst
+    once_unique = Simulation(scene(once, q, qd, method)).health.unique_forces
+    return math.inf if simulation.health.unique_forces or once_unique else worst
 
 
 # Scale.
@@ -541,7 +541,7 @@ def _long(name, drive=None):
         simulation = Simulation(replace(start, method=replace(method, step_size=1e-3)))
         energy, worst = simulation.energy, 0.0
         tau = np.zeros(len(simulation.joint_names))
-        # A drive answers every millisecond, as a node does; nobody else needs to be asked.
+        # A drive answers every millisecond, as a node does; without one, longer portions do.
         portion = 1 if drive else 1000 if INTEGRATORS[method.integrator].kind == FIXED else 100
         looks = 0
         while simulation.time < duration - 1e-6:

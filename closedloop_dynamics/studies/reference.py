@@ -95,7 +95,7 @@ def record(simulation, tau, steps, outputs, patience=float('inf')):
         ``TooSlow`` among them.
 
     """
-    # Compiling, half a minute in a new installation, shall not try anybody's patience.
+    # Compiling, half a minute in a new installation, does not count as computing time.
     simulation.warm_up()
     simulation.reset()
     simulation.advance(tau, 0)

@@ -332,7 +332,7 @@ def dispatched(engine, job, plan, tasks, keep_going):
     tasks : iterable of ndarray of int
         Samples that are computed together.
     keep_going : callable
-        Asked again and again; the rest is given up where it returns False.
+        Polled; the rest is given up where it returns False.
 
     Yields
     ------

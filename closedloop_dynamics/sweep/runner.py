@@ -108,7 +108,7 @@ def sweep(scene, vary, output, *, samples=1, seed=0, duration=2.0, rate=100.0, t
     on_progress : callable, optional
         Takes the ``Outcome`` so far, after every batch.
     keep_going : callable
-        Asked again and again; the sweep ends early, its file valid, where it returns False.
+        Polled; where it returns False the sweep ends early, with a valid file.
 
     Raises
     ------

@@ -103,7 +103,7 @@ class Animation:
     motion : Motion
         Its times rise; forces may be NaN where none are known.
     title : str
-        Above it.
+        Title of the figure.
     times : ndarray
         Of the frames [s].
     point : str, optional

@@ -40,9 +40,9 @@ def joint_motion(motion, title, wanted=None):
     Parameters
     ----------
     motion : Motion
-        What is drawn.
+        Recorded or simulated states.
     title : str
-        Above it.
+        Title of the figure.
     wanted : tuple of 2 ndarrays, shape (n, nv), optional
         Positions and velocities that the joints were to have; NaN where nothing was wanted.
 
@@ -116,9 +116,9 @@ def positions(motion, title, point=None, count=5):
     Parameters
     ----------
     motion : Motion
-        What is drawn.
+        Recorded or simulated states.
     title : str
-        Above it.
+        Title of the figure.
     point : str, optional
         Whose path is drawn; the mechanism's first named point when not given.
     count : int

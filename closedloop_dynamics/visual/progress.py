@@ -20,7 +20,7 @@ from threading import Timer
 
 from tqdm import tqdm
 
-# Nobody needs to be told about less [s].
+# What is done sooner shows no bar and no message [s].
 SHOW_AFTER = 1.0
 BAR = '{desc}: {percentage:3.0f}%|{bar}| {n:.4g} of {total:.4g} {unit} [{elapsed} < {remaining}]'
 
