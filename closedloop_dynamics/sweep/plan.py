@@ -235,10 +235,7 @@ class Plan:
                 for each in self.variations]
 
     def values(self, samples):
-        """
-        Return the varied numbers of some samples, shape (number of samples, number of variations).
-
-        """
+        """Return the varied numbers of some samples, shape (samples, variations)."""
         samples = np.asarray(samples, dtype=int)
         points = iter(np.unravel_index(samples // self.draws, self.shape) if self.shape else ())
         return np.array([
