@@ -47,127 +47,66 @@ OWN, DISSIPATED, WORK = range(3)
 
 
 class State(NamedTuple):
-    """
-    One state that an effect adds to the state vector.
+    """One state that an effect adds to the state vector."""
 
-    Attributes
-    ----------
-    role : int
-        ``OWN``, ``DISSIPATED`` or ``WORK``.
-    scale : float
-        Size to which error control relates its tolerance.
-    initial : float
-        Value at the start.
-
-    """
-
-    role: int
-    scale: float = 1.0
-    initial: float = 0.0
+    role: int  # ``OWN``, ``DISSIPATED`` or ``WORK``
+    scale: float = 1.0  # Size to which error control relates its tolerance
+    initial: float = 0.0  # Value at the start
 
 
 class ForceElement(NamedTuple):
-    """
-    One effect as a row of the table.
+    """One effect as a row of the table."""
 
-    Attributes
-    ----------
-    kind : int
-        ``JOINT_DAMPING`` to ``ACTUATOR``.
-    index : tuple of int
-        FIRST and SECOND, as far as the law reads them.
-    values : tuple of float
-        Parameters, in the order the law reads them.
-    states : tuple of State
-        In the order the law reads and writes them.
-    loaded : bool
-        Whether the law wants the reaction in its joint.
-    sticks : bool
-        Whether the law may hold its joint at rest.
-
-    """
-
-    kind: int
-    index: Tuple[int, ...]
-    values: Tuple[float, ...]
-    states: Tuple[State, ...] = ()
-    loaded: bool = False
-    sticks: bool = False
+    kind: int  # ``JOINT_DAMPING`` to ``ACTUATOR``
+    index: Tuple[int, ...]  # FIRST and SECOND, as far as the law reads them
+    values: Tuple[float, ...]  # Parameters, in the order the law reads them
+    states: Tuple[State, ...] = ()  # In the order the law reads and writes them
+    loaded: bool = False  # Whether the law wants the reaction in its joint
+    sticks: bool = False  # Whether the law may hold its joint at rest
 
 
 class Sticking(NamedTuple):
-    """
-    Joints at rest under dry friction in the latest evaluation, and what holds them.
+    """Joints at rest under dry friction in the latest evaluation, and what holds them."""
 
-    Attributes
-    ----------
-    rows : ndarray of int, shape (nf + 1,)
-        How many joints stick, and the rows of their effects; nf effects may stick.
-    hold : ndarray, shape (ne,)
-        Friction that ``dispatch.apply`` gives to a joint that sticks [N m; N]: zero but while
-        responses are computed.
-    response : ndarray, shape (nf + 1, nv + nc)
-        What the limit of each friction changes of accelerations and multipliers; last, these
-        without the friction of any joint at rest.
-    matrix : ndarray, shape (nf, nf)
-    right, bound, move : ndarray, shape (nf,)
-    factor : ndarray, shape (nf, nf)
-    free : ndarray of int, shape (nf,)
-        Of ``sticking.solve``.
-    share : ndarray, shape (nf,)
-        Friction relative to its limit.
-    impulse : ndarray, shape (nf,)
-
-    """
-
+    # Shape (nf + 1,): how many joints stick, and the rows of their effects; nf effects may
+    # stick.
     rows: np.ndarray
+    # Shape (ne,): friction that ``dispatch.apply`` gives to a joint that sticks [N m; N]:
+    # zero but while responses are computed.
     hold: np.ndarray
+    # Shape (nf + 1, nv + nc): what the limit of each friction changes of accelerations and
+    # multipliers; last, these without the friction of any joint at rest.
     response: np.ndarray
-    matrix: np.ndarray
+    matrix: np.ndarray  # Shape (nf, nf)
+    # Shape (nf,)
     right: np.ndarray
     bound: np.ndarray
     move: np.ndarray
-    factor: np.ndarray
-    free: np.ndarray
-    share: np.ndarray
-    impulse: np.ndarray
+    factor: np.ndarray  # Shape (nf, nf)
+    free: np.ndarray  # Shape (nf,): of ``sticking.solve``
+    share: np.ndarray  # Shape (nf,): friction relative to its limit
+    impulse: np.ndarray  # Shape (nf,)
 
 
 class EffectTable(NamedTuple):
-    """
-    The listed effects, as the kernels read them.
+    """The listed effects, as the kernels read them."""
 
-    Attributes
-    ----------
-    kind, enabled : ndarray of int, shape (ne,)
-    index : ndarray of int, shape (ne, INDEX_COLUMNS)
-    values : ndarray, shape (ne, VALUE_COLUMNS)
-    output : ndarray, shape (ne, OUTPUT_COLUMNS)
-        Written by the laws.
-    states, rates : ndarray, shape (nz,)
-        The effects' states and their derivatives, of the latest evaluation.
-    scale : ndarray, shape (nz,)
-        Sizes for error control.
-    loaded : ndarray of int, shape (1,)
-        How many effects want the reaction in their joint.
-    applied : ndarray, shape (nv,)
-        Joint torques: commands and effects. The commands' own array where no effect is listed.
-    reaction : ndarray, shape (nb + 1, joint_wrenches.COLUMNS)
-        Scratch of ``joint_reaction``; of no length where no effect is listed.
-    sticking : Sticking
-
-    """
-
+    # Shape (ne,)
     kind: np.ndarray
     enabled: np.ndarray
-    index: np.ndarray
-    values: np.ndarray
-    output: np.ndarray
+    index: np.ndarray  # Shape (ne, INDEX_COLUMNS)
+    values: np.ndarray  # Shape (ne, VALUE_COLUMNS)
+    output: np.ndarray  # Shape (ne, OUTPUT_COLUMNS): written by the laws
+    # Shape (nz,): the effects' states and their derivatives, of the latest evaluation.
     states: np.ndarray
     rates: np.ndarray
-    scale: np.ndarray
-    loaded: np.ndarray
+    scale: np.ndarray  # Shape (nz,): sizes for error control
+    loaded: np.ndarray  # Shape (1,): how many effects want the reaction in their joint
+    # Shape (nv,): joint torques: commands and effects. The commands' own array where no
+    # effect is listed.
     applied: np.ndarray
+    # Shape (nb + 1, joint_wrenches.COLUMNS): scratch of ``joint_reaction``; of no length
+    # where no effect is listed.
     reaction: np.ndarray
     sticking: Sticking
 
