@@ -267,12 +267,7 @@ class EffectSet:
         """
         Return what an effect says of itself at the latest evaluation.
 
-        Parameters
-        ----------
-        name : str
-            Of a listed effect.
-        states : ndarray, shape (nz,)
-            The effects' states.
+        ``states``: shape (nz,); the effects' states.
 
         """
         with at('effects'):

@@ -217,12 +217,7 @@ def stop(table, qd):
     """
     Take what is left of their rates from the joints that stay at rest, by an impulse.
 
-    Parameters
-    ----------
-    table : EffectTable
-        After ``balance``.
-    qd : ndarray, shape (nv,)
-        Joint rates, corrected in place.
+    ``qd``: shape (nv,); joint rates, corrected in place.
 
     """
     sticking = table.sticking

@@ -151,16 +151,7 @@ class Switching:
     """
     Error control that changes between an explicit and a stiff method; see ``switching``.
 
-    Parameters
-    ----------
-    system : System
-        Model and workspace of the mechanism.
-    integrator : Integrator
-        Of the registry.
-    stabilisation : int
-        One of ``projection``.
-    accuracy : float
-        Global error of coordinates within a second [rad or m].
+    ``accuracy``: float; global error of coordinates within a second [rad or m].
 
     Attributes
     ----------

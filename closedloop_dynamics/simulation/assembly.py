@@ -60,14 +60,7 @@ class Assembler:
     """
     Closes the loops of one mechanism.
 
-    Parameters
-    ----------
-    mechanism : Mechanism
-    model : core.types.Model
-    work : core.types.Workspace
-        Used as scratch.
-    extent : float
-        Size of the mechanism [m].
+    ``extent``: float; size of the mechanism [m].
 
     """
 
@@ -106,12 +99,7 @@ class Assembler:
         """
         Find joint coordinates that close the loops, shape (nv,).
 
-        Parameters
-        ----------
-        guess : ndarray, shape (nv,)
-            Approximate values.
-        hold : sequence of str
-            Joints whose coordinates are kept.
+        ``guess``: shape (nv,); approximate values.
 
         Raises
         ------
@@ -495,12 +483,7 @@ def angle_notes(mechanism, position):
     """
     Tell of angles beyond a whole turn, which may have been meant as degrees.
 
-    Parameters
-    ----------
-    mechanism : Mechanism
-        Whose joints are meant.
-    position : sequence, shape (nv,)
-        Joint coordinates.
+    ``position``: sequence, shape (nv,); joint coordinates.
 
     """
     large = [f'{joint.name} = {value:g}' for joint, value in zip(mechanism.joints, position)

@@ -311,12 +311,7 @@ class ClosureGuard:
     """
     Looks at the closure where the method alone does not keep the loops closed.
 
-    Parameters
-    ----------
-    method : Method
-        Of the scene.
-    extent : float
-        Size of the mechanism [m].
+    ``extent``: float; size of the mechanism [m].
 
     """
 

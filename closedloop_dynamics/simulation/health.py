@@ -218,14 +218,7 @@ def block_condition(model, work, jac):
     """
     Return the largest condition number of the block pivots of J I^-1 J^T.
 
-    Parameters
-    ----------
-    model : core.types.Model
-        Of the mechanism.
-    work : core.types.Workspace
-        With the kinematics of the state.
-    jac : ndarray, shape (nc, nv)
-        Constraint Jacobian, of one equation or more.
+    ``jac``: shape (nc, nv); constraint Jacobian, of one equation or more.
 
     Notes
     -----

@@ -48,14 +48,7 @@ def table(study, rows=None, markdown=False):
     """
     Return the rows of a study as a table.
 
-    Parameters
-    ----------
-    study : Study
-        Of ``accuracy.study_accuracy``.
-    rows : list of Row, optional
-        Some of its rows; all of them when not given.
-    markdown : bool
-        For a document instead of a terminal.
+    ``rows``: list of Row, optional; some of its rows; all of them when not given.
 
     """
     make = markdown_table if markdown else text_table

@@ -37,12 +37,7 @@ def for_target(study, target):
     Only settings count whose finer neighbours all hold it, too: one that meets the target by luck
     will miss it on the next scene.
 
-    Parameters
-    ----------
-    study : Study
-        Of ``accuracy.study_accuracy``.
-    target : float
-        [rad or m].
+    ``target``: float [rad or m].
 
     """
     wanted = f'An error of positions of at most {target:g} rad or m over {study.duration:g} s'

@@ -45,12 +45,7 @@ class RateControl:
 
     The model is the scene without drives, so that their lags and limits show in the result.
 
-    Parameters
-    ----------
-    scene : Scene
-        What is driven.
-    rates : dict of str to float
-        Wanted rate of every actuated joint [rad/s, m/s].
+    ``rates``: dict of str to float; wanted rate of every actuated joint [rad/s, m/s].
 
     Raises
     ------

@@ -34,12 +34,7 @@ def table(study, style=text_table):
     """
     Return the findings as a table.
 
-    Parameters
-    ----------
-    study : Study
-        Of ``effects.study_effects``.
-    style : callable
-        ``tables.text_table`` or ``tables.markdown_table``.
+    ``style``: callable; ``tables.text_table`` or ``tables.markdown_table``.
 
     """
     header = [f'{name} {unit}'.strip() for name, unit in zip(HEADER, UNITS)]

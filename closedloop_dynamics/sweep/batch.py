@@ -136,12 +136,7 @@ def summary(job, values):
     """
     Return the variables of one sample: what is kept, how it ends, its peaks.
 
-    Parameters
-    ----------
-    job : Job
-        What is kept.
-    values : dict of str to ndarray, shape (instants, ...)
-        All that is summarised.
+    ``values``: dict of str to ndarray, shape (instants, ...); all that is summarised.
 
     Returns
     -------

@@ -56,14 +56,7 @@ class MechanismArtist:
     """
     Draws one mechanism into one pair of axes.
 
-    Parameters
-    ----------
-    axes : matplotlib.axes.Axes
-        Where to draw.
-    mechanism : mechanism.mechanism.Mechanism
-        What to draw.
-    poses : ndarray, shape (n, nb, 3)
-        All poses that will be drawn; they fix the extent of the picture.
+    ``poses``: shape (n, nb, 3); all poses that will be drawn; they fix the extent of the picture.
 
     Attributes
     ----------
@@ -102,12 +95,7 @@ class MechanismArtist:
         """
         Draw all bodies with their joints in one pose.
 
-        Parameters
-        ----------
-        index : int
-            Of the pose.
-        strength : float
-            1: full colours; less: paler, for positions in the background.
+        ``strength``: float; 1: full colours; less: paler, for positions in the background.
 
         """
         layer = 10.0 + 15.0 * strength

@@ -55,12 +55,7 @@ def body_poses(mechanism, position):
     """
     Place the bodies.
 
-    Parameters
-    ----------
-    mechanism : mechanism.mechanism.Mechanism
-        What is placed.
-    position : ndarray, shape (..., nv)
-        Joint coordinates [rad or m].
+    ``position``: shape (..., nv); joint coordinates [rad or m].
 
     Returns
     -------
@@ -121,14 +116,7 @@ def named_point(mechanism, poses, name):
     """
     Return the places of a named point, shape (..., 2).
 
-    Parameters
-    ----------
-    mechanism : mechanism.mechanism.Mechanism
-        With that point.
-    poses : ndarray, shape (..., nb, 3)
-        Of the bodies.
-    name : str
-        Of the point.
+    ``poses``: shape (..., nb, 3); of the bodies.
 
     """
     point = next(point for point in mechanism.points if point.name == name)
@@ -146,12 +134,7 @@ def closure_errors(mechanism, poses):
     """
     Return the errors of all closure equations, from the description alone.
 
-    Parameters
-    ----------
-    mechanism : mechanism.mechanism.Mechanism
-        Its loops are checked.
-    poses : ndarray, shape (..., nb, 3)
-        As ``body_poses`` returns them.
+    ``poses``: shape (..., nb, 3); as ``body_poses`` returns them.
 
     Returns
     -------

@@ -190,12 +190,7 @@ def spread_positions(poses, count):
     """
     Choose positions that differ most from each other; the last one is always among them.
 
-    Parameters
-    ----------
-    poses : ndarray, shape (n, nb, 3)
-        Of the bodies.
-    count : int
-        How many to choose, at most.
+    ``poses``: shape (n, nb, 3); of the bodies.
 
     """
     candidates = np.unique(np.linspace(0, len(poses) - 1, POSE_CANDIDATES).astype(int))
