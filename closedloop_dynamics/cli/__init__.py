@@ -13,7 +13,7 @@
 # limitations under the License.
 
 """
-The command ``closedloop``.
+The command ``closedloop``: one file for each of its commands.
 
 It watches for signals before it imports its commands: that takes seconds, and Ctrl-C must not end
 in a traceback there either.
