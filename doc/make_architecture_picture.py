@@ -90,7 +90,8 @@ def picture():
                   fontweight='bold', zorder=3)
         axes.text(x + WIDTH / 2, y + 0.25, f'{len(files)} files, {lines} lines', ha='right',
                   va='center', fontsize=7, color='#555555', zorder=3)
-        axes.text(x, y - 0.16, fill(text.replace('``', ''), 50), ha='center', va='center', fontsize=8, zorder=3)
+        axes.text(x, y - 0.16, fill(text.replace('``', ''), 50), ha='center', va='center',
+                  fontsize=8, zorder=3)
     for room, other in arrows(list(places)):
         (x, y), (to_x, to_y) = places[room], places[other]
         far = abs(to_x - x) > 0.0 and y - to_y > 1.6

@@ -14,9 +14,12 @@
 
 """``closedloop accuracy``: what accuracy costs in time, on a scene of one's own."""
 
+import warnings
+
 from .command import (
     add_directory, add_scene, add_torque, checked_torques, Command, mapping, positive,
     require_free)
+from ..simulation.errors import InaccuracyWarning
 from ..simulation.scene import load_scene
 from ..simulation.simulation import Simulation
 from ..studies import accuracy_report
@@ -49,6 +52,8 @@ def _run(arguments):
     # Refused at once, what would fail only after a while.
     checked_torques(arguments, lambda: Simulation(scene), torque)
     csv_path, picture_path = _paths(arguments, scene)
+    # How far off each method is stands in the table.
+    warnings.simplefilter('ignore', InaccuracyWarning)
     with parts_bar('parts', scene.name) as progress:
         study = study_accuracy(scene, torque, arguments.duration, arguments.quick,
                                progress=progress)

@@ -14,7 +14,10 @@
 
 """``closedloop stability``: hard cases with every method, and what becomes of them."""
 
+import warnings
+
 from .command import add_directory, Command, FAILED, require_free, UsageError
+from ..simulation.errors import InaccuracyWarning
 from ..studies import stability
 from ..visual.progress import parts_bar
 
@@ -42,6 +45,8 @@ def _run(arguments):
         methods = {name: methods[name] for name in (stability.DEFAULT, 'rodas4')}
     if arguments.output is not None:
         require_free(arguments, *(arguments.output / name for name in FILES))
+    # How far off each method is stands in the table.
+    warnings.simplefilter('ignore', InaccuracyWarning)
     with parts_bar('cells', 'stability') as progress:
         atlas = stability.study_stability(arguments.quick, cases, methods, progress)
     print(stability.table(atlas, cases, methods))
