@@ -36,7 +36,7 @@ from .errors import (
     ClosureError, InaccuracyWarning, NumericalError, SingularityError, StiffnessError)
 from ..core.types import SINGULAR_COUNT
 from ..integration.registry import ADAPTIVE, AUTO, EXPLICIT, FIXED, INTEGRATORS
-from ..integration.system import derivative
+from ..integration.system import rate_of_change
 
 # Step size times fastest rate at which the explicit methods leave stability, along the
 # imaginary axis (springs without damping) or the negative real one (dampers).
@@ -93,13 +93,13 @@ def fastest_rate(system, state, own=()):
     silent[:2 * nv] = False
     silent[2 * nv + np.array(own, dtype=int)] = False
     slope, moved = np.zeros_like(state), np.zeros_like(state)
-    derivative(system, state.copy(), slope)
+    rate_of_change(system, state.copy(), slope)
     direction = np.random.default_rng(0).normal(size=len(state))
     direction[silent] = 0.0
 
     def turned(vector):
         size = DIFFERENCE / max(np.abs(vector).max(), 1e-300)
-        derivative(system, state + size * vector, moved)
+        rate_of_change(system, state + size * vector, moved)
         result = (moved - slope) / size
         result[silent] = 0.0
         return result
