@@ -129,8 +129,9 @@ def test_stabilisations_agree_and_keep_their_closure(stabilisation, integrator, 
     assert simulation.closure < limit
 
 
+# Kernels of its own; the evaluations are those of test/core.
+@pytest.mark.slow
 def test_a_dense_formulation_runs_the_same(references):
-    # SciPy's solver asks for single evaluations: no kernel of its own for the steps.
     simulation = run('carpet_scraper', integrator='scipy_dop853', tolerance=1e-9,
                      formulation='augmented', stabilisation='none', step_size=0.1)
     assert np.abs(simulation.position - references['carpet_scraper']).max() < 1e-6
