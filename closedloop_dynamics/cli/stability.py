@@ -51,11 +51,9 @@ def _run(arguments):
         atlas = stability.study_stability(arguments.quick, cases, methods, progress)
     print(stability.table(atlas, cases, methods))
     if arguments.output is not None:
-        # Drawing takes long to import.
-        from ..studies.stability_picture import stability_atlas
         arguments.output.mkdir(parents=True, exist_ok=True)
         stability.write_files(atlas, arguments.output, cases, methods)
-        stability_atlas(atlas, cases, methods).savefig(arguments.output / FILES[2])
+        stability.stability_atlas(atlas, cases, methods).savefig(arguments.output / FILES[2])
         print('\n' + '\n'.join(str(arguments.output / name) for name in FILES))
     failed = stability.unstable(atlas)
     if failed:

@@ -21,7 +21,6 @@ from closedloop_dynamics.simulation.scene_records import Method
 from closedloop_dynamics.studies import stability
 from closedloop_dynamics.studies.hard_cases import (
     ACCURATE, Case, DEGRADED, judge, Outcome, REFUSED, UNSTABLE)
-from closedloop_dynamics.studies.stability_picture import stability_atlas
 import pytest
 
 # Some compile for minutes on a busy machine.
@@ -116,7 +115,7 @@ def test_picture_has_a_cell_for_each_case_and_method():
     atlas = {(one.name, name): outcomes[(row + column) % 4]
              for row, one in enumerate(stability.CASES)
              for column, name in enumerate(stability.METHODS)}
-    axes = stability_atlas(atlas).axes[0]
+    axes = stability.stability_atlas(atlas).axes[0]
     assert len(axes.patches) == len(atlas)
     assert {text.get_text() for text in axes.texts} >= {'refused', '1.0e-09', 'inf'}
     assert stability.unstable(atlas) == [
