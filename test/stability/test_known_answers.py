@@ -127,7 +127,7 @@ def test_inconsistent_start_is_closed_to_rounding_nearest_and_on_its_branch(name
 
 
 def test_independent_coordinates_refuse_to_start_on_a_singular_configuration():
-    method = Method(stabilisation='independent')
+    method = Method(integrator='rk4', stabilisation='independent')
     with pytest.raises(AssemblyError, match='singular configuration.*stabilisation: projection'):
         Simulation(machines.scene(*machines.ladder(1, 0.5 * math.pi), method))
     simulation = Simulation(machines.scene(*machines.ladder(1, 1.0), method))
