@@ -46,9 +46,10 @@ def test_states_and_forces_come_at_the_rate_asked_for(processes, listener):
     listener.wait(lambda: min(map(len, [states, *forces])) > 200, '200 states')
     assert states[0].name == [f'theta_{i}' for i in range(1, 8)]
     assert forces[0][0].header.frame_id == 'world'
-    # A busy machine may leave some out.
+    # On a busy machine a state may come early, after the steps there was time for, or not at all.
     periods = np.diff([stamp(message) for message in states]) * 200.0
-    assert periods[5:].min() == pytest.approx(1.0, abs=1e-6)
+    np.testing.assert_allclose(5.0 * periods, np.round(5.0 * periods), atol=1e-5)
+    assert np.median(periods) == pytest.approx(1.0, abs=1e-6)
     # Falling under gravity, with no torque.
     assert not any(states[-1].effort)
     assert states[-1].position != states[0].position
