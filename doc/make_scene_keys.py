@@ -27,7 +27,7 @@ import re
 from closedloop_dynamics.effects.registry import EFFECTS
 from closedloop_dynamics.integration.registry import INTEGRATORS, STABILISATIONS
 from closedloop_dynamics.mechanism.fields import keys_of
-from closedloop_dynamics.mechanism.mechanism import Mechanism
+from closedloop_dynamics.mechanism.mechanism import Mechanism, UNTURNED
 from closedloop_dynamics.mechanism.validation import SECTIONS
 from closedloop_dynamics.simulation.scene import INITIAL_KEYS, SCENE_KEYS
 from closedloop_dynamics.simulation.scene_records import AUTO, FORMULATIONS, Initial, Method
@@ -36,6 +36,11 @@ PAGE = Path(__file__).with_name('scene_keys.md')
 TYPES = {'str': 'text', 'bool': 'true or false', 'float': 'number', 'int': 'whole number',
          'tuple of 2 floats': '[x, y]', 'float or None': 'number', 'str or None': 'text',
          'tuple of 2 floats or None': '[x, y]', 'tuple of str': 'list of names',
+         'tuple of 2 or 3 floats': '[x, y], in space [x, y, z]',
+         'tuple of 2 floats, or 3 in space': '[x, y], in space [x, y, z]',
+         'float, or tuple of 3 or 6 floats': 'number, in space a list',
+         'tuple of 3 floats or None': '[x, y, z]',
+         'tuple of 4 floats': '{rpy: [r, p, y]} or {quaternion: [x, y, z, w]}',
          'tuple of nv floats': 'number by joint name'}
 CHOICES = {'integrator': (AUTO, *INTEGRATORS), 'stabilisation': STABILISATIONS,
            'formulation': FORMULATIONS}
@@ -62,7 +67,7 @@ def documented(record_type):
 def default(record_type, key):
     """Return how a file would say what holds where a key is left out."""
     value = next(field.default for field in fields(record_type) if field.name == key)
-    if value is MISSING or value is None or value == () or value == '':
+    if value is MISSING or value in (None, (), '', UNTURNED):
         return 'none'
     if isinstance(value, bool):
         return str(value).lower()

@@ -34,7 +34,7 @@ def _add_arguments(parser):
 
 
 def _run(arguments):
-    read = load_scene_or_mechanism(arguments.scene)
+    read = load_scene_or_mechanism(arguments.scene, in_space=True)
     if isinstance(read, Mechanism):
         print(describe(read))
         return 0

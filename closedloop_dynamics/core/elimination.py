@@ -75,7 +75,7 @@ def assemble(model, work):
                     total += response[slot, k] * scaled[slot, c]
                 factor[place + k - c] = total
             scale[cut[a, ROW] + c] = factor[place]
-        if cut[a, CUT_TYPE] != CUT_PRISMATIC:
+        if cut[a, CUT_TYPE] != CUT_PRISMATIC and cut[a, ROWS] > 1:
             first = cut[a, ROW]
             larger = max(scale[first], scale[first + 1])
             scale[first] = larger

@@ -23,7 +23,8 @@ subsystem; ``q``, ``qd``, ``tau`` and the multipliers of the interface keep the
 user's order (columns ``DOF`` and ``CUT_ROW``).
 
 A planar vector is ordered (angular, x, y), in world axes, at the body's own
-origin (the place of its joint).
+origin (the place of its joint). What ``body``, ``cut_point`` and ``Workspace.body``
+hold of a mechanism in space: ``straight_line.space``.
 
 """
 
@@ -31,11 +32,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-# Model.tree, one row a body: topology.
-PARENT, DOF, TYPE, SUBSYSTEM = range(4)
-TREE_COLUMNS = 4
-# Values of the column TYPE.
-REVOLUTE, PRISMATIC, REVOLUTE_ARMATURE = range(3)
+# Model.tree, one row a body: topology. In space, joints of several freedoms are several rows, all
+# but the last of them bodies without mass. DOF: place in qd and tau; COORDINATE: first place in q;
+# AXIS: the column of the body's frame along or about which it moves, in space.
+PARENT, DOF, TYPE, SUBSYSTEM, COORDINATE, AXIS = range(6)
+TREE_COLUMNS = 6
+# Values of the column TYPE. HELICAL and BALL, one of the three rows of a spherical joint, are
+# in space.
+REVOLUTE, PRISMATIC, REVOLUTE_ARMATURE, HELICAL, BALL = range(5)
 
 # Model.body, one row a body: constants.
 # MASS; first moments MASS_X, MASS_Y in body axes; inertia about the body's
@@ -68,10 +72,12 @@ JOINT_COLUMNS = 3
 # Model.cut, one row a cut joint: topology. CUT_ROW: first multiplier in the user's
 # order; ROW: first one in elimination order; slots SLOT_A..SLOT_B-1 are the bodies
 # from body A inward, SLOT_B..SLOT_COMMON-1 those from body B, SLOT_COMMON..SLOT_END-1
-# the ones that both paths share; CUT_NUMBER: its place in the user's order.
+# the ones that both paths share; CUT_NUMBER: its place in the user's order. In
+# space, POSSIBLE: the bits of the equations of its type that do not always hold; KEPT: of those
+# among them that the elimination works on, as others repeat them.
 (CUT_TYPE, BODY_A, BODY_B, ROWS, CUT_ROW, ROW, SLOT_A, SLOT_B, SLOT_COMMON, SLOT_END,
- CUT_NUMBER) = range(11)
-CUT_COLUMNS = 11
+ CUT_NUMBER, KEPT, POSSIBLE) = range(13)
+CUT_COLUMNS = 13
 # Values of CUT_TYPE.
 CUT_REVOLUTE, CUT_PRISMATIC, CUT_FIXED = range(3)
 # Model.cut_point, one row a cut joint: the cut point in both bodies' frames, the angle.
@@ -98,7 +104,7 @@ class Model(NamedTuple):
     ----------
     tree : ndarray of int, shape (nb + 1, TREE_COLUMNS)
     body : ndarray, shape (nb + 1, BODY_COLUMNS)
-    gravity : ndarray, shape (2,)
+    gravity : ndarray, shape (2,), in space (3,)
         [m/s^2].
     cut : ndarray of int, shape (number of cuts, CUT_COLUMNS)
     cut_point : ndarray, shape (number of cuts, 5)
@@ -145,15 +151,15 @@ class Workspace(NamedTuple):
     Attributes
     ----------
     body : ndarray, shape (nb + 1, WORK_COLUMNS)
-    response : ndarray, shape (slots, 3)
+    response : ndarray, shape (slots, 3 or 6)
         Reduced force u = S^T w of each row of a cut at each slot.
-    response_scaled : ndarray, shape (slots, 3)
+    response_scaled : ndarray, shape (slots, 3 or 6)
         The same times 1/D.
     factor : ndarray
         Entries of the constraint matrix, then of its factor L.
     scale : ndarray, shape (nc,)
         What the pivots are compared with.
-    lever : ndarray, shape (slots, 3)
+    lever : ndarray, shape (slots, 3 or 6)
         Of each row of a cut, the levers on the bodies' angles, and on the slides.
     joint : ndarray, shape (nb + 1, JOINT_COLUMNS)
         What ``refinement`` keeps of every joint.
@@ -186,6 +192,23 @@ class Workspace(NamedTuple):
     health: np.ndarray
 
 
+def number_of_coordinates(model):
+    """
+    Return nq: the length of q; nv, and one more for each spherical joint.
+
+    Parameters
+    ----------
+    model : Model
+        Constant arrays of the mechanism.
+
+    Returns
+    -------
+    int
+
+    """
+    return len(model.tree) - 1 + int(np.count_nonzero(model.tree[:, TYPE] == BALL)) // 3
+
+
 def allocate(model):
     """
     Allocate the workspace of one model.
@@ -202,13 +225,14 @@ def allocate(model):
     """
     slots = len(model.slot_body)
     rows = len(model.column) - 1
+    most = max(3, model.cut[:, ROWS].max(initial=0))
     return Workspace(
         body=np.zeros((len(model.tree), WORK_COLUMNS)),
-        response=np.zeros((slots, 3)),
-        response_scaled=np.zeros((slots, 3)),
+        response=np.zeros((slots, most)),
+        response_scaled=np.zeros((slots, most)),
         factor=np.zeros(len(model.row)),
         scale=np.zeros(rows),
-        lever=np.zeros((slots, 3)),
+        lever=np.zeros((slots, most)),
         joint=np.zeros((len(model.tree), JOINT_COLUMNS)),
         change=np.zeros(len(model.tree) - 1),
         pivot_inverse=np.zeros(rows),

@@ -96,6 +96,8 @@ class Effect:
     READINGS = ()
     # Whether a change of parameters can make the scene too stiff for its steps.
     STIFFENS = True
+    # Whether it acts on mechanisms in space, too.
+    IN_SPACE = False
     # Whether steps must end where the effect's joint comes to rest; its first own state is then
     # the direction in which the joint slides (``integration.stick_slip``).
     ENDS_STEPS = False

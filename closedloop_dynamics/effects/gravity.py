@@ -24,8 +24,15 @@ It stores the potential energy ``-sum_i m_i g . p_i``.
 from dataclasses import dataclass
 
 from .effect import Effect
-from ..mechanism.checks import vector2
-from ..mechanism.mechanism import Vector2
+from ..mechanism.checks import vector2, vector3
+from ..mechanism.fields import at
+from ..mechanism.mechanism import Vector
+
+
+def _vector(value):
+    """Return a vector of two or of three numbers."""
+    return vector3(value) if isinstance(value, (list, tuple)) and len(value) == 3 else vector2(
+        value)
 
 
 @dataclass(frozen=True)
@@ -35,16 +42,22 @@ class Gravity(Effect):
 
     Attributes
     ----------
-    acceleration : tuple of 2 floats
-        The vector g in world axes [m/s^2]; ``(0.0, -9.81)`` pulls down.
+    acceleration : tuple of 2 floats, or 3 in space
+        The vector g in world axes [m/s^2]; ``(0.0, -9.81)`` pulls down, in space
+        ``(0.0, 0.0, -9.81)`` where z points up.
 
     """
 
-    CHECKS = {'acceleration': vector2}
+    IN_SPACE = True
+    CHECKS = {'acceleration': _vector}
 
-    acceleration: Vector2
+    acceleration: Vector
+
+    def fit(self, mechanism):
+        """Refuse a vector of the plane in space, and one of space in the plane."""
+        with at('acceleration'):
+            (vector2 if mechanism.planar else vector3)(self.acceleration)
 
     def change(self, model, machine):
         """Add the field to the model, whose recursion starts from it: no force is computed."""
-        model.gravity[0] += self.acceleration[0]
-        model.gravity[1] += self.acceleration[1]
+        model.gravity[:] += self.acceleration

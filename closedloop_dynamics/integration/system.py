@@ -26,7 +26,9 @@ from ..core.formulations import accelerate_dense, allocate_dense, DenseWorkspace
 from ..core.independent import allocate_partition, close, Partition
 from ..core.joint_wrenches import bias_forces
 from ..core.straight_line import linkage as links
-from ..core.types import allocate, Model, Workspace
+from ..core.straight_line.numbers import Numbers
+from ..core.straight_line.space import is_spatial
+from ..core.types import allocate, Model, RANK, RANK_REVEALING_COUNT, Workspace
 from ..effects import dispatch, joint_reaction, sticking
 from ..effects.table import build_table, EffectTable
 
@@ -125,7 +127,7 @@ def build_system(model, formulation=SUBSYSTEM, baumgarte=0.0, extent=1.0, indepe
     nv, nc = len(model.tree) - 1, len(model.column) - 1
     if unrolled is None:
         unrolled = (straight_line.available() and formulation == SUBSYSTEM
-                    and nv <= MOST_UNROLLED_BODIES)
+                    and (nv <= MOST_UNROLLED_BODIES or is_spatial(model)))
     # Closure errors of 1e-12 of the size are rounding; one of 1e-5 of it is an open loop.
     settings = np.array([
         formulation, baumgarte, 1e-12 * extent, 1e-5 * extent, rank_revealing.ASIDE])
@@ -165,6 +167,8 @@ def _relinked(*fields):
 
 def _careful_routines(system):
     """Return the rank-revealing path as functions of q and qd, compiled when first called."""
+    if is_spatial(system.model):
+        return _careful_in_space(system)
     model, work, effects, settings, qdd = (
         system.model, system.work, system.effects, system.settings, system.qdd)
     tau, applied, lam = system.tau, system.applied, system.lam
@@ -178,6 +182,29 @@ def _careful_routines(system):
 
     def velocity(q, qd):
         _carefully(qdd, careful_correction, model, work, rank_revealing.VELOCITY, q, qd, qdd)
+
+    return {links.CAREFUL_ACCELERATION: acceleration, links.CAREFUL_POSITION: position,
+            links.CAREFUL_VELOCITY: velocity}
+
+
+def _careful_in_space(system):
+    """Return what stands in for the rank-revealing path in space: the recursions on numbers."""
+    numbers, health = Numbers(system.model), system.work.health
+
+    def acceleration(q, qd):
+        numbers.move(q, qd)
+        system.qdd[:], lam, health[RANK] = numbers.accelerations(
+            system.applied, system.settings[BAUMGARTE_GAIN])
+        system.lam[:] = numbers.of_kept(lam)
+        health[RANK_REVEALING_COUNT] += 1.0
+
+    def position(q, qd):
+        numbers.move(q, qd)
+        system.qdd[:] = numbers.correction(numbers.closures()[0])
+
+    def velocity(q, qd):
+        numbers.move(q, qd)
+        system.qdd[:] = numbers.correction(numbers.closures()[1])
 
     return {links.CAREFUL_ACCELERATION: acceleration, links.CAREFUL_POSITION: position,
             links.CAREFUL_VELOCITY: velocity}

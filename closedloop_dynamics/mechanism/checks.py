@@ -84,6 +84,65 @@ def vector2(value):
     return list_of(number)(items)
 
 
+def numbers(value, count, expected):
+    """Return a list of ``count`` finite numbers as a tuple."""
+    items = listed(value, expected)
+    if len(items) != count:
+        raise FieldError(expected, f'{shown(value)}, of length {len(items)}')
+    return list_of(number)(items)
+
+
+def vector3(value):
+    """Return ``value`` as a tuple of three floats."""
+    return numbers(value, 3, 'a list of 3 finite numbers [x, y, z]')
+
+
+def direction(value):
+    """Return ``value`` as a tuple of three floats; refuse what has no length."""
+    axis = vector3(value)
+    # Squares of less vanish.
+    if not max(map(abs, axis)) > 1e-100:
+        raise FieldError('a direction [x, y, z] that is not zero', shown(value))
+    length = math.hypot(*axis)
+    # One that is a unit vector to the last digit stays as it is.
+    if abs(length - 1.0) <= 4e-16:
+        return axis
+    return tuple(component / length for component in axis)
+
+
+# How far from 1 the norm of a quaternion may be: what five digits leave.
+ROUNDED_NORM = 1e-4
+
+
+def orientation(value):
+    """Return a unit quaternion (x, y, z, w) of a mapping, or of a tuple that is one already."""
+    expected = 'a mapping with rpy: [r, p, y] in radians, or quaternion: [x, y, z, w]'
+    if isinstance(value, tuple):
+        value = {'quaternion': value}
+    if not isinstance(value, Mapping) or len(value) != 1 or not {'rpy', 'quaternion'} & set(value):
+        raise FieldError(expected, shown(value))
+    if 'rpy' in value:
+        with at('rpy'):
+            return _of_angles(*numbers(value['rpy'], 3, 'a list of 3 finite numbers [rad]'))
+    with at('quaternion'):
+        found = numbers(value['quaternion'], 4, 'a list of 4 finite numbers [x, y, z, w]')
+        norm = math.hypot(*found)
+        if not abs(norm - 1.0) <= ROUNDED_NORM:
+            raise FieldError('a unit quaternion [x, y, z, w]', f'one of norm {norm:.6g}')
+        # One that is a unit quaternion to the last digit stays as it is.
+        if abs(norm - 1.0) <= 4e-16:
+            return found
+        return tuple(component / norm for component in found)
+
+
+def _of_angles(roll, pitch, yaw):
+    """Return the quaternion of turns about the fixed axes x, y, z, one after the other."""
+    (sr, cr), (sp, cp), (sy, cy) = (
+        (math.sin(angle / 2.0), math.cos(angle / 2.0)) for angle in (roll, pitch, yaw))
+    return (sr * cp * cy - cr * sp * sy, cr * sp * cy + sr * cp * sy,
+            cr * cp * sy - sr * sp * cy, cr * cp * cy + sr * sp * sy)
+
+
 def boolean(value):
     """Return ``value`` if it is true or false."""
     if not isinstance(value, bool):

@@ -13,39 +13,63 @@
 # limitations under the License.
 
 """
-What a planar mechanism is: frozen data, no algorithms, no file formats.
+What a mechanism is: frozen data, no algorithms, no file formats.
 
-Frames. The world is right-handed, x to the right, y up, angles
-counter-clockwise. Every body has a frame whose origin sits at the body's own
-joint (the one that joins it to its parent). A joint at ``position`` in the
-parent's frame, turned by ``angle``, is
+Frames. The world is right-handed. Every body has a frame whose origin sits at the body's own
+joint (the one that joins it to its parent). The ground is the body named ``'ground'``; its frame
+is the world frame.
+
+In the plane (vectors of two numbers) x points to the right, y up, and angles are
+counter-clockwise. A joint at ``position`` in the parent's frame, turned by ``angle``, is
 
 * revolute: the child's frame is turned by ``angle + q``, its origin at
   ``position``;
 * prismatic: the child's frame is turned by ``angle``, its origin at
   ``position`` plus ``q`` along the child's own x axis.
 
-The ground is the body named ``'ground'``; its frame is the world frame.
+In space (vectors of three numbers) the child's frame is, at q = 0, turned by ``orientation``
+against the parent's, with its origin at ``position``; from there it turns about ``axis``, slides
+along it, or both. An axis is given in the frame at q = 0.
 
 """
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Tuple
+from typing import Optional, Tuple, Union
 
 GROUND = 'ground'
 REVOLUTE = 'revolute'
 PRISMATIC = 'prismatic'
 FIXED = 'fixed'
+HELICAL = 'helical'
+CYLINDRICAL = 'cylindrical'
+UNIVERSAL = 'universal'
+SPHERICAL = 'spherical'
+PLANAR = 'planar'
+FREE = 'free'
+# Joints of trees in the plane, and cut joints with their closure equations.
 JOINT_TYPES = (REVOLUTE, PRISMATIC)
-# Closure equations of each type of cut joint, in the plane.
 CUT_JOINT_EQUATIONS = {REVOLUTE: 2, PRISMATIC: 2, FIXED: 3}
+# The same in space: joints of trees with their freedoms.
+JOINT_FREEDOMS = {REVOLUTE: 1, PRISMATIC: 1, HELICAL: 1, CYLINDRICAL: 2, UNIVERSAL: 2,
+                  SPHERICAL: 3, PLANAR: 3, FREE: 6, FIXED: 0}
+SPATIAL_CUT_JOINT_EQUATIONS = {REVOLUTE: 5, PRISMATIC: 5, FIXED: 6, CYLINDRICAL: 4, UNIVERSAL: 4,
+                               SPHERICAL: 3, PLANAR: 3}
+# Joints that an axis belongs to, of trees and where they are cut.
+WITH_AXIS = (REVOLUTE, PRISMATIC, HELICAL, CYLINDRICAL, UNIVERSAL)
+CUT_WITH_AXIS_A = (REVOLUTE, CYLINDRICAL, UNIVERSAL, PLANAR)
+CUT_WITH_AXIS_B = (*CUT_WITH_AXIS_A, PRISMATIC)
 
 Vector2 = Tuple[float, float]
+Vector3 = Tuple[float, float, float]
+Vector = Union[Vector2, Vector3]
+# A unit quaternion: x, y, z, w.
+Quaternion = Tuple[float, float, float, float]
+UNTURNED = (0.0, 0.0, 0.0, 1.0)
 
 
 class MechanismError(ValueError):
-    """A mechanism description that no planar mechanism can have."""
+    """A mechanism description that no mechanism can have."""
 
 
 @dataclass(frozen=True)
@@ -58,10 +82,11 @@ class Body:
     name : str
     mass : float
         [kg], positive.
-    center_of_mass : tuple of 2 floats
+    center_of_mass : tuple of 2 or 3 floats
         In the body frame [m].
-    inertia : float
-        About the centre of mass [kg m^2], not negative (zero: a point mass).
+    inertia : float, or tuple of 3 or 6 floats
+        About the centre of mass [kg m^2], not negative (zero: a point mass). In space the
+        principal moments along the body's axes, or xx, yy, zz, xy, xz, yz.
     massless : bool
         Mass and inertia are zero on purpose: a link that only guides. The loops must then
         determine its motion.
@@ -70,29 +95,40 @@ class Body:
 
     name: str
     mass: float
-    center_of_mass: Vector2
-    inertia: float
+    center_of_mass: Vector
+    inertia: Union[float, Tuple[float, ...]]
     massless: bool = False
 
 
 @dataclass(frozen=True)
 class Joint:
     """
-    A joint of the spanning tree: one degree of freedom between parent and child.
+    A joint of the spanning tree between parent and child; in the plane of one freedom.
 
     Attributes
     ----------
     name : str
     type : str
-        ``'revolute'`` or ``'prismatic'``.
+        ``'revolute'`` or ``'prismatic'``; in space one of ``JOINT_FREEDOMS``.
     parent, child : str
         Names of bodies; the parent may be ``'ground'``.
-    position : tuple of 2 floats
+    position : tuple of 2 or 3 floats
         Place of the joint in the parent's frame [m].
     angle : float
-        Angle of the child's frame relative to the parent's at q = 0 [rad].
+        Angle of the child's frame relative to the parent's at q = 0 [rad]; in the plane.
     actuated : bool
         Whether a torque (force, for a prismatic joint) command drives it.
+    orientation : tuple of 4 floats
+        Of the child's frame in the parent's at q = 0: turns [rad] about the parent's x, y and z,
+        one after the other, or a unit quaternion; in space.
+    axis : tuple of 3 floats or None
+        Along or about which the child moves, in its frame; of a universal joint the one that
+        stays in the parent. Of revolute, prismatic, helical, cylindrical and universal joints in
+        space.
+    second_axis : tuple of 3 floats or None
+        Of a universal joint, the one fixed in the child, in its frame.
+    lead : float or None
+        Of a helical joint [m/rad].
 
     """
 
@@ -100,9 +136,13 @@ class Joint:
     type: str  # noqa: A003
     parent: str
     child: str
-    position: Vector2
+    position: Vector
     angle: float = 0.0
     actuated: bool = False
+    orientation: Quaternion = UNTURNED
+    axis: Optional[Vector3] = None
+    second_axis: Optional[Vector3] = None
+    lead: Optional[float] = None
 
 
 @dataclass(frozen=True)
@@ -119,12 +159,19 @@ class CutJoint:
         axis at ``angle`` in body b's frame, and the relative angle
         alpha_a - alpha_b stays ``angle`` (2 equations).
         ``'fixed'``: p_a - p_b = 0 and alpha_a - alpha_b = ``angle`` (3).
+        In space one of ``SPATIAL_CUT_JOINT_EQUATIONS``; equations that always hold, such as
+        those out of the plane of a planar mechanism, are left out.
     body_a, body_b : str
         Either may be ``'ground'``, not both.
-    point_a, point_b : tuple of 2 floats
+    point_a, point_b : tuple of 2 or 3 floats
         The cut point in the frames of body a and of body b [m].
     angle : float
-        Relative angle alpha_a - alpha_b [rad]; unused for ``'revolute'``.
+        Relative angle alpha_a - alpha_b [rad]; unused for ``'revolute'``; in the plane.
+    axis_a, axis_b : tuple of 3 floats or None
+        In space: the joint's axis in both bodies' frames, of a universal joint the axis fixed in
+        each, of a planar joint the plane's normal. A prismatic joint has ``axis_b`` alone.
+    orientation : tuple of 4 floats
+        Of body a in body b, where the joint keeps it: prismatic and fixed ones in space.
 
     """
 
@@ -132,9 +179,12 @@ class CutJoint:
     type: str  # noqa: A003
     body_a: str
     body_b: str
-    point_a: Vector2
-    point_b: Vector2
+    point_a: Vector
+    point_b: Vector
     angle: float = 0.0
+    axis_a: Optional[Vector3] = None
+    axis_b: Optional[Vector3] = None
+    orientation: Quaternion = UNTURNED
 
 
 @dataclass(frozen=True)
@@ -147,14 +197,14 @@ class Point:
     name : str
     body : str
         Its name; ``'ground'`` for a place in the world.
-    position : tuple of 2 floats
+    position : tuple of 2 or 3 floats
         In the body's frame [m].
 
     """
 
     name: str
     body: str
-    position: Vector2
+    position: Vector
 
 
 @dataclass(frozen=True)
@@ -187,7 +237,33 @@ class Mechanism:
         """Names of the actuated joints, in the order of q."""
         return tuple(joint.name for joint in self.joints if joint.actuated)
 
+    @cached_property
+    def planar(self):
+        """Whether this is a mechanism in the plane: vectors of two numbers."""
+        return len(self.bodies[0].center_of_mass) == 2
+
+    def require_planar(self, what):
+        """
+        Refuse a mechanism in space where only planar ones are known.
+
+        Parameters
+        ----------
+        what : str
+            What needs it, in the singular.
+
+        Raises
+        ------
+        MechanismError
+
+        """
+        if not self.planar:
+            raise MechanismError(
+                f'{self.name} is a mechanism in space (vectors of three numbers): {what} knows '
+                'planar mechanisms only, so far. `closedloop check` and `closedloop simulate` '
+                'take it.')
+
     @property
     def number_of_equations(self):
-        """Return nc, the number of closure equations."""
-        return sum(CUT_JOINT_EQUATIONS[cut.type] for cut in self.cut_joints)
+        """Return nc, the number of closure equations; in space with those that always hold."""
+        equations = CUT_JOINT_EQUATIONS if self.planar else SPATIAL_CUT_JOINT_EQUATIONS
+        return sum(equations[cut.type] for cut in self.cut_joints)

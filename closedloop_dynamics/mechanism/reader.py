@@ -21,13 +21,15 @@ got the text 'uper_arm' (did you mean 'upper_arm'?)``.
 
 """
 
+from dataclasses import replace
+
 from .document import Document
 from .fields import at, keys_of, mapping
 from .mechanism import Mechanism, MechanismError
-from .validation import checked, SECTIONS, validate_mechanism
+from .validation import checked, is_spatial, SECTIONS, validate_mechanism
 
-# What a massless body need not say.
-_NOTHING = {'mass': 0.0, 'center_of_mass': (0.0, 0.0), 'inertia': 0.0}
+# What a massless body need not say, beside its centre of mass.
+_NOTHING = {'mass': 0.0, 'inertia': 0.0}
 
 __all__ = ['read_mechanism', 'validate_mechanism']
 
@@ -48,7 +50,7 @@ def read_mechanism(path):
     Raises
     ------
     MechanismError
-        Where the file cannot be read or describes no planar mechanism.
+        Where the file cannot be read or describes no mechanism.
 
     """
     document = Document(path, MechanismError)
@@ -59,8 +61,14 @@ def read_mechanism(path):
 def _mechanism(data):
     """Return a Mechanism of the right keys, its values unchecked."""
     mapping(data, *keys_of(Mechanism))
-    return Mechanism(**{
+    mechanism = Mechanism(**{
         key: _records(value, key) if key in SECTIONS else value for key, value in data.items()})
+    origin = (0.0, 0.0, 0.0) if is_spatial(mechanism) else (0.0, 0.0)
+    bodies = tuple(
+        replace(body, center_of_mass=origin)
+        if body.massless is True and body.center_of_mass is None else body
+        for body in mechanism.bodies or ())
+    return replace(mechanism, bodies=bodies)
 
 
 def _records(section, key):
@@ -72,6 +80,6 @@ def _records(section, key):
         for entry, values in mapping({} if section is None else section).items():
             with at(entry):
                 if key == 'bodies' and isinstance(values, dict) and values.get('massless') is True:
-                    values = {**_NOTHING, **values}
+                    values = {**_NOTHING, 'center_of_mass': None, **values}
                 records.append(record_type(entry, **mapping(values, required, optional)))
     return tuple(records)

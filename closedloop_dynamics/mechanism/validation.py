@@ -12,16 +12,26 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The rules that every planar mechanism obeys, read from a file or built in Python."""
+"""The rules that every mechanism obeys, read from a file or built in Python."""
 
 from dataclasses import replace
+from functools import partial
 from numbers import Real
 from weakref import WeakValueDictionary
 
-from .checks import boolean, listed, name, not_negative, number, one_of, positive, text, vector2
+import numpy as np
+
+from .checks import (
+    boolean, direction, listed, name, not_negative, number, numbers, one_of, orientation, positive,
+    text, vector2, vector3)
 from .fields import among, at, FieldError, nearest, normalise, shown
-from .mechanism import (Body, CUT_JOINT_EQUATIONS, CutJoint, GROUND, Joint, JOINT_TYPES, Mechanism,
-                        MechanismError, Point, REVOLUTE)
+from .mechanism import (
+    Body, CUT_JOINT_EQUATIONS, CUT_WITH_AXIS_A, CUT_WITH_AXIS_B, CutJoint, FIXED, GROUND, HELICAL,
+    Joint, JOINT_FREEDOMS, JOINT_TYPES, Mechanism, MechanismError, Point, PRISMATIC, REVOLUTE,
+    SPATIAL_CUT_JOINT_EQUATIONS, UNIVERSAL, UNTURNED, WITH_AXIS)
+
+# How far moments of inertia may miss the triangle inequality, against their sum.
+ROUNDED_INERTIA = 1e-6
 
 
 def _mass(value):
@@ -34,18 +44,74 @@ def _mass(value):
         raise
 
 
+def _left_out(standing, where, value):
+    """Return what stands for a key that is not given, and refuse anything else."""
+    if value == standing:
+        return standing
+    raise FieldError(f'nothing: only a mechanism in {where} has this key', shown(value))
+
+
+def _given(check, value):
+    """Return a checked value, None where there is none."""
+    return None if value is None else check(value)
+
+
+def _inertia(value):
+    """Return moments of inertia in space, three or six; refuse those that no body has."""
+    expected = ('a list of 3 finite numbers [xx, yy, zz] or 6 [xx, yy, zz, xy, xz, yz], about the '
+                'centre of mass')
+    items = listed(value, expected)
+    found = numbers(items, 6 if len(items) == 6 else 3, expected)
+    xx, yy, zz, xy, xz, yz = (*found, 0.0, 0.0, 0.0)[:6]
+    moments = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    slack = ROUNDED_INERTIA * abs(moments).sum()
+    # The sum of two is the third and twice the mass's extent along its axis.
+    if moments[0] < -slack or moments[0] + moments[1] < moments[2] - slack:
+        principal = ', '.join(f'{moment:.4g}' for moment in moments)
+        raise FieldError(
+            'moments of inertia that a body can have: none negative, none larger than the sum of '
+            'the other two', f'principal moments {principal}')
+    return found
+
+
 # Section of the file (and field of Mechanism) -> its record and the checks of its fields.
 SECTIONS = {
     'bodies': (Body, {
         'massless': boolean, 'mass': _mass, 'center_of_mass': vector2,
         'inertia': not_negative}),
     'joints': (Joint, {
-        'type': one_of(JOINT_TYPES), 'position': vector2, 'angle': number, 'actuated': boolean}),
+        'type': one_of(JOINT_TYPES), 'position': vector2, 'angle': number, 'actuated': boolean,
+        **dict.fromkeys(('axis', 'second_axis', 'lead'), partial(_left_out, None, 'space')),
+        'orientation': partial(_left_out, UNTURNED, 'space')}),
     'cut_joints': (CutJoint, {
         'type': one_of(tuple(CUT_JOINT_EQUATIONS)), 'point_a': vector2, 'point_b': vector2,
-        'angle': number}),
+        'angle': number,
+        **dict.fromkeys(('axis_a', 'axis_b'), partial(_left_out, None, 'space')),
+        'orientation': partial(_left_out, UNTURNED, 'space')}),
     'points': (Point, {'position': vector2}),
 }
+# The same in space, where vectors have three numbers.
+SPATIAL_SECTIONS = {
+    'bodies': (Body, {
+        'massless': boolean, 'mass': _mass, 'center_of_mass': vector3, 'inertia': _inertia}),
+    'joints': (Joint, {
+        'type': one_of(tuple(JOINT_FREEDOMS)), 'position': vector3,
+        'angle': partial(_left_out, 0.0, 'the plane'), 'actuated': boolean,
+        'orientation': orientation, 'axis': partial(_given, direction),
+        'second_axis': partial(_given, direction), 'lead': partial(_given, number)}),
+    'cut_joints': (CutJoint, {
+        'type': one_of(tuple(SPATIAL_CUT_JOINT_EQUATIONS)), 'point_a': vector3,
+        'point_b': vector3, 'angle': partial(_left_out, 0.0, 'the plane'),
+        'axis_a': partial(_given, direction), 'axis_b': partial(_given, direction),
+        'orientation': orientation}),
+    'points': (Point, {'position': vector3}),
+}
+# Which joints have which keys, and must have them.
+_KEYS_OF_JOINTS = {
+    'joints': {'axis': WITH_AXIS, 'second_axis': (UNIVERSAL,), 'lead': (HELICAL,)},
+    'cut_joints': {'axis_a': CUT_WITH_AXIS_A, 'axis_b': CUT_WITH_AXIS_B}}
+# Cosine of the angle between universal axes from which on they are parallel.
+PARALLEL = 0.999
 # Names that would stand for two things in one place: CSV columns and topics, frames.
 _SHARED_NAMES = (('joints', 'cut_joints'), ('bodies', 'points'))
 
@@ -69,7 +135,7 @@ def validate_mechanism(mechanism, source=None):
     Raises
     ------
     MechanismError
-        Where it is no planar mechanism.
+        Where it is no mechanism.
 
     """
     try:
@@ -85,15 +151,39 @@ def checked(mechanism):
         raise FieldError('a Mechanism', shown(mechanism))
     if mechanism.valid:
         return mechanism
-    mechanism = normalise(replace(mechanism), name=name, description=text, **_CHECKS)
+    spatial = is_spatial(mechanism)
+    mechanism = normalise(replace(mechanism), name=name, description=text,
+                          **(_SPATIAL_CHECKS if spatial else _CHECKS))
     for key in ('bodies', 'joints'):
         if not getattr(mechanism, key):
             raise FieldError('at least one entry', 'none', path=(key,))
     _check_names(mechanism)
     _check_references(mechanism)
     _check_tree(mechanism)
+    if spatial:
+        _check_axes(mechanism)
     object.__setattr__(mechanism, 'valid', True)
     return mechanism
+
+
+def is_spatial(mechanism):
+    """
+    Tell whether a mechanism is meant to be one in space, as its first joint is.
+
+    Parameters
+    ----------
+    mechanism : Mechanism
+        Not yet checked.
+
+    Returns
+    -------
+    bool
+
+    """
+    try:
+        return len(mechanism.joints[0].position) == 3
+    except (AttributeError, IndexError, KeyError, TypeError):
+        return False
 
 
 def _zero(value):
@@ -133,6 +223,7 @@ def _records_check(record_type, checks):
 
 
 _CHECKS = {key: _records_check(*section) for key, section in SECTIONS.items()}
+_SPATIAL_CHECKS = {key: _records_check(*section) for key, section in SPATIAL_SECTIONS.items()}
 
 
 def _check_names(mechanism):
@@ -213,3 +304,26 @@ def _check_tree(mechanism):
             chain[body] = joint
             body = carrier[body].parent
         grounded.update(chain)
+
+
+def _check_axes(mechanism):
+    """Refuse axes that a joint in space does not have, and ask for those that it has."""
+    for section, keys in _KEYS_OF_JOINTS.items():
+        for joint in getattr(mechanism, section):
+            for key, types in keys.items():
+                given = getattr(joint, key) is not None
+                if given != (joint.type in types):
+                    raise FieldError(
+                        f'this key of a {joint.type} joint' if not given else
+                        f'no such key of a {joint.type} joint, but of {among(types)}',
+                        'none' if not given else shown(getattr(joint, key)),
+                        path=(section, joint.name, key))
+    for joint in mechanism.joints:
+        if joint.type == UNIVERSAL and abs(np.dot(joint.axis, joint.second_axis)) > PARALLEL:
+            raise FieldError('a second axis across the first', 'one that is parallel to it',
+                             path=('joints', joint.name, 'second_axis'))
+    for cut in mechanism.cut_joints:
+        if cut.type not in (PRISMATIC, FIXED) and cut.orientation != UNTURNED:
+            raise FieldError(f'no orientation of a {cut.type} joint, which its axes tell',
+                             shown(cut.orientation),
+                             path=('cut_joints', cut.name, 'orientation'))

@@ -21,7 +21,7 @@ import time
 import numpy as np
 
 from ..integration.registry import AUTO, FIXED, INTEGRATORS
-from ..mechanism.mechanism import REVOLUTE
+from ..mechanism.mechanism import REVOLUTE, SPHERICAL
 from ..simulation.errors import SimulationError
 from ..simulation.monitor import ROSENBROCK_ORDER
 from ..simulation.rollout_run import TIME_ROUNDING
@@ -94,11 +94,11 @@ def columns(simulation, all_forces=False):
     for quantity in ('position', 'velocity', 'acceleration', 'effort'):
         names += [f'{quantity}.{joint}' for joint in joints]
     for cut in simulation.cut_joints:
-        names += [f'force.{cut.name}.{part}' for part in _force_parts(cut)]
+        names += [f'force.{cut.name}.{part}' for part in _force_parts(simulation, cut)]
     if all_forces:
         names += [f'force.{joint}.{part}' for joint in joints for part in ('x', 'y', 'torque')]
     names += [f'point.{point.name}.{axis}' for point in simulation.mechanism.points
-              for axis in ('x', 'y')]
+              for axis in 'xyz'[:len(point.position)]]
     return [*names, 'closure', 'energy']
 
 
@@ -120,18 +120,24 @@ def row(simulation, seconds, all_forces=False):
     for quantity in (simulation.position, simulation.velocity, simulation.acceleration,
                      simulation.effort):
         values += quantity.tolist()
-    for cut, (moment, force_x, force_y) in zip(
-            simulation.cut_joints, simulation.constraint_forces.tolist()):
-        values += [force_x, force_y, moment][:len(_force_parts(cut))]
+    for cut, wrench in zip(simulation.cut_joints, simulation.constraint_forces.tolist()):
+        values += [wrench[place] for place in _force_parts(simulation, cut).values()]
     if all_forces:
         # Moment last, as for the cut joints.
         values += simulation.joint_forces[:, [1, 2, 0]].ravel().tolist()
     return [*values, *simulation.points.ravel().tolist(), simulation.closure, simulation.energy]
 
 
-def _force_parts(cut):
-    """Return the components of a cut joint's wrench that can differ from zero."""
-    return ('x', 'y') if cut.type == REVOLUTE else ('x', 'y', 'torque')
+# Places of the components of wrenches, in the plane and in space.
+_FORCES = {'x': 1, 'y': 2}, {'x': 3, 'y': 4, 'z': 5}
+_TORQUES = {'torque': 0}, {'torque_x': 0, 'torque_y': 1, 'torque_z': 2}
+
+
+def _force_parts(simulation, cut):
+    """Return the components of a cut joint's wrench that can differ from zero, with places."""
+    space = not simulation.mechanism.planar
+    without_torque = cut.type == (SPHERICAL if space else REVOLUTE)
+    return _FORCES[space] if without_torque else {**_FORCES[space], **_TORQUES[space]}
 
 
 def run(simulation, duration, rate, torque=None, *, report, on_row, keep_going=lambda: True,

@@ -30,8 +30,8 @@ from .errors import AssemblyError
 from .modeling import build_model, extent
 from ..core import jacobian, kinematics, loop_closure
 from ..core.forward_dynamics import to_user_order
-from ..core.types import allocate
-from ..mechanism.mechanism import CUT_JOINT_EQUATIONS, PRISMATIC
+from ..core.types import allocate, CUT_NUMBER, ROWS
+from ..mechanism.mechanism import PRISMATIC
 
 # Closed means this, relative to the mechanism's size (or 1, for a rate or an angle).
 TOLERANCE = 1e-12
@@ -68,7 +68,7 @@ class Assembler:
         """Allocate what every assembly needs."""
         self.mechanism, self.model, self.work, self.extent = mechanism, model, work, extent
         self.nv = len(mechanism.joints)
-        self.nc = mechanism.number_of_equations
+        self.nc = len(model.column) - 1
         self._still = np.zeros(self.nv)
         self._light = any(body.inertia == 0.0 and not (body.mass and any(body.center_of_mass))
                           for body in mechanism.bodies)
@@ -232,6 +232,25 @@ class Assembler:
         if rank < min(self.nc, self.nv):
             rank = max([rank, *(_rank(self.jacobian(near)) for near in self._neighbours(q))])
         return rank
+
+    def jacobian_of_largest_rank(self, q):
+        """
+        Return the Jacobian of a closed position, or of one nearby if that has a larger rank.
+
+        Parameters
+        ----------
+        q : ndarray, shape (nv,)
+            Closing the loops.
+
+        Returns
+        -------
+        ndarray, shape (nc, nv)
+
+        """
+        candidates = [self.jacobian(q)]
+        if _rank(candidates[0]) < min(self.nc, self.nv):
+            candidates += map(self.jacobian, self._neighbours(q))
+        return max(candidates, key=_rank)
 
     def _neighbours(self, q):
         """Yield closed positions near a closed one."""
@@ -428,9 +447,8 @@ class Assembler:
     def _open_loops(self, guess, psi, hold):
         """Return what to say of loops that do not close."""
         worst, first = [], 0
-        for cut in self.mechanism.cut_joints:
-            rows = CUT_JOINT_EQUATIONS[cut.type]
-            gap = np.abs(psi[first:first + rows]).max()
+        for cut, rows in zip(self.mechanism.cut_joints, self._counts()):
+            gap = np.abs(psi[first:first + rows]).max(initial=0.0)
             first += rows
             if not gap <= TOLERANCE * self.extent:
                 worst.append(f'{cut.name} stays open by {gap:.3g}')
@@ -438,6 +456,10 @@ class Assembler:
         return (f'{self.mechanism.name} cannot be assembled from this position{held}: '
                 f'{"; ".join(worst)} (m or rad). ' + ' '.join(
                     [self._advice_on_assembly(guess, hold), *angle_notes(self.mechanism, guess)]))
+
+    def _counts(self):
+        """Return the number of equations of each cut joint."""
+        return self.model.cut[np.argsort(self.model.cut[:, CUT_NUMBER]), ROWS].tolist()
 
     def _advice_on_assembly(self, guess, hold):
         nearer = ('Move the initial position closer to a closed one, or check lengths and cut '

@@ -42,9 +42,9 @@ def build_model(mechanism, gravity=(0.0, 0.0), decomposition=None):
     decomposition = decomposition or decompose(mechanism)
     tree, body, body_row = _tree_arrays(mechanism, decomposition)
     cut, cut_point, slot_body = _cut_arrays(mechanism, decomposition, tree, body_row)
-    block, pair = _block_arrays(decomposition, cut, slot_body)
-    column, row, entry = _factor_arrays(decomposition, cut, block)
-    dependency, dependency_place = _dependencies(column, row)
+    block, pair = block_arrays(cut, slot_body)
+    column, row, entry = factor_arrays(decomposition, cut, block)
+    dependency, dependency_place = dependencies(column, row)
     return t.Model(
         tree=tree, body=body, gravity=np.array(gravity, dtype=float), cut=cut,
         cut_point=cut_point, slot_body=slot_body, pair=pair, block=block, column=column,
@@ -69,9 +69,9 @@ def _tree_arrays(mechanism, decomposition):
         joint = mechanism.joints[j]
         body = bodies[joint.child]
         x, y = body.center_of_mass
-        tree[row, [t.PARENT, t.DOF, t.TYPE, t.SUBSYSTEM]] = (
+        tree[row, [t.PARENT, t.DOF, t.TYPE, t.SUBSYSTEM, t.COORDINATE]] = (
             rows[joint.parent], j,
-            t.PRISMATIC if joint.type == PRISMATIC else t.REVOLUTE, subsystem[joint.name])
+            t.PRISMATIC if joint.type == PRISMATIC else t.REVOLUTE, subsystem[joint.name], j)
         constant[row] = (
             body.mass, body.mass * x, body.mass * y,
             body.inertia + body.mass * (x * x + y * y), *joint.position, joint.angle, 0.0)
@@ -87,7 +87,7 @@ def _cut_arrays(mechanism, decomposition, tree, body_row):
     for k, index in enumerate(decomposition.cut_order):
         joint = mechanism.cut_joints[index]
         a, b = body_row[joint.body_a], body_row[joint.body_b]
-        path_a, path_b = _path(tree, a), _path(tree, b)
+        path_a, path_b = path(tree, a), path(tree, b)
         shared = set(path_b)
         common = [row for row in path_a if row in shared]
         own_a = path_a[:len(path_a) - len(common)]
@@ -97,13 +97,13 @@ def _cut_arrays(mechanism, decomposition, tree, body_row):
         middle = start + len(own_a)
         rows = CUT_JOINT_EQUATIONS[joint.type]
         cut[k] = (_CUT_TYPES[joint.type], a, b, rows, user_first[index], first, start, middle,
-                  middle + len(own_b), len(slots), index)
+                  middle + len(own_b), len(slots), index, 0, 0)
         point[k] = (*joint.point_a, *joint.point_b, joint.angle)
         first += rows
     return cut, point, np.array(slots, dtype=np.int64)
 
 
-def _path(tree, row):
+def path(tree, row):
     """Return the rows from ``row`` inward, the ground left out."""
     path = []
     while row > 0:
@@ -112,7 +112,7 @@ def _path(tree, row):
     return path
 
 
-def _block_arrays(decomposition, cut, slot_body):
+def block_arrays(cut, slot_body):
     """Return the blocks below the diagonal and, for each, the slots that meet on a body."""
     visitors = {}
     for k in range(len(cut)):
@@ -131,7 +131,7 @@ def _block_arrays(decomposition, cut, slot_body):
             np.array(pair, dtype=np.int64).reshape(-1, 2))
 
 
-def _factor_arrays(decomposition, cut, block):
+def factor_arrays(decomposition, cut, block):
     """Return the sparsity of L by columns, and where each block goes."""
     column, row = [0], []
     place_of = {}
@@ -148,14 +148,14 @@ def _factor_arrays(decomposition, cut, block):
             for m in sorted(later):
                 place_of[m, k, c] = place
                 place += cut[m, t.ROWS]
-    entry = np.zeros((len(block), 3), dtype=np.int64)
+    entry = np.zeros((len(block), max(3, cut[:, t.ROWS].max(initial=0))), dtype=np.int64)
     for n, (later, earlier) in enumerate(block[:, :2]):
         for c in range(cut[earlier, t.ROWS]):
             entry[n, c] = place_of[int(later), int(earlier), c]
     return np.array(column, dtype=np.int64), np.array(row, dtype=np.int64), entry
 
 
-def _dependencies(column, row):
+def dependencies(column, row):
     """Return, for each row of L, the entries left of its diagonal."""
     rows = len(column) - 1
     left = [[] for _ in range(rows)]

@@ -50,7 +50,7 @@ def scene_names():
     return shipped_names('scenes')
 
 
-def load_scene(name_or_path):
+def load_scene(name_or_path, in_space=False):
     """
     Read a scene.
 
@@ -58,6 +58,9 @@ def load_scene(name_or_path):
     ----------
     name_or_path : str or pathlib.Path
         A shipped scene by its name (a single word), or the path of a file.
+    in_space : bool
+        Whether the mechanism may be one in space; most of what asks for a scene knows the plane
+        only.
 
     Raises
     ------
@@ -65,12 +68,17 @@ def load_scene(name_or_path):
         Where there is no such scene, or it or its mechanism is faulty.
 
     """
-    return _scene_of(Document(_scene_path(name_or_path), SceneError))
+    return _scene_of(Document(_scene_path(name_or_path), SceneError), in_space)
 
 
-def load_scene_or_mechanism(name_or_path):
+def load_scene_or_mechanism(name_or_path, in_space=False):
     """
     Read a scene, or a mechanism where a file or shipped name stands for one.
+
+    Parameters
+    ----------
+    name_or_path, in_space
+        As for ``load_scene``.
 
     Raises
     ------
@@ -80,11 +88,21 @@ def load_scene_or_mechanism(name_or_path):
     if _is_name(name_or_path):
         if name_or_path not in scene_names() and name_or_path in shipped_names('mechanisms'):
             return read_mechanism(shipped_path('mechanisms', name_or_path))
-        return load_scene(name_or_path)
+        return load_scene(name_or_path, in_space)
     document = Document(name_or_path, SceneError)
     if isinstance(document.data, Mapping) and 'bodies' in document.data:
-        return read_mechanism(name_or_path)
-    return _scene_of(document)
+        mechanism = read_mechanism(name_or_path)
+        if not in_space:
+            _require_planar(mechanism)
+        return mechanism
+    return _scene_of(document, in_space)
+
+
+def _require_planar(mechanism):
+    try:
+        mechanism.require_planar('this')
+    except MechanismError as error:
+        raise SceneError(str(error)) from None
 
 
 def _is_name(name_or_path):
@@ -112,9 +130,12 @@ def _shipped(kind, value):
     return shipped_path(kind, value)
 
 
-def _scene_of(document):
+def _scene_of(document, in_space):
     with document.errors():
-        return _scene(document)
+        scene = _scene(document)
+    if not in_space:
+        _require_planar(scene.mechanism)
+    return scene
 
 
 def _scene(document):

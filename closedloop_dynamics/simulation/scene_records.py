@@ -19,13 +19,21 @@ from pathlib import Path
 from typing import Optional, Tuple
 
 from ..effects.effect_set import require_one_drive_each
-from ..effects.registry import EFFECTS
+from ..effects.registry import effect_type, EFFECTS
 from ..integration.registry import ADAPTIVE, AUTO, BAUMGARTE, INTEGRATORS, STABILISATIONS
 from ..mechanism.checks import list_of, name, number, one_of, positive, text
-from ..mechanism.fields import at, FieldError, mapping, normalise, shown
-from ..mechanism.mechanism import Mechanism
+from ..mechanism.fields import among, at, FieldError, mapping, normalise, shown
+from ..mechanism.mechanism import JOINT_FREEDOMS, Mechanism
 from ..mechanism.validation import validate_mechanism
 
+# What stands in for joints of the tree, in space, that cannot be simulated yet.
+_INSTEAD = {
+    'universal': 'take two revolute joints with a massless body between them',
+    'cylindrical': 'take a revolute and a prismatic joint with a massless body between them',
+    'planar': 'take two prismatic joints and a revolute one with massless bodies between them',
+    'spherical': 'make it a cut joint, and let another joint carry the body',
+    'free': 'let a joint carry the body, and close the others as cut joints',
+    'fixed': 'make one body of the two'}
 FORMULATIONS = ('subsystem', 'system', 'augmented')
 
 
@@ -155,6 +163,8 @@ class Scene:
         """Refuse an initial state or an effect that does not fit the mechanism."""
         normalise(self, description=text, mechanism=validate_mechanism, effects=mapping)
         joints = self.mechanism.joint_names
+        if not self.mechanism.planar:
+            require_known_joints(self.mechanism)
         for key in ('position', 'velocity'):
             values = getattr(self.initial, key)
             if len(values) != len(joints):
@@ -168,6 +178,33 @@ class Scene:
                 name(key)
                 if type(effect) not in EFFECTS.values():
                     raise FieldError('a record of effects.registry', shown(effect))
+                if not (self.mechanism.planar or effect.IN_SPACE):
+                    raise FieldError(
+                        'an effect that acts on mechanisms in space, too: '
+                        + among(kind for kind, record in EFFECTS.items() if record.IN_SPACE),
+                        f'{effect_type(effect)!r}, which acts in the plane only')
                 effect.fit(self.mechanism)
         with at('effects'):
             require_one_drive_each(self.effects)
+
+
+def require_known_joints(mechanism):
+    """
+    Refuse joints in the tree of a mechanism in space that cannot be simulated yet.
+
+    Parameters
+    ----------
+    mechanism : Mechanism
+        In space.
+
+    Raises
+    ------
+    FieldError
+
+    """
+    for joint in mechanism.joints:
+        if JOINT_FREEDOMS[joint.type] != 1:
+            raise FieldError(
+                'revolute, prismatic or helical: no other joint of the tree can be simulated in '
+                'space yet', shown(joint.type), _INSTEAD[joint.type],
+                ('mechanism', 'joints', joint.name, 'type'))

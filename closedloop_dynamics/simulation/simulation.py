@@ -30,11 +30,13 @@ from .monitor import Monitor
 from .rollout import rollout
 from .scene import load_scene
 from .scene_records import Method, Scene
+from .space import SpatialAssembler, SpatialGeometry
 from ..core import energy, kinematics, types as t
 from ..core.formulations import AUGMENTED, SUBSYSTEM, SYSTEM
 from ..core.independent import allocate_partition
 from ..core.joint_wrenches import cut_wrenches
 from ..core.loop_closure import largest
+from ..core.straight_line import available
 from ..effects.delay_line import DelayLine
 from ..effects.effect import Machine
 from ..effects.effect_set import EffectSet
@@ -81,8 +83,15 @@ class Simulation:
         self.scene = scene
         self.mechanism = scene.mechanism
         self.decomposition = decompose(self.mechanism)
-        self._rows = body_rows(self.mechanism, self.decomposition)
-        model = build_model(self.mechanism, decomposition=self.decomposition)
+        self._geometry = None
+        if self.mechanism.planar:
+            self._rows = body_rows(self.mechanism, self.decomposition)
+            model = build_model(self.mechanism, decomposition=self.decomposition)
+        else:
+            self._geometry = SpatialGeometry(self.mechanism, self.decomposition)
+            self._geometry.leave_out_repeated(np.array(scene.initial.position))
+            self._rows, model = self._geometry.rows, self._geometry.model
+            self._require_methods_of_space(scene.method)
         self._effects = EffectSet(scene.effects, model, Machine(self.mechanism, self._rows))
         method = scene.method
         baumgarte = 1.0 / method.time_constant if method.stabilisation == 'baumgarte' else 0.0
@@ -96,7 +105,9 @@ class Simulation:
         self._state = np.zeros(number_of_states(self.system))
         self._q, self._qd = self._state[:nv], self._state[nv:2 * nv]
         self._own = self._state[2 * nv:]
-        self._assembler = Assembler(self.mechanism, model, self.system.work, size)
+        self._assembler = (
+            Assembler(self.mechanism, model, self.system.work, size) if self._geometry is None
+            else SpatialAssembler(self.mechanism, self._geometry))
         self._actuated = np.array([k for k, joint in enumerate(self.mechanism.joints)
                                    if joint.actuated], dtype=int)
         self._passive = np.array([k for k, joint in enumerate(self.mechanism.joints)
@@ -146,7 +157,7 @@ class Simulation:
         """
         with at('method'):
             mapping(method, *keys_of(Method))
-        scene = scene if isinstance(scene, Scene) else load_scene(scene)
+        scene = scene if isinstance(scene, Scene) else load_scene(scene, in_space=True)
         overrides = {key: value for key, value in method.items() if value is not None}
         with at('method'):
             scene = replace(scene, method=replace(scene.method, **overrides))
@@ -267,10 +278,13 @@ class Simulation:
         """
         Wrenches at the cut joints, shape (number of cuts, 3): moment, force x, force y.
 
-        What body B exerts on body A, in world axes, at body A's cut point [N m, N].
+        What body B exerts on body A, in world axes, at body A's cut point [N m, N]. In space of
+        shape (number of cuts, 6): moment x, y, z, force x, y, z.
 
         """
         self._evaluate()
+        if self._geometry is not None:
+            return self._geometry.cut_wrenches(self._q, self._qd, self.system.lam)
         out = np.empty((len(self.cut_joints), 3))
         model = self.system.model
         cut_wrenches(model.cut, model.cut_point, self.system.work.body, self.system.lam, out)
@@ -285,6 +299,7 @@ class Simulation:
         reaction, and what the joint's drive, springs, dampers and friction hand over.
 
         """
+        self._require_planar('the forces in the joints of the trees')
         self._evaluate()
         system = self.system
         self._fresh = False
@@ -314,6 +329,8 @@ class Simulation:
     @property
     def closure(self):
         """Largest closure error of positions [m or rad]."""
+        if self._geometry is not None and self._geometry.leaves_out:
+            return self._geometry.closure(self._q)
         self._evaluate()
         return float(largest(self.system.work.closure))
 
@@ -356,6 +373,9 @@ class Simulation:
     def _energies(self):
         """Return kinetic and stored energy of the present state."""
         self._evaluate()
+        if self._geometry is not None:
+            kinetic, potential = self._geometry.move(self._q, self._qd).energies()
+            return kinetic, potential + self._effects.stored()
         model, work = self.system.model, self.system.work
         return (energy.kinetic_energy(model, work, self._qd),
                 energy.potential_energy(model, work) + self._effects.stored())
@@ -363,13 +383,16 @@ class Simulation:
     @property
     def body_poses(self):
         """Poses of the bodies, shape (nb, 3): x, y [m], angle [rad], in the bodies' order."""
+        self._require_planar('poses of bodies')
         self._evaluate()
         rows = [self._rows[body.name] for body in self.mechanism.bodies]
         return self.system.work.body[np.ix_(rows, (t.PX, t.PY, t.ALPHA))]
 
     def point(self, name):
-        """Return the world place of a named point, shape (2,) [m]."""
+        """Return the world place of a named point, shape (2,), in space (3,) [m]."""
         point = self._named_point(name)
+        if self._geometry is not None:
+            return self._geometry.point(self._q, point.body, point.position)
         self._evaluate()
         out = np.zeros(2)
         kinematics.point_position(self.system.work, self._rows[point.body], *point.position, out)
@@ -377,8 +400,9 @@ class Simulation:
 
     @property
     def points(self):
-        """Places of all named points, shape (number of points, 2) [m]."""
-        return np.array([self.point(name) for name in self._points]).reshape(-1, 2)
+        """Places of all named points, shape (number of points, 2), in space 3 [m]."""
+        return np.array([self.point(name) for name in self._points]).reshape(
+            len(self._points), 2 if self._geometry is None else 3)
 
     def _named_point(self, name):
         if name not in self._points:
@@ -390,6 +414,7 @@ class Simulation:
     @property
     def health(self):
         """How well posed the equations of motion are in the present state: a ``Health``."""
+        self._require_planar('health')
         self._evaluate()
         return health_of(
             self.system.model, self.system.work, self._q, self._qd, self._passive)
@@ -492,6 +517,22 @@ class Simulation:
             self._fresh = True
 
     # Motion.
+
+    def _require_planar(self, what):
+        """Refuse what cannot be asked for in space yet."""
+        if self._geometry is not None:
+            raise SimulationError(
+                f'{self.mechanism.name} is a mechanism in space: {what} can be had of planar '
+                'mechanisms only, so far.')
+
+    def _require_methods_of_space(self, method):
+        """Refuse methods that need the planar kernels; and to go without a compiler."""
+        if not available():
+            self._require_planar('motion without numba')
+        for key, only in (('formulation', ('subsystem',)),
+                          ('stabilisation', ('projection', 'velocity', 'baumgarte', 'none'))):
+            if getattr(method, key) not in only:
+                self._require_planar(f'{key}: {getattr(method, key)}')
 
     def _require_known_steps(self, method):
         """Refuse solvers that do not tell where their steps end beside effects that end them."""
@@ -609,6 +650,19 @@ class Simulation:
             for guard in self._guards:
                 guard.look(self, portion)
             steps -= portion
+        self._watch_repeated()
+
+    def _watch_repeated(self):
+        """Refuse to go on where equations that repeated others do so no longer."""
+        if self._geometry is None or not self._geometry.leaves_out or (
+                self.scene.method.stabilisation not in CLOSING):
+            return
+        error = self._geometry.closure(self._q)
+        if not error <= self.system.settings[CLOSURE_LIMIT]:
+            raise ClosureError(
+                f'At t = {self.time:.9g} s the loops are open by {error:.3g} m or rad: equations '
+                'that repeated others at the start, and were left out, no longer do. Start from '
+                'a position on the way that the mechanism is to move.')
 
     @property
     def fastest_rate(self):
@@ -759,6 +813,7 @@ class Simulation:
         method = replace(self.scene.method, **changes)
         if method.formulation != self.scene.method.formulation:
             raise ValueError('method: the formulation is chosen when a scene is loaded, and stays')
+        self._require_methods_of_space(method)
         self._require_known_steps(method)
         self._require_closable(method.stabilisation)
         system = self.system._replace(partition=allocate_partition(
@@ -982,6 +1037,7 @@ class Simulation:
             For arguments that make no sense, whatever the sample.
 
         """
+        self._require_planar('rollouts')
         return rollout(
             self, torques, initial_position, initial_velocity, hold=hold, duration=duration,
             steps=steps, every=every, parameters=parameters, quantities=quantities,
@@ -1136,6 +1192,7 @@ class Simulation:
         friction is that of a steady motion, none where a joint rests.
 
         """
+        self._require_planar('inverse dynamics')
         nv = len(self.joint_names)
         q, qd, qdd = (vector(name, values, nv) for name, values in (
             ('position', position), ('velocity', velocity), ('acceleration', acceleration)))

@@ -20,8 +20,10 @@ from textwrap import indent
 from ..effects.registry import effect_type
 from ..integration.registry import ADAPTIVE, AUTO, BAUMGARTE, INTEGRATORS, STABILISATIONS
 from ..mechanism.decomposition import decompose
-from ..mechanism.mechanism import CUT_JOINT_EQUATIONS, Mechanism
+from ..mechanism.mechanism import (
+    CUT_JOINT_EQUATIONS, JOINT_FREEDOMS, Mechanism, SPATIAL_CUT_JOINT_EQUATIONS)
 from ..simulation.assembly import find_degrees_of_freedom
+from ..simulation.space import equations_left
 from ..visual.tables import text_table
 
 
@@ -77,6 +79,8 @@ def _mechanism(mechanism, simulation=None):
 
 
 def _joints(mechanism):
+    if not mechanism.planar:
+        return _spatial_joints(mechanism)
     header = ('name', 'type', 'parent', 'child', 'position [m]', 'angle [rad]', 'actuated')
     return _table('Joints', header, [
         (joint.name, joint.type, joint.parent, joint.child, _value(joint.position),
@@ -84,27 +88,60 @@ def _joints(mechanism):
         for joint in mechanism.joints])
 
 
+def _spatial_joints(mechanism):
+    header = ('name', 'type', 'parent', 'child', 'position [m]', 'orientation [x, y, z, w]',
+              'axis', 'second axis', 'lead [m/rad]', 'actuated')
+    return _table('Joints', header, [
+        (joint.name, joint.type, joint.parent, joint.child, _value(joint.position),
+         _value(joint.orientation), *(
+             '-' if value is None else _value(value)
+             for value in (joint.axis, joint.second_axis, joint.lead)),
+         'yes' if joint.actuated else 'no')
+        for joint in mechanism.joints])
+
+
+def _equations(mechanism):
+    """Return how many equations of each cut joint do not always hold."""
+    if mechanism.planar:
+        return [CUT_JOINT_EQUATIONS[cut.type] for cut in mechanism.cut_joints]
+    return equations_left(mechanism)
+
+
 def _cut_joints(mechanism, decomposition):
     header = ('name', 'type', 'body A', 'point A [m]', 'body B', 'point B [m]', 'equations',
               'subsystems')
     return _table('Cut joints', header, [
         (cut.name, cut.type, cut.body_a, _value(cut.point_a), cut.body_b, _value(cut.point_b),
-         str(CUT_JOINT_EQUATIONS[cut.type]), ', '.join(str(k + 1) for k in subsystems))
-        for cut, subsystems in zip(mechanism.cut_joints, decomposition.cut_subsystems)])
+         str(count), ', '.join(str(k + 1) for k in subsystems))
+        for cut, count, subsystems in zip(
+            mechanism.cut_joints, _equations(mechanism), decomposition.cut_subsystems)])
 
 
 def _summary(mechanism, decomposition, simulation):
     order = ', '.join(decomposition.elimination_order) or 'none'
     return _lines('Summary', (
-        ('constraint equations', mechanism.number_of_equations),
+        ('constraint equations', _number_of_equations(mechanism)),
         ('degrees of freedom', _degrees_of_freedom(mechanism, simulation)),
         ('elimination order', f'{order}; blocks of fill: {decomposition.fill}'),
         ('actuated joints', ', '.join(mechanism.actuated_joints) or 'none'),
     ))
 
 
+def _number_of_equations(mechanism):
+    """Return the number of equations; in space with those that always hold told apart."""
+    left = sum(_equations(mechanism))
+    if mechanism.planar:
+        return left
+    always = sum(SPATIAL_CUT_JOINT_EQUATIONS[cut.type] for cut in mechanism.cut_joints) - left
+    return f'{left}, beside {always} that always hold' if always else left
+
+
 def _degrees_of_freedom(mechanism, simulation):
-    joints, equations = len(mechanism.joints), mechanism.number_of_equations
+    joints, equations = len(mechanism.joints), sum(_equations(mechanism))
+    if not mechanism.planar and simulation is None:
+        joints = sum(JOINT_FREEDOMS[joint.type] for joint in mechanism.joints)
+        return f'{joints - equations} = {joints} of the joints - {equations} equations, if none ' \
+               'repeats others'
     freedoms = (find_degrees_of_freedom(mechanism) if simulation is None
                 else simulation.degrees_of_freedom())
     if freedoms is None:

@@ -63,6 +63,7 @@ def body_poses(mechanism, position):
         x, y [m] and angle [rad] of each body, in the mechanism's order of bodies.
 
     """
+    mechanism.require_planar('a picture')
     position = np.asarray(position, dtype=float)
     joints = {joint.child: (joint, position[..., index])
               for index, joint in enumerate(mechanism.joints)}

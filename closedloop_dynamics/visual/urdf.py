@@ -62,9 +62,10 @@ def urdf(mechanism, command_topic='joint_command', state_topic='joint_states'):
     Raises
     ------
     ValueError
-        Where a body has the name of the root link.
+        Where a body has the name of the root link; a MechanismError for one in space.
 
     """
+    mechanism.require_planar('URDF')
     if WORLD in {body.name for body in mechanism.bodies}:
         raise ValueError(
             f"the URDF of {mechanism.name} needs the name '{WORLD}' for its root link, and a "

@@ -28,16 +28,16 @@ _HELD = {CUT_REVOLUTE: ((X, Y, Z), _TURNING), CUT_PRISMATIC: ((Y, Z), (*_TURNING
          CUT_FIXED: ((X, Y, Z), (*_TURNING, (X, Y)))}
 
 
-def bodies(tree, constant):
+def bodies(model, symbols):
     """
     Describe the rows of a planar tree.
 
     Parameters
     ----------
-    tree : ndarray of int, shape (nb + 1, TREE_COLUMNS)
-        As ``Model.tree``.
-    constant : ndarray, shape (nb + 1, BODY_COLUMNS)
-        Of symbols, as ``Model.body``.
+    model : Model
+        Constant arrays of the mechanism.
+    symbols : ndarray, shape (nb + 1, BODY_COLUMNS)
+        Of the inputs, as ``Model.body``.
 
     Returns
     -------
@@ -46,10 +46,10 @@ def bodies(tree, constant):
 
     """
     found = []
-    for row, kind in zip(constant, tree[:, TYPE]):
+    for row, kind in zip(symbols, model.tree[:, TYPE]):
         slides = float(kind == PRISMATIC)
         found.append(Body(
-            turns=1.0 - slides, slides=slides, axis=X if slides else Z,
+            turns=1.0 - slides, slides=slides, axis=X if slides else Z, ball=False,
             place=(row[JOINT_X], row[JOINT_Y], 0.0), turned=None, angle=row[ANGLE],
             mass=row[MASS], moment=(row[MASS_X], row[MASS_Y], 0.0),
             inertia=(ZERO, ZERO, (0.0, 0.0, row[INERTIA])),
@@ -57,16 +57,16 @@ def bodies(tree, constant):
     return found
 
 
-def cuts(cut, point):
+def cuts(model, symbols):
     """
     Describe the cut joints of a planar mechanism.
 
     Parameters
     ----------
-    cut : ndarray of int, shape (number of cuts, CUT_COLUMNS)
-        As ``Model.cut``.
-    point : ndarray, shape (number of cuts, 5)
-        Of symbols, as ``Model.cut_point``.
+    model : Model
+        Constant arrays of the mechanism.
+    symbols : ndarray, shape (number of cuts, 5)
+        Of the inputs, as ``Model.cut_point``.
 
     Returns
     -------
@@ -74,8 +74,8 @@ def cuts(cut, point):
 
     """
     return [Cut(*_HELD[one[CUT_TYPE]], (row[A_X], row[A_Y], 0.0), (row[B_X], row[B_Y], 0.0),
-                None, None, row[CUT_ANGLE])
-            for one, row in zip(cut, point)]
+                None, None, row[CUT_ANGLE], None)
+            for one, row in zip(model.cut, symbols)]
 
 
 def write(recursion, body):

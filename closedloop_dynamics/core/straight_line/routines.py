@@ -16,7 +16,7 @@
 
 import numpy as np
 
-from . import emit, plane
+from . import emit, plane, space
 from .linkage import (
     ACCELERATION, BAUMGARTE, BODY, CLOSURE, CLOSURE_RATE, CORRECTION, CORRECTIONS, CUT_POINT,
     EVALUATION, GRAVITY, HEALTH, LAM, OUTWARD, QDD, REFINED_ACCELERATION, REFINED_CORRECTION, TAU,
@@ -25,7 +25,7 @@ from .spatial import Recursion
 from .tape import LOAD, Tape, unrolled
 from .. import (
     articulated_inertia, elimination, forward_dynamics, kinematics, loop_closure, refinement)
-from ..types import allocate, RHS, TYPE, Workspace
+from ..types import allocate, number_of_coordinates, RHS, TYPE, Workspace
 
 NAMES = {EVALUATION: 'evaluation', OUTWARD: 'outward', ACCELERATION: 'acceleration',
          CORRECTION: 'correction', REFINED_ACCELERATION: 'refined_acceleration',
@@ -46,7 +46,9 @@ def topology(model):
     tuple
 
     """
-    arrays = (model.tree[:, :TYPE + 1], model.cut, model.slot_body, model.pair, model.block,
+    structure = space.structure(model) if space.is_spatial(model) else ()
+    tree = model.tree if structure else model.tree[:, :TYPE + 1]
+    arrays = (*structure, tree, model.cut, model.slot_body, model.pair, model.block,
               model.column, model.row, model.entry, model.dependency, model.dependency_place)
     return tuple((array.shape, array.tobytes()) for array in arrays)
 
@@ -96,15 +98,20 @@ class Unrolling:
         self.tape = Tape()
         self.nv, self.nc = len(model.tree) - 1, len(model.column) - 1
         self.model = model._replace(
-            body=self.symbols(BODY, model.body.shape), gravity=self.symbols(GRAVITY, (2,)),
+            body=self.symbols(BODY, model.body.shape),
+            gravity=self.symbols(GRAVITY, model.gravity.shape),
             cut_point=self.symbols(CUT_POINT, model.cut_point.shape))
         work = Workspace(*(_zeros(*array.shape) for array in allocate(model)))
         self.work = work._replace(health=self.symbols(HEALTH, work.health.shape))
-        self.q, self.qd = self.symbols(emit.Q, (self.nv,)), self.symbols(emit.QD, (self.nv,))
+        self.q = self.symbols(emit.Q, (number_of_coordinates(model),))
+        self.qd = self.symbols(emit.QD, (self.nv,))
         self.outputs = []
+        # What the arrays hold, of a mechanism in space or in the plane.
+        self.arrays = space if space.is_spatial(model) else plane
         self.recursion = Recursion(
-            plane.bodies(model.tree, self.model.body), plane.cuts(model.cut, self.model.cut_point),
-            (*self.model.gravity, 0.0))
+            self.arrays.bodies(model, self.model.body),
+            self.arrays.cuts(model, self.model.cut_point),
+            (*self.model.gravity, *(3 - len(model.gravity)) * (0.0,)))
         # The elimination and what leads up to it are the kernels' own.
         self.known = {stage.py_func: own for stage, own in (
             (kinematics.outward, self.recursion.outward),
@@ -143,12 +150,14 @@ class Unrolling:
     def outward(self):
         """Poses, velocities and forces of inertia: what effects work on."""
         self.recursion.outward(self.model, self.q, self.qd, self.work)
-        plane.write(self.recursion, self.work.body)
+        self.arrays.write(self.recursion, self.work.body)
         self.store(WORK_BODY, self.work.body)
 
     def acceleration(self, by=forward_dynamics):
         """Accelerations and multipliers after ``outward`` and the effects."""
-        plane.read(self.recursion, self.symbols(WORK_BODY, self.work.body.shape))
+        if self.arrays is space:
+            self.recursion.outward(self.model, self.q, self.qd, self.work)
+        self.arrays.read(self.recursion, self.symbols(WORK_BODY, self.work.body.shape))
         self.accelerate(by)
         self.store(CLOSURE, self.work.closure)
         self.store(CLOSURE_RATE, self.work.closure_rate)

@@ -34,7 +34,8 @@ from .vectors import (
     symmetric, times, transpose, ZERO)
 from ..loop_closure import LEVERS, NO_RESPONSES
 from ..types import (
-    BODY_A, BODY_B, DINV, DOF, DZ, PARENT, RHS, ROW, ROWS, SLOT_A, SLOT_B, SLOT_COMMON, SLOT_END)
+    BODY_A, BODY_B, COORDINATE, DINV, DOF, DZ, PARENT, RHS, ROW, ROWS, SLOT_A, SLOT_B,
+    SLOT_COMMON, SLOT_END)
 
 X, Y, Z = range(3)
 
@@ -48,7 +49,11 @@ class Body(NamedTuple):
     turns, slides : float
         How far the body turns about its axis, and slides along it, for a unit of its coordinate.
     axis : int
-        X, Y or Z: the column of the body's frame. What turns does so about Z.
+        X, Y or Z: the column of the body's frame. What turns does so about Z, but for a ball.
+    ball : bool
+        Whether this is one of the three rows of a spherical joint. They turn about the world's
+        axes; the last one, of axis Z, has the orientation, a quaternion (x, y, z, w) in q, and
+        the angular velocity relative to the parent in its own axes in qd.
     place : tuple of 3
         The joint in the parent's frame [m].
     turned : tuple of 3 tuples or None
@@ -69,6 +74,7 @@ class Body(NamedTuple):
     turns: float
     slides: float
     axis: int
+    ball: bool
     place: tuple
     turned: tuple
     angle: object
@@ -94,6 +100,9 @@ class Cut(NamedTuple):
         Its frames in those of the bodies; None where they are the bodies' own.
     angle : number
         Of the frame on body B, about its Z axis [rad].
+    kept : tuple of int or None
+        The equations that do not hold anyway, in the order of ``along`` and ``perpendicular``;
+        None where that is to be seen from the equations.
 
     """
 
@@ -104,6 +113,7 @@ class Cut(NamedTuple):
     turned_a: tuple
     turned_b: tuple
     angle: object
+    kept: tuple
 
 
 class Motion(NamedTuple):
@@ -112,10 +122,12 @@ class Motion(NamedTuple):
 
     Attributes
     ----------
-    run : int
-        The first of the bodies in a row that turn about parallel axes, or the ground.
     base : tuple of 3 tuples
-        The frame that their angles are counted from.
+        The frame that the angles of bodies in a row with parallel axes are counted from.
+    carrier : int
+        The body that this frame is fixed in.
+    joined : bool
+        Whether any of these bodies turns, this one included; true of the ground's frame.
     angle : number
         From there [rad].
     frame : tuple of 3 tuples
@@ -131,8 +143,9 @@ class Motion(NamedTuple):
 
     """
 
-    run: int
     base: tuple
+    carrier: int
+    joined: bool
     angle: object
     frame: tuple
     origin: tuple
@@ -206,7 +219,8 @@ class Recursion:
         """Keep the description."""
         self.bodies, self.cuts = bodies, cuts
         self.ground = Motion(
-            0, IDENTITY, 0.0, IDENTITY, ZERO, ZERO, ZERO, ZERO, ZERO, negate(gravity), 2 * ZERO)
+            IDENTITY, 0, True, 0.0, IDENTITY, ZERO, ZERO, ZERO, ZERO, ZERO, negate(gravity),
+            2 * ZERO)
         self.motion, self.inertia, self.force = [], [], []
         self._factors, self._acceleration = {}, {}
 
@@ -214,19 +228,20 @@ class Recursion:
         """Do as ``kinematics.outward`` does."""
         self.motion, self.inertia, self.force = [self.ground], [None], [None]
         for i in range(1, len(self.bodies)):
-            parent, dof = model.tree[i, PARENT], model.tree[i, DOF]
-            motion = self._moved(i, self.motion[parent], q[dof], qd[dof])
+            p, first, dof = (model.tree[i, column] for column in (PARENT, COORDINATE, DOF))
+            motion = (self._rolled(i, p, q[first:first + 4], qd[dof - 2:dof + 1])
+                      if self.bodies[i].ball else self._moved(i, p, q[first], qd[dof]))
             inertia, force = _rigid(self.bodies[i], motion)
             self.motion.append(motion)
             self.inertia.append(inertia)
             self.force.append(force)
 
-    def _moved(self, i, parent, coordinate, rate):
-        """Return the motion of a body on its parent's."""
-        body = self.bodies[i]
-        run, base, angle = parent.run, parent.base, parent.angle
+    def _moved(self, i, p, coordinate, rate):
+        """Return the motion of a body on its parent."""
+        body, parent = self.bodies[i], self.motion[p]
+        base, carrier, joined, angle = parent.base, parent.carrier, parent.joined, parent.angle
         if body.turned is not None:
-            run, base, angle = i, product(parent.frame, body.turned), 0.0
+            base, carrier, joined, angle = product(parent.frame, body.turned), p, False, 0.0
         angle = angle + body.angle
         if body.turns:
             angle = angle + coordinate
@@ -236,7 +251,8 @@ class Recursion:
         offset = add(times(parent.frame, body.place), scale(slide, coordinate))
         sliding, spinning = scale(slide, rate), scale(turn, rate)
         return Motion(
-            run, base, angle, frame, add(parent.origin, offset), offset,
+            base, carrier, joined or bool(body.turns), angle, frame,
+            add(parent.origin, offset), offset,
             add(parent.spin, spinning),
             add(add(parent.velocity, sliding), cross(parent.spin, offset)),
             add(parent.spin_rate, cross(parent.spin, spinning)),
@@ -245,9 +261,29 @@ class Recursion:
                 parent.carried(offset)),
             turn + slide)
 
+    def _rolled(self, i, p, quaternion, rates):
+        """Return the motion of a row of a spherical joint on the row before it."""
+        body, parent = self.bodies[i], self.motion[p]
+        axis = IDENTITY[body.axis] + ZERO
+        offset = times(parent.frame, body.place)
+        base = parent.frame if body.turned is None else product(parent.frame, body.turned)
+        motion = parent._replace(
+            base=base, carrier=i, joined=False, angle=0.0, frame=base,
+            origin=add(parent.origin, offset),
+            offset=offset, velocity=add(parent.velocity, cross(parent.spin, offset)),
+            acceleration=add(parent.acceleration, parent.carried(offset)), axis=axis)
+        if body.axis != Z:
+            return motion
+        frame = product(base, rotation(quaternion))
+        spinning = times(frame, rates)
+        return motion._replace(
+            base=frame, frame=frame, spin=add(parent.spin, spinning),
+            spin_rate=add(parent.spin_rate, cross(parent.spin, spinning)))
+
     def inward(self, model, tau, work, massless=False):
         """Do as ``articulated_inertia.inward`` does."""
         self.inertia, self.force = list(self.inertia), list(self.force)
+        tau = self._about_world(model, tau)
         for i in range(len(self.bodies) - 1, 0, -1):
             parent, dof = model.tree[i, PARENT], model.tree[i, DOF]
             inertia, force, axis = self.inertia[i], self.force[i], self.motion[i].axis
@@ -295,14 +331,40 @@ class Recursion:
                 qdd[dof] = change - before[alone]
                 after = before[:alone] + (change,) + before[alone + 1:]
             self._acceleration[i] = after
-            if self.bodies[i].turns:
-                since = self._acceleration[self._first(model, motion.run)]
-                work.body[i, DZ] = (dot(motion.axis[:3], after[:3])
-                                    - dot(motion.axis[:3], since[:3]))
+            work.body[i, DZ] = qdd[dof]
+            if self._counts_angles(i):
+                since, turn = self._acceleration[motion.carrier], motion.axis[:3]
+                work.body[i, DZ] = dot(turn, after[:3]) - dot(turn, since[:3])
+        self._about_own(model, qdd)
 
-    def _first(self, model, run):
-        """Return the body that the angles of some are counted from."""
-        return model.tree[run, PARENT] if run else 0
+    def balls(self, model):
+        """Yield frames and places in qd of the bodies on spherical joints."""
+        for i, body in enumerate(self.bodies):
+            if i > 0 and body.ball and body.axis == Z:
+                dof = model.tree[i, DOF]
+                yield self.motion[i].frame, slice(dof - 2, dof + 1)
+
+    def _about_world(self, model, tau):
+        """Return joint torques, those of spherical joints about the world's axes."""
+        tau = list(tau)
+        for frame, places in self.balls(model):
+            tau[places] = times(frame, tau[places])
+        return tau
+
+    def _about_own(self, model, qdd):
+        """Turn accelerations of spherical joints from the world's axes into the body's."""
+        for frame, places in self.balls(model):
+            qdd[places] = times(transpose(frame), qdd[places])
+
+    def _counts_angles(self, i):
+        """Tell whether levers and accelerations are those of a body's angle, not its joint's."""
+        body = self.bodies[i]
+        return bool(body.turns) and not body.ball and is_zero((body.slides,))
+
+    def _joined_before(self, model, i):
+        """Tell whether the angle of a body is counted from before its own joint."""
+        parent = self.motion[model.tree[i, PARENT]]
+        return self.bodies[i].turned is None and parent.joined
 
     def update(self, model, work, responses):
         """Do as ``loop_closure.update`` does."""
@@ -319,13 +381,18 @@ class Recursion:
 
     def closures(self, model, a):
         """Return the equations of a cut joint, but for those that always hold."""
+        kept, found = self.cuts[a].kept, self.equations(model, a)
+        if kept is None:
+            return [one for one in found if not is_zero((one.value,))]
+        return [found[n] for n in kept]
+
+    def equations(self, model, a):
+        """Return all equations of a cut joint."""
         cut = self.cuts[a]
         first, second = self.motion[model.cut[a, BODY_A]], self.motion[model.cut[a, BODY_B]]
         at_a = times(first.frame, cut.point_a)
         at_b = times(second.frame, cut.point_b)
-        found = list(_translations(cut, first, second, at_a, at_b))
-        found += _rotations(cut, first, second)
-        return [one for one in found if not is_zero((one.value,))]
+        return [*_translations(cut, first, second, at_a, at_b), *_rotations(cut, first, second)]
 
     def _respond(self, model, work, responses, cut, row, equation):
         """Carry a unit multiplier's wrenches inward and keep their share at each joint."""
@@ -343,7 +410,7 @@ class Recursion:
             work.response[slot, row] = force
             if responses == LEVERS:
                 work.response_scaled[slot, row] = 0.0
-                if self.bodies[i].turns and self.bodies[i].turned is None:
+                if self._counts_angles(i) and self._joined_before(model, i):
                     wrench = _beyond(wrench, motion.axis, force)
             else:
                 share, alone = self._factors[i]
@@ -368,7 +435,7 @@ def _turned(base, angle):
 def _rigid(body, motion):
     """Return a body's inertia and the force that its acceleration takes, at its origin."""
     moment = times(motion.frame, body.moment)
-    about = product(product(motion.frame, body.inertia), transpose(motion.frame))
+    about = _turned_inertia(motion.frame, body.inertia)
     coupling = skew(moment)
     inertia = tuple(
         one + other for one, other in zip(about, coupling)) + tuple(
@@ -379,6 +446,43 @@ def _rigid(body, motion):
                  add(times(about, motion.spin_rate),
                      cross(motion.spin, times(about, motion.spin))))
     return inertia, torque + force
+
+
+def rotation(quaternion):
+    """
+    Return the matrix of a unit quaternion.
+
+    Parameters
+    ----------
+    quaternion : sequence of 4
+        x, y, z, w; numbers or symbols.
+
+    Returns
+    -------
+    tuple of 3 tuples
+
+    """
+    x, y, z, w = quaternion
+    x2, y2, z2 = 2.0 * x, 2.0 * y, 2.0 * z
+    xx, yy, zz = x * x2, y * y2, z * z2
+    xy, xz, yz, wx, wy, wz = x * y2, x * z2, y * z2, w * x2, w * y2, w * z2
+    return ((1.0 - (yy + zz), xy - wz, xz + wy), (xy + wz, 1.0 - (xx + zz), yz - wx),
+            (xz - wy, yz + wx, 1.0 - (xx + yy)))
+
+
+def _turned_inertia(frame, inertia):
+    """Return an inertia in a body's frame in the world's axes."""
+    (xx, xy, xz), (_, yy, yz), (_, _, zz) = inertia
+    if not is_zero((xy, xz, yz)):
+        columns = product(frame, inertia)
+        return symmetric(lambda m, n: dot(columns[m], frame[n]))
+    # What two of the principal moments share is a sphere's.
+    moments = (xx, yy, zz)
+    sphere = next((m for k, m in enumerate(moments) if any(m is n for n in moments[k + 1:])), xx)
+    shares = [(axis, scale(axis, moment - sphere))
+              for axis, moment in zip(transpose(frame), moments) if moment is not sphere]
+    return symmetric(lambda m, n: sum(
+        (axis[m] * share[n] for axis, share in shares), sphere if m == n else 0.0))
 
 
 def _aligned(axis):
@@ -457,9 +561,9 @@ def _rotations(cut, first, second):
     """Yield the equations that keep axes of body A perpendicular to axes of body B."""
     turns = subtract(first.spin, second.spin)
     for n, m in cut.perpendicular:
-        if (n, m) == (X, Y) and first.run == second.run and cut.turned_a is cut.turned_b is None:
+        if (n, m) == (X, Y) and first.base is second.base and cut.turned_a is cut.turned_b is None:
             # Of parallel axes the angle itself, however many turns.
-            axis = transpose(first.base)[Z]
+            axis = transpose(first.frame)[Z]
             yield Closure(
                 first.angle - second.angle - cut.angle, dot(axis, turns),
                 dot(axis, subtract(first.spin_rate, second.spin_rate)), axis + ZERO,
@@ -478,5 +582,5 @@ def _rotations(cut, first, second):
 def _joint_frame(motion, turned, angle):
     """Return the axes of a cut joint on one of its bodies."""
     if turned is None:
-        return _turned(motion.base, motion.angle + angle)
+        return motion.frame if is_zero((angle,)) else _turned(motion.base, motion.angle + angle)
     return _turned(product(motion.frame, turned), angle)

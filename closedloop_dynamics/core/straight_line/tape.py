@@ -21,6 +21,7 @@ added.
 
 """
 
+import math
 import types
 
 from ..compiled import choose
@@ -170,13 +171,13 @@ class Symbol:
 
 
 def sine(angle):
-    """Return the sine of a symbol."""
-    return angle._put(SINE, angle)
+    """Return the sine of a number or a symbol."""
+    return angle._put(SINE, angle) if isinstance(angle, Symbol) else math.sin(angle)
 
 
 def cosine(angle):
-    """Return the cosine of a symbol."""
-    return angle._put(COSINE, angle)
+    """Return the cosine of a number or a symbol."""
+    return angle._put(COSINE, angle) if isinstance(angle, Symbol) else math.cos(angle)
 
 
 def chosen(condition, yes, no):

@@ -1,0 +1,214 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+The arrays of a mechanism in space.
+
+Frames are chosen so that what turns does so about its Z axis. Numbers that are exactly 0, and of
+rotations 0, 1 and -1, belong to the structure that code is generated for, like the topology: with
+them go the terms that they multiply.
+
+"""
+
+import numpy as np
+
+from .spatial import Body, Cut, X, Y, Z
+from ..types import (
+    AXIS, BALL, CUT_TYPE, HELICAL, KEPT, PRISMATIC, REVOLUTE_ARMATURE, TYPE)
+
+# Columns of Model.body, one row a body: mass; first moments; moments of inertia about the body's
+# origin, xx, yy, zz, xy, xz, yz; the joint's place in the parent's frame; its axes there, row by
+# row; whether it shares the parent's Z axis; rotor inertia; lead of a screw [m/rad].
+MASS, MOMENT, INERTIA, PLACE, TURNED, PARALLEL, ARMATURE, LEAD = 0, 1, 4, 10, 13, 22, 23, 24
+BODY_COLUMNS = 25
+# Columns of Model.cut_point, one row a cut joint: its place and its axes in both bodies' frames.
+POINT_A, POINT_B, TURNED_A, TURNED_B = 0, 3, 6, 15
+CUT_POINT_COLUMNS = 24
+# Columns of Workspace.body, one row a body: origin, axes row by row, angular velocity, velocity of
+# the origin; the force that the body's acceleration takes, moment first.
+ORIGIN, FRAME, SPIN, VELOCITY, FORCE = 0, 3, 12, 15, 18
+
+# Cut joints by CUT_TYPE, after the planar ones: along which axes of body B they hold, and which
+# axes of A and B stay perpendicular. Joints that turn do so about Z of B; a universal joint's
+# second axis is X of A.
+_POINT, _TURNING = (X, Y, Z), ((Z, X), (Z, Y))
+HELD = (
+    ('revolute', _POINT, _TURNING),
+    ('prismatic', (X, Y), (*_TURNING, (X, Y))),
+    ('fixed', _POINT, (*_TURNING, (X, Y))),
+    ('cylindrical', (X, Y), _TURNING),
+    ('universal', _POINT, ((X, Z),)),
+    ('spherical', _POINT, ()),
+    ('planar', (Z,), _TURNING),
+)
+CUT_TYPES = tuple(name for name, _, _ in HELD)
+
+
+def is_spatial(model):
+    """
+    Tell whether a model is one in space.
+
+    Parameters
+    ----------
+    model : Model
+        Constant arrays of a mechanism.
+
+    Returns
+    -------
+    bool
+
+    """
+    return len(model.gravity) == 3
+
+
+def structure(model):
+    """
+    Return what code for a mechanism in space depends on beside its topology.
+
+    Parameters
+    ----------
+    model : Model
+        Constant arrays of a mechanism in space.
+
+    Returns
+    -------
+    tuple of ndarrays
+
+    """
+    return _body_structure(model.body), _structure(model.cut_point, slice(TURNED_A, None))
+
+
+def _structure(values, rotations):
+    """Return the structural numbers of an array; NaN where there is none."""
+    fixed = values == 0.0
+    fixed[:, rotations] |= np.abs(values[:, rotations]) == 1.0
+    return np.where(fixed, values, np.nan)
+
+
+def _body_structure(body):
+    """Return the structural numbers of bodies, and which of their moments of inertia agree."""
+    found = _structure(body, slice(TURNED, PARALLEL))
+    found[:, PARALLEL] = body[:, PARALLEL]
+    same = [body[:, INERTIA + m] == body[:, INERTIA + n] for m, n in ((0, 1), (0, 2), (1, 2))]
+    return np.column_stack([found, *same])
+
+
+def _known(structural, symbols):
+    """Return symbols, and numbers where they are structural."""
+    return np.where(np.isnan(structural), symbols, structural.astype(object))
+
+
+def bodies(model, symbols):
+    """
+    Describe the rows of a tree in space.
+
+    Parameters
+    ----------
+    model : Model
+        Constant arrays of the mechanism.
+    symbols : ndarray, shape (nb + 1, BODY_COLUMNS)
+        Of the inputs, as ``Model.body``.
+
+    Returns
+    -------
+    list of Body
+
+    """
+    pattern = _body_structure(model.body)
+    found = []
+    for kind, axis, fixed, row in zip(model.tree[:, TYPE], model.tree[:, AXIS], pattern, symbols):
+        row = _known(fixed[:BODY_COLUMNS], row)
+        xx, yy, zz, xy, xz, yz = row[INERTIA:INERTIA + 6]
+        # One symbol for numbers that are equal.
+        same_xy, same_xz, same_yz = fixed[BODY_COLUMNS:]
+        yy = xx if same_xy else yy
+        zz = xx if same_xz else yy if same_yz else zz
+        found.append(Body(
+            turns=float(kind != PRISMATIC),
+            slides=1.0 if kind == PRISMATIC else row[LEAD] if kind == HELICAL else 0.0,
+            axis=int(axis), ball=kind == BALL, place=tuple(row[PLACE:PLACE + 3]),
+            turned=None if row[PARALLEL] else _matrix(row[TURNED:]), angle=0.0,
+            mass=row[MASS], moment=tuple(row[MOMENT:MOMENT + 3]),
+            inertia=((xx, xy, xz), (xy, yy, yz), (xz, yz, zz)),
+            armature=row[ARMATURE] if kind == REVOLUTE_ARMATURE else None))
+    return found
+
+
+def cuts(model, symbols, which=KEPT):
+    """
+    Describe the cut joints of a mechanism in space.
+
+    Parameters
+    ----------
+    model : Model
+        Constant arrays of the mechanism.
+    symbols : ndarray, shape (number of cuts, CUT_POINT_COLUMNS)
+        Of the inputs, as ``Model.cut_point``.
+    which : int
+        Column of ``Model.cut`` with the equations' bits.
+
+    Returns
+    -------
+    list of Cut
+
+    """
+    pattern = _structure(model.cut_point, slice(TURNED_A, None))
+    found = []
+    for cut, fixed, row in zip(model.cut, pattern, symbols):
+        row = _known(fixed, row)
+        _, along, perpendicular = HELD[cut[CUT_TYPE]]
+        found.append(Cut(
+            along, perpendicular, tuple(row[POINT_A:POINT_A + 3]),
+            tuple(row[POINT_B:POINT_B + 3]), _matrix(row[TURNED_A:]), _matrix(row[TURNED_B:]),
+            0.0, tuple(n for n in range(6) if cut[which] >> n & 1)))
+    return found
+
+
+def _matrix(row):
+    """Return the first nine numbers of a row as a matrix."""
+    return tuple(tuple(row[first:first + 3]) for first in (0, 3, 6))
+
+
+def write(recursion, body):
+    """
+    Write motion and forces into the columns of ``Workspace.body``.
+
+    Parameters
+    ----------
+    recursion : Recursion
+        After ``outward``.
+    body : ndarray, shape (nb + 1, WORK_COLUMNS)
+        Columns from ORIGIN to FORCE are written.
+
+    """
+    for i, motion in enumerate(recursion.motion):
+        values = (*motion.origin, *sum(motion.frame, ()), *motion.spin, *motion.velocity)
+        body[i, :FORCE] = values
+        if i > 0:
+            body[i, FORCE:FORCE + 6] = recursion.force[i]
+
+
+def read(recursion, body):
+    """
+    Take the forces from these columns, as effects have left them.
+
+    Parameters
+    ----------
+    recursion : Recursion
+        After ``outward``.
+    body : ndarray, shape (nb + 1, WORK_COLUMNS)
+        Of symbols.
+
+    """
+    recursion.force[1:] = [tuple(row[FORCE:FORCE + 6]) for row in body[1:]]

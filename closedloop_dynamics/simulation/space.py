@@ -1,0 +1,236 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""What a simulation asks of a mechanism in space: loops, places, energies, forces."""
+
+from contextlib import suppress
+
+import numpy as np
+
+from .assembly import Assembler, RANK_TOLERANCE
+from .errors import AssemblyError, SimulationError
+from .modeling import extent
+from .spatial_modeling import build_spatial_model
+from ..core.straight_line.numbers import Numbers
+from ..mechanism.decomposition import decompose
+
+# Code for a whole mechanism grows with it: beyond so many freedoms it compiles for minutes.
+MOST_FREEDOMS = 40
+
+
+class SpatialGeometry:
+    """
+    A model in space, on numbers and by name.
+
+    Parameters
+    ----------
+    mechanism : Mechanism
+        With joints of one freedom in its tree.
+    decomposition : Decomposition, optional
+        Found here when not given.
+
+    Attributes
+    ----------
+    model : core.types.Model
+    rows : dict of str to int
+        Row of each body in the model's arrays.
+
+    """
+
+    def __init__(self, mechanism, decomposition=None):
+        """Build the model of all equations."""
+        if len(mechanism.joints) > MOST_FREEDOMS:
+            raise SimulationError(
+                f'{mechanism.name} has {len(mechanism.joints)} joints in its tree: mechanisms in '
+                f'space of more than {MOST_FREEDOMS} cannot be simulated yet.')
+        self.mechanism = mechanism
+        self._decomposition = decomposition or decompose(mechanism)
+        self._build(None)
+        self.rows = {name: one.row for name, one in self._placements.items()}
+
+    def _build(self, kept):
+        """Build the model, and what works on numbers."""
+        built = build_spatial_model(
+            self.mechanism, decomposition=self._decomposition, kept=kept)
+        self.model, self._placements = built.model, built.placements
+        self._numbers = Numbers(self.model)
+
+    def leave_out_repeated(self, q):
+        """
+        Let the elimination work on equations that do not repeat one another.
+
+        Parameters
+        ----------
+        q : ndarray, shape (nv,)
+            Near a position that closes the loops.
+
+        """
+        assembler = SpatialAssembler(self.mechanism, self)
+        with suppress(AssemblyError):
+            kept = _independent(assembler.jacobian_of_largest_rank(assembler.positions(q)))
+            if not kept.all():
+                self._build(kept)
+
+    @property
+    def leaves_out(self):
+        """Whether the elimination leaves out equations that repeat others."""
+        return not self._numbers.kept.all()
+
+    def closure(self, q):
+        """
+        Return the largest error of all equations, those left out among them.
+
+        Parameters
+        ----------
+        q : ndarray, shape (nv,)
+            Joint coordinates.
+
+        Returns
+        -------
+        float
+            [m, or sines of angles].
+
+        """
+        return float(np.abs(self.move(q).closures()[0]).max(initial=0.0))
+
+    def cut_wrenches(self, q, qd, lam):
+        """
+        Return what body B exerts on body A at each cut joint: the least that give the motion.
+
+        Parameters
+        ----------
+        q, qd : ndarray, shape (nv,)
+            State.
+        lam : ndarray
+            Multipliers of the equations that the elimination works on.
+
+        Returns
+        -------
+        ndarray, shape (number of cuts, 6)
+            As ``Numbers.cut_wrenches`` does.
+
+        """
+        numbers = self.move(q, qd)
+        return numbers.cut_wrenches(numbers.of_all(lam))
+
+    def move(self, q, qd=None):
+        """
+        Take a state.
+
+        Parameters
+        ----------
+        q, qd : ndarray, shape (nv,)
+            Joint coordinates and rates; no rates when not given.
+
+        Returns
+        -------
+        core.straight_line.numbers.Numbers
+            In that state.
+
+        """
+        self._numbers.move(q, qd)
+        return self._numbers
+
+    def point(self, q, body, position):
+        """
+        Return the place of a point of a body.
+
+        Parameters
+        ----------
+        q : ndarray, shape (nv,)
+            Joint coordinates.
+        body : str
+            Its name.
+        position : tuple of 3 floats
+            In the body's frame [m].
+
+        Returns
+        -------
+        ndarray, shape (3,)
+            In the world [m].
+
+        """
+        placement = self._placements[body]
+        return self.move(q).point(placement.row, placement.place(position))
+
+
+class SpatialAssembler(Assembler):
+    """
+    Closes the loops of a mechanism in space.
+
+    Parameters
+    ----------
+    mechanism : Mechanism
+        What is assembled.
+    geometry : SpatialGeometry
+        Of the mechanism.
+
+    """
+
+    def __init__(self, mechanism, geometry):
+        """Take the equations that are left of each cut joint."""
+        super().__init__(mechanism, geometry.model, None, extent(mechanism))
+        self._geometry = geometry
+        self.nc = sum(self._counts())
+
+    def _counts(self):
+        """Return the number of equations of each cut joint, with those that repeat others."""
+        return Numbers(self.model).counts
+
+    def closure(self, q):
+        """Return psi, shape (nc,), in the mechanism's order [m, or sines of angles]."""
+        return self._geometry.move(q).closures()[0]
+
+    def jacobian(self, q):
+        """Return J = d psi / d q, shape (nc, nv)."""
+        return self._geometry.move(q).jacobian()
+
+    def inertia(self, q):
+        """Return the generalized inertia matrix of the spanning tree, shape (nv, nv)."""
+        return self._geometry.move(q).inertia()
+
+
+def _independent(jac):
+    """Choose rows of a Jacobian that do not depend on one another, by pivoting; return a mask."""
+    kept = np.zeros(len(jac), dtype=bool)
+    # Neither the unit of a coordinate nor that of an equation decides.
+    left = jac / np.maximum(np.abs(jac).max(axis=0, initial=0.0), 1e-300)
+    left = left / np.maximum(np.linalg.norm(left, axis=1, keepdims=True), 1e-300)
+    while not kept.all():
+        length = np.where(kept, 0.0, np.linalg.norm(left, axis=1))
+        best = int(np.argmax(length))
+        if length[best] <= RANK_TOLERANCE:
+            break
+        kept[best] = True
+        direction = left[best] / length[best]
+        left = left - np.outer(left @ direction, direction)
+    return kept
+
+
+def equations_left(mechanism):
+    """
+    Count the equations of each cut joint that do not hold whatever moves.
+
+    Parameters
+    ----------
+    mechanism : Mechanism
+        In space.
+
+    Returns
+    -------
+    list of int
+        In the order of the cut joints.
+
+    """
+    return Numbers(build_spatial_model(mechanism).model).counts

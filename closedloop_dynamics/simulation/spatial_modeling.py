@@ -1,0 +1,367 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+From the description of a mechanism in space to the arrays that code is generated for.
+
+A user's frames lie as drawings have them. The kernels' frames lie so that what turns does so about
+Z, that successive parallel axes share it, and that as many constants as can be are
+exactly 0: each of these saves operations.
+
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from .modeling import block_arrays, dependencies, factor_arrays, path
+from ..core import types as t
+from ..core.straight_line import space
+from ..core.straight_line.spatial import Recursion, rotation, X, Y, Z
+from ..core.straight_line.tape import LOAD, Tape
+from ..mechanism.decomposition import decompose
+from ..mechanism.mechanism import (
+    CYLINDRICAL, FIXED, FREE, GROUND, HELICAL, JOINT_FREEDOMS, MechanismError, PLANAR, PRISMATIC,
+    REVOLUTE, SPHERICAL, UNIVERSAL)
+
+# Components of unit vectors this near to 0, 1 and -1 are what a description meant by them.
+ROUNDING = 1e-14
+_UNIT = np.eye(3)
+# Rows of joints that move along or about the axes of their frame: type, axis.
+_SLIDES = tuple((t.PRISMATIC, axis) for axis in (X, Y, Z))
+_BALL = tuple((t.BALL, axis) for axis in (X, Y, Z))
+_BY_FRAME = {SPHERICAL: _BALL, FREE: _SLIDES + _BALL,
+             PLANAR: (*_SLIDES[:2], (t.REVOLUTE, Z))}
+_ALONG_AXIS = {REVOLUTE: (t.REVOLUTE,), PRISMATIC: (t.PRISMATIC,), HELICAL: (t.HELICAL,),
+               CYLINDRICAL: (t.REVOLUTE, t.PRISMATIC)}
+
+
+class Placement(NamedTuple):
+    """
+    Where a user's frame is in the frame of a row.
+
+    Attributes
+    ----------
+    row : int
+        0 for the ground.
+    axes : ndarray, shape (3, 3)
+        Columns: the user's axes.
+    origin : ndarray, shape (3,)
+        [m].
+
+    """
+
+    row: int
+    axes: np.ndarray
+    origin: np.ndarray
+
+    def place(self, point):
+        """Return a point of the user's frame in that of the row."""
+        return self.axes @ point + self.origin
+
+
+class SpatialModel(NamedTuple):
+    """
+    Arrays of a mechanism in space, and where the user's frames are in them.
+
+    Attributes
+    ----------
+    model : core.types.Model
+    placements : dict of str to Placement
+        By body, the ground among them.
+    rows : dict of str to list of int
+        Rows of the tree by joint.
+
+    """
+
+    model: t.Model
+    placements: dict
+    rows: dict
+
+
+def build_spatial_model(mechanism, gravity=(0.0, 0.0, 0.0), decomposition=None, kept=None):
+    """
+    Build the constant arrays of a mechanism in space.
+
+    Parameters
+    ----------
+    mechanism : Mechanism
+        What is described; its vectors have three numbers.
+    gravity : sequence of 3 floats
+        [m/s^2].
+    decomposition : Decomposition, optional
+        Found here when not given.
+    kept : sequence of bool, optional
+        Which of the equations that do not always hold the elimination is to work on, in the order
+        of the cut joints; all when not given.
+
+    Returns
+    -------
+    SpatialModel
+
+    Raises
+    ------
+    MechanismError
+        Where a loop cannot close: a cut joint's equation that no motion changes is not met.
+
+    """
+    decomposition = decomposition or decompose(mechanism)
+    builder = _Tree(mechanism)
+    for index in decomposition.joint_order:
+        builder.add(index)
+    tree, body = builder.arrays(decomposition)
+    cut, point = _cut_joints(mechanism, decomposition, tree, body, builder.placements)
+    if kept is not None:
+        _keep(cut, kept)
+    slots = _number(cut, tree)
+    block, pair = block_arrays(cut, slots)
+    column, row, entry = factor_arrays(decomposition, cut, block)
+    dependency, dependency_place = dependencies(column, row)
+    return SpatialModel(
+        t.Model(tree=tree, body=body, gravity=np.array(gravity, dtype=float), cut=cut,
+                cut_point=point, slot_body=slots, pair=pair, block=block, column=column, row=row,
+                entry=entry, dependency=dependency, dependency_place=dependency_place),
+        builder.placements, builder.rows)
+
+
+class _Tree:
+    """Rows of the tree, joint by joint."""
+
+    def __init__(self, mechanism):
+        self.mechanism = mechanism
+        self.bodies = {body.name: body for body in mechanism.bodies}
+        self.placements = {GROUND: Placement(0, _UNIT, np.zeros(3))}
+        self.rows = {}
+        self.tree, self.body = [(-1,) + 5 * (0,)], [np.zeros(space.BODY_COLUMNS)]
+        freedoms = [JOINT_FREEDOMS[joint.type] for joint in mechanism.joints]
+        balls = [joint.type in (SPHERICAL, FREE) for joint in mechanism.joints]
+        self.first = np.cumsum([0] + freedoms)
+        self.coordinate = self.first + np.cumsum([0] + balls)
+
+    def add(self, index):
+        """Add the rows of one joint, and the body that it carries."""
+        joint = self.mechanism.joints[index]
+        parent, body = self.placements[joint.parent], self.bodies[joint.child]
+        axes = _snapped(parent.axes @ np.array(rotation(joint.orientation)))
+        place, row, rows = parent.place(joint.position), parent.row, []
+        dof, coordinate = self.first[index], self.coordinate[index]
+        for kind, axis, turned in self._freedoms(joint, axes):
+            constant = np.zeros(space.BODY_COLUMNS)
+            constant[space.PLACE:space.PLACE + 3] = _cleared(place)
+            constant[space.TURNED:space.TURNED + 9] = turned.ravel()
+            # The frame of a ball begins anew; what only slides does not turn.
+            constant[space.PARALLEL] = np.array_equal(turned, _UNIT)
+            if kind == t.HELICAL:
+                constant[space.LEAD] = joint.lead
+            self.tree.append((row, dof, kind, 0, coordinate, axis))
+            self.body.append(constant)
+            row, place, axes = len(self.tree) - 1, np.zeros(3), _snapped(turned.T @ axes)
+            rows.append(row)
+            dof, coordinate = dof + 1, coordinate + (kind != t.BALL)
+        for last in rows[-3:]:
+            if self.tree[last][2] == t.BALL:
+                self.tree[last] = (*self.tree[last][:4], coordinate, self.tree[last][5])
+        self.rows[joint.name] = rows
+        self.placements[joint.child] = Placement(row, axes, place)
+        self._weigh(row, axes, place, body)
+
+    def _freedoms(self, joint, axes):
+        """Yield (type, axis, frame in that of the row before) of each row of a joint."""
+        if joint.type == FIXED:
+            return
+        if joint.type in _BY_FRAME:
+            turned = axes
+            for kind, axis in _BY_FRAME[joint.type]:
+                yield kind, axis, turned
+                turned = _UNIT
+            return
+        kinds = ((t.REVOLUTE, joint.axis), (t.REVOLUTE, joint.second_axis)) if (
+            joint.type == UNIVERSAL) else [(kind, joint.axis) for kind in _ALONG_AXIS[joint.type]]
+        for n, (kind, axis) in enumerate(kinds):
+            hint = kinds[n + 1][1] if n + 1 < len(kinds) else self._direction(joint.child)
+            turned = _frame(axes @ axis, axes @ hint)
+            yield kind, Z, turned
+            axes = turned.T @ axes
+
+    def _direction(self, name):
+        """Return a direction of a body that many of its constants lie along."""
+        places = [self.bodies[name].center_of_mass, *(
+            joint.position for joint in self.mechanism.joints if joint.parent == name)]
+        return np.array(max(places, key=np.linalg.norm))
+
+    def _weigh(self, row, axes, origin, body):
+        """Add a body's mass, first moments and inertia to a row."""
+        constant, mass = self.body[row], body.mass
+        center = axes @ body.center_of_mass + origin
+        about = axes @ inertia_matrix(body.inertia) @ axes.T
+        about = _cleared(about) + mass * (center @ center * _UNIT - np.outer(center, center))
+        constant[space.MASS] += mass
+        constant[space.MOMENT:space.MOMENT + 3] += _cleared(mass * center)
+        constant[space.INERTIA:space.INERTIA + 6] += _agreed(_cleared(about))[
+            (0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)]
+
+    def arrays(self, decomposition):
+        """Return ``Model.tree`` and ``Model.body``."""
+        tree = np.array(self.tree, dtype=np.int64)
+        tree[0] = 0
+        for number, joints in enumerate(decomposition.subsystems):
+            for joint in joints:
+                tree[self.rows[joint], t.SUBSYSTEM] = number
+        return tree, np.array(self.body)
+
+
+def inertia_matrix(inertia):
+    """
+    Return an inertia as a matrix.
+
+    Parameters
+    ----------
+    inertia : float or tuple of 3 or 6
+        As ``mechanism.Body`` has it.
+
+    Returns
+    -------
+    ndarray, shape (3, 3)
+
+    """
+    values = np.zeros(6)
+    values[:np.size(inertia)] = inertia
+    xx, yy, zz, xy, xz, yz = values
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+
+def _snapped(matrix):
+    """Return a rotation with entries that are nearly 0, 1 or -1 exactly so."""
+    nearest = np.round(matrix)
+    return np.where(np.abs(matrix - nearest) < ROUNDING, nearest, matrix) + 0.0
+
+
+def _cleared(values):
+    """Return numbers, zero where they are next to nothing beside the largest."""
+    return np.where(np.abs(values) < ROUNDING * np.abs(values).max(), 0.0, values)
+
+
+def _agreed(about):
+    """Return an inertia, principal moments that differ by rounding equal."""
+    for m, n in ((0, 1), (0, 2), (1, 2)):
+        if abs(about[m, m] - about[n, n]) < ROUNDING * about[m, m]:
+            about[n, n] = about[m, m]
+    return about
+
+
+def _frame(axis, hint):
+    """Return a frame with an axis as its Z, X towards a hint; the present one where that does."""
+    axis = _snapped(np.array(axis) / np.linalg.norm(axis))
+    if np.array_equal(axis, _UNIT[Z]):
+        return _UNIT
+    across = hint - axis * (axis @ hint)
+    if np.linalg.norm(across) <= 1e-9 * np.linalg.norm(hint):
+        # Perpendicular to the axis and to the present axis that it is the least along.
+        across = np.cross(_UNIT[np.argmin(np.abs(axis))], axis)
+    across = _snapped(across / np.linalg.norm(across))
+    return _snapped(np.column_stack([across, np.cross(axis, across), axis]))
+
+
+def _cut_joints(mechanism, decomposition, tree, body, placements):
+    """Return ``Model.cut``, not yet numbered, and ``Model.cut_point``."""
+    count = len(mechanism.cut_joints)
+    cut = np.zeros((count, t.CUT_COLUMNS), dtype=np.int64)
+    point = np.zeros((count, space.CUT_POINT_COLUMNS))
+    for k, index in enumerate(decomposition.cut_order):
+        joint = mechanism.cut_joints[index]
+        a, b = placements[joint.body_a], placements[joint.body_b]
+        frame_a, frame_b = _cut_frames(joint, a, b)
+        cut[k, [t.CUT_TYPE, t.BODY_A, t.BODY_B, t.CUT_NUMBER]] = (
+            space.CUT_TYPES.index(joint.type), a.row, b.row, index)
+        point[k] = np.concatenate([
+            _cleared(a.place(joint.point_a)), _cleared(b.place(joint.point_b)),
+            frame_a.ravel(), frame_b.ravel()])
+    for k, possible in enumerate(_possible(mechanism, tree, body, cut, point)):
+        cut[k, [t.POSSIBLE, t.KEPT]] = sum(1 << n for n in possible)
+    return cut, point
+
+
+def _keep(cut, kept):
+    """Leave out equations that repeat others, in place."""
+    kept = iter(kept)
+    for k in np.argsort(cut[:, t.CUT_NUMBER]):
+        cut[k, t.KEPT] = sum(
+            1 << n for n in range(6) if cut[k, t.POSSIBLE] >> n & 1 and next(kept))
+
+
+def _number(cut, tree):
+    """Fill in numbers of equations and slots of cut joints; return ``Model.slot_body``."""
+    cut[:, t.ROWS] = [bin(kept).count('1') for kept in cut[:, t.KEPT].tolist()]
+    by_user = np.zeros(len(cut) + 1, dtype=np.int64)
+    by_user[cut[:, t.CUT_NUMBER] + 1] = cut[:, t.ROWS]
+    cut[:, t.CUT_ROW] = np.cumsum(by_user)[cut[:, t.CUT_NUMBER]]
+    cut[:, t.ROW] = np.cumsum([0, *cut[:, t.ROWS]])[:-1]
+    slots = []
+    for one in cut:
+        path_a, path_b = path(tree, one[t.BODY_A]), path(tree, one[t.BODY_B])
+        shared = set(path_b)
+        common = [row for row in path_a if row in shared]
+        own_a = path_a[:len(path_a) - len(common)]
+        own_b = path_b[:len(path_b) - len(common)]
+        start, middle = len(slots), len(slots) + len(own_a)
+        slots += own_a + own_b + common
+        one[[t.SLOT_A, t.SLOT_B, t.SLOT_COMMON, t.SLOT_END]] = (
+            start, middle, middle + len(own_b), len(slots))
+    return np.array(slots, dtype=np.int64)
+
+
+def _cut_frames(joint, a, b):
+    """Return the joint's axes in the frames of both rows."""
+    if joint.type in (FIXED, PRISMATIC):
+        own = _UNIT if joint.axis_b is None else _frame(np.array(joint.axis_b), np.zeros(3))
+        held = np.array(rotation(joint.orientation)).T
+        return _snapped(a.axes @ held @ own), _snapped(b.axes @ own)
+    if joint.type == SPHERICAL:
+        return _UNIT, _UNIT
+    along_b = _frame(b.axes @ joint.axis_b, np.zeros(3))
+    along_a = _frame(a.axes @ joint.axis_a, np.zeros(3))
+    if joint.type == UNIVERSAL:
+        # The axis on body A is its X.
+        along_a = along_a[:, [Z, X, Y]]
+    return along_a, along_b
+
+
+def _possible(mechanism, tree, body, cut, point):
+    """Return the numbers of each cut joint's equations that do not hold anyway."""
+    model = t.Model(
+        tree, body, np.zeros(3), cut, point, *(7 * (None,)), None)
+    tape = Tape()
+
+    def symbols(source, shape):
+        found = np.empty(shape, dtype=object)
+        found.flat = [tape.put(LOAD, source, place) for place in range(found.size)]
+        return found
+
+    recursion = Recursion(
+        space.bodies(model, symbols(0, body.shape)),
+        [one._replace(kept=None) for one in space.cuts(model, symbols(1, point.shape))],
+        (0.0, 0.0, 0.0))
+    nv = len(tree) - 1
+    recursion.outward(model, symbols(2, (t.number_of_coordinates(model),)), symbols(3, (nv,)),
+                      None)
+    for a, one in enumerate(cut):
+        values = [equation.value for equation in recursion.equations(model, a)]
+        for value in values:
+            if isinstance(value, float) and value != 0.0:
+                name = mechanism.cut_joints[one[t.CUT_NUMBER]].name
+                raise MechanismError(
+                    f'cut_joints.{name}: expected axes and points that the joints of the tree '
+                    'can bring together, got an equation that no motion changes and that is not '
+                    f'met: {value:.3g} instead of 0')
+        yield [n for n, value in enumerate(values) if not isinstance(value, float)]

@@ -1,0 +1,174 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The engine on one mechanism in space."""
+
+from closedloop_dynamics.core import types as t
+from closedloop_dynamics.core.straight_line import linkage as links, routines, space, tape
+from closedloop_dynamics.core.straight_line.emit import Q, QD
+from closedloop_dynamics.core.straight_line.spatial import Recursion
+from closedloop_dynamics.integration.system import build_system
+from closedloop_dynamics.mechanism.mechanism import JOINT_FREEDOMS
+from closedloop_dynamics.simulation.spatial_modeling import build_spatial_model
+import numpy as np
+
+from ..reference import spatial_maximal as twin
+from ..reference.spatial_machines import GRAVITY
+
+_ARITHMETIC = {
+    tape.ADD: lambda a, b: a + b, tape.SUBTRACT: lambda a, b: a - b,
+    tape.MULTIPLY: lambda a, b: a * b, tape.DIVIDE: np.divide,
+    tape.NEGATE: lambda a: -a, tape.SINE: np.sin, tape.COSINE: np.cos,
+    tape.LESS: lambda a, b: a < b, tape.GREATER_EQUAL: lambda a, b: a >= b,
+    tape.CHOOSE: lambda condition, yes, no: yes if condition else no,
+    tape.BOTH: lambda a, b: a and b}
+
+
+def interpret(routine, inputs):
+    """
+    Run unrolled arithmetic number by number, where compiling it would take longer.
+
+    Parameters
+    ----------
+    routine : emit.Routine
+        What is computed.
+    inputs : dict of int to ndarray
+        By input.
+
+    Returns
+    -------
+    outputs : dict of int to dict of int to float
+    good : bool
+
+    """
+    values, needed = {}, routine.needed()
+
+    def value(operand):
+        return values[operand] if isinstance(operand, int) else operand
+
+    # What is chosen among may be infinite, as in compiled code.
+    with np.errstate(all='ignore'):
+        for place, (kind, *operands) in enumerate(routine.tape.operations):
+            if place in needed:
+                values[place] = (
+                    inputs[operands[0]].flat[operands[1]] if kind == tape.LOAD
+                    else _ARITHMETIC[kind](*map(value, operands)))
+    outputs = {}
+    for source, place, result in routine.outputs:
+        known = values[result.place] if hasattr(result, 'place') else float(result)
+        outputs.setdefault(source, {})[place] = known
+    guard = routine.tape.guard
+    return outputs, guard is None or bool(values[guard.place])
+
+
+def _inputs(model, q, qd, tau):
+    """Return what routines read."""
+    return {links.BODY: model.body, links.GRAVITY: model.gravity,
+            links.CUT_POINT: model.cut_point, links.TAU: tau, links.BAUMGARTE: np.zeros(1),
+            links.HEALTH: np.ones(t.HEALTH_COLUMNS), Q: q, QD: qd}
+
+
+def _array(outputs, source, size):
+    """Return one of the outputs, zero where nothing was stored."""
+    return np.array([outputs.get(source, {}).get(place, 0.0) for place in range(size)])
+
+
+class SpatialEngine:
+    """
+    A model in space and its unrolled evaluation.
+
+    Parameters
+    ----------
+    mechanism : Mechanism
+    compiled : bool
+        Whether to compile the routines or to interpret them.
+
+    """
+
+    def __init__(self, mechanism, compiled=False):
+        self.mechanism = mechanism
+        built = build_spatial_model(mechanism, GRAVITY)
+        self.model, self.placements, self.rows = built
+        self.nv, self.nc = len(self.model.tree) - 1, len(self.model.column) - 1
+        self.system = build_system(self.model, unrolled=True) if compiled else None
+
+    def at_zero(self):
+        """Return coordinates of all joints at the start of a description."""
+        q = np.zeros(t.number_of_coordinates(self.model))
+        for row in self.model.tree[1:]:
+            if row[t.TYPE] == t.BALL:
+                q[row[t.COORDINATE] + 3] = 1.0
+        return q
+
+    def efforts(self, by_joint):
+        """Return joint forces by joint name as an array; others are 0."""
+        tau, first = np.zeros(self.nv), 0
+        for joint in self.mechanism.joints:
+            if joint.name in by_joint:
+                tau[first] = by_joint[joint.name]
+            first += JOINT_FREEDOMS[joint.type]
+        return tau
+
+    def forward_dynamics(self, q, qd, tau):
+        """Return (qdd, lam, whether every pivot was good)."""
+        if self.system is not None:
+            system = self.system
+            system.tau[:] = tau
+            good = links.function(system.linkage, links.EVALUATION)(
+                system.linkage.ctypes.data, q.ctypes.data, qd.ctypes.data)
+            return system.qdd.copy(), system.lam.copy(), bool(good)
+        return self.interpreted(routines.Unrolling(self.model), self.model, q, qd, tau)
+
+    @staticmethod
+    def interpreted(unrolling, model, q, qd, tau):
+        """Return the same of any model, its unrolled arithmetic interpreted."""
+        outputs, good = interpret(
+            unrolling.routine(links.EVALUATION), _inputs(model, q, qd, tau))
+        return (_array(outputs, links.QDD, len(model.tree) - 1),
+                _array(outputs, links.LAM, len(model.column) - 1), good)
+
+    def in_parts(self, which, q, qd, tau):
+        """Return (qdd, good) of the outward recursion and a routine that goes on from there."""
+        inputs = _inputs(self.model, q, qd, tau)
+        outputs, _ = interpret(routines.Unrolling(self.model).routine(links.OUTWARD), inputs)
+        inputs[links.WORK_BODY] = _array(
+            outputs, links.WORK_BODY, len(self.model.tree) * t.WORK_COLUMNS)
+        outputs, good = interpret(routines.Unrolling(self.model).routine(which), inputs)
+        return _array(outputs, links.QDD, self.nv), good
+
+    def corrections(self, which, q, qd):
+        """Return least changes of coordinates and of rates that close the loops, (2, nv)."""
+        outputs, _ = interpret(routines.Unrolling(self.model).routine(which),
+                               _inputs(self.model, q, qd, np.zeros(self.nv)))
+        return _array(outputs, links.CORRECTIONS, 2 * self.nv).reshape(2, -1)
+
+    def wrenches(self, q, qd, lam):
+        """Return {cut joint: (6,)} on body A at its cut point, moment first, in world axes."""
+        recursion = Recursion(
+            space.bodies(self.model, self.model.body.astype(object)),
+            space.cuts(self.model, self.model.cut_point.astype(object)), GRAVITY)
+        recursion.outward(self.model, q, qd, None)
+        found = {}
+        for a, cut in enumerate(self.model.cut):
+            wrench = sum((value * np.array(one.on_a, dtype=float) for value, one in zip(
+                lam[cut[t.CUT_ROW]:], recursion.closures(self.model, a))), np.zeros(6))
+            motion = recursion.motion[cut[t.BODY_A]]
+            arm = np.array(motion.frame, dtype=float) @ self.model.cut_point[a, :3]
+            wrench[:3] -= np.cross(arm, wrench[3:])
+            found[self.mechanism.cut_joints[cut[t.CUT_NUMBER]].name] = wrench
+        return found
+
+    def accelerations(self, q, qd, qdd):
+        """Return {body: (6,)} of the bodies' own frames."""
+        return twin.forward(self.mechanism, q, qd, qdd)[1]

@@ -1,0 +1,209 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The engine in space against known answers and against maximal coordinates."""
+
+from dataclasses import replace
+
+from closedloop_dynamics.core.straight_line import available
+from closedloop_dynamics.core.straight_line.numbers import Numbers
+from closedloop_dynamics.core.types import ROWS
+from closedloop_dynamics.mechanism.mechanism import Body, CutJoint, Joint, Mechanism
+from closedloop_dynamics.simulation.modeling import build_model
+import numpy as np
+import pytest
+
+from ..reference import cases, spatial_linkages, spatial_machines, spatial_maximal as twin
+from ..reference.compare import assert_agree, IDENTITY
+
+pytestmark = pytest.mark.skipif(not available(), reason='nothing is unrolled without a compiler')
+if available():
+    from closedloop_dynamics.core.straight_line import routines, tape
+    from closedloop_dynamics.core.straight_line.linkage import (
+        ACCELERATION, CORRECTION, EVALUATION, REFINED_ACCELERATION, REFINED_CORRECTION)
+
+    from .spatial_engine import SpatialEngine
+
+# Of the body's frame: angular acceleration, then that of the centre of mass. References are
+# maximal coordinates with quaternions, to twelve digits.
+START = {
+    'stewart_platform': ('platform', (0.916001846266, -1.58656173756, 1.422003749095),
+                         (-0.133940827051, -0.077330772553, 0.111880085879)),
+    'delta_robot': ('platform', (0.0, 0.0, 0.0),
+                    (-1.904887309353, -1.099787200831, -11.852912650886)),
+    'rssr_four_bar': ('rocker', (-0.51208193311, 0.0, 0.0),
+                      (0.0, 0.15 * 0.51208193311, 0.0)),
+}
+
+
+@pytest.mark.parametrize('name', START)
+def test_machines_start_as_they_should(name):
+    mechanism, forces = getattr(spatial_machines, name)()
+    engine = SpatialEngine(mechanism)
+    q, qd = engine.at_zero(), np.zeros(engine.nv)
+    qdd, _, good = engine.forward_dynamics(q, qd, engine.efforts(forces))
+    assert good
+    name, turning, moving = START[name]
+    acceleration = engine.accelerations(q, qd, qdd)[name]
+    center = next(body.center_of_mass for body in mechanism.bodies if body.name == name)
+    assert_agree(acceleration[:3], turning, 1e-11, smallest=1.0)
+    assert_agree(acceleration[3:] + np.cross(acceleration[:3], center), moving, 1e-11)
+
+
+def test_compiled_code_starts_as_it_should():
+    mechanism, forces = spatial_machines.rssr_four_bar()
+    engine = SpatialEngine(mechanism, compiled=True)
+    q, qd = engine.at_zero(), np.zeros(engine.nv)
+    qdd, _, good = engine.forward_dynamics(q, qd, engine.efforts(forces))
+    assert good
+    assert_agree(qdd[1], -0.51208193311, 1e-11)
+
+
+@pytest.mark.parametrize('seed', range(100))
+def test_random_mechanisms_move_as_in_maximal_coordinates(seed):
+    rng = np.random.default_rng(seed)
+    mechanism, q, qd = spatial_linkages.random_mechanism(rng)
+    engine = SpatialEngine(mechanism)
+    tau = rng.normal(size=engine.nv)
+    expected = twin.forward_dynamics(mechanism, q, qd, tau)
+    qdd, lam, _ = engine.forward_dynamics(q, qd, tau)
+    found = engine.accelerations(q, qd, qdd)
+    names = [body.name for body in mechanism.bodies]
+    assert_agree([found[name] for name in names],
+                 [expected.accelerations[name] for name in names], 1e-9)
+    wrenches = engine.wrenches(q, qd, lam)
+    assert_agree([wrenches[cut.name] for cut in mechanism.cut_joints],
+                 [expected.wrenches[cut.name] for cut in mechanism.cut_joints], 1e-8)
+    # The recursions on numbers solve for the same by dense matrices.
+    numbers = Numbers(engine.model)
+    numbers.move(q, qd)
+    assert np.abs(numbers.closures()[:2]).max() < IDENTITY
+    again, forces, rank = numbers.accelerations(tau, 0.0)
+    assert rank == engine.nc
+    assert_agree(again, qdd, 1e-10)
+    assert_agree(forces, lam, 1e-9)
+
+
+@pytest.mark.parametrize('light', [1.0, 1e-4])
+@pytest.mark.parametrize('seed', range(12))
+def test_parts_of_an_evaluation_and_refinement_agree_with_dense_matrices(seed, light):
+    rng = np.random.default_rng(seed)
+    mechanism, q, qd = spatial_linkages.random_mechanism(rng)
+    chosen = rng.integers(len(mechanism.bodies))
+    mechanism = replace(mechanism, bodies=tuple(
+        replace(body, mass=light * body.mass, inertia=tuple(light * np.array(body.inertia)))
+        if k == chosen else body for k, body in enumerate(mechanism.bodies)))
+    engine, tau = SpatialEngine(mechanism), rng.normal(size=6 * len(mechanism.bodies))
+    tau = tau[:engine.nv]
+    numbers = Numbers(engine.model)
+    numbers.move(q, qd)
+    expected, _, _ = numbers.accelerations(tau, 0.0)
+    found, _ = engine.in_parts(ACCELERATION, q, qd, tau)
+    refined, _ = engine.in_parts(REFINED_ACCELERATION, q, qd, tau)
+    # Dense matrices lose the digits by which masses differ.
+    assert_agree(refined, expected, 1e-10 if light == 1.0 else 1e-9)
+    if light == 1.0:
+        assert_agree(found, expected, 1e-10)
+        # Loops opened a little, by rates that they do not allow.
+        rates = qd + rng.normal(size=engine.nv)
+        numbers.move(q, rates)
+        change = numbers.correction(numbers.closures()[1])
+        for which in (CORRECTION, REFINED_CORRECTION):
+            assert_agree(engine.corrections(which, q, rates)[1], change, 1e-9)
+        numbers.move(q, rates + change)
+        assert np.abs(numbers.closures()[1]).max() < 1e-12 * np.abs(rates).max() * 100.0
+
+
+@pytest.mark.parametrize('seed', range(5))
+def test_energies_change_by_the_power_of_the_joints(seed):
+    rng = np.random.default_rng(seed)
+    # Coordinates of others are no integrals of the rates.
+    mechanism, q, qd = spatial_linkages.random_mechanism(rng, ('spherical', 'free', 'fixed'))
+    engine = SpatialEngine(mechanism)
+    tau = rng.normal(size=engine.nv)
+    qdd, _, _ = engine.forward_dynamics(q, qd, tau)
+    numbers, energies = Numbers(engine.model), []
+    for step in (-1e-5, 1e-5):
+        numbers.move(q + step * qd + 0.5 * step ** 2 * qdd, qd + step * qdd)
+        energies.append(sum(numbers.energies()))
+    # Central differences.
+    assert_agree((energies[1] - energies[0]) / 2e-5, tau @ qd, 1e-7, smallest=1.0)
+
+
+def test_bricard_has_one_equation_too_many():
+    mechanism, _ = spatial_machines.bricard()
+    engine = SpatialEngine(mechanism)
+    numbers = Numbers(engine.model)
+    engine.model.gravity[:] = (0.0, -9.81, 0.0)
+    numbers.move(np.zeros(5), np.zeros(5))
+    qdd, _, rank = numbers.accelerations(np.zeros(5), 0.0)
+    assert (engine.nc, rank) == (5, 4)
+    # All joints turn alike, in turns.
+    assert_agree(qdd / (1, -1, 1, -1, 1), np.full(5, qdd[0]), 1e-12)
+
+
+def in_space(mechanism):
+    """Return a planar mechanism written down in space, in the plane of its first two axes."""
+    up = (0.0, 0.0, 1.0)
+    turned = [np.array([0.0, 0.0, np.sin(0.5 * joint.angle), np.cos(0.5 * joint.angle)])
+              for joint in mechanism.joints]
+    return Mechanism(
+        mechanism.name,
+        tuple(Body(body.name, body.mass, (*body.center_of_mass, 0.0),
+                   (0.5 * body.inertia, 0.5 * body.inertia, body.inertia))
+              for body in mechanism.bodies),
+        tuple(Joint(joint.name, joint.type, joint.parent, joint.child, (*joint.position, 0.0),
+                    orientation=tuple(orientation),
+                    axis=up if joint.type == 'revolute' else (1.0, 0.0, 0.0))
+              for joint, orientation in zip(mechanism.joints, turned)),
+        tuple(CutJoint(cut.name, cut.type, cut.body_a, cut.body_b, (*cut.point_a, 0.0),
+                       (*cut.point_b, 0.0), axis_a=up, axis_b=up)
+              for cut in mechanism.cut_joints))
+
+
+def operations(model):
+    """Return how many additions, multiplications and divisions an evaluation takes."""
+    routine = routines.Unrolling(model).routine(EVALUATION)
+    kinds = (tape.ADD, tape.SUBTRACT, tape.MULTIPLY, tape.DIVIDE, tape.NEGATE)
+    return sum(routine.tape.operations[place][0] in kinds for place in routine.needed())
+
+
+@pytest.mark.parametrize('name', cases.SHIPPED)
+def test_planar_mechanisms_written_in_space_cost_no_more(name):
+    rng, mechanism, q, qd = cases.drawn(name)
+    plane = build_model(mechanism, (0.0, -9.81))
+    engine = SpatialEngine(in_space(mechanism))
+    engine.model.gravity[:] = (0.0, -9.81, 0.0)
+    # Of five equations of a revolute joint three always hold.
+    assert sorted(engine.model.cut[:, ROWS]) == sorted(plane.cut[:, ROWS])
+    assert operations(engine.model) <= 1.03 * operations(plane)
+    tau = rng.normal(size=engine.nv)
+    found = engine.forward_dynamics(q, qd, tau)
+    planar = routines.Unrolling(plane)
+    expected = SpatialEngine.interpreted(planar, plane, q, qd, tau)
+    for one, other in zip(found[:2], expected[:2]):
+        assert_agree(one, other, 1e-11)
+
+
+def test_routines_follow_the_structure_of_a_description():
+    mechanism, _ = spatial_machines.rssr_four_bar()
+    model = SpatialEngine(mechanism).model
+    same, other = model._replace(body=model.body.copy()), model._replace(body=model.body.copy())
+    heavy, moved = model.body[:, 0] > 0.0, np.flatnonzero(model.body[:, 10] != 0.0)[0]
+    same.body[heavy, 0] *= 2.0
+    same.body[moved, 10] *= 1.5
+    assert routines.topology(same) == routines.topology(model)
+    # A length that becomes zero is another structure.
+    other.body[moved, 10] = 0.0
+    assert routines.topology(other) != routines.topology(model)

@@ -1,0 +1,289 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Mechanisms in space, simulated: known motions, and clear words on what cannot be had yet."""
+
+from dataclasses import replace
+
+from closedloop_dynamics.core.straight_line import available, linkage as links
+from closedloop_dynamics.core.types import RANK_REVEALING_COUNT
+from closedloop_dynamics.effects.gravity import Gravity
+from closedloop_dynamics.effects.joint_damping import JointDamping
+from closedloop_dynamics.effects.payload import Payload
+from closedloop_dynamics.mechanism.fields import FieldError
+from closedloop_dynamics.mechanism.mechanism import (
+    Body, CutJoint, Joint, Mechanism, MechanismError, Point)
+from closedloop_dynamics.recording.run import columns, Report, row, run
+from closedloop_dynamics.simulation.errors import SimulationError
+from closedloop_dynamics.simulation.scene import load_scene
+from closedloop_dynamics.simulation.scene_records import Initial, Method, Scene
+from closedloop_dynamics.simulation.simulation import Simulation
+from closedloop_dynamics.studies.check import describe
+from closedloop_dynamics.visual.urdf import urdf
+import numpy as np
+import pytest
+
+from ..reference import spatial_machines, spatial_maximal as twin
+from ..reference.compare import assert_agree
+
+pytestmark = pytest.mark.skipif(not available(), reason='nothing moves in space uncompiled')
+TIGHT = {'integrator': 'dop853', 'tolerance': 1e-12}
+
+
+def scene(mechanism, gravity=spatial_machines.GRAVITY, effects=None, **method):
+    """Return a scene from rest in the drawn position."""
+    nothing = [0.0] * len(mechanism.joints)
+    return Scene(mechanism.name, None, '', mechanism, Initial(nothing, nothing),
+                 {'gravity': Gravity(gravity), **(effects or {})}, Method(**method))
+
+
+def machine(name, *points):
+    """Return a machine with joints of one freedom in its tree, and its forces."""
+    mechanism, forces = getattr(spatial_machines, name)()
+    mechanism = spatial_machines.with_single_freedoms(mechanism)
+    return replace(mechanism, points=tuple(
+        Point(f'point_{k}', body, tuple(place)) for k, (body, place) in enumerate(points))), forces
+
+
+@pytest.fixture(scope='module')
+def linkage():
+    """Return an RSSR four-bar with the middle of its rocker, and the crank's torque."""
+    return machine('rssr_four_bar', ('rocker', (0.0, 0.0, 0.15)))
+
+
+def test_rssr_four_bar_moves_as_known(linkage):
+    mechanism, torque = linkage
+    one = Simulation(scene(mechanism, **TIGHT))
+    start = one.energy
+    one.step(torque, 0.5)
+    assert_agree(one.points, [[0.4, 0.313911207995, 0.149353534582]], 1e-9)
+    one.step(torque, 0.5)
+    assert_agree(one.points, [[0.4, 0.269707605674, 0.146909396725]], 1e-9)
+    assert_agree(one.position[0], 1.622930658, 1e-9)
+    assert_agree(one.velocity[1], 1.655614798758, 1e-9)
+    # The work of a constant torque.
+    assert_agree(one.energy - start, 0.032458613162, 1e-9)
+    assert_agree(0.02 * one.position[0], 0.032458613162, 1e-9)
+    assert one.closure < 1e-12
+
+
+def test_stewart_platform_moves_as_known():
+    center = spatial_machines.stewart_platform()[0].bodies[-1].center_of_mass
+    mechanism, forces = machine(
+        'stewart_platform', *(('platform', np.add(center, step))
+                              for step in [(0.0, 0.0, 0.0), *np.eye(3)]))
+    one = Simulation(scene(mechanism, **TIGHT))
+    start = one.energy
+    one.step(forces, 0.3)
+    assert_agree(one.points[0], (-0.006612888235, -0.003836627965, 0.605095609325), 1e-9)
+    one.step(forces, 0.3)
+    assert_agree(one.points[0], (-0.034261768566, -0.020474374083, 0.617628809006), 1e-9)
+    assert_agree((one.points[1:] - one.points[0]).T, [
+        [0.788368044122, -0.577218863246, -0.212824366368],
+        [0.476391160672, 0.791680900711, -0.382482435522],
+        [0.389265062703, 0.200149282690, 0.899117887486]], 1e-9)
+    assert_agree(one.energy - start, 8.148633672, 1e-9)
+
+
+def test_delta_robot_moves_as_known():
+    center = spatial_machines.delta_robot()[0].bodies[-1].center_of_mass
+    mechanism, torques = machine('delta_robot', ('platform', center),
+                                 ('platform', np.add(center, (1.0, 0.0, 0.0))))
+    one = Simulation(scene(mechanism, **TIGHT))
+    start = one.energy
+    one.step(torques, 0.25)
+    assert_agree(one.points[0], (-0.047474961513, -0.028554924782, -1.079204205218), 1e-9)
+    one.step(torques, 0.25)
+    assert_agree(one.points[0], (0.528637631678, -0.112854291725, -0.681333093596), 1e-9)
+    # The platform never turns.
+    assert_agree(one.points[1] - one.points[0], (1.0, 0.0, 0.0), 1e-9)
+    assert_agree(np.radians(20.0) + one.position[0], 2.483436197, 1e-9)
+    assert_agree(one.energy - start, 0.690703490, 1e-8)
+
+
+def test_bricards_linkage_moves_though_an_equation_repeats_the_others():
+    mechanism, _ = machine('bricard', ('rod_3', (0.0, 0.0, 1.0)))
+    one = Simulation(scene(mechanism, gravity=(0.0, -9.81, 0.0), **TIGHT))
+    assert one.degrees_of_freedom() == 1
+    one.step(None, 1.0)
+    assert_agree(one.points[0], (0.5105014612, -1.6491675994, 0.1401231146), 1e-9)
+    assert_agree(one.energy, -29.43, 1e-10)
+    # The equation that was left out holds, and the others were enough.
+    assert len(one.multipliers) == 4
+    assert one.closure < 1e-10
+    assert one.system.work.health[RANK_REVEALING_COUNT] == 0.0
+    # Nearly periodic.
+    one.step(None, 9.0)
+    assert one.closure < 1e-10
+    assert_agree(one.energy, -29.43, 1e-9)
+
+
+def tilted_four_bar(turn):
+    """Return a four-bar with pins of five equations in a plane that is turned, and its parts."""
+    planar = load_scene('four_bar')
+    axes = twin.matrix(turn)
+    bodies = tuple(
+        Body(body.name, body.mass, (*body.center_of_mass, 0.0),
+             (0.5 * body.inertia, 0.5 * body.inertia, body.inertia))
+        for body in planar.mechanism.bodies)
+    joints = tuple(
+        Joint(joint.name, 'revolute', joint.parent, joint.child,
+              tuple(axes @ (*joint.position, 0.0)) if joint.parent == 'ground' else (
+                  *joint.position, 0.0),
+              actuated=joint.actuated, axis=(0.0, 0.0, 1.0),
+              orientation=turn if joint.parent == 'ground' else (0.0, 0.0, 0.0, 1.0))
+        for joint in planar.mechanism.joints)
+    cuts = tuple(
+        CutJoint(cut.name, 'revolute', cut.body_a, cut.body_b, (*cut.point_a, 0.0),
+                 (*cut.point_b, 0.0), axis_a=(0.0, 0.0, 1.0), axis_b=(0.0, 0.0, 1.0))
+        for cut in planar.mechanism.cut_joints)
+    return planar, Mechanism('tilted', bodies, joints, cuts), axes
+
+
+def test_a_tilted_four_bar_moves_as_the_planar_one():
+    # A plane along no axis: three of the pin's five equations repeat others, unseen by structure.
+    planar, tilted, axes = tilted_four_bar(
+        tuple(np.array([0.1, 0.2, 0.3, 0.9]) / np.linalg.norm([0.1, 0.2, 0.3, 0.9])))
+    gravity = (0.3, -9.81)
+    method = Method(**TIGHT)
+    flat = Simulation(replace(planar, effects={'gravity': Gravity(gravity)}, method=method))
+    one = Simulation(Scene(
+        'tilted', None, '', tilted, planar.initial,
+        {'gravity': Gravity(tuple(axes @ (*gravity, 0.0)))}, method))
+    assert len(one.multipliers) == 2
+    for _ in range(3):
+        flat.step(None, 0.2)
+        one.step(None, 0.2)
+        assert_agree(one.position, flat.position, 1e-9)
+        # The least forces that give the motion lie in the plane, without moments.
+        moment, *force = flat.constraint_forces[0]
+        assert_agree(one.constraint_forces[0, 3:], axes @ (*force, 0.0), 1e-7)
+        assert_agree(one.constraint_forces[0, :3], np.zeros(3), 1e-7, smallest=1.0)
+
+
+def test_what_stands_in_for_the_elimination_gives_the_same(linkage):
+    mechanism, torque = linkage
+    one = Simulation(scene(mechanism))
+    one.step(torque, 0.2)
+    expected, forces, system = one.acceleration, one.multipliers, one.system
+    state = one.position, one.velocity
+    links.run(system.linkage, links.CAREFUL_ACCELERATION, *state)
+    assert_agree(system.qdd, expected, 1e-10)
+    assert_agree(system.lam, forces, 1e-10)
+    # Corrections take away what opens the loops.
+    opened = state[0] + 1e-6, state[1] + 1e-3
+    links.run(system.linkage, links.CAREFUL_POSITION, *opened)
+    closer = opened[0] + system.qdd
+    links.run(system.linkage, links.CAREFUL_VELOCITY, closer, opened[1])
+    one.set_state(closer, opened[1] + system.qdd)
+    assert_agree(one.position, closer, 1e-9)
+
+
+def test_steps_of_fixed_size_and_of_the_default_method_agree(linkage):
+    mechanism, torque = linkage
+    ends = []
+    for method in ({'integrator': 'rk4', 'step_size': 5e-4}, {}):
+        one = Simulation(scene(mechanism, **method))
+        one.step(torque, 0.3)
+        assert one.closure < 1e-12
+        ends.append(one.position)
+    # Both keep an error of 1e-6.
+    assert_agree(*ends, 1e-6)
+
+
+def test_loops_are_closed_at_the_start(linkage):
+    mechanism, _ = linkage
+    one = Simulation(scene(mechanism))
+    one.set_state({'crank': 0.3}, {'crank': 1.0})
+    assert one.closure < 1e-12
+    assert np.abs(one.velocity[1:]).max() > 0.01
+    before = one.position
+    one.step(None, 1e-3)
+    # Joint rates are those of the coordinates.
+    assert_agree((one.position - before) / 1e-3, one.velocity, 1e-2)
+
+
+def test_damping_dissipates_what_is_missing(linkage):
+    mechanism, torque = linkage
+    effects = {'grease': JointDamping('rocker', 0.01)}
+    one = Simulation(scene(mechanism, effects=effects, **TIGHT))
+    start = one.energy
+    one.step(torque, 1.0)
+    lost = one.effect_readings('grease')['dissipated_energy']
+    assert lost > 1e-3
+    assert_agree(one.energy - start, 0.02 * one.position[0] - lost, 1e-7)
+
+
+def test_forces_at_cut_joints_hold_what_they_carry(linkage):
+    mechanism, torque = linkage
+    one = Simulation(scene(mechanism))
+    assert one.constraint_forces.shape == (1, 6)
+    # A spherical joint hands over no moment.
+    assert_agree(one.constraint_forces[0, :3], np.zeros(3), 1e-12, smallest=1.0)
+    # The rocker's angular momentum about its axis: gravity has no lever there.
+    force = -one.force('end')[3:]
+    inertia = mechanism.bodies[1].inertia[0] + 1.0 * 0.15 ** 2
+    assert_agree(-0.3 * force[1], inertia * one.acceleration[1], 1e-10)
+
+
+def test_rows_of_numbers_have_three_components(linkage):
+    mechanism, torque = linkage
+    one, rows = Simulation(scene(mechanism)), []
+    names = columns(one)
+    assert [name for name in names if name.startswith(('force', 'point'))] == [
+        *(f'force.end.{axis}' for axis in 'xyz'), *(f'point.point_0.{axis}' for axis in 'xyz')]
+    run(one, 0.02, 100.0, torque, report=Report(), on_row=rows.append)
+    assert [len(values) for values in rows] == 3 * [len(names)]
+    assert row(one, one.time)[names.index('point.point_0.z')] == one.points[0, 2]
+
+
+def test_check_tells_axes_and_equations(linkage):
+    mechanism, _ = linkage
+    text = describe(scene(mechanism), Simulation(scene(mechanism)))
+    assert 'degrees of freedom    2 = 5 joints - 3 equations' in text
+    assert '[1, 0, 0]' in text
+    # Of the tree's joints any type is understood.
+    assert 'spherical' in describe(spatial_machines.rssr_four_bar()[0])
+
+
+def test_what_cannot_be_had_in_space_says_so(linkage):
+    mechanism, _ = linkage
+    one = Simulation(scene(mechanism))
+    for ask in (lambda: one.joint_forces, lambda: one.body_poses, lambda: one.health,
+                lambda: one.inverse_dynamics(one.position, one.velocity, one.acceleration),
+                lambda: one.rollout(steps=1)):
+        with pytest.raises(SimulationError, match='is a mechanism in space'):
+            ask()
+    for method in ({'formulation': 'augmented'}, {'stabilisation': 'independent'}):
+        with pytest.raises(SimulationError, match=next(iter(method.values()))):
+            Simulation(scene(mechanism, **method))
+    with pytest.raises(MechanismError, match='in space'):
+        urdf(mechanism)
+
+
+@pytest.mark.parametrize('name, expected', [
+    ('rssr_four_bar', "joints.tip.type: .*'spherical' .*make it a cut joint"),
+    ('stewart_platform', "joints.foot_1.type: .*'universal' .*two revolute joints")])
+def test_joints_that_cannot_be_simulated_yet_are_named(name, expected):
+    mechanism, _ = getattr(spatial_machines, name)()
+    with pytest.raises(FieldError, match=expected):
+        scene(mechanism)
+
+
+def test_effects_of_the_plane_are_refused(linkage):
+    mechanism, _ = linkage
+    with pytest.raises(FieldError, match='effects.load: .*joint_damping.*payload'):
+        scene(mechanism, effects={'load': Payload('rod', 1.0)})
+    with pytest.raises(FieldError, match='effects.gravity.acceleration: .*3 finite numbers'):
+        scene(mechanism, gravity=(0.0, -9.81))
