@@ -257,9 +257,10 @@ def test_a_failing_simulation_leaves_its_rows(capsys, tmp_path):
 
 @pytest.mark.parametrize('number, expected', [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_an_interrupted_run_leaves_whole_rows_and_says_so(tmp_path, number, expected):
+    # More rows than fit into memory.
     output = tmp_path / 'run.csv'
     process = subprocess.Popen(
-        [*PROGRAM, 'simulate', 'four_bar', '--duration', '1e4', '--output', str(output)],
+        [*PROGRAM, 'simulate', 'four_bar', '--duration', '1e9', '--output', str(output)],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=ENVIRONMENT)
     try:
         while not (output.exists() and output.stat().st_size > 10000):

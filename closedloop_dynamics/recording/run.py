@@ -15,6 +15,7 @@
 """A simulation run to its end, with a row of numbers at even times: ``closedloop simulate``."""
 
 from dataclasses import dataclass, replace
+from itertools import chain
 import math
 import time
 
@@ -177,7 +178,8 @@ def run(simulation, duration, rate, torque=None, *, report, on_row, keep_going=l
     tau = simulation.joint_torques(torque)
     simulation.advance(tau, 0)
     last = math.floor(duration * rate * (1.0 + 1e-12) + TIME_ROUNDING)
-    for until in (*(index / rate for index in range(last + 1)), None):
+    # One by one: a long run has more rows than fit into memory.
+    for until in chain((index / rate for index in range(last + 1)), [None]):
         if not _reached(duration if until is None else until, simulation, torque, report,
                         keep_going):
             return
