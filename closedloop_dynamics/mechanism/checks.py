@@ -97,6 +97,11 @@ def vector3(value):
     return numbers(value, 3, 'a list of 3 finite numbers [x, y, z]')
 
 
+# What has a norm this near to 1 stays as it is, so that what was checked and written can be read
+# again to the last digit.
+UNIT_NORM = 1e-15
+
+
 def direction(value):
     """Return ``value`` as a tuple of three floats; refuse what has no length."""
     axis = vector3(value)
@@ -104,8 +109,7 @@ def direction(value):
     if not max(map(abs, axis)) > 1e-100:
         raise FieldError('a direction [x, y, z] that is not zero', shown(value))
     length = math.hypot(*axis)
-    # One that is a unit vector to the last digit stays as it is.
-    if abs(length - 1.0) <= 4e-16:
+    if abs(length - 1.0) <= UNIT_NORM:
         return axis
     return tuple(component / length for component in axis)
 
@@ -129,8 +133,7 @@ def orientation(value):
         norm = math.hypot(*found)
         if not abs(norm - 1.0) <= ROUNDED_NORM:
             raise FieldError('a unit quaternion [x, y, z, w]', f'one of norm {norm:.6g}')
-        # One that is a unit quaternion to the last digit stays as it is.
-        if abs(norm - 1.0) <= 4e-16:
+        if abs(norm - 1.0) <= UNIT_NORM:
             return found
         return tuple(component / norm for component in found)
 

@@ -259,8 +259,8 @@ class Mechanism:
         if not self.planar:
             raise MechanismError(
                 f'{self.name} is a mechanism in space (vectors of three numbers): {what} knows '
-                'planar mechanisms only, so far. `closedloop check` and `closedloop simulate` '
-                'take it.')
+                'planar mechanisms only, so far. `closedloop check`, `closedloop simulate` and '
+                'the node closedloop_simulator take it.')
 
     @property
     def number_of_equations(self):

@@ -58,7 +58,7 @@ class Health:
     rank : int
         Closure equations that took part.
     equations : int
-        All closure equations.
+        All closure equations; in space those that do not hold whatever moves.
     rank_revealing_count : int
         Evaluations since the last reset that took the rank-revealing path.
     singular_count : int
@@ -74,8 +74,8 @@ class Health:
         Sine of the smallest angle between one of the closure equations and locked drives, and
         all others, with the sign of their determinant. 0: a parallel ("type-2")
         singularity, where locked drives would not hold the mechanism; the sign changes where it
-        is passed. NaN where the drives are not as many as the freedoms, and for more than
-        40 closure equations.
+        is passed. NaN where the drives are not as many as the freedoms, for more than 40
+        closure equations, and in space.
 
     """
 
@@ -122,7 +122,7 @@ class Health:
         return '\n'.join(lines)
 
 
-def health_of(model, work, q, qd, passive=()):
+def health_of(model, work, q, qd, passive=(), numbers=None):
     """
     Return the record of a workspace.
 
@@ -136,22 +136,27 @@ def health_of(model, work, q, qd, passive=()):
         The state.
     passive : sequence of int
         Coordinates of the joints that are not actuated.
+    numbers : core.straight_line.numbers.Numbers, optional
+        Of a mechanism in space, in that state.
 
     """
     values = work.health
     nc, nv = len(work.right), len(model.tree) - 1
     condition, loose = math.nan if nc else 1.0, math.nan
-    if 0 < nc <= MOST_FOR_CONDITION:
-        jac = np.zeros((nc, nv))
+    if 0 < nc <= MOST_FOR_CONDITION and numbers is not None:
+        condition = block_condition(model, numbers.inertia(), numbers.jacobian()[numbers.kept])
+    elif 0 < nc <= MOST_FOR_CONDITION:
+        jac, inertia = np.zeros((nc, nv)), np.zeros((nv, nv))
         kinematics.outward(model, q, qd, work)
         constraint_jacobian(model, work, jac)
-        condition = block_condition(model, work, jac)
+        generalized_inertia_matrix(model, work, inertia)
+        condition = block_condition(model, inertia, jac)
         loose = drive_sine(model, jac, passive)
     return Health(
         smallest_pivot=float(values[SMALLEST_PIVOT]),
         smallest_pivot_ever=float(values[SMALLEST_PIVOT_EVER]),
         condition=condition,
-        rank=int(values[RANK]), equations=len(work.right),
+        rank=int(values[RANK]), equations=nc if numbers is None else numbers.nc,
         rank_revealing_count=int(values[RANK_REVEALING_COUNT]),
         singular_count=int(values[SINGULAR_COUNT]),
         evaluations=int(values[EVALUATIONS]),
@@ -214,11 +219,12 @@ def drive_sine(model, jac, passive):
     return float(np.copysign(distance, np.linalg.det(rows)))
 
 
-def block_condition(model, work, jac):
+def block_condition(model, inertia, jac):
     """
     Return the largest condition number of the block pivots of J I^-1 J^T.
 
-    ``jac``: shape (nc, nv); constraint Jacobian, of one equation or more.
+    ``inertia``: shape (nv, nv); of the spanning tree. ``jac``: shape (nc, nv); constraint
+    Jacobian, of one equation or more.
 
     Notes
     -----
@@ -227,8 +233,6 @@ def block_condition(model, work, jac):
     joint has equations of forces and of a torque.
 
     """
-    inertia = np.zeros((jac.shape[1], jac.shape[1]))
-    generalized_inertia_matrix(model, work, inertia)
     worst = 1.0
     try:
         half = np.linalg.solve(np.linalg.cholesky(inertia), jac.T)

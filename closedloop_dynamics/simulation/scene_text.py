@@ -100,14 +100,21 @@ def read_scene_text(text):
         path.write_text(json.dumps(scene, ensure_ascii=False), encoding='utf-8')
         (path.parent / MECHANISM_FILE).write_text(
             json.dumps(mechanism, ensure_ascii=False), encoding='utf-8')
-        return replace(load_scene(path), name=name, path=None), facts
+        return replace(load_scene(path, in_space=True), name=name, path=None), facts
 
 
 def _mechanism(mechanism):
     return {'name': mechanism.name, 'description': mechanism.description, **{
-        key: {record.name: _values(record, leave_out=('name',))
-              for record in getattr(mechanism, key)}
+        key: {record.name: _record(record) for record in getattr(mechanism, key)}
         for key in SECTIONS}}
+
+
+def _record(record):
+    """Return the fields of a part of a mechanism as a file has them."""
+    values = _values(record, leave_out=('name',))
+    if 'orientation' in values:
+        values['orientation'] = {'quaternion': values['orientation']}
+    return values
 
 
 def _values(record, leave_out=()):

@@ -382,8 +382,14 @@ class Simulation:
 
     @property
     def body_poses(self):
-        """Poses of the bodies, shape (nb, 3): x, y [m], angle [rad], in the bodies' order."""
-        self._require_planar('poses of bodies')
+        """
+        Poses of the bodies, shape (nb, 3): x, y [m], angle [rad], in the bodies' order.
+
+        In space of shape (nb, 7): x, y, z [m], unit quaternion x, y, z, w.
+
+        """
+        if self._geometry is not None:
+            return self._geometry.poses(self._q)
         self._evaluate()
         rows = [self._rows[body.name] for body in self.mechanism.bodies]
         return self.system.work.body[np.ix_(rows, (t.PX, t.PY, t.ALPHA))]
@@ -414,10 +420,10 @@ class Simulation:
     @property
     def health(self):
         """How well posed the equations of motion are in the present state: a ``Health``."""
-        self._require_planar('health')
         self._evaluate()
+        numbers = None if self._geometry is None else self._geometry.move(self._q, self._qd)
         return health_of(
-            self.system.model, self.system.work, self._q, self._qd, self._passive)
+            self.system.model, self.system.work, self._q, self._qd, self._passive, numbers)
 
     def measured(self):
         """

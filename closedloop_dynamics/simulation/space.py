@@ -164,6 +164,32 @@ class SpatialGeometry:
         placement = self._placements[body]
         return self.move(q).point(placement.row, placement.place(position))
 
+    def poses(self, q):
+        """
+        Return the poses of the bodies.
+
+        Parameters
+        ----------
+        q : ndarray, shape (nv,)
+            Joint coordinates.
+
+        Returns
+        -------
+        ndarray, shape (nb, 7)
+            x, y, z of the frame's origin [m] and its unit quaternion x, y, z, w, in the
+            mechanism's order of bodies.
+
+        """
+        motions = self.move(q).recursion.motion
+        found = np.empty((len(self.mechanism.bodies), 7))
+        for pose, body in zip(found, self.mechanism.bodies):
+            placement = self._placements[body.name]
+            motion = motions[placement.row]
+            frame = np.array(motion.frame, dtype=float)
+            pose[:3] = np.array(motion.origin, dtype=float) + frame @ placement.origin
+            pose[3:] = _quaternion(frame @ placement.axes)
+        return found
+
 
 class SpatialAssembler(Assembler):
     """
@@ -199,6 +225,19 @@ class SpatialAssembler(Assembler):
     def inertia(self, q):
         """Return the generalized inertia matrix of the spanning tree, shape (nv, nv)."""
         return self._geometry.move(q).inertia()
+
+
+def _quaternion(matrix):
+    """Return the unit quaternion x, y, z, w of a rotation matrix, w not negative."""
+    # q q^T, of which the column with the largest diagonal entry tells q best.
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = matrix
+    outer = 0.25 * np.array([
+        [1.0 + xx - yy - zz, xy + yx, xz + zx, zy - yz],
+        [xy + yx, 1.0 - xx + yy - zz, yz + zy, xz - zx],
+        [xz + zx, yz + zy, 1.0 - xx - yy + zz, yx - xy],
+        [zy - yz, xz - zx, yx - xy, 1.0 + xx + yy + zz]])
+    column = outer[np.argmax(np.diag(outer))]
+    return column / np.copysign(np.linalg.norm(column), column[3])
 
 
 def _independent(jac):

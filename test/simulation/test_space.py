@@ -28,9 +28,10 @@ from closedloop_dynamics.recording.run import columns, Report, row, run
 from closedloop_dynamics.simulation.errors import SimulationError
 from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.simulation.scene_records import Initial, Method, Scene
+from closedloop_dynamics.simulation.scene_text import read_scene_text, scene_text
 from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.studies.check import describe
-from closedloop_dynamics.visual.urdf import urdf
+from closedloop_dynamics.visual.motion import body_poses
 import numpy as np
 import pytest
 
@@ -38,6 +39,8 @@ from ..reference import spatial_machines, spatial_maximal as twin
 from ..reference.compare import assert_agree
 
 pytestmark = pytest.mark.skipif(not available(), reason='nothing moves in space uncompiled')
+# Of a quaternion; about no axis of the world.
+TURN = tuple(np.array([0.1, 0.2, 0.3, 0.9]) / np.linalg.norm([0.1, 0.2, 0.3, 0.9]))
 TIGHT = {'integrator': 'dop853', 'tolerance': 1e-12}
 
 
@@ -153,8 +156,7 @@ def tilted_four_bar(turn):
 
 def test_a_tilted_four_bar_moves_as_the_planar_one():
     # A plane along no axis: three of the pin's five equations repeat others, unseen by structure.
-    planar, tilted, axes = tilted_four_bar(
-        tuple(np.array([0.1, 0.2, 0.3, 0.9]) / np.linalg.norm([0.1, 0.2, 0.3, 0.9])))
+    planar, tilted, axes = tilted_four_bar(TURN)
     gravity = (0.3, -9.81)
     method = Method(**TIGHT)
     flat = Simulation(replace(planar, effects={'gravity': Gravity(gravity)}, method=method))
@@ -200,6 +202,62 @@ def test_steps_of_fixed_size_and_of_the_default_method_agree(linkage):
         ends.append(one.position)
     # Both keep an error of 1e-6.
     assert_agree(*ends, 1e-6)
+
+
+@pytest.mark.parametrize('name', ['rssr_four_bar', 'bricard', 'tilted'])
+def test_poses_of_bodies_are_where_their_points_are(name):
+    mechanism = tilted_four_bar(TURN)[1] if name == 'tilted' else machine(name)[0]
+    start = load_scene('four_bar').initial if name == 'tilted' else None
+    marks = [(0.0, 0.0, 0.0), *np.eye(3).tolist()]
+    mechanism = replace(mechanism, points=tuple(
+        Point(f'{body.name}_{k}', body.name, tuple(place))
+        for body in mechanism.bodies for k, place in enumerate(marks)))
+    made = scene(mechanism, gravity=(0.0, -9.81, 0.0))
+    one = Simulation(replace(made, initial=start or made.initial))
+    one.step(None, 0.3)
+    assert one.body_poses.shape == (len(mechanism.bodies), 7)
+    places = one.points.reshape(-1, 4, 3)
+    for pose, (origin, *ends) in zip(one.body_poses, places):
+        assert_agree(pose[:3], origin, 1e-14)
+        assert_agree(twin.matrix(pose[3:]), (np.array(ends) - origin).T, 1e-14)
+        assert_agree(np.linalg.norm(pose[3:]), 1.0, 1e-15)
+
+
+def test_health_in_space_is_that_in_the_plane():
+    planar, lifted, _ = tilted_four_bar((0.0, 0.0, 0.0, 1.0))
+    gravity = (0.3, -9.81)
+    flat = Simulation(replace(planar, effects={'gravity': Gravity(gravity)}))
+    one = Simulation(Scene('lifted', None, '', lifted, planar.initial,
+                           {'gravity': Gravity((*gravity, 0.0))}))
+    for each in (flat, one):
+        each.step(None, 0.2)
+    assert one.health.unique_forces and not one.health.near_singular
+    for key in ('smallest_pivot', 'condition'):
+        assert_agree(getattr(one.health, key), getattr(flat.health, key), 1e-6)
+    assert (one.health.rank, one.health.equations) == (2, 2)
+    # Known of the plane only.
+    assert np.isnan(one.health.drive_sine)
+
+
+def test_health_tells_of_equations_that_repeat_others():
+    mechanism, _ = machine('bricard')
+    one = Simulation(scene(mechanism, gravity=(0.0, -9.81, 0.0)))
+    one.step(None, 0.1)
+    health = one.health
+    assert (health.rank, health.equations) == (4, 5)
+    assert not health.unique_forces
+    assert 'forces are not unique: 1 of 5' in str(health)
+
+
+def test_text_of_a_scene_in_space_tells_all_of_it_to_the_last_digit():
+    random = np.random.default_rng(5)
+    for _ in range(50):
+        turn = random.standard_normal(4)
+        mechanism = tilted_four_bar(tuple(turn / np.linalg.norm(turn)))[1]
+        mechanism = replace(mechanism, joints=tuple(
+            replace(joint, axis=tuple(random.standard_normal(3))) for joint in mechanism.joints))
+        one = scene(mechanism)
+        assert read_scene_text(scene_text(one))[0] == one
 
 
 def test_loops_are_closed_at_the_start(linkage):
@@ -260,7 +318,7 @@ def test_check_tells_axes_and_equations(linkage):
 def test_what_cannot_be_had_in_space_says_so(linkage):
     mechanism, _ = linkage
     one = Simulation(scene(mechanism))
-    for ask in (lambda: one.joint_forces, lambda: one.body_poses, lambda: one.health,
+    for ask in (lambda: one.joint_forces,
                 lambda: one.inverse_dynamics(one.position, one.velocity, one.acceleration),
                 lambda: one.rollout(steps=1)):
         with pytest.raises(SimulationError, match='is a mechanism in space'):
@@ -268,8 +326,8 @@ def test_what_cannot_be_had_in_space_says_so(linkage):
     for method in ({'formulation': 'augmented'}, {'stabilisation': 'independent'}):
         with pytest.raises(SimulationError, match=next(iter(method.values()))):
             Simulation(scene(mechanism, **method))
-    with pytest.raises(MechanismError, match='in space'):
-        urdf(mechanism)
+    with pytest.raises(MechanismError, match='a picture knows planar mechanisms only'):
+        body_poses(mechanism, one.position)
 
 
 @pytest.mark.parametrize('name, expected', [
