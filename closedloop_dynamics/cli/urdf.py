@@ -30,7 +30,7 @@ def _add_arguments(parser):
 
 
 def _run(arguments):
-    subject = load_scene_or_mechanism(arguments.scene)
+    subject = load_scene_or_mechanism(arguments.scene, in_space=True)
     try:
         text = urdf(getattr(subject, 'mechanism', subject))
     except ValueError as error:
@@ -50,7 +50,7 @@ COMMAND = Command(
 Write the spanning tree of a mechanism as URDF, for robot_state_publisher, RViz,
 Foxglove and whatever else reads robot descriptions. Links and joints have the
 names of the bodies and joints; the root link is world, ground is fixed to it. The
-plane of the mechanism is the x-y plane. URDF knows no loops: cut joints are left
+plane of a planar mechanism is the x-y plane. URDF knows no loops: cut joints are left
 out, joint_states of the simulator close them.
 """,
     epilog="""\

@@ -34,6 +34,25 @@ CONTACT_COLOR = '#8C6D31'
 FLAT = 1e-9
 
 
+def marked_points(mechanism, body):
+    """
+    Return the points that the description gives of a body.
+
+    Returns
+    -------
+    ndarray, shape (m, 2), in space (m, 3)
+        Its own joint, the joints and cut joints it carries, its named points, each once, sorted;
+        in the body's frame [m].
+
+    """
+    points = [np.zeros(len(mechanism.joints[0].position))]
+    points += [joint.position for joint in mechanism.joints if joint.parent == body]
+    points += [cut.point_a for cut in mechanism.cut_joints if cut.body_a == body]
+    points += [cut.point_b for cut in mechanism.cut_joints if cut.body_b == body]
+    points += [point.position for point in mechanism.points if point.body == body]
+    return np.unique(np.array(points), axis=0)
+
+
 def outline(mechanism, body):
     """
     Return the corners of a body as the description suggests them.
@@ -45,13 +64,8 @@ def outline(mechanism, body):
         hull of its joints, cut joints and named points, counter-clockwise.
 
     """
-    points = [(0.0, 0.0)]
-    points += [joint.position for joint in mechanism.joints if joint.parent == body]
-    points += [cut.point_a for cut in mechanism.cut_joints if cut.body_a == body]
-    points += [cut.point_b for cut in mechanism.cut_joints if cut.body_b == body]
-    points += [point.position for point in mechanism.points if point.body == body]
     # Sorted, so that all on one line are in order along it.
-    return _convex_hull(np.unique(np.array(points), axis=0))
+    return _convex_hull(marked_points(mechanism, body))
 
 
 def _convex_hull(points):

@@ -16,18 +16,24 @@
 The spanning tree of a mechanism as a URDF robot description.
 
 URDF has no loops: the cut joints are left out, and the joint positions that
-close them come from the simulation. The plane of the mechanism is the x-y plane
+close them come from the simulation. The plane of a planar mechanism is the x-y plane
 of ``world``, angles are about z, units are SI (REP 103). With it,
 ``joint_states`` alone moves the machine in RViz and Foxglove.
 
+URDF has no screws: a helical joint becomes one that turns, under its own name, and one that slides
+with it (``mimic``).
+
 """
 
+import math
 from xml.etree import ElementTree
 
 import numpy as np
 
-from .appearance import body_colors, outline, rgb
-from ..mechanism.mechanism import GROUND, PRISMATIC
+from .appearance import body_colors, marked_points, outline, rgb
+from ..core.straight_line.spatial import rotation
+from ..mechanism.mechanism import (
+    FIXED, GROUND, HELICAL, JOINT_FREEDOMS, MechanismError, PRISMATIC)
 from ..simulation.modeling import extent
 
 WORLD = 'world'
@@ -39,7 +45,11 @@ LAYER = 0.027
 REACH, NO_LIMIT = 100.0, 1e9
 # Of ros2_control: hardware that is reached by topics.
 HARDWARE_PLUGIN = 'topic_based_ros2_control/TopicBasedSystem'
-ALONG_X, ABOUT_Z = '1 0 0', '0 0 1'
+ALONG_X, ABOUT_Z = (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)
+# Appended to the name of a helical joint: the link between turning and sliding, and what slides.
+SCREW, SLIDE = '_screw', '_slide'
+# Cosine of the pitch below which roll and yaw are one turn.
+UPRIGHT = 1e-9
 
 
 def urdf(mechanism, command_topic='joint_command', state_topic='joint_states'):
@@ -62,14 +72,11 @@ def urdf(mechanism, command_topic='joint_command', state_topic='joint_states'):
     Raises
     ------
     ValueError
-        Where a body has the name of the root link; a MechanismError for one in space.
+        Where a body or joint has a name that is needed otherwise; a MechanismError for joints of
+        several freedoms.
 
     """
-    mechanism.require_planar('URDF')
-    if WORLD in {body.name for body in mechanism.bodies}:
-        raise ValueError(
-            f"the URDF of {mechanism.name} needs the name '{WORLD}' for its root link, and a "
-            'body has it: rename the body')
+    _require_names(mechanism)
     size = extent(mechanism)
     depth = _depths(mechanism)
     colors = body_colors(mechanism)
@@ -85,29 +92,95 @@ def urdf(mechanism, command_topic='joint_command', state_topic='joint_states'):
     for body in mechanism.bodies:
         link = ElementTree.SubElement(robot, 'link', name=body.name)
         _add_inertial(link, body)
-        _add_visuals(link, outline(mechanism, body.name), _material(colors[body.name]),
-                     size, depth[body.name] * LAYER * size)
+        material = _material(colors[body.name])
+        if mechanism.planar:
+            _add_visuals(link, outline(mechanism, body.name), material, size,
+                         depth[body.name] * LAYER * size)
+        else:
+            _add_bars(link, marked_points(mechanism, body.name), material, size)
     for joint in mechanism.joints:
-        _add_joint(robot, joint, size)
+        (_add_joint if mechanism.planar else _add_spatial_joint)(robot, joint, size)
     if mechanism.actuated_joints:
         _add_hardware(robot, mechanism, command_topic, state_topic)
     ElementTree.indent(robot)
     return f'<?xml version="1.0"?>\n{ElementTree.tostring(robot, encoding="unicode")}\n'
 
 
+def _require_names(mechanism):
+    """Refuse what the tree of links cannot be named or written for."""
+    bodies = {body.name for body in mechanism.bodies}
+    if WORLD in bodies:
+        raise ValueError(
+            f"the URDF of {mechanism.name} needs the name '{WORLD}' for its root link, and a "
+            'body has it: rename the body')
+    for joint in mechanism.joints:
+        if JOINT_FREEDOMS[joint.type] > 1:
+            raise MechanismError(
+                f'{mechanism.name}: joints.{joint.name}.type: the URDF knows joints of one '
+                f'freedom (revolute, prismatic, helical) and fixed ones, so far, got '
+                f'{joint.type!r}; '
+                'write joints of one freedom with massless bodies between them')
+        if joint.type == HELICAL and (joint.name + SCREW in bodies
+                                      or joint.name + SLIDE in mechanism.joint_names):
+            raise ValueError(
+                f"the URDF of {mechanism.name} needs the names '{joint.name}{SCREW}' for a link "
+                f"and '{joint.name}{SLIDE}' for a joint, and one of them is taken: rename it")
+
+
 def _add_joint(robot, joint, size):
     slides = joint.type == PRISMATIC
-    element = ElementTree.SubElement(
-        robot, 'joint', name=joint.name, type='prismatic' if slides else 'continuous')
-    ElementTree.SubElement(element, 'parent', link=joint.parent)
-    ElementTree.SubElement(element, 'child', link=joint.child)
+    element = _add_moving(robot, joint.name, slides, joint.parent, joint.child)
     _add_origin(element, joint.position, joint.angle)
     # Both frames agree here: the child is turned by the angle, and slides along its own x.
-    ElementTree.SubElement(element, 'axis', xyz=ALONG_X if slides else ABOUT_Z)
-    if slides:
+    _add_axis(element, ALONG_X if slides else ABOUT_Z, size if slides else None)
+
+
+def _add_spatial_joint(robot, joint, size):
+    if joint.type == FIXED:
+        element = ElementTree.SubElement(robot, 'joint', name=joint.name, type='fixed')
+        ElementTree.SubElement(element, 'parent', link=joint.parent)
+        ElementTree.SubElement(element, 'child', link=joint.child)
+        _add_pose(element, joint.position, _angles(joint.orientation))
+        return
+    slides, screw = joint.type == PRISMATIC, joint.type == HELICAL
+    between = joint.name + SCREW if screw else joint.child
+    element = _add_moving(robot, joint.name, slides, joint.parent, between)
+    _add_pose(element, joint.position, _angles(joint.orientation))
+    _add_axis(element, joint.axis, size if slides else None)
+    if screw:
+        ElementTree.SubElement(robot, 'link', name=between)
+        element = _add_moving(robot, joint.name + SLIDE, True, between, joint.child)
+        _add_axis(element, joint.axis, size)
+        ElementTree.SubElement(
+            element, 'mimic', joint=joint.name, multiplier=_numbers(joint.lead))
+
+
+def _add_moving(robot, name, slides, parent, child):
+    """Add a joint that slides or turns, and return it, still without origin and axis."""
+    element = ElementTree.SubElement(
+        robot, 'joint', name=name, type='prismatic' if slides else 'continuous')
+    ElementTree.SubElement(element, 'parent', link=parent)
+    ElementTree.SubElement(element, 'child', link=child)
+    return element
+
+
+def _add_axis(element, axis, size):
+    """Add an axis, and limits to what slides on a mechanism of a size [m]."""
+    ElementTree.SubElement(element, 'axis', xyz=_numbers(*axis))
+    if size is not None:
         ElementTree.SubElement(
             element, 'limit', lower=_numbers(-REACH * size), upper=_numbers(REACH * size),
             effort=_numbers(NO_LIMIT), velocity=_numbers(NO_LIMIT))
+
+
+def _angles(quaternion):
+    """Return roll, pitch and yaw of a unit quaternion x, y, z, w [rad]."""
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = rotation(quaternion)
+    cosine = math.hypot(xx, yx)
+    pitch = math.atan2(-zx, cosine)
+    if cosine < UPRIGHT:
+        return 0.0, pitch, math.atan2(-xy, yy)
+    return math.atan2(zy, zz), pitch, math.atan2(yx, xx)
 
 
 def _add_hardware(robot, mechanism, command_topic, state_topic):
@@ -129,15 +202,20 @@ def _add_hardware(robot, mechanism, command_topic, state_topic):
 
 
 def _add_inertial(link, body):
-    """Add mass and inertia; the ones out of the plane are those of a flat body."""
+    """Add mass and inertia; in the plane the ones out of it are those of a flat body."""
     if body.massless:
         return
     inertial = ElementTree.SubElement(link, 'inertial')
-    _add_origin(inertial, body.center_of_mass)
+    if isinstance(body.inertia, tuple):
+        _add_pose(inertial, body.center_of_mass)
+        moments = (*body.inertia, 0.0, 0.0, 0.0)[:6]
+    else:
+        _add_origin(inertial, body.center_of_mass)
+        moments = (body.inertia / 2.0, body.inertia / 2.0, body.inertia, 0.0, 0.0, 0.0)
     ElementTree.SubElement(inertial, 'mass', value=_numbers(body.mass))
-    half = _numbers(body.inertia / 2.0)
-    ElementTree.SubElement(inertial, 'inertia', ixx=half, iyy=half, izz=_numbers(body.inertia),
-                           ixy='0', ixz='0', iyz='0')
+    xx, yy, zz, xy, xz, yz = map(_numbers, moments)
+    ElementTree.SubElement(
+        inertial, 'inertia', ixx=xx, iyy=yy, izz=zz, ixy=xy, ixz=xz, iyz=yz)
 
 
 def _add_visuals(link, points, material, size, height):
@@ -159,18 +237,43 @@ def _add_visuals(link, points, material, size, height):
         pin.set('length', _numbers(thickness))
 
 
+def _add_bars(link, points, material, size):
+    """Add a round bar from the body's own joint to each of its other points, and balls there."""
+    for point in points:
+        length = float(np.linalg.norm(point))
+        if length > 0.0:
+            x, y, z = point.tolist()
+            # The turn that leads from z to the point.
+            bar = _add_visual_at(link, 0.5 * point, (
+                0.0, math.atan2(math.hypot(x, y), z), math.atan2(y, x)), material, 'cylinder')
+            bar.set('radius', _numbers(0.3 * WIDTH * size))
+            bar.set('length', _numbers(length))
+        ball = _add_visual_at(link, point, (0.0, 0.0, 0.0), material, 'sphere')
+        ball.set('radius', _numbers(PIN_RADIUS * size))
+
+
 def _add_visual(link, place, angle, height, material, shape='box'):
-    """Add a visual and return its shape, still without dimensions."""
+    """Add a visual in the plane and return its shape, still without dimensions."""
+    return _add_visual_at(link, (*place, height), (0.0, 0.0, angle), material, shape)
+
+
+def _add_visual_at(link, place, angles, material, shape):
     visual = ElementTree.SubElement(link, 'visual')
-    _add_origin(visual, place, angle, height)
+    _add_pose(visual, place, angles)
     geometry = ElementTree.SubElement(visual, 'geometry')
     ElementTree.SubElement(visual, 'material', name=material)
     return ElementTree.SubElement(geometry, shape)
 
 
-def _add_origin(element, place, angle=0.0, height=0.0):
+def _add_origin(element, place, angle=0.0):
+    """Add an origin in the plane."""
+    _add_pose(element, (*place, 0.0), (0.0, 0.0, angle))
+
+
+def _add_pose(element, place, angles=(0.0, 0.0, 0.0)):
+    """Add an origin in space: its place [m], and turns about x, y and z [rad]."""
     ElementTree.SubElement(
-        element, 'origin', xyz=_numbers(*place, height), rpy=_numbers(0.0, 0.0, angle))
+        element, 'origin', xyz=_numbers(*place), rpy=_numbers(*angles))
 
 
 def _depths(mechanism):

@@ -14,14 +14,21 @@
 
 """The URDF says what the mechanism is, and puts the bodies where the simulation puts them."""
 
+from dataclasses import replace
 import math
+from test.reference import spatial_machines
+from test.reference.spatial_maximal import matrix
+from test.simulation.test_space import tilted_four_bar, TURN
 from test.visual.test_drawing import EVERYTHING
 from xml.etree import ElementTree
 
 from closedloop_dynamics.cli import main
 from closedloop_dynamics.mechanism.config import shipped_names, shipped_path
+from closedloop_dynamics.mechanism.mechanism import Body, Joint, Mechanism, MechanismError
 from closedloop_dynamics.mechanism.reader import read_mechanism
+from closedloop_dynamics.mechanism.validation import validate_mechanism
 from closedloop_dynamics.simulation.simulation import Simulation
+from closedloop_dynamics.simulation.space import SpatialGeometry
 from closedloop_dynamics.visual.motion import body_poses
 from closedloop_dynamics.visual.urdf import urdf
 import numpy as np
@@ -77,14 +84,90 @@ def link_frames(text, position):
                 continue
             frame = frames[parent] @ origin_of(joint)
             if joint.get('type') != 'fixed':
-                axis = numbers(joint.find('axis').get('xyz'))
-                value = position[joint.get('name')]
+                axis, mimic = numbers(joint.find('axis').get('xyz')), joint.find('mimic')
+                value = position[joint.get('name')] if mimic is None else (
+                    float(mimic.get('multiplier')) * position[mimic.get('joint')])
                 frame = frame @ (
                     transform(rotation(axis, value)) if joint.get('type') == 'continuous'
                     else transform(translation=value * np.array(axis)))
             frames[child] = frame
             left.remove(joint)
     return frames
+
+
+def screw():
+    """Return a nut on a screw about an oblique axis, a slide across it, and a body fixed there."""
+    turn = tuple(np.array([0.4, -0.2, 0.5, 0.7]) / np.linalg.norm([0.4, -0.2, 0.5, 0.7]))
+    quarter = (0.0, math.sqrt(0.5), 0.0, math.sqrt(0.5))
+    moments = (0.02, 0.03, 0.04, 0.001, -0.002, 0.003)
+    bodies = [Body(name, 1.5, (0.1, 0.2, 0.3), moments) for name in ('nut', 'slide', 'tool')]
+    return validate_mechanism(Mechanism('screw', tuple(bodies), (
+        Joint('thread', 'helical', 'ground', 'nut', (0.3, -0.2, 0.1), orientation=turn,
+              axis=(0.6, 0.0, 0.8), lead=0.02, actuated=True),
+        Joint('rail', 'prismatic', 'nut', 'slide', (0.0, 0.4, 0.2), orientation=quarter,
+              axis=(0.0, -0.6, 0.8)),
+        Joint('weld', 'fixed', 'slide', 'tool', (0.1, 0.0, 0.0), orientation=turn))))
+
+
+SPATIAL = {
+    'rssr_four_bar': lambda: spatial_machines.with_single_freedoms(
+        spatial_machines.rssr_four_bar()[0]),
+    'stewart_platform': lambda: spatial_machines.with_single_freedoms(
+        spatial_machines.stewart_platform()[0]),
+    'tilted': lambda: tilted_four_bar(TURN)[1],
+    'screw': screw}
+
+
+@pytest.mark.parametrize('name', SPATIAL)
+def test_frames_of_the_links_in_space_are_the_poses_of_the_bodies(name):
+    mechanism = SPATIAL[name]()
+    moving = [joint.name for joint in mechanism.joints if joint.type != 'fixed']
+    random, geometry = np.random.default_rng(4), SpatialGeometry(mechanism)
+    for position in random.normal(size=(5, len(moving))):
+        frames = link_frames(urdf(mechanism), dict(zip(moving, position)))
+        for body, pose in zip(mechanism.bodies, geometry.poses(position)):
+            expected = transform(matrix(pose[3:]), pose[:3])
+            np.testing.assert_allclose(frames[body.name], expected, atol=1e-12)
+
+
+def test_description_in_space_is_complete():
+    robot = ElementTree.fromstring(urdf(screw()))
+    links = {link.get('name'): link for link in robot.findall('link')}
+    joints = {joint.get('name'): joint for joint in robot.findall('joint')}
+    assert set(joints) == {'world_to_ground', 'thread', 'thread_slide', 'rail', 'weld'}
+    assert set(links) == {'world', 'ground', 'nut', 'thread_screw', 'slide', 'tool'}
+    inertial = links['nut'].find('inertial')
+    assert numbers(inertial.find('origin').get('xyz')) == [0.1, 0.2, 0.3]
+    found = inertial.find('inertia')
+    assert [float(found.get(key)) for key in ('ixx', 'iyy', 'izz', 'ixy', 'ixz', 'iyz')] == [
+        0.02, 0.03, 0.04, 0.001, -0.002, 0.003]
+    assert [joints[name].find('limit') is None for name in ('thread', 'thread_slide', 'rail')] == [
+        True, False, False]
+    control = robot.find('ros2_control')
+    assert [joint.get('name') for joint in control.findall('joint')] == ['thread']
+
+
+def test_bars_in_space_end_at_the_points_of_a_body():
+    mechanism = SPATIAL['rssr_four_bar']()
+    robot = ElementTree.fromstring(urdf(mechanism))
+    rod = next(link for link in robot.findall('link') if link.get('name') == 'rod')
+    bar, = (visual for visual in rod.findall('visual')
+            if visual.find('geometry/cylinder') is not None)
+    half = 0.5 * float(bar.find('geometry/cylinder').get('length'))
+    ends = [(origin_of(bar) @ (0.0, 0.0, along, 1.0))[:3] for along in (-half, half)]
+    np.testing.assert_allclose(
+        ends, [(0.0, 0.0, 0.0), mechanism.cut_joints[0].point_a], atol=1e-14)
+
+
+def test_names_and_joints_that_urdf_has_not_are_refused_by_name():
+    with pytest.raises(MechanismError, match=r"joints\.tip\.type: .* got 'spherical'"):
+        urdf(spatial_machines.rssr_four_bar()[0])
+    taken = screw()
+    bodies = (replace(taken.bodies[0], name='thread_screw'), *taken.bodies[1:])
+    joints = (replace(taken.joints[0], child='thread_screw'),
+              replace(taken.joints[1], parent='thread_screw'), taken.joints[2])
+    with pytest.raises(ValueError, match="'thread_screw' for a link"):
+        urdf(replace(taken, bodies=bodies, joints=joints))
 
 
 def check_frames(mechanism, position, poses):
