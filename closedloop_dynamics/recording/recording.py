@@ -27,7 +27,7 @@ from .reading import Bag
 from ..mechanism.mechanism import MechanismError
 from ..simulation.scene import SceneError
 from ..simulation.scene_text import read_scene_text
-from ..visual.motion import from_rows, Motion
+from ..visual.motion import from_rows, Motion, wrench_parts
 
 STATES, FORCES, LOG, SCENE = 'joint_states', 'constraint_forces/', 'replay_log', 'scene'
 NANOSECONDS = 1e-9
@@ -233,12 +233,14 @@ def _log(entries, mechanism, stamps):
 
 
 def _forces(messages, prefix, mechanism, stamps):
-    forces = np.full((len(stamps), len(mechanism.cut_joints), 3), np.nan)
+    parts = wrench_parts(mechanism)
+    forces = np.full((len(stamps), len(mechanism.cut_joints), len(parts)), np.nan)
     for k, cut in enumerate(mechanism.cut_joints):
         entries = messages.get(prefix + cut.name, [])
         for row, entry in _matched(stamps, [_stamp(message) for message in entries]):
-            wrench = entries[entry].wrench
-            forces[row, k] = wrench.torque.z, wrench.force.x, wrench.force.y
+            force, torque = entries[entry].wrench.force, entries[entry].wrench.torque
+            forces[row, k] = (torque.z, force.x, force.y) if mechanism.planar else (
+                torque.x, torque.y, torque.z, force.x, force.y, force.z)
     return forces
 
 

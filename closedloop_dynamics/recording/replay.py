@@ -21,7 +21,7 @@ import numpy as np
 from ..integration.registry import ADAPTIVE, AUTO, INTEGRATORS
 from ..simulation.errors import SimulationError
 from ..simulation.simulation import Simulation
-from ..visual.motion import Motion
+from ..visual.motion import magnitudes, Motion
 from ..visual.tables import short, text_table
 
 # Beyond this share of a step, a time is no multiple of it.
@@ -320,8 +320,7 @@ def table(result):
                                    for quantity in ('position', 'velocity', 'effort'))))
     forces = result.deviation('forces')
     for k, cut in enumerate(motion.mechanism.cut_joints):
-        rows.append((f'{cut.name} (force)', '', '', _deviations(
-            np.hypot(*forces[:, k, 1:].T))))
+        rows.append((f'{cut.name} (force)', '', '', _deviations(magnitudes(forces[:, k]))))
     return text_table(
         ('largest, rms', 'position [rad, m]', 'velocity [1/s]', 'effort, force [N m, N]'), rows)
 

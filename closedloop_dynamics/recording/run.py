@@ -26,6 +26,7 @@ from ..mechanism.mechanism import REVOLUTE, SPHERICAL
 from ..simulation.errors import SimulationError
 from ..simulation.monitor import ROSENBROCK_ORDER
 from ..simulation.rollout_run import TIME_ROUNDING
+from ..visual.motion import wrench_parts
 
 # Between two looks whether to go on; about 10 ms of computing.
 LARGEST_PORTION = 1000
@@ -129,16 +130,13 @@ def row(simulation, seconds, all_forces=False):
     return [*values, *simulation.points.ravel().tolist(), simulation.closure, simulation.energy]
 
 
-# Places of the components of wrenches, in the plane and in space.
-_FORCES = {'x': 1, 'y': 2}, {'x': 3, 'y': 4, 'z': 5}
-_TORQUES = {'torque': 0}, {'torque_x': 0, 'torque_y': 1, 'torque_z': 2}
-
-
 def _force_parts(simulation, cut):
     """Return the components of a cut joint's wrench that can differ from zero, with places."""
-    space = not simulation.mechanism.planar
-    without_torque = cut.type == (SPHERICAL if space else REVOLUTE)
-    return _FORCES[space] if without_torque else {**_FORCES[space], **_TORQUES[space]}
+    parts = list(enumerate(wrench_parts(simulation.mechanism)))
+    moments = len(parts) // 2
+    without_torque = cut.type == (REVOLUTE if simulation.mechanism.planar else SPHERICAL)
+    shown = parts[moments:] + ([] if without_torque else parts[:moments])
+    return {name: place for place, name in shown}
 
 
 def run(simulation, duration, rate, torque=None, *, report, on_row, keep_going=lambda: True,

@@ -32,8 +32,19 @@ class Motion:
     velocity: np.ndarray
     effort: np.ndarray
     # Shape (n, number of cut joints, 3): moment [N m] and force [N] along x and y that body
-    # B exerts on body A, in world axes.
+    # B exerts on body A, in world axes. In space 6: moment and force along x, y and z.
     forces: np.ndarray
+
+
+def wrench_parts(mechanism):
+    """Return the names of a wrench's components in columns, moments first, in their order."""
+    return ('torque', 'x', 'y') if mechanism.planar else (
+        'torque_x', 'torque_y', 'torque_z', 'x', 'y', 'z')
+
+
+def magnitudes(wrenches):
+    """Return the magnitudes of the forces in wrenches of shape (..., 3), in space (..., 6)."""
+    return np.linalg.norm(wrenches[..., wrenches.shape[-1] // 2:], axis=-1)
 
 
 def from_rows(mechanism, names, rows):
@@ -44,11 +55,12 @@ def from_rows(mechanism, names, rows):
     def joints(quantity):
         return np.stack([column[f'{quantity}.{name}'] for name in mechanism.joint_names], axis=1)
 
-    forces = [[column.get(f'force.{cut.name}.{part}', zero) for part in ('torque', 'x', 'y')]
+    parts = wrench_parts(mechanism)
+    forces = [[column.get(f'force.{cut.name}.{part}', zero) for part in parts]
               for cut in mechanism.cut_joints]
     return Motion(
         mechanism, column['time'], joints('position'), joints('velocity'), joints('effort'),
-        np.array(forces).reshape(len(forces), 3, len(rows)).transpose(2, 0, 1))
+        np.array(forces).reshape(len(forces), len(parts), len(rows)).transpose(2, 0, 1))
 
 
 def body_poses(mechanism, position):

@@ -20,7 +20,7 @@ from matplotlib.ticker import SymmetricalLogLocator
 import numpy as np
 
 from .drawing import MechanismArtist
-from .motion import body_poses
+from .motion import body_poses, magnitudes
 from ..mechanism.mechanism import PRISMATIC, REVOLUTE
 
 # Okabe and Ito's palette, its yellow darkened; with the dashes, 21 lines can be told apart.
@@ -170,7 +170,7 @@ def deviations(result, title):
                [joint.name for joint in motion.mechanism.joints])
               for quantity, unit in (('position', 'rad, m'), ('velocity', 'rad/s, m/s'))]
     if motion.mechanism.cut_joints:
-        panels.append(('force [N]', np.hypot(forces[..., 1], forces[..., 2]),
+        panels.append(('force [N]', magnitudes(forces),
                        [cut.name for cut in motion.mechanism.cut_joints]))
     figure, rows = _panels(len(panels), title)
     for axes, (label, values, names) in zip(rows, panels):

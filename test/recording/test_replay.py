@@ -16,13 +16,21 @@
 
 from dataclasses import replace
 
+from closedloop_dynamics.core.straight_line import available
+from closedloop_dynamics.effects.gravity import Gravity
+from closedloop_dynamics.effects.joint_damping import JointDamping
 from closedloop_dynamics.recording.recording import Log, Recording
 from closedloop_dynamics.recording.replay import replay, table
 from closedloop_dynamics.simulation.scene import load_scene
+from closedloop_dynamics.simulation.scene_records import Initial, Scene
+from closedloop_dynamics.simulation.scene_text import read_scene_text, scene_text
 from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.visual.motion import Motion
+from closedloop_dynamics.visual.pictures import deviations
 import numpy as np
 import pytest
+
+from ..reference import spatial_machines
 
 # With drives, friction that remembers, and a sensor's noise among them.
 SCENES = ('carpet_scraper_on_carpet', 'four_bar', 'slider_crank', 'three_rrr',
@@ -96,6 +104,35 @@ def test_deviations_are_zero(scene):
         assert not result.deviation(quantity).any(), quantity
     assert result.starts == [(0.0, 'from the initial state of the scene')]
     assert not result.notes
+
+
+@pytest.mark.skipif(not available(), reason='nothing moves in space uncompiled')
+@pytest.mark.parametrize('name', ['rssr_four_bar', 'bricard'])
+def test_deviations_in_space_are_zero(name):
+    mechanism, _ = getattr(spatial_machines, name)()
+    mechanism = spatial_machines.with_single_freedoms(mechanism)
+    mechanism = replace(mechanism, joints=(
+        replace(mechanism.joints[0], actuated=True), *mechanism.joints[1:]))
+    nothing = [0.0] * len(mechanism.joints)
+    recorder = Recorder(Scene(
+        name, None, '', mechanism, Initial(nothing, nothing),
+        {'gravity': Gravity((0.0, -9.81, 0.0)), 'grease': JointDamping(
+            mechanism.joints[1].name, 0.01)}))
+    drive(recorder, 30)
+    recorder.simulation.reset()
+    recorder.jumps += 1
+    drive(recorder, 10, seed=6)
+    recording = recorder.recording()
+    # As a bag has it.
+    told, _ = read_scene_text(scene_text(recording.scene))
+    result = replay(replace(recording, scene=told, changes=[(told, recording.changes[0][1])]))
+    for quantity in ('position', 'velocity', 'effort', 'forces'):
+        assert not result.deviation(quantity).any(), quantity
+    assert result.recorded.forces.shape[1:] == (1, 6)
+    assert [why for _, why in result.starts] == [
+        'from the initial state of the scene', 'after a reset']
+    assert f'{mechanism.cut_joints[0].name} (force)' in table(result)
+    assert len(deviations(result, name).axes) == 3
 
 
 def test_resets_and_changed_effects_are_followed():
