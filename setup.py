@@ -72,7 +72,8 @@ setup(
     author='The closedloop_dynamics authors',
     maintainer='The closedloop_dynamics authors',
     maintainer_email='closedloop_dynamics@example.org',
-    description='Simulates planar mechanisms with closed loops, live over ROS 2 or offline.',
+    description='Simulates mechanisms with closed loops, in the plane and in space, live over '
+                'ROS 2 or offline.',
     license='Apache-2.0',
     entry_points={
         'console_scripts': [

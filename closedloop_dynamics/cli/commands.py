@@ -33,7 +33,7 @@ COMMANDS = (accuracy.COMMAND, animate.COMMAND, check.COMMAND, effects.COMMAND,
 
 USAGE, BROKEN_PIPE = 2, 141
 DESCRIPTION = """\
-Simulate planar mechanisms with closed kinematic loops.
+Simulate mechanisms with closed kinematic loops.
 
 A mechanism and a scene (a mechanism, its start, what acts on it) are YAML files.
 The shipped ones go by their names; anything else is the path of a file:

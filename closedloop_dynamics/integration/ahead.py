@@ -16,6 +16,7 @@
 
 from .system import careful_acceleration, careful_correction
 from ..core import compiled, rank_revealing
+from ..core.straight_line.space import is_spatial
 
 
 def is_stored(system):
@@ -57,7 +58,8 @@ def preparations(system):
 
 def _kernels(system):
     """Return the kernels with the types that they are called with."""
-    if not hasattr(careful_acceleration, 'compile'):
+    # In space, uncompiled recursions on numbers stand in for them.
+    if not hasattr(careful_acceleration, 'compile') or is_spatial(system.model):
         return []
     from numba import typeof
     model, work, q, qdd = system.model, system.work, system.tau, system.qdd

@@ -19,7 +19,7 @@ whose origin is the cut point of body A; its axes are those of the world.
 
 """
 
-from closedloop_dynamics.mechanism.mechanism import GROUND
+from closedloop_dynamics.mechanism.mechanism import GROUND, UNTURNED
 from closedloop_dynamics.ros.messages import SerializedTemplate
 from closedloop_dynamics.ros.parameters import declare, Parameter
 from closedloop_dynamics.ros.process import StartError
@@ -71,6 +71,9 @@ class Frames:
         self._simulation, self._prefix = simulation, values['frame_prefix']
         cuts = simulation.mechanism.cut_joints
         bodies = [GROUND, *(body.name for body in simulation.mechanism.bodies)]
+        self._planar = simulation.mechanism.planar
+        origin, unmoved = ((0.0, 0.0), (0.0, 0.0, 0.0)) if self._planar else (
+            (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, *UNTURNED))
         with_cuts, with_links = values['cut_frames'] and bool(cuts), values['publish_tf']
         if TFMessage is None:
             if with_links:
@@ -86,14 +89,14 @@ class Frames:
         # Name, body, place on it, and whether it turns with it.
         frames = [*((name, cut.body_a, cut.point_a, False)
                     for name, cut in zip(self.of_cuts, cuts) if with_cuts),
-                  *((self._prefix + body, body, (0.0, 0.0), True)
+                  *((self._prefix + body, body, origin, True)
                     for body in bodies if with_links)]
         self.any = bool(frames)
         if frames:
             self._names, of, points, turns = zip(*frames)
             self._rows = np.array([bodies.index(body) for body in of])
             self._points, self._turns = np.array(points), np.array(turns, dtype=float)
-            self._poses = np.zeros((len(bodies), 3))
+            self._poses = np.tile(unmoved, (len(bodies), 1))
             self._transforms = np.zeros((len(frames), 7))
             self._message = SerializedTemplate(self._build, len(frames) * [7])
             self._publisher = node.create_publisher(TFMessage, '/tf', QoSProfile(depth=100))
@@ -106,8 +109,11 @@ class Frames:
 
     def transforms(self):
         """Return origins [m] and quaternions x, y, z, w, shape (number of frames, 7)."""
-        # The first is the ground's, which stays zero.
+        # The first is the ground's, which stays as it is.
         self._poses[1:] = self._simulation.body_poses
+        return self._in_plane() if self._planar else self._in_space()
+
+    def _in_plane(self):
         x, y, angle = self._poses[self._rows].T
         cosine, sine = np.cos(angle), np.sin(angle)
         out, along, across = self._transforms, *self._points.T
@@ -115,6 +121,15 @@ class Frames:
         out[:, 1] = y + sine * along + cosine * across
         half = 0.5 * self._turns * angle
         out[:, 5], out[:, 6] = np.sin(half), np.cos(half)
+        return out
+
+    def _in_space(self):
+        out, poses = self._transforms, self._poses[self._rows]
+        place, vector, scalar = poses[:, :3], poses[:, 3:6], poses[:, 6:]
+        # A point turned by a unit quaternion.
+        out[:, :3] = place + self._points + 2.0 * np.cross(
+            vector, np.cross(vector, self._points) + scalar * self._points)
+        out[:, 3:] = np.where(self._turns[:, np.newaxis], poses[:, 3:], UNTURNED)
         return out
 
     def _build(self, sec, nanosec, *transforms):

@@ -70,7 +70,13 @@ class Markers:
 
     def __init__(self, node, simulation):
         values = declare(node, MARKER_PARAMETERS)
-        self._rate = values['marker_rate']
+        self._rate, self._publisher = values['marker_rate'], None
+        if not simulation.mechanism.planar:
+            if self._rate > 0.0:
+                node.get_logger().info(
+                    'no visualization_marker_array: markers show planar mechanisms only, so far; '
+                    'to see one in space, take robot_description (RobotModel in RViz)')
+            return
         self._frame = values['marker_frame']
         self._scale = values['marker_force_scale']
         self._simulation, self._mechanism = simulation, simulation.mechanism

@@ -46,6 +46,8 @@ _STAMP = struct.Struct('=iI')
 _MARK = (0x2F3A91C5, 0x1B7D4E63)
 # For subscribers to receive what was published: to wait at once, and all in all [s].
 PATIENCE, GIVE_UP = Duration(seconds=0.02), 2.0
+# Where the components of a wrench, moment first, are in a message, in the plane and in space.
+_COMPONENTS = {3: np.array([5, 0, 1]), 6: np.array([3, 4, 5, 0, 1, 2])}
 # A reliable subscriber that stalls for a second at 1 kHz still gets everything.
 STATE_QOS = QoSProfile(depth=1000)
 
@@ -218,14 +220,14 @@ class StatePublisher:
             The stamp.
         position, velocity, effort : ndarray, shape (nv,)
             Of the joints [rad or m, and per s; N m or N].
-        constraint_forces : ndarray, shape (number of cut joints, 3)
-            What body B exerts on body A: torque about z [N m], force along x and y [N].
+        constraint_forces : ndarray, shape (number of cut joints, 3 or 6)
+            What body B exerts on body A: torque about z [N m], force along x and y [N]; in space
+            torque about and force along x, y and z.
 
         """
         sec, nanosec = divmod(nanoseconds, NANOSECONDS)
         self.stamp.sec, self.stamp.nanosec = sec, nanosec
-        self._wrenches[:, 5] = constraint_forces[:, 0]
-        self._wrenches[:, :2] = constraint_forces[:, 1:]
+        self._wrenches[:, _COMPONENTS[constraint_forces.shape[1]]] = constraint_forces
         # The state last: who answers it knows the forces.
         for publisher, message, wrench in zip(
                 self._force_publishers, self._messages, self._wrenches):

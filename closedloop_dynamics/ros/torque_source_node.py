@@ -273,7 +273,9 @@ class TorqueSourceNode(Node):
         if joints:
             raise StartError("mode 'computed_torque' drives all actuated joints of its scene: "
                              "leave parameter 'joints' out")
-        return load_simulation(self._values['scene'], self.get_logger())[0]
+        return load_simulation(
+            self._values['scene'], self.get_logger(),
+            planar_for="mode 'computed_torque' (unlike 'pd', which needs no model)")[0]
 
     def _create_command(self, by_name):
         if by_name:

@@ -1,0 +1,225 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The simulator runs mechanisms in space: states, forces of six components, frames, bags."""
+
+from dataclasses import replace
+import json
+from test.reference.spatial_maximal import matrix
+from test.ros.test_frames import broadcast  # noqa: F401
+from test.simulation.test_space import machine, scene, tilted_four_bar, TURN
+from xml.etree import ElementTree
+
+from closedloop_dynamics.cli import main
+from closedloop_dynamics.core.straight_line import available
+from closedloop_dynamics.mechanism.mechanism import Point
+from closedloop_dynamics.recording.recording import read_recording
+from closedloop_dynamics.ros.auxiliary_publishers import LATCHED_QOS
+from closedloop_dynamics.ros.process import StartError
+from closedloop_dynamics.ros.simulator_node import SimulatorNode
+from closedloop_dynamics.ros.torque_source_node import TorqueSourceNode
+from closedloop_dynamics.simulation.scene import load_scene
+from closedloop_dynamics.simulation.scene_text import scene_text
+from closedloop_dynamics.simulation.simulation import Simulation
+from geometry_msgs.msg import WrenchStamped
+import numpy as np
+import pytest
+from rclpy.parameter import Parameter
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+from std_msgs.msg import String
+from std_srvs.srv import SetBool
+from std_srvs.srv import Trigger
+
+pytestmark = pytest.mark.skipif(not available(), reason='nothing moves in space uncompiled')
+
+
+def file_of(made, directory):
+    """Write a scene and its mechanism, and return the scene's path."""
+    told = json.loads(scene_text(made))
+    path = directory / f'{made.name}.yaml'
+    path.write_text(json.dumps(told['scene']))
+    (directory / 'mechanism.yaml').write_text(json.dumps(told['mechanism']))
+    return str(path)
+
+
+def made(name):
+    """Return the scene of a machine in space."""
+    if name == 'tilted':
+        _, mechanism, axes = tilted_four_bar(TURN)
+        return replace(scene(mechanism, tuple(axes @ (0.0, -9.81, 0.0))),
+                       initial=load_scene('four_bar').initial)
+    mechanism, _ = machine(name)
+    first, *others = mechanism.joints
+    return scene(replace(mechanism, joints=(replace(first, actuated=True), *others)),
+                 gravity=(0.0, -9.81, 1.0))
+
+
+def stepped_node(make_node, path, **parameters):
+    """Return a node that only moves when it is told to."""
+    node = make_node(SimulatorNode, scene=path, step_count=20, **parameters)
+    node._timer.cancel()
+    node.on_pause(SetBool.Request(data=True), SetBool.Response())
+    return node
+
+
+def step(node):
+    assert node.on_step(Trigger.Request(), Trigger.Response()).success
+
+
+# A ball, which hands over no moment; a pin with an equation that repeats others.
+@pytest.mark.parametrize('name', ['rssr_four_bar', 'bricard'])
+def test_published_states_and_forces_are_those_of_the_library(make_node, listener, tmp_path, name):
+    path = file_of(made(name), tmp_path)
+    node = stepped_node(make_node, path)
+    mechanism = node.simulation.mechanism
+    cut = mechanism.cut_joints[0].name
+    states = listener.listen('joint_states', JointState)
+    forces = listener.listen(f'constraint_forces/{cut}', WrenchStamped)
+    # Publishers and subscribers have found each other.
+    listener.wait(lambda: not step_back(node) and states and forces, 'a first state')
+    node.on_torque_command(Float64MultiArray(data=[0.05]))
+    library = Simulation.from_scene(path)
+    for _ in range(3):
+        step(node)
+        library.step([0.05], 20 * library.step_size)
+        stamp = node.states.stamp
+        listener.wait(lambda: states[-1].header.stamp == stamp
+                      and forces[-1].header.stamp == stamp, 'the state after the steps')
+        assert states[-1].name == list(mechanism.joint_names)
+        assert list(states[-1].position) == library.position.tolist()
+        assert list(states[-1].velocity) == library.velocity.tolist()
+        assert list(states[-1].effort) == library.effort.tolist()
+        force, torque = forces[-1].wrench.force, forces[-1].wrench.torque
+        assert [torque.x, torque.y, torque.z, force.x, force.y, force.z] == (
+            library.constraint_forces[0].tolist())
+    assert min(abs(part) for part in (force.x, force.y, force.z)) > 1e-3
+    assert (max(map(abs, (torque.x, torque.y, torque.z))) > 1e-3) == (name == 'bricard')
+    assert node.exit_code is None
+
+
+def step_back(node):
+    """Reset a node, which publishes its state; return whether that failed."""
+    return not node.on_reset(Trigger.Request(), Trigger.Response()).success
+
+
+def test_states_are_set_and_the_start_is_come_back_to(make_node, tmp_path):
+    node = stepped_node(make_node, file_of(made('rssr_four_bar'), tmp_path))
+    start = node.simulation.position
+    step(node)
+    node.on_set_state(JointState(name=['crank', 'tip_3'], position=[0.4, 0.1]))
+    assert node.counts == {'states set': 1, 'states refused': 0}
+    position = dict(zip(node.simulation.joint_names, node.simulation.position))
+    assert (position['crank'], position['tip_3']) == pytest.approx((0.4, 0.1), abs=1e-12)
+    assert node.simulation.closure < 1e-12
+    # The rod does not reach.
+    node.on_set_state(JointState(name=['crank', 'rocker'], position=[3.0, 3.0]))
+    assert node.counts == {'states set': 1, 'states refused': 1}
+    assert not step_back(node)
+    assert node.simulation.position.tolist() == start.tolist()
+
+
+def test_effects_are_changed_by_vectors_of_three_numbers(make_node, tmp_path):
+    node = stepped_node(make_node, file_of(made('rssr_four_bar'), tmp_path))
+    name, moon = 'effects.gravity.acceleration', [0.0, 0.0, -1.62]
+    refused, taken = (node.set_parameters([Parameter(name, value=value)])[0]
+                      for value in ([0.0, -1.62], moon))
+    assert not refused.successful and '3 finite numbers' in refused.reason
+    assert taken.successful
+    assert node.simulation.effects['gravity'].acceleration == tuple(moon)
+
+
+@pytest.mark.parametrize('name, unique', [('rssr_four_bar', True), ('bricard', False)])
+def test_diagnostics_tell_whether_forces_are_unique(
+        make_node, tmp_path, monkeypatch, name, unique):
+    node = stepped_node(make_node, file_of(made(name), tmp_path))
+    step(node)
+    sent = []
+    monkeypatch.setattr(node.diagnostics, '_send', sent.append)
+    node.look_after()
+    findings, = sent
+    messages = {key: finding.message for key, finding in findings.items()}
+    assert messages['closure'] == 'closed'
+    assert messages['energy'] == 'balanced'
+    assert messages['elimination'] == ('well posed' if unique else (
+        '1 of 5 closure equations depend on the others: the constraint forces are not unique, the '
+        'least ones are shown'))
+
+
+def test_description_of_the_robot_is_that_of_the_mechanism(make_node, listener, tmp_path):
+    node = stepped_node(make_node, file_of(made('rssr_four_bar'), tmp_path))
+    told = []
+    listener.node.create_subscription(String, 'robot_description', told.append, LATCHED_QOS)
+    listener.wait(lambda: told, 'the description')
+    robot = ElementTree.fromstring(told[0].data)
+    assert {joint.get('name') for joint in robot.findall('joint')} == {
+        'world_to_ground', *node.simulation.joint_names}
+
+
+@pytest.mark.parametrize('name', ['bricard', 'tilted'])
+def test_frames_are_where_cut_points_and_links_are(broadcast, tmp_path, name):  # noqa: F811
+    one = made(name)
+    mechanism = one.mechanism
+    cut = mechanism.cut_joints[0]
+    points = [Point('cut_point', cut.body_a, cut.point_a)]
+    points += [Point(f'{body.name}_{k}', body.name, tuple(place)) for body in mechanism.bodies
+               for k, place in enumerate([np.zeros(3), *np.eye(3)])]
+    path = file_of(replace(one, mechanism=replace(mechanism, points=tuple(points))), tmp_path)
+    node, found = broadcast(scene=path, publish_tf=True)
+    places = dict(zip([point.name for point in points], node.simulation.points))
+    assert list(found) == [
+        f'constraint_forces/{cut.name}', 'ground', *(body.name for body in mechanism.bodies)]
+    expected = {f'constraint_forces/{cut.name}': (places['cut_point'], np.eye(3)),
+                'ground': (np.zeros(3), np.eye(3))}
+    for body in mechanism.bodies:
+        origin, *ends = (places[f'{body.name}_{k}'] for k in range(4))
+        expected[body.name] = origin, (np.array(ends) - origin).T
+    for frame, (origin, axes) in expected.items():
+        place, turn = found[frame].transform.translation, found[frame].transform.rotation
+        np.testing.assert_allclose([place.x, place.y, place.z], origin, atol=1e-14)
+        np.testing.assert_allclose(matrix((turn.x, turn.y, turn.z, turn.w)), axes, atol=1e-14)
+
+
+def test_a_controller_that_needs_the_plane_says_so_and_what_to_do(make_node, tmp_path):
+    path = file_of(made('rssr_four_bar'), tmp_path)
+    with pytest.raises(StartError, match="mechanism in space .*'computed_torque' .*'pd'"):
+        make_node(TorqueSourceNode, mode='computed_torque', scene=path)
+
+
+def test_a_recorded_run_is_met_exactly(processes, listener, tmp_path, capsys):
+    path = file_of(made('bricard'), tmp_path)
+    recorder = processes.start('closedloop_recorder', output='bag').wait_until_ready()
+    simulator = processes.start('closedloop_simulator', scene=path, wait_for_command='true')
+    simulator.wait_until_ready()
+    for topic in ('scene', 'robot_description', 'joint_states', 'replay_log'):
+        recorder.wait_for(f'/{topic}: first message')
+    source = processes.start(
+        'closedloop_torque_source', mode='sine', amplitude='[2.0]', frequency='[2.0]')
+    states = listener.listen('/joint_states', JointState)
+    listener.wait(lambda: states and max(map(abs, states[-1].position)) > 0.2, 'motion')
+    for process in (source, simulator, recorder):
+        assert process.stop() == 0
+    assert 'no visualization_marker_array' in simulator.output
+    bag = tmp_path / 'bag'
+    assert main(['replay', str(bag), '--tolerance', '1e-12']) == 0
+    output = capsys.readouterr().out
+    assert 'largest deviation of a position: 0 rad or m' in output
+    assert 'note:' not in output
+    recording = read_recording(bag)
+    assert np.ptp(recording.motion.position, axis=0).max() > 0.1
+    assert recording.motion.forces.shape[1:] == (1, 6)
+    assert np.nanmin(np.abs(recording.motion.forces).max(axis=0)) > 0.0
+    # Pictures are of the plane.
+    assert main(['plot', str(bag), '--output', str(tmp_path / 'pictures')]) == 2
+    assert 'a picture knows planar mechanisms only' in capsys.readouterr().err
