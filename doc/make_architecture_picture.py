@@ -80,16 +80,12 @@ def picture():
             places[room] = (1.25 * WIDTH * (k - 0.5 * (len(rooms) - 1)), 1.5 * floor)
     for room, (x, y) in places.items():
         folder = ROOT / PACKAGE / room
-        files = list(folder.glob('*.py'))
-        lines = sum(len(path.read_text().splitlines()) for path in files)
         axes.add_patch(FancyBboxPatch(
             (x - WIDTH / 2, y - HEIGHT / 2), WIDTH, HEIGHT, boxstyle='round,pad=0.06',
             facecolor='#eef3f8', edgecolor='#1f4e79', zorder=2))
         text = ast.get_docstring(ast.parse((folder / '__init__.py').read_text())).split('\n')[0]
         axes.text(x, y + 0.25, f'{room}/', ha='center', va='center', fontsize=11,
                   fontweight='bold', zorder=3)
-        axes.text(x + WIDTH / 2, y + 0.25, f'{len(files)} files, {lines} lines', ha='right',
-                  va='center', fontsize=7, color='#555555', zorder=3)
         axes.text(x, y - 0.16, fill(text.replace('``', ''), 50), ha='center', va='center',
                   fontsize=8, zorder=3)
     for room, other in arrows(list(places)):
