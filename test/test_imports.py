@@ -16,6 +16,7 @@
 
 import ast
 from pathlib import Path
+import re
 import subprocess
 import sys
 
@@ -41,6 +42,14 @@ def test_every_file_is_in_a_room():
     for room in (ROOT / PACKAGE).glob('*/'):
         if room.name != '__pycache__':
             assert ast.get_docstring(ast.parse((room / '__init__.py').read_text())), room.name
+
+
+def test_files_named_in_the_architecture_exist():
+    page = (ROOT / 'doc' / 'architecture.md').read_text()
+    named = set(re.findall(r'`([a-z_]+/[a-z_/]+\.py)`', page))
+    assert len(named) > 20
+    assert not [name for name in sorted(named)
+                if not (ROOT / PACKAGE / name).is_file() and not (ROOT / name).is_file()]
 
 
 def test_laws_of_force_do_not_know_each_other():
