@@ -27,6 +27,8 @@ from ..mechanism.decomposition import decompose
 
 # Code for a whole mechanism grows with it: beyond so many freedoms it compiles for minutes.
 MOST_FREEDOMS = 40
+# Relative rounding errors of a Jacobian are below this.
+ROUNDING = 1e-12
 
 
 class SpatialGeometry:
@@ -243,9 +245,13 @@ def _quaternion(matrix):
 def _independent(jac):
     """Choose rows of a Jacobian that do not depend on one another, by pivoting; return a mask."""
     kept = np.zeros(len(jac), dtype=bool)
-    # Neither the unit of a coordinate nor that of an equation decides.
-    left = jac / np.maximum(np.abs(jac).max(axis=0, initial=0.0), 1e-300)
-    left = left / np.maximum(np.linalg.norm(left, axis=1, keepdims=True), 1e-300)
+    # Neither the unit of a coordinate nor that of an equation decides, and rounding errors of
+    # entries that are zero are not scaled up to equations.
+    columns = np.abs(jac).max(axis=0, initial=0.0)
+    moves = columns > ROUNDING * columns.max(initial=0.0)
+    left = np.where(moves, jac / np.where(moves, columns, 1.0), 0.0)
+    rows = np.linalg.norm(left, axis=1, keepdims=True)
+    left = np.where(rows > ROUNDING, left / np.maximum(rows, ROUNDING), 0.0)
     while not kept.all():
         length = np.where(kept, 0.0, np.linalg.norm(left, axis=1))
         best = int(np.argmax(length))

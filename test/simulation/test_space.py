@@ -25,6 +25,7 @@ from closedloop_dynamics.mechanism.fields import FieldError
 from closedloop_dynamics.mechanism.mechanism import (
     Body, CutJoint, Joint, Mechanism, MechanismError, Point)
 from closedloop_dynamics.recording.run import columns, Report, row, run
+from closedloop_dynamics.simulation import space
 from closedloop_dynamics.simulation.errors import SimulationError
 from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.simulation.scene_records import Initial, Method, Scene
@@ -172,6 +173,20 @@ def test_a_tilted_four_bar_moves_as_the_planar_one():
         moment, *force = flat.constraint_forces[0]
         assert_agree(one.constraint_forces[0, 3:], axes @ (*force, 0.0), 1e-7)
         assert_agree(one.constraint_forces[0, :3], np.zeros(3), 1e-7, smallest=1.0)
+
+
+def test_rounding_errors_of_a_jacobian_are_no_equations():
+    rng = np.random.default_rng(0)
+    jac = rng.normal(size=(3, 5))
+    # Another unit of a coordinate and of an equation, an equation that repeats two others.
+    jac *= 10.0 ** np.array([0.0, -3.0, 3.0, 0.0, 2.0])
+    whole = np.array([jac[0], 1e-3 * jac[1], jac[0] - jac[1], jac[2], np.zeros(5)])
+    whole[:, 3] = 0.0
+    noise = 1e-16 * rng.normal(size=whole.shape) * np.abs(whole).max(axis=0)
+    noise[:, 3] = 1e-17
+    for error in (0.0, noise, -noise):
+        kept = space._independent(whole + error)
+        assert kept.sum() == 3 and kept[3] and not kept[4]
 
 
 def test_what_stands_in_for_the_elimination_gives_the_same(linkage):
