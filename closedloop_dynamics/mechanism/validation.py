@@ -110,6 +110,8 @@ SPATIAL_SECTIONS = {
 _KEYS_OF_JOINTS = {
     'joints': {'axis': WITH_AXIS, 'second_axis': (UNIVERSAL,), 'lead': (HELICAL,)},
     'cut_joints': {'axis_a': CUT_WITH_AXIS_A, 'axis_b': CUT_WITH_AXIS_B}}
+# Keys of joints and cut joints that only mechanisms in space have.
+KEYS_OF_SPACE = ('axis', 'second_axis', 'lead', 'axis_a', 'axis_b', 'orientation')
 # Cosine of the angle between universal axes from which on they are parallel.
 PARALLEL = 0.999
 # Names that would stand for two things in one place: CSV columns and topics, frames.

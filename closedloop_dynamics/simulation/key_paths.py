@@ -27,7 +27,7 @@ from typing import get_args
 
 from ..mechanism.checks import number
 from ..mechanism.fields import among, at, FieldError, nearest
-from ..mechanism.validation import SECTIONS
+from ..mechanism.validation import KEYS_OF_SPACE, SECTIONS
 
 
 def numbers(scene):
@@ -103,8 +103,8 @@ def _tree(scene):
         # The others follow from the loops, whatever is given.
         velocity = {joint: velocity[joint] for joint in initial.hold}
     whole = {
-        'mechanism': {key: {record.name: _below(record) for record in getattr(mechanism, key)}
-                      for key in SECTIONS},
+        'mechanism': {key: {record.name: _of_the_plane(_below(record))
+                            for record in getattr(mechanism, key)} for key in SECTIONS},
         'initial': {'position': dict(zip(mechanism.joint_names, initial.position)),
                     'velocity': velocity},
         'effects': {name: _below(record) for name, record in scene.effects.items()},
@@ -124,6 +124,10 @@ def _below(value):
         return {}
     return {key.name: None if float in get_args(key.type) and getattr(value, key.name) is None
             else _below(getattr(value, key.name)) for key in keys}
+
+
+def _of_the_plane(record):
+    return {key: value for key, value in record.items() if key not in KEYS_OF_SPACE}
 
 
 def _pruned(tree):
