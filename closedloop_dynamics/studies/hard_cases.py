@@ -575,7 +575,7 @@ def _turning(method, quick):
     duration = 10.0 if quick else 3600.0
     rate = 10.0
     simulation = Simulation(scene(*ladder(1, 0.4, rate), replace(
-        method, step_size=1e-3, tolerance=1e-9), {}))
+        method, step_size=1e-3, tolerance=1e-9, accuracy=1e-9), {}))
     worst, tau = 0.0, np.zeros(3)
     while simulation.time < duration - 1e-6:
         simulation.advance(tau, 1000)
