@@ -14,6 +14,8 @@
 
 """What the integrators integrate: a mechanism under joint torques."""
 
+from contextlib import suppress
+from functools import partial
 import time
 from typing import NamedTuple, Optional
 import warnings
@@ -189,39 +191,42 @@ def _careful_routines(system):
 
 def _careful_in_space(system):
     """Return what stands in for the rank-revealing path in space: the recursions on numbers."""
-    numbers, health = Numbers(system.model), system.work.health
+    numbers, health, qdd = Numbers(system.model), system.work.health, system.qdd
 
-    def acceleration(q, qd):
+    def accelerate(q, qd):
         numbers.move(q, qd)
-        system.qdd[:], lam, health[RANK] = numbers.accelerations(
+        qdd[:], lam, health[RANK] = numbers.accelerations(
             system.applied, system.settings[BAUMGARTE_GAIN])
         system.lam[:] = numbers.of_kept(lam)
         health[RANK_REVEALING_COUNT] += 1.0
 
-    def position(q, qd):
+    def correct(level, q, qd):
         numbers.move(q, qd)
-        system.qdd[:] = numbers.correction(numbers.closures()[0])
+        qdd[:] = numbers.correction(numbers.closures()[level])
 
-    def velocity(q, qd):
-        numbers.move(q, qd)
-        system.qdd[:] = numbers.correction(numbers.closures()[1])
-
-    return {links.CAREFUL_ACCELERATION: acceleration, links.CAREFUL_POSITION: position,
-            links.CAREFUL_VELOCITY: velocity}
+    return {links.CAREFUL_ACCELERATION: partial(_or_nan, qdd, accelerate),
+            links.CAREFUL_POSITION: partial(_or_nan, qdd, correct, 0),
+            links.CAREFUL_VELOCITY: partial(_or_nan, qdd, correct, 1)}
 
 
 def _carefully(out, kernel, *arguments):
     """Call a kernel of the rank-revealing path, and say so if it had to be compiled."""
-    # What fails leaves NaN behind, which the integrators tell.
-    out[:] = np.nan
     begin = time.perf_counter()
-    kernel(*arguments)
+    _or_nan(out, kernel, *arguments)
     elapsed = time.perf_counter() - begin
     if elapsed > LONG:
         warnings.warn(
             'A singular configuration, or loops that repeat one another: what deals with them '
             f'had to be compiled first, which took {elapsed:.0f} s. It is kept on disk; the next '
             'time there is no delay.', RuntimeWarning, stacklevel=2)
+
+
+def _or_nan(out, kernel, *arguments):
+    """Call what fills an array; where it fails there are NaN, which the integrators tell."""
+    out[:] = np.nan
+    # No decomposition is found of numbers that are not finite, or nearly so.
+    with suppress(ValueError, np.linalg.LinAlgError):
+        kernel(*arguments)
 
 
 def narrowed(system):

@@ -21,11 +21,13 @@ from closedloop_dynamics.core.types import CUT_ROW, ROW
 from closedloop_dynamics.effects.actuator import Actuator
 from closedloop_dynamics.effects.joint_damping import JointDamping
 from closedloop_dynamics.effects.joint_spring import JointSpring
+from closedloop_dynamics.integration.system import build_system, evaluate
 from closedloop_dynamics.mechanism.mechanism import Body, MechanismError
 from closedloop_dynamics.mechanism.reader import read_mechanism
 from closedloop_dynamics.mechanism.validation import validate_mechanism
 from closedloop_dynamics.simulation.errors import AssemblyError, StiffnessError
 from closedloop_dynamics.simulation.guards import fastest_rate
+from closedloop_dynamics.simulation.modeling import build_model
 from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.simulation.scene_records import Initial, Method, Scene
 from closedloop_dynamics.simulation.simulation import Simulation
@@ -315,3 +317,12 @@ def test_accelerations_next_to_the_flat_position_are_those_of_the_branch(loops, 
     mechanism, q, qd = special.ladder(loops, tilt=0.5 * np.pi - tilt, rate=2.0)
     simulation = simulate(mechanism, q, qd, machines.gravity(0.0))
     assert simulation.acceleration[::2] == pytest.approx(-exact, rel=1e-3)
+
+
+@pytest.mark.parametrize('beyond', [np.nan, 1e200, 1e308])
+def test_numbers_that_cannot_be_decomposed_leave_no_accelerations(beyond, capfd):
+    mechanism, q, _ = machines.three_rockers()
+    system = build_system(build_model(mechanism, (0.0, -9.81)))
+    evaluate(system, q, np.full(len(q), beyond))
+    assert np.isnan(system.qdd).all()
+    assert 'Exception' not in capfd.readouterr().err
