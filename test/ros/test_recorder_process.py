@@ -62,9 +62,6 @@ def test_bag_holds_what_a_subscriber_got(processes, listener, tmp_path, storage,
     told = counts(recorder)
     for read in readers:
         messages = read(tmp_path / 'bag')
-        listener.wait(lambda: all(
-            key(each[-1]) >= key(messages[topic][-1][1]) for topic, each in heard.items()),
-            'last message of each topic')
         assert {topic: (len(each), len(each)) for topic, each in messages.items()} == {
             topic: count for topic, count in told.items() if count[0]}
         for topic, expected in heard.items():
@@ -90,13 +87,16 @@ def without_hello(numbers):
 
 
 def assert_same_tail(topic, recorded, heard):
-    """Compare two lists of messages from the first one that both have."""
+    """Compare two lists of messages from the first one that both have to the last heard."""
     assert recorded
     assert heard
-    first = max(key(recorded[0]), key(heard[0]))
-    recorded = [each for each in recorded if key(each) >= first]
+    # What was still on its way to this process when the publisher left is lost to it, not to the
+    # recorder.
+    assert key(recorded[-1]) >= key(heard[-1])
+    first, last = max(key(recorded[0]), key(heard[0])), key(heard[-1])
+    recorded = [each for each in recorded if first <= key(each) <= last]
     heard = [each for each in heard if key(each) >= first]
-    assert len(recorded) == len(heard), topic
+    assert len(recorded) == len(heard) > 50, topic
     for left, right in zip(recorded, heard):
         assert key(left) == key(right)
         if hasattr(right, 'position'):
