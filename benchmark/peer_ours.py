@@ -18,7 +18,8 @@ from machine import commit
 import numpy as np
 from peer_cases import Run, simulation
 
-from closedloop_dynamics.simulation.simulation import Simulation  # noqa: I100
+from closedloop_dynamics.simulation.errors import SimulationError  # noqa: I100
+from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.studies.formulations import evaluate_again
 
 NAME = 'closedloop_dynamics'
@@ -87,6 +88,10 @@ def _motion(one, case, steps):
     def execute():
         one.reset()
         one.monitor.sampling = False
-        one.advance(case.tau, steps)
+        try:
+            one.advance(case.tau, steps)
+        except SimulationError:
+            # A setting so coarse that it is refused has no error to compare.
+            return np.full_like(one.position, np.inf)
         return one.position
     return execute
