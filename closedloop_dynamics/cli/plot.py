@@ -41,7 +41,6 @@ def _run(arguments):
             recording = read_recording(arguments.recording, scene, arguments.namespace)
     except RecordingError as error:
         raise UsageError(str(error)) from None
-    recording.motion.mechanism.require_planar('a picture')
     motion = since_the_last_reset(recording.motion)
     arguments.output.mkdir(parents=True, exist_ok=True)
     with announced('Drawing ...'):

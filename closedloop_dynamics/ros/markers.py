@@ -12,7 +12,12 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The topic ``visualization_marker_array``: links, cut joints, forces, tool path, contacts."""
+"""
+The topic ``visualization_marker_array``: links, cut joints, forces, tool path, contacts.
+
+In the plane all but the links lies above them; in space where it is, and joints have their axes.
+
+"""
 
 from collections import deque
 import math
@@ -24,8 +29,9 @@ from closedloop_dynamics.ros.parameters import declare, Parameter
 from closedloop_dynamics.ros.process import StartError
 from closedloop_dynamics.simulation.modeling import extent
 from closedloop_dynamics.visual.appearance import (
-    body_colors, CONTACT_COLOR, CUT_COLOR, FORCE_COLOR, outline, PATH_COLOR, rgb, sliders)
-from closedloop_dynamics.visual.motion import pose_of, world_points
+    body_colors, CONTACT_COLOR, CUT_COLOR, FORCE_COLOR, joint_axes, marked_points, outline,
+    PATH_COLOR, rgb, sliders, solid)
+from closedloop_dynamics.visual.motion import force_of, pose_of, world_points
 from geometry_msgs.msg import Point
 import numpy as np
 from rclpy.qos import QoSProfile
@@ -43,6 +49,9 @@ ABOVE = 0.2
 # Widths and lengths of links and arrows, as shares of the size.
 LINK_WIDTH, SLIDER_SIZE = 0.06, 0.1
 SHAFT, HEAD, HEAD_LENGTH = 0.025, 0.06, 0.09
+# In space: width of links, and width and half the length of the lines along axes of joints.
+BAR_WIDTH, AXIS_WIDTH, AXIS_LENGTH = 0.04, 0.008, 0.12
+AXIS_COLOR = '#333333'
 MARKER_PARAMETERS = (
     Parameter(
         'marker_rate', 30.0,
@@ -71,12 +80,6 @@ class Markers:
     def __init__(self, node, simulation):
         values = declare(node, MARKER_PARAMETERS)
         self._rate, self._publisher = values['marker_rate'], None
-        if not simulation.mechanism.planar:
-            if self._rate > 0.0:
-                node.get_logger().info(
-                    'no visualization_marker_array: markers show planar mechanisms only, so far; '
-                    'to see one in space, take robot_description (RobotModel in RViz)')
-            return
         self._frame = values['marker_frame']
         self._scale = values['marker_force_scale']
         self._simulation, self._mechanism = simulation, simulation.mechanism
@@ -85,13 +88,14 @@ class Markers:
         self._path = deque(maxlen=PATH_POINTS)
         self._peak = 0.0
         self._size = size = extent(self._mechanism)
-        self._height = ABOVE * size
+        self._height = ABOVE * size if self._mechanism.planar else 0.0
         names = [named.name for named in self._mechanism.points]
         self._point = values['marker_point'] or next(iter(names), None)
         if self._point is not None and self._point not in names:
             raise StartError(f"parameter 'marker_point': expected one of the points of "
                              f"{self._mechanism.name} ({', '.join(names)}), got '{self._point}'")
-        self._links = link_markers(self._mechanism, size)
+        self._links = (link_markers if self._mechanism.planar else spatial_link_markers)(
+            self._mechanism, size)
         self._cuts = styled(Marker.SPHERE_LIST, 'cut_joints', 0, CUT_COLOR, 0.09 * size)
         self._trail = styled(Marker.LINE_STRIP, 'path', 0, PATH_COLOR, 0.02 * size)
         self._publisher = self._rate > 0.0 and node.create_publisher(
@@ -111,12 +115,9 @@ class Markers:
         """Return the markers of the present state, a MarkerArray."""
         poses = self._simulation.body_poses
         for marker, body in self._links:
-            x, y, angle = poses[body].tolist()
-            marker.pose.position.x, marker.pose.position.y = x, y
-            marker.pose.orientation.z = math.sin(angle / 2.0)
-            marker.pose.orientation.w = math.cos(angle / 2.0)
+            set_pose(marker.pose, poses[body].tolist())
         places = [self._cut_place(cut, poses) for cut in self._mechanism.cut_joints]
-        self._cuts.points = [point(*place, self._height) for place in places]
+        self._cuts.points = [self._raised(place) for place in places]
         markers = [marker for marker, _ in self._links] + [self._cuts] * bool(places)
         markers += self._forces(places)
         if self._point is not None:
@@ -139,14 +140,14 @@ class Markers:
             self._path.append(place)
         if len(self._path) < 2:
             return []
-        self._trail.points = [point(*each, self._height) for each in self._path]
+        self._trail.points = [self._raised(each) for each in self._path]
         return [self._trail]
 
     def _forces(self, places):
         """Return arrows for the forces at cut joints and of effects, and lines of contacts."""
         simulation = self._simulation
         wanted = [('constraint_forces', k, FORCE_COLOR, place, force) for k, (place, force) in (
-            enumerate(zip(places, simulation.constraint_forces[:, 1:].tolist())))]
+            enumerate(zip(places, force_of(simulation.constraint_forces).tolist())))]
         lines = []
         for k, name in enumerate(simulation.enabled_effects):
             record = simulation.effects[name]
@@ -161,9 +162,13 @@ class Markers:
                            force))
         scale = self._arrow_scale([math.hypot(*force) for *_, force in wanted])
         return lines + [
-            arrow(space, k, color, self._size, place, [scale * part for part in force],
-                  self._height)
+            arrow(space, k, color, self._size, self._raised(place), self._raised(
+                [part + scale * along for part, along in zip(place, force)]))
             for space, k, color, place, force in wanted]
+
+    def _raised(self, place):
+        """Return a point where it is seen: in the plane above the links."""
+        return point(*place, self._height) if len(place) == 2 else point(*place)
 
     def _arrow_scale(self, magnitudes):
         """Return the length of arrows per newton."""
@@ -220,14 +225,23 @@ def strip(namespace, number, color, width, points):
     return marker
 
 
-def arrow(namespace, number, color, size, start, along, height):
-    """Return an arrow from a foot, ``along`` to its head [m], ``height`` above the plane."""
+def arrow(namespace, number, color, size, start, end):
+    """Return an arrow between two points."""
     marker = styled(Marker.ARROW, namespace, number, color, 0.0)
     marker.scale.x, marker.scale.y, marker.scale.z = (
         SHAFT * size, HEAD * size, HEAD_LENGTH * size)
-    marker.points = [point(*start, height),
-                     point(start[0] + along[0], start[1] + along[1], height)]
+    marker.points = [start, end]
     return marker
+
+
+def set_pose(pose, numbers):
+    """Put x, y and angle, or x, y, z and a quaternion x, y, z, w, into a geometry_msgs/Pose."""
+    place, turn = pose.position, pose.orientation
+    if len(numbers) == 3:
+        place.x, place.y, angle = numbers
+        turn.z, turn.w = math.sin(angle / 2.0), math.cos(angle / 2.0)
+    else:
+        place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w = numbers
 
 
 def link_markers(mechanism, size):
@@ -253,4 +267,33 @@ def link_markers(mechanism, size):
             block = add(Marker.CUBE, index, SLIDER_SIZE * size)
             block.scale.x *= 1.6
             block.scale.z *= 0.4
+    return markers
+
+
+def spatial_link_markers(mechanism, size):
+    """Return the markers of all bodies in space, and of axes, as ``link_markers`` does."""
+    colors, index = body_colors(mechanism), {
+        body.name: k for k, body in enumerate(mechanism.bodies)}
+    markers = []
+
+    def add(kind, name, width, strength=1.0):
+        marker = styled(kind, 'links', len(markers), colors[name], width, strength)
+        markers.append((marker, index[name]))
+        return marker
+
+    for body in mechanism.bodies:
+        points = marked_points(mechanism, body.name)
+        edges, faces = solid(points)
+        if len(edges):
+            add(Marker.LINE_LIST, body.name, BAR_WIDTH * size).points = [
+                point(*points[corner].tolist()) for corner in np.ravel(edges)]
+        elif not body.massless:
+            add(Marker.CUBE, body.name, SLIDER_SIZE * size)
+        if len(faces):
+            add(Marker.TRIANGLE_LIST, body.name, 1.0, 0.4).points = [
+                point(*points[corner].tolist()) for corner in np.ravel(faces)]
+    for number, (body, place, axis) in enumerate(joint_axes(mechanism)):
+        line = strip('joint_axes', number, AXIS_COLOR, AXIS_WIDTH * size, [
+            point(*(place + sign * AXIS_LENGTH * size * axis).tolist()) for sign in (-1.0, 1.0)])
+        markers.append((line, index[body]))
     return markers

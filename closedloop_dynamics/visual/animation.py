@@ -25,9 +25,10 @@ import numpy as np
 from PIL import Image
 
 from .appearance import PATH_COLOR
-from .drawing import MechanismArtist
-from .motion import body_poses, Motion, named_point
+from .drawing import all_places, MechanismArtist
+from .motion import body_poses, magnitudes, Motion, named_point
 from .pictures import COLORS
+from .views import perspective, PLANE
 
 FRAME_DOTS_PER_INCH = 100
 # Length of path between two of its points that are drawn, as a share of the picture's extent.
@@ -96,7 +97,7 @@ class Animation:
     Draws the frames of a motion.
 
     What stands still is drawn once, into a picture that lies behind all frames; a frame is what
-    moves alone.
+    moves alone. A mechanism in space is seen in perspective.
 
     Parameters
     ----------
@@ -123,23 +124,25 @@ class Animation:
         if point is None and mechanism.points:
             point = mechanism.points[0].name
         self._times, self._path = motion.time, None
+        view = PLANE if mechanism.planar else perspective(all_places(mechanism, self._poses))
         if point is not None:
-            self._path = named_point(mechanism, body_poses(mechanism, motion.position), point)
-            self._places = named_point(mechanism, self._poses, point)
-        magnitudes = np.hypot(motion.forces[..., 1], motion.forces[..., 2])
-        known = np.isfinite(magnitudes).any()
+            self._path, self._places = (
+                view.project(named_point(mechanism, poses, point))
+                for poses in (body_poses(mechanism, motion.position), self._poses))
+        forces = magnitudes(motion.forces)
+        known = np.isfinite(forces).any()
         # Of all that was recorded, not of the instants that frames happen to show.
-        self._largest = float(np.nanmax(magnitudes)) if known else 0.0
+        self._largest = float(np.nanmax(forces)) if known else 0.0
         still = Figure(figsize=(8.0, 8.0), layout='constrained', dpi=FRAME_DOTS_PER_INCH)
         above, below = still.subplots(2, 1, height_ratios=[4, 1])
-        artist = MechanismArtist(above, mechanism, self._poses)
+        artist = MechanismArtist(above, mechanism, self._poses, view)
         artist.ground()
         (left, right), (low, high) = above.get_xlim(), above.get_ylim()
         above.set(xlim=(left, right), ylim=(low, high), autoscale_on=False)
         height = np.clip(6.5 * (high - low) / (right - left), 2.0, 7.0)
         # An even number of pixels, as video wants.
         still.set_size_inches(8.0, round(2.6 + height, 1))
-        self._plot_forces(below, motion, magnitudes)
+        self._plot_forces(below, motion, forces)
         still.suptitle(title, fontweight='bold', x=0.02, ha='left')
         still.legend(
             handles=artist.legend_handles(
@@ -153,14 +156,13 @@ class Animation:
         axes, cursor = (self.figure.add_axes(
             each.get_position(), xlim=each.get_xlim(), ylim=each.get_ylim(), autoscale_on=False)
             for each in (above, below))
-        self._prepare(MechanismArtist(axes, mechanism, self._poses))
+        self._prepare(MechanismArtist(axes, mechanism, self._poses, view))
         self._clock = axes.text(
             0.99, 0.98, '', transform=axes.transAxes, ha='right', va='top', family='monospace',
             parse_math=False)
         self._cursor = cursor.axvline(motion.time[0], color='0.3', linewidth=1.0)
-        self.figure.artists_in_order = sorted(
-            [*axes.lines, *axes.patches, *axes.texts, self._cursor],
-            key=lambda each: each.get_zorder())
+        self.figure.artists_in_order = [*axes.lines, *axes.patches, *axes.texts, self._cursor]
+        self._sort()
 
     def __len__(self):
         """Return the number of frames."""
@@ -177,8 +179,12 @@ class Animation:
 
         """
         time = self._shown.time[index]
-        for part, places in self._parts:
+        for part, places, layers in self._parts:
             part.place(places[index])
+            if layers is not None:
+                part.artist.set_zorder(layers[index])
+        if not self._artist.mechanism.planar:
+            self._sort()
         if self._path is not None:
             past = self._path[:np.searchsorted(self._times, time)]
             self._trail.set_data(*np.vstack([past, self._places[index]]).T)
@@ -215,7 +221,9 @@ class Animation:
         """Make all that moves, as in the first frame."""
         self._artist = artist
         limits = artist.axes.get_xlim(), artist.axes.get_ylim()
-        self._parts = [(part, artist.places(part)) for part in artist.bodies(0)]
+        self._parts = [
+            (part, artist.places(part), None if part.layer is None else artist.layers(part))
+            for part in artist.bodies(0)]
         if self._path is not None:
             # A point for each pixel or two of the path is enough.
             steps = np.hypot(*np.diff(self._path, axis=0).T)
@@ -226,6 +234,10 @@ class Animation:
             self._mark = artist.mark(self._places[0])
         self._arrows = artist.forces(0, np.nan_to_num(self._shown.forces[0]), self._largest)
         artist.axes.set(xlim=limits[0], ylim=limits[1], autoscale_on=False)
+
+    def _sort(self):
+        """Let artists of higher layers be drawn over those of lower ones."""
+        self.figure.artists_in_order.sort(key=lambda each: each.get_zorder())
 
     def _plot_forces(self, axes, motion, magnitudes):
         for k, cut in enumerate(motion.mechanism.cut_joints):

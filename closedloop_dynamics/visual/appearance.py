@@ -22,9 +22,10 @@ apart; all of them can be told apart by colour-blind readers, too.
 """
 
 import numpy as np
+from scipy.spatial import ConvexHull
 
 from ..mechanism.decomposition import decompose
-from ..mechanism.mechanism import GROUND, PRISMATIC
+from ..mechanism.mechanism import CYLINDRICAL, GROUND, HELICAL, PRISMATIC, REVOLUTE
 
 # Okabe and Ito's palette: subsystems in turn, and what has a colour of its own.
 SUBSYSTEM_COLORS = ('#0072B2', '#E69F00', '#009E73', '#56B4E9', '#CC79A7')
@@ -64,12 +65,13 @@ def outline(mechanism, body):
         hull of its joints, cut joints and named points, counter-clockwise.
 
     """
+    return convex_hull(marked_points(mechanism, body))
+
+
+def convex_hull(points):
+    """Return the convex hull of points in the plane (Andrew's monotone chain)."""
     # Sorted, so that all on one line are in order along it.
-    return _convex_hull(marked_points(mechanism, body))
-
-
-def _convex_hull(points):
-    """Return the convex hull of sorted points (Andrew's monotone chain)."""
+    points = np.unique(points, axis=0)
     if len(points) < 3:
         return points
     flat = FLAT * np.ptp(points, axis=0).max() ** 2
@@ -88,6 +90,58 @@ def _turn(first, second, third):
     """Return twice the area of a triangle, positive counter-clockwise."""
     (x, y), (u, v) = second - first, third - first
     return x * v - y * u
+
+
+def solid(points):
+    """
+    Return edges and faces of a body in space, through all its points.
+
+    Parameters
+    ----------
+    points : ndarray, shape (m, 3)
+        Each once [m].
+
+    Returns
+    -------
+    edges : list of tuple of 2 int
+        Indices of points; of a body of less than two points none.
+    faces : list of tuple of 3 int
+        Triangles of the convex hull; those of a flat body lie in its plane, a bar has none.
+
+    """
+    _, lengths, directions = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)
+    depth = int(np.sum(lengths > FLAT * lengths.max(initial=0.0)))
+    if depth == 0:
+        return [], []
+    if depth == 3:
+        faces = [tuple(face) for face in ConvexHull(points).simplices.tolist()]
+        pairs = {tuple(sorted(pair)) for a, b, c in faces for pair in ((a, b), (b, c), (c, a))}
+        return sorted(pairs), faces
+    along = points @ directions[0]
+    if depth == 1:
+        return [(int(np.argmin(along)), int(np.argmax(along)))], []
+    flat = np.column_stack([along, points @ directions[1]])
+    corners = [int(np.argmin(np.linalg.norm(flat - corner, axis=1)))
+               for corner in convex_hull(flat)]
+    return (list(zip(corners, [*corners[1:], corners[0]])),
+            [(corners[0], *pair) for pair in zip(corners[1:], corners[2:])])
+
+
+def joint_axes(mechanism):
+    """
+    Return the axes that bodies in space turn about.
+
+    Returns
+    -------
+    list of (str, ndarray, ndarray)
+        A body, and in its frame a place on the axis [m] and its direction, of length one.
+
+    """
+    found = [(joint.child, np.zeros(3), joint.axis) for joint in mechanism.joints
+             if joint.type in (REVOLUTE, CYLINDRICAL, HELICAL)]
+    found += [(cut.body_a, np.array(cut.point_a), cut.axis_a) for cut in mechanism.cut_joints
+              if cut.type in (REVOLUTE, CYLINDRICAL) and cut.body_a != GROUND]
+    return [(body, place, axis / np.linalg.norm(axis)) for body, place, axis in found]
 
 
 def body_colors(mechanism):

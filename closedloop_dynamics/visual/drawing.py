@@ -12,9 +12,15 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Draw any planar mechanism from its description; ``appearance`` says what it looks like."""
+"""
+Draw any mechanism from its description; ``appearance`` says what it looks like.
+
+A mechanism in space is drawn as it is seen in a view: lines and outlines of projected points.
+
+"""
 
 from dataclasses import dataclass
+from typing import Optional
 
 from matplotlib.colors import to_rgb
 from matplotlib.lines import Line2D
@@ -22,18 +28,30 @@ from matplotlib.patches import Polygon
 import matplotlib.patheffects
 import numpy as np
 
-from .appearance import body_colors, CUT_COLOR, FORCE_COLOR, outline, PATH_COLOR, sliders
-from .motion import named_point, pose_of, world_points
+from .appearance import (
+    body_colors, convex_hull, CUT_COLOR, FORCE_COLOR, joint_axes, marked_points, outline,
+    PATH_COLOR, sliders)
+from .motion import force_of, named_point, pose_of, world_points
+from .views import PLANE
 from ..mechanism.mechanism import GROUND, PRISMATIC
 
 # Length of the longest force arrow, as a share of the picture's extent.
 ARROW_SIZE = 0.22
-LINK_WIDTH = 5.0
+# In space the bodies are many, and what slides in another is thinner than that.
+LINK_WIDTH, SPATIAL_WIDTH, ROD_WIDTH = 5.0, 4.0, 2.2
+# In space: length of the lines along axes of joints, as a share of the picture's extent, and how
+# much nearer bodies are drawn above those behind them.
+AXIS_LENGTH, DEPTH_LAYERS = 0.09, 0.4
+AXIS_DASHES = (0, (8, 2, 1, 2))
+# Of the floor in a perspective: lines across the extent, about, and the room below what moves.
+FLOOR_LINES, FLOOR_ROOM = 6, 0.03
 INK = '#333333'
 # Of a pivot's triangle, and of the block of a slider, as shares of the picture's extent.
 PIVOT_SIZE, SLIDER_SIZE = 0.035, 0.04
 # Above the positions in the background, below the strong one.
 GROUND_LAYER = 24.0
+# In space the ground is no body: behind all of them.
+GROUND_BEHIND = 5.0
 PALEST = 0.18
 
 
@@ -42,11 +60,15 @@ class Part:
     """A line, a polygon or dots that move with bodies."""
 
     artist: object  # Matplotlib.lines.Line2D or matplotlib.patches.Polygon
-    points: tuple  # Shape (m, 2): names of bodies, and places in their frames [m]
+    points: tuple  # Names of bodies, and places in their frames, shape (m, 2) or (m, 3) [m]
+    solid: bool = False  # Whether a polygon is the outline of all points, which turns with them
+    layer: Optional[float] = None  # Where what is nearer covers what is farther
 
     def place(self, places):
-        """Move it to places in the world, shape (m, 2) [m]."""
-        if isinstance(self.artist, Polygon):
+        """Move it to places in the picture, shape (m, 2) [m]."""
+        if self.solid:
+            self.artist.set_xy(convex_hull(places))
+        elif isinstance(self.artist, Polygon):
             self.artist.set_xy(places)
         else:
             self.artist.set_data(*places.T)
@@ -56,7 +78,16 @@ class MechanismArtist:
     """
     Draws one mechanism into one pair of axes.
 
-    ``poses``: shape (n, nb, 3); all poses that will be drawn; they fix the extent of the picture.
+    Parameters
+    ----------
+    axes : matplotlib.axes.Axes
+        Where to draw.
+    mechanism : mechanism.mechanism.Mechanism
+        What is drawn.
+    poses : ndarray, shape (n, nb, 3), in space (n, nb, 7)
+        All that will be drawn; they fix the extent of the picture.
+    view : View
+        From where.
 
     Attributes
     ----------
@@ -65,23 +96,31 @@ class MechanismArtist:
 
     """
 
-    def __init__(self, axes, mechanism, poses):
+    def __init__(self, axes, mechanism, poses, view=PLANE):
         """Find outlines and extent; draw nothing yet."""
         self.axes = axes
         self.mechanism = mechanism
         self.poses = poses
-        self.outlines = {body.name: outline(mechanism, body.name) for body in mechanism.bodies}
+        self.view = view
+        of_body = outline if mechanism.planar else marked_points
+        self.outlines = {body.name: of_body(mechanism, body.name) for body in mechanism.bodies}
         self.color = body_colors(mechanism)
         self.sliders = sliders(mechanism)
-        places = np.concatenate([
-            world_points(pose_of(mechanism, poses, name), points).reshape(-1, 2)
-            for name, points in self.outlines.items()])
-        self.extent = float(np.ptp(places, axis=0).max()) or 1.0
+        # How far names are apart at least, as a share of the extent: in space many cuts are seen
+        # close to each other.
+        self._apart = 1e-3 if mechanism.planar else 0.08
+        self.massless = {body.name: body.massless for body in mechanism.bodies}
+        everything = all_places(mechanism, poses)
+        self.extent = float(np.ptp(everything, axis=0).max()) or 1.0
+        places = view.project(everything)
         axes.set_aspect('equal')
-        axes.set_xlabel('x [m]')
-        axes.set_ylabel('y [m]')
-        axes.set_axisbelow(True)
-        axes.grid(color='0.93')
+        if view.labels:
+            axes.set_xlabel(view.labels[0])
+            axes.set_ylabel(view.labels[1])
+            axes.set_axisbelow(True)
+            axes.grid(color='0.93')
+        else:
+            axes.axis('off')
         # Room around what moves, for pivots and arrows.
         axes.update_datalim([places.min(axis=0) - 0.06 * self.extent,
                              places.max(axis=0) + 0.06 * self.extent])
@@ -89,7 +128,10 @@ class MechanismArtist:
 
     def ground(self):
         """Draw what stands still."""
-        draw_ground(self.axes, self.mechanism, self.poses, self.extent)
+        if self.mechanism.planar:
+            draw_ground(self.axes, self.mechanism, self.poses, self.extent)
+        else:
+            draw_spatial_ground(self)
 
     def bodies(self, index, strength=1.0):
         """
@@ -103,26 +145,40 @@ class MechanismArtist:
         for body in self.mechanism.bodies:
             parts += self._body(body.name, strength, layer)
         for driven in (True, False):
-            ends = tuple((joint.child, ((0.0, 0.0),)) for joint in self.mechanism.joints
+            origin = len(self.mechanism.joints[0].position) * (0.0,)
+            ends = tuple((joint.child, (origin,)) for joint in self.mechanism.joints
                          if joint.type != PRISMATIC and joint.actuated == driven)
             parts.append(Part(self._dots(INK if driven else 'white', INK, 6.5 if driven else 5.0,
                                          strength, layer), ends))
+        if not self.mechanism.planar and strength == 1.0:
+            parts += self._axes_of_joints(layer)
         parts.append(Part(
             self._dots('white', CUT_COLOR, 7.5, strength, layer, edge_width=2.2),
             tuple((cut.body_a, (cut.point_a,)) for cut in self.mechanism.cut_joints)))
         for part in parts:
             part.place(self.places(part)[index])
+            if part.layer is not None:
+                part.artist.set_zorder(self.layers(part)[index])
         return parts
 
     def places(self, part):
-        """Return where a part is in each pose, shape (n, m, 2) [m]."""
+        """Return where a part is seen in each pose, shape (n, m, 2) [m]."""
+        return self.view.project(self._world(part))
+
+    def layers(self, part):
+        """Return in which layer a part lies in each pose, shape (n,): the nearer, the higher."""
+        nearness = self.view.nearness(self._world(part)).mean(axis=1)
+        return part.layer + DEPTH_LAYERS * (0.5 + np.arctan(4.0 * nearness / self.extent) / np.pi)
+
+    def _world(self, part):
         places = [world_points(pose_of(self.mechanism, self.poses, body), points)
                   for body, points in part.points]
-        return np.concatenate([np.zeros((len(self.poses), 0, 2)), *places], axis=1)
+        size = 2 if self.mechanism.planar else 3
+        return np.concatenate([np.zeros((len(self.poses), 0, size)), *places], axis=1)
 
     def path(self, name):
         """Draw the path of a named point over all poses."""
-        places = named_point(self.mechanism, self.poses, name)
+        places = self.view.project(named_point(self.mechanism, self.poses, name))
         self.axes.plot(*places.T, color=PATH_COLOR, linewidth=1.6, zorder=31)
         return places
 
@@ -139,7 +195,7 @@ class MechanismArtist:
         ----------
         index : int
             Of the pose.
-        forces : ndarray, shape (number of cut joints, 3)
+        forces : ndarray, shape (number of cut joints, 3), in space (number of cut joints, 6)
             Moment [N m] and force [N].
         largest : float
             The force [N] that gets the longest arrow.
@@ -163,18 +219,20 @@ class MechanismArtist:
         """Return where the arrow of each cut joint starts and ends; see ``forces``."""
         scale = ARROW_SIZE * self.extent / largest if largest > 0.0 else 0.0
         starts = [self._cut_place(cut, self.poses[index]) for cut in self.mechanism.cut_joints]
-        return [(start, start + scale * np.array(force))
-                for start, (_, *force) in zip(starts, forces)]
+        return [(self.view.project(start), self.view.project(start + scale * force_of(wrench)))
+                for start, wrench in zip(starts, forces)]
 
     def cut_names(self, index, forces):
         """Write the names of the cut joints beside them, where the force arrows do not go."""
         written = {}
-        for cut, (_, *force) in zip(self.mechanism.cut_joints, forces):
-            place = self._cut_place(cut, self.poses[index])
-            key = tuple(np.round(place / self.extent, 3))
+        for cut, wrench in zip(self.mechanism.cut_joints, forces):
+            place, force = self._cut_place(cut, self.poses[index]), force_of(wrench)
+            ahead = place + 0.01 * self.extent * force / (np.linalg.norm(force) or 1.0)
+            seen = self.view.project(place)
+            key = tuple(np.round(seen / self.extent / self._apart) * self._apart)
             names, arrows = written.setdefault(key, ([], []))
             names.append(cut.name)
-            arrows.append(np.array(force) / (np.hypot(*force) or 1.0))
+            arrows.append(self.view.project(ahead) - seen)
         for place, (names, arrows) in written.items():
             right, up = -np.sum(arrows, axis=0)
             self.axes.annotate(
@@ -211,6 +269,8 @@ class MechanismArtist:
         style = {'facecolor': mixed(color, 0.35 * strength), 'joinstyle': 'round',
                  'edgecolor': mixed(color, 0.75 * strength), 'zorder': layer}
         parts = []
+        if not self.mechanism.planar:
+            return self._spatial_body(name, style, layer)
         if len(points) > 2:
             parts.append(Part(self.axes.add_patch(Polygon(points, linewidth=2.2, **style)),
                               ((name, points),)))
@@ -225,6 +285,35 @@ class MechanismArtist:
                               ((name, block),)))
         return parts
 
+    def _spatial_body(self, name, style, layer):
+        """Return the outline of a body in space, a line, or a block that shows no turn."""
+        points, slides = self.outlines[name], name in self.sliders
+        place = ((name, points),)
+        if len(points) > 2:
+            shape = self.axes.add_patch(Polygon(np.zeros((1, 2)), linewidth=1.6, **style))
+            return [Part(shape, place, solid=True, layer=layer)]
+        line = {'color': style['edgecolor'], 'zorder': layer}
+        if len(points) == 2:
+            shape, = self.axes.plot([], [], linewidth=ROD_WIDTH if slides else SPATIAL_WIDTH,
+                                    solid_capstyle='round', **line)
+        elif self.massless[name]:
+            return []
+        else:
+            shape, = self.axes.plot([], [], marker='s', markersize=7.0, linestyle='none',
+                                    **line)
+        return [Part(shape, place, layer=layer)]
+
+    def _axes_of_joints(self, layer):
+        """Return lines along the axes that bodies turn about."""
+        reach = AXIS_LENGTH * self.extent
+        parts = []
+        for body, place, axis in joint_axes(self.mechanism):
+            along = reach * axis
+            line, = self.axes.plot([], [], color=INK, linewidth=0.9, linestyle=AXIS_DASHES,
+                                   zorder=layer + 0.45)
+            parts.append(Part(line, ((body, (place - along, place + along)),)))
+        return parts
+
     def _dots(self, face, edge, size, strength, layer, edge_width=1.3):
         dots, = self.axes.plot([], [], marker='o', markersize=size, zorder=layer + 0.5,
                                linestyle='none', markerfacecolor=mixed(face, strength),
@@ -237,6 +326,19 @@ class MechanismArtist:
 
 def _halo():
     return [matplotlib.patheffects.withStroke(linewidth=2.5, foreground='white')]
+
+
+def all_places(mechanism, poses):
+    """
+    Return all places that points of bodies come to, shape (m, 2), in space (m, 3) [m].
+
+    ``poses``: shape (n, nb, 3), in space (n, nb, 7); of the bodies.
+
+    """
+    of_body = outline if mechanism.planar else marked_points
+    places = [world_points(pose_of(mechanism, poses, body.name), of_body(mechanism, body.name))
+              for body in mechanism.bodies]
+    return np.concatenate([each.reshape(-1, each.shape[-1]) for each in places])
 
 
 def mixed(color, strength):
@@ -268,6 +370,59 @@ def draw_ground(axes, mechanism, poses, extent):
             _draw_rail(axes, np.array(place), axis, along, SLIDER_SIZE * extent)
         else:
             _draw_pivot(axes, np.array(place), PIVOT_SIZE * extent)
+
+
+def draw_spatial_ground(artist):
+    """
+    Draw what stands still in space: what joints stand on, and a floor where lengths go astray.
+
+    ``artist`` is the MechanismArtist that draws the rest.
+
+    """
+    axes, view, mechanism = artist.axes, artist.view, artist.mechanism
+    if view.distance is not None:
+        _draw_floor(artist)
+    feet = [joint.position for joint in mechanism.joints if joint.parent == GROUND]
+    feet += [cut.point_a for cut in mechanism.cut_joints if cut.body_a == GROUND]
+    feet += [cut.point_b for cut in mechanism.cut_joints if cut.body_b == GROUND]
+    feet = convex_hull(view.project(np.array(feet)))
+    if len(feet) > 2:
+        axes.add_patch(Polygon(feet, facecolor='0.93', edgecolor='0.6', hatch='////',
+                               linewidth=1.2, joinstyle='round', zorder=GROUND_BEHIND))
+    axes.plot(*feet.T, color='0.6', linewidth=5.0 if len(feet) == 2 else 0.0, marker='s',
+              markersize=9.0, zorder=GROUND_BEHIND + 0.1)
+
+
+def _draw_floor(artist):
+    """Draw a grid below a mechanism, with the directions of the world's axes on it."""
+    places = all_places(artist.mechanism, artist.poses)
+    low, high = places.min(axis=0), places.max(axis=0)
+    rough = artist.extent / FLOOR_LINES
+    power = 10.0 ** np.floor(np.log10(rough))
+    step = power * next(each for each in (1.0, 2.0, 5.0, 10.0) if each * power >= rough)
+    first = np.floor(low[:2] / step) * step
+    last = np.ceil(high[:2] / step) * step
+    height = low[2] - FLOOR_ROOM * artist.extent
+    project = artist.view.project
+
+    def line(start, end, **style):
+        seen = project(np.array([start, end]))
+        artist.axes.plot(*seen.T, **style)
+        artist.axes.update_datalim(seen)
+
+    pale = {'color': '0.88', 'linewidth': 0.8, 'zorder': 1.0}
+    for x in np.arange(first[0], last[0] + 0.5 * step, step):
+        line((x, first[1], height), (x, last[1], height), **pale)
+    for y in np.arange(first[1], last[1] + 0.5 * step, step):
+        line((first[0], y, height), (last[0], y, height), **pale)
+    corner = np.array([*first, height])
+    for along, name in zip(step * np.eye(3), 'xyz'):
+        line(corner, corner + along, color='0.35', linewidth=1.4, zorder=1.5)
+        artist.axes.text(*project(corner + 1.35 * along), name, color='0.35', fontsize=9,
+                         ha='center', va='center')
+    artist.axes.text(0.5, -0.02, f'grid: {step:g} m', transform=artist.axes.transAxes,
+                     color='0.35', fontsize=9, ha='center', va='top')
+    artist.axes.autoscale_view()
 
 
 def _on_ground(mechanism):

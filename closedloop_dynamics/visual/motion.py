@@ -18,7 +18,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..mechanism.mechanism import GROUND, PRISMATIC, REVOLUTE
+from ..mechanism.mechanism import (
+    CYLINDRICAL, FIXED, FREE, GROUND, HELICAL, JOINT_FREEDOMS, PLANAR, PRISMATIC, REVOLUTE,
+    SPHERICAL, UNIVERSAL, UNTURNED)
+
+_AXES = np.eye(3)
 
 
 @dataclass(frozen=True)
@@ -44,7 +48,12 @@ def wrench_parts(mechanism):
 
 def magnitudes(wrenches):
     """Return the magnitudes of the forces in wrenches of shape (..., 3), in space (..., 6)."""
-    return np.linalg.norm(wrenches[..., wrenches.shape[-1] // 2:], axis=-1)
+    return np.linalg.norm(force_of(wrenches), axis=-1)
+
+
+def force_of(wrenches):
+    """Return the forces in wrenches, moments first, of shape (..., 3), in space (..., 6)."""
+    return wrenches[..., wrenches.shape[-1] // 2:]
 
 
 def from_rows(mechanism, names, rows):
@@ -67,38 +76,104 @@ def body_poses(mechanism, position):
     """
     Place the bodies.
 
-    ``position``: shape (..., nv); joint coordinates [rad or m].
+    Parameters
+    ----------
+    mechanism : mechanism.mechanism.Mechanism
+        Whose bodies these are.
+    position : array_like, shape (..., nv)
+        Joint coordinates [rad or m]; in space (..., nq), joint after joint: of a spherical joint
+        the quaternion x, y, z, w, of a free one x, y, z before it, of a planar one x, y and
+        angle, of a cylindrical one angle and displacement.
 
     Returns
     -------
     ndarray, shape (..., nb, 3)
-        x, y [m] and angle [rad] of each body, in the mechanism's order of bodies.
+        x, y [m] and angle [rad] of each body, in the mechanism's order of bodies. In space
+        (..., nb, 7): x, y, z [m] and the unit quaternion x, y, z, w.
 
     """
-    mechanism.require_planar('a picture')
     position = np.asarray(position, dtype=float)
-    joints = {joint.child: (joint, position[..., index])
-              for index, joint in enumerate(mechanism.joints)}
-    placed = {GROUND: np.zeros((*position.shape[:-1], 3))}
+    numbers = np.cumsum([0, *(number_of_coordinates(joint) for joint in mechanism.joints)])
+    joints = {joint.child: (joint, position[..., first:end])
+              for joint, first, end in zip(mechanism.joints, numbers, numbers[1:])}
+    moved = _child_pose if mechanism.planar else _child_pose_in_space
+    placed = {GROUND: _ground(mechanism, position.shape[:-1])}
 
     def pose(body):
         if body not in placed:
-            joint, coordinate = joints[body]
-            placed[body] = _child_pose(pose(joint.parent), joint, coordinate)
+            joint, coordinates = joints[body]
+            placed[body] = moved(pose(joint.parent), joint, coordinates)
         return placed[body]
 
     return np.stack([pose(body.name) for body in mechanism.bodies], axis=-2)
 
 
-def _child_pose(parent, joint, coordinate):
+def number_of_coordinates(joint):
+    """Return how many coordinates a joint has: one more than freedoms where it turns freely."""
+    return JOINT_FREEDOMS[joint.type] + (joint.type in (SPHERICAL, FREE))
+
+
+def _ground(mechanism, shape):
+    """Return the pose of the ground, as often as a shape says."""
+    return np.broadcast_to(
+        np.zeros(3) if mechanism.planar else (0.0, 0.0, 0.0, *UNTURNED),
+        (*shape, 3 if mechanism.planar else 7))
+
+
+def _child_pose(parent, joint, coordinates):
     origin = world_points(parent, joint.position)
     angle = parent[..., 2] + joint.angle
     if joint.type == PRISMATIC:
         along = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-        origin = origin + coordinate[..., np.newaxis] * along
+        origin = origin + coordinates * along
     else:
-        angle = angle + coordinate
+        angle = angle + coordinates[..., 0]
     return np.concatenate([origin, angle[..., np.newaxis]], axis=-1)
+
+
+def _child_pose_in_space(parent, joint, coordinates):
+    origin = world_points(parent, joint.position)
+    turn = composed(parent[..., 3:], np.array(joint.orientation))
+    axis = None if joint.axis is None else np.array(joint.axis) / np.linalg.norm(joint.axis)
+    first, last = coordinates[..., :1], coordinates[..., -1:]
+    if joint.type in (PRISMATIC, CYLINDRICAL):
+        origin = origin + last * rotated(turn, axis)
+    elif joint.type == HELICAL:
+        origin = origin + joint.lead * first * rotated(turn, axis)
+    elif joint.type == PLANAR:
+        origin = origin + rotated(turn, coordinates * (1.0, 1.0, 0.0))
+    elif joint.type == FREE:
+        origin = origin + rotated(turn, coordinates[..., :3])
+    if joint.type in (REVOLUTE, CYLINDRICAL, HELICAL, UNIVERSAL):
+        turn = composed(turn, _turn_about(axis, first))
+    if joint.type == UNIVERSAL:
+        second = np.array(joint.second_axis) / np.linalg.norm(joint.second_axis)
+        turn = composed(turn, _turn_about(second, last))
+    elif joint.type == PLANAR:
+        turn = composed(turn, _turn_about(_AXES[2], last))
+    elif joint.type in (SPHERICAL, FREE):
+        own = coordinates[..., -4:]
+        turn = composed(turn, own / np.linalg.norm(own, axis=-1, keepdims=True))
+    return np.concatenate([origin, turn], axis=-1)
+
+
+def _turn_about(axis, angle):
+    """Return the quaternions of turns [rad], shape (..., 1), about a unit axis."""
+    return np.concatenate([np.sin(0.5 * angle) * axis, np.cos(0.5 * angle)], axis=-1)
+
+
+def composed(first, second):
+    """Return products of quaternions x, y, z, w, shapes (..., 4): first after second."""
+    a, b = first[..., :3], second[..., :3]
+    v, w = first[..., 3:], second[..., 3:]
+    return np.concatenate([
+        v * b + w * a + np.cross(a, b), v * w - np.sum(a * b, axis=-1, keepdims=True)], axis=-1)
+
+
+def rotated(quaternion, vectors):
+    """Return vectors, shape (..., 3), turned by unit quaternions, shape (..., 4)."""
+    vector, scalar = quaternion[..., :3], quaternion[..., 3:]
+    return vectors + 2.0 * np.cross(vector, np.cross(vector, vectors) + scalar * vectors)
 
 
 def world_points(pose, points):
@@ -108,18 +183,20 @@ def world_points(pose, points):
     Parameters
     ----------
     pose : ndarray, shape (..., 3)
-        x, y, angle of the body.
+        x, y, angle of the body; in space (..., 7), x, y, z and quaternion.
     points : sequence, shape (2,) or (m, 2)
-        In the body's frame [m].
+        In the body's frame [m]; in space of three numbers each.
 
     Returns
     -------
-    ndarray, shape (..., 2) or (..., m, 2)
+    ndarray, shape (..., 2) or (..., m, 2), in space (..., 3) or (..., m, 3)
 
     """
     points = np.asarray(points, dtype=float)
     if points.ndim == 2:
         pose = pose[..., np.newaxis, :]
+    if pose.shape[-1] == 7:
+        return pose[..., :3] + rotated(pose[..., 3:], points)
     cosine, sine = np.cos(pose[..., 2]), np.sin(pose[..., 2])
     return np.stack([pose[..., 0] + cosine * points[..., 0] - sine * points[..., 1],
                      pose[..., 1] + sine * points[..., 0] + cosine * points[..., 1]], axis=-1)
@@ -127,9 +204,9 @@ def world_points(pose, points):
 
 def named_point(mechanism, poses, name):
     """
-    Return the places of a named point, shape (..., 2).
+    Return the places of a named point, shape (..., 2), in space (..., 3).
 
-    ``poses``: shape (..., nb, 3); of the bodies.
+    ``poses``: shape (..., nb, 3), in space (..., nb, 7); of the bodies.
 
     """
     point = next(point for point in mechanism.points if point.name == name)
@@ -139,7 +216,7 @@ def named_point(mechanism, poses, name):
 def pose_of(mechanism, poses, body):
     """Return the poses of one body, or of the ground, out of those of all."""
     if body == GROUND:
-        return np.zeros((*poses.shape[:-2], 3))
+        return _ground(mechanism, poses.shape[:-2])
     return poses[..., [one.name for one in mechanism.bodies].index(body), :]
 
 
@@ -147,26 +224,56 @@ def closure_errors(mechanism, poses):
     """
     Return the errors of all closure equations, from the description alone.
 
-    ``poses``: shape (..., nb, 3); as ``body_poses`` returns them.
+    ``poses``: shape (..., nb, 3), in space (..., nb, 7); as ``body_poses`` returns them.
 
     Returns
     -------
     list of ndarray, shape (...)
-        One for each equation [m or rad].
+        One for each equation [m or rad]; in space three for a direction that is kept, [m] or
+        sines of angles.
 
     """
     errors = []
+    of_cut = _planar_errors if mechanism.planar else _spatial_errors
     for cut in mechanism.cut_joints:
         pose_a, pose_b = (pose_of(mechanism, poses, body) for body in (cut.body_a, cut.body_b))
         gap = world_points(pose_a, cut.point_a) - world_points(pose_b, cut.point_b)
-        if cut.type == PRISMATIC:
-            axis = pose_b[..., 2] + cut.angle
-            errors.append(gap[..., 1] * np.cos(axis) - gap[..., 0] * np.sin(axis))
-        else:
-            errors += [gap[..., 0], gap[..., 1]]
-        if cut.type != REVOLUTE:
-            errors.append(pose_a[..., 2] - pose_b[..., 2] - cut.angle)
+        errors += of_cut(cut, pose_a, pose_b, gap)
     return errors
+
+
+def _planar_errors(cut, pose_a, pose_b, gap):
+    errors = []
+    if cut.type == PRISMATIC:
+        axis = pose_b[..., 2] + cut.angle
+        errors.append(gap[..., 1] * np.cos(axis) - gap[..., 0] * np.sin(axis))
+    else:
+        errors += [gap[..., 0], gap[..., 1]]
+    if cut.type != REVOLUTE:
+        errors.append(pose_a[..., 2] - pose_b[..., 2] - cut.angle)
+    return errors
+
+
+def _spatial_errors(cut, pose_a, pose_b, gap):
+    along_a, along_b = (
+        None if axis is None else rotated(pose[..., 3:], np.array(axis) / np.linalg.norm(axis))
+        for pose, axis in ((pose_a, cut.axis_a), (pose_b, cut.axis_b)))
+    if cut.type in (PRISMATIC, CYLINDRICAL):
+        vectors = [np.cross(gap, along_b)]
+    elif cut.type == PLANAR:
+        vectors = [np.sum(gap * along_b, axis=-1, keepdims=True)]
+    else:
+        vectors = [gap]
+    if cut.type in (REVOLUTE, CYLINDRICAL, PLANAR):
+        vectors.append(np.cross(along_a, along_b))
+    elif cut.type == UNIVERSAL:
+        vectors.append(np.sum(along_a * along_b, axis=-1, keepdims=True))
+    elif cut.type in (PRISMATIC, FIXED):
+        # The turn that is left of body A's frame against where the joint holds it.
+        held = composed(pose_b[..., 3:], np.array(cut.orientation))
+        left = composed(held * (-1.0, -1.0, -1.0, 1.0), pose_a[..., 3:])
+        vectors.append(2.0 * left[..., 3:] * left[..., :3])
+    return [vector[..., k] for vector in vectors for k in range(vector.shape[-1])]
 
 
 def closure(mechanism, position):

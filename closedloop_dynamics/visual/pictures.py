@@ -19,9 +19,10 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import SymmetricalLogLocator
 import numpy as np
 
-from .drawing import MechanismArtist
+from .drawing import all_places, MechanismArtist
 from .motion import body_poses, magnitudes
-from ..mechanism.mechanism import PRISMATIC, REVOLUTE
+from .views import FRONT, perspective, PLANE, SIDE, TOP
+from ..mechanism.mechanism import PRISMATIC, REVOLUTE, SPHERICAL
 
 # Okabe and Ito's palette, its yellow darkened; with the dashes, 21 lines can be told apart.
 COLORS = ('#0072B2', '#D55E00', '#009E73', '#CC79A7', '#56B4E9', '#B8A200', '#333333')
@@ -31,6 +32,8 @@ WANTED = {'color': '#D55E00', 'linewidth': 1.1, 'linestyle': (0, (4, 3))}
 TURN = 2.0 * np.pi
 # Poses looked at when positions to draw are chosen.
 POSE_CANDIDATES = 400
+# In space: positions in one picture, and its width and the height of its views [inch].
+MOST_IN_SPACE, SPATIAL_WIDTH, SPATIAL_HEIGHT = 3, 10.0, 8.5
 
 
 def joint_motion(motion, title, wanted=None):
@@ -89,9 +92,12 @@ def joint_motion(motion, title, wanted=None):
 
 def constraint_forces(motion, title):
     """Draw the constraint force of every cut joint over time."""
+    if not motion.mechanism.planar:
+        return _spatial_forces(motion, title)
     cuts = motion.mechanism.cut_joints
     torques = [k for k, cut in enumerate(cuts) if cut.type != REVOLUTE]
     figure, rows = _panels(len(cuts) + bool(torques), title)
+    rows = rows[:, 0]
     for k, (axes, cut) in enumerate(zip(rows, cuts)):
         _, x, y = motion.forces[:, k].T
         axes.plot(motion.time, x, label='x', **_style(0))
@@ -106,6 +112,30 @@ def constraint_forces(motion, title):
     if torques:
         rows[-1].set_ylabel('torque [N m]')
         _legend_beside(rows[-1])
+    return figure
+
+
+def _spatial_forces(motion, title):
+    """Draw force and, where there is one, moment of every cut joint in space over time."""
+    cuts = motion.mechanism.cut_joints
+    moments = [cut.type != SPHERICAL for cut in cuts]
+    figure, rows = _panels(len(cuts), title, 1 + any(moments))
+    for k, (row, cut) in enumerate(zip(rows, cuts)):
+        halves = motion.forces[:, k, 3:], motion.forces[:, k, :3]
+        for axes, values, unit, shown in zip(row, halves, ('[N]', 'moment [N m]'),
+                                             (True, moments[k])):
+            if not shown:
+                axes.axis('off')
+                continue
+            for n, component in enumerate(values.T):
+                axes.plot(motion.time, component, label='xyz'[n], **_style(n))
+            axes.plot(motion.time, np.linalg.norm(values, axis=1), label='magnitude',
+                      color='0.35', linestyle='--', linewidth=1.1)
+            axes.set_ylabel(unit)
+        row[0].set_ylabel(f'{cut.name} [N]')
+        row[0].set_title(
+            f'on {cut.body_a}, by {cut.body_b}', fontsize=9, color='0.35', loc='right')
+        _legend_beside(row[-1] if moments[k] else row[0])
     return figure
 
 
@@ -125,26 +155,33 @@ def positions(motion, title, point=None, count=5):
         How many positions.
 
     """
-    poses = body_poses(motion.mechanism, motion.position)
-    if point is None and motion.mechanism.points:
-        point = motion.mechanism.points[0].name
+    mechanism = motion.mechanism
+    poses = body_poses(mechanism, motion.position)
+    if point is None and mechanism.points:
+        point = mechanism.points[0].name
+    views = [PLANE] if mechanism.planar else [
+        FRONT, SIDE, TOP, perspective(all_places(mechanism, poses))]
     figure = matplotlib.figure.Figure(layout='constrained', dpi=DOTS_PER_INCH)
-    axes = figure.add_subplot()
-    artist = MechanismArtist(axes, motion.mechanism, poses)
-    artist.ground()
-    chosen = spread_positions(poses, count)
-    for rank, index in enumerate(chosen, 1):
-        artist.bodies(index, (rank / len(chosen)) ** 1.5)
+    panels = figure.subplots(*((1, 1) if mechanism.planar else (2, 2)), squeeze=False).flat
+    chosen = spread_positions(poses, count if mechanism.planar else min(count, MOST_IN_SPACE))
     last = chosen[-1]
-    if point is not None:
-        artist.mark(artist.path(point)[last])
     forces = motion.forces[last]
     # Forces that were not recorded are no numbers.
     known = bool(np.isfinite(forces).all())
-    largest = np.hypot(*forces[:, 1:].T).max(initial=0.0) if known else 0.0
-    if known:
-        artist.forces(last, forces, largest)
-    artist.cut_names(last, np.nan_to_num(forces))
+    largest = magnitudes(forces).max(initial=0.0) if known else 0.0
+    for axes, view in zip(panels, views):
+        artist = MechanismArtist(axes, mechanism, poses, view)
+        if view.name:
+            axes.set_title(view.name, fontsize=10, loc='left')
+        artist.ground()
+        for rank, index in enumerate(chosen, 1):
+            artist.bodies(index, (rank / len(chosen)) ** 1.5)
+        if point is not None:
+            artist.mark(artist.path(point)[last])
+        if known:
+            artist.forces(last, forces, largest)
+        if view is views[-1]:
+            artist.cut_names(last, np.nan_to_num(forces))
     times = ', '.join(f'{motion.time[index]:.2f}' for index in chosen)
     figure.suptitle(title, fontweight='bold', x=0.02, ha='left')
     force = (f'force on body A at {motion.time[last]:.2f} s: up to {largest:.3g} N\n'
@@ -152,14 +189,18 @@ def positions(motion, title, point=None, count=5):
     figure.legend(handles=artist.legend_handles(point, force), loc='outside lower center',
                   ncols=4, fontsize=9, frameon=False, title_fontsize=9,
                   title=f'positions at {times} s, pale to strong')
-    (left, right), (low, high) = axes.get_xlim(), axes.get_ylim()
-    figure.set_size_inches(8.0, np.clip(7.0 * (high - low) / (right - left), 3.0, 8.5) + 1.5)
+    if mechanism.planar:
+        (left, right), (low, high) = axes.get_xlim(), axes.get_ylim()
+        height = np.clip(7.0 * (high - low) / (right - left), 3.0, 8.5)
+    else:
+        height = SPATIAL_HEIGHT
+    figure.set_size_inches(8.0 if mechanism.planar else SPATIAL_WIDTH, height + 1.5)
     return figure
 
 
 def _largest_force(motion):
     """Return the largest constraint force that is known [N]."""
-    return np.nanmax(np.hypot(motion.forces[..., 1], motion.forces[..., 2]))
+    return np.nanmax(magnitudes(motion.forces))
 
 
 def deviations(result, title):
@@ -173,7 +214,7 @@ def deviations(result, title):
         panels.append(('force [N]', magnitudes(forces),
                        [cut.name for cut in motion.mechanism.cut_joints]))
     figure, rows = _panels(len(panels), title)
-    for axes, (label, values, names) in zip(rows, panels):
+    for axes, (label, values, names) in zip(rows[:, 0], panels):
         for k, name in enumerate(names):
             axes.plot(motion.time, values[:, k], label=name, **_style(k))
         # Zero and rounding side by side with what is visible.
@@ -190,15 +231,22 @@ def spread_positions(poses, count):
     """
     Choose positions that differ most from each other; the last one is always among them.
 
-    ``poses``: shape (n, nb, 3); of the bodies.
+    ``poses``: shape (n, nb, 3), in space (n, nb, 7); of the bodies.
 
     """
     candidates = np.unique(np.linspace(0, len(poses) - 1, POSE_CANDIDATES).astype(int))
-    extent = np.ptp(poses[..., :2], axis=(0, 1)).max()
-    angle = poses[candidates, :, 2]
-    places = np.concatenate([
-        poses[candidates, :, 0], poses[candidates, :, 1],
-        0.3 * extent * np.cos(angle), 0.3 * extent * np.sin(angle)], axis=1)
+    if poses.shape[-1] == 3:
+        extent = np.ptp(poses[..., :2], axis=(0, 1)).max()
+        angle = poses[candidates, :, 2]
+        places = np.concatenate([
+            poses[candidates, :, 0], poses[candidates, :, 1],
+            0.3 * extent * np.cos(angle), 0.3 * extent * np.sin(angle)], axis=1)
+    else:
+        extent = np.ptp(poses[..., :3], axis=(0, 1)).max()
+        # A turn changes a quaternion by half as much.
+        places = np.concatenate([
+            poses[candidates, :, :3], 0.6 * extent * poses[candidates, :, 3:]], axis=2)
+        places = places.reshape(len(candidates), -1)
     chosen = [len(candidates) - 1]
     distance = np.full(len(candidates), np.inf)
     while len(chosen) < count:
@@ -209,15 +257,17 @@ def spread_positions(poses, count):
     return sorted(int(candidates[index]) for index in chosen)
 
 
-def _panels(count, title):
-    """Return a figure and its panels, one below the other with one time axis."""
+def _panels(count, title, columns=1):
+    """Return a figure and its panels, shape (count, columns), with one time axis."""
     figure = matplotlib.figure.Figure(
-        figsize=(9.0, 1.2 + 2.1 * max(count, 1)), layout='constrained', dpi=DOTS_PER_INCH)
-    rows = figure.subplots(max(count, 1), 1, sharex=True, squeeze=False)[:, 0]
+        figsize=(9.0 if columns == 1 else 12.0, 1.2 + 2.1 * max(count, 1)), layout='constrained',
+        dpi=DOTS_PER_INCH)
+    rows = figure.subplots(max(count, 1), columns, sharex=True, squeeze=False)
     figure.suptitle(title, fontweight='bold', x=0.02, ha='left')
-    for axes in rows:
+    for axes in rows.flat:
         _plain(axes)
-    rows[-1].set_xlabel('time [s]')
+    for axes in rows[-1]:
+        axes.set_xlabel('time [s]')
     figure.align_ylabels()
     return figure, rows
 

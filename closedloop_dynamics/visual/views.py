@@ -1,0 +1,88 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""From where a mechanism is seen: the plane itself, or projections of space onto pictures."""
+
+from dataclasses import dataclass
+import math
+from typing import Optional, Tuple
+
+import numpy as np
+
+# Of the perspective: angles about the vertical and above the horizon [rad], and the distance of
+# the eye, as a multiple of the extent of what is shown.
+AZIMUTH, ELEVATION, DISTANCE = math.radians(-60.0), math.radians(22.0), 3.0
+
+
+@dataclass(frozen=True)
+class View:
+    """
+    A projection.
+
+    Attributes
+    ----------
+    name : str
+        Title of its picture.
+    axes : tuple of 3 tuples of 3 floats, or None
+        Directions in the world of the picture's right, up and towards the eye; None: the picture
+        is the plane that the mechanism is in.
+    labels : tuple of 2 str
+        Of the picture's axes; empty where lengths cannot be read off.
+    center : tuple of 3 floats
+        Of what is shown [m]; of a perspective.
+    distance : float or None
+        From the centre to the eye [m]; None: parallel lines stay parallel.
+
+    """
+
+    name: str
+    axes: Optional[Tuple] = None
+    labels: Tuple[str, ...] = ()
+    center: Tuple[float, ...] = (0.0, 0.0, 0.0)
+    distance: Optional[float] = None
+
+    def project(self, places):
+        """Return where places, shape (..., 2) or (..., 3) [m], are seen, shape (..., 2)."""
+        if self.axes is None:
+            return places
+        seen = (places - self.center) @ np.array(self.axes).T
+        if self.distance is None:
+            return seen[..., :2]
+        return seen[..., :2] / (1.0 - seen[..., 2:] / self.distance)
+
+    def nearness(self, places):
+        """Return how far places, shape (..., 3), are towards the eye [m], shape (...)."""
+        return (places - self.center) @ np.array(self.axes[2])
+
+
+PLANE = View('', labels=('x [m]', 'y [m]'))
+FRONT = View('front', ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, -1.0, 0.0)), ('x [m]', 'z [m]'))
+SIDE = View('side', ((0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0)), ('y [m]', 'z [m]'))
+TOP = View('top', ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)), ('x [m]', 'y [m]'))
+
+
+def perspective(places):
+    """
+    Return the view of places from in front, from the right and from above.
+
+    ``places``: shape (n, 3) [m]; all that will be shown.
+
+    """
+    low, high = places.min(axis=0), places.max(axis=0)
+    sine, cosine = math.sin(AZIMUTH), math.cos(AZIMUTH)
+    up, out = math.sin(ELEVATION), math.cos(ELEVATION)
+    axes = ((-sine, cosine, 0.0), (-up * cosine, -up * sine, out),
+            (out * cosine, out * sine, up))
+    size = float(np.linalg.norm(high - low)) or 1.0
+    return View('perspective', axes, (), tuple(0.5 * (low + high)), DISTANCE * size)
