@@ -26,8 +26,10 @@ import re
 
 from closedloop_dynamics.effects.registry import EFFECTS
 from closedloop_dynamics.integration.registry import INTEGRATORS, STABILISATIONS
+from closedloop_dynamics.mechanism.expressions import FUNCTIONS
 from closedloop_dynamics.mechanism.fields import keys_of
 from closedloop_dynamics.mechanism.mechanism import Mechanism, UNTURNED
+from closedloop_dynamics.mechanism.shapes import SHAPES
 from closedloop_dynamics.mechanism.validation import SECTIONS
 from closedloop_dynamics.simulation.scene import INITIAL_KEYS, SCENE_KEYS
 from closedloop_dynamics.simulation.scene_records import AUTO, FORMULATIONS, Initial, Method
@@ -90,12 +92,25 @@ def table(record_type, keys):
 
 def page():
     """Return the whole page."""
-    lines = [HEAD, '## Mechanism', '', *_names(keys_of(Mechanism))]
+    lines = [HEAD, '## Mechanism', '', *_names(keys_of(Mechanism, leave_out=('source',)))]
     for section, (record_type, _) in SECTIONS.items():
         lines += ['', f'### An entry of `{section}`, by its name', '',
                   *table(record_type, keys_of(record_type, leave_out=('name',)))]
     lines += ['', 'Of a body with `massless: true`, `mass`, `center_of_mass` and `inertia` may be '
-              'left out.', '', '## Scene', '', *_names(SCENE_KEYS), '', '### `initial`', '',
+              'left out. A body may have a `shape` in the place of `center_of_mass` and '
+              '`inertia`, and a `density` [kg/m^3] in the place of `mass`. A shape is one of', '',
+              *(f'- `{shape}`, with ' + ', '.join(f'`{key}`' for key in required)
+                + ' and optionally ' + ', '.join(f'`{key}`' for key in optional)
+                for shape, (required, optional) in SHAPES.items()), '',
+              'in metres: a box has three lengths along the axes of the body, or of its own '
+              '`orientation`; a cylinder an axis; `center` is its centre of mass, by default the '
+              'origin of the body; a rod is a solid cylinder between two places, from the origin '
+              'and thin by default.', '', '### `parameters`', '',
+              'Numbers by name, of a mechanism and of a scene. Every other number may be an '
+              'expression of them, as text: numbers, `pi`, + - * / ** and brackets, and the '
+              'functions ' + ', '.join(f'`{name}`' for name in FUNCTIONS) + '. A scene gives '
+              'other values to the parameters of its mechanism, and may add its own.', '',
+              '## Scene', '', *_names(SCENE_KEYS), '', '### `initial`', '',
               *table(Initial, INITIAL_KEYS), '', '### `method`', '',
               *table(Method, keys_of(Method))]
     for kind, record_type in EFFECTS.items():

@@ -18,8 +18,8 @@ import sys
 
 import numpy as np
 
-from .command import Command, UsageError
-from ..mechanism.mechanism import Mechanism
+from .command import add_set, Command, UsageError, with_numbers
+from ..mechanism.mechanism import Mechanism, MechanismError
 from ..simulation.errors import NumericalError, SimulationError
 from ..simulation.scene import load_scene_or_mechanism
 from ..simulation.simulation import Simulation
@@ -31,17 +31,26 @@ def _add_arguments(parser):
     parser.add_argument(
         'scene', metavar='FILE_OR_SCENE',
         help='a shipped scene or mechanism by its name, or a YAML file')
+    add_set(parser)
 
 
 def _run(arguments):
     read = load_scene_or_mechanism(arguments.scene, in_space=True)
     if isinstance(read, Mechanism):
-        print(describe(read))
+        if arguments.set:
+            raise UsageError('--set: expected it with a scene, got a mechanism')
+        try:
+            print(describe(read))
+        except MechanismError as error:
+            raise UsageError(f'{arguments.scene}: {error}') from None
         return 0
+    read = with_numbers(read, arguments)
     try:
         with announced('Assembling (compiling takes half a minute the very first time) ...'):
             simulation = Simulation(read)
             _require_finite(simulation)
+    except MechanismError as error:
+        raise UsageError(f'{arguments.scene}: mechanism.{error}') from None
     except SimulationError as error:
         print(describe(read))
         raise UsageError(f'{arguments.scene}: {error}') from None

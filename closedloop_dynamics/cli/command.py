@@ -21,7 +21,10 @@ from pathlib import Path
 import sys
 from typing import Callable
 
+from ..mechanism.fields import FieldError
+from ..mechanism.mechanism import MechanismError
 from ..simulation.errors import AssemblyError
+from ..simulation.key_paths import changed, resolve
 
 # Exit code of a simulation that failed.
 FAILED = 1
@@ -87,6 +90,30 @@ def add_torque(parser):
                              'prismatic one [N]; may be repeated (default: none)')
 
 
+def add_set(parser):
+    """Add the option of other numbers, to be put in place by ``with_numbers``."""
+    parser.add_argument('--set', type=assignment, action='append', default=[],
+                        metavar='KEY=VALUE',
+                        help='another number of the scene or its mechanism, by its key path: '
+                             'parameters.l=0.3, mechanism.bodies.crank.mass=2; may be repeated')
+
+
+def with_numbers(scene, arguments):
+    """
+    Return a scene with the numbers that the command line sets.
+
+    Raises
+    ------
+    UsageError
+
+    """
+    try:
+        return changed(scene, {resolve(scene, key): value for key, value in mapping(
+            arguments.set, '--set').items()})
+    except (FieldError, MechanismError) as error:
+        raise UsageError(f'--set: {error}') from None
+
+
 def add_directory(parser, files, default=' (default: only print)'):
     """Add the options of a directory where files are written."""
     parser.add_argument('--output', metavar='DIR', type=Path, required=not default,
@@ -121,6 +148,8 @@ def checked_torques(arguments, build, torque):
         simulation = build()
     except AssemblyError as error:
         raise UsageError(f'{arguments.scene}: {error}') from None
+    except MechanismError as error:
+        raise UsageError(f'{arguments.scene}: mechanism.{error}') from None
     try:
         simulation.joint_torques(torque)
     except ValueError as error:

@@ -22,13 +22,14 @@ import sys
 import warnings
 
 from .command import (
-    add_scene, add_torque, checked_torques, Command, FAILED, mapping, positive, require_free,
-    UsageError)
+    add_scene, add_set, add_torque, checked_torques, Command, FAILED, mapping, positive,
+    require_free, UsageError, with_numbers)
 from ..integration.registry import ADAPTIVE, AUTO, INTEGRATORS, STABILISATIONS
 from ..recording.run import columns, ErrorEstimate, Report, run
 from ..simulation.errors import InaccuracyWarning, SimulationError
 from ..simulation.monitor import energy_in_words
 from ..simulation.rollout_run import TIME_ROUNDING
+from ..simulation.scene import load_scene
 from ..simulation.scene_records import FORMULATIONS
 from ..simulation.signals import program_watch
 from ..simulation.simulation import Simulation
@@ -46,6 +47,7 @@ def _add_arguments(parser):
     run_options.add_argument('--duration', type=positive, default=2.0, metavar='SECONDS',
                              help='simulated time (default: 2)')
     add_torque(run_options)
+    add_set(run_options)
     run_options.add_argument('--output', metavar='FILE',
                              help='where to write a row of numbers for each instant, as CSV; - '
                                   'is the standard output (default: no rows, only a summary)')
@@ -124,7 +126,8 @@ def _prepared(arguments):
         arguments.integrator = AUTO
     with announced(COMPILING):
         simulation = checked_torques(arguments, lambda: Simulation.from_scene(
-            arguments.scene, step_size=arguments.step_size, integrator=arguments.integrator,
+            with_numbers(load_scene(arguments.scene, in_space=True), arguments),
+            step_size=arguments.step_size, integrator=arguments.integrator,
             stabilisation=arguments.stabilisation, formulation=arguments.formulation,
             tolerance=arguments.tolerance, accuracy=arguments.accuracy), torque)
         if arguments.forces == 'all' and not simulation.mechanism.planar:
@@ -221,6 +224,7 @@ rows so far.
 examples:
   closedloop simulate three_rrr
   closedloop simulate three_rrr --torque theta_1=5 --torque theta_6=-3 --output run.csv
+  closedloop simulate four_bar --set mechanism.bodies.crank.mass=2
   closedloop simulate carpet_scraper --duration 600 --step-size 5e-4 --rate 10 --output long.csv
 """,
     add_arguments=_add_arguments,

@@ -33,7 +33,7 @@ along it, or both. An axis is given in the frame at q = 0.
 
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Optional, Tuple, Union
 
@@ -215,6 +215,10 @@ class Mechanism:
     The order of ``joints`` is the order of the joint coordinates q, that of
     ``cut_joints`` the order of the Lagrange multipliers.
 
+    ``parameters`` are the named numbers that a file's expressions were computed with, ``source``
+    is what ``reader.with_parameters`` computes them with others from; neither makes two mechanisms
+    differ.
+
     """
 
     name: str
@@ -223,6 +227,8 @@ class Mechanism:
     cut_joints: Tuple[CutJoint, ...] = ()
     points: Tuple[Point, ...] = ()
     description: str = ''
+    parameters: dict = field(default_factory=dict, compare=False, repr=False)
+    source: Optional[tuple] = field(default=None, compare=False, repr=False)
 
     # Set on what validation.checked returns; a copy with other values has not been checked.
     valid = False

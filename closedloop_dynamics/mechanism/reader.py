@@ -21,20 +21,26 @@ got the text 'uper_arm' (did you mean 'upper_arm'?)``.
 
 """
 
+from collections.abc import Mapping
 from dataclasses import replace
 
+from .checks import number
 from .document import Document
-from .fields import at, keys_of, mapping
+from .expressions import Parameters, put_changes
+from .fields import among, at, FieldError, keys_of, mapping, nearest
 from .mechanism import Mechanism, MechanismError
-from .validation import checked, is_spatial, SECTIONS, validate_mechanism
+from .shapes import with_shape
+from .validation import checked, SECTIONS, validate_mechanism
 
 # What a massless body need not say, beside its centre of mass.
 _NOTHING = {'mass': 0.0, 'inertia': 0.0}
+# What follows from a shape, that stands beside it for a body's keys.
+_SHAPE_KEYS = ('shape', 'density')
 
-__all__ = ['read_mechanism', 'validate_mechanism']
+__all__ = ['read_mechanism', 'validate_mechanism', 'with_parameters']
 
 
-def read_mechanism(path):
+def read_mechanism(path, parameters=None):
     """
     Read a mechanism from a YAML file.
 
@@ -42,6 +48,8 @@ def read_mechanism(path):
     ----------
     path : str or pathlib.Path
         Of the file.
+    parameters : mapping of str to float, optional
+        Values in the place of those that its section ``parameters`` gives.
 
     Returns
     -------
@@ -55,31 +63,92 @@ def read_mechanism(path):
     """
     document = Document(path, MechanismError)
     with document.errors():
-        return checked(_mechanism(document.data))
+        return _mechanism(document.data, parameters or {})
 
 
-def _mechanism(data):
-    """Return a Mechanism of the right keys, its values unchecked."""
-    mapping(data, *keys_of(Mechanism))
-    mechanism = Mechanism(**{
-        key: _records(value, key) if key in SECTIONS else value for key, value in data.items()})
-    origin = (0.0, 0.0, 0.0) if is_spatial(mechanism) else (0.0, 0.0)
+def with_parameters(mechanism, parameters):
+    """
+    Return a mechanism that was read from a file with other values of its parameters.
+
+    Parameters
+    ----------
+    mechanism : Mechanism
+        As it was read, or changed since in numbers.
+    parameters : mapping of str to float
+        Those that change; what follows from others that change with them, too.
+
+    Raises
+    ------
+    FieldError
+        Where it has no such parameter, or a value is impossible.
+
+    """
+    if mechanism.source is None:
+        raise FieldError('a mechanism that was read from a file with parameters',
+                         'one that was built in Python', path=('parameters',))
+    data, given = mechanism.source
+    return checked(put_changes(
+        mechanism, _mechanism(data, given), _mechanism(data, {**given, **parameters})))
+
+
+def _mechanism(data, given):
+    """Return the mechanism of plain data, or raise FieldError."""
+    mapping(data, *keys_of(Mechanism, leave_out=('source',)))
+    parameters = Parameters.read(data.get('parameters'), given)
+    with at('parameters'):
+        for key, value in given.items():
+            if key not in parameters.values:
+                raise FieldError(
+                    f'one of the parameters {among(parameters.values) or "(there are none)"}',
+                    repr(key), nearest(key, parameters.values))
+            with at(key):
+                number(value)
+    spatial = _is_spatial(data)
+    mechanism = Mechanism(**{**{
+        key: _records(value, key, parameters, spatial) if key in SECTIONS else value
+        for key, value in data.items()},
+        'parameters': dict(parameters.values), 'source': (data, dict(given))})
+    origin = (0.0, 0.0, 0.0) if spatial else (0.0, 0.0)
     bodies = tuple(
         replace(body, center_of_mass=origin)
         if body.massless is True and body.center_of_mass is None else body
         for body in mechanism.bodies or ())
-    return replace(mechanism, bodies=bodies)
+    return checked(replace(mechanism, bodies=bodies))
 
 
-def _records(section, key):
+def _is_spatial(data):
+    """Tell whether data describe a mechanism in space, as their first joint does."""
+    joints = data.get('joints')
+    first = next(iter(joints.values()), None) if isinstance(joints, Mapping) else None
+    place = first.get('position') if isinstance(first, Mapping) else None
+    return isinstance(place, list) and len(place) == 3
+
+
+def _records(section, key, parameters, spatial):
     """Return the records of one section of the file."""
     record_type, _ = SECTIONS[key]
     required, optional = keys_of(record_type, leave_out=('name',))
+    if key == 'bodies':
+        optional = [*optional, *_SHAPE_KEYS]
     records = []
     with at(key):
         for entry, values in mapping({} if section is None else section).items():
             with at(entry):
-                if key == 'bodies' and isinstance(values, dict) and values.get('massless') is True:
-                    values = {**_NOTHING, 'center_of_mass': None, **values}
+                if isinstance(values, Mapping):
+                    values = parameters.record(record_type, values)
+                    if key == 'bodies':
+                        values = _body(values, parameters, spatial)
                 records.append(record_type(entry, **mapping(values, required, optional)))
     return tuple(records)
+
+
+def _body(values, parameters, spatial):
+    """Return the keys of a body with those that it need not say."""
+    for key in _SHAPE_KEYS:
+        if key in values:
+            with at(key):
+                values[key] = parameters.evaluated(values[key])
+    values = with_shape(values, spatial)
+    if values.get('massless') is True:
+        values = {**_NOTHING, 'center_of_mass': None, **values}
+    return values

@@ -451,10 +451,10 @@ class Assembler:
             gap = np.abs(psi[first:first + rows]).max(initial=0.0)
             first += rows
             if not gap <= TOLERANCE * self.extent:
-                worst.append(f'{cut.name} stays open by {gap:.3g}')
+                worst.append(f'cut_joints.{cut.name} open by {gap:.3g}')
         held = f' with {", ".join(hold)} held' if len(hold) > 0 else ''
         return (f'{self.mechanism.name} cannot be assembled from this position{held}: '
-                f'{"; ".join(worst)} (m or rad). ' + ' '.join(
+                f'expected loops that close, got {", ".join(worst)} (m or rad). ' + ' '.join(
                     [self._advice_on_assembly(guess, hold), *angle_notes(self.mechanism, guess)]))
 
     def _counts(self):

@@ -17,7 +17,7 @@ The numbers of a scene by their key paths: ``mechanism.bodies.crank.mass``.
 
 A key path is written as the keys stand in the files, with the places in lists as numbers:
 ``mechanism.joints.elbow.position.0``, ``initial.velocity.theta_1``,
-``effects.gravity.acceleration.1``, ``method.step_size``.
+``effects.gravity.acceleration.1``, ``method.step_size``, ``parameters.l``.
 
 """
 
@@ -25,6 +25,7 @@ from dataclasses import fields, replace
 from functools import lru_cache
 from typing import get_args
 
+from .scene import scene_with
 from ..mechanism.checks import number
 from ..mechanism.fields import among, at, FieldError, nearest
 from ..mechanism.validation import KEYS_OF_SPACE, SECTIONS
@@ -88,6 +89,9 @@ def changed(scene, values):
         for word in path[:-1]:
             here = here.setdefault(word, {})
         here[path[-1]] = value
+    if 'parameters' in changes:
+        # First: what is given beside them stands.
+        scene = scene_with(scene, changes.pop('parameters'))
     new = {}
     for section, below in changes.items():
         with at(section):
@@ -108,7 +112,8 @@ def _tree(scene):
         'initial': {'position': dict(zip(mechanism.joint_names, initial.position)),
                     'velocity': velocity},
         'effects': {name: _below(record) for name, record in scene.effects.items()},
-        'method': _below(scene.method)}
+        'method': _below(scene.method),
+        'parameters': {} if scene.source is None else dict(scene.parameters)}
     return _pruned(whole)
 
 

@@ -29,15 +29,16 @@ from ..effects.registry import EFFECTS
 from ..mechanism.checks import list_of, name, NAME_PATTERN, number, one_of
 from ..mechanism.config import config_directory, shipped_names, shipped_path
 from ..mechanism.document import Document
+from ..mechanism.expressions import Parameters, put_changes
 from ..mechanism.fields import among, at, FieldError, keys_of, mapping, nearest, shown
 from ..mechanism.mechanism import MechanismError
-from ..mechanism.reader import read_mechanism
+from ..mechanism.reader import read_mechanism, with_parameters
 
 __all__ = ['config_directory', 'Initial', 'load_scene', 'load_scene_or_mechanism', 'Method',
-           'Scene', 'scene_names', 'SceneError']
+           'Scene', 'scene_names', 'scene_with', 'SceneError']
 
 # Required and optional keys.
-SCENE_KEYS = ('mechanism', 'initial'), ('description', 'effects', 'method')
+SCENE_KEYS = ('mechanism', 'initial'), ('description', 'effects', 'method', 'parameters')
 INITIAL_KEYS = ('position',), ('hold', 'velocity')
 
 
@@ -132,13 +133,13 @@ def _shipped(kind, value):
 
 def _scene_of(document, in_space):
     with document.errors():
-        scene = _scene(document)
+        scene = _read(document)
     if not in_space:
         _require_planar(scene.mechanism)
     return scene
 
 
-def _scene(document):
+def _read(document):
     """Return the scene that a document describes, or raise FieldError."""
     data = document.data
     if isinstance(data, Mapping) and 'bodies' in data:
@@ -147,15 +148,66 @@ def _scene(document):
     mapping(data, *SCENE_KEYS)
     with at('mechanism'):
         mechanism = _mechanism(data['mechanism'], document.path.parent)
+    return _scene(data, {}, document.path, mechanism)
+
+
+def scene_with(scene, values):
+    """
+    Return a scene that was read from a file with other values of its parameters.
+
+    Parameters
+    ----------
+    scene : Scene
+        As it was read, or changed since in numbers.
+    values : mapping of str to float
+        Of its own parameters, and of those of its mechanism.
+
+    Returns
+    -------
+    Scene
+
+    Raises
+    ------
+    FieldError
+        Where it has no such parameter, or a value is impossible.
+
+    """
+    if scene.source is None:
+        raise FieldError('a scene that was read from a file with parameters',
+                         'one that was built in Python', path=('parameters',))
+    for key in values:
+        with at('parameters'):
+            one_of(tuple(scene.parameters), 'one of the parameters')(key)
+    data, given, mechanism = scene.source
+    return put_changes(scene, _scene(data, given, scene.path, mechanism),
+                       _scene(data, {**given, **values}, scene.path, mechanism))
+
+
+def _scene(data, given, path, read):
+    """Return the scene of plain data, with the mechanism read and parameters given beside it."""
+    parameters = Parameters.read(data.get('parameters'), given)
+    mechanism = read
+    own = {key: value for key, value in {**parameters.values, **given}.items()
+           if key in read.parameters}
+    if own:
+        with at('mechanism'):
+            mechanism = with_parameters(read, own)
+    names = Parameters({**mechanism.parameters, **parameters.values})
     with at('initial'):
-        initial = _initial(data['initial'], mechanism.joint_names)
+        initial = _initial(data['initial'], mechanism.joint_names, names)
     with at('effects'):
-        effects = {key: _effect(key, values)
+        effects = {key: _effect(key, values, names)
                    for key, values in _section(data, 'effects').items()}
     with at('method'):
-        method = _method(_section(data, 'method'))
-    return Scene(document.path.stem, document.path, data.get('description', ''), mechanism,
-                 initial, effects, method)
+        method = _method(names.record(Method, _section(data, 'method')))
+    for key in parameters.values:
+        if key not in read.parameters and key not in names.used | parameters.used:
+            raise FieldError(
+                'a parameter of the mechanism, or one that an expression of this scene names',
+                repr(key), nearest(key, read.parameters), ('parameters', key))
+    return Scene('scene' if path is None else path.stem, path, data.get('description', ''),
+                 mechanism, initial, effects, method, parameters=dict(names.values),
+                 source=(data, dict(given), read))
 
 
 def _section(data, key):
@@ -176,15 +228,15 @@ def _mechanism(value, directory):
         raise FieldError('a valid mechanism', f'this error in its file:\n{error}') from None
 
 
-def _initial(value, joints):
+def _initial(value, joints, names):
     """Return the initial state for joints of the names given."""
     mapping(value, *INITIAL_KEYS)
     with at('position'):
-        position = _numbers(mapping(value['position'], joints, ()))
+        position = _numbers(mapping(value['position'], joints, ()), names)
     with at('hold'):
         hold = list_of(one_of(joints, 'one of the joints'))(value.get('hold', ()))
     with at('velocity'):
-        velocity = _numbers(mapping(_section(value, 'velocity'), (), joints))
+        velocity = _numbers(mapping(_section(value, 'velocity'), (), joints), names)
         for joint in velocity:
             if hold and joint not in hold:
                 raise FieldError(f'velocities of held joints only ({among(hold)})',
@@ -194,16 +246,16 @@ def _initial(value, joints):
                    tuple(velocity.get(joint, 0.0) for joint in joints), hold)
 
 
-def _numbers(values):
+def _numbers(values, names):
     """Return a mapping of names to finite numbers."""
     result = {}
     for key, value in values.items():
         with at(key):
-            result[key] = number(value)
+            result[key] = number(names.evaluated(value))
     return result
 
 
-def _effect(key, values):
+def _effect(key, values, names):
     """Return the record of one effect."""
     with at(key):
         name(key)
@@ -213,7 +265,7 @@ def _effect(key, values):
         required, optional = keys_of(record_type)
         values = dict(mapping(values, ['type', *required], optional))
         del values['type']
-        return record_type(**values)
+        return record_type(**names.record(record_type, values))
 
 
 def _method(values):

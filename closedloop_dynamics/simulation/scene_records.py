@@ -148,6 +148,10 @@ class Scene:
     effects : dict of str to record
         One record of ``effects.registry`` for each effect, by its free name.
     method : Method
+    parameters : dict of str to float
+        What expressions were computed with: the scene's own and its mechanism's.
+    source : tuple or None
+        The data that it was read from, parameters given beside them, and the mechanism as read.
 
     """
 
@@ -158,6 +162,8 @@ class Scene:
     initial: Initial
     effects: dict = field(default_factory=dict)
     method: Method = Method()
+    parameters: dict = field(default_factory=dict, compare=False, repr=False)
+    source: Optional[tuple] = field(default=None, compare=False, repr=False)
 
     def __post_init__(self):
         """Refuse an initial state or an effect that does not fit the mechanism."""

@@ -25,11 +25,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .modeling import block_arrays, dependencies, factor_arrays, path
+from .modeling import block_arrays, dependencies, extent, factor_arrays, path
 from ..core import types as t
 from ..core.straight_line import space
 from ..core.straight_line.spatial import Recursion, rotation, X, Y, Z
 from ..core.straight_line.tape import LOAD, Tape
+from ..core.straight_line.vectors import is_zero
 from ..mechanism.decomposition import decompose
 from ..mechanism.mechanism import (
     CYLINDRICAL, FIXED, FREE, GROUND, HELICAL, JOINT_FREEDOMS, MechanismError, PLANAR, PRISMATIC,
@@ -37,6 +38,8 @@ from ..mechanism.mechanism import (
 
 # Components of unit vectors this near to 0, 1 and -1 are what a description meant by them.
 ROUNDING = 1e-14
+# Of the size: errors of equations that no motion changes are rounding below this.
+NEVER_CLOSED = 1e-9
 _UNIT = np.eye(3)
 # Rows of joints that move along or about the axes of their frame: type, axis.
 _SLIDES = tuple((t.PRISMATIC, axis) for axis in (X, Y, Z))
@@ -348,20 +351,26 @@ def _possible(mechanism, tree, body, cut, point):
         found.flat = [tape.put(LOAD, source, place) for place in range(found.size)]
         return found
 
-    recursion = Recursion(
-        space.bodies(model, symbols(0, body.shape)),
-        [one._replace(kept=None) for one in space.cuts(model, symbols(1, point.shape))],
-        (0.0, 0.0, 0.0))
-    nv = len(tree) - 1
-    recursion.outward(model, symbols(2, (t.number_of_coordinates(model),)), symbols(3, (nv,)),
-                      None)
+    def outward(bodies, cuts, q, qd):
+        recursion = Recursion(
+            space.bodies(model, bodies),
+            [one._replace(kept=None) for one in space.cuts(model, cuts)], (0.0, 0.0, 0.0))
+        recursion.outward(model, q, qd, None)
+        return recursion
+
+    nv, nq = len(tree) - 1, t.number_of_coordinates(model)
+    symbolic = outward(symbols(0, body.shape), symbols(1, point.shape), symbols(2, (nq,)),
+                       symbols(3, (nv,)))
+    somewhere = outward(body.astype(object), point.astype(object), [0.0] * nq, [0.0] * nv)
+    size = extent(mechanism)
     for a, one in enumerate(cut):
-        values = [equation.value for equation in recursion.equations(model, a)]
-        for value in values:
-            if isinstance(value, float) and value != 0.0:
+        fixed = [isinstance(equation.value, float) or is_zero((equation.rate,))
+                 for equation in symbolic.equations(model, a)]
+        for always, equation in zip(fixed, somewhere.equations(model, a)):
+            if always and not abs(equation.value) <= NEVER_CLOSED * size:
                 name = mechanism.cut_joints[one[t.CUT_NUMBER]].name
                 raise MechanismError(
                     f'cut_joints.{name}: expected axes and points that the joints of the tree '
                     'can bring together, got an equation that no motion changes and that is not '
-                    f'met: {value:.3g} instead of 0')
-        yield [n for n, value in enumerate(values) if not isinstance(value, float)]
+                    f'met: {equation.value:.3g} instead of 0')
+        yield [n for n, always in enumerate(fixed) if not always]

@@ -52,17 +52,27 @@ def describe(scene_or_mechanism, simulation=None):
 def _scene(scene, simulation):
     return [
         _heading('Scene', scene),
-        *_mechanism(scene.mechanism, simulation),
+        *_parameters(scene),
+        *_mechanism(scene.mechanism, simulation, parameters=False),
         _initial(scene.mechanism, scene.initial, simulation),
         _effects(scene.effects),
         _method(scene.method),
     ]
 
 
-def _mechanism(mechanism, simulation=None):
+def _parameters(described):
+    """Return the table of parameters where there are any."""
+    if not described.parameters:
+        return []
+    return [_table('Parameters', ('name', 'value'), [
+        (name, _value(value)) for name, value in described.parameters.items()])]
+
+
+def _mechanism(mechanism, simulation=None, parameters=True):
     decomposition = decompose(mechanism)
     parts = [
         _heading('Mechanism', mechanism),
+        *(_parameters(mechanism) if parameters else []),
         _table('Bodies', ('name', 'mass [kg]', 'centre of mass [m]', 'inertia [kg m^2]'), [
             (body.name, _value(body.mass), _value(body.center_of_mass), _value(body.inertia))
             for body in mechanism.bodies]),

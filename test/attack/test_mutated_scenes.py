@@ -33,11 +33,65 @@ import numpy as np
 import pytest
 
 SCENES = ('four_bar', 'slider_crank_end_stop', 'three_rrr')
+# A mechanism in space and one in the plane with all that a description may use.
+SPACE = ["""\
+mechanism: ./machine.yaml
+parameters: {drop: 9.81, start: -0.6, r: 0.1}
+initial:
+  position: {crank_joint: 0.0, rocker_joint: 0.0, turn: 2*0.4, tilt: start}
+  hold: [crank_joint]
+  velocity: {crank_joint: 0.1}
+effects:
+  gravity: {type: gravity, acceleration: [0, 0, -drop]}
+  motor: {type: actuator, joint: crank_joint, max_torque: 2*r}
+  spring: {type: joint_spring, joint: rocker_joint, stiffness: 1.5}
+""", """\
+name: rssr
+parameters: {r: 0.1, rod: 5.2*r}
+bodies:
+  crank: {mass: 0.5, center_of_mass: [r/2, 0, 0], inertia: [2.5e-5, 4.3e-4, 4.3e-4]}
+  rocker: {mass: 1.0, center_of_mass: [0, 0, 0.15], inertia: [7.6e-3, 7.6e-3, 1.1e-4, 0, 0, 0]}
+  link: {massless: true}
+  rod: {shape: {rod: {to: [rod, 0, 0], radius: 0.01}}, density: 4000}
+joints:
+  crank_joint: {type: revolute, parent: ground, child: crank, position: [0, 0, 0], axis: [0, 0, 1],
+                actuated: true}
+  rocker_joint: {type: revolute, parent: ground, child: rocker, position: [0.4, 0.3, 0],
+                 axis: [1, 0, 0], orientation: {quaternion: [0, 0, 0, 1]}}
+  turn: {type: revolute, parent: crank, child: link, position: [r, 0, 0], axis: [0, 0, 1],
+         orientation: {rpy: [0, 0, 0]}}
+  tilt: {type: revolute, parent: link, child: rod, position: [0, 0, 0], axis: [0, 1, 0]}
+cut_joints:
+  ball: {type: spherical, body_a: rod, point_a: [rod, 0, 0], body_b: rocker, point_b: [0, 0, 0.3]}
+points:
+  pin: {body: rod, position: [rod, 0, 0]}
+"""]
+PLANE = ["""\
+mechanism: ./machine.yaml
+parameters: {a: pi/3, b: a/2, l: 0.11}
+initial: {position: {crank_joint: a, coupler_joint: -b, rocker_joint: 1.7}, hold: [crank_joint]}
+effects: {gravity: {type: gravity, acceleration: [0, -9.81*l/0.11]}}
+method: {integrator: rk4, step_size: 1/2000}
+""", """\
+name: four_bar
+parameters: {l: 0.1, k: 3.5*l}
+bodies:
+  crank: {shape: {cylinder: {radius: l, length: l/10, axis: [0, 0, 1]}}, density: 7800}
+  coupler: {shape: {box: {size: [k, l/10, l/20], center: [k/2, 0]}}, mass: sqrt(k)}
+  rocker: {mass: 0.8, center_of_mass: [0.125, 0.0], inertia: k**2/12}
+joints:
+  crank_joint: {type: revolute, parent: ground, child: crank, position: [0, 0], actuated: true}
+  coupler_joint: {type: revolute, parent: crank, child: coupler, position: [l, 0]}
+  rocker_joint: {type: revolute, parent: ground, child: rocker, position: [0.4, 0], angle: pi/16}
+cut_joints:
+  cut_1: {type: revolute, body_a: coupler, point_a: [k, 0], body_b: rocker, point_b: [0.25, 0]}
+"""]
 VALUES = (
     '0', '-1', '1e999', '-1e308', '1e-320', '.nan', '-.inf', '9' * 5000, '0x' + 'f' * 5000, '1_0',
     '', '~', 'true', 'yes', '[]', '{}', '[1, 2, 3]', '{x: 1}', "''", '"\\0"', '"a\\0.yaml"',
     '"\\ud800.yaml"', '*a', '&a 1', '!!python/name:os.system x', '|', '>', '%', '@', '?', '- 1',
     'ground', 'revolute', 'fixed', '/', '..', '.', '/dev/null', '\t', '\u2028', '\U0001f600',
+    'l/0', 'r*1e308*10', '2*r', 'sqrt(-1)', '(1+2', 'x+1', '__import__(1)', '9**9**9**9',
     '[' * 2000, 'a' * 3000, '60', '1 kg', '2026-11-21', '0.1, 0.2', '\x07', "it's")
 NUMBER = re.compile(r'(?<![\w.])-?\d+\.?\d*(?:[eE][-+]?\d+)?')
 WORD = re.compile(r'[A-Za-z_]\w*')
@@ -93,7 +147,7 @@ def mutated(rng, text):
 
 def accepted_state(path):
     """Return whether what was accepted stands closed and finite, as a check of its own."""
-    simulation = Simulation(load_scene(path))
+    simulation = Simulation(load_scene(path, in_space=True))
     finite = np.isfinite([*simulation.position, *simulation.velocity, simulation.energy]).all()
     largest = max((abs(value) for cut in simulation.cut_joints
                    for value in (*cut.point_a, *cut.point_b)), default=0.0)
@@ -120,10 +174,11 @@ def call(capsys, *arguments):
     240, pytest.param(2700, marks=(pytest.mark.slow, pytest.mark.timeout(3600)))])
 def test_mutated_scenes_are_refused_in_words_or_right(tmp_path, capsys, count):
     rng, counts, bad = np.random.default_rng(20261121), Counter(), []
-    sources = {name: [(config_directory() / kind / f'{file}.yaml').read_text() for kind, file in (
-        ('scenes', name), ('mechanisms', load_scene(name).mechanism.name))] for name in SCENES}
+    sources = [[(config_directory() / kind / f'{file}.yaml').read_text() for kind, file in (
+        ('scenes', name), ('mechanisms', load_scene(name).mechanism.name))] for name in SCENES]
+    sources += [SPACE, PLANE]
     for number in range(count):
-        scene, mechanism = sources[SCENES[number % len(SCENES)]]
+        scene, mechanism = sources[number % len(sources)]
         scene = re.sub(r'(?m)^mechanism: \S+', 'mechanism: ./machine.yaml', scene)
         parts = [scene.encode(), mechanism.encode()]
         which = int(rng.integers(2))
@@ -135,7 +190,7 @@ def test_mutated_scenes_are_refused_in_words_or_right(tmp_path, capsys, count):
         outcome = 'tracebacks'
         try:
             try:
-                load_scene(path)
+                load_scene(path, in_space=True)
                 refused = ''
             except (SceneError, MechanismError) as error:
                 refused = str(error)

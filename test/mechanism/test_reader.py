@@ -112,7 +112,8 @@ FAULTS = {
         'the truth value false', ''),
     'key_misspelt': (
         'mass: 0.5', 'mas: 0.5', 3, 'bodies.crank.mas',
-        'one of the keys mass, center_of_mass, inertia, massless', "the unknown key 'mas'",
+        'one of the keys mass, center_of_mass, inertia, massless, shape, density',
+        "the unknown key 'mas'",
         "did you mean 'mass'?"),
     'key_missing': (
         'mass: 0.5, ', '', 3, 'bodies.crank.mass', 'this required key', 'none', ''),
@@ -124,7 +125,7 @@ FAULTS = {
         'this key again, first given in line 3', 'rename or remove one'),
     'section_unknown': (
         'points:', 'point:', 12, 'point',
-        'one of the keys name, bodies, joints, cut_joints, points, description',
+        'one of the keys name, bodies, joints, cut_joints, points, description, parameters',
         "the unknown key 'point'", "did you mean 'points'?"),
     'name_missing': (
         'name: four_bar\n', '', 1, 'name', 'this required key', 'none', ''),

@@ -61,7 +61,7 @@ FAULTS = {
         f'{MECHANISM} (./NAME.yaml)', 'a mapping', ''),
     'section_unknown': (
         'effects:', 'effect:', 7, 'effect',
-        'one of the keys mechanism, initial, description, effects, method',
+        'one of the keys mechanism, initial, description, effects, method, parameters',
         "the unknown key 'effect'", "did you mean 'effects'?"),
     'description_list': (
         'description: a test', 'description: [a]', 2, 'description', 'text', "['a']", ''),

@@ -1,0 +1,260 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Parameters, and arithmetic in the place of numbers.
+
+``center_of_mass: [l/2, 0]``: numbers, parameters, ``pi``, the operators + - * / ** and functions
+of one or two numbers. An expression is read by ``ast`` and computed here, node by node: nothing
+else can come of it.
+
+"""
+
+import ast
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass, replace
+import math
+import operator
+import re
+from typing import get_args
+import warnings
+
+from .checks import NAME_PATTERN, number
+from .fields import among, at, FieldError, mapping, nearest, shown
+
+LONGEST = 500
+CONSTANTS = {'pi': math.pi}
+# Function -> how many numbers it takes.
+FUNCTIONS = {**dict.fromkeys(
+    ('sin', 'cos', 'tan', 'asin', 'acos', 'atan', 'sqrt', 'exp', 'log', 'radians', 'degrees'), 1),
+    'abs': 1, 'atan2': 2, 'hypot': 2, 'min': 2, 'max': 2}
+_FUNCTIONS = {name: getattr(math, name, None) or {'abs': abs, 'min': min, 'max': max}[name]
+              for name in FUNCTIONS}
+_OPERATORS = {
+    ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul,
+    ast.Div: operator.truediv, ast.Pow: operator.pow, ast.UAdd: operator.pos,
+    ast.USub: operator.neg}
+_CHARACTERS = re.compile(r'[A-Za-z0-9_ .+\-*/(),]+')
+EXPECTED = 'a number, or an expression of numbers and parameters'
+
+
+class Parameters:
+    """
+    Named numbers, and what expressions make of them.
+
+    Attributes
+    ----------
+    values : dict of str to float
+        By name, in the order in which they were given.
+    used : set of str
+        Names that an expression has asked for.
+
+    """
+
+    def __init__(self, values=()):
+        """Take numbers that were checked before."""
+        self.values, self.used = dict(values), set()
+
+    @classmethod
+    def read(cls, section, given=()):
+        """
+        Read a section ``parameters`` of a file.
+
+        Parameters
+        ----------
+        section : mapping or None
+            Numbers by name, or expressions in those above.
+        given : mapping of str to float
+            Numbers in the place of those of the section; others are left alone.
+
+        Returns
+        -------
+        expressions.Parameters
+
+        Raises
+        ------
+        FieldError
+
+        """
+        found, given = cls(), dict(given)
+        with at('parameters'):
+            for key, value in mapping({} if section is None else section).items():
+                with at(key):
+                    if not NAME_PATTERN.fullmatch(key) or key in CONSTANTS or key in FUNCTIONS:
+                        raise FieldError(
+                            'a name of letters, digits and underscores that starts with a letter '
+                            'and stands for nothing else', shown(key))
+                    found.values[key] = number(given.get(key, found.evaluated(value)))
+        return found
+
+    def evaluated(self, value):
+        """
+        Return a value with numbers in the place of expressions, in lists and mappings, too.
+
+        Text that is no expression stays as it is, for the checks to refuse.
+
+        Raises
+        ------
+        FieldError
+            Where an expression has no finite value, or names what is no parameter.
+
+        """
+        if isinstance(value, str):
+            return self._number(value)
+        if isinstance(value, Mapping):
+            found = {}
+            for key, item in value.items():
+                with at(key):
+                    found[key] = self.evaluated(item)
+            return found
+        if isinstance(value, list):
+            found = []
+            for index, item in enumerate(value):
+                with at(index):
+                    found.append(self.evaluated(item))
+            return found
+        return value
+
+    def record(self, record_type, values):
+        """
+        Return the keys of a record with numbers in the place of expressions.
+
+        Parameters
+        ----------
+        record_type : type
+            Dataclass; its types tell which of its fields are made of numbers.
+        values : mapping
+            By key; keys that the record has not stay as they are.
+
+        Raises
+        ------
+        FieldError
+
+        """
+        types = {key: field.type for key, field in record_type.__dataclass_fields__.items()}
+        found = dict(values)
+        for key, value in found.items():
+            if key in types and _of_numbers(types[key]):
+                with at(key):
+                    found[key] = self.evaluated(value)
+        return found
+
+    def _number(self, text):
+        """Return the value of an expression; the text itself where it is none."""
+        root = _parsed(text)
+        names = [node.id for node in ast.walk(root) if isinstance(node, ast.Name)] if root else []
+        if root is None or not (names or any(
+                isinstance(node, ast.BinOp) for node in ast.walk(root))):
+            return text
+        if isinstance(root, ast.Name) and not self.values and root.id not in CONSTANTS:
+            return text
+        try:
+            value = self._value(root, text)
+        except (ArithmeticError, ValueError) as error:
+            if isinstance(error, FieldError):
+                raise
+            raise FieldError(EXPECTED, f'{shown(text)}, which has no value', str(error)) from None
+        if not math.isfinite(value):
+            raise FieldError(EXPECTED, f'{shown(text)}, which is {value}')
+        return value
+
+    def _value(self, node, text):
+        """Return the value of a node."""
+        if isinstance(node, ast.Constant) and type(node.value) in (int, float):
+            if '_' not in ast.get_source_segment(text, node):
+                return float(node.value)
+        elif isinstance(node, ast.Name):
+            return self._named(node.id, text)
+        elif isinstance(node, ast.BinOp) and type(node.op) in _OPERATORS:
+            value = _OPERATORS[type(node.op)](
+                self._value(node.left, text), self._value(node.right, text))
+            if isinstance(value, complex):
+                raise ValueError('a root of a negative number')
+            return value
+        elif isinstance(node, ast.UnaryOp) and type(node.op) in _OPERATORS:
+            return _OPERATORS[type(node.op)](self._value(node.operand, text))
+        elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and not node.keywords:
+            name, arguments = node.func.id, node.args
+            if name not in FUNCTIONS:
+                raise FieldError(EXPECTED, f'{shown(text)} with the unknown function {name!r}',
+                                 nearest(name, FUNCTIONS) or f'there are {among(FUNCTIONS)}')
+            if len(arguments) == FUNCTIONS[name]:
+                return _FUNCTIONS[name](*(self._value(one, text) for one in arguments))
+        raise FieldError(EXPECTED, shown(text), 'numbers, parameters, + - * / **, brackets and '
+                         f'the functions {among(FUNCTIONS)}')
+
+    def _named(self, name, text):
+        if name in self.values:
+            self.used.add(name)
+            return self.values[name]
+        if name in CONSTANTS:
+            return CONSTANTS[name]
+        known = [*self.values, *CONSTANTS]
+        raise FieldError(EXPECTED, f'{shown(text)} with the unknown name {name!r}',
+                         nearest(name, known) or f'there are {among(known)}')
+
+
+def _parsed(text):
+    """Return the root of an expression's tree, None where the text cannot be one."""
+    if len(text) > LONGEST or not _CHARACTERS.fullmatch(text):
+        return None
+    try:
+        with warnings.catch_warnings():
+            # Python's advice on what it would still understand.
+            warnings.simplefilter('ignore')
+            return ast.parse(text.strip(), mode='eval').body
+    except (SyntaxError, ValueError, RecursionError, MemoryError):
+        return None
+
+
+def put_changes(value, before, after):
+    """
+    Return a record with what differs between two others of its kind put into it.
+
+    Parameters
+    ----------
+    value, before, after : dataclass
+        ``value`` may differ from ``before`` in its own way, but not in its structure.
+
+    Raises
+    ------
+    FieldError
+        Where ``value`` has no place for a change.
+
+    """
+    if is_dataclass(after) and type(value) is type(before) is type(after):
+        found = {}
+        for field in fields(after):
+            one, other = getattr(before, field.name), getattr(after, field.name)
+            if one is not other:
+                with at(field.name):
+                    found[field.name] = put_changes(getattr(value, field.name), one, other)
+        return replace(value, **found)
+    if before == after:
+        return value
+    if isinstance(after, tuple) and len(value) == len(before) == len(after):
+        return tuple(map(put_changes, value, before, after))
+    if isinstance(after, dict) and set(before) == set(after) <= set(value):
+        return {**value, **{key: put_changes(value[key], before[key], after[key])
+                            for key in after}}
+    if isinstance(after, tuple) and any(map(is_dataclass, after)):
+        raise FieldError('what the file has, whose numbers follow from its parameters',
+                         'a section that was changed since')
+    return after
+
+
+def _of_numbers(kind):
+    """Tell whether a field of this type is made of numbers."""
+    parts = get_args(kind)
+    return kind is float or str not in parts and any(map(_of_numbers, parts))
