@@ -24,9 +24,11 @@ got.
 from collections.abc import Mapping
 from pathlib import Path
 
+import numpy as np
+
 from .scene_records import Initial, Method, Scene
 from ..effects.registry import EFFECTS
-from ..mechanism.checks import list_of, name, NAME_PATTERN, number, one_of
+from ..mechanism.checks import list_of, name, NAME_PATTERN, one_of
 from ..mechanism.config import config_directory, shipped_names, shipped_path
 from ..mechanism.document import Document
 from ..mechanism.expressions import Parameters, put_changes
@@ -194,7 +196,7 @@ def _scene(data, given, path, read):
             mechanism = with_parameters(read, own)
     names = Parameters({**mechanism.parameters, **parameters.values})
     with at('initial'):
-        initial = _initial(data['initial'], mechanism.joint_names, names)
+        initial = _initial(data['initial'], mechanism, names)
     with at('effects'):
         effects = {key: _effect(key, values, names)
                    for key, values in _section(data, 'effects').items()}
@@ -228,31 +230,24 @@ def _mechanism(value, directory):
         raise FieldError('a valid mechanism', f'this error in its file:\n{error}') from None
 
 
-def _initial(value, joints, names):
-    """Return the initial state for joints of the names given."""
+def _initial(value, mechanism, names):
+    """Return the initial state of a mechanism."""
     mapping(value, *INITIAL_KEYS)
+    coordinates, joints = mechanism.coordinates, mechanism.joint_names
     with at('position'):
-        position = _numbers(mapping(value['position'], joints, ()), names)
+        given = names.evaluated(mapping(value['position'], coordinates.keys, ()))
+        position = coordinates.filled('position', given, coordinates.start())
     with at('hold'):
         hold = list_of(one_of(joints, 'one of the joints'))(value.get('hold', ()))
     with at('velocity'):
-        velocity = _numbers(mapping(_section(value, 'velocity'), (), joints), names)
-        for joint in velocity:
-            if hold and joint not in hold:
+        given = names.evaluated(_section(value, 'velocity'))
+        velocity = coordinates.filled('velocity', given, np.zeros(coordinates.nv))
+        for joint in given:
+            if hold and coordinates.joint_of(joint) not in hold:
                 raise FieldError(f'velocities of held joints only ({among(hold)})',
                                  f'one of {joint!r}', 'the others follow from the loops; '
                                  'add the joint to hold, or remove its velocity', (joint,))
-    return Initial(tuple(position[joint] for joint in joints),
-                   tuple(velocity.get(joint, 0.0) for joint in joints), hold)
-
-
-def _numbers(values, names):
-    """Return a mapping of names to finite numbers."""
-    result = {}
-    for key, value in values.items():
-        with at(key):
-            result[key] = number(names.evaluated(value))
-    return result
+    return Initial(tuple(position.tolist()), tuple(velocity.tolist()), hold)
 
 
 def _effect(key, values, names):

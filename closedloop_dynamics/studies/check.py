@@ -21,7 +21,7 @@ from ..effects.registry import effect_type
 from ..integration.registry import ADAPTIVE, AUTO, BAUMGARTE, INTEGRATORS, STABILISATIONS
 from ..mechanism.decomposition import decompose
 from ..mechanism.mechanism import (
-    CUT_JOINT_EQUATIONS, JOINT_FREEDOMS, Mechanism, SPATIAL_CUT_JOINT_EQUATIONS)
+    CUT_JOINT_EQUATIONS, Mechanism, SPATIAL_CUT_JOINT_EQUATIONS)
 from ..simulation.assembly import find_degrees_of_freedom
 from ..simulation.space import equations_left
 from ..visual.tables import text_table
@@ -147,9 +147,8 @@ def _number_of_equations(mechanism):
 
 
 def _degrees_of_freedom(mechanism, simulation):
-    joints, equations = len(mechanism.joints), sum(_equations(mechanism))
+    joints, equations = mechanism.coordinates.nv, sum(_equations(mechanism))
     if not mechanism.planar and simulation is None:
-        joints = sum(JOINT_FREEDOMS[joint.type] for joint in mechanism.joints)
         return f'{joints - equations} = {joints} of the joints - {equations} equations, if none ' \
                'repeats others'
     freedoms = (find_degrees_of_freedom(mechanism) if simulation is None
@@ -158,7 +157,8 @@ def _degrees_of_freedom(mechanism, simulation):
         return (f'{joints - equations} = {joints} joints - {equations} equations, if none repeats '
                 'others (no position that closes the loops was found to tell)')
     independent = joints - freedoms
-    return f'{freedoms} = {joints} joints - {independent} ' + (
+    of_joints = 'joints' if joints == len(mechanism.joints) else 'of the joints'
+    return f'{freedoms} = {joints} {of_joints} - {independent} ' + (
         'equations' if independent == equations else
         f'independent equations ({equations - independent} of {equations} repeat others)')
 
@@ -166,16 +166,34 @@ def _degrees_of_freedom(mechanism, simulation):
 def _initial(mechanism, initial, simulation):
     """Return the start as it is given and, where there is a simulation, as it was closed."""
     header = ('name', 'position [rad, m]', 'velocity [rad/s, m/s]', 'assembly')
-    rows = [
-        (joint, _value(position), _value(velocity), 'held' if joint in initial.hold else 'free')
-        for joint, position, velocity
-        in zip(mechanism.joint_names, initial.position, initial.velocity)]
+    names = mechanism.coordinates
+    states = [(initial.position, initial.velocity, _value)]
+    if simulation is not None:
+        states.append((simulation.position, simulation.velocity, '{:.6g}'.format))
+    rows = []
+    for key in names.keys:
+        joint = names.joint_of(key)
+        row = [key]
+        for position, velocity, write in states:
+            for quantity, values in (('position', position), ('velocity', velocity)):
+                row.append(_told(names.told(quantity, values)[key], write))
+        row.insert(3, 'held' if joint in initial.hold else 'free')
+        rows.append(tuple(row))
     if simulation is None:
         return _table('Joints at the start, before the loops are closed', header, rows)
-    rows = [(*row, f'{position:.6g}', f'{velocity:.6g}') for row, position, velocity
-            in zip(rows, simulation.position, simulation.velocity)]
     return _table('Joints at the start, as given and with the loops closed',
                   (*header, 'closed position', 'closed velocity'), rows)
+
+
+def _told(value, write):
+    """Return the number of a joint, or its vectors and its quaternion, in words."""
+    if not hasattr(value, 'items'):
+        return write(value)
+    parts = []
+    for key, numbers in value.items():
+        for one in ([numbers['quaternion']] if key == 'orientation' else [numbers]):
+            parts.append(f'{key} [{", ".join(map(write, one))}]')
+    return ', '.join(parts)
 
 
 def _effects(effects):
