@@ -20,7 +20,7 @@ import warnings
 
 from . import (
     accuracy, animate, check, effects, formulations, plot, recover, replay, simulate, stability,
-    sweep, urdf)
+    sweep, urdf, view)
 from .command import FAILED, HelpfulParser, UsageError
 from ..mechanism.mechanism import MechanismError
 from ..simulation.errors import SimulationError
@@ -29,7 +29,7 @@ from ..simulation.signals import Interrupted, program_watch
 
 COMMANDS = (accuracy.COMMAND, animate.COMMAND, check.COMMAND, effects.COMMAND,
             formulations.COMMAND, plot.COMMAND, recover.COMMAND, replay.COMMAND, simulate.COMMAND,
-            stability.COMMAND, sweep.COMMAND, urdf.COMMAND)
+            stability.COMMAND, sweep.COMMAND, urdf.COMMAND, view.COMMAND)
 
 USAGE, BROKEN_PIPE = 2, 141
 DESCRIPTION = """\

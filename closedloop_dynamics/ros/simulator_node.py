@@ -38,12 +38,13 @@ from closedloop_dynamics.ros.loading import load_simulation
 from closedloop_dynamics.ros.markers import MARKER_PARAMETERS, Markers
 from closedloop_dynamics.ros.messages import Stamps, StatePublisher
 from closedloop_dynamics.ros.pacing import (
-    LOCKSTEP, MODES, Pacer, period_steps, PORTION, REALTIME, Throttle)
+    LOCKSTEP, MODES, period_steps, PORTION, REALTIME, Throttle)
 from closedloop_dynamics.ros.parameters import accept_whole_numbers, declare, declare_fact, usage
 from closedloop_dynamics.ros.process import leaving_at_once, run, StartError, stop_requested
 from closedloop_dynamics.ros.simulator_parameters import (
     CHANGEABLE, METHOD, method_changes, SIMULATOR_PARAMETERS)
 from closedloop_dynamics.simulation.errors import SimulationError
+from closedloop_dynamics.simulation.pacer import Pacer
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock
 from rclpy.clock import ClockType

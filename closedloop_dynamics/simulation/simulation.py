@@ -351,6 +351,12 @@ class Simulation:
         return float(largest(self.system.work.closure))
 
     @property
+    def constraint_jacobian(self):
+        """Return the derivatives of the closure equations by the coordinates, shape (nc, nv)."""
+        self._fresh = False
+        return self._assembler.jacobian(self._q)
+
+    @property
     def energy(self):
         """Kinetic energy and energy stored in gravity and effects [J]."""
         return sum(self._energies())
@@ -423,6 +429,33 @@ class Simulation:
         if self._geometry is not None:
             return self._geometry.point(self._q, point.body, point.position)
         self._evaluate()
+        out = np.zeros(2)
+        kinematics.point_position(self.system.work, self._rows[point.body], *point.position, out)
+        return out
+
+    def place(self, name, position):
+        """
+        Return the place of a named point in another position of the joints.
+
+        Parameters
+        ----------
+        name : str
+            Of the point.
+        position : ndarray, shape (nv,)
+            Joint coordinates, which need not close the loops [rad or m].
+
+        Returns
+        -------
+        ndarray, shape (2,), in space (3,)
+            [m].
+
+        """
+        point = self._named_point(name)
+        if self._geometry is not None:
+            return self._geometry.point(position, point.body, point.position)
+        self._fresh = False
+        kinematics.outward(self.system.model, position, np.zeros_like(position),
+                           self.system.work)
         out = np.zeros(2)
         kinematics.point_position(self.system.work, self._rows[point.body], *point.position, out)
         return out

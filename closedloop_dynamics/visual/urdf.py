@@ -82,7 +82,7 @@ def urdf(mechanism, command_topic='joint_command', state_topic='joint_states'):
     """
     _require_names(mechanism)
     size = extent(mechanism)
-    depth = _depths(mechanism)
+    depth = depths(mechanism)
     colors = body_colors(mechanism)
     robot = ElementTree.Element('robot', name=mechanism.name)
     for color in sorted(set(colors.values())):
@@ -319,15 +319,15 @@ def _add_pose(element, place, angles=(0.0, 0.0, 0.0)):
         element, 'origin', xyz=_numbers(*place), rpy=_numbers(*angles))
 
 
-def _depths(mechanism):
+def depths(mechanism):
     """Return by body how many joints it is away from the ground."""
-    depths = {GROUND: 0}
+    found = {GROUND: 0}
     left = list(mechanism.joints)
     while left:
-        known = [joint for joint in left if joint.parent in depths]
-        depths.update((joint.child, depths[joint.parent] + 1) for joint in known)
+        known = [joint for joint in left if joint.parent in found]
+        found.update((joint.child, found[joint.parent] + 1) for joint in known)
         left = [joint for joint in left if joint not in known]
-    return depths
+    return found
 
 
 def _material(color):
