@@ -35,7 +35,8 @@ from closedloop_dynamics.visual.urdf import urdf
 import numpy as np
 import pytest
 
-MECHANISMS = shipped_names('mechanisms')
+MECHANISMS = [name for name in shipped_names('mechanisms')
+              if read_mechanism(shipped_path('mechanisms', name)).planar]
 SCENES = ('carpet_scraper', 'four_bar', 'hoeken_pantograph_leg', 'slider_crank', 'three_rrr')
 
 
