@@ -52,8 +52,7 @@ class EnergyBalance:
     Keeps account of the energy of a simulation.
 
     The work of a torque that is held and passes unchanged is tau . (q - q at the hold's start),
-    exactly; nothing is computed for it in between. Drives and other effects integrate theirs, and
-    so do torques on rotations in three dimensions, of which no coordinate tells the work.
+    exactly; nothing is computed for it in between. Drives and other effects integrate theirs.
 
     """
 
@@ -74,7 +73,7 @@ class EnergyBalance:
         Parameters
         ----------
         q : ndarray, shape (nv,)
-            Coordinate of each freedom.
+            Joint coordinates.
 
         """
         self._since, self._work, self._reference = q.copy(), 0.0, None
@@ -90,7 +89,7 @@ class EnergyBalance:
         Parameters
         ----------
         q : ndarray, shape (nv,)
-            Coordinate of each freedom now.
+            Joint coordinates now.
         tau : ndarray, shape (nv,)
             The torques held so far.
 
@@ -107,7 +106,7 @@ class EnergyBalance:
         Parameters
         ----------
         q : ndarray, shape (nv,)
-            Coordinate of each freedom after it.
+            Joint coordinates after it.
         energy : float
             Kinetic and stored energy after it less before [J].
 
@@ -115,7 +114,7 @@ class EnergyBalance:
         self._since = q.copy()
         self._reference += energy
 
-    def balance(self, states, kinetic, stored, turned=0.0):
+    def balance(self, states, kinetic, stored):
         """
         Draw the balance, the work of all held torques being added.
 
@@ -125,11 +124,9 @@ class EnergyBalance:
             The effects' own.
         kinetic, stored : float
             [J].
-        turned : float
-            Work of torques on rotations in three dimensions, which is integrated [J].
 
         """
         dissipated = self._effects.dissipated(states)
-        work = self._work + self._effects.work(states) + turned
+        work = self._work + self._effects.work(states)
         return Energies(kinetic, stored, dissipated, work,
                         kinetic + stored + dissipated - work - self._reference)

@@ -15,22 +15,19 @@
 """Semi-implicit (symplectic) Euler: order 1, one evaluation a step."""
 
 from ..core.compiled import compiled
-from ..core.manifold import move, rates_begin
 
 
 @compiled
-def step(manifold, state, nv, step_size, slope, out):
+def step(state, nv, step_size, slope, out):
     """
     Advance a state by one step: rates first, then coordinates with the new rates.
 
     Parameters
     ----------
-    manifold : Manifold or None
-        Of the mechanism; rotations go on by what the new angular velocity turns in a step.
     state : ndarray, shape (ns,)
         Coordinates, rates, and what effects add.
     nv : int
-        Number of rates.
+        Number of joint coordinates.
     step_size : float
         [s].
     slope : ndarray, shape (ns,)
@@ -39,9 +36,8 @@ def step(manifold, state, nv, step_size, slope, out):
         Written in place.
 
     """
-    nq = rates_begin(manifold, nv)
-    for i in range(nq):
-        out[i] = state[i]
-    for k in range(nq, state.shape[0]):
+    for i in range(nv):
+        out[nv + i] = state[nv + i] + step_size * slope[nv + i]
+        out[i] = state[i] + step_size * out[nv + i]
+    for k in range(2 * nv, state.shape[0]):
         out[k] = state[k] + step_size * slope[k]
-    move(manifold, out[:nq], out[nq:nq + nv], step_size)

@@ -49,7 +49,8 @@ def scene_text(scene, effects=None, disabled=(), **facts):
         What else is to be told, as JSON can: a simulated time, say.
 
     """
-    initial, coordinates = scene.initial, scene.mechanism.coordinates
+    joints = scene.mechanism.joint_names
+    initial = scene.initial
     effects = scene.effects if effects is None else effects
     return json.dumps({
         'format': FORMAT, 'name': scene.name, **facts, 'disabled': list(disabled),
@@ -57,12 +58,10 @@ def scene_text(scene, effects=None, disabled=(), **facts):
             'mechanism': f'./{MECHANISM_FILE}',
             'description': scene.description,
             'initial': {
-                'position': coordinates.told('position', initial.position),
+                'position': dict(zip(joints, initial.position)),
                 'hold': list(initial.hold),
-                'velocity': {
-                    name: value for name, value
-                    in coordinates.told('velocity', initial.velocity).items()
-                    if not initial.hold or coordinates.joint_of(name) in initial.hold}},
+                'velocity': {name: value for name, value in zip(joints, initial.velocity)
+                             if name in initial.hold or not initial.hold}},
             'effects': {name: {'type': effect_type(record), **_values(record)}
                         for name, record in effects.items()},
             'method': {key: value for key, value in _values(scene.method).items()
