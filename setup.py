@@ -35,6 +35,7 @@ setup(
     name=package_name,
     version='0.1.0',
     packages=find_packages(include=[package_name, package_name + '.*']),
+    package_data={package_name + '.view': ['page/*']},
     data_files=[
         ('share/ament_index/resource_index/packages', ['resource/' + package_name]),
         (share, ['package.xml']),
@@ -54,6 +55,7 @@ setup(
         'scipy>=1.11',
         'setuptools',
         'tqdm>=4.60',
+        'websockets>=14.0',
     ],
     extras_require={
         # The simulators that benchmark/peers.py compares with; Eigen's headers for its C++ loop.

@@ -24,16 +24,16 @@ class Machine:
     def __init__(self, mechanism, rows):
         """Collect the names."""
         self.mechanism, self._rows = mechanism, rows
-        self._joints = {joint.name: k for k, joint in enumerate(mechanism.joints)}
+        self._joints = {joint.name: joint for joint in mechanism.joints}
         self._points = {point.name: point for point in mechanism.points}
 
     def joint(self, name):
-        """Return the place of a joint in q."""
-        return self._joints[name]
+        """Return the place of a joint of one freedom in qd."""
+        return self.mechanism.coordinates.index[name]
 
     def joint_row(self, name):
         """Return the row of the body that a joint carries."""
-        return self._rows[self.mechanism.joints[self._joints[name]].child]
+        return self._rows[self._joints[name].child]
 
     def body(self, name):
         """Return the row of a body."""
@@ -58,7 +58,7 @@ def require_joint(mechanism, key, name, actuated=False):
         if actuated:
             one_of(mechanism.actuated_joints, 'one of the actuated joints')(name)
         else:
-            one_of(mechanism.joint_names, 'one of the joints')(name)
+            one_of(mechanism.coordinates.of_one_freedom, 'one of the joints')(name)
 
 
 def require_body(mechanism, key, name):

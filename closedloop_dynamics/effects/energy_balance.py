@@ -52,7 +52,8 @@ class EnergyBalance:
     Keeps account of the energy of a simulation.
 
     The work of a torque that is held and passes unchanged is tau . (q - q at the hold's start),
-    exactly; nothing is computed for it in between. Drives and other effects integrate theirs.
+    exactly; nothing is computed for it in between. Drives and other effects integrate theirs, and
+    so do torques on rotations in three dimensions, of which no coordinate tells the work.
 
     """
 
@@ -73,7 +74,7 @@ class EnergyBalance:
         Parameters
         ----------
         q : ndarray, shape (nv,)
-            Joint coordinates.
+            Coordinate of each freedom.
 
         """
         self._since, self._work, self._reference = q.copy(), 0.0, None
@@ -89,7 +90,7 @@ class EnergyBalance:
         Parameters
         ----------
         q : ndarray, shape (nv,)
-            Joint coordinates now.
+            Coordinate of each freedom now.
         tau : ndarray, shape (nv,)
             The torques held so far.
 
@@ -106,7 +107,7 @@ class EnergyBalance:
         Parameters
         ----------
         q : ndarray, shape (nv,)
-            Joint coordinates after it.
+            Coordinate of each freedom after it.
         energy : float
             Kinetic and stored energy after it less before [J].
 
@@ -114,7 +115,7 @@ class EnergyBalance:
         self._since = q.copy()
         self._reference += energy
 
-    def balance(self, states, kinetic, stored):
+    def balance(self, states, kinetic, stored, turned=0.0):
         """
         Draw the balance, the work of all held torques being added.
 
@@ -124,9 +125,11 @@ class EnergyBalance:
             The effects' own.
         kinetic, stored : float
             [J].
+        turned : float
+            Work of torques on rotations in three dimensions, which is integrated [J].
 
         """
         dissipated = self._effects.dissipated(states)
-        work = self._work + self._effects.work(states)
+        work = self._work + self._effects.work(states) + turned
         return Energies(kinetic, stored, dissipated, work,
                         kinetic + stored + dissipated - work - self._reference)

@@ -75,6 +75,20 @@ class Sensor(Effect):
             raise FieldError('a whole number that is zero or more', shown(self.seed),
                              path=('seed',))
 
+    def fit(self, mechanism):
+        """
+        Refuse orientations: what is measured are numbers, one for each freedom.
+
+        Raises
+        ------
+        FieldError
+
+        """
+        if len(mechanism.coordinates.balls):
+            raise FieldError(
+                'a mechanism without spherical and free joints in its tree, as sensors measure '
+                'joints of one number', mechanism.name)
+
     def instrument(self):
         """Return what measures, with the memory that a delay and a seed need."""
         return Instrument(self)

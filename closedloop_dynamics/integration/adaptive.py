@@ -21,6 +21,7 @@ from .advance import DONE, NOT_FINITE, OPEN_LOOP, STEP_TOO_SMALL, TOO_MUCH_WORK
 from .projection import all_finite, stabilised
 from .system import rate_of_change
 from ..core.compiled import compiled, inlined, merged
+from ..core.manifold import normalise
 
 # Columns of the control record: the time reached by whole steps; the step to try next (0: to be
 # guessed); the start and the size of the latest step (0: there is none to interpolate); whether
@@ -235,6 +236,7 @@ def interpolate(system, tableau, time, control, scratch, out):
         control[EXTENDED] = 1.0
     share = (time - control[STEP_START]) / control[STEP_SIZE]
     runge_kutta.interpolate(tableau, scratch[BEFORE], control[STEP_SIZE], slopes, share, out)
+    normalise(system.manifold, out)
 
 
 @compiled
@@ -275,7 +277,7 @@ def accepted_step(system, tableau, stabilisation, control, scale, scratch):
     if rest > LEAST * max(abs(control[REACHED]), 1e-3):
         # Two steps of a half rather than one and a crumb.
         size = rest if size >= rest else min(size, 0.5 * rest) if size > 0.5 * rest else size
-    rejected, closed, cuts, nv = False, True, 0, system.qdd.shape[0]
+    rejected, closed, cuts = False, True, 0
     while True:
         if not size > LEAST * max(abs(control[REACHED]), 1e-3):
             return (NOT_FINITE if not all_finite(slopes[0]) else
@@ -290,7 +292,7 @@ def accepted_step(system, tableau, stabilisation, control, scale, scratch):
         # Written so that a NaN counts as an error too large.
         if error <= 1.0:
             part = stick_slip.part(
-                system.effects, after, out, nv, size, max(
+                system.effects, system, after, out, size, max(
                     stick_slip.least(max(size, wanted), cuts), LEAST * abs(control[REACHED])))
             if part < size:
                 size, cuts = part, cuts + 1

@@ -54,7 +54,7 @@ def advance(system, tableau, stabilisation, state, step_size, steps, scratch):
 
     """
     stage, out, start, slopes = scratch[0], scratch[1], scratch[2], scratch[3:]
-    effects, nv = system.effects, system.qdd.shape[0]
+    effects = system.effects
     for done in range(steps):
         left, size, cuts = step_size, step_size, 0
         _keep(effects, state, start)
@@ -62,14 +62,15 @@ def advance(system, tableau, stabilisation, state, step_size, steps, scratch):
         while left > 0.0:
             derivative(system, state, slopes[0])
             if tableau.b.shape[0] == 0:
-                semi_implicit_euler.step(state, nv, size, slopes[0], out)
+                semi_implicit_euler.step(
+                    system.manifold, state, system.qdd.shape[0], size, slopes[0], out)
             else:
                 runge_kutta.step(system, tableau, state, size, slopes, stage, out)
             closed = stabilise(system, stabilisation, out)
             if not (closed and all_finite(out)):
                 _keep(effects, start, state)
                 return (OPEN_LOOP if all_finite(out) else NOT_FINITE), done
-            part = stick_slip.part(effects, state, out, nv, size,
+            part = stick_slip.part(effects, system, state, out, size,
                                    stick_slip.least(step_size, cuts))
             if part < size:
                 size, cuts = part, cuts + 1

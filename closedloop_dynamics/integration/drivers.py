@@ -19,7 +19,8 @@ import numpy as np
 from . import adaptive, advance, rosenbrock, switching
 from .registry import ADAPTIVE, INTEGRATORS, ROSENBROCK, SCIPY, STABILISATIONS, SWITCHING
 from .scipy_solvers import SciPySolver
-from .system import narrowed, number_of_states
+from .system import narrowed, number_of_states, parts_of_state
+from ..core.manifold import weights
 
 
 def build_driver(system, method):
@@ -166,7 +167,8 @@ class Switching:
         """Allocate the run and its companion."""
         self._system, self._tableau = system, integrator.tableau
         self._stabilisation, self._accuracy = stabilisation, accuracy
-        self._runs = switching.allocate_runs(self._tableau, number_of_states(system))
+        self._runs = switching.allocate_runs(
+            self._tableau, number_of_states(system), weights(system.manifold, len(system.qdd)))
         self._unit = _error_scale(system, 1.0)
         self.control, self.watch = self._runs.control[switching.RUN], self._runs.watch
         self.rewind()
@@ -249,9 +251,10 @@ class Stiff:
 
 def _error_scale(system, tolerance):
     """Return absolute and relative tolerances: of coordinates absolute, of others both."""
-    nv = len(system.qdd)
-    scale = np.full((2, number_of_states(system)), tolerance)
-    scale[1, :nv] = 0.0
+    coordinates, *_, states = parts_of_state(system)
+    scale = np.full((2, states), tolerance)
+    scale[0, coordinates] /= weights(system.manifold, len(system.qdd))
+    scale[1, coordinates] = 0.0
     _follow_effects(system, tolerance, scale)
     return scale
 
@@ -259,4 +262,5 @@ def _error_scale(system, tolerance):
 def _follow_effects(system, tolerance, scale):
     """Bring the tolerances of the effects' states in line with their present parameters."""
     if system.effects is not None:
-        np.multiply(system.effects.scale, tolerance, out=scale[0, 2 * len(system.qdd):])
+        np.multiply(
+            system.effects.scale, tolerance, out=scale[0, parts_of_state(system)[2]])

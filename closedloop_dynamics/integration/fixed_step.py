@@ -100,7 +100,7 @@ def _note(system, state, buffer, instant):
     _copy(state, buffer.state[instant])
     if buffer.qdd.shape[0] == 0:
         return
-    take_states(system.effects, state, nv)
+    take_states(system.effects, state, 2 * nv)
     evaluate(system, state[:nv], state[nv:2 * nv])
     _copy(system.qdd, buffer.qdd[instant])
     _copy(system.lam, buffer.lam[instant])
@@ -169,11 +169,11 @@ def fill_joint_forces(system, torque, zero_order_hold, decimation, state, qdd, l
     """
     model, work, tree, nv = system.model, system.work, system.model.tree, qdd.shape[1]
     for instant in range(state.shape[0]):
-        take_states(system.effects, state[instant], nv)
+        take_states(system.effects, state[instant], 2 * nv)
         q, qd = state[instant, :nv], state[instant, nv:2 * nv]
         kinematics.outward(model, q, qd, work)
         row = max(instant * decimation - 1, 0) // zero_order_hold
-        apply_effects(system.effects, work, q, qd, torque[row])
+        apply_effects(system.effects, system.manifold, work, q, qd, torque[row])
         bias_forces(work.body, scratch)
         joint_wrenches(model, work, qdd[instant], lam[instant], scratch)
         for i in range(1, tree.shape[0]):

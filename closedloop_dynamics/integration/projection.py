@@ -22,6 +22,7 @@ from ..core import (
     articulated_inertia, elimination, forward_dynamics, independent, kinematics, loop_closure,
     rank_revealing, refinement)
 from ..core.compiled import compiled, inlined, merged
+from ..core.manifold import move, normalise, rates_begin
 from ..core.straight_line import linkage as links
 from ..core.types import CLOSURE, PROJECTION_ITERATIONS, RHS
 
@@ -62,8 +63,10 @@ def factor_configuration(system, q, qd):
     ----------
     system : System
         Model and workspace of the mechanism.
-    q, qd : ndarray, shape (nv,)
-        Joint coordinates and rates.
+    q : ndarray, shape (nq,)
+        Joint coordinates.
+    qd : ndarray, shape (nv,)
+        Their rates.
 
     Returns
     -------
@@ -113,7 +116,9 @@ def correction(system, independent, level, q, qd, out):
         What that returned.
     level : int
         ``rank_revealing.POSITION``: the error is psi; ``VELOCITY``: it is J qd.
-    q, qd : ndarray, shape (nv,)
+    q : ndarray, shape (nq,)
+        As for ``factor_configuration``.
+    qd : ndarray, shape (nv,)
         As for ``factor_configuration``.
     out : ndarray, shape (nv,)
         Written in place; must be ``system.qdd``.
@@ -137,7 +142,9 @@ def project(system, q, qd, positions):
     ----------
     system : System
         ``system.qdd`` is used as scratch.
-    q, qd : ndarray, shape (nv,)
+    q : ndarray, shape (nq,)
+        Corrected in place.
+    qd : ndarray, shape (nv,)
         Corrected in place.
     positions : bool
         Whether q may be corrected too.
@@ -157,15 +164,14 @@ def project(system, q, qd, positions):
     while positions and corrections < MOST_CORRECTIONS and error > settings[CLOSURE_TOLERANCE] * (
             1.0 if independent else SHARPER):
         correction(system, independent, rank_revealing.POSITION, q, qd, out)
-        for i in range(q.shape[0]):
-            q[i] += out[i]
+        move(system.manifold, q, out, 1.0)
         corrections += 1
         independent = factor_configuration(system, q, qd)
         before, error = error, loop_closure.largest(work.closure)
         if not error < 0.5 * before:
             break
     correction(system, independent, rank_revealing.VELOCITY, q, qd, out)
-    for i in range(q.shape[0]):
+    for i in range(qd.shape[0]):
         qd[i] += out[i]
     work.health[PROJECTION_ITERATIONS] = corrections
     work.health[CLOSURE] = error
@@ -192,14 +198,22 @@ def stabilise(system, stabilisation, state):
     bool
         Whether the loops are closed where positions were to be corrected.
 
+    Notes
+    -----
+    Whatever the stabilisation, quaternions get norm 1: a projection that keeps the order of the
+    method.
+
     """
     nv = system.qdd.shape[0]
+    nq = rates_begin(system.manifold, nv)
+    # A step leaves the unit sphere by its error.
+    normalise(system.manifold, state)
     if stabilisation < VELOCITY:
         return True
     if stabilisation == INDEPENDENT:
-        return independent.settle(system.partition, system.model, system.work, state[:nv],
-                                  state[nv:2 * nv], system.settings[CLOSURE_TOLERANCE])
-    return project(system, state[:nv], state[nv:2 * nv], stabilisation == PROJECTION)
+        return independent.settle(system.partition, system.model, system.work, state[:nq],
+                                  state[nq:nq + nv], system.settings[CLOSURE_TOLERANCE])
+    return project(system, state[:nq], state[nq:nq + nv], stabilisation == PROJECTION)
 
 
 @compiled

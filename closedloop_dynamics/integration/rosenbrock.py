@@ -207,7 +207,6 @@ def advance_fixed(system, stabilisation, state, step_size, steps, matrix, pivots
     stage, out, slope, moved, direction, start, slopes = (
         scratch[0], scratch[1], scratch[2], scratch[3], scratch[4], scratch[5],
         scratch[FIRST_SLOPE:])
-    nv = system.qdd.shape[0]
     for done in range(steps):
         left, size, cuts = step_size, step_size, 0
         for i in range(state.shape[0]):
@@ -222,7 +221,7 @@ def advance_fixed(system, stabilisation, state, step_size, steps, matrix, pivots
                 for i in range(state.shape[0]):
                     state[i] = start[i]
                 return (OPEN_LOOP if all_finite(out) else NOT_FINITE), done
-            part = stick_slip.part(system.effects, state, out, nv, size,
+            part = stick_slip.part(system.effects, system, state, out, size,
                                    stick_slip.least(step_size, cuts))
             if part < size:
                 size, cuts = part, cuts + 1
@@ -286,7 +285,7 @@ def accepted_step(system, stabilisation, state, limit, control, scale, matrix, p
     """
     stage, out, slope, moved, direction, slopes = (
         scratch[0], scratch[1], scratch[2], scratch[3], scratch[4], scratch[FIRST_SLOPE:])
-    n, nv, rest = state.shape[0], system.qdd.shape[0], limit - control[REACHED]
+    n, rest = state.shape[0], limit - control[REACHED]
     # A smaller step, at whose end a joint under dry friction comes to rest.
     cut, cuts = math.inf, 0
     size = control[NEXT_STEP] if control[NEXT_STEP] > 0.0 else 1e-4
@@ -312,7 +311,7 @@ def accepted_step(system, stabilisation, state, limit, control, scale, matrix, p
         factor = min(6.0, max(0.2, factor))
         # Written so that a NaN counts as an error too large.
         if error <= 1.0 and stabilised(system, stabilisation, out):
-            part = stick_slip.part(system.effects, state, out, nv, used, max(
+            part = stick_slip.part(system.effects, system, state, out, used, max(
                 stick_slip.least(whole, cuts), LEAST * max(abs(limit), 1e-3)))
             if not part < used:
                 break

@@ -15,19 +15,22 @@
 """Semi-implicit (symplectic) Euler: order 1, one evaluation a step."""
 
 from ..core.compiled import compiled
+from ..core.manifold import move, rates_begin
 
 
 @compiled
-def step(state, nv, step_size, slope, out):
+def step(manifold, state, nv, step_size, slope, out):
     """
     Advance a state by one step: rates first, then coordinates with the new rates.
 
     Parameters
     ----------
+    manifold : Manifold or None
+        Of the mechanism; rotations go on by what the new angular velocity turns in a step.
     state : ndarray, shape (ns,)
         Coordinates, rates, and what effects add.
     nv : int
-        Number of joint coordinates.
+        Number of rates.
     step_size : float
         [s].
     slope : ndarray, shape (ns,)
@@ -36,8 +39,9 @@ def step(state, nv, step_size, slope, out):
         Written in place.
 
     """
-    for i in range(nv):
-        out[nv + i] = state[nv + i] + step_size * slope[nv + i]
-        out[i] = state[i] + step_size * out[nv + i]
-    for k in range(2 * nv, state.shape[0]):
+    nq = rates_begin(manifold, nv)
+    for i in range(nq):
+        out[i] = state[i]
+    for k in range(nq, state.shape[0]):
         out[k] = state[k] + step_size * slope[k]
+    move(manifold, out[:nq], out[nq:nq + nv], step_size)

@@ -124,7 +124,7 @@ def _step(linkage, qdd, tableau, state, step_size, slopes, stage, out):
         return False
     stages = tableau.b.shape[0]
     if stages == 0:
-        semi_implicit_euler.step(state, qdd.shape[0], step_size, slopes[0], out)
+        semi_implicit_euler.step(None, state, qdd.shape[0], step_size, slopes[0], out)
         return True
     for k in range(1, stages):
         combine(tableau.a[k], k, state, step_size, slopes, stage)

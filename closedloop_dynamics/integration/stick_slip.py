@@ -25,6 +25,7 @@ import math
 
 from .system import evaluate, take_states
 from ..core.compiled import compiled, inlined
+from ..core.manifold import rates_begin
 from ..effects import sticking
 from ..effects.table import FIRST, JOINT_FRICTION, STATE
 
@@ -37,13 +38,13 @@ LEAST_PART = 1e-12
 
 
 @compiled
-def _first_rest(effects, before, after, nv, size, floor):
+def _first_rest(effects, before, after, nq, nv, size, floor):
     """Return when the first joint comes to rest, by the secant; ``size`` where none does."""
     shortest = size
     for row in range(effects.kind.shape[0]):
         if effects.kind[row] == JOINT_FRICTION and effects.enabled[row] == 1:
-            joint = nv + effects.index[row, FIRST]
-            grip = before[2 * nv + effects.index[row, STATE]]
+            joint = nq + effects.index[row, FIRST]
+            grip = before[nq + nv + effects.index[row, STATE]]
             start, end = max(0.0, grip * before[joint]), grip * after[joint]
             if end < -ARRIVED:
                 shortest = min(shortest, size * start / (start - end))
@@ -57,7 +58,7 @@ def least(size, cuts):
 
 
 @inlined
-def part(effects, before, after, nv, size, floor):
+def part(effects, system, before, after, size, floor):
     """
     Return the part of a step on which no joint turns round.
 
@@ -65,10 +66,10 @@ def part(effects, before, after, nv, size, floor):
     ----------
     effects : EffectTable or None
         Of the system.
+    system : System
+        Model and workspace of the mechanism.
     before, after : ndarray, shape (ns,)
         States before and after the step.
-    nv : int
-        Number of joint coordinates.
     size : float
         Of the step [s].
     floor : float
@@ -82,26 +83,28 @@ def part(effects, before, after, nv, size, floor):
     """
     if effects is None:
         return size
-    return _first_rest(effects, before, after, nv, size, floor)
+    nv = system.qdd.shape[0]
+    return _first_rest(effects, before, after, rates_begin(system.manifold, nv), nv, size, floor)
 
 
 @compiled
 def _rest(effects, system, state):
     """Let joints stick or slip, where a scene has dry friction."""
     nv, slow = system.qdd.shape[0], False
+    nq = rates_begin(system.manifold, nv)
     for row in range(effects.kind.shape[0]):
         if effects.kind[row] == JOINT_FRICTION and effects.enabled[row] == 1:
-            rate = state[nv + effects.index[row, FIRST]]
-            place = 2 * nv + effects.index[row, STATE]
+            rate = state[nq + effects.index[row, FIRST]]
+            place = nq + nv + effects.index[row, STATE]
             if abs(rate) > sticking.REST:
                 state[place] = math.copysign(1.0, rate)
             elif rate * state[place] <= ARRIVED:
                 state[place] = 0.0
                 slow = slow or rate != 0.0
     if slow:
-        take_states(effects, state, nv)
-        evaluate(system, state[:nv], state[nv:2 * nv])
-        sticking.stop(effects, state[nv:2 * nv])
+        take_states(effects, state, nq + nv)
+        evaluate(system, state[:nq], state[nq:nq + nv])
+        sticking.stop(effects, state[nq:nq + nv])
 
 
 @inlined

@@ -38,6 +38,7 @@ from .adaptive import (
 from .advance import DONE, OPEN_LOOP, TOO_MUCH_WORK
 from .projection import stabilised
 from ..core.compiled import compiled, merged
+from ..core.manifold import rates_begin
 
 # Columns that follow those of ``adaptive`` in the control record: whether the stiff method steps;
 # explicit steps in a row that stability seems to limit and those that it does not; how many of the
@@ -90,15 +91,33 @@ class Runs(NamedTuple):
     matrix: np.ndarray  # Shape (ns, ns)
     pivots: np.ndarray  # Shape (ns,)
     watch: np.ndarray  # Shape (WATCH_COLUMNS,)
+    weight: np.ndarray  # Shape (nq,): of a component in the distance of the two
 
 
-def allocate_runs(tableau, states):
-    """Allocate a run and its companion."""
+def allocate_runs(tableau, states, weight):
+    """
+    Allocate a run and its companion.
+
+    Parameters
+    ----------
+    tableau : Tableau
+        Of the explicit method.
+    states : int
+        Length of the state vector.
+    weight : ndarray, shape (nq,)
+        What a component's error stands for.
+
+    Returns
+    -------
+    Runs
+
+    """
     stiff_rows = rosenbrock.STAGES + rosenbrock.FIRST_SLOPE
     return Runs(
         np.zeros((2, COLUMNS)), np.zeros((2, 2, states)),
         np.zeros((2, len(tableau.a) + FIRST_SLOPE, states)), np.zeros((2, stiff_rows, states)),
-        np.zeros((states, states)), np.zeros(states, dtype=np.int64), np.zeros(WATCH_COLUMNS))
+        np.zeros((states, states)), np.zeros(states, dtype=np.int64), np.zeros(WATCH_COLUMNS),
+        weight)
 
 
 @compiled
@@ -303,6 +322,7 @@ def _distance(system, tableau, runs):
     adaptive.interpolate(
         system, tableau, runs.control[RUN, REACHED], runs.control[COMPANION], scratch[COMPANION],
         scratch[COMPANION, OUT])
-    for i in range(system.qdd.shape[0]):
-        apart = max(apart, abs(scratch[COMPANION, OUT, i] - scratch[RUN, AFTER, i]))
+    for i in range(rates_begin(system.manifold, system.qdd.shape[0])):
+        apart = max(apart, runs.weight[i] * abs(
+            scratch[COMPANION, OUT, i] - scratch[RUN, AFTER, i]))
     return apart

@@ -27,6 +27,8 @@ from ..core.compiled import allocating, compiled, inlined, merged
 from ..core.formulations import accelerate_dense, allocate_dense, DenseWorkspace, SUBSYSTEM
 from ..core.independent import allocate_partition, close, Partition
 from ..core.joint_wrenches import bias_forces
+from ..core.manifold import (
+    by_rate, Manifold, manifold_of, number_of_coordinates, rates_begin, rates_of_coordinates, TURN)
 from ..core.straight_line import linkage as links
 from ..core.straight_line.numbers import Numbers
 from ..core.straight_line.space import is_spatial
@@ -79,6 +81,14 @@ class System(NamedTuple):
         Which way evaluations go; the other one is None, as a branch is dropped only for that.
     corrections : ndarray, shape (2, nv)
         Of coordinates and rates, as unrolled routines leave them.
+    manifold : Manifold or None
+        Where quaternions are among the coordinates; None where there are none.
+
+    Notes
+    -----
+    A state vector has the coordinates, shape (nq,), the rates, shape (nv,), the effects' own
+    states, and, where there are quaternions, the work that torques did on their joints. nq is nv
+    where there are none.
 
     """
 
@@ -96,6 +106,7 @@ class System(NamedTuple):
     unrolled: Optional[np.ndarray]
     by_loops: Optional[np.ndarray]
     corrections: np.ndarray
+    manifold: Optional[Manifold]
 
     def __reduce__(self):
         """Copy and pickle without addresses, which hold for these very arrays."""
@@ -142,7 +153,7 @@ def build_system(model, formulation=SUBSYSTEM, baumgarte=0.0, extent=1.0, indepe
         settings=settings, tau=tau, qdd=np.zeros(nv), lam=np.zeros(nc),
         applied=tau if effects is None else effects.applied, effects=effects, linkage=None,
         unrolled=_YES if unrolled else None, by_loops=None if unrolled else _YES,
-        corrections=np.zeros((2, nv)))
+        corrections=np.zeros((2, nv)), manifold=manifold_of(model))
     return _linked(system)
 
 
@@ -249,10 +260,33 @@ def narrowed(system):
     return system._replace(model=None, work=used, lam=None)
 
 
+def parts_of_state(system):
+    """
+    Return where the parts of a state vector are.
+
+    Parameters
+    ----------
+    system : System
+        Of a mechanism.
+
+    Returns
+    -------
+    q, qd, own : slice
+        Coordinates, rates, the effects' own states.
+    ns : int
+        Length of the state vector.
+
+    """
+    nv = len(system.qdd)
+    nq = number_of_coordinates(system.manifold, nv)
+    end = nq + nv + (0 if system.effects is None else len(system.effects.states))
+    return (slice(nq), slice(nq, nq + nv), slice(nq + nv, end),
+            end if system.manifold is None else end + 1)
+
+
 def number_of_states(system):
-    """Return ns: the length of the state vector q, qd and the effects' own states."""
-    own = 0 if system.effects is None else len(system.effects.states)
-    return 2 * len(system.qdd) + own
+    """Return ns: the length of the state vector."""
+    return parts_of_state(system)[-1]
 
 
 # What a scene does not use is None in its system. Numba drops the branches below for an argument
@@ -274,7 +308,7 @@ def _close(partition, model, work, q, qd, tolerance):
 
 
 @inlined
-def apply_effects(effects, work, q, qd, tau):
+def apply_effects(effects, manifold, work, q, qd, tau):
     """
     Apply the effects, where a scene lists any.
 
@@ -282,14 +316,18 @@ def apply_effects(effects, work, q, qd, tau):
     ----------
     effects : EffectTable or None
         Of the system.
+    manifold : Manifold or None
+        Of the system; laws see the coordinate of each rate.
     work : Workspace
         After ``kinematics.outward``.
-    q, qd, tau : ndarray, shape (nv,)
-        Joint coordinates, rates, and commanded torques.
+    q : ndarray, shape (nq,)
+        Joint coordinates.
+    qd, tau : ndarray, shape (nv,)
+        Rates, and commanded torques.
 
     """
     if effects is not None:
-        dispatch.apply(work.body, effects, q, qd, tau)
+        dispatch.apply(work.body, effects, by_rate(manifold, q), qd, tau)
         if effects.loaded[0] > 0:
             bias_forces(work.body, effects.reaction)
 
@@ -303,7 +341,7 @@ def _feel_reactions(effects, model, work, qdd, lam):
 
 
 @inlined
-def take_states(effects, state, nv):
+def take_states(effects, state, first):
     """
     Hand the effects' own states over to them, where a scene lists any.
 
@@ -313,21 +351,33 @@ def take_states(effects, state, nv):
         Of the system.
     state : ndarray, shape (ns,)
         Coordinates, rates, and what effects add.
-    nv : int
-        Number of joint coordinates.
+    first : int
+        Place of the first of them: nq + nv.
 
     """
     if effects is not None:
         for k in range(effects.states.shape[0]):
-            effects.states[k] = state[2 * nv + k]
+            effects.states[k] = state[first + k]
 
 
 @inlined
-def _give_rates(effects, nv, out):
+def _give_rates(effects, first, out):
     """Copy the rates of the effects' own states into a derivative."""
     if effects is not None:
         for k in range(effects.rates.shape[0]):
-            out[2 * nv + k] = effects.rates[k]
+            out[first + k] = effects.rates[k]
+
+
+@inlined
+def _give_power(manifold, tau, state, nv, out):
+    """Write the power of torques on rotations, where there are such, into a derivative."""
+    if manifold is not None:
+        power, nq = 0.0, nv + manifold.balls.shape[0]
+        for ball in range(manifold.balls.shape[0]):
+            rate = manifold.balls[ball, TURN]
+            for k in range(rate, rate + 3):
+                power += tau[k] * state[nq + k]
+        out[out.shape[0] - 1] = power
 
 
 @allocating
@@ -339,12 +389,14 @@ def careful_acceleration(model, work, effects, settings, tau, applied, q, qd, qd
     ----------
     model, work, effects, settings, tau, applied, qdd, lam
         As a ``System`` has them.
-    q, qd : ndarray, shape (nv,)
-        Joint coordinates and rates.
+    q : ndarray, shape (nq,)
+        Joint coordinates.
+    qd : ndarray, shape (nv,)
+        Their rates.
 
     """
     kinematics.outward(model, q, qd, work)
-    apply_effects(effects, work, q, qd, tau)
+    apply_effects(effects, None, work, q, qd, tau)
     rank_revealing.accelerate(
         model, work, applied, settings[BAUMGARTE_GAIN], settings[ASIDE], q, qd, qdd, lam)
 
@@ -362,8 +414,10 @@ def careful_correction(model, work, level, q, qd, out):
         Scratch of the evaluation.
     level : int
         ``rank_revealing.POSITION`` or ``VELOCITY``.
-    q, qd : ndarray, shape (nv,)
-        Joint coordinates and rates.
+    q : ndarray, shape (nq,)
+        Joint coordinates.
+    qd : ndarray, shape (nv,)
+        Their rates.
     out : ndarray, shape (nv,)
         Written in place.
 
@@ -381,7 +435,7 @@ def _evaluate_by_loops(by_loops, system, q, qd):
         for attempt in range(2):
             # An elimination uses up what the outward recursion and the effects leave.
             kinematics.outward(model, q, qd, work)
-            apply_effects(system.effects, work, q, qd, system.tau)
+            apply_effects(system.effects, system.manifold, work, q, qd, system.tau)
             if attempt == 1:
                 good = refinement.accelerate(
                     model, work, applied, baumgarte, system.qdd, system.lam)
@@ -410,7 +464,7 @@ def _evaluate_unrolled(unrolled, system, q, qd):
     if unrolled is not None:
         linkage = system.linkage
         links.call(linkage, links.OUTWARD, q, qd)
-        apply_effects(system.effects, system.work, q, qd, system.tau)
+        apply_effects(system.effects, system.manifold, system.work, q, qd, system.tau)
         if links.call(linkage, links.ACCELERATION, q, qd) == 0:
             _accelerate_anew(linkage, q, qd)
 
@@ -466,8 +520,10 @@ def evaluate(system, q, qd):
     ----------
     system : System
         ``effects.states`` must be those of the state.
-    q, qd : ndarray, shape (nv,)
-        Joint coordinates and rates.
+    q : ndarray, shape (nq,)
+        Joint coordinates.
+    qd : ndarray, shape (nv,)
+        Their rates.
 
     """
     _evaluate_unrolled(system.unrolled, system, q, qd)
@@ -484,8 +540,10 @@ def evaluate_only(system, q, qd):
     ----------
     system : System
         ``effects.states`` must be those of the state.
-    q, qd : ndarray, shape (nv,)
-        Joint coordinates and rates.
+    q : ndarray, shape (nq,)
+        Joint coordinates.
+    qd : ndarray, shape (nv,)
+        Their rates.
 
     """
     _evaluate_bare(system.unrolled, system.linkage, system.effects, q, qd)
@@ -506,7 +564,8 @@ class Probe:
     def __init__(self, system):
         """Allocate a state to evaluate."""
         self._system = system
-        self.q, self.qd = np.zeros((2, len(system.qdd)))
+        self.q = np.zeros(number_of_coordinates(system.manifold, len(system.qdd)))
+        self.qd = np.zeros(len(system.qdd))
         self._address, self._routine, self._pointers = 0, None, ()
         self._quick = system.unrolled is not None and system.effects is None
 
@@ -538,21 +597,23 @@ def derivative(system, state, out):
     system : System
         What moves.
     state : ndarray, shape (ns,)
-        Joint coordinates, joint rates, the effects' own states.
+        As ``System`` tells.
     out : ndarray, shape (ns,)
         Written in place.
 
     """
     nv = system.qdd.shape[0]
+    nq = rates_begin(system.manifold, nv)
     # Independent coordinates: the others of a stage are first guesses only.
-    _close(system.partition, system.model, system.work, state[:nv], state[nv:2 * nv],
+    _close(system.partition, system.model, system.work, state[:nq], state[nq:nq + nv],
            system.settings[CLOSURE_TOLERANCE])
-    take_states(system.effects, state, nv)
-    evaluate_only(system, state[:nv], state[nv:2 * nv])
+    take_states(system.effects, state, nq + nv)
+    evaluate_only(system, state[:nq], state[nq:nq + nv])
+    rates_of_coordinates(system.manifold, state, nv, out)
     for i in range(nv):
-        out[i] = state[nv + i]
-        out[nv + i] = system.qdd[i]
-    _give_rates(system.effects, nv, out)
+        out[nq + i] = system.qdd[i]
+    _give_rates(system.effects, nq + nv, out)
+    _give_power(system.manifold, system.tau, state, nv, out)
 
 
 @compiled

@@ -37,16 +37,11 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Optional, Tuple, Union
 
+from .coordinates import (
+    Coordinates, CYLINDRICAL, FIXED, FREE, HELICAL, PLANAR, PRISMATIC, REVOLUTE, SPHERICAL,
+    UNIVERSAL)
+
 GROUND = 'ground'
-REVOLUTE = 'revolute'
-PRISMATIC = 'prismatic'
-FIXED = 'fixed'
-HELICAL = 'helical'
-CYLINDRICAL = 'cylindrical'
-UNIVERSAL = 'universal'
-SPHERICAL = 'spherical'
-PLANAR = 'planar'
-FREE = 'free'
 # Joints of trees in the plane, and cut joints with their closure equations.
 JOINT_TYPES = (REVOLUTE, PRISMATIC)
 CUT_JOINT_EQUATIONS = {REVOLUTE: 2, PRISMATIC: 2, FIXED: 3}
@@ -212,7 +207,7 @@ class Mechanism:
     """
     A mechanism: bodies, spanning-tree joints, cut joints, named points.
 
-    The order of ``joints`` is the order of the joint coordinates q, that of
+    The order of ``joints`` is the order of the joint coordinates q (``coordinates``), that of
     ``cut_joints`` the order of the Lagrange multipliers.
 
     ``parameters`` are the named numbers that a file's expressions were computed with, ``source``
@@ -235,13 +230,18 @@ class Mechanism:
 
     @cached_property
     def joint_names(self):
-        """Names of the joints, in the order of q."""
+        """Names of the joints."""
         return tuple(joint.name for joint in self.joints)
 
     @cached_property
+    def coordinates(self):
+        """Names and places of the numbers of a state, a ``coordinates.Coordinates``."""
+        return Coordinates(self.joints)
+
+    @cached_property
     def actuated_joints(self):
-        """Names of the actuated joints, in the order of q."""
-        return tuple(joint.name for joint in self.joints if joint.actuated)
+        """Names of the actuated joints' freedoms, in the order of qd: ``crank``, ``hip.1``."""
+        return tuple(self.coordinates.names[place] for place in self.coordinates.actuated)
 
     @cached_property
     def planar(self):

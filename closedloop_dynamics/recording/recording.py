@@ -30,6 +30,8 @@ from ..simulation.scene_text import read_scene_text
 from ..visual.motion import from_rows, Motion, wrench_parts
 
 STATES, FORCES, LOG, SCENE = 'joint_states', 'constraint_forces/', 'replay_log', 'scene'
+# Of joints with an orientation.
+TURNED = 'multi_dof_joint_states'
 NANOSECONDS = 1e-9
 # Damages of a bag that are told one by one.
 MOST_TOLD = 5
@@ -166,6 +168,9 @@ def _recording(path, messages, scene, namespace, finished):
     time = (log.time[log.state >= 0] if log
             else (np.array(stamps) - stamps[0]) * NANOSECONDS)
     stamps = [stamps[row] for row in rows]
+    if mechanism.coordinates.with_orientation:
+        values = _with_orientations(
+            path, messages.get(prefix + TURNED, []), mechanism.coordinates, stamps, values)
     forces = _forces(messages, prefix + FORCES, mechanism, stamps)
     return Recording(Motion(mechanism, time, *values, forces), scene, changes, log, finished,
                      np.array(stamps))
@@ -173,7 +178,7 @@ def _recording(path, messages, scene, namespace, finished):
 
 def _of_interest(topic):
     *_, parent, name = ('', *topic.split('/'))
-    return name in (STATES, LOG, SCENE) or f'{parent}/' == FORCES
+    return name in (STATES, TURNED, LOG, SCENE) or f'{parent}/' == FORCES
 
 
 def _prefix(path, messages, namespace):
@@ -197,12 +202,45 @@ def _prefix(path, messages, namespace):
 
 def _order(path, state, scene):
     """Return where the joints of the mechanism are in the states."""
-    names = list(state.name)
-    if sorted(names) != sorted(scene.mechanism.joint_names):
+    names, coordinates = list(state.name), scene.mechanism.coordinates
+    expected = [coordinates.names[place] for place in coordinates.single]
+    if sorted(names) != sorted(expected):
         raise RecordingError(
             f'{path}: expected the joints of {scene.mechanism.name} '
-            f'({", ".join(scene.mechanism.joint_names)}), got {", ".join(names)}')
-    return [names.index(name) for name in scene.mechanism.joint_names]
+            f'({", ".join(expected)}), got {", ".join(names)}')
+    return [names.index(name) for name in expected]
+
+
+def _with_orientations(path, entries, coordinates, stamps, values):
+    """Return positions, velocities and efforts of all joints; NaN where none were recorded."""
+    count, known = len(stamps), coordinates.with_orientation
+    whole = [np.full((count, size), np.nan) for size in (
+        coordinates.nq, coordinates.nv, coordinates.nv)]
+    single = coordinates.single
+    for out, given, places in zip(whole, values, (coordinates.place[single], single, single)):
+        out[:, places] = given
+    for row, entry in _matched(stamps, [_stamp(message) for message in entries]):
+        message = entries[entry]
+        names = list(message.joint_names)
+        if sorted(names) != sorted(known):
+            raise RecordingError(
+                f'{path}: expected the joints {", ".join(known)} in {TURNED}, got '
+                f'{", ".join(names)}')
+        for joint, pose, twist, wrench in zip(
+                names, message.transforms, message.twist, message.wrench):
+            turn, place = pose.rotation, known.index(joint)
+            for out, where, numbers in zip(
+                    whole, (coordinates.pose, coordinates.twist, coordinates.twist), (
+                        (*_vector(pose.translation), *_vector(turn), turn.w),
+                        (*_vector(twist.linear), *_vector(twist.angular)),
+                        (*_vector(wrench.force), *_vector(wrench.torque)))):
+                there = where[place] >= 0
+                out[row, where[place][there]] = np.array(numbers)[there]
+    return whole
+
+
+def _vector(message):
+    return message.x, message.y, message.z
 
 
 def _log(entries, mechanism, stamps):
@@ -212,7 +250,7 @@ def _log(entries, mechanism, stamps):
     columns = entries[0].layout.dim[0].label.split()
     place = {name: columns.index(name) for name in columns}
     try:
-        joints = [place[name] for name in mechanism.joint_names]
+        joints = [place[name] for name in mechanism.coordinates.names]
     except KeyError as error:
         raise RecordingError(f'the replay_log is of another mechanism: no joint {error}') from None
     behind = max(joints) + 1

@@ -125,10 +125,10 @@ def replay(recording, progress=lambda time: None):
 
 def _true(motion, states):
     """Return a motion with positions and velocities of whole states."""
-    count = len(motion.mechanism.joints)
-    values = np.array([state[:2 * count] for state in states])
+    names = motion.mechanism.coordinates
+    values = np.array([state[:names.nq + names.nv] for state in states])
     values[np.isnan(motion.position).any(axis=1)] = np.nan
-    return replace(motion, position=values[:, :count], velocity=values[:, count:])
+    return replace(motion, position=values[:, :names.nq], velocity=values[:, names.nq:])
 
 
 def _positions(player):
@@ -138,7 +138,7 @@ def _positions(player):
             yield player.simulation.position
     except SimulationError:
         while True:
-            yield np.full(len(player.simulation.joint_names), np.inf)
+            yield np.full(player.simulation.coordinates.nq, np.inf)
 
 
 class _Player:
@@ -155,9 +155,10 @@ class _Player:
 
     def _start(self, state, time):
         """Take a whole state bit for bit, but for the perturbation."""
-        count = len(self.simulation.joint_names)
-        state = state.copy()
-        state[:count] += self._perturbation * np.random.default_rng(0).standard_normal(count)
+        names, state = self.simulation.coordinates, state.copy()
+        if self._perturbation:
+            state[:names.nq] = names.moved(state[:names.nq], (
+                self._perturbation * np.random.default_rng(0).standard_normal(names.nv)))
         self.simulation.restore(state, time)
 
 
@@ -293,7 +294,8 @@ class _Stamped(_Player):
         motion, simulation = self._motion, self.simulation
         simulation.set_state(motion.position[0], motion.velocity[0])
         self._start(simulation.state, 0.0)
-        actuated = [joint.actuated for joint in motion.mechanism.joints]
+        names = motion.mechanism.coordinates
+        actuated = np.isin(np.arange(names.nv), names.actuated)
         done = 0
         for time, effort in zip(motion.time, motion.effort):
             due = round(time / simulation.step_size)

@@ -85,16 +85,16 @@ class ErrorEstimate:
 
     def of(self, simulation):
         """Return the largest error of a joint coordinate [rad or m]."""
-        apart = np.abs(simulation.position - self.simulation.position).max(initial=0.0)
+        apart = np.abs(simulation.coordinates.apart(
+            simulation.position, self.simulation.position)).max(initial=0.0)
         return float(self._share * apart)
 
 
 def columns(simulation, all_forces=False):
     """Return the names of the columns, in the order of ``row``."""
-    joints = simulation.joint_names
-    names = ['time']
+    joints, names = simulation.joint_names, ['time']
     for quantity in ('position', 'velocity', 'acceleration', 'effort'):
-        names += [f'{quantity}.{joint}' for joint in joints]
+        names += simulation.coordinates.columns(quantity)
     for cut in simulation.cut_joints:
         names += [f'force.{cut.name}.{part}' for part in _force_parts(simulation, cut)]
     if all_forces:

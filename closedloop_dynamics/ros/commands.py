@@ -153,35 +153,78 @@ class TorqueCommand:
         return f'the actuated joints are {", ".join(self.actuated_joints)}'
 
 
-def state_of(message, joints, position):
+def state_of(message, coordinates, position):
     """
     Return the positions, velocities and held joints that a JointState asks for.
 
-    ``joints`` are all joints of the mechanism; those that the message does not name begin at
-    ``position``, shape (nv,) [rad or m], and follow those it names, which are held. None is held
+    ``coordinates`` are those of the mechanism; joints that the message does not name begin at
+    ``position``, shape (nq,) [rad or m], and follow those it names, which are held. None is held
     where all are named. Raises CommandError if the message makes no sense.
 
     """
-    names = list(message.name)
-    unknown = [name for name in names if name not in joints]
-    if unknown or not names:
-        raise CommandError((f"'{unknown[0]}' is not a joint" if unknown else 'it names no joint')
-                           + f'; the joints are {", ".join(joints)}')
-    if len(set(names)) != len(names):
-        raise CommandError(f'a joint is named twice in {", ".join(names)}')
+    joints = [coordinates.names[place] for place in coordinates.single]
+    names = _known_joints(message.name, joints)
     if len(message.position) != len(names):
         raise CommandError(f'expected one position per name, got {len(message.position)} for '
                            f'{len(names)} names')
     if len(message.velocity) not in (0, len(names)):
         raise CommandError(f'expected no velocity, or one per name, got {len(message.velocity)} '
                            f'for {len(names)} names')
-    wanted = {'position': np.array(position), 'velocity': np.zeros(len(joints))}
+    wanted = {'position': np.array(position), 'velocity': np.zeros(coordinates.nv)}
     for key, values in wanted.items():
         for name, value in zip(names, getattr(message, key)):
             if not math.isfinite(value):
                 raise CommandError(f"the {key} of '{name}' is {value}, not a finite number")
-            values[joints.index(name)] = value
-    return *wanted.values(), tuple(names) if len(names) < len(joints) else ()
+            place = coordinates.index[name]
+            values[coordinates.place[place] if key == 'position' else place] = value
+    return *wanted.values(), tuple(names) if len(names) < coordinates.nv else ()
+
+
+def poses_of(message, coordinates, position):
+    """
+    Return the positions, velocities and held joints that a MultiDOFJointState asks for.
+
+    Of spherical joints the translation must be zero; otherwise as ``state_of``.
+
+    """
+    names = _known_joints(message.joint_names, coordinates.with_orientation)
+    if len(message.transforms) != len(names):
+        raise CommandError(f'expected one transform per name, got {len(message.transforms)} for '
+                           f'{len(names)} names')
+    if len(message.twist) not in (0, len(names)):
+        raise CommandError(f'expected no twist, or one per name, got {len(message.twist)} for '
+                           f'{len(names)} names')
+    wanted = np.array(position), np.zeros(coordinates.nv)
+    given = ([(_vector(pose.translation), [*_vector(pose.rotation), pose.rotation.w])
+              for pose in message.transforms],
+             [(_vector(twist.linear), _vector(twist.angular)) for twist in message.twist])
+    for values, places, parts in zip(wanted, (coordinates.pose, coordinates.twist), given):
+        for name, (place, turn) in zip(names, parts):
+            numbers = np.array(place + turn)
+            where = places[coordinates.with_orientation.index(name)]
+            if not np.isfinite(numbers).all():
+                raise CommandError(f"the state of '{name}' has a number that is not finite")
+            if numbers[where < 0].any():
+                raise CommandError(f"'{name}' is a spherical joint, which turns only, got "
+                                   f'{place} along its axes')
+            values[where[where >= 0]] = numbers[where >= 0]
+    return *wanted, tuple(names) if len(names) < len(coordinates.rates) else ()
+
+
+def _vector(message):
+    return [message.x, message.y, message.z]
+
+
+def _known_joints(names, joints):
+    """Return names that are those of joints, each once; raise CommandError otherwise."""
+    names = list(names)
+    unknown = [name for name in names if name not in joints]
+    if unknown or not names:
+        raise CommandError((f"'{unknown[0]}' is not a joint" if unknown else 'it names no joint')
+                           + f'; the joints are {", ".join(joints)}')
+    if len(set(names)) != len(names):
+        raise CommandError(f'a joint is named twice in {", ".join(names)}')
+    return names
 
 
 class SequenceGaps:

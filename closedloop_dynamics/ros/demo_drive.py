@@ -108,8 +108,9 @@ def _sines(scene):
     if not mechanism.actuated_joints:
         return Drive('nothing: no joint is actuated', {})
     weight = GRAVITY * sum(body.mass for body in mechanism.bodies)
-    places = body_poses(mechanism, np.array(scene.initial.position))[:, :2]
-    length = np.ptp(np.vstack([places, (0.0, 0.0)]), axis=0).max()
+    size = 2 if mechanism.planar else 3
+    places = body_poses(mechanism, np.array(scene.initial.position))[:, :size]
+    length = np.ptp(np.vstack([places, np.zeros(size)]), axis=0).max()
     amplitude = [
         float(f'{SHARE_OF_WEIGHT * weight if joint.type == PRISMATIC else torque:.2g}')
         for torque in [SHARE_OF_TORQUE * weight * length]

@@ -12,13 +12,17 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 """
-Frames on ``/tf``: one at each cut point, to which constraint forces refer, and those of the links.
+Frames on ``/tf``: one at each cut point, to which constraint forces refer, and those of links.
+
+``joint_states`` do not have the joints with an orientation, and robot_state_publisher leaves out
+floating joints: the links that they carry always have a frame here.
 
 A wrench's moment refers to the origin of its ``frame_id``. So constraint forces carry a frame
 whose origin is the cut point of body A; its axes are those of the world.
 
 """
 
+from closedloop_dynamics.mechanism.coordinates import WITH_ORIENTATION
 from closedloop_dynamics.mechanism.mechanism import GROUND, UNTURNED
 from closedloop_dynamics.ros.messages import SerializedTemplate
 from closedloop_dynamics.ros.parameters import declare, Parameter
@@ -74,6 +78,8 @@ class Frames:
         self._planar = simulation.mechanism.planar
         origin, unmoved = ((0.0, 0.0), (0.0, 0.0, 0.0)) if self._planar else (
             (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, *UNTURNED))
+        floating = {joint.child for joint in simulation.mechanism.joints
+                    if joint.type in WITH_ORIENTATION and TFMessage is not None}
         with_cuts, with_links = values['cut_frames'] and bool(cuts), values['publish_tf']
         if TFMessage is None:
             if with_links:
@@ -90,7 +96,7 @@ class Frames:
         frames = [*((name, cut.body_a, cut.point_a, False)
                     for name, cut in zip(self.of_cuts, cuts) if with_cuts),
                   *((self._prefix + body, body, origin, True)
-                    for body in bodies if with_links)]
+                    for body in bodies if with_links or body in floating)]
         self.any = bool(frames)
         if frames:
             self._names, of, points, turns = zip(*frames)

@@ -31,6 +31,9 @@ import time
 
 from builtin_interfaces.msg import Time
 from closedloop_dynamics.ros.process import StartError
+from geometry_msgs.msg import Transform
+from geometry_msgs.msg import Twist
+from geometry_msgs.msg import Wrench
 from geometry_msgs.msg import WrenchStamped
 import numpy as np
 from rclpy.duration import Duration
@@ -39,6 +42,7 @@ from rclpy.qos import QoSProfile
 from rclpy.serialization import serialize_message
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
+from sensor_msgs.msg import MultiDOFJointState
 
 NANOSECONDS = 10 ** 9
 # A stamp that is found only where it was put: seconds and nanoseconds.
@@ -159,12 +163,16 @@ class StatePublisher:
     """
     Publishes one JointState and one WrenchStamped per cut joint, with one stamp.
 
+    Joints with an orientation go into a MultiDOFJointState, where there are such.
+
     Parameters
     ----------
     node : rclpy.node.Node
         By which they are published.
-    joint_names, cut_names : sequence of str
-        In the order of the joint coordinates and of the constraint forces.
+    coordinates : mechanism.coordinates.Coordinates
+        Names and places of the joints.
+    cut_names : sequence of str
+        In the order of the constraint forces.
     frames : sequence of str
         Frames that these refer to.
 
@@ -182,11 +190,20 @@ class StatePublisher:
 
     """
 
-    def __init__(self, node, joint_names, cut_names, frames):
+    def __init__(self, node, coordinates, cut_names, frames):
         self.stamp, self.published = Time(), 0
         self._stuck_since = None
-        self._names = list(joint_names)
-        self._state = SerializedTemplate(self.joint_state, 3 * [len(joint_names)])
+        self._coordinates, self._single = coordinates, coordinates.single
+        self._places = coordinates.place[self._single]
+        self._names = [coordinates.names[place] for place in self._single]
+        self._state = SerializedTemplate(self.joint_state, 3 * [len(self._names)])
+        self._turned = None
+        count = len(coordinates.with_orientation)
+        if count:
+            self._turned = SerializedTemplate(
+                self.multi_dof_joint_state, [7 * count, 6 * count, 6 * count])
+            self._turned_publisher = node.create_publisher(
+                MultiDOFJointState, 'multi_dof_joint_states', STATE_QOS)
         self._messages = [
             SerializedTemplate(partial(wrench_stamped, frame), (6,)) for frame in frames]
         # Forces of all cut joints as the messages have them: force, then torque.
@@ -203,11 +220,30 @@ class StatePublisher:
                 f'{list(cut_names)}') from None
 
     def joint_state(self, sec, nanosec, position, velocity, effort):
-        """Return a JointState of arrays of shape (nv,)."""
+        """Return a JointState of arrays, one number for each joint in it."""
         message = JointState(name=self._names, **{
             key: array('d', values.tobytes()) for key, values in (
                 ('position', position), ('velocity', velocity), ('effort', effort))})
         message.header.stamp = Time(sec=sec, nanosec=nanosec)
+        return message
+
+    def multi_dof_joint_state(self, sec, nanosec, poses, twists, wrenches):
+        """Return a MultiDOFJointState of arrays of 7, 6 and 6 numbers for each joint in it."""
+        message = MultiDOFJointState(joint_names=list(self._coordinates.with_orientation))
+        message.header.stamp = Time(sec=sec, nanosec=nanosec)
+        for numbers in poses.reshape(-1, 7).tolist():
+            pose = Transform()
+            place, turn = pose.translation, pose.rotation
+            place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w = numbers
+            message.transforms.append(pose)
+        for numbers in twists.reshape(-1, 6).tolist():
+            twist = Twist()
+            _fill(twist.linear, twist.angular, numbers)
+            message.twist.append(twist)
+        for numbers in wrenches.reshape(-1, 6).tolist():
+            wrench = Wrench()
+            _fill(wrench.force, wrench.torque, numbers)
+            message.wrench.append(wrench)
         return message
 
     def publish(self, nanoseconds, position, velocity, effort, constraint_forces):
@@ -218,8 +254,10 @@ class StatePublisher:
         ----------
         nanoseconds : int
             The stamp.
-        position, velocity, effort : ndarray, shape (nv,)
-            Of the joints [rad or m, and per s; N m or N].
+        position : ndarray, shape (nq,)
+            Of the joints [rad or m].
+        velocity, effort : ndarray, shape (nv,)
+            The same per s; [N m or N].
         constraint_forces : ndarray, shape (number of cut joints, 3 or 6)
             What body B exerts on body A: torque about z [N m], force along x and y [N]; in space
             torque about and force along x, y and z.
@@ -232,6 +270,13 @@ class StatePublisher:
         for publisher, message, wrench in zip(
                 self._force_publishers, self._messages, self._wrenches):
             publisher.publish(message.filled(sec, nanosec, wrench))
+        if self._turned is not None:
+            names, single = self._coordinates, self._single
+            self._turned_publisher.publish(self._turned.filled(sec, nanosec, *(
+                values.ravel() for values in (
+                    names.poses(position), names.twists(velocity), names.twists(effort)))))
+            position, velocity, effort = position[self._places], velocity[single], effort[single]
+            self.published += 1
         self._state_publisher.publish(
             self._state.filled(sec, nanosec, position, velocity, effort))
         self.published += 1 + len(self._force_publishers)
@@ -245,8 +290,9 @@ class StatePublisher:
 
         """
         now = time.monotonic()
+        turned = () if self._turned is None else (self._turned_publisher,)
         if all(publisher.wait_for_all_acked(PATIENCE)
-               for publisher in (self._state_publisher, *self._force_publishers)):
+               for publisher in (self._state_publisher, *turned, *self._force_publishers)):
             self._stuck_since = None
             return True
         self._stuck_since = self._stuck_since or now
@@ -258,6 +304,10 @@ def wrench_stamped(frame, sec, nanosec, values):
     message = WrenchStamped()
     message.header.frame_id = frame
     message.header.stamp = Time(sec=sec, nanosec=nanosec)
-    force, torque = message.wrench.force, message.wrench.torque
-    force.x, force.y, force.z, torque.x, torque.y, torque.z = values.tolist()
+    _fill(message.wrench.force, message.wrench.torque, values.tolist())
     return message
+
+
+def _fill(first, second, numbers):
+    """Fill two vectors of a message with six numbers."""
+    first.x, first.y, first.z, second.x, second.y, second.z = numbers

@@ -42,8 +42,8 @@ LAST_CALL = 0.5
 
 PARAMETERS = (
     Parameter(
-        'topics', ['joint_states', 'constraint_forces/*', 'torque_command', 'joint_command',
-                   'scene', 'robot_description', 'replay_log'],
+        'topics', ['joint_states', 'multi_dof_joint_states', 'constraint_forces/*',
+                   'torque_command', 'joint_command', 'scene', 'robot_description', 'replay_log'],
         'Topics to record, relative to the namespace or full names; * and ? stand for any '
         'characters.'),
     Parameter(

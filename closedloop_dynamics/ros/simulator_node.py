@@ -29,7 +29,7 @@ import time
 from closedloop_dynamics.ros.auxiliary_publishers import Descriptions, ReplayLog
 from closedloop_dynamics.ros.background import Awake, Preparation, set_priority
 from closedloop_dynamics.ros.commands import (
-    CommandError, NOT_ACTUATED, state_of, subscribe, TorqueCommand)
+    CommandError, NOT_ACTUATED, poses_of, state_of, subscribe, TorqueCommand)
 from closedloop_dynamics.ros.diagnostics import Diagnostics
 from closedloop_dynamics.ros.effect_parameters import EffectParameters
 from closedloop_dynamics.ros.frames import FRAME_PARAMETERS, Frames
@@ -38,12 +38,13 @@ from closedloop_dynamics.ros.loading import load_simulation
 from closedloop_dynamics.ros.markers import MARKER_PARAMETERS, Markers
 from closedloop_dynamics.ros.messages import Stamps, StatePublisher
 from closedloop_dynamics.ros.pacing import (
-    LOCKSTEP, MODES, Pacer, period_steps, PORTION, REALTIME, Throttle)
+    LOCKSTEP, MODES, period_steps, PORTION, REALTIME, Throttle)
 from closedloop_dynamics.ros.parameters import accept_whole_numbers, declare, declare_fact, usage
 from closedloop_dynamics.ros.process import leaving_at_once, run, StartError, stop_requested
 from closedloop_dynamics.ros.simulator_parameters import (
     CHANGEABLE, METHOD, method_changes, SIMULATOR_PARAMETERS)
 from closedloop_dynamics.simulation.errors import SimulationError
+from closedloop_dynamics.simulation.pacer import Pacer
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock
 from rclpy.clock import ClockType
@@ -51,6 +52,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.qos import ReliabilityPolicy
 from sensor_msgs.msg import JointState
+from sensor_msgs.msg import MultiDOFJointState
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import SetBool
 from std_srvs.srv import Trigger
@@ -134,7 +136,7 @@ class SimulatorNode(Node):
         """Create what advances and publishes the simulation."""
         values, simulation = self._values, self.simulation
         self._frames = Frames(self, simulation)
-        self.states = StatePublisher(self, simulation.joint_names, [
+        self.states = StatePublisher(self, simulation.coordinates, [
             cut.name for cut in simulation.cut_joints], self._frames.of_cuts)
         self.command = TorqueCommand(
             simulation.joint_names, simulation.actuated_joints, values['command_timeout'])
@@ -174,6 +176,9 @@ class SimulatorNode(Node):
                 (JointState, 'joint_command', self.on_joint_command)):
             subscribe(self, kind, topic, follow, qos, partial(self._note_lost, topic))
         self.create_subscription(JointState, '~/set_state', self.on_set_state, 10)
+        if self.simulation.coordinates.with_orientation:
+            self.create_subscription(
+                MultiDOFJointState, '~/set_multi_dof_state', self.on_set_multi_dof_state, 10)
         self.create_service(Trigger, '~/reset', self.on_reset)
         self.create_service(SetBool, '~/pause', self.on_pause)
         self.create_service(Trigger, '~/step', self.on_step)
@@ -320,9 +325,16 @@ class SimulatorNode(Node):
 
     def on_set_state(self, message):
         """Move to the nearest state that closes the loops, or refuse."""
+        self._set_state(state_of, message)
+
+    def on_set_multi_dof_state(self, message):
+        """Do the same for joints with an orientation."""
+        self._set_state(poses_of, message)
+
+    def _set_state(self, read, message):
         simulation = self.simulation
         try:
-            simulation.set_state(*state_of(message, simulation.joint_names, simulation.position))
+            simulation.set_state(*read(message, simulation.coordinates, simulation.position))
         except (SimulationError, ValueError) as error:
             self.counts['states refused'] += 1
             self.warn('refused', f'set_state refused: {error}')

@@ -31,7 +31,6 @@ from .modeling import build_model, extent
 from ..core import jacobian, kinematics, loop_closure
 from ..core.forward_dynamics import to_user_order
 from ..core.types import allocate, CUT_NUMBER, ROWS
-from ..mechanism.mechanism import PRISMATIC
 
 # Closed means this, relative to the mechanism's size (or 1, for a rate or an angle).
 TOLERANCE = 1e-12
@@ -43,8 +42,6 @@ LARGEST_CORRECTION = 0.25
 RANK_TOLERANCE = 1e-7
 # Inertia of a motion against the largest: less is none.
 NO_INERTIA = 1e-13
-# What a joint moves in the loops, against the most that one moves: less is nothing.
-NO_LEVER = 1e-12
 # Dense ranks of larger mechanisms would take longer than all the rest of the set-up.
 MOST_EQUATIONS = 300
 # How far away neighbours of a position are looked for [rad, and shares of the size], how many.
@@ -69,7 +66,8 @@ class Assembler:
     def __init__(self, mechanism, model, work, extent):
         """Allocate what every assembly needs."""
         self.mechanism, self.model, self.work, self.extent = mechanism, model, work, extent
-        self.nv = len(mechanism.joints)
+        self._coordinates = mechanism.coordinates
+        self.nv = self._coordinates.nv
         self.nc = len(model.column) - 1
         self._still = np.zeros(self.nv)
         self._light = any(body.inertia == 0.0 and not (body.mass and any(body.center_of_mass))
@@ -99,9 +97,9 @@ class Assembler:
 
     def positions(self, guess, hold=()):
         """
-        Find joint coordinates that close the loops, shape (nv,).
+        Find joint coordinates that close the loops, shape (nq,).
 
-        ``guess``: shape (nv,); approximate values.
+        ``guess``: shape (nq,); approximate values.
 
         Raises
         ------
@@ -188,7 +186,8 @@ class Assembler:
             return qd
         fastest = np.abs(qd).max()
         ahead = qd * (1e-4 / fastest)
-        bias = (self.jacobian(q + ahead) - self.jacobian(q - ahead)) @ qd * (0.5e4 * fastest)
+        bias = (self.jacobian(self._moved(q, ahead))
+                - self.jacobian(self._moved(q, -ahead))) @ qd * (0.5e4 * fastest)
         if np.abs(dependent.T @ bias).max() > CONTINUATION_TOLERANCE * self.extent * fastest ** 2:
             raise AssemblyError(
                 f'{self.mechanism.name} stands at a change point (a singular position): '
@@ -257,12 +256,12 @@ class Assembler:
     def _neighbours(self, q):
         """Yield closed positions near a closed one."""
         rng = np.random.default_rng(0)
-        size = np.array([self.extent if joint.type == PRISMATIC else 1.0
-                         for joint in self.mechanism.joints])
+        size = np.where(self._coordinates.lengths, self.extent, 1.0)
         for _ in range(NEIGHBOURS):
             with suppress(AssemblyError):
                 near, psi = self._closed(
-                    q + NEARBY * size * rng.uniform(-1.0, 1.0, self.nv), np.arange(self.nv))
+                    self._moved(q, NEARBY * size * rng.uniform(-1.0, 1.0, self.nv)),
+                    np.arange(self.nv))
                 if self._is_closed(psi):
                     yield near
 
@@ -313,16 +312,18 @@ class Assembler:
                 *self._notes_on_singularity(q, hold),
                 *(f'The velocity {wanted:g} wanted of {name} became {got:.6g}: the nearest motion '
                   f'that keeps the loops closed. To have it as given, hold {name}.'
-                  for name, wanted, got in zip(self.mechanism.joint_names, velocity, qd)
+                  for name, wanted, got in zip(self._coordinates.names, velocity, qd)
                   if abs(got - wanted) > LARGE_CHANGE_OF_RATE * abs(wanted) > 0.0)]
 
     def _notes_on_position(self, guess, q, hold):
-        moved = []
-        for joint, was, now in zip(self.mechanism.joints, guess, q):
-            prismatic = joint.type == PRISMATIC
-            if abs(now - was) > LARGE_MOVE * (self.extent if prismatic else 1.0):
-                moved.append(f'{joint.name} moved from {was:.6g} to {now:.6g} '
-                             f'{"m" if prismatic else "rad"}')
+        moved, names = [], self._coordinates
+        for name, place, length, change in zip(
+                names.names, names.place, names.lengths, names.apart(q, guess)):
+            if abs(change) > LARGE_MOVE * (self.extent if length else 1.0):
+                moved.append(
+                    f'{name} moved from {guess[place]:.6g} to {q[place]:.6g} '
+                    f'{"m" if length else "rad"}' if place >= 0 else
+                    f'{name} turned by {change:.6g} rad')
         where = ('on the other branch than that of the position given, mirrored'
                  if self._mirrored(guess, q, hold) else
                  'far from the position given' if moved else '')
@@ -374,9 +375,9 @@ class Assembler:
                 'projection.')
 
     def _free(self, hold):
-        hold = set(hold)
-        return np.array([k for k, name in enumerate(self.mechanism.joint_names)
-                         if name not in hold], dtype=int)
+        hold, joint_of = set(hold), self._coordinates.joint_of
+        return np.array([k for k, name in enumerate(self._coordinates.names)
+                         if not hold & {name, joint_of(name)}], dtype=int)
 
     def _metric(self, q, free):
         """Return the Cholesky factor of the free coordinates' inertia."""
@@ -397,8 +398,7 @@ class Assembler:
         """Refuse massless bodies that the loops leave free to move."""
         jac = self.jacobian(q)
         levers = np.abs(jac).max(axis=0, initial=0.0)
-        # Those of joints that no loop moves are rounding errors: nothing to scale by.
-        levers[levers <= NO_LEVER * levers.max(initial=0.0)] = 1.0
+        levers[levers == 0.0] = 1.0
         _, singular, right = np.linalg.svd(jac / levers)
         rank = int(np.sum(singular > RANK_TOLERANCE * singular.max(initial=0.0)))
         basis = right[rank:] / levers
@@ -409,12 +409,22 @@ class Assembler:
         if values[0] > NO_INERTIA * values[-1]:
             return
         motion = np.abs(vectors[:, 0] @ basis)
-        names = [name for name, part in zip(self.mechanism.joint_names, motion)
+        names = [name for name, part in zip(self._coordinates.names, motion)
                  if part > 0.1 * motion.max()]
         raise AssemblyError(
             f'{self.mechanism.name} has a motion without inertia: {", ".join(names)} can move '
             'while nothing that has mass does, so that forces would accelerate it without limit. '
             'Give the bodies there some mass, or close a loop that guides them.')
+
+    def _moved(self, q, change):
+        """Return coordinates after a change, shape (nv,)."""
+        return q + change
+
+    def _changed(self, q, free, change):
+        """Return coordinates after a change of some of them."""
+        q = q.copy()
+        q[free] += change
+        return q
 
     def _correct(self, q, psi, free, metric):
         """Return the state after one damped Newton correction, and whether it helped."""
@@ -424,8 +434,7 @@ class Assembler:
         change *= min(1.0, limit / largest) if largest > 0.0 else 0.0
         before = np.linalg.norm(psi)
         for _ in range(30):
-            trial = q.copy()
-            trial[free] -= change
+            trial = self._changed(q, free, -change)
             trial_psi = self.closure(trial)
             if np.linalg.norm(trial_psi) < before:
                 return trial, trial_psi, True
@@ -434,18 +443,21 @@ class Assembler:
 
     def _require_complete(self, q, free, hold):
         """Refuse held coordinates that leave others undetermined, here and all around."""
-        missing = len(free) - _rank(self.jacobian(q)[:, free])
+        missing = self._missing(q, free)
         if missing == 0:
             return
         # At a singular position even a complete choice leaves freedoms for an instant.
-        missing = min([missing, *(len(free) - _rank(self.jacobian(near)[:, free])
-                                  for near in self._neighbours(q))])
+        missing = min([missing, *(self._missing(near, free) for near in self._neighbours(q))])
         if missing:
             raise AssemblyError(
                 f'Holding {", ".join(hold)} is not a complete choice: {missing} degree'
                 f'{"s" if missing > 1 else ""} of freedom stay{"" if missing > 1 else "s"} open. '
-                f'Hold {missing} more of {", ".join(self.mechanism.joints[k].name for k in free)}'
+                f'Hold {missing} more of {", ".join(self._coordinates.names[k] for k in free)}'
                 ', or hold none to take the nearest closed state.')
+
+    def _missing(self, q, free):
+        """Return how many of some freedoms stay open at a position."""
+        return len(free) - _rank(self.jacobian(q)[:, free])
 
     def _open_loops(self, guess, psi, hold):
         """Return what to say of loops that do not close."""
@@ -476,8 +488,9 @@ class Assembler:
         if len(hold) > freedoms:
             return (f'{len(hold)} joints are held, but this mechanism has only {freedoms} '
                     f'degree{"s" if freedoms != 1 else ""} of freedom: hold fewer.')
-        nearest = ', '.join(f'{name} = {value:.6g}' for name, value
-                            in zip(self.mechanism.joint_names, q) if name in hold)
+        nearest = ', '.join(
+            f'{column.partition(".")[2]} = {value:.6g}' for column, value
+            in zip(self._coordinates.columns('position'), q) if column.split('.')[1] in hold)
         return f'With none held it closes at {nearest}: hold such values.'
 
 
@@ -508,11 +521,13 @@ def angle_notes(mechanism, position):
     """
     Tell of angles beyond a whole turn, which may have been meant as degrees.
 
-    ``position``: sequence, shape (nv,); joint coordinates.
+    ``position``: sequence, shape (nq,); joint coordinates.
 
     """
-    large = [f'{joint.name} = {value:g}' for joint, value in zip(mechanism.joints, position)
-             if joint.type != PRISMATIC and abs(value) > 2.0 * math.pi]
+    names = mechanism.coordinates
+    large = [f'{name} = {position[place]:g}' for name, place, length in zip(
+                 names.names, names.place, names.lengths)
+             if place >= 0 and not length and abs(position[place]) > 2.0 * math.pi]
     return [f'The start has angles beyond 2 pi: {", ".join(large)}. They are taken as radians; '
             'in degrees?'] if large else []
 

@@ -36,7 +36,7 @@ from .errors import (
     ClosureError, InaccuracyWarning, NumericalError, SingularityError, StiffnessError)
 from ..core.types import SINGULAR_COUNT
 from ..integration.registry import ADAPTIVE, AUTO, EXPLICIT, FIXED, INTEGRATORS
-from ..integration.system import rate_of_change
+from ..integration.system import parts_of_state, rate_of_change
 
 # Step size times fastest rate at which the explicit methods leave stability, along the
 # imaginary axis (springs without damping) or the negative real one (dampers).
@@ -88,10 +88,10 @@ def fastest_rate(system, state, own=()):
         [1/s].
 
     """
-    nv = len(system.qdd)
+    *_, of_effects, _ = parts_of_state(system)
     silent = np.ones(len(state), dtype=bool)
-    silent[:2 * nv] = False
-    silent[2 * nv + np.array(own, dtype=int)] = False
+    silent[:of_effects.start] = False
+    silent[of_effects.start + np.array(own, dtype=int)] = False
     slope, moved = np.zeros_like(state), np.zeros_like(state)
     rate_of_change(system, state.copy(), slope)
     direction = np.random.default_rng(0).normal(size=len(state))

@@ -22,7 +22,6 @@ A key path is written as the keys stand in the files, with the places in lists a
 """
 
 from dataclasses import fields, replace
-from functools import lru_cache
 from typing import get_args
 
 from .scene import scene_with
@@ -102,15 +101,15 @@ def changed(scene, values):
 def _tree(scene):
     """Return the numbers of a scene as nested dicts by their keys."""
     mechanism, initial = scene.mechanism, scene.initial
-    velocity = dict(zip(mechanism.joint_names, initial.velocity))
+    start = {key: _by_path(mechanism, key, getattr(initial, key))
+             for key in ('position', 'velocity')}
     if initial.hold:
         # The others follow from the loops, whatever is given.
-        velocity = {joint: velocity[joint] for joint in initial.hold}
+        start['velocity'] = {joint: start['velocity'][joint] for joint in initial.hold}
     whole = {
         'mechanism': {key: {record.name: _of_the_plane(_below(record))
                             for record in getattr(mechanism, key)} for key in SECTIONS},
-        'initial': {'position': dict(zip(mechanism.joint_names, initial.position)),
-                    'velocity': velocity},
+        'initial': start,
         'effects': {name: _below(record) for name, record in scene.effects.items()},
         'method': _below(scene.method),
         'parameters': {} if scene.source is None else dict(scene.parameters)}
@@ -172,19 +171,25 @@ def _mechanism(scene, below):
 
 
 def _initial(scene, below):
-    places = _places(scene.mechanism.joint_names)
     new = {}
     for key, joints in below.items():
+        places = scene.mechanism.coordinates.paths(key)
         values = list(getattr(scene.initial, key))
-        for joint, value in joints.items():
-            values[places[joint]] = value
+        for path, value in _leaves(joints):
+            values[places[tuple(path.split('.'))]] = value
         new[key] = tuple(values)
     return replace(scene.initial, **new)
 
 
-@lru_cache(maxsize=8)
-def _places(names):
-    return {name: place for place, name in enumerate(names)}
+def _by_path(mechanism, key, values):
+    """Return the numbers of joints as nested dicts by their keys."""
+    found = {}
+    for path, place in mechanism.coordinates.paths(key).items():
+        here = found
+        for word in path[:-1]:
+            here = here.setdefault(word, {})
+        here[path[-1]] = values[place]
+    return found
 
 
 def _effects(scene, below):

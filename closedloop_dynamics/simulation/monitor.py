@@ -22,6 +22,7 @@ import time
 import numpy as np
 
 from ..core.independent import forget
+from ..core.manifold import weights
 from ..core.straight_line import linkage as links
 from ..core.types import EVALUATIONS
 from ..integration import adaptive, switching
@@ -220,8 +221,9 @@ class Monitor:
         statuses = (driver.advance(whole, 0.0, 0, step_size, 1)[0],
                     driver.advance(halves, 0.0, 0, 0.5 * step_size, 2)[0])
         if statuses == (DONE, DONE):
-            count = len(system.tau)
-            apart = float(np.abs(whole[:count] - halves[:count]).max(initial=0.0))
+            weight = weights(system.manifold, len(system.tau))
+            apart = whole[:len(weight)] - halves[:len(weight)]
+            apart = float(np.abs(weight * apart).max(initial=0.0))
             error = apart / (1.0 - 0.5 ** self._order)
             self._local_error = error if math.isnan(self._local_error) else max(
                 error, self._local_error)

@@ -24,11 +24,11 @@ got.
 from collections.abc import Mapping
 from pathlib import Path
 
-from .model_scene import closed_start, scene_of_model
+import numpy as np
+
 from .scene_records import Initial, Method, Scene
 from ..effects.registry import EFFECTS
-from ..formats.registry import is_model, read_model
-from ..mechanism.checks import list_of, name, NAME_PATTERN, number, one_of
+from ..mechanism.checks import list_of, name, NAME_PATTERN, one_of
 from ..mechanism.config import config_directory, shipped_names, shipped_path
 from ..mechanism.document import Document
 from ..mechanism.expressions import Parameters, put_changes
@@ -41,8 +41,6 @@ __all__ = ['config_directory', 'Initial', 'load_scene', 'load_scene_or_mechanism
 
 # Required and optional keys.
 SCENE_KEYS = ('mechanism', 'initial'), ('description', 'effects', 'method', 'parameters')
-# Where the mechanism is a model in another format, which may start as it is drawn.
-MODEL_KEYS = ('mechanism',), ('initial', 'loops', *SCENE_KEYS[1])
 INITIAL_KEYS = ('position',), ('hold', 'velocity')
 
 
@@ -62,8 +60,7 @@ def load_scene(name_or_path, in_space=False):
     Parameters
     ----------
     name_or_path : str or pathlib.Path
-        A shipped scene by its name (a single word), or the path of a file: of a scene, or of a
-        model in another format (``formats``), under gravity, at rest, with the loops closed.
+        A shipped scene by its name (a single word), or the path of a file.
     in_space : bool
         Whether the mechanism may be one in space; most of what asks for a scene knows the plane
         only.
@@ -74,13 +71,7 @@ def load_scene(name_or_path, in_space=False):
         Where there is no such scene, or it or its mechanism is faulty.
 
     """
-    path = _scene_path(name_or_path)
-    if is_model(path):
-        scene = scene_of_model(path, read_model(path))
-        if not in_space:
-            _require_planar(scene.mechanism)
-        return scene
-    return _scene_of(Document(path, SceneError), in_space)
+    return _scene_of(Document(_scene_path(name_or_path), SceneError), in_space)
 
 
 def load_scene_or_mechanism(name_or_path, in_space=False):
@@ -101,8 +92,6 @@ def load_scene_or_mechanism(name_or_path, in_space=False):
         if name_or_path not in scene_names() and name_or_path in shipped_names('mechanisms'):
             return read_mechanism(shipped_path('mechanisms', name_or_path))
         return load_scene(name_or_path, in_space)
-    if is_model(name_or_path):
-        return read_model(name_or_path).mechanism
     document = Document(name_or_path, SceneError)
     if isinstance(document.data, Mapping) and 'bodies' in document.data:
         mechanism = read_mechanism(name_or_path)
@@ -158,18 +147,9 @@ def _read(document):
     if isinstance(data, Mapping) and 'bodies' in data:
         raise FieldError('a scene', 'a mechanism', 'a scene names one under `mechanism`',
                          ('bodies',))
-    mapping(data, ('mechanism',))
-    model = _model(data, document.path.parent)
-    mapping(data, *(SCENE_KEYS if model is None else MODEL_KEYS))
-    if model is None:
-        with at('mechanism'):
-            mechanism = _mechanism(data['mechanism'], document.path.parent)
-    else:
-        mechanism = model.mechanism
-        if 'initial' not in data:
-            start = closed_start(model)
-            data = {**data, 'initial': {
-                'position': dict(zip(mechanism.joint_names, start.position))}}
+    mapping(data, *SCENE_KEYS)
+    with at('mechanism'):
+        mechanism = _mechanism(data['mechanism'], document.path.parent)
     return _scene(data, {}, document.path, mechanism)
 
 
@@ -216,7 +196,7 @@ def _scene(data, given, path, read):
             mechanism = with_parameters(read, own)
     names = Parameters({**mechanism.parameters, **parameters.values})
     with at('initial'):
-        initial = _initial(data['initial'], mechanism.joint_names, names)
+        initial = _initial(data['initial'], mechanism, names)
     with at('effects'):
         effects = {key: _effect(key, values, names)
                    for key, values in _section(data, 'effects').items()}
@@ -250,44 +230,24 @@ def _mechanism(value, directory):
         raise FieldError('a valid mechanism', f'this error in its file:\n{error}') from None
 
 
-def _model(data, directory):
-    """Return what the model of a scene was read as; None where it has a mechanism."""
-    path = data['mechanism']
-    if not isinstance(path, str) or _is_name(path) or not is_model(path):
-        return None
-    try:
-        with at('loops'):
-            return read_model(directory / path, loops=data.get('loops'))
-    except MechanismError as error:
-        raise FieldError('a valid mechanism', f'this error in its file:\n{error}',
-                         path=('mechanism',)) from None
-
-
-def _initial(value, joints, names):
-    """Return the initial state for joints of the names given."""
+def _initial(value, mechanism, names):
+    """Return the initial state of a mechanism."""
     mapping(value, *INITIAL_KEYS)
+    coordinates, joints = mechanism.coordinates, mechanism.joint_names
     with at('position'):
-        position = _numbers(mapping(value['position'], joints, ()), names)
+        given = names.evaluated(mapping(value['position'], coordinates.keys, ()))
+        position = coordinates.filled('position', given, coordinates.start())
     with at('hold'):
         hold = list_of(one_of(joints, 'one of the joints'))(value.get('hold', ()))
     with at('velocity'):
-        velocity = _numbers(mapping(_section(value, 'velocity'), (), joints), names)
-        for joint in velocity:
-            if hold and joint not in hold:
+        given = names.evaluated(_section(value, 'velocity'))
+        velocity = coordinates.filled('velocity', given, np.zeros(coordinates.nv))
+        for joint in given:
+            if hold and coordinates.joint_of(joint) not in hold:
                 raise FieldError(f'velocities of held joints only ({among(hold)})',
                                  f'one of {joint!r}', 'the others follow from the loops; '
                                  'add the joint to hold, or remove its velocity', (joint,))
-    return Initial(tuple(position[joint] for joint in joints),
-                   tuple(velocity.get(joint, 0.0) for joint in joints), hold)
-
-
-def _numbers(values, names):
-    """Return a mapping of names to finite numbers."""
-    result = {}
-    for key, value in values.items():
-        with at(key):
-            result[key] = number(names.evaluated(value))
-    return result
+    return Initial(tuple(position.tolist()), tuple(velocity.tolist()), hold)
 
 
 def _effect(key, values, names):

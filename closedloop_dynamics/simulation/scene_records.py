@@ -14,7 +14,7 @@
 
 """What a scene is: frozen records that check themselves when built."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Optional, Tuple
 
@@ -23,17 +23,9 @@ from ..effects.registry import effect_type, EFFECTS
 from ..integration.registry import ADAPTIVE, AUTO, BAUMGARTE, INTEGRATORS, STABILISATIONS
 from ..mechanism.checks import list_of, name, number, one_of, positive, text
 from ..mechanism.fields import among, at, FieldError, mapping, normalise, shown
-from ..mechanism.mechanism import JOINT_FREEDOMS, Mechanism
+from ..mechanism.mechanism import Mechanism
 from ..mechanism.validation import validate_mechanism
 
-# What stands in for joints of the tree, in space, that cannot be simulated yet.
-_INSTEAD = {
-    'universal': 'take two revolute joints with a massless body between them',
-    'cylindrical': 'take a revolute and a prismatic joint with a massless body between them',
-    'planar': 'take two prismatic joints and a revolute one with massless bodies between them',
-    'spherical': 'make it a cut joint, and let another joint carry the body',
-    'free': 'let a joint carry the body, and close the others as cut joints',
-    'fixed': 'make one body of the two'}
 FORMULATIONS = ('subsystem', 'system', 'augmented')
 
 
@@ -44,10 +36,12 @@ class Initial:
 
     Attributes
     ----------
-    position : tuple of nv floats
-        Joint coordinates [rad or m]; approximate is enough.
+    position : tuple of nq floats
+        Joint coordinates [rad or m]; approximate is enough. Of a spherical or free joint a
+        mapping of `orientation` and, of a free one, `position`.
     velocity : tuple of nv floats
-        Joint rates [rad/s or m/s]; of the held joints where any are held, else approximate.
+        Joint rates [rad/s or m/s]; of the held joints where any are held, else approximate. Of a
+        spherical or free joint a mapping of `angular_velocity` and, of a free one, `velocity`.
     hold : tuple of str
         Joints whose position and velocity are kept as given; may be empty.
 
@@ -168,14 +162,13 @@ class Scene:
     def __post_init__(self):
         """Refuse an initial state or an effect that does not fit the mechanism."""
         normalise(self, description=text, mechanism=validate_mechanism, effects=mapping)
-        joints = self.mechanism.joint_names
-        if not self.mechanism.planar:
-            require_known_joints(self.mechanism)
-        for key in ('position', 'velocity'):
-            values = getattr(self.initial, key)
-            if len(values) != len(joints):
-                raise FieldError(f'{len(joints)} numbers, one for each joint', f'{len(values)}',
-                                 path=('initial', key))
+        joints, coordinates = self.mechanism.joint_names, self.mechanism.coordinates
+        with at('initial'):
+            coordinates.require_lengths(self.initial.position, self.initial.velocity)
+        if len(coordinates.balls):
+            with at('initial', 'position'):
+                position = tuple(coordinates.unit(self.initial.position).tolist())
+            object.__setattr__(self, 'initial', replace(self.initial, position=position))
         for index, joint in enumerate(self.initial.hold):
             with at('initial', 'hold', index):
                 one_of(joints, 'one of the joints')(joint)
@@ -192,25 +185,3 @@ class Scene:
                 effect.fit(self.mechanism)
         with at('effects'):
             require_one_drive_each(self.effects)
-
-
-def require_known_joints(mechanism):
-    """
-    Refuse joints in the tree of a mechanism in space that cannot be simulated yet.
-
-    Parameters
-    ----------
-    mechanism : Mechanism
-        In space.
-
-    Raises
-    ------
-    FieldError
-
-    """
-    for joint in mechanism.joints:
-        if JOINT_FREEDOMS[joint.type] != 1:
-            raise FieldError(
-                'revolute, prismatic or helical: no other joint of the tree can be simulated in '
-                'space yet', shown(joint.type), _INSTEAD[joint.type],
-                ('mechanism', 'joints', joint.name, 'type'))

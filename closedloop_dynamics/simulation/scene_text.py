@@ -49,8 +49,7 @@ def scene_text(scene, effects=None, disabled=(), **facts):
         What else is to be told, as JSON can: a simulated time, say.
 
     """
-    joints = scene.mechanism.joint_names
-    initial = scene.initial
+    initial, coordinates = scene.initial, scene.mechanism.coordinates
     effects = scene.effects if effects is None else effects
     return json.dumps({
         'format': FORMAT, 'name': scene.name, **facts, 'disabled': list(disabled),
@@ -58,10 +57,12 @@ def scene_text(scene, effects=None, disabled=(), **facts):
             'mechanism': f'./{MECHANISM_FILE}',
             'description': scene.description,
             'initial': {
-                'position': dict(zip(joints, initial.position)),
+                'position': coordinates.told('position', initial.position),
                 'hold': list(initial.hold),
-                'velocity': {name: value for name, value in zip(joints, initial.velocity)
-                             if name in initial.hold or not initial.hold}},
+                'velocity': {
+                    name: value for name, value
+                    in coordinates.told('velocity', initial.velocity).items()
+                    if not initial.hold or coordinates.joint_of(name) in initial.hold}},
             'effects': {name: {'type': effect_type(record), **_values(record)}
                         for name, record in effects.items()},
             'method': {key: value for key, value in _values(scene.method).items()

@@ -47,7 +47,7 @@ from ..integration.drivers import build_driver
 from ..integration.fixed_step import joint_forces
 from ..integration.registry import INTEGRATORS, SCIPY
 from ..integration.system import (
-    BAUMGARTE_GAIN, build_system, CLOSURE_LIMIT, evaluate, number_of_states, Probe)
+    BAUMGARTE_GAIN, build_system, CLOSURE_LIMIT, evaluate, parts_of_state, Probe)
 from ..mechanism.decomposition import decompose
 from ..mechanism.fields import at, keys_of, mapping
 
@@ -70,6 +70,8 @@ class Simulation:
     scene : scene.Scene
     mechanism : mechanism.mechanism.Mechanism
     decomposition : mechanism.decomposition.Decomposition
+    coordinates : mechanism.coordinates.Coordinates
+        Names and places of the numbers of positions and velocities.
 
     Raises
     ------
@@ -101,17 +103,15 @@ class Simulation:
             method.stabilisation == 'independent', self._effects.elements)
         self._table = self._effects.bind(self.system)
         self._balance = EnergyBalance(self._effects)
-        nv = len(self.mechanism.joints)
-        self._state = np.zeros(number_of_states(self.system))
-        self._q, self._qd = self._state[:nv], self._state[nv:2 * nv]
-        self._own = self._state[2 * nv:]
+        self.coordinates = self.mechanism.coordinates
+        *parts, states = parts_of_state(self.system)
+        self._parts, self._state = tuple(parts), np.zeros(states)
+        self._q, self._qd, self._own = (self._state[part] for part in parts)
         self._assembler = (
             Assembler(self.mechanism, model, self.system.work, size) if self._geometry is None
             else SpatialAssembler(self.mechanism, self._geometry))
-        self._actuated = np.array([k for k, joint in enumerate(self.mechanism.joints)
-                                   if joint.actuated], dtype=int)
-        self._passive = np.array([k for k, joint in enumerate(self.mechanism.joints)
-                                  if not joint.actuated], dtype=int)
+        self._actuated = np.array(self.coordinates.actuated, dtype=int)
+        self._passive = np.setdiff1d(np.arange(self.coordinates.nv), self._actuated)
         self._points = {point.name: point for point in self.mechanism.points}
         self._initial = self._assembled(
             scene.initial.position, scene.initial.velocity, scene.initial.hold)
@@ -170,12 +170,17 @@ class Simulation:
 
     @property
     def joint_names(self):
-        """Names of the joints, in the order of positions and velocities."""
-        return self.mechanism.joint_names
+        """
+        Names of the joints, in the order of velocities and torques.
+
+        A joint of several freedoms has a name for each: ``hip.1``, ``ball.rx``.
+
+        """
+        return self.coordinates.names
 
     @property
     def actuated_joints(self):
-        """Names of the actuated joints, in the order of torque sequences."""
+        """Names of the actuated joints, in the order of torque sequences; see ``joint_names``."""
         return self.mechanism.actuated_joints
 
     @property
@@ -198,12 +203,23 @@ class Simulation:
 
     @property
     def position(self):
-        """Joint coordinates, shape (nv,) [rad or m]."""
+        """
+        Joint coordinates, shape (nq,) [rad or m].
+
+        nq is nv, the number of joint rates, and one more for each spherical and each free joint:
+        orientations are unit quaternions x, y, z, w. ``coordinates.columns`` names them.
+
+        """
         return self._q.copy()
 
     @property
     def velocity(self):
-        """Joint rates, shape (nv,) [rad/s or m/s]."""
+        """
+        Joint rates, shape (nv,) [rad/s or m/s].
+
+        Of an orientation the angular velocity relative to the parent, about the child's axes.
+
+        """
         return self._qd.copy()
 
     @property
@@ -335,6 +351,12 @@ class Simulation:
         return float(largest(self.system.work.closure))
 
     @property
+    def constraint_jacobian(self):
+        """Return the derivatives of the closure equations by the coordinates, shape (nc, nv)."""
+        self._fresh = False
+        return self._assembler.jacobian(self._q)
+
+    @property
     def energy(self):
         """Kinetic energy and energy stored in gravity and effects [J]."""
         return sum(self._energies())
@@ -343,8 +365,15 @@ class Simulation:
     def energy_balance(self):
         """Energy balance since the last reset, an ``effects.energy_balance.Energies`` [J]."""
         self._start_balance()
-        self._balance.add_work(self._q, self.system.tau)
-        return self._balance.balance(self._own, *self._energies())
+        self._add_work()
+        kinetic, stored = self._energies()
+        # Of torques on rotations, which the state has behind all others.
+        turned = 0.0 if self.system.manifold is None else self._state[-1]
+        return self._balance.balance(self._own, kinetic, stored, turned)
+
+    def _add_work(self):
+        """Add the work of the torques held up to here."""
+        self._balance.add_work(self.coordinates.by_freedom(self._q), self.system.tau)
 
     def _start_balance(self):
         """Find the energy at the start, when it is needed for the first time."""
@@ -404,6 +433,33 @@ class Simulation:
         kinematics.point_position(self.system.work, self._rows[point.body], *point.position, out)
         return out
 
+    def place(self, name, position):
+        """
+        Return the place of a named point in another position of the joints.
+
+        Parameters
+        ----------
+        name : str
+            Of the point.
+        position : ndarray, shape (nv,)
+            Joint coordinates, which need not close the loops [rad or m].
+
+        Returns
+        -------
+        ndarray, shape (2,), in space (3,)
+            [m].
+
+        """
+        point = self._named_point(name)
+        if self._geometry is not None:
+            return self._geometry.point(position, point.body, point.position)
+        self._fresh = False
+        kinematics.outward(self.system.model, position, np.zeros_like(position),
+                           self.system.work)
+        out = np.zeros(2)
+        kinematics.point_position(self.system.work, self._rows[point.body], *point.position, out)
+        return out
+
     @property
     def points(self):
         """Places of all named points, shape (number of points, 2), in space 3 [m]."""
@@ -431,7 +487,8 @@ class Simulation:
 
         Returns
         -------
-        position, velocity : ndarray, shape (nv,)
+        position : ndarray, shape (nq,)
+        velocity : ndarray, shape (nv,)
 
         """
         position, velocity = self._effects.measure(self.time, self._q, self._qd)
@@ -457,8 +514,8 @@ class Simulation:
         return self._effects.readings(name, self._own)
 
     def _assembled(self, position, velocity, hold):
-        nv = len(self.joint_names)
-        q = vector('position', position, nv)
+        nv = self.coordinates.nv
+        q = self._taken(position)
         qd = np.zeros(nv) if velocity is None else vector('velocity', velocity, nv)
         # The assembler works in the same workspace, whether it succeeds or not.
         self._fresh = False
@@ -466,16 +523,18 @@ class Simulation:
         self._assembly = q, qd, closed, self._assembler.velocities(closed, qd, hold), hold
         return self._assembly[2:4]
 
+    def _taken(self, position):
+        """Return joint coordinates as an array, quaternions of norm 1."""
+        q = vector('position', position, self.coordinates.nq)
+        with at('position'):
+            return self.coordinates.unit(q)
+
     def _by_joint(self, what, values, present):
         """Return a mapping by joint name as an array, anything else as it is."""
         if not hasattr(values, 'items'):
             return values
-        result = present.copy()
-        for name, value in values.items():
-            with at(what):
-                mapping({name: value}, (), self.joint_names)
-            result[self.joint_names.index(name)] = value
-        return result
+        with at(what):
+            return self.coordinates.filled(what, values, present)
 
     def assembly_notes(self):
         """
@@ -621,7 +680,7 @@ class Simulation:
     def _command(self, tau):
         """Let joint torques act from now on."""
         if not np.array_equal(tau, self.system.tau):
-            self._balance.add_work(self._q, self.system.tau)
+            self._add_work()
             self._driver.restart()
             self.system.tau[:] = tau
             self._fresh = False
@@ -766,7 +825,9 @@ class Simulation:
         self.system.work.health[:] = 0.0
         self.system.work.health[[t.SMALLEST_PIVOT, t.SMALLEST_PIVOT_EVER]] = 1.0
         self._feel_loads()
-        self._balance.restart(self._q)
+        if self.system.manifold is not None:
+            self._state[-1] = 0.0
+        self._balance.restart(self.coordinates.by_freedom(self._q))
         for guard in self._guards:
             guard.restart()
         self._stiffness.check(self._state, self.step_size)
@@ -869,19 +930,24 @@ class Simulation:
 
         Parameters
         ----------
-        position : mapping, or sequence of shape (nv,)
+        position : mapping, or sequence of shape (nq,)
             Approximate joint coordinates [rad or m]; in a mapping by joint name, those of the
-            joints that are not named stay as they are.
+            joints that are not named stay as they are. Of spherical and free joints as a scene
+            has them: ``{'ball': {'orientation': {'rpy': (0.0, 0.0, 1.0)}}}``.
         velocity : mapping, or sequence of shape (nv,), optional
             Approximate joint rates [rad/s or m/s], likewise; zero when not given.
         hold : sequence of str, optional
-            Joints kept as given; none when not given: the nearest closed state is taken.
+            Joints kept as given; none when not given: the nearest closed state is taken. They must
+            be as many as there are degrees of freedom, but for mechanisms with spherical or free
+            joints in the tree.
 
         Raises
         ------
         AssemblyError
             Where no such state closes the loops, or not even a step can be made from it; the
             present state is kept.
+        ValueError
+            Where it is no state: other numbers, names, or no unit quaternion.
 
         """
         with np.errstate(all='ignore'):
@@ -891,7 +957,7 @@ class Simulation:
         if self.scene.method.stabilisation == 'independent':
             self._assembler.require_independent(state[0])
         self._require_step_from(*state)
-        self._balance.add_work(self._q, self.system.tau)
+        self._add_work()
         self._start_balance()
         before = self.energy
         self._q[:], self._qd[:] = state
@@ -899,7 +965,11 @@ class Simulation:
         self._driver.restart(moved=True)
         self._jump()
         self._feel_loads()
-        self._balance.jump(self._q, self.energy - before)
+        self._jump_balance(self.energy - before)
+
+    def _jump_balance(self, energy):
+        """Leave the energy of a change from outside out of the balance."""
+        self._balance.jump(self.coordinates.by_freedom(self._q), energy)
 
     def _require_step_from(self, position, velocity):
         """Refuse a state from which a step cannot be made."""
@@ -910,9 +980,9 @@ class Simulation:
                 f'by {fastest * self.step_size:.3g} rad or m in a step of {self.step_size:g} s; '
                 f'at most {LARGEST_MOTION:g} can be followed.')
         trial, health = self._state.copy(), self.system.work.health.copy()
-        own = trial[2 * len(position):]
+        places, rates, own = (trial[part] for part in self._parts)
         own[self._effects.own] = self._effects.initial[self._effects.own]
-        trial[:len(position)], trial[len(position):2 * len(position)] = position, velocity
+        places[:], rates[:] = position, velocity
         status = NOT_FINITE
         if np.isfinite(trial).all():
             status = self._try_step(trial, self.step_size)
@@ -958,7 +1028,7 @@ class Simulation:
         self._driver.recall(state[len(self._state):])
         self._driver.restart()
         self._jump()
-        self._balance.jump(self._q, self.energy_balance.residual - residual)
+        self._jump_balance(self.energy_balance.residual - residual)
 
     def _try_step(self, state, size):
         """Make a step from a copy of a state, leaving all else as it is; return its status."""
@@ -1087,7 +1157,7 @@ class Simulation:
         stretched) is not booked as work: the energy balance goes on from the new energy.
 
         """
-        self._balance.add_work(self._q, self.system.tau)
+        self._add_work()
         self._start_balance()
         before = self.energy
         anew = self._try_effect(name, enabled, parameters)
@@ -1096,7 +1166,7 @@ class Simulation:
         self._jump()
         if len(anew):
             self._feel_loads()
-        self._balance.jump(self._q, self.energy - before)
+        self._jump_balance(self.energy - before)
 
     def check_effect(self, name, enabled=None, **parameters):
         """
@@ -1147,8 +1217,10 @@ class Simulation:
 
         Parameters
         ----------
-        position, velocity : sequence, shape (nv,)
-            State, closing the loops.
+        position : sequence, shape (nq,)
+            Closing the loops.
+        velocity : sequence, shape (nv,)
+            Keeping them closed.
         torque : mapping, sequence or None
             As for ``step``.
 
@@ -1160,7 +1232,7 @@ class Simulation:
         """
         nv, system = len(self.joint_names), self.system
         probe = self._probe
-        probe.q[:] = vector('position', position, nv)
+        probe.q[:] = self._taken(position)
         probe.qd[:] = vector('velocity', velocity, nv)
         tau, applied = self.joint_torques(torque), system.tau.copy()
         system.tau[:] = tau

@@ -38,7 +38,7 @@ class SpatialGeometry:
     Parameters
     ----------
     mechanism : Mechanism
-        With joints of one freedom in its tree.
+        In space.
     decomposition : Decomposition, optional
         Found here when not given.
 
@@ -52,10 +52,11 @@ class SpatialGeometry:
 
     def __init__(self, mechanism, decomposition=None):
         """Build the model of all equations."""
-        if len(mechanism.joints) > MOST_FREEDOMS:
+        if mechanism.coordinates.nv > MOST_FREEDOMS:
             raise SimulationError(
-                f'{mechanism.name} has {len(mechanism.joints)} joints in its tree: mechanisms in '
-                f'space of more than {MOST_FREEDOMS} cannot be simulated yet.')
+                f'The joints in the tree of {mechanism.name} have {mechanism.coordinates.nv} '
+                f'freedoms: mechanisms in space of more than {MOST_FREEDOMS} cannot be simulated '
+                'yet.')
         self.mechanism = mechanism
         self._decomposition = decomposition or decompose(mechanism)
         self._build(None)
@@ -74,7 +75,7 @@ class SpatialGeometry:
 
         Parameters
         ----------
-        q : ndarray, shape (nv,)
+        q : ndarray, shape (nq,)
             Near a position that closes the loops.
 
         """
@@ -95,7 +96,7 @@ class SpatialGeometry:
 
         Parameters
         ----------
-        q : ndarray, shape (nv,)
+        q : ndarray, shape (nq,)
             Joint coordinates.
 
         Returns
@@ -112,8 +113,10 @@ class SpatialGeometry:
 
         Parameters
         ----------
-        q, qd : ndarray, shape (nv,)
-            State.
+        q : ndarray, shape (nq,)
+            Joint coordinates.
+        qd : ndarray, shape (nv,)
+            Their rates.
         lam : ndarray
             Multipliers of the equations that the elimination works on.
 
@@ -132,8 +135,10 @@ class SpatialGeometry:
 
         Parameters
         ----------
-        q, qd : ndarray, shape (nv,)
-            Joint coordinates and rates; no rates when not given.
+        q : ndarray, shape (nq,)
+            Joint coordinates.
+        qd : ndarray, shape (nv,), optional
+            Their rates; none when not given.
 
         Returns
         -------
@@ -150,7 +155,7 @@ class SpatialGeometry:
 
         Parameters
         ----------
-        q : ndarray, shape (nv,)
+        q : ndarray, shape (nq,)
             Joint coordinates.
         body : str
             Its name.
@@ -172,7 +177,7 @@ class SpatialGeometry:
 
         Parameters
         ----------
-        q : ndarray, shape (nv,)
+        q : ndarray, shape (nq,)
             Joint coordinates.
 
         Returns
@@ -227,6 +232,23 @@ class SpatialAssembler(Assembler):
     def inertia(self, q):
         """Return the generalized inertia matrix of the spanning tree, shape (nv, nv)."""
         return self._geometry.move(q).inertia()
+
+    def _missing(self, q, free):
+        """Return how many of some freedoms stay open at a position, where that matters."""
+        # No number holds the idle spin of a rod: beside orientations the nearest state will do.
+        if self._coordinates.with_orientation:
+            return 0
+        return super()._missing(q, free)
+
+    def _moved(self, q, change):
+        """Return coordinates after a change, shape (nv,)."""
+        return self._coordinates.moved(q, change)
+
+    def _changed(self, q, free, change):
+        """Return coordinates after a change of some of the freedoms."""
+        whole = np.zeros(self.nv)
+        whole[free] = change
+        return self._moved(q, whole)
 
 
 def _quaternion(matrix):

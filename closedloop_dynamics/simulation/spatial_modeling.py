@@ -361,7 +361,8 @@ def _possible(mechanism, tree, body, cut, point):
     nv, nq = len(tree) - 1, t.number_of_coordinates(model)
     symbolic = outward(symbols(0, body.shape), symbols(1, point.shape), symbols(2, (nq,)),
                        symbols(3, (nv,)))
-    somewhere = outward(body.astype(object), point.astype(object), [0.0] * nq, [0.0] * nv)
+    somewhere = outward(body.astype(object), point.astype(object),
+                        mechanism.coordinates.start().tolist(), [0.0] * nv)
     size = extent(mechanism)
     for a, one in enumerate(cut):
         fixed = [isinstance(equation.value, float) or is_zero((equation.rate,))

@@ -18,15 +18,11 @@ from dataclasses import asdict
 from textwrap import indent
 
 from ..effects.registry import effect_type
-from ..formats.building import lines
 from ..integration.registry import ADAPTIVE, AUTO, BAUMGARTE, INTEGRATORS, STABILISATIONS
 from ..mechanism.decomposition import decompose
 from ..mechanism.mechanism import (
-    CUT_JOINT_EQUATIONS, JOINT_FREEDOMS, Mechanism, SPATIAL_CUT_JOINT_EQUATIONS)
+    CUT_JOINT_EQUATIONS, Mechanism, SPATIAL_CUT_JOINT_EQUATIONS)
 from ..simulation.assembly import find_degrees_of_freedom
-from ..simulation.far_assembly import find_closed, Loops
-from ..simulation.model_scene import assembled
-from ..simulation.modeling import extent
 from ..simulation.space import equations_left
 from ..visual.tables import text_table
 
@@ -53,43 +49,6 @@ def describe(scene_or_mechanism, simulation=None):
     return '\n\n'.join(_scene(scene_or_mechanism, simulation))
 
 
-def describe_model(imported):
-    """
-    Describe a model in another format: the mechanism that it became, and how its loops close.
-
-    Parameters
-    ----------
-    imported : formats.building.Imported
-        What was read.
-
-    Returns
-    -------
-    str
-        Paragraphs with headings and tables, without a final newline.
-
-    """
-    mechanism = imported.mechanism
-    found, notes = assembled(imported)
-    return '\n\n'.join([
-        *_mechanism(mechanism, found=found), *_loops(imported, found),
-        '\n'.join(['Notes', *(f'  {note}' for note in (*notes, *lines(imported.ignored)))])])
-
-
-def _loops(imported, found):
-    """Return how far the loops are open as drawn and closed, and where the joints are then."""
-    mechanism = imported.mechanism
-    loops = Loops(mechanism, extent(mechanism))
-    drawn = loops.start(imported.position)
-    before = loops.gaps(drawn)
-    return [
-        _table('Loops', ('name', 'open as drawn [m, rad]', 'open when closed'), [
-            (name, _value(before[name]), f'{gap:.2g}') for name, gap in found.gaps.items()]),
-        _table('Joints when closed', ('name', 'type', 'position [rad, m; x, y, z, w]'), [
-            (joint.name, joint.type, ', '.join(map(_value, found.q[
-                loops.place[joint.name]:loops.end(joint.name)].tolist())))
-            for joint in mechanism.joints])]
-
-
 def _scene(scene, simulation):
     return [
         _heading('Scene', scene),
@@ -109,7 +68,7 @@ def _parameters(described):
         (name, _value(value)) for name, value in described.parameters.items()])]
 
 
-def _mechanism(mechanism, simulation=None, parameters=True, found=None):
+def _mechanism(mechanism, simulation=None, parameters=True):
     decomposition = decompose(mechanism)
     parts = [
         _heading('Mechanism', mechanism),
@@ -126,7 +85,7 @@ def _mechanism(mechanism, simulation=None, parameters=True, found=None):
     if mechanism.points:
         parts.append(_table('Points', ('name', 'body', 'position [m]'), [
             (point.name, point.body, _value(point.position)) for point in mechanism.points]))
-    return [*parts, _summary(mechanism, decomposition, simulation, found)]
+    return [*parts, _summary(mechanism, decomposition, simulation)]
 
 
 def _joints(mechanism):
@@ -168,11 +127,11 @@ def _cut_joints(mechanism, decomposition):
             mechanism.cut_joints, _equations(mechanism), decomposition.cut_subsystems)])
 
 
-def _summary(mechanism, decomposition, simulation, found):
+def _summary(mechanism, decomposition, simulation):
     order = ', '.join(decomposition.elimination_order) or 'none'
     return _lines('Summary', (
         ('constraint equations', _number_of_equations(mechanism)),
-        ('degrees of freedom', _degrees_of_freedom(mechanism, simulation, found)),
+        ('degrees of freedom', _degrees_of_freedom(mechanism, simulation)),
         ('elimination order', f'{order}; blocks of fill: {decomposition.fill}'),
         ('actuated joints', ', '.join(mechanism.actuated_joints) or 'none'),
     ))
@@ -187,46 +146,54 @@ def _number_of_equations(mechanism):
     return f'{left}, beside {always} that always hold' if always else left
 
 
-def _degrees_of_freedom(mechanism, simulation, found):
-    joints = sum(JOINT_FREEDOMS[joint.type] for joint in mechanism.joints)
-    equations = sum(_equations(mechanism))
-    if simulation is not None:
-        freedoms = simulation.degrees_of_freedom()
-    elif mechanism.planar:
-        freedoms = find_degrees_of_freedom(mechanism)
-    else:
-        found = found or _closed(mechanism)
-        freedoms = None if not found.closed else (
-            joints - Loops(mechanism, extent(mechanism)).rank(found.q))
+def _degrees_of_freedom(mechanism, simulation):
+    joints, equations = mechanism.coordinates.nv, sum(_equations(mechanism))
+    if not mechanism.planar and simulation is None:
+        return f'{joints - equations} = {joints} of the joints - {equations} equations, if none ' \
+               'repeats others'
+    freedoms = (find_degrees_of_freedom(mechanism) if simulation is None
+                else simulation.degrees_of_freedom())
     if freedoms is None:
         return (f'{joints - equations} = {joints} joints - {equations} equations, if none repeats '
                 'others (no position that closes the loops was found to tell)')
     independent = joints - freedoms
-    several = 'joints' if joints == len(mechanism.joints) else 'of the joints'
-    return f'{freedoms} = {joints} {several} - {independent} ' + (
+    of_joints = 'joints' if joints == len(mechanism.joints) else 'of the joints'
+    return f'{freedoms} = {joints} {of_joints} - {independent} ' + (
         'equations' if independent == equations else
         f'independent equations ({equations - independent} of {equations} repeat others)')
-
-
-def _closed(mechanism):
-    """Search a position of a mechanism in space that closes the loops."""
-    size = extent(mechanism)
-    return find_closed(mechanism, size, Loops(mechanism, size).start())
 
 
 def _initial(mechanism, initial, simulation):
     """Return the start as it is given and, where there is a simulation, as it was closed."""
     header = ('name', 'position [rad, m]', 'velocity [rad/s, m/s]', 'assembly')
-    rows = [
-        (joint, _value(position), _value(velocity), 'held' if joint in initial.hold else 'free')
-        for joint, position, velocity
-        in zip(mechanism.joint_names, initial.position, initial.velocity)]
+    names = mechanism.coordinates
+    states = [(initial.position, initial.velocity, _value)]
+    if simulation is not None:
+        states.append((simulation.position, simulation.velocity, '{:.6g}'.format))
+    rows = []
+    for key in names.keys:
+        joint = names.joint_of(key)
+        row = [key]
+        for position, velocity, write in states:
+            for quantity, values in (('position', position), ('velocity', velocity)):
+                row.append(_told(names.told(quantity, values)[key], write))
+        row.insert(3, 'held' if joint in initial.hold else 'free')
+        rows.append(tuple(row))
     if simulation is None:
         return _table('Joints at the start, before the loops are closed', header, rows)
-    rows = [(*row, f'{position:.6g}', f'{velocity:.6g}') for row, position, velocity
-            in zip(rows, simulation.position, simulation.velocity)]
     return _table('Joints at the start, as given and with the loops closed',
                   (*header, 'closed position', 'closed velocity'), rows)
+
+
+def _told(value, write):
+    """Return the number of a joint, or its vectors and its quaternion, in words."""
+    if not hasattr(value, 'items'):
+        return write(value)
+    parts = []
+    for key, numbers in value.items():
+        for one in ([numbers['quaternion']] if key == 'orientation' else [numbers]):
+            parts.append(f'{key} [{", ".join(map(write, one))}]')
+    return ', '.join(parts)
 
 
 def _effects(effects):

@@ -43,6 +43,8 @@ LINK_WIDTH, SPATIAL_WIDTH, ROD_WIDTH = 5.0, 4.0, 2.2
 # much nearer bodies are drawn above those behind them.
 AXIS_LENGTH, DEPTH_LAYERS = 0.09, 0.4
 AXIS_DASHES = (0, (8, 2, 1, 2))
+# Least half width and height of a view, as a share of the extent.
+LEAST_VIEW = 0.2
 # Of the floor in a perspective: lines across the extent, about, and the room below what moves.
 FLOOR_LINES, FLOOR_ROOM = 6, 0.03
 INK = '#333333'
@@ -124,6 +126,11 @@ class MechanismArtist:
         # Room around what moves, for pivots and arrows.
         axes.update_datalim([places.min(axis=0) - 0.06 * self.extent,
                              places.max(axis=0) + 0.06 * self.extent])
+        if not mechanism.planar:
+            # What is flat is not seen through a slit.
+            middle = 0.5 * (places.min(axis=0) + places.max(axis=0))
+            axes.update_datalim([middle - LEAST_VIEW * self.extent,
+                                 middle + LEAST_VIEW * self.extent])
         axes.autoscale_view()
 
     def ground(self):
@@ -400,8 +407,8 @@ def _draw_floor(artist):
     rough = artist.extent / FLOOR_LINES
     power = 10.0 ** np.floor(np.log10(rough))
     step = power * next(each for each in (1.0, 2.0, 5.0, 10.0) if each * power >= rough)
-    first = np.floor(low[:2] / step) * step
-    last = np.ceil(high[:2] / step) * step
+    first = np.floor((low[:2] - 0.1 * step) / step) * step
+    last = np.ceil((high[:2] + 0.1 * step) / step) * step
     height = low[2] - FLOOR_ROOM * artist.extent
     project = artist.view.project
 

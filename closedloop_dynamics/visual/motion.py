@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..mechanism.mechanism import (
-    CYLINDRICAL, FIXED, FREE, GROUND, HELICAL, JOINT_FREEDOMS, PLANAR, PRISMATIC, REVOLUTE,
+    CYLINDRICAL, FIXED, FREE, GROUND, HELICAL, PLANAR, PRISMATIC, REVOLUTE,
     SPHERICAL, UNIVERSAL, UNTURNED)
 
 _AXES = np.eye(3)
@@ -31,7 +31,8 @@ class Motion:
 
     mechanism: object  # Mechanism.mechanism.Mechanism
     time: np.ndarray  # Shape (n,) [s]
-    # Shape (n, nv): of the joints in their order [rad or m, and per s; N m or N].
+    # Shape (n, nq), (n, nv), (n, nv): of the joints, in the order of ``Mechanism.coordinates``
+    # [rad or m, and per s; N m or N]; orientations are quaternions.
     position: np.ndarray
     velocity: np.ndarray
     effort: np.ndarray
@@ -62,7 +63,8 @@ def from_rows(mechanism, names, rows):
     zero = np.zeros(len(rows))
 
     def joints(quantity):
-        return np.stack([column[f'{quantity}.{name}'] for name in mechanism.joint_names], axis=1)
+        names = mechanism.coordinates.columns(quantity)
+        return np.stack([column[name] for name in names], axis=1)
 
     parts = wrench_parts(mechanism)
     forces = [[column.get(f'force.{cut.name}.{part}', zero) for part in parts]
@@ -93,9 +95,8 @@ def body_poses(mechanism, position):
 
     """
     position = np.asarray(position, dtype=float)
-    numbers = np.cumsum([0, *(number_of_coordinates(joint) for joint in mechanism.joints)])
-    joints = {joint.child: (joint, position[..., first:end])
-              for joint, first, end in zip(mechanism.joints, numbers, numbers[1:])}
+    joints = {joint.child: (joint, position[..., mechanism.coordinates.coordinates[joint.name]])
+              for joint in mechanism.joints}
     moved = _child_pose if mechanism.planar else _child_pose_in_space
     placed = {GROUND: _ground(mechanism, position.shape[:-1])}
 
@@ -106,11 +107,6 @@ def body_poses(mechanism, position):
         return placed[body]
 
     return np.stack([pose(body.name) for body in mechanism.bodies], axis=-2)
-
-
-def number_of_coordinates(joint):
-    """Return how many coordinates a joint has: one more than freedoms where it turns freely."""
-    return JOINT_FREEDOMS[joint.type] + (joint.type in (SPHERICAL, FREE))
 
 
 def _ground(mechanism, shape):

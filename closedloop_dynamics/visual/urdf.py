@@ -21,7 +21,9 @@ of ``world``, angles are about z, units are SI (REP 103). With it,
 ``joint_states`` alone moves the machine in RViz and Foxglove.
 
 URDF has no screws: a helical joint becomes one that turns, under its own name, and one that slides
-with it (``mimic``).
+with it (``mimic``). Universal, cylindrical and planar joints are chains of joints of one freedom,
+called as their coordinates are; spherical and free ones are ``floating``: their links are on
+``/tf``.
 
 """
 
@@ -32,8 +34,9 @@ import numpy as np
 
 from .appearance import body_colors, marked_points, outline, rgb
 from ..core.straight_line.spatial import rotation
+from ..mechanism.coordinates import WITH_ORIENTATION
 from ..mechanism.mechanism import (
-    FIXED, GROUND, HELICAL, JOINT_FREEDOMS, MechanismError, PRISMATIC)
+    CYLINDRICAL, FIXED, GROUND, HELICAL, PLANAR, PRISMATIC, UNIVERSAL)
 from ..simulation.modeling import extent
 
 WORLD = 'world'
@@ -45,9 +48,11 @@ LAYER = 0.027
 REACH, NO_LIMIT = 100.0, 1e9
 # Of ros2_control: hardware that is reached by topics.
 HARDWARE_PLUGIN = 'topic_based_ros2_control/TopicBasedSystem'
-ALONG_X, ABOUT_Z = (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)
+ALONG_X, ALONG_Y, ABOUT_Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 # Appended to the name of a helical joint: the link between turning and sliding, and what slides.
 SCREW, SLIDE = '_screw', '_slide'
+# The same for the links within a joint of several numbers, before their own.
+PART = '_part'
 # Cosine of the pitch below which roll and yaw are one turn.
 UPRIGHT = 1e-9
 
@@ -72,13 +77,12 @@ def urdf(mechanism, command_topic='joint_command', state_topic='joint_states'):
     Raises
     ------
     ValueError
-        Where a body or joint has a name that is needed otherwise; a MechanismError for joints of
-        several freedoms.
+        Where a body or joint has a name that is needed otherwise.
 
     """
     _require_names(mechanism)
     size = extent(mechanism)
-    depth = _depths(mechanism)
+    depth = depths(mechanism)
     colors = body_colors(mechanism)
     robot = ElementTree.Element('robot', name=mechanism.name)
     for color in sorted(set(colors.values())):
@@ -114,12 +118,11 @@ def _require_names(mechanism):
             f"the URDF of {mechanism.name} needs the name '{WORLD}' for its root link, and a "
             'body has it: rename the body')
     for joint in mechanism.joints:
-        if JOINT_FREEDOMS[joint.type] > 1:
-            raise MechanismError(
-                f'{mechanism.name}: joints.{joint.name}.type: the URDF knows joints of one '
-                f'freedom (revolute, prismatic, helical) and fixed ones, so far, got '
-                f'{joint.type!r}; '
-                'write joints of one freedom with massless bodies between them')
+        for link, _ in _chain(joint)[:-1]:
+            if link in bodies:
+                raise ValueError(
+                    f"the URDF of {mechanism.name} needs the name '{link}' for a link within the "
+                    f"joint '{joint.name}', and a body has it: rename the body")
         if joint.type == HELICAL and (joint.name + SCREW in bodies
                                       or joint.name + SLIDE in mechanism.joint_names):
             raise ValueError(
@@ -135,12 +138,49 @@ def _add_joint(robot, joint, size):
     _add_axis(element, ALONG_X if slides else ABOUT_Z, size if slides else None)
 
 
+def _chain(joint):
+    """
+    Return what stands for a joint of two or three numbers, outward.
+
+    Returns
+    -------
+    list of tuples
+        (link, (name, whether it slides, axis)) of each joint of one freedom in its place; empty
+        for other joints.
+
+    """
+    steps = {
+        UNIVERSAL: (('.1', False, joint.axis), ('.2', False, joint.second_axis)),
+        CYLINDRICAL: (('.1', False, joint.axis), ('.2', True, joint.axis)),
+        PLANAR: (('.x', True, ALONG_X), ('.y', True, ALONG_Y), ('.angle', False, ABOUT_Z)),
+    }.get(joint.type, ())
+    links = [f'{joint.name}{PART}_{k}' for k in range(1, len(steps))] + [joint.child]
+    return [(link, (joint.name + suffix, *step)) for link, (suffix, *step) in zip(links, steps)]
+
+
+def _add_chain(robot, joint, size):
+    parent = joint.parent
+    for link, (name, slides, axis) in _chain(joint):
+        if link != joint.child:
+            ElementTree.SubElement(robot, 'link', name=link)
+        element = _add_moving(robot, name, slides, parent, link)
+        if parent == joint.parent:
+            _add_pose(element, joint.position, _angles(joint.orientation))
+        _add_axis(element, axis, size if slides else None)
+        parent = link
+
+
 def _add_spatial_joint(robot, joint, size):
-    if joint.type == FIXED:
-        element = ElementTree.SubElement(robot, 'joint', name=joint.name, type='fixed')
+    if joint.type in (FIXED, *WITH_ORIENTATION):
+        element = ElementTree.SubElement(
+            robot, 'joint', name=joint.name,
+            type='fixed' if joint.type == FIXED else 'floating')
         ElementTree.SubElement(element, 'parent', link=joint.parent)
         ElementTree.SubElement(element, 'child', link=joint.child)
         _add_pose(element, joint.position, _angles(joint.orientation))
+        return
+    if _chain(joint):
+        _add_chain(robot, joint, size)
         return
     slides, screw = joint.type == PRISMATIC, joint.type == HELICAL
     between = joint.name + SCREW if screw else joint.child
@@ -194,7 +234,10 @@ def _add_hardware(robot, mechanism, command_topic, state_topic):
             # Compares commanded with measured positions, and there are no commanded ones: always.
             ('trigger_joint_command_threshold', '-1')):
         ElementTree.SubElement(hardware, 'param', name=key).text = value
-    for name in mechanism.actuated_joints:
+    # Rotations have no number that its state interfaces could have.
+    single = set(mechanism.coordinates.single)
+    for name in (mechanism.coordinates.names[place] for place in mechanism.coordinates.actuated
+                 if place in single):
         joint = ElementTree.SubElement(control, 'joint', name=name)
         ElementTree.SubElement(joint, 'command_interface', name='effort')
         for key in ('position', 'velocity', 'effort'):
@@ -276,15 +319,15 @@ def _add_pose(element, place, angles=(0.0, 0.0, 0.0)):
         element, 'origin', xyz=_numbers(*place), rpy=_numbers(*angles))
 
 
-def _depths(mechanism):
+def depths(mechanism):
     """Return by body how many joints it is away from the ground."""
-    depths = {GROUND: 0}
+    found = {GROUND: 0}
     left = list(mechanism.joints)
     while left:
-        known = [joint for joint in left if joint.parent in depths]
-        depths.update((joint.child, depths[joint.parent] + 1) for joint in known)
+        known = [joint for joint in left if joint.parent in found]
+        found.update((joint.child, found[joint.parent] + 1) for joint in known)
         left = [joint for joint in left if joint not in known]
-    return depths
+    return found
 
 
 def _material(color):

@@ -16,7 +16,9 @@
 
 from dataclasses import replace
 
+from closedloop_dynamics.mechanism.config import shipped_path
 from closedloop_dynamics.mechanism.mechanism import Body, CutJoint, Joint, Mechanism
+from closedloop_dynamics.mechanism.reader import read_mechanism
 import numpy as np
 
 GRAVITY = (0.0, 0.0, -9.81)
@@ -145,25 +147,12 @@ def rssr_four_bar():
 
 def bricard():
     """
-    Return six revolute joints in a ring of rods (IFToMM A04), one of them cut.
+    Return six revolute joints in a ring of rods (IFToMM A04), one of them cut; no forces.
 
     All frames are parallel to the world's at the start. One of the equations repeats the others.
 
     """
-    places = np.array([[0, 0, 0], [1, 0, 0], [1, -1, 0], [1, -1, 1], [0, -1, 1], [0, 0, 1]], float)
-    axes = np.eye(3)[[1, 2, 0, 1, 2, 0]]
-    bodies, joints = [], []
-    for k in range(5):
-        step = places[k + 1] - places[k]
-        along = np.outer(step, step)
-        inertia = np.diag((1.0 + 0.01) / 12.0 * (np.eye(3) - along) + 0.02 / 12.0 * along)
-        bodies.append(Body(f'rod_{k + 1}', 1.0, tuple(0.5 * step), tuple(inertia)))
-        joints.append(Joint(
-            f'joint_{k + 1}', 'revolute', 'ground' if k == 0 else f'rod_{k}', f'rod_{k + 1}',
-            tuple(places[k] if k == 0 else places[k] - places[k - 1]), axis=tuple(axes[k])))
-    cut = CutJoint('joint_6', 'revolute', 'rod_5', 'ground', tuple(places[5] - places[4]),
-                   tuple(places[5]), axis_a=tuple(axes[5]), axis_b=tuple(axes[5]))
-    return Mechanism('bricard', tuple(bodies), tuple(joints), (cut,)), {}
+    return read_mechanism(shipped_path('mechanisms', 'bricard')), {}
 
 
 def with_single_freedoms(mechanism):

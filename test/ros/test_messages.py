@@ -14,6 +14,8 @@
 
 """Tests of closedloop_dynamics.ros.messages: what goes over the wire."""
 
+from closedloop_dynamics.mechanism.coordinates import Coordinates
+from closedloop_dynamics.mechanism.mechanism import Joint
 from closedloop_dynamics.ros.messages import SerializedTemplate, Stamps, StatePublisher
 from closedloop_dynamics.ros.process import StartError
 from geometry_msgs.msg import WrenchStamped
@@ -23,6 +25,7 @@ from rclpy.node import Node
 from rclpy.serialization import deserialize_message
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
+from sensor_msgs.msg import MultiDOFJointState
 
 
 class Recorder:
@@ -40,8 +43,12 @@ class Recorder:
 
 @pytest.fixture
 def publisher(make_node):
-    def build(joints=('a', 'b'), cuts=('cut_1', 'cut_2')):
-        publisher = StatePublisher(make_node(_Plain), joints, cuts, [f'at_{cut}' for cut in cuts])
+    def build(joints=('a', 'b'), cuts=('cut_1', 'cut_2'), kind='revolute'):
+        publisher = StatePublisher(
+            make_node(_Plain), Coordinates([
+                Joint(name, kind, 'ground', name, (0.0, 0.0)) for name in joints]), cuts,
+            [f'at_{cut}' for cut in cuts])
+        publisher._turned_publisher = Recorder(MultiDOFJointState)
         publisher._state_publisher = Recorder(JointState)
         publisher._force_publishers = [Recorder(WrenchStamped) for _ in cuts]
         return publisher
@@ -86,6 +93,30 @@ def test_they_carry_the_same_where_the_serialised_bytes_are_not_understood(
     publisher = publisher()
     check_state(publisher)
     assert publisher._state_publisher.raw == 0
+
+
+@pytest.mark.parametrize('understood', [True, False])
+def test_orientations_go_into_a_message_of_their_own(publisher, monkeypatch, understood):
+    if not understood:
+        monkeypatch.setattr(SerializedTemplate, '_places', lambda self, mark: [])
+    publisher = publisher(('a', 'b'), (), 'free')
+    q, qd, tau = np.arange(14.0), np.arange(20.0, 32.0), np.arange(40.0, 52.0)
+    publisher.publish(12_345_678_901, q, qd, tau, np.zeros((0, 6)))
+    assert publisher._turned_publisher.raw == understood
+    message, = publisher._turned_publisher.messages
+    assert message.joint_names == ['a', 'b']
+    assert (message.header.stamp.sec, message.header.stamp.nanosec) == (12, 345_678_901)
+    assert [value for pose in message.transforms for value in (
+        pose.translation.x, pose.translation.y, pose.translation.z, pose.rotation.x,
+        pose.rotation.y, pose.rotation.z, pose.rotation.w)] == q.tolist()
+    for expected, parts in ((qd, [(one.linear, one.angular) for one in message.twist]),
+                            (tau, [(one.force, one.torque) for one in message.wrench])):
+        assert [value for pair in parts for part in pair
+                for value in (part.x, part.y, part.z)] == expected.tolist()
+    # The others have none.
+    state, = publisher._state_publisher.messages
+    assert not state.name and not len(state.position)
+    assert state.header.stamp == message.header.stamp
 
 
 def test_names_of_any_length_move_the_numbers_but_not_into_one_another(publisher):

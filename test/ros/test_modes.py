@@ -15,7 +15,8 @@
 """Tests of the modes of closedloop_dynamics.ros.pacing with a machine that only counts."""
 
 from closedloop_dynamics.ros.pacing import (
-    AsFastAsPossible, Lockstep, LOOK_EVERY, MOST_MADE_UP, Pacer, period_steps, RealTime)
+    AsFastAsPossible, Lockstep, LOOK_EVERY, MOST_MADE_UP, period_steps, RealTime)
+from closedloop_dynamics.simulation.pacer import Pacer
 import pytest
 
 

@@ -12,9 +12,10 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Tests of closedloop_dynamics.ros.pacing with a clock that only moves when told."""
+"""Tests of the pacer and the throttle with a clock that only moves when told."""
 
-from closedloop_dynamics.ros.pacing import LARGEST_LAG, Pacer, PORTION_TIME, Throttle
+from closedloop_dynamics.ros.pacing import Throttle
+from closedloop_dynamics.simulation.pacer import LARGEST_LAG, Pacer, PORTION_TIME
 import numpy as np
 import pytest
 

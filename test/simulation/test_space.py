@@ -343,15 +343,6 @@ def test_what_cannot_be_had_in_space_says_so(linkage):
             Simulation(scene(mechanism, **method))
 
 
-@pytest.mark.parametrize('name, expected', [
-    ('rssr_four_bar', "joints.tip.type: .*'spherical' .*make it a cut joint"),
-    ('stewart_platform', "joints.foot_1.type: .*'universal' .*two revolute joints")])
-def test_joints_that_cannot_be_simulated_yet_are_named(name, expected):
-    mechanism, _ = getattr(spatial_machines, name)()
-    with pytest.raises(FieldError, match=expected):
-        scene(mechanism)
-
-
 def test_effects_of_the_plane_are_refused(linkage):
     mechanism, _ = linkage
     with pytest.raises(FieldError, match='effects.load: .*joint_damping.*payload'):

@@ -18,13 +18,14 @@ from dataclasses import replace
 import math
 from test.reference import spatial_machines
 from test.reference.spatial_maximal import matrix
+from test.simulation.test_orientations import arm
 from test.simulation.test_space import tilted_four_bar, TURN
 from test.visual.test_drawing import EVERYTHING
 from xml.etree import ElementTree
 
 from closedloop_dynamics.cli import main
 from closedloop_dynamics.mechanism.config import shipped_names, shipped_path
-from closedloop_dynamics.mechanism.mechanism import Body, Joint, Mechanism, MechanismError
+from closedloop_dynamics.mechanism.mechanism import Body, Joint, Mechanism
 from closedloop_dynamics.mechanism.reader import read_mechanism
 from closedloop_dynamics.mechanism.validation import validate_mechanism
 from closedloop_dynamics.simulation.simulation import Simulation
@@ -34,7 +35,8 @@ from closedloop_dynamics.visual.urdf import urdf
 import numpy as np
 import pytest
 
-MECHANISMS = shipped_names('mechanisms')
+MECHANISMS = [name for name in shipped_names('mechanisms')
+              if read_mechanism(shipped_path('mechanisms', name)).planar]
 SCENES = ('carpet_scraper', 'four_bar', 'hoeken_pantograph_leg', 'slider_crank', 'three_rrr')
 
 
@@ -83,7 +85,10 @@ def link_frames(text, position):
             if parent not in frames:
                 continue
             frame = frames[parent] @ origin_of(joint)
-            if joint.get('type') != 'fixed':
+            if joint.get('type') == 'floating':
+                turn = position[joint.get('name')]
+                frame = frame @ transform(matrix(turn[-4:]), (*turn[:-4], 0.0, 0.0, 0.0)[:3])
+            elif joint.get('type') != 'fixed':
                 axis, mimic = numbers(joint.find('axis').get('xyz')), joint.find('mimic')
                 value = position[joint.get('name')] if mimic is None else (
                     float(mimic.get('multiplier')) * position[mimic.get('joint')])
@@ -115,16 +120,21 @@ SPATIAL = {
     'stewart_platform': lambda: spatial_machines.with_single_freedoms(
         spatial_machines.stewart_platform()[0]),
     'tilted': lambda: tilted_four_bar(TURN)[1],
-    'screw': screw}
+    'screw': screw,
+    'several': arm}
 
 
 @pytest.mark.parametrize('name', SPATIAL)
 def test_frames_of_the_links_in_space_are_the_poses_of_the_bodies(name):
     mechanism = SPATIAL[name]()
-    moving = [joint.name for joint in mechanism.joints if joint.type != 'fixed']
+    names = mechanism.coordinates
     random, geometry = np.random.default_rng(4), SpatialGeometry(mechanism)
-    for position in random.normal(size=(5, len(moving))):
-        frames = link_frames(urdf(mechanism), dict(zip(moving, position)))
+    for change in random.normal(size=(5, names.nv)):
+        position = names.moved(names.start(), change)
+        by_name = {name: position[place] for name, place in zip(names.names, names.place)}
+        by_name.update((name, position[places]) for name, places in names.coordinates.items()
+                       if name in names.with_orientation)
+        frames = link_frames(urdf(mechanism), by_name)
         for body, pose in zip(mechanism.bodies, geometry.poses(position)):
             expected = transform(matrix(pose[3:]), pose[:3])
             np.testing.assert_allclose(frames[body.name], expected, atol=1e-12)
@@ -159,9 +169,11 @@ def test_bars_in_space_end_at_the_points_of_a_body():
         ends, [(0.0, 0.0, 0.0), mechanism.cut_joints[0].point_a], atol=1e-14)
 
 
-def test_names_and_joints_that_urdf_has_not_are_refused_by_name():
-    with pytest.raises(MechanismError, match=r"joints\.tip\.type: .* got 'spherical'"):
-        urdf(spatial_machines.rssr_four_bar()[0])
+def test_names_that_the_urdf_needs_are_refused():
+    several = arm()
+    with pytest.raises(ValueError, match="'hip_part_1' for a link within the joint 'hip'"):
+        urdf(replace(several, bodies=(
+            *several.bodies, replace(several.bodies[0], name='hip_part_1'))))
     taken = screw()
     bodies = (replace(taken.bodies[0], name='thread_screw'), *taken.bodies[1:])
     joints = (replace(taken.joints[0], child='thread_screw'),

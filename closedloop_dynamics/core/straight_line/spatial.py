@@ -274,7 +274,8 @@ class Recursion:
             acceleration=add(parent.acceleration, parent.carried(offset)), axis=axis)
         if body.axis != Z:
             return motion
-        frame = product(base, rotation(quaternion))
+        # Of any length: between steps integrators leave the unit sphere.
+        frame = product(base, rotation(quaternion, 2.0 / dot(quaternion, quaternion)))
         spinning = times(frame, rates)
         return motion._replace(
             base=frame, frame=frame, spin=add(parent.spin, spinning),
@@ -448,14 +449,16 @@ def _rigid(body, motion):
     return inertia, torque + force
 
 
-def rotation(quaternion):
+def rotation(quaternion, double=2.0):
     """
-    Return the matrix of a unit quaternion.
+    Return the matrix of a quaternion.
 
     Parameters
     ----------
     quaternion : sequence of 4
         x, y, z, w; numbers or symbols.
+    double : number
+        2 over the square of its norm.
 
     Returns
     -------
@@ -463,7 +466,7 @@ def rotation(quaternion):
 
     """
     x, y, z, w = quaternion
-    x2, y2, z2 = 2.0 * x, 2.0 * y, 2.0 * z
+    x2, y2, z2 = double * x, double * y, double * z
     xx, yy, zz = x * x2, y * y2, z * z2
     xy, xz, yz, wx, wy, wz = x * y2, x * z2, y * z2, w * x2, w * y2, w * z2
     return ((1.0 - (yy + zz), xy - wz, xz + wy), (xy + wz, 1.0 - (xx + zz), yz - wx),

@@ -12,4 +12,4 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Other formats of machines: URDF, MJCF and SDF become mechanisms, and mechanisms become those."""
+"""Mechanisms in a browser, to be seen and handled: the page, its server, what both show."""

@@ -1,0 +1,197 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""``closedloop view``: a mechanism in the browser, live or as it was recorded."""
+
+import math
+import os
+from pathlib import Path
+import sys
+import webbrowser
+
+import numpy as np
+
+from .command import Command, mapping, positive, require_free, UsageError
+from ..recording.recording import read_recording, RecordingError, since_the_last_reset
+from ..simulation.errors import AssemblyError
+from ..simulation.scene import load_scene
+from ..simulation.signals import program_watch
+from ..view.columns import MotionRows
+from ..view.description import describe
+from ..view.page import live_page, recorded_page
+from ..visual.progress import announced
+
+# Where nothing else is asked for, unless it is taken.
+USUAL_PORT = 8791
+# Frames per second of what is saved, and the most that a page is given.
+RATE, MOST_ROWS = 60.0, 36_000
+RECORDINGS = ('.csv', '.mcap', '.db3', '.zstd')
+COMPILING = 'Compiling (half a minute the very first time, seconds from then on) ...'
+
+
+def _add_arguments(parser):
+    from .command import assignment
+    parser.add_argument('what', metavar='SCENE_OR_RECORDING', nargs='?',
+                        help='a shipped scene by its name, a YAML file, a bag, or what '
+                             '`closedloop simulate --output` wrote')
+    parser.add_argument('--scene', metavar='SCENE',
+                        help='what was simulated, for a recording that does not tell')
+    parser.add_argument('--namespace', metavar='NAME',
+                        help='of the simulator, where several are in the bag')
+    parser.add_argument('--save', metavar='FILE', type=Path,
+                        help='write one HTML file that plays the motion anywhere, offline, '
+                             'instead of showing it')
+    parser.add_argument('--overwrite', action='store_true', help='replace FILE if it exists')
+    parser.add_argument('--duration', metavar='SECONDS', type=positive, default=10.0,
+                        help='with --save, how much of a scene is simulated (default: 10)')
+    parser.add_argument('--torque', type=assignment, action='append', default=[],
+                        metavar='JOINT=VALUE',
+                        help='with --save, constant torque of an actuated joint [N m], or force '
+                             'of a prismatic one [N]; may be repeated (default: none)')
+    parser.add_argument('--host', metavar='ADDRESS', default='127.0.0.1',
+                        help='address to listen on; any but that of this host needs the token in '
+                             'the address that is printed (default: 127.0.0.1)')
+    parser.add_argument('--port', metavar='NUMBER', type=int,
+                        help=f'to listen on (default: {USUAL_PORT}, or any that is free)')
+    parser.add_argument('--no-open', action='store_true', help='do not open a browser')
+
+
+def _run(arguments):
+    if arguments.what is None:
+        raise UsageError('expected a scene or a recording')
+    if arguments.save is not None:
+        require_free(arguments, arguments.save, option='--save')
+        return _save(arguments)
+    if arguments.torque:
+        raise UsageError('--torque: expected it with --save; the page has sliders')
+    return _play(arguments) if _is_recording(arguments.what) else _live(arguments)
+
+
+def _is_recording(what):
+    path = Path(what)
+    return path.is_dir() or path.suffix in RECORDINGS
+
+
+def _live(arguments):
+    """Run a simulation until Ctrl-C."""
+    # The server's library takes a while, which no other command should.
+    from ..view.runner import Runner
+    scene = load_scene(arguments.what, in_space=True)
+    with announced(COMPILING):
+        try:
+            runner = Runner(scene)
+        except AssemblyError as error:
+            raise UsageError(f'{arguments.what}: {error}') from None
+    with program_watch.noting() as received:
+        server = _served(arguments, [live_page(scene.name)], [runner.feed])
+        try:
+            runner.run(lambda: not received)
+        finally:
+            server.close()
+    return 128 + received[0]
+
+
+def _play(arguments):
+    """Show a recording until Ctrl-C."""
+    import time
+    page = _recorded_page(arguments)
+    with program_watch.noting() as received:
+        server = _served(arguments, [page], [])
+        try:
+            while not received:
+                time.sleep(0.1)
+        finally:
+            server.close()
+    return 128 + received[0]
+
+
+def _served(arguments, pages, feeds):
+    """Return a server of pages, and tell where they are."""
+    from ..view.server import Server
+    try:
+        server = Server(pages, feeds, arguments.host,
+                        USUAL_PORT if arguments.port is None else arguments.port)
+    except OSError as error:
+        if arguments.port is not None:
+            raise OSError(f'--port {arguments.port}: {error.strerror or error}') from None
+        server = Server(pages, feeds, arguments.host)
+    print(f'{server.url}\nCtrl-C ends it.', flush=True)
+    # Elsewhere it would be a browser in the terminal.
+    if not arguments.no_open and any(
+            os.environ.get(name) for name in ('DISPLAY', 'WAYLAND_DISPLAY')):
+        webbrowser.open(server.url)
+    return server
+
+
+def _recorded_page(arguments):
+    scene = load_scene(arguments.scene, in_space=True) if arguments.scene else None
+    try:
+        recording = read_recording(arguments.what, scene, arguments.namespace)
+    except RecordingError as error:
+        raise UsageError(str(error)) from None
+    motion = since_the_last_reset(recording.motion)
+    shown = MotionRows(motion)
+    every = math.ceil(len(shown.times) / MOST_ROWS)
+    if every > 1:
+        print(f'{arguments.what}: {len(shown.times)} states, of which every {every}th is shown',
+              file=sys.stderr)
+    title = recording.scene.name
+    return recorded_page(
+        title, describe(motion.mechanism, shown.columns, mode='recording', title=title),
+        shown.times[::every], shown.rows[::every])
+
+
+def _save(arguments):
+    page = (_recorded_page if _is_recording(arguments.what) else _simulated_page)(arguments)
+    arguments.save.write_text(page, encoding='utf-8')
+    print(f'{arguments.save}: {arguments.save.stat().st_size / 1e6:.2g} MB')
+    return 0
+
+
+def _simulated_page(arguments):
+    from ..view.saved import simulated
+    from ..simulation.simulation import Simulation
+    torque = mapping(arguments.torque, '--torque')
+    scene = load_scene(arguments.what, in_space=True)
+    from ..visual.progress import progress_bar
+    from .command import checked_torques
+    with announced(COMPILING):
+        arguments.scene = arguments.what
+        simulation = checked_torques(arguments, lambda: Simulation(scene), torque)
+        simulation.warm_up()
+    with progress_bar(arguments.duration, 's', scene.name) as bar:
+        columns, times, rows = simulated(
+            simulation, arguments.duration, RATE, torque, lambda time: bar.update(time - bar.n))
+    return recorded_page(
+        scene.name, describe(scene.mechanism, columns, mode='recording', title=scene.name),
+        np.array(times), np.array(rows))
+
+
+COMMAND = Command(
+    name='view',
+    summary='see a mechanism move in the browser, and take hold of it',
+    description="""\
+Open a page in the browser that shows a mechanism in three dimensions. A scene runs live: play,
+pause, slow motion, sliders for its drives, effects and methods switched while it runs, points
+dragged by the mouse, plots beside it. A recording plays with a time slider. The page comes from
+this computer and needs no network. Closing it changes nothing; Ctrl-C ends the command.
+""",
+    epilog="""\
+examples:
+  closedloop view three_rrr
+  closedloop view my_bag
+  closedloop view three_rrr --duration 10 --torque theta_1=5 --save run.html
+""",
+    add_arguments=_add_arguments,
+    run=_run)

@@ -1,0 +1,397 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+What the numbers of a state are called and where they are: coordinates q, rates qd, by joint.
+
+Joints come in the mechanism's order. A joint of one freedom has one coordinate and one rate, both
+called by its name. A universal or cylindrical joint has two, called ``JOINT.1`` and ``JOINT.2``, a
+planar one ``JOINT.x``, ``JOINT.y`` and ``JOINT.angle``. The orientation of a spherical or free
+joint is a unit quaternion x, y, z, w of the child's axes in the joint's frame; its rates are the
+angular velocity relative to the parent, about the child's axes. A free joint has its position x,
+y, z along the axes of the joint's frame before. So nq = nv + the number of quaternions.
+
+"""
+
+import math
+
+import numpy as np
+
+from .checks import number, orientation, vector3
+from .fields import at, FieldError, mapping
+
+REVOLUTE = 'revolute'
+PRISMATIC = 'prismatic'
+FIXED = 'fixed'
+HELICAL = 'helical'
+CYLINDRICAL = 'cylindrical'
+UNIVERSAL = 'universal'
+SPHERICAL = 'spherical'
+PLANAR = 'planar'
+FREE = 'free'
+# Joints with an orientation in three dimensions.
+WITH_ORIENTATION = (SPHERICAL, FREE)
+
+# Of a joint with numbers of its own: what follows its name, and whether it is a length.
+_NUMBERS = {
+    REVOLUTE: (('', False),), PRISMATIC: (('', True),), HELICAL: (('', False),),
+    UNIVERSAL: (('.1', False), ('.2', False)), CYLINDRICAL: (('.1', False), ('.2', True)),
+    PLANAR: (('.x', True), ('.y', True), ('.angle', False)), FIXED: (), SPHERICAL: (),
+    FREE: (('.x', True), ('.y', True), ('.z', True))}
+# Freedoms of a rotation, behind the name of its joint.
+_TURNS = ('.rx', '.ry', '.rz')
+# The quantities of a state, and what they are called for a rotation.
+OF_ROTATIONS = {'position': 'orientation', 'velocity': 'angular_velocity',
+                'acceleration': 'angular_acceleration', 'effort': 'torque'}
+# The part of a quantity of a free joint that is no rotation has the quantity's own name.
+_CHECKS = {'position': orientation, 'velocity': vector3}
+
+
+class Coordinates:
+    """
+    Names and places of the coordinates and rates of some joints.
+
+    Parameters
+    ----------
+    joints : sequence of mechanism.Joint
+        In their order.
+
+    Attributes
+    ----------
+    nq, nv : int
+        How many coordinates and rates there are.
+    names : tuple of str, length nv
+        Of the freedoms: ``crank``, ``hip.1``, ``ball.rx``.
+    index : dict of str to int
+        Their places among the rates.
+    actuated : tuple of int
+        Places among the rates of the freedoms of actuated joints.
+    lengths : ndarray of bool, shape (nv,)
+        Which of them are lengths.
+    place : ndarray of int, shape (nv,)
+        Where among the coordinates the number of each freedom is; -1 for rotations.
+    rates, coordinates : dict of str to slice
+        By joint.
+    balls : ndarray of int, shape (number of quaternions, 2)
+        First coordinate and first rate of each.
+    keys : tuple of str
+        By which values are given: names of single freedoms, and of joints with an orientation.
+    single : ndarray of int
+        Places among the rates of the freedoms of all other joints than those with an orientation.
+    with_orientation : tuple of str
+        Names of the spherical and free joints.
+    pose, twist : ndarray of int, shape (number of them, 7), (number of them, 6)
+        Where in q their x, y, z and quaternion are, in qd their velocity and angular velocity;
+        -1 for what a spherical joint does not have.
+
+    """
+
+    def __init__(self, joints):
+        """Give the joints' coordinates their places."""
+        self._joints = {joint.name: joint for joint in joints}
+        names, keys, actuated, lengths, place, balls = [], [], [], [], [], []
+        self.rates, self.coordinates, self.nq = {}, {}, 0
+        for joint in joints:
+            first, coordinate = len(names), self.nq
+            for suffix, length in _NUMBERS[joint.type]:
+                names.append(joint.name + suffix)
+                lengths.append(length)
+                place.append(self.nq)
+                self.nq += 1
+            if joint.type in WITH_ORIENTATION:
+                balls.append((self.nq, len(names)))
+                names += [joint.name + suffix for suffix in _TURNS]
+                keys.append(joint.name)
+                lengths += 3 * [False]
+                place += 3 * [-1]
+                self.nq += 4
+            else:
+                keys += names[first:]
+            self.rates[joint.name] = slice(first, len(names))
+            self.coordinates[joint.name] = slice(coordinate, self.nq)
+            if joint.actuated:
+                actuated += range(first, len(names))
+        self.names, self.keys, self.actuated = tuple(names), tuple(keys), tuple(actuated)
+        self.nv, self.index = len(names), {name: k for k, name in enumerate(names)}
+        self.lengths, self.place = np.array(lengths, dtype=bool), np.array(place, dtype=int)
+        self.balls = np.array(balls, dtype=int).reshape(-1, 2)
+        turned = [joint for joint in joints if joint.type in WITH_ORIENTATION]
+        self.with_orientation = tuple(joint.name for joint in turned)
+        self.single = np.array([
+            place for joint in joints if joint.type not in WITH_ORIENTATION
+            for place in range(self.rates[joint.name].start, self.rates[joint.name].stop)],
+            dtype=int)
+        self.pose, self.twist = (np.array([
+            3 * [-1] * (joint.type == SPHERICAL) + list(range(places.start, places.stop))
+            for joint, places in ((joint, where[joint.name]) for joint in turned)],
+            dtype=int).reshape(-1, count)
+            for where, count in ((self.coordinates, 7), (self.rates, 6)))
+
+    @property
+    def of_one_freedom(self):
+        """Return the names of the joints that have one freedom."""
+        return tuple(name for name in self._joints if name in self.index)
+
+    def joint_of(self, name):
+        """Return the name of the joint that a freedom belongs to."""
+        return name.partition('.')[0]
+
+    def columns(self, quantity):
+        """
+        Return what the numbers of a quantity are called in a table.
+
+        Parameters
+        ----------
+        quantity : str
+            ``'position'``, ``'velocity'``, ``'acceleration'`` or ``'effort'``.
+
+        Returns
+        -------
+        list of str
+            ``position.crank``, ``orientation.ball.x``; of length nq for positions, else nv.
+
+        """
+        found = []
+        for name, joint in self._joints.items():
+            found += [f'{quantity}.{name}{suffix}' for suffix, _ in _NUMBERS[joint.type]]
+            if joint.type in WITH_ORIENTATION:
+                found += [f'{OF_ROTATIONS[quantity]}.{name}.{axis}'
+                          for axis in ('xyzw' if quantity == 'position' else 'xyz')]
+        return found
+
+    def paths(self, quantity):
+        """
+        Return the keys, one below the other, of the numbers that can be varied by themselves.
+
+        Parameters
+        ----------
+        quantity : str
+            ``'position'`` or ``'velocity'``.
+
+        Returns
+        -------
+        dict of tuple of str to int
+            Their places among the coordinates or rates; those of quaternions are left out.
+
+        """
+        found = {}
+        for name, joint in self._joints.items():
+            place = (self.coordinates if quantity == 'position' else self.rates)[name].start
+            turned = joint.type in WITH_ORIENTATION
+            for k, (suffix, _) in enumerate(_NUMBERS[joint.type]):
+                path = (name, quantity, str(k)) if turned else tuple((name + suffix).split('.'))
+                found[path] = place + k
+            if turned and quantity == 'velocity':
+                place += len(_NUMBERS[joint.type])
+                found.update(((name, OF_ROTATIONS[quantity], str(k)), place + k)
+                             for k in range(3))
+        return found
+
+    def start(self):
+        """Return the coordinates of joints that are as they are drawn, shape (nq,)."""
+        q = np.zeros(self.nq)
+        q[self.balls[:, 0] + 3] = 1.0
+        return q
+
+    def filled(self, quantity, values, present):
+        """
+        Put values that are given by name into an array.
+
+        Parameters
+        ----------
+        quantity : str
+            ``'position'`` or ``'velocity'``.
+        values : mapping
+            Numbers by the names of single freedoms; by the names of joints with an orientation
+            mappings of ``orientation`` (rpy or quaternion) and, where they are free, ``position``;
+            of ``angular_velocity`` and ``velocity``.
+        present : ndarray, shape (nq,) or (nv,)
+            What is not given stays as it is there.
+
+        Returns
+        -------
+        ndarray
+            A new one.
+
+        Raises
+        ------
+        FieldError
+
+        """
+        found = present.copy()
+        single = self.place if quantity == 'position' else np.arange(self.nv)
+        whole = self.coordinates if quantity == 'position' else self.rates
+        for key, value in mapping(values, (), self.keys).items():
+            with at(key):
+                joint = self._joints[self.joint_of(key)]
+                if joint.type not in WITH_ORIENTATION:
+                    found[single[self.index[key]]] = number(value)
+                    continue
+                here = found[whole[key]]
+                own = (quantity,) if joint.type == FREE else ()
+                for part, given in mapping(value, (), (*own, OF_ROTATIONS[quantity])).items():
+                    with at(part):
+                        if part == quantity:
+                            here[:3] = vector3(given)
+                        else:
+                            here[3 * len(own):] = _CHECKS[quantity](given)
+        return found
+
+    def told(self, quantity, values):
+        """
+        Return values by name, as ``filled`` takes them.
+
+        Parameters
+        ----------
+        quantity : str
+            ``'position'`` or ``'velocity'``.
+        values : sequence of floats
+            Of length nq for positions, else nv.
+
+        Returns
+        -------
+        dict
+
+        """
+        found, values = {}, [float(value) for value in values]
+        whole = self.coordinates if quantity == 'position' else self.rates
+        single = self.place if quantity == 'position' else range(self.nv)
+        for key in self.keys:
+            joint = self._joints[self.joint_of(key)]
+            if joint.type not in WITH_ORIENTATION:
+                found[key] = values[single[self.index[key]]]
+                continue
+            here = values[whole[key]]
+            own = 3 if joint.type == FREE else 0
+            turn = here[own:]
+            found[key] = {OF_ROTATIONS[quantity]: (
+                {'quaternion': turn} if quantity == 'position' else turn)}
+            if own:
+                found[key][quantity] = here[:own]
+        return found
+
+    def unit(self, q):
+        """
+        Return coordinates with quaternions of norm 1.
+
+        Raises
+        ------
+        FieldError
+            Where one is further from that than rounded numbers are.
+
+        """
+        q = np.array(q, dtype=float)
+        for name, joint in self._joints.items():
+            if joint.type in WITH_ORIENTATION:
+                place = slice(self.coordinates[name].stop - 4, self.coordinates[name].stop)
+                with at(name, 'orientation'):
+                    q[place] = orientation(tuple(q[place].tolist()))
+        return q
+
+    def moved(self, q, change):
+        """
+        Return coordinates after a change of the rates' kind.
+
+        Parameters
+        ----------
+        q : ndarray, shape (nq,)
+            Quaternions are composed with the exponential of their change.
+        change : ndarray, shape (nv,)
+            [rad, m].
+
+        """
+        single = self.place >= 0
+        q = q.copy()
+        q[self.place[single]] += change[single]
+        for first, rate in self.balls:
+            turned = _composed(q[first:first + 4], _exponential(change[rate:rate + 3]))
+            q[first:first + 4] = turned / np.linalg.norm(turned)
+        return q
+
+    def apart(self, q, other):
+        """
+        Return the change that leads from other coordinates to some.
+
+        Returns
+        -------
+        ndarray, shape (nv,)
+            Of turns the shorter way round.
+
+        """
+        single = self.place >= 0
+        change = np.zeros(self.nv)
+        change[single] = q[self.place[single]] - other[self.place[single]]
+        for first, rate in self.balls:
+            inverse = other[first:first + 4] * (-1.0, -1.0, -1.0, 1.0)
+            x, y, z, w = _composed(inverse, q[first:first + 4])
+            sine = math.sqrt(x * x + y * y + z * z)
+            angle = 2.0 * math.atan2(sine, abs(w))
+            # Of small turns the sine is half the angle.
+            change[rate:rate + 3] = np.array([x, y, z]) * math.copysign(
+                angle / sine if sine > 0.0 else 2.0, w)
+        return change
+
+    def by_freedom(self, q):
+        """Return the number of each freedom, shape (nv,): 0 for those of rotations."""
+        if not len(self.balls):
+            return q
+        return np.where(self.place >= 0, q[self.place], 0.0)
+
+    def poses(self, q):
+        """
+        Return the poses of the joints with an orientation.
+
+        Returns
+        -------
+        ndarray, shape (..., number of them, 7)
+            Place [m], zero in a spherical joint, and quaternion x, y, z, w.
+
+        """
+        return np.concatenate([q, np.zeros((*q.shape[:-1], 1))], axis=-1)[..., self.pose]
+
+    def twists(self, qd):
+        """
+        Return rates, or efforts, of the joints with an orientation.
+
+        Returns
+        -------
+        ndarray, shape (..., number of them, 6)
+            Along the axes of the joint, zero in a spherical one; about those of the child.
+
+        """
+        return np.concatenate([qd, np.zeros((*qd.shape[:-1], 1))], axis=-1)[..., self.twist]
+
+    def require_lengths(self, position, velocity):
+        """Refuse sequences of other lengths than nq and nv; see ``filled``."""
+        for key, values, count in (('position', position, self.nq),
+                                   ('velocity', velocity, self.nv)):
+            if len(values) != count:
+                each = 'one for each joint' if self.nq == self.nv == len(self._joints) else (
+                    'for ' + ', '.join(self.columns(key)))
+                raise FieldError(f'{count} numbers, {each}', f'{len(values)}', path=(key,))
+
+
+def _composed(a, b):
+    """Return the product of two quaternions x, y, z, w."""
+    (ax, ay, az, aw), (bx, by, bz, bw) = a, b
+    return np.array([
+        aw * bx + ax * bw + ay * bz - az * by, aw * by + ay * bw + az * bx - ax * bz,
+        aw * bz + az * bw + ax * by - ay * bx, aw * bw - ax * bx - ay * by - az * bz])
+
+
+def _exponential(turn):
+    """Return the quaternion of a rotation vector."""
+    angle = float(np.linalg.norm(turn))
+    share = 0.5 * np.sinc(0.5 * angle / np.pi)
+    return np.array([*(share * turn), math.cos(0.5 * angle)])

@@ -1,0 +1,290 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+The rows of numbers that a page shows: poses, arrows, and what is plotted, of one instant each.
+
+A row of a running simulation, of a recording and of a saved file is the same.
+
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..core.types import SMALLEST_PIVOT
+from ..effects.contact import Contact
+from ..effects.external_force import ExternalForce
+from ..effects.point_spring import PointSpring
+from ..mechanism.mechanism import PRISMATIC
+from ..simulation.health import drive_sine, WARN_BELOW
+from ..visual.motion import body_poses, magnitudes
+
+# Numbers of a pose: x, y, z [m], quaternion x, y, z, w; of an arrow: its foot [m], its force [N].
+POSE, ARROW = 7, 6
+# Sine of the angle to a parallel singularity below which its direction is shown.
+NEAR = 0.05
+# How far the direction moves what moves most, as a share of the mechanism's size.
+SHOWN = 0.15
+
+
+@dataclass
+class Plot:
+    """One column that is plotted."""
+
+    group: str
+    name: str
+    unit: str = ''
+    # Whether it is shown before anybody asks for it.
+    shown: bool = True
+
+
+@dataclass
+class Columns:
+    """
+    What is in a row, in this order; NaN where nothing is known.
+
+    Attributes
+    ----------
+    bodies, cuts : int
+        Poses of the bodies; forces on body A of the cut joints, without feet.
+    loads : list of dict
+        What effects exert: name and kind; an arrow each.
+    direction : bool
+        Whether poses moved along the singular direction follow.
+    plots : list of Plot
+
+    """
+
+    bodies: int
+    cuts: int
+    loads: list = field(default_factory=list)
+    direction: bool = False
+    plots: list = field(default_factory=list)
+
+    @property
+    def layout(self):
+        """Return the first column of each part, and what is plotted, as JSON can."""
+        widths = (POSE * self.bodies, 3 * self.cuts, ARROW * len(self.loads),
+                  POSE * self.bodies * self.direction, len(self.plots))
+        starts = np.cumsum([0, *widths]).tolist()
+        return {'columns': dict(zip(('poses', 'forces', 'loads', 'direction', 'plots', 'width'),
+                                    starts)),
+                'loads': self.loads, 'plots': [vars(plot) for plot in self.plots]}
+
+    @property
+    def width(self):
+        """Return the number of columns."""
+        return self.layout['columns']['width']
+
+
+def poses_in_space(poses):
+    """Return poses of shape (..., 3), x, y and angle, or (..., 7) as they are, as (..., 7)."""
+    if poses.shape[-1] == POSE:
+        return poses
+    found = np.zeros((*poses.shape[:-1], POSE))
+    found[..., :2] = poses[..., :2]
+    found[..., 5], found[..., 6] = np.sin(0.5 * poses[..., 2]), np.cos(0.5 * poses[..., 2])
+    return found
+
+
+def _forces_in_space(wrenches):
+    """Return the forces of wrenches of shape (..., 3) or (..., 6), as (..., 3)."""
+    forces = wrenches[..., wrenches.shape[-1] // 2:]
+    if forces.shape[-1] == 3:
+        return forces
+    return np.concatenate([forces, np.zeros((*forces.shape[:-1], 1))], axis=-1)
+
+
+def _joint_plots(mechanism):
+    """Return the plots of joints and cut joints, which recordings have, too."""
+    plots = []
+    for group, units in (('joint position', ('rad', 'm')), ('joint velocity', ('rad/s', 'm/s'))):
+        plots += [Plot(group, joint.name, units[joint.type == PRISMATIC], joint.actuated)
+                  for joint in mechanism.joints]
+    plots += [Plot('drive torque or force', joint.name, ('N m', 'N')[joint.type == PRISMATIC])
+              for joint in mechanism.joints if joint.actuated]
+    return plots + [Plot('force at cut joints', cut.name, 'N') for cut in mechanism.cut_joints]
+
+
+class MotionRows:
+    """The rows of a recorded motion."""
+
+    def __init__(self, motion):
+        """Compute them all; ``rows``: shape (n, width), ``times``: shape (n,) [s]."""
+        mechanism = motion.mechanism
+        self.columns = Columns(len(mechanism.bodies), len(mechanism.cut_joints),
+                               plots=_joint_plots(mechanism))
+        actuated = [joint.actuated for joint in mechanism.joints]
+        count = len(motion.time)
+        poses = poses_in_space(body_poses(mechanism, motion.position))
+        self.times = np.array(motion.time, dtype=float)
+        self.rows = np.hstack([
+            poses.reshape(count, -1), _forces_in_space(motion.forces).reshape(count, -1),
+            motion.position, motion.velocity, motion.effort[:, actuated],
+            magnitudes(motion.forces)]).astype(np.float32)
+
+
+class SimulationRows:
+    """
+    The rows of a running simulation.
+
+    Parameters
+    ----------
+    simulation : simulation.simulation.Simulation
+        Read, not advanced.
+    hidden : sequence of str
+        Names of effects whose arrows are not shown.
+
+    """
+
+    def __init__(self, simulation, hidden=()):
+        """Decide on the columns."""
+        self._simulation = simulation
+        mechanism = simulation.mechanism
+        self._loads = {name: record for name, record in simulation.effects.items()
+                       if isinstance(record, (Contact, ExternalForce, PointSpring))
+                       and name not in hidden}
+        self._passive = np.array([k for k, joint in enumerate(mechanism.joints)
+                                  if not joint.actuated], dtype=int)
+        plots = _joint_plots(mechanism)
+        plots += [Plot('energy', name, 'J')
+                  for name in ('kinetic', 'stored', 'dissipated', 'work')]
+        plots += [Plot('closure error', 'largest', 'm or rad'),
+                  Plot('energy from nowhere', 'balance', 'J'),
+                  Plot('angle from a singularity', 'loops', 'sine')]
+        if mechanism.planar and self._sine() == self._sine():
+            plots.append(Plot('angle from a singularity', 'held drives', 'sine'))
+        plots += [Plot('estimated error', 'largest of a step', 'rad or m'),
+                  Plot('estimated error', 'within a second', 'rad or m'),
+                  Plot('cost', 'computing', '% of real time')]
+        self.columns = Columns(
+            len(mechanism.bodies), len(mechanism.cut_joints),
+            [{'name': name} for name in self._loads], True, plots)
+        self._rarely = np.full(4, np.nan)
+        self._direction = np.full(POSE * len(mechanism.bodies), np.nan)
+        self._cost = None
+        self._actuated = simulation.actuated
+        self.look()
+
+    def look(self):
+        """
+        Look at what is asked rarely, as it takes long: errors, cost, what a singularity frees.
+
+        Returns
+        -------
+        monitor.RunReport
+
+        """
+        simulation = self._simulation
+        report = simulation.report()
+        before, self._cost = self._cost, (report.compute_time, report.time)
+        share = np.nan
+        if before is not None and report.time > before[1]:
+            share = 100.0 * (report.compute_time - before[0]) / (report.time - before[1])
+        sine = self._sine()
+        self._rarely[:] = sine, report.local_error, report.error_bound, share
+        self._direction[:] = np.nan
+        if self._pivot() < WARN_BELOW or abs(sine) < NEAR:
+            self._direction[:] = self._moved(abs(sine) < NEAR)
+        return report
+
+    def _pivot(self):
+        return float(self._simulation.system.work.health[SMALLEST_PIVOT])
+
+    def _sine(self):
+        """Return how far held drives are from leaving the mechanism loose; NaN in space."""
+        simulation = self._simulation
+        if not (simulation.mechanism.planar and simulation.cut_joints):
+            return np.nan
+        return drive_sine(simulation.system.model, simulation.constraint_jacobian, self._passive)
+
+    def _moved(self, held):
+        """Return poses moved along what the loops, and held drives, prevent least."""
+        simulation = self._simulation
+        jac = simulation.constraint_jacobian.copy()
+        if held:
+            jac[:, simulation.actuated] = 0.0
+            jac = np.vstack([jac, np.eye(jac.shape[1])[simulation.actuated]])
+        if not len(jac):
+            return np.nan
+        # Rates of joints, less those of the freedoms there are anyway.
+        freedoms = max(jac.shape[1] - len(jac), 0)
+        direction = np.linalg.svd(jac)[2][-1 - freedoms]
+        mechanism, q = simulation.mechanism, simulation.position
+        poses = [poses_in_space(body_poses(mechanism, q + 1e-4 * sign * direction))
+                 for sign in (1.0, -1.0)]
+        rate = 0.5e4 * (poses[0] - poses[1])
+        fastest = np.abs(rate[:, :3]).max(initial=0.0)
+        if not fastest > 0.0:
+            return np.nan
+        moved = poses_in_space(simulation.body_poses) + SHOWN * self._size() / fastest * rate
+        return moved.ravel()
+
+    def _size(self):
+        places = self._simulation.body_poses[:, :2]
+        return float(np.ptp(places, axis=0).max()) or 1.0
+
+    def row(self):
+        """
+        Return the present state.
+
+        Returns
+        -------
+        ndarray of float32, shape (width,)
+
+        """
+        simulation = self._simulation
+        forces = simulation.constraint_forces
+        poses = poses_in_space(simulation.body_poses)
+        balance = simulation.energy_balance
+        pivot = max(self._pivot(), 0.0)
+        sine, step, bound, share = self._rarely
+        return np.concatenate([
+            poses.ravel(), _forces_in_space(forces).ravel(), self._arrows().ravel(),
+            self._direction, simulation.position, simulation.velocity,
+            simulation.effort[self._actuated], magnitudes(forces),
+            [balance.kinetic, balance.stored, balance.dissipated, balance.work,
+             simulation.closure, abs(balance.residual), np.sqrt(pivot)],
+            [abs(sine)] * any(plot.name == 'held drives' for plot in self.columns.plots),
+            [step, bound, share]]).astype(np.float32)
+
+    def _arrows(self):
+        """Return foot and force of each load, shape (number of loads, 6)."""
+        arrows = np.full((len(self._loads), ARROW), np.nan)
+        enabled = self._simulation.enabled_effects
+        for arrow, name in zip(arrows, self._loads):
+            if name not in enabled:
+                continue
+            record = self._simulation.effects[name]
+            foot = self._simulation.point(getattr(record, 'point', None) or record.point_a)
+            arrow[:] = 0.0
+            arrow[:len(foot)] = foot
+            force = self._force(name, record, foot)
+            arrow[3:3 + len(force)] = force
+        return arrows
+
+    def _force(self, name, record, foot):
+        if isinstance(record, ExternalForce):
+            return record.force
+        readings = self._simulation.effect_readings(name)
+        if isinstance(record, Contact):
+            along = readings['friction_force'] + readings['scraping_force']
+            normal, angle = readings['normal_force'], record.angle
+            return (along * np.cos(angle) - normal * np.sin(angle),
+                    along * np.sin(angle) + normal * np.cos(angle))
+        end = (np.array(record.anchor) if record.point_b is None
+               else self._simulation.point(record.point_b))
+        length = readings['length']
+        return readings['tension'] * (end - foot) / length if length > 0.0 else 0.0 * foot

@@ -1,0 +1,181 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+What a page is told of a mechanism once: shapes, joints, colours, names, and columns of its rows.
+
+All places are in space: a planar mechanism lies in the plane z = 0 of the world, its links in
+layers above it.
+
+"""
+
+import numpy as np
+
+from ..mechanism.decomposition import decompose
+from ..mechanism.mechanism import GROUND, PRISMATIC
+from ..simulation.modeling import extent
+from ..visual.appearance import (
+    body_colors, CONTACT_COLOR, CUT_COLOR, FORCE_COLOR, marked_points, outline, PATH_COLOR,
+    sliders)
+from ..visual.urdf import depths
+
+# Of links, as shares of the mechanism's size: radius of bars, thickness of plates and the distance
+# between layers, half the length of a block on a slide.
+BAR, THICKNESS, LAYER, BLOCK = 0.022, 0.016, 0.03, 0.05
+UNMOVED = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+
+
+def describe(mechanism, columns, **more):
+    """
+    Describe a mechanism for a page.
+
+    Parameters
+    ----------
+    mechanism : mechanism.mechanism.Mechanism
+        What is shown.
+    columns : columns.Columns
+        Of the rows that the page gets.
+    **more
+        What else the page is to know, as JSON can.
+
+    Returns
+    -------
+    dict
+        As JSON can.
+
+    """
+    size = extent(mechanism)
+    rows = {GROUND: -1, **{body.name: k for k, body in enumerate(mechanism.bodies)}}
+    heights = _heights(mechanism, size)
+    blocks, colors = sliders(mechanism), body_colors(mechanism)
+    trees = decompose(mechanism).subsystems
+    child = {joint.name: joint.child for joint in mechanism.joints}
+    subsystem = {child[name]: number for number, tree in enumerate(trees) for name in tree}
+    return {
+        'name': mechanism.name, 'planar': mechanism.planar, 'size': size,
+        'colors': {'cut': CUT_COLOR, 'force': FORCE_COLOR, 'path': PATH_COLOR,
+                   'load': CONTACT_COLOR},
+        'subsystems': [colors[child[tree[0]]] for tree in trees],
+        'bodies': [{
+            'name': body.name, 'color': colors[body.name], 'subsystem': subsystem[body.name],
+            'shapes': _shapes(mechanism, body.name, size, heights[body.name], blocks),
+            'grabs': grabs(mechanism, body).tolist()} for body in mechanism.bodies],
+        'joints': [{
+            'name': joint.name, 'type': joint.type, 'parent': rows[joint.parent],
+            'child': rows[joint.child], 'actuated': joint.actuated,
+            'place': _in_space(joint.position), 'axis': _axis(joint),
+            'heights': sorted((heights[joint.parent], heights[joint.child]))}
+            for joint in mechanism.joints],
+        'cuts': [{
+            'name': cut.name, 'type': cut.type, 'body_a': rows[cut.body_a],
+            'body_b': rows[cut.body_b], 'a': cut.body_a, 'b': cut.body_b,
+            'point_a': _in_space(cut.point_a), 'point_b': _in_space(cut.point_b),
+            'heights': sorted((heights[cut.body_a], heights[cut.body_b]))}
+            for cut in mechanism.cut_joints],
+        'rails': _rails(mechanism, rows),
+        'points': [{'name': point.name, 'body': rows[point.body],
+                    'place': _in_space(point.position)} for point in mechanism.points],
+        **columns.layout, **more}
+
+
+def grabs(mechanism, body):
+    """
+    Return the places by which a body can be taken hold of.
+
+    Parameters
+    ----------
+    mechanism : mechanism.mechanism.Mechanism
+        Of the body.
+    body : mechanism.mechanism.Body
+        Which.
+
+    Returns
+    -------
+    ndarray, shape (n, 3)
+        Its joints, cut joints and named points, and its centre of mass, in its frame [m].
+
+    """
+    places = np.vstack([marked_points(mechanism, body.name), body.center_of_mass])
+    places = np.unique(places, axis=0)
+    return np.hstack([places, np.zeros((len(places), 3 - places.shape[1]))])
+
+
+def _in_space(place):
+    return [*place, 0.0][:3]
+
+
+def _axis(joint):
+    """Return the axis of a joint in its parent's frame, along z in the plane unless it slides."""
+    if joint.axis is not None:
+        return list(_turned(joint.orientation, joint.axis))
+    if joint.type == PRISMATIC:
+        return [float(np.cos(joint.angle)), float(np.sin(joint.angle)), 0.0]
+    return [0.0, 0.0, 1.0]
+
+
+def _turned(quaternion, vector):
+    """Return a vector turned by a unit quaternion x, y, z, w."""
+    axis = np.array(quaternion[:3])
+    vector = np.array(vector)
+    across = np.cross(axis, vector)
+    return (vector + 2.0 * (quaternion[3] * across + np.cross(axis, across))).tolist()
+
+
+def _heights(mechanism, size):
+    """Return the layer of each body above the plane [m]; all zero in space."""
+    found = depths(mechanism)
+    return {name: LAYER * size * depth * mechanism.planar for name, depth in found.items()}
+
+
+def _shapes(mechanism, body, size, height, blocks):
+    """Return what a body is drawn as, in its frame [m]."""
+    radius = BAR * size
+    if not mechanism.planar:
+        return _bars(marked_points(mechanism, body), radius)
+    corners = [[*corner, height] for corner in outline(mechanism, body).tolist()]
+    shapes = []
+    if len(corners) > 2:
+        shapes.append({'kind': 'plate', 'corners': corners, 'thickness': THICKNESS * size})
+    if len(corners) > 1:
+        ends = [*corners, corners[0]] if len(corners) > 2 else corners
+        shapes += [{'kind': 'bar', 'from': start, 'to': end, 'radius': radius,
+                    'flat': THICKNESS * size} for start, end in zip(ends, ends[1:])]
+    if body in blocks or len(corners) == 1:
+        shapes.append({'kind': 'box', 'center': [0.0, 0.0, height],
+                       'size': [2.0 * BLOCK * size, 1.2 * BLOCK * size, 1.2 * THICKNESS * size]})
+    return shapes
+
+
+def _bars(points, radius):
+    """Return the bars of a body in space: between two points, or from their middle to each."""
+    points = points.tolist()
+    if len(points) == 1:
+        return [{'kind': 'ball', 'center': points[0], 'radius': 1.6 * radius}]
+    if len(points) == 2:
+        return [{'kind': 'bar', 'from': points[0], 'to': points[1], 'radius': radius}]
+    middle = np.mean(points, axis=0).tolist()
+    return [{'kind': 'bar', 'from': middle, 'to': point, 'radius': radius} for point in points]
+
+
+def _rails(mechanism, rows):
+    """Return the slides on the ground: a place, a direction, and the body that slides."""
+    found = [{'place': _in_space(joint.position), 'axis': _axis(joint),
+              'body': rows[joint.child]} for joint in mechanism.joints
+             if joint.parent == GROUND and joint.type == PRISMATIC]
+    return found + [
+        {'place': _in_space(cut.point_b), 'body': rows[cut.body_a],
+         'axis': [float(np.cos(cut.angle)), float(np.sin(cut.angle)), 0.0]
+         if mechanism.planar else list(cut.axis_b)}
+        for cut in mechanism.cut_joints
+        if cut.body_b == GROUND and cut.type == PRISMATIC]

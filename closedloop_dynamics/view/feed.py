@@ -1,0 +1,168 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""What passes between the thread that computes and the thread that serves pages."""
+
+from collections import deque
+import json
+from queue import Empty, Full, Queue
+import struct
+import threading
+
+from .messages import read
+from ..mechanism.fields import FieldError
+
+# Messages of pages that wait to be followed; what comes on top is refused.
+MOST_WAITING = 1000
+# Of what was refused, or went wrong, so much is kept for pages that ask late.
+MOST_NOTES = 5
+# Before the row of a frame: its number and its time [s].
+HEADER = struct.Struct('<Ixxxxd')
+
+
+class Feed:
+    """
+    One mechanism that is shown: what its pages are told, and what they ask for.
+
+    Of the controls and of the frames there is the newest only: who is slow misses what is old.
+
+    Parameters
+    ----------
+    description : dict
+        As JSON can; told first.
+
+    Attributes
+    ----------
+    description, controls : str
+        JSON; ``controls`` changes.
+    frame : bytes
+        The newest; empty before the first.
+    number : int
+        Of the newest frame.
+    version : int
+        Of the controls.
+    pages : int
+        How many are open.
+    refused : int
+        Messages that were not followed.
+
+    """
+
+    def __init__(self, description):
+        """Begin without a frame."""
+        self.description = json.dumps({'type': 'scene', **description}, allow_nan=False)
+        self.controls, self.frame = '', b''
+        self.number = self.version = self.pages = self.refused = 0
+        self._told, self._notes, self._note = {}, deque(maxlen=MOST_NOTES), 0
+        self._inbox, self._lock = Queue(MOST_WAITING), threading.Lock()
+        self.on_change = []
+
+    # The computing side.
+
+    def show(self, time, row):
+        """
+        Let the pages show a row.
+
+        Parameters
+        ----------
+        time : float
+            Of the motion [s].
+        row : ndarray of float32
+            As the description says.
+
+        """
+        with self._lock:
+            self.number = (self.number + 1) % 2 ** 32
+            self.frame = HEADER.pack(self.number, time) + row.tobytes()
+        self._changed()
+
+    def tell(self, **controls):
+        """Tell the pages how the controls stand, if that has changed."""
+        with self._lock:
+            if {**self._told, **controls} == self._told and self.version:
+                return
+            self._told.update(controls)
+            self._write()
+        self._changed()
+
+    def note(self, text):
+        """Tell the pages of something that happened."""
+        with self._lock:
+            self._note += 1
+            self._notes.append({'number': self._note, 'text': text})
+            self._write()
+        self._changed()
+
+    def refuse(self, error):
+        """Count a message that is not followed, and say why."""
+        self.refused += 1
+        self.note(str(error))
+
+    def messages(self):
+        """Yield what the pages asked for since the last call: page and message."""
+        while True:
+            try:
+                yield self._inbox.get_nowait()
+            except Empty:
+                return
+
+    def _write(self):
+        self.version += 1
+        self.controls = json.dumps({
+            'type': 'controls', **self._told, 'notes': list(self._notes),
+            'refused': self.refused})
+
+    def _changed(self):
+        for wake in tuple(self.on_change):
+            wake()
+
+    # The serving side.
+
+    def take(self, page, text):
+        """
+        Check what a page asks for, and hand it over.
+
+        Parameters
+        ----------
+        page : object
+            Which one, by identity.
+        text : str or bytes
+            What it sent.
+
+        Returns
+        -------
+        int or None
+            The number of the frame that it has got to, where that is what it says.
+
+        """
+        try:
+            if isinstance(text, bytes):
+                raise FieldError('text', 'bytes')
+            message = read(text)
+            if message['do'] == 'seen':
+                return message['frame']
+            self._inbox.put_nowait((page, message))
+        except FieldError as error:
+            self.refuse(error)
+        except Full:
+            self.refuse(FieldError('fewer messages', 'more than can be followed'))
+        return None
+
+    def leave(self, page):
+        """Let go of what a page holds that is gone; always heard."""
+        try:
+            self._inbox.put_nowait((page, {'do': 'release'}))
+        except Full:
+            # What holds on is let go of when the page that holds is looked for.
+            pass

@@ -1,0 +1,118 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""What a page may ask for, checked where it arrives."""
+
+import json
+
+from ..mechanism.checks import boolean, list_of, name, number, one_of
+from ..mechanism.fields import at, FieldError, mapping, shown
+
+# Seconds of motion per second.
+SLOWEST, FASTEST = 0.01, 10.0
+MOST_STEPS = 1000
+TORQUE, POSITION = 'torque', 'position'
+
+
+def _speed(value):
+    value = number(value)
+    if not SLOWEST <= value <= FASTEST:
+        raise FieldError(f'a number from {SLOWEST:g} to {FASTEST:g}', shown(value))
+    return value
+
+
+def _count(value):
+    if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= MOST_STEPS:
+        raise FieldError(f'a whole number from 1 to {MOST_STEPS}', shown(value))
+    return value
+
+
+def _index(value):
+    if isinstance(value, bool) or not isinstance(value, int) or value < 0:
+        raise FieldError('a whole number that is zero or more', shown(value))
+    return value
+
+
+def _place(value):
+    found = list_of(number)(value)
+    if len(found) != 3:
+        raise FieldError('a list of 3 finite numbers [x, y, z]', shown(value))
+    return found
+
+
+def _values(value):
+    """Return values of an effect or a method by key; what they mean is checked where it acts."""
+    found = {}
+    for key, item in mapping(value).items():
+        with at(key):
+            if isinstance(item, list):
+                item = list_of(number)(item)
+            elif not (item is None or isinstance(item, (bool, str))):
+                item = number(item)
+            found[key] = item
+    return found
+
+
+# What to do -> its keys, each with its check.
+ASKED = {
+    'play': {}, 'pause': {}, 'reset': {}, 'release': {},
+    'step': {'count': _count},
+    'speed': {'factor': _speed},
+    'drive': {'joint': name, 'mode': one_of((TORQUE, POSITION))},
+    'command': {'joint': name, 'value': number},
+    'effect': {'name': name, 'enabled': boolean, 'values': _values},
+    'method': {'values': _values},
+    'grab': {'body': _index, 'place': _index, 'at': _place},
+    'pull': {'at': _place},
+    'kinematic': {'on': boolean},
+    'pose': {'joint': name, 'value': number},
+    # How far the page has got with the frames it was sent.
+    'seen': {'frame': _index},
+}
+OPTIONAL = {'effect': ('enabled', 'values')}
+
+
+def read(text):
+    """
+    Read what a page asks for.
+
+    Parameters
+    ----------
+    text : str
+        JSON: what to do under ``do``, and its keys.
+
+    Returns
+    -------
+    dict
+
+    Raises
+    ------
+    FieldError
+        Where it makes no sense.
+
+    """
+    try:
+        message = json.loads(text)
+    except (ValueError, RecursionError):
+        raise FieldError('JSON', shown(text)) from None
+    mapping(message, ('do',))
+    with at('do'):
+        checks = ASKED[one_of(tuple(ASKED))(message['do'])]
+    optional = OPTIONAL.get(message['do'], ())
+    mapping(message, ('do', *(key for key in checks if key not in optional)), optional)
+    for key, check in checks.items():
+        if key in message:
+            with at(key):
+                message[key] = check(message[key])
+    return message

@@ -1,0 +1,91 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The page: one HTML file made of the parts beside this one, with or without a motion in it."""
+
+import base64
+from importlib.resources import files
+import json
+
+import numpy as np
+
+PARTS = ('algebra.js', 'scene.js', 'plots.js', 'panels.js', 'page.js')
+
+
+def live_page(title, others=()):
+    """
+    Return a page that shows what its server tells.
+
+    Parameters
+    ----------
+    title : str
+        Of the page.
+    others : sequence of str
+        Titles of all pages of the server, this one among them, where there are several.
+
+    Returns
+    -------
+    str
+        HTML.
+
+    """
+    return _page(title, {'pages': list(others)})
+
+
+def recorded_page(title, description, times, rows):
+    """
+    Return a page that has a motion in it and needs nothing else.
+
+    Parameters
+    ----------
+    title : str
+        Of the page.
+    description : dict
+        Of the mechanism and the rows, by ``description.describe``.
+    times : ndarray, shape (n,)
+        [s], not falling.
+    rows : ndarray of float32, shape (n, width)
+        As the description says.
+
+    Returns
+    -------
+    str
+        HTML.
+
+    """
+    return _page(title, {
+        'scene': description, 'count': len(times),
+        'times': _packed(times, np.float64), 'rows': _packed(rows, np.float32)})
+
+
+def _packed(values, kind):
+    """Return numbers in base64, least significant byte first."""
+    values = np.ascontiguousarray(values, dtype=np.dtype(kind).newbyteorder('<'))
+    return base64.b64encode(values.tobytes()).decode('ascii')
+
+
+def _page(title, given):
+    folder = files(__package__) / 'page'
+    script = '\n'.join((folder / part).read_text(encoding='utf-8') for part in PARTS)
+    # In a script, '</' would end it.
+    data = json.dumps(given, allow_nan=False).replace('<', '\\u003c')
+    text = (folder / 'page.html').read_text(encoding='utf-8')
+    for mark, part in (('/*STYLE*/', (folder / 'page.css').read_text(encoding='utf-8')),
+                       ('TITLE', _escaped(title)), ('/*DATA*/', data), ('/*SCRIPT*/', script)):
+        text = text.replace(mark, part, 1)
+    return text
+
+
+def _escaped(text):
+    return text.replace('&', '&amp;').replace('<', '&lt;')

@@ -1,0 +1,467 @@
+// The page: what it is told and shows, live from a server or out of itself, and what it asks for.
+
+const byId = (id) => document.getElementById(id);
+const COLORS = {
+  light: ['#0072B2', '#D55E00', '#008F68', '#B8589A', '#2C93CC', '#8A7A00', '#333333'],
+  dark: ['#56A8E0', '#F28A3C', '#3CC79A', '#E39BC6', '#8FD0F5', '#D9C84A', '#D0D4DA']};
+const THEMES = {
+  light: {ink: '#1d2127', muted: '#5b6470', line: '#e3e6ea', accent: '#0b62b0', path: '#6A3D9A',
+          force: '#B2182B', cut: '#B34E00', halo: '#f4f5f7', grid: '#d7dbe1', driven: [0.16, 0.18, 0.2], ambient: 0.3},
+  dark: {ink: '#e8ebef', muted: '#a2abb7', line: '#333944', accent: '#6cb2f5', path: '#b48ee6',
+         force: '#ff6b78', cut: '#ff9a4d', halo: '#15181d', grid: '#333944', driven: [0.42, 0.45, 0.5], ambient: 0.3}};
+// A page that hears nothing for so long is not connected any more [ms].
+const PATIENCE = 1000;
+
+class Page {
+  constructor(data) {
+    this.data = data;
+    this.speed = 1;
+    this.playing = false;
+    this.now = 0;
+    this.lastNote = -1;
+    this.dark = matchMedia('(prefers-color-scheme: dark)').matches;
+    this.setTheme();
+    byId('theme').onclick = () => { this.dark = !this.dark; this.setTheme(); };
+    if (data.scene) this.startRecorded();
+    else this.connect();
+    requestAnimationFrame(() => this.tick());
+  }
+
+  setTheme() {
+    document.documentElement.classList.toggle('dark', this.dark);
+    this.theme = THEMES[this.dark ? 'dark' : 'light'];
+    if (this.plots) this.recolor();
+    this.gravity?.draw();
+  }
+
+  // Both kinds.
+
+  describe(scene) {
+    this.scene = scene;
+    byId('title').textContent = scene.title;
+    document.title = scene.title;
+    try {
+      this.picture = new Scene(byId('back'), byId('solid'), byId('lines'), scene);
+    } catch (error) {
+      this.complain(error.message);
+      throw error;
+    }
+    const columns = scene.columns;
+    this.width = columns.width;
+    byId('plots').replaceChildren();
+    byId('choices').replaceChildren();
+    this.plots = new Plots(scene, byId('plots'), byId('choices'), COLORS.light);
+    this.recolor();
+    byId('legend').open = !matchMedia('(max-width: 760px)').matches;
+    this.legend();
+    this.transport();
+    this.handle();
+  }
+
+  recolor() {
+    const colors = COLORS[this.dark ? 'dark' : 'light'];
+    for (const plot of this.plots.groups) {
+      plot.series.forEach((one, k) => {
+        one.color = colors[k % colors.length];
+        plot.chips.children[k].querySelector('i').style.background = one.color;
+      });
+    }
+  }
+
+  legend() {
+    const {subsystems, colors, cuts, points, loads, columns, joints} = this.scene;
+    const lines = subsystems.map((color, k) => [`<i style="background:${color}"></i>subsystem ${k + 1}`]);
+    if (joints.some((joint) => joint.actuated)) {
+      lines.push(['<i class="dot" style="background:#2a2e33;outline:1px solid #9aa1ab"></i>driven joint']);
+    }
+    if (cuts.length) {
+      lines.push([`<i class="dot hollow" style="border-color:${colors.cut}"></i>cut joint`]);
+      lines.push([`<i style="background:${colors.force}"></i>force on body A`, 'forces']);
+    }
+    if (loads.length) lines.push([`<i style="background:${colors.load}"></i>${
+      escaped(loads.map((load) => load.name).join(', '))}`]);
+    if (points.length) lines.push([`<i style="background:${colors.path}"></i>path of ${
+      escaped(points[0].name)}`, 'trails']);
+    if (columns.direction !== columns.plots) {
+      lines.push(['<i style="background:#bf4dbf"></i>direction that is loose', null, 'direction']);
+    }
+    lines.push(['<i style="background:currentColor;height:2px"></i>names', 'names']);
+    byId('keys').replaceChildren(...lines.map(([html, key, id]) => {
+      const line = make(`<label>${key ? '<input type="checkbox">' : ''}${html}</label>`);
+      const box = line.querySelector('input');
+      if (id) { line.id = id; line.hidden = true; }
+      if (box) {
+        box.checked = this.picture.shown[key];
+        box.onchange = () => { this.picture.shown[key] = box.checked; };
+      }
+      return line;
+    }));
+  }
+
+  transport() {
+    if (this.wired) return;
+    this.wired = true;
+    byId('play').onclick = () => this.toggle();
+    byId('reset').onclick = () => this.reset();
+    byId('step').onclick = () => this.step();
+    this.speedSlider = new Slider({
+      label: 'speed', unit: '×', low: 0.01, high: 10, value: 1, log: true, reset: 1,
+      onchange: (value) => {
+        const factor = Math.max(0.01, Math.min(10, value));
+        this.speed = factor;
+        if (this.live) this.ask('speed', {factor: Number(factor.toPrecision(3))});
+      }});
+    byId('speed').append(this.speedSlider.element);
+    for (const button of document.querySelectorAll('#views button')) {
+      button.onclick = () => this.picture.view(button.dataset.view);
+    }
+    addEventListener('keydown', (event) => {
+      if (/^(INPUT|SELECT|TEXTAREA|BUTTON|SUMMARY)$/.test(event.target.tagName)
+          && event.target.type !== 'range') return;
+      if (event.key === ' ') { this.toggle(); event.preventDefault(); }
+      if (event.key === '.') this.step();
+      if (event.key === 'r' && !event.ctrlKey && !event.metaKey) this.reset();
+    });
+  }
+
+  toggle() {
+    if (this.live) this.ask(this.playing ? 'pause' : 'play');
+    else {
+      if (!this.playing && this.now >= this.end) this.now = this.begin;
+      this.playing = !this.playing;
+      this.last = performance.now();
+    }
+  }
+
+  reset() {
+    this.picture?.forget();
+    if (this.live) this.ask('reset');
+    else [this.now, this.playing] = [this.begin, false];
+  }
+
+  step() {
+    const count = Number(byId('count').value);
+    if (this.live) this.ask('step', {count});
+    else {
+      this.playing = false;
+      const at = Math.min(this.history.before(this.now) + count, this.history.count - 1);
+      this.now = this.history.time(at);
+    }
+  }
+
+  // Live.
+
+  connect() {
+    this.live = true;
+    byId('count').hidden = false;
+    const address = new URL('live' + location.search, location.href);
+    address.protocol = address.protocol.replace('http', 'ws');
+    if (!location.pathname.endsWith('/')) address.pathname = location.pathname + '/live';
+    const socket = this.socket = new WebSocket(address);
+    socket.binaryType = 'arraybuffer';
+    socket.onmessage = ({data}) => this.hear(data);
+    socket.onclose = () => {
+      this.lost = true;
+      this.complain('The server does not answer any more. This page goes on when it is back.');
+      setTimeout(() => this.connect(), PATIENCE);
+    };
+  }
+
+  ask(what, more = {}) {
+    if (this.socket?.readyState === WebSocket.OPEN) {
+      this.socket.send(JSON.stringify({do: what, ...more}));
+    }
+  }
+
+  hear(data) {
+    if (typeof data === 'string') {
+      const told = JSON.parse(data);
+      if (told.type === 'scene') {
+        this.lost = false;
+        byId('message').hidden = true;
+        // The same again after a break: nothing is built anew.
+        if (this.known !== data) {
+          if (this.known) { location.reload(); return; }
+          this.known = data;
+          this.describe(told);
+          this.history = new History(this.width, told.columns.plots);
+          this.panels();
+        }
+      } else this.follow(told);
+      return;
+    }
+    const view = new DataView(data);
+    this.frame = {number: view.getUint32(0, true), time: view.getFloat64(8, true),
+                  row: new Float32Array(data, 16)};
+    this.fresh = true;
+  }
+
+  panels() {
+    const told = this.scene, ask = (what, more) => this.ask(what, more);
+    for (const panel of document.querySelectorAll('.live')) panel.hidden = false;
+    this.drives = new Drives(told, byId('drives'), ask);
+    byId('drives-panel').hidden = !told.drives.length;
+    if (told.gravity) this.gravity = new Gravity(told, byId('gravity'), ask);
+    this.effects = new Effects(told, byId('effects'), ask);
+    if (told.integrators) this.method = new Method(told, byId('method'), ask);
+    else byId('method-panel').hidden = true;
+    byId('handle').hidden = !told.poses;
+    byId('dynamic').onclick = () => this.ask('kinematic', {on: false});
+    byId('kinematic').onclick = () => this.ask('kinematic', {on: true});
+  }
+
+  position(joint) {
+    const at = this.scene.plots.findIndex((plot) => (
+      plot.group === 'joint position' && plot.name === joint));
+    return this.frame ? this.frame.row[this.scene.columns.plots + at] : 0;
+  }
+
+  follow(told) {
+    this.told = told;
+    this.playing = told.playing;
+    this.speedSlider.follow(told.speed);
+    this.drives.follow(told, (joint) => this.position(joint));
+    this.gravity?.follow(told);
+    if (told.effects) this.effects.follow(told);
+    if (this.method) this.method.follow(told);
+    byId('dynamic').setAttribute('aria-pressed', !told.kinematic);
+    byId('kinematic').setAttribute('aria-pressed', told.kinematic);
+    byId('hint').textContent = told.kinematic
+      ? 'Drag points, or the sliders of the drives: the loops stay closed. This becomes the start.'
+      : this.scene.hand ? 'Drag a point: a spring pulls it to the pointer.' : '';
+    byId('worth').textContent = (told.findings ?? []).join(' ');
+    if (told.busy) this.complain(`${told.busy} …`, true);
+    else if (told.failure) this.complain(`${told.failure} Reset returns to the start.`);
+    else if (!this.lost) byId('message').hidden = true;
+    for (const note of told.notes ?? []) {
+      if (note.number > this.lastNote) {
+        if (this.lastNote >= 0) this.tell(note.text);
+        this.lastNote = note.number;
+      }
+    }
+    if (this.lastNote < 0) this.lastNote = 0;
+  }
+
+  complain(text, calm = false) {
+    const message = byId('message');
+    message.textContent = text;
+    message.classList.toggle('calm', calm);
+    message.hidden = false;
+  }
+
+  tell(text) {
+    const note = make('<div class="note"></div>');
+    note.textContent = text;
+    byId('notes').append(note);
+    while (byId('notes').children.length > 3) byId('notes').firstChild.remove();
+    setTimeout(() => note.remove(), 6000);
+  }
+
+  // Out of itself.
+
+  startRecorded() {
+    const unpack = (text, Kind) => {
+      const bytes = Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
+      return new Kind(bytes.buffer);
+    };
+    this.live = false;
+    this.describe(this.data.scene);
+    this.history = new History(this.width, this.scene.columns.plots,
+                               unpack(this.data.times, Float64Array),
+                               unpack(this.data.rows, Float32Array));
+    [this.begin, this.end] = [this.history.time(0), this.history.time(this.history.count - 1)];
+    this.now = this.begin;
+    byId('time').hidden = false;
+    byId('time').oninput = () => {
+      this.now = this.begin + byId('time').valueAsNumber / 1000 * (this.end - this.begin);
+      this.picture.forget();
+    };
+    this.last = performance.now();
+    this.playing = true;
+  }
+
+  // The row of a time, between the two next to it.
+  at(time) {
+    const {times, rows, count, width} = this.history;
+    const k = this.history.before(time), first = k * width;
+    const row = rows.slice(first, first + width);
+    if (k + 1 < count && time > times[k]) {
+      const share = (time - times[k]) / (times[k + 1] - times[k]);
+      // Quaternions of one pose have two signs; the two of neighbours are to agree.
+      const poses = this.scene.columns.poses, last = this.scene.columns.plots;
+      for (let i = 0; i < last; i++) row[i] += share * (rows[first + width + i] - row[i]);
+      for (let b = 0; b < this.scene.bodies.length; b++) {
+        const q = first + poses + 7 * b + 3;
+        let same = 0;
+        for (let i = 0; i < 4; i++) same += rows[q + i] * rows[q + width + i];
+        if (same < 0) {
+          for (let i = 0; i < 4; i++) {
+            row[q - first + i] = (1 - share) * rows[q + i] - share * rows[q + width + i];
+          }
+        }
+      }
+    }
+    return row;
+  }
+
+  // The mouse: the camera, and points that are taken hold of.
+
+  handle() {
+    const solid = byId('solid'), pointers = new Map();
+    let moving = null, spread = 0;
+    const local = (event) => {
+      const box = solid.getBoundingClientRect();
+      return [event.clientX - box.left, event.clientY - box.top];
+    };
+    const may = () => this.live && (this.scene.hand || this.told?.kinematic);
+    solid.onpointerdown = (event) => {
+      solid.setPointerCapture(event.pointerId);
+      pointers.set(event.pointerId, local(event));
+      const [x, y] = local(event), picture = this.picture;
+      const touch = event.pointerType === 'mouse' ? 22 : 34;
+      const found = event.button === 0 && !event.shiftKey && pointers.size === 1 && may()
+        ? picture.nearest(x, y, touch) : null;
+      if (found) {
+        moving = 'hand';
+        picture.held = found;
+        this.through = picture.grabbed(found);
+        picture.handAt = picture.unproject(x, y, this.through);
+        this.ask('grab', {body: found[0], place: found[1], at: picture.handAt});
+      } else if (pointers.size === 2) {
+        const [a, b] = [...pointers.values()];
+        [moving, spread] = ['pinch', Math.hypot(a[0] - b[0], a[1] - b[1])];
+      } else moving = event.button === 0 && !event.shiftKey ? 'turn' : 'shift';
+    };
+    solid.onpointermove = (event) => {
+      const place = local(event), picture = this.picture, before = pointers.get(event.pointerId);
+      if (!before) {
+        picture.hover = may() ? picture.nearest(...place, 22) : null;
+        solid.classList.toggle('near', Boolean(picture.hover));
+        return;
+      }
+      pointers.set(event.pointerId, place);
+      const dx = place[0] - before[0], dy = place[1] - before[1];
+      if (moving !== 'hand') picture.touched = true;
+      if (moving === 'hand') {
+        picture.handAt = picture.unproject(...place, this.through);
+        this.pulled = true;
+      } else if (moving === 'turn') {
+        picture.yaw -= 0.008 * dx;
+        picture.pitch = Math.max(-1.55, Math.min(1.55, picture.pitch + 0.008 * dy));
+      } else if (moving === 'shift') this.shift(dx, dy);
+      else if (moving === 'pinch' && pointers.size === 2) {
+        const [a, b] = [...pointers.values()], now = Math.hypot(a[0] - b[0], a[1] - b[1]);
+        this.zoom(spread / Math.max(now, 1));
+        spread = now;
+        this.shift(dx / 2, dy / 2);
+      }
+    };
+    solid.onpointerup = solid.onpointercancel = (event) => {
+      pointers.delete(event.pointerId);
+      if (moving === 'hand') {
+        this.ask('release');
+        this.picture.held = this.picture.handAt = null;
+      }
+      moving = null;
+    };
+    solid.oncontextmenu = (event) => event.preventDefault();
+    solid.ondblclick = () => {
+      this.picture.touched = false;
+      this.picture.fit();
+    };
+    solid.addEventListener('wheel', (event) => {
+      this.zoom(Math.exp(0.0012 * event.deltaY));
+      event.preventDefault();
+    }, {passive: false});
+  }
+
+  zoom(factor) {
+    const picture = this.picture;
+    picture.touched = true;
+    picture.distance = Math.max(0.2 * picture.size, Math.min(60 * picture.size,
+                                                             picture.distance * factor));
+  }
+
+  shift(dx, dy) {
+    const picture = this.picture, {right, top} = picture.seen;
+    const scale = 2 * picture.distance * Math.tan(FIELD_OF_VIEW / 2) / picture.canvas.clientHeight;
+    picture.target = add(picture.target, add(times(-scale * dx, right), times(scale * dy, top)));
+  }
+
+  // A frame of the screen.
+
+  tick() {
+    requestAnimationFrame(() => this.tick());
+    if (!this.picture) return;
+    if (this.live) this.takeFrame();
+    else this.play();
+    if (!this.shownRow) return;
+    if (this.pulled) {
+      this.pulled = false;
+      this.ask('pull', {at: this.picture.handAt});
+    }
+    this.picture.draw(this.theme);
+    this.plots.draw(this.history, this.now, this.theme);
+    this.state();
+  }
+
+  takeFrame() {
+    if (!this.fresh) return;
+    this.fresh = false;
+    const {number, time, row} = this.frame;
+    if (time < this.now) this.picture.forget();
+    this.now = time;
+    this.history.add(time, row);
+    this.picture.show(row);
+    this.shownRow = row;
+    this.count = (this.count ?? 0) + 1;
+    this.ask('seen', {frame: number});
+    if (this.told?.kinematic) this.drives.follow(this.told, (joint) => this.position(joint));
+  }
+
+  play() {
+    const now = performance.now();
+    if (this.playing) {
+      this.now += (now - this.last) / 1000 * this.speed;
+      if (this.now >= this.end) [this.now, this.playing] = [this.end, false];
+    }
+    this.last = now;
+    this.shownRow = this.at(this.now);
+    this.picture.show(this.shownRow);
+    const share = (this.now - this.begin) / (this.end - this.begin || 1);
+    byId('time').value = Math.round(1000 * share);
+    byId('time').style.setProperty('--to', `${100 * share}%`);
+  }
+
+  state() {
+    const play = byId('play');
+    play.classList.toggle('playing', this.playing);
+    play.setAttribute('aria-label', this.playing ? 'pause' : 'play');
+    byId('clock').textContent = `${this.now.toFixed(this.speed < 0.1 ? 4 : 3)} s`;
+    const {columns} = this.scene, loose = byId('direction');
+    if (loose) loose.hidden = !Number.isFinite(this.shownRow[columns.direction]);
+    const now = performance.now();
+    if (now - (this.counted ?? 0) < 500) return;
+    const parts = [], told = this.told;
+    if (this.live) {
+      const plot = (group) => columns.plots + this.scene.plots.findIndex(
+        (one) => one.group === group);
+      const rate = 1000 * (this.count ?? 0) / (now - (this.counted ?? now - 500));
+      const cost = this.shownRow[plot('cost')];
+      parts.push(`<span class="${this.lost ? 'bad' : ''}">${
+        this.lost ? 'no connection' : this.playing ? 'running' : told?.kinematic ? 'posing' : 'paused'}</span>`);
+      if (this.playing) parts.push(`<span class="wide"><b>${Math.round(rate)}</b> Hz</span>`);
+      if (Number.isFinite(cost)) {
+        parts.push(`<span class="wide">computing <b>${short(cost, 2)} %</b> of real time</span>`);
+      }
+      this.count = 0;
+    } else {
+      parts.push(`<span><b>${this.history.count}</b> states, <b>${
+        short(this.end - this.begin, 4)}</b> s</span>`);
+    }
+    byId('status').innerHTML = parts.join('');
+    this.counted = now;
+  }
+}
+
+const page = new Page(JSON.parse(byId('data').textContent));

@@ -1,0 +1,252 @@
+// What is plotted over time, and where its numbers are kept.
+
+const LOGARITHMIC = ['closure error', 'energy from nowhere', 'angle from a singularity',
+                     'estimated error'];
+// Rows of a live motion that are kept, and of these so many shown.
+const KEPT = 7200, SHOWN = 600;
+// Below this a logarithmic plot draws nothing.
+const LEAST = 1e-18;
+
+// Rows that came live, the newest ones, or all rows of a recording.
+class History {
+  constructor(width, first, times, rows) {
+    this.width = width;
+    this.first = first;
+    this.fixed = Boolean(times);
+    this.times = times ?? new Float64Array(KEPT);
+    this.rows = rows ?? new Float32Array(KEPT * (width - first));
+    this.skip = times ? first : 0;
+    this.stride = times ? width : width - first;
+    this.count = times ? times.length : 0;
+    this.start = 0;
+  }
+
+  add(time, row) {
+    // What comes before is of another run.
+    if (this.count && time < this.time(this.count - 1)) this.count = this.start = 0;
+    if (this.count && time === this.time(this.count - 1)) this.count -= 1;
+    if (this.count === KEPT) {
+      this.start = (this.start + 1) % KEPT;
+      this.count -= 1;
+    }
+    const place = (this.start + this.count) % KEPT;
+    this.times[place] = time;
+    this.rows.set(row.subarray(this.first), place * this.stride);
+    this.count += 1;
+  }
+
+  time(k) { return this.times[(this.start + k) % this.times.length]; }
+
+  value(k, column) {
+    return this.rows[((this.start + k) % this.times.length) * this.stride + this.skip + column];
+  }
+
+  // The number of the last row that is not after a time.
+  before(time) {
+    let low = 0, high = this.count - 1;
+    while (low < high) {
+      const middle = (low + high + 1) >> 1;
+      if (this.time(middle) <= time) low = middle; else high = middle - 1;
+    }
+    return low;
+  }
+}
+
+class Plot {
+  constructor(group, series, colors) {
+    this.group = group;
+    this.log = LOGARITHMIC.includes(group);
+    this.series = series.map((one, k) => ({
+      ...one, color: colors[k % colors.length], dash: [[], [5, 3], [2, 2]][Math.floor(
+        k / colors.length) % 3]}));
+    this.card = document.createElement('div');
+    this.card.className = 'plot';
+    const units = [...new Set(series.map((one) => one.unit))].join(', ');
+    this.card.innerHTML = `<div class="plot-head"><b>${escaped(group)}</b>
+      <span class="unit">${escaped(units)}</span><span class="at"></span></div>
+      <canvas role="img" aria-label="${escaped(group)} over time"></canvas>
+      <div class="chips"></div>`;
+    this.canvas = this.card.querySelector('canvas');
+    this.chips = this.card.querySelector('.chips');
+    for (const one of this.series) {
+      const chip = document.createElement('button');
+      chip.className = 'chip';
+      chip.innerHTML = `<i style="background:${one.color}"></i>${escaped(one.name)}
+        <span class="value"></span>`;
+      chip.setAttribute('aria-pressed', one.shown);
+      chip.onclick = () => {
+        one.shown = !one.shown;
+        chip.setAttribute('aria-pressed', one.shown);
+      };
+      one.chip = chip.querySelector('.value');
+      this.chips.append(chip);
+    }
+    this.pointer = null;
+    this.canvas.addEventListener('pointermove', (event) => { this.pointer = event.offsetX; });
+    this.canvas.addEventListener('pointerleave', () => { this.pointer = null; });
+  }
+
+  draw(history, now, theme, window) {
+    const canvas = this.canvas, ratio = Math.min(devicePixelRatio || 1, 2);
+    const width = canvas.clientWidth, height = canvas.clientHeight;
+    if (!width || !history.count) return;
+    if (canvas.width !== Math.round(width * ratio) || canvas.height !== Math.round(height * ratio)) {
+      [canvas.width, canvas.height] = [Math.round(width * ratio), Math.round(height * ratio)];
+    }
+    const pen = canvas.getContext('2d');
+    pen.setTransform(ratio, 0, 0, ratio, 0, 0);
+    pen.clearRect(0, 0, width, height);
+    const left = 50, right = width - 8, top = 6, bottom = height - 18;
+    const [from, to] = window;
+    const begin = history.before(from), end = history.before(to);
+    const shown = this.series.filter((one) => one.shown);
+    const [low, high] = this.limits(history, begin, end, shown);
+    const x = (time) => left + (time - from) / (to - from || 1) * (right - left);
+    const y = (value) => {
+      const v = this.log ? Math.log10(Math.max(Math.abs(value), LEAST)) : value;
+      return bottom - (v - low) / (high - low) * (bottom - top);
+    };
+    this.axes(pen, theme, {left, right, top, bottom, low, high, from, to, x});
+    pen.save();
+    pen.beginPath();
+    pen.rect(left, top - 2, right - left, bottom - top + 4);
+    pen.clip();
+    pen.lineWidth = 1.5;
+    const every = Math.max(1, Math.floor((end - begin) / (2 * (right - left))));
+    for (const one of shown) {
+      pen.strokeStyle = one.color;
+      pen.setLineDash(one.dash);
+      pen.beginPath();
+      let down = false;
+      for (let k = begin; k <= end; k += every) {
+        const value = history.value(k, one.column);
+        if (!Number.isFinite(value) || (this.log && Math.abs(value) < LEAST)) { down = false; continue; }
+        if (down) pen.lineTo(x(history.time(k)), y(value));
+        else pen.moveTo(x(history.time(k)), y(value));
+        down = true;
+      }
+      pen.stroke();
+    }
+    pen.setLineDash([]);
+    pen.restore();
+    const pointed = this.pointer !== null && this.pointer > left;
+    const time = pointed ? from + (this.pointer - left) / (right - left) * (to - from) : now;
+    if (pointed || history.fixed) {
+      pen.strokeStyle = pointed ? theme.ink : theme.muted;
+      pen.lineWidth = 1;
+      pen.beginPath();
+      pen.moveTo(x(time), top);
+      pen.lineTo(x(time), bottom);
+      pen.stroke();
+    }
+    const at = history.before(time);
+    this.card.querySelector('.at').textContent = pointed ? `t = ${short(history.time(at), 5)} s` : '';
+    for (const one of this.series) one.chip.textContent = short(history.value(at, one.column));
+  }
+
+  limits(history, begin, end, shown) {
+    let low = Infinity, high = -Infinity;
+    const every = Math.max(1, Math.floor((end - begin) / 1200));
+    for (const one of shown) {
+      for (let k = begin; k <= end; k += every) {
+        let value = history.value(k, one.column);
+        if (!Number.isFinite(value)) continue;
+        if (this.log) {
+          value = Math.abs(value);
+          if (value < LEAST) continue;
+          value = Math.log10(value);
+        }
+        low = Math.min(low, value);
+        high = Math.max(high, value);
+      }
+    }
+    if (low > high) return this.log ? [-12, 0] : [0, 1];
+    if (this.log) return [Math.floor(low - 0.05), Math.max(Math.ceil(high + 0.05), Math.floor(low) + 2)];
+    // What stands still is drawn as a straight line, not as its last digits.
+    const least = 1e-4 * Math.max(Math.abs(low), Math.abs(high)) || 2;
+    const more = Math.max(0, least - (high - low)) / 2, room = 0.08 * (high - low + 2 * more);
+    return [low - more - room, high + more + room];
+  }
+
+  axes(pen, theme, {left, right, top, bottom, low, high, from, to, x}) {
+    pen.font = '11px system-ui, sans-serif';
+    pen.fillStyle = theme.muted;
+    pen.strokeStyle = theme.line;
+    pen.lineWidth = 1;
+    pen.textAlign = 'right';
+    pen.textBaseline = 'middle';
+    const step = this.log ? Math.max(1, Math.ceil((high - low) / 3)) : tickStep(high - low, 3);
+    for (let v = Math.ceil(low / step - 1e-9) * step; v <= high + 1e-9 * step; v += step) {
+      const y = Math.round(bottom - (v - low) / (high - low) * (bottom - top)) + 0.5;
+      pen.beginPath();
+      pen.moveTo(left, y);
+      pen.lineTo(right, y);
+      pen.stroke();
+      pen.fillText(this.log ? `1e${Math.round(v)}`.replace('-', '−')
+        : short(Math.abs(v) < 1e-9 * step ? 0 : v, 4), left - 6, y);
+    }
+    pen.textAlign = 'center';
+    pen.textBaseline = 'top';
+    const period = tickStep(to - from, 5);
+    if (!(period > 0)) return;
+    for (let t = Math.ceil(from / period - 1e-9) * period; t <= to + 1e-9 * period; t += period) {
+      if (x(t) < left + 8 || x(t) > right - 14) continue;
+      pen.fillText(`${short(Math.abs(t) < 1e-9 * period ? 0 : t, 5)} s`, x(t), bottom + 5);
+    }
+  }
+}
+
+// A round distance of which so many fit, at least.
+function tickStep(range, count) {
+  return roundDown(range / count);
+}
+
+class Plots {
+  constructor(described, place, menu, colors) {
+    this.groups = [];
+    const names = [...new Set(described.plots.map((plot) => plot.group))];
+    const hidden = ['joint velocity', 'energy from nowhere'];
+    const few = matchMedia('(max-width: 760px)').matches;
+    names.forEach((name) => {
+      const series = described.plots.map((plot, column) => ({...plot, column}))
+        .filter((plot) => plot.group === name);
+      const plot = new Plot(name, series, colors);
+      plot.open = !hidden.includes(name);
+      place.append(plot.card);
+      const choice = document.createElement('label');
+      choice.innerHTML = '<input type="checkbox">' + escaped(name);
+      const box = choice.firstChild;
+      box.checked = plot.open;
+      box.onchange = () => {
+        plot.open = box.checked;
+        plot.card.hidden = !plot.open;
+      };
+      plot.card.hidden = !plot.open;
+      menu.append(choice);
+      this.groups.push(plot);
+    });
+    // Only what can be seen is drawn.
+    this.visible = new Set();
+    this.watch = new IntersectionObserver((entries) => {
+      for (const entry of entries) {
+        this.visible[entry.isIntersecting ? 'add' : 'delete'](entry.target);
+      }
+    });
+    for (const plot of this.groups) this.watch.observe(plot.canvas);
+    this.few = few;
+  }
+
+  draw(history, now, theme) {
+    if (!history.count) return;
+    let window;
+    if (history.fixed) window = [history.time(0), history.time(history.count - 1)];
+    else {
+      const end = history.time(history.count - 1);
+      const begin = history.time(Math.max(0, history.count - SHOWN));
+      window = [begin, Math.max(end, begin + 0.02)];
+    }
+    for (const plot of this.groups) {
+      if (plot.open && this.visible.has(plot.canvas)) plot.draw(history, now, theme, window);
+    }
+  }
+}

@@ -1,0 +1,707 @@
+// The mechanism in three dimensions: WebGL for what is solid, a canvas above it for lines, text.
+
+const VERTEX = `#version 300 es
+uniform mat4 model, view;
+in vec3 place, normal, paint;
+out vec3 turned, where, color;
+void main() {
+  color = paint;
+  vec4 world = model * vec4(place, 1.0);
+  where = world.xyz;
+  // Normals of what is stretched: each axis by the square of its length.
+  vec3 square = vec3(dot(model[0], model[0]), dot(model[1], model[1]), dot(model[2], model[2]));
+  turned = mat3(model) * (normal / square);
+  gl_Position = view * world;
+}`;
+const FRAGMENT = `#version 300 es
+precision highp float;
+uniform vec3 eye, light;
+uniform float ambient;
+in vec3 turned, where, color;
+out vec4 result;
+void main() {
+  vec3 n = normalize(turned), toEye = normalize(eye - where);
+  if (dot(n, toEye) < 0.0) n = -n;
+  float direct = max(dot(n, light), 0.0);
+  float fill = 0.5 + 0.5 * n.y;
+  float glint = pow(max(dot(reflect(-light, n), toEye), 0.0), 32.0);
+  vec3 lit = color * (ambient + 0.22 * fill + 0.62 * direct) + 0.12 * glint;
+  result = vec4(lit, 1.0);
+}`;
+
+const ROUND = 24;
+const FIELD_OF_VIEW = 0.5;
+// A force arrow of the largest force seen lately, as a share of the size.
+const ARROW = 0.3;
+// A peak of the forces counts half after so long [ms].
+const HALF_LIFE = 1500;
+// Driven joints, in the colour that the theme has for them.
+const INK = [0.16, 0.18, 0.2];
+
+function cylinderMesh(top = 1) {
+  const places = [], normals = [];
+  const slope = 1 - top;
+  for (let k = 0; k < ROUND; k++) {
+    const [a, b] = [k, k + 1].map((n) => 2 * Math.PI * n / ROUND);
+    const p = (angle, z) => {
+      const radius = z ? top : 1;
+      return [radius * Math.cos(angle), radius * Math.sin(angle), z];
+    };
+    const n = (angle) => unit([Math.cos(angle), Math.sin(angle), slope]);
+    for (const [angle, z] of [[a, 0], [b, 0], [b, 1], [a, 0], [b, 1], [a, 1]]) {
+      places.push(...p(angle, z));
+      normals.push(...n(angle));
+    }
+    for (const z of top ? [0, 1] : [0]) {
+      places.push(0, 0, z, ...p(a, z), ...p(b, z));
+      for (let i = 0; i < 3; i++) normals.push(0, 0, z ? 1 : -1);
+    }
+  }
+  return {places, normals};
+}
+
+function ballMesh() {
+  const places = [], normals = [], rings = ROUND / 2;
+  const p = (i, k) => {
+    const a = Math.PI * i / rings, b = 2 * Math.PI * k / ROUND;
+    return [Math.sin(a) * Math.cos(b), Math.sin(a) * Math.sin(b), Math.cos(a)];
+  };
+  for (let i = 0; i < rings; i++) {
+    for (let k = 0; k < ROUND; k++) {
+      for (const [u, v] of [[0, 0], [1, 0], [1, 1], [0, 0], [1, 1], [0, 1]]) {
+        places.push(...p(i + u, k + v));
+        normals.push(...p(i + u, k + v));
+      }
+    }
+  }
+  return {places, normals};
+}
+
+function boxMesh() {
+  const places = [], normals = [];
+  for (let axis = 0; axis < 3; axis++) {
+    for (const side of [-0.5, 0.5]) {
+      for (const [u, v] of [[0, 0], [1, 0], [1, 1], [0, 0], [1, 1], [0, 1]]) {
+        const place = [0, 0, 0], normal = [0, 0, 0];
+        place[axis] = side;
+        place[(axis + 1) % 3] = u - 0.5;
+        place[(axis + 2) % 3] = v - 0.5;
+        normal[axis] = Math.sign(side);
+        places.push(...place);
+        normals.push(...normal);
+      }
+    }
+  }
+  return {places, normals};
+}
+
+// A flat convex polygon with a thickness along z.
+function plateMesh(corners, thickness) {
+  const places = [], normals = [], half = thickness / 2;
+  const at = (corner, side) => [corner[0], corner[1], corner[2] + side * half];
+  for (let k = 1; k + 1 < corners.length; k++) {
+    for (const side of [1, -1]) {
+      for (const corner of [corners[0], corners[k], corners[k + 1]]) {
+        places.push(...at(corner, side));
+        normals.push(0, 0, side);
+      }
+    }
+  }
+  for (let k = 0; k < corners.length; k++) {
+    const a = corners[k], b = corners[(k + 1) % corners.length];
+    const normal = unit([b[1] - a[1], a[0] - b[0], 0]);
+    for (const [corner, side] of [[a, -1], [b, -1], [b, 1], [a, -1], [b, 1], [a, 1]]) {
+      places.push(...at(corner, side));
+      normals.push(...normal);
+    }
+  }
+  return {places, normals};
+}
+
+// Triangles in space with flat faces.
+function faceMesh(triangles) {
+  const places = [], normals = [];
+  for (const [a, b, c] of triangles) {
+    const normal = unit(cross(minus(b, a), minus(c, a)));
+    places.push(...a, ...b, ...c);
+    for (let k = 0; k < 3; k++) normals.push(...normal);
+  }
+  return {places, normals};
+}
+
+const rgb = (color) => [1, 3, 5].map((k) => parseInt(color.slice(k, k + 2), 16) / 255);
+
+class Scene {
+  constructor(back, solid, lines, described) {
+    this.canvas = solid;
+    this.back = back;
+    this.lines = lines;
+    this.pen = lines.getContext('2d');
+    this.described = described;
+    this.size = described.size;
+    this.row = null;
+    this.frames = [];
+    this.trails = described.points.map(() => []);
+    this.forcePeak = this.peakAt = 0;
+    this.hover = this.held = this.handAt = null;
+    this.shown = {forces: true, names: false, trails: true};
+    const gl = this.gl = solid.getContext('webgl2', {antialias: true, alpha: true,
+                                                     premultipliedAlpha: true});
+    if (!gl) throw new Error('This browser has no WebGL 2, which the picture needs.');
+    this.program = this.build();
+    this.meshes = {
+      cylinder: cylinderMesh(), cone: cylinderMesh(0), ball: ballMesh(), box: boxMesh()};
+    this.items = [];
+    this.arrowMeshes = {};
+    this.compose();
+    this.extent = null;
+    this.view('first');
+    solid.addEventListener('webglcontextlost', (event) => event.preventDefault());
+    solid.addEventListener('webglcontextrestored', () => location.reload());
+  }
+
+  build() {
+    const gl = this.gl, program = gl.createProgram();
+    for (const [kind, text] of [[gl.VERTEX_SHADER, VERTEX], [gl.FRAGMENT_SHADER, FRAGMENT]]) {
+      const shader = gl.createShader(kind);
+      gl.shaderSource(shader, text);
+      gl.compileShader(shader);
+      gl.attachShader(program, shader);
+    }
+    gl.bindAttribLocation(program, 0, 'place');
+    gl.bindAttribLocation(program, 1, 'normal');
+    gl.bindAttribLocation(program, 2, 'paint');
+    gl.linkProgram(program);
+    if (!gl.getProgramParameter(program, gl.LINK_STATUS)) {
+      throw new Error('WebGL: ' + gl.getProgramInfoLog(program));
+    }
+    this.uniforms = {};
+    for (const name of ['model', 'view', 'eye', 'light', 'ambient']) {
+      this.uniforms[name] = gl.getUniformLocation(program, name);
+    }
+    return program;
+  }
+
+  // What a body is drawn as, in one piece: a driver's calls cost more than its triangles.
+  load(parts, theme) {
+    const places = [], normals = [], paints = [];
+    for (const {mesh, local, color} of parts) {
+      const squares = [0, 4, 8].map((k) => local[k] ** 2 + local[k + 1] ** 2 + local[k + 2] ** 2);
+      const paint = color === INK ? theme.driven : color;
+      for (let k = 0; k < mesh.places.length; k += 3) {
+        places.push(...moved(local, mesh.places.slice(k, k + 3)));
+        normals.push(...unit(turned(local, mesh.normals.slice(k, k + 3).map(
+          (value, axis) => value / squares[axis]))));
+        paints.push(...paint);
+      }
+    }
+    const gl = this.gl, array = gl.createVertexArray();
+    gl.bindVertexArray(array);
+    [places, normals, paints].forEach((values, number) => {
+      gl.bindBuffer(gl.ARRAY_BUFFER, gl.createBuffer());
+      gl.bufferData(gl.ARRAY_BUFFER, new Float32Array(values), gl.STATIC_DRAW);
+      gl.enableVertexAttribArray(number);
+      gl.vertexAttribPointer(number, 3, gl.FLOAT, false, 0, 0);
+    });
+    return {array, count: places.length / 3};
+  }
+
+  // What is drawn: a mesh with a place on a body, -1 for the ground.
+  put(body, mesh, local, color) {
+    this.items.push({body, mesh, local, color});
+  }
+
+  bake(theme) {
+    this.baked = theme;
+    this.solids = [-1, ...this.described.bodies.keys()].map((body) => [
+      body, this.load(this.items.filter((item) => item.body === body), theme)]);
+    // Of arrows; as long as the unit, to be stretched.
+    for (const name of ['cylinder', 'cone']) {
+      for (const [key, color] of Object.entries({force: this.described.colors.force,
+                                                 load: this.described.colors.load,
+                                                 loose: '#bf4dbf'})) {
+        this.arrowMeshes[name + key] = this.load(
+          [{mesh: this.meshes[name], local: IDENTITY, color: rgb(color)}], theme);
+      }
+    }
+  }
+
+  bar(body, start, end, radius, color, flat) {
+    this.put(body, this.meshes.cylinder, between(start, end, flat ? radius : radius,
+                                                 flat ? flat / 2 : radius), rgb(color));
+    for (const place of [start, end]) {
+      if (flat) this.disk(body, place, radius, flat, rgb(color));
+      else this.ball(body, place, radius, rgb(color));
+    }
+  }
+
+  ball(body, place, radius, color) {
+    this.put(body, this.meshes.ball,
+             frame([radius, 0, 0], [0, radius, 0], [0, 0, radius], place), color);
+  }
+
+  disk(body, place, radius, thickness, color) {
+    this.put(body, this.meshes.cylinder, frame(
+      [radius, 0, 0], [0, radius, 0], [0, 0, thickness],
+      [place[0], place[1], place[2] - thickness / 2]), color);
+  }
+
+  shape(body, shape, color) {
+    if (shape.kind === 'plate') {
+      const mesh = plateMesh(shape.corners, 0.7 * shape.thickness);
+      this.put(body, mesh, IDENTITY, rgb(color).map((c) => 0.45 + 0.55 * c));
+    } else if (shape.kind === 'bar') {
+      this.bar(body, shape.from, shape.to, shape.radius, color, shape.flat);
+    } else if (shape.kind === 'box') {
+      const [x, y, z] = shape.size;
+      const axes = shape.axes ?? [[1, 0, 0], [0, 1, 0], [0, 0, 1]];
+      this.put(body, this.meshes.box, frame(times(x, axes[0]), times(y, axes[1]),
+                                            times(z, axes[2]), shape.center), rgb(color));
+    } else if (shape.kind === 'ball') {
+      this.ball(body, shape.center, shape.radius, rgb(color));
+    } else if (shape.kind === 'faces') {
+      this.put(body, faceMesh(shape.triangles), IDENTITY,
+               rgb(color).map((c) => 0.45 + 0.55 * c));
+    }
+  }
+
+  compose() {
+    const {bodies, joints, cuts, planar, rails, colors} = this.described, size = this.size;
+    bodies.forEach((body, number) => {
+      for (const shape of body.shapes) this.shape(number, shape, body.color);
+    });
+    const pin = 0.026 * size, white = [0.95, 0.95, 0.95];
+    for (const joint of joints) {
+      const color = joint.actuated ? INK : white;
+      if (joint.type === 'prismatic') {
+        if (!planar) this.sleeve(joint.parent, joint.place, joint.axis, pin, color);
+        continue;
+      }
+      this.pin(joint.parent, joint.place, joint, pin * (joint.actuated ? 1.15 : 0.9), color);
+    }
+    for (const cut of cuts) {
+      const body = cut.body_a >= 0 ? cut.body_a : cut.body_b;
+      const place = cut.body_a >= 0 ? cut.point_a : cut.point_b;
+      this.pin(body, place, cut, 1.05 * pin, rgb(colors.cut));
+      this.pin(body, place, {...cut, more: 0.004 * size}, 0.6 * pin, white);
+    }
+    const ground = [...joints.filter((joint) => joint.parent < 0 && joint.type !== 'prismatic')
+      .map((joint) => joint.place),
+                    ...cuts.filter((cut) => cut.type !== 'prismatic')
+                      .flatMap((cut) => [[cut.body_a, cut.point_a], [cut.body_b, cut.point_b]])
+                      .filter(([body]) => body < 0).map(([, place]) => place)];
+    for (const place of ground) this.foot(place);
+    for (const rail of rails) this.rail(rail);
+  }
+
+  pin(body, place, {heights, type, axis, axis_a: axisA, more = 0}, radius, color) {
+    if (!this.described.planar) {
+      if (axis && type === 'revolute') {
+        const z = unit(axis), half = 1.9 * radius;
+        this.put(body, this.meshes.cylinder, between(
+          add(place, times(-half, z)), add(place, times(half, z)), radius), color);
+      } else this.ball(body, place, 1.25 * radius + more, color);
+      return;
+    }
+    const low = heights[0] - 0.012 * this.size, high = heights[1] + 0.016 * this.size + more;
+    this.put(body, this.meshes.cylinder, frame(
+      [radius, 0, 0], [0, radius, 0], [0, 0, high - low], [place[0], place[1], low]), color);
+  }
+
+  sleeve(body, place, axis, radius, color) {
+    const z = unit(axis);
+    this.put(body, this.meshes.cylinder, between(
+      add(place, times(-2.2 * radius, z)), add(place, times(2.2 * radius, z)), 1.25 * radius),
+             color);
+  }
+
+  foot(place) {
+    const size = this.size, gray = [0.55, 0.57, 0.6], half = 0.05 * size;
+    if (this.described.planar) {
+      const [x, y] = place, down = -0.07 * size;
+      this.put(-1, plateMesh([[x, y, 0], [x - half, y + down, 0], [x + half, y + down, 0]],
+                             0.012 * size), IDENTITY, gray);
+      this.put(-1, this.meshes.box, frame([3 * half, 0, 0], [0, 0.014 * size, 0],
+                                          [0, 0, 0.03 * size], [x, y + down, 0]), gray);
+    } else {
+      this.put(-1, this.meshes.cone, frame([half, 0, 0], [0, half, 0], [0, 0, 1.4 * half],
+                                           add(place, [0, 0, -1.4 * half])), gray);
+    }
+  }
+
+  rail({place, axis}) {
+    const size = this.size, z = unit(axis), gray = [0.55, 0.57, 0.6];
+    if (this.described.planar) {
+      const below = 0.045 * size, aside = [z[1], -z[0], 0];
+      const middle = add(place, times(below, aside));
+      this.put(-1, this.meshes.box, frame(times(2.4 * size, z), times(0.014 * size, aside),
+                                          [0, 0, 0.06 * size], middle), gray);
+    } else {
+      this.put(-1, this.meshes.cylinder, between(
+        add(place, times(-size, z)), add(place, times(size, z)), 0.012 * size), gray);
+    }
+  }
+
+  // Where things are.
+
+  show(row) {
+    this.row = row;
+    const first = this.described.columns.poses;
+    this.frames = this.described.bodies.map((_, k) => ofPose(row, first + 7 * k));
+    const places = this.described.bodies.flatMap((body, k) => (
+      body.grabs.map((place) => moved(this.frames[k], place))));
+    this.extent ??= {low: [...places[0]], high: [...places[0]]};
+    for (const place of places) {
+      for (let k = 0; k < 3; k++) {
+        this.extent.low[k] = Math.min(this.extent.low[k], place[k]);
+        this.extent.high[k] = Math.max(this.extent.high[k], place[k]);
+      }
+    }
+    if (!this.touched) this.fit();
+    this.follow();
+  }
+
+  frameOf(body) { return body < 0 ? IDENTITY : this.frames[body]; }
+
+  follow() {
+    this.described.points.forEach((point, k) => {
+      const trail = this.trails[k], place = moved(this.frameOf(point.body), point.place);
+      const last = trail[trail.length - 1];
+      if (!last || norm(minus(place, last)) > 0.004 * this.size) {
+        trail.push(place);
+        if (trail.length > 1500) trail.splice(0, 300);
+      }
+    });
+  }
+
+  forget() {
+    for (const trail of this.trails) trail.length = 0;
+    this.forcePeak = 0;
+  }
+
+  // The camera: turns about a target; in the plane it looks at the front, y up, else z is up.
+
+  view(which) {
+    const {planar} = this.described;
+    if (which === 'front' || (which === 'first' && planar)) [this.yaw, this.pitch] = [0, 0];
+    else if (which === 'top') [this.yaw, this.pitch] = [0, 1.5];
+    else [this.yaw, this.pitch] = planar ? [-0.5, 0.35] : [-0.6, 0.35];
+    this.touched = false;
+    if (this.extent) this.fit();
+  }
+
+  fit() {
+    const {low, high} = this.extent, planar = this.described.planar;
+    // Feet and arrows want room.
+    const margin = 0.16 * this.size;
+    this.target = times(0.5, add(low, high));
+    const aspect = this.canvas.clientWidth / Math.max(this.canvas.clientHeight, 1) || 1;
+    const spread = minus(high, low);
+    const wide = (planar ? spread[0] : Math.hypot(spread[0], spread[1])) + 2 * margin;
+    const tall = (planar ? spread[1] : spread[2] + 0.3 * wide) + 2 * margin;
+    const half = Math.max(tall / 2, wide / 2 / aspect);
+    this.distance = half / Math.tan(FIELD_OF_VIEW / 2) * 1.08 + 0.5 * spread[2];
+  }
+
+  camera() {
+    const planar = this.described.planar;
+    const up = planar ? [0, 1, 0] : [0, 0, 1], right0 = [1, 0, 0];
+    const out0 = planar ? [0, 0, 1] : [0, -1, 0];
+    const [c, s] = [Math.cos(this.yaw), Math.sin(this.yaw)];
+    const level = add(times(c, out0), times(s, right0));
+    const right = add(times(c, right0), times(-s, out0));
+    const out = add(times(Math.cos(this.pitch), level), times(Math.sin(this.pitch), up));
+    const eye = add(this.target, times(this.distance, out)), top = cross(out, right);
+    const seen = new Float32Array([
+      right[0], top[0], out[0], 0, right[1], top[1], out[1], 0, right[2], top[2], out[2], 0,
+      -dot(right, eye), -dot(top, eye), -dot(out, eye), 1]);
+    const aspect = this.canvas.width / Math.max(this.canvas.height, 1);
+    const matrix = product(perspective(FIELD_OF_VIEW, aspect, 0.02 * this.distance,
+                                       20 * this.distance), seen);
+    return {matrix, eye, right, top, out};
+  }
+
+  // Where a place is on the screen, in CSS pixels.
+  project(place, matrix = this.seen.matrix) {
+    const x = moved(matrix, place);
+    const w = matrix[3] * place[0] + matrix[7] * place[1] + matrix[11] * place[2] + matrix[15];
+    return [(x[0] / w + 1) / 2 * this.canvas.clientWidth,
+            (1 - x[1] / w) / 2 * this.canvas.clientHeight, w];
+  }
+
+  // The place under the pointer in the plane through another place that faces the camera.
+  unproject(x, y, through) {
+    const {eye, right, top, out} = this.seen;
+    const height = Math.tan(FIELD_OF_VIEW / 2);
+    const width = height * this.canvas.clientWidth / Math.max(this.canvas.clientHeight, 1);
+    const u = (2 * x / this.canvas.clientWidth - 1) * width;
+    const v = (1 - 2 * y / this.canvas.clientHeight) * height;
+    const ray = add(add(times(u, right), times(v, top)), times(-1, out));
+    const normal = this.described.planar ? [0, 0, 1] : out;
+    const along = dot(ray, normal);
+    if (Math.abs(along) < 1e-6) return through;
+    return add(eye, times(dot(minus(through, eye), normal) / along, ray));
+  }
+
+  // The body and the place of it next to the pointer, by their numbers; null if none is near.
+  nearest(x, y, reach) {
+    let best = null, least = reach;
+    this.described.bodies.forEach((body, number) => {
+      if (!this.frames[number]) return;
+      body.grabs.forEach((place, which) => {
+        const [u, v] = this.project(moved(this.frames[number], place));
+        const away = Math.hypot(u - x, v - y);
+        if (away < least) [best, least] = [[number, which], away];
+      });
+    });
+    return best;
+  }
+
+  grabbed([body, place]) {
+    return moved(this.frames[body], this.described.bodies[body].grabs[place]);
+  }
+
+  // Arrows: foot, vector to the head [m], colour.
+
+  arrows() {
+    const {cuts, columns, loads} = this.described, row = this.row, found = [];
+    const vector = (first) => [row[first], row[first + 1], row[first + 2]];
+    cuts.forEach((cut, k) => {
+      const foot = cut.body_a >= 0 ? moved(this.frames[cut.body_a], cut.point_a) : cut.point_a;
+      found.push({foot, force: vector(columns.forces + 3 * k), kind: 'force'});
+    });
+    loads.forEach((load, k) => {
+      const first = columns.loads + 6 * k;
+      found.push({foot: vector(first), force: vector(first + 3), kind: 'load'});
+    });
+    const known = found.filter(({foot, force}) => (
+      Number.isFinite(norm(force)) && Number.isFinite(norm(foot))));
+    const largest = Math.max(0, ...known.map(({force}) => norm(force)));
+    // The scale forgets a peak slowly.
+    const now = performance.now();
+    this.forcePeak = Math.max(largest, this.forcePeak * 0.5 ** ((now - this.peakAt) / HALF_LIFE));
+    this.peakAt = now;
+    // In steps, so that arrows do not breathe.
+    if (!(this.forceScale >= this.forcePeak && this.forceScale < 4 * this.forcePeak)) {
+      this.forceScale = this.forcePeak > 0 ? 2 * roundDown(this.forcePeak) : 0;
+      if (this.forceScale < this.forcePeak) this.forceScale *= 1.5;
+    }
+    const scale = this.forceScale > 0 ? ARROW * this.size / this.forceScale : 0;
+    return known.map((one) => ({...one, along: times(scale, one.force)}));
+  }
+
+  // Drawing.
+
+  draw(theme) {
+    const canvas = this.canvas, ratio = Math.min(window.devicePixelRatio || 1, 2);
+    for (const each of [this.back, canvas, this.lines]) {
+      const width = Math.round(canvas.clientWidth * ratio);
+      const height = Math.round(canvas.clientHeight * ratio);
+      if (each.width !== width || each.height !== height) [each.width, each.height] = [width, height];
+    }
+    const gl = this.gl;
+    gl.viewport(0, 0, canvas.width, canvas.height);
+    gl.clearColor(0, 0, 0, 0);
+    gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
+    if (!this.row || !canvas.width) return;
+    gl.enable(gl.DEPTH_TEST);
+    gl.useProgram(this.program);
+    this.seen = this.camera();
+    const {matrix, eye, right, top, out} = this.seen, u = this.uniforms;
+    gl.uniformMatrix4fv(u.view, false, matrix);
+    gl.uniform3fv(u.eye, eye);
+    gl.uniform3fv(u.light, unit(add(add(times(-0.45, right), times(0.6, top)), times(0.75, out))));
+    gl.uniform1f(u.ambient, theme.ambient);
+    if (this.baked !== theme) this.bake(theme);
+    for (const [body, mesh] of this.solids) this.mesh(mesh, this.frameOf(body));
+    if (this.shown.forces) this.drawArrows();
+    this.drawDirection();
+    this.grid(theme);
+    this.overlay(theme);
+  }
+
+  mesh(mesh, model) {
+    const gl = this.gl;
+    gl.uniformMatrix4fv(this.uniforms.model, false, model);
+    gl.bindVertexArray(mesh.array);
+    gl.drawArrays(gl.TRIANGLES, 0, mesh.count);
+  }
+
+  // Lines behind everything, drawn anew where the camera has moved.
+  grid(theme) {
+    const pen = this.back.getContext('2d'), step = this.gridStep = roundDown(0.3 * this.size);
+    const key = [...this.seen.matrix, this.back.width, this.back.height, theme.line].join();
+    if (key === this.gridKey) return;
+    this.gridKey = key;
+    const ratio = this.back.width / this.canvas.clientWidth;
+    pen.setTransform(ratio, 0, 0, ratio, 0, 0);
+    pen.clearRect(0, 0, this.canvas.clientWidth, this.canvas.clientHeight);
+    const count = 16, reach = count * step;
+    const [x, y] = [0, 1].map((k) => Math.round(this.target[k] / step) * step);
+    const z = this.described.planar ? -0.06 * this.size
+      : Math.min(this.extent.low[2], 0) - 0.07 * this.size;
+    pen.lineWidth = 1;
+    pen.strokeStyle = theme.grid;
+    const line = (a, b) => {
+      // In pieces, as what is behind the camera cannot be projected, and what is far fades.
+      for (let k = 0; k < 16; k++) {
+        const [from, to] = [k, k + 1].map((n) => add(a, times(n / 16, minus(b, a))));
+        const [p, q] = [this.project(from), this.project(to)];
+        if (p[2] < 0.05 * this.distance || q[2] < 0.05 * this.distance) continue;
+        const away = norm(minus(times(0.5, add(from, to)), this.target));
+        pen.globalAlpha = Math.max(0, 1 - away / Math.min(reach, 1.3 * this.distance));
+        if (pen.globalAlpha < 0.02) continue;
+        pen.beginPath();
+        pen.moveTo(p[0], p[1]);
+        pen.lineTo(q[0], q[1]);
+        pen.stroke();
+      }
+    };
+    for (let k = -count; k <= count; k++) {
+      line([x + k * step, y - reach, z], [x + k * step, y + reach, z]);
+      line([x - reach, y + k * step, z], [x + reach, y + k * step, z]);
+    }
+    pen.globalAlpha = 1;
+  }
+
+  arrow(foot, along, kind, width) {
+    const length = norm(along);
+    if (!(length > 0.012 * this.size)) return;
+    const head = Math.min(0.055 * this.size, 0.6 * length), z = unit(along);
+    const neck = add(foot, times(length - head, z));
+    this.mesh(this.arrowMeshes['cylinder' + kind], between(foot, neck, width));
+    this.mesh(this.arrowMeshes['cone' + kind], between(neck, add(foot, along), 2.6 * width));
+  }
+
+  drawArrows() {
+    // Seen before everything else.
+    this.gl.clear(this.gl.DEPTH_BUFFER_BIT);
+    for (const {foot, along, kind} of this.arrows()) {
+      this.arrow(foot, along, kind, 0.0085 * this.size);
+    }
+  }
+
+  drawDirection() {
+    const {columns} = this.described, row = this.row, first = columns.direction;
+    if (first === columns.plots || !Number.isFinite(row[first])) return;
+    const {joints, cuts, points} = this.described;
+    const places = [...joints.map((joint) => [joint.child, [0, 0, 0]]),
+                    ...cuts.map((cut) => [cut.body_a, cut.point_a]),
+                    ...points.map((point) => [point.body, point.place])];
+    for (const [body, place] of places) {
+      if (body < 0) continue;
+      const foot = moved(this.frames[body], place);
+      this.arrow(foot, minus(moved(ofPose(row, first + 7 * body), place), foot),
+                 'loose', 0.006 * this.size);
+    }
+  }
+
+  overlay(theme) {
+    const pen = this.pen, ratio = this.lines.width / this.canvas.clientWidth;
+    pen.setTransform(ratio, 0, 0, ratio, 0, 0);
+    pen.clearRect(0, 0, this.canvas.clientWidth, this.canvas.clientHeight);
+    pen.lineJoin = pen.lineCap = 'round';
+    if (this.shown.trails) this.drawTrails(theme);
+    if (this.held && this.handAt) {
+      const [a, b] = [this.grabbed(this.held), this.handAt].map((place) => this.project(place));
+      pen.strokeStyle = theme.accent;
+      pen.lineWidth = 2;
+      pen.setLineDash([5, 4]);
+      pen.beginPath();
+      pen.moveTo(a[0], a[1]);
+      pen.lineTo(b[0], b[1]);
+      pen.stroke();
+      pen.setLineDash([]);
+      this.ring(b, 6, theme.accent);
+    }
+    const touched = this.held ?? this.hover;
+    if (touched) this.ring(this.project(this.grabbed(touched)), 9, theme.accent);
+    if (this.shown.names) this.drawNames(theme);
+    if (this.shown.forces && this.forceScale > 0) this.drawScale(theme);
+  }
+
+  drawTrails(theme) {
+    const pen = this.pen;
+    pen.lineWidth = 1.8;
+    this.trails.forEach((trail, k) => {
+      if (trail.length < 2 || (k > 0 && !this.shown.allTrails)) return;
+      pen.strokeStyle = theme.path;
+      pen.beginPath();
+      for (const place of trail) {
+        const [x, y] = this.project(place);
+        pen.lineTo(x, y);
+      }
+      const point = this.described.points[k];
+      const [x, y] = this.project(moved(this.frameOf(point.body), point.place));
+      pen.lineTo(x, y);
+      pen.stroke();
+      pen.fillStyle = theme.path;
+      pen.beginPath();
+      pen.arc(x, y, 3.2, 0, 7);
+      pen.fill();
+    });
+  }
+
+  ring([x, y], radius, color) {
+    const pen = this.pen;
+    pen.strokeStyle = color;
+    pen.lineWidth = 2.2;
+    pen.beginPath();
+    pen.arc(x, y, radius, 0, 7);
+    pen.stroke();
+  }
+
+  drawNames(theme) {
+    const pen = this.pen, taken = [];
+    pen.font = '600 12px system-ui, sans-serif';
+    pen.lineWidth = 3.5;
+    const write = (text, place, color) => {
+      let [x, y] = this.project(place);
+      x += 10;
+      y -= 8;
+      const width = pen.measureText(text).width;
+      // One below the other where they would overlap.
+      while (taken.some((box) => Math.abs(box[1] - y) < 14 && x < box[0] + box[2] && box[0] < x + width)) {
+        y += 14;
+      }
+      taken.push([x, y, width]);
+      pen.strokeStyle = theme.halo;
+      pen.strokeText(text, x, y);
+      pen.fillStyle = color;
+      pen.fillText(text, x, y);
+    };
+    for (const joint of this.described.joints) {
+      write(joint.name, moved(this.frameOf(joint.parent), joint.place), theme.ink);
+    }
+    for (const cut of this.described.cuts) {
+      write(cut.name, moved(this.frameOf(cut.body_a), cut.point_a), theme.cut);
+    }
+  }
+
+  // How long an arrow is for a round force, and the grid's step.
+  drawScale(theme) {
+    const pen = this.pen, x = 14, y = this.canvas.clientHeight - 16;
+    const [a, b] = [this.target, add(this.target, times(ARROW * this.size, this.seen.right))]
+      .map((place) => this.project(place)[0]);
+    let force = roundDown(0.75 * this.forceScale);
+    let length = (b - a) * force / this.forceScale;
+    while (length > 150) { force = roundDown(0.6 * force); length = (b - a) * force / this.forceScale; }
+    pen.strokeStyle = pen.fillStyle = theme.force;
+    pen.lineWidth = 3;
+    pen.beginPath();
+    pen.moveTo(x, y);
+    pen.lineTo(x + length - 5, y);
+    pen.stroke();
+    pen.beginPath();
+    pen.moveTo(x + length, y);
+    pen.lineTo(x + length - 9, y - 4.5);
+    pen.lineTo(x + length - 9, y + 4.5);
+    pen.fill();
+    pen.font = '12px system-ui, sans-serif';
+    pen.fillStyle = theme.ink;
+    pen.fillText(`${short(force)} N`, x + length + 8, y + 4);
+    const text = `grid ${short(this.gridStep)} m`;
+    pen.fillStyle = theme.muted;
+    pen.fillText(text, this.canvas.clientWidth - 14 - pen.measureText(text).width, y + 4);
+  }
+}

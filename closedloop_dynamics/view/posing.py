@@ -1,0 +1,106 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Move a mechanism by one of its points, along its closed loops."""
+
+import numpy as np
+
+# Corrections; how far a joint moves in one at most [rad, m], so that no branch is left; damping of
+# directions in which a point can hardly move, as a share of those in which it can best.
+CORRECTIONS, FARTHEST, DAMPING = 12, 0.2, 0.05
+# Singular values of the loops' Jacobian below this times the largest leave their motion free.
+FREE = 1e-9
+DIFFERENCE = 1e-6
+# What is missing counts no more below this [m or rad].
+NEAR = 1e-9
+
+
+def point_to(simulation, name, place):
+    """
+    Move to the state in which a point is as near to a place as small motions of it lead.
+
+    Parameters
+    ----------
+    simulation : simulation.simulation.Simulation
+        Gets another state, at rest.
+    name : str
+        Of a named point.
+    place : sequence of 3 floats
+        In the world [m]; in the plane the third one does not count.
+
+    Raises
+    ------
+    AssemblyError
+        Where the loops cannot be closed there; the last state that could be is kept.
+
+    """
+    def goal(free):
+        start, q = simulation.point(name), simulation.position
+        moves = [(simulation.place(name, q + DIFFERENCE * motion)
+                  - simulation.place(name, q - DIFFERENCE * motion)) / (2.0 * DIFFERENCE)
+                 for motion in free.T]
+        return np.array(place)[:len(start)] - start, np.array(moves).T
+
+    _follow(simulation, goal)
+
+
+def joint_to(simulation, name, value):
+    """
+    Move to the state in which a joint has a value, the driven joints otherwise as they are.
+
+    Parameters
+    ----------
+    simulation : simulation.simulation.Simulation
+        Gets another state, at rest.
+    name : str
+        Of the joint.
+    value : float
+        [rad or m].
+
+    Raises
+    ------
+    AssemblyError
+        As for ``point_to``.
+
+    """
+    joint = simulation.joint_names.index(name)
+    held = [joint, *(k for k in simulation.actuated.tolist() if k != joint)]
+    wanted = simulation.position[held]
+    wanted[0] = value
+
+    def goal(free):
+        return wanted - simulation.position[held], free[held]
+
+    _follow(simulation, goal)
+
+
+def _follow(simulation, goal):
+    """Correct the state until what ``goal`` says is missing is gone, or cannot be."""
+    for _ in range(CORRECTIONS):
+        _, values, rows = np.linalg.svd(simulation.constraint_jacobian)
+        rank = int(np.sum(values > FREE * values.max(initial=0.0)))
+        free = rows[rank:].T
+        if not free.shape[1]:
+            return
+        missing, moves = goal(free)
+        square = moves @ moves.T
+        scale = np.trace(square)
+        if not (scale > 0.0 and np.abs(missing).max() > NEAR):
+            return
+        damped = square + DAMPING ** 2 * scale * np.eye(len(missing))
+        change = free @ (moves.T @ np.linalg.solve(damped, missing))
+        change *= min(1.0, FARTHEST / max(np.abs(change).max(), 1e-12))
+        if not np.abs(change).max() > NEAR:
+            return
+        simulation.set_state(simulation.position + change)

@@ -1,0 +1,482 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""A simulation that runs live under what pages ask for."""
+
+from dataclasses import fields, replace
+import json
+import math
+import time
+import warnings
+
+import numpy as np
+
+from .columns import SimulationRows
+from .description import describe, grabs
+from .feed import Feed
+from .messages import FASTEST, POSITION, SLOWEST, TORQUE
+from .posing import joint_to, point_to
+from ..effects.actuator import Actuator
+from ..effects.gravity import Gravity
+from ..effects.point_spring import PointSpring
+from ..effects.registry import effect_type
+from ..integration.registry import INTEGRATORS, SCIPY, STABILISATIONS
+from ..mechanism.fields import FieldError, shown
+from ..mechanism.mechanism import Point, PRISMATIC
+from ..simulation.errors import InaccuracyWarning, SimulationError
+from ..simulation.modeling import extent
+from ..simulation.pacer import Pacer
+from ..simulation.simulation import Simulation
+
+# Frames per second; share of their period that may go into computing; between two looks at what
+# takes long [s].
+RATE, COMPUTING_SHARE, LOOK_PERIOD = 60.0, 0.6, 0.25
+# A position drive moves its joint like a critically damped spring of this rate [1/s], and acts
+# anew so often in simulated time [s].
+DRIVE_RATE, DRIVE_PERIOD = 20.0, 0.002
+# Accelerations that the sliders of torques reach [rad/s^2, m/s^2].
+REACH = {False: 60.0, True: 20.0}
+# The spring that a hand pulls with: its stretch under the machine's weight, as a share of its
+# size, and its damping.
+GIVE, DAMPING, EARTH = 0.05, 0.5, 9.81
+METHOD_KEYS = ('integrator', 'accuracy', 'tolerance', 'step_size', 'stabilisation')
+
+
+class Hand:
+    """
+    The spring that a page pulls with: an effect that is added to the scene, switched off.
+
+    Parameters
+    ----------
+    scene : simulation.scene_records.Scene
+        As it was read.
+
+    Attributes
+    ----------
+    scene : simulation.scene_records.Scene
+        With the spring, the places it can be fixed to, and gravity, switched off, if it has none.
+    off : tuple of str
+        Effects that were added.
+    spring : str or None
+        Name of the spring; None where there is none for such a mechanism.
+
+    """
+
+    def __init__(self, scene, size):
+        """Add what is needed."""
+        mechanism = scene.mechanism
+        taken = {point.name for point in mechanism.points}
+        self._points, added = {}, []
+        for k, body in enumerate(mechanism.bodies):
+            for n, place in enumerate(grabs(mechanism, body)):
+                name = _unused(f'grab_{k}_{n}', taken)
+                added.append(Point(name, body.name, tuple(place[:len(body.center_of_mass)])))
+                self._points[k, n] = name
+        self.spring = None
+        effects = dict(scene.effects)
+        down = (0.0, -EARTH) if mechanism.planar else (0.0, 0.0, -EARTH)
+        self.gravity = next((name for name, record in effects.items()
+                             if isinstance(record, Gravity)), None)
+        self.off = ()
+        if self.gravity is None:
+            self.gravity = _unused('gravity', effects)
+            effects[self.gravity] = Gravity(acceleration=down)
+            self.off = (self.gravity,)
+        if mechanism.planar or PointSpring.IN_SPACE:
+            self.spring = _unused('hand', effects)
+            mass = sum(body.mass for body in mechanism.bodies) or 1.0
+            stiffness = mass * EARTH / (GIVE * size)
+            effects[self.spring] = PointSpring(
+                point_a=next(iter(self._points.values())),
+                anchor=tuple(0.0 for _ in down), stiffness=stiffness,
+                damping=DAMPING * math.sqrt(stiffness * mass))
+            self.off += (self.spring,)
+        self.scene = replace(
+            scene, effects=effects,
+            mechanism=replace(mechanism, points=(*mechanism.points, *added)))
+        self.dimensions = len(down)
+
+    def point(self, body, place):
+        """Return the name of the point at a place of a body, by their numbers."""
+        if (body, place) not in self._points:
+            raise FieldError('the number of a body, and of a place of it',
+                             shown([body, place]), path=('grab',))
+        return self._points[body, place]
+
+
+def _unused(name, taken):
+    while name in taken:
+        name += '_'
+    return name
+
+
+class Runner:
+    """
+    Runs a simulation, shows it to a feed and does what its pages ask for.
+
+    Parameters
+    ----------
+    scene : simulation.scene_records.Scene
+        What is simulated.
+    clock : callable
+        Returns seconds; steady.
+
+    Attributes
+    ----------
+    simulation : simulation.simulation.Simulation
+    feed : feed.Feed
+    playing : bool
+
+    """
+
+    def __init__(self, scene, clock=time.monotonic):
+        """Build the simulation, compiled, standing still at its start."""
+        self._hand = Hand(scene, extent(scene.mechanism))
+        self.simulation = simulation = Simulation(self._hand.scene)
+        for name in self._hand.off:
+            simulation.set_effect(name, enabled=False)
+        simulation.reset()
+        simulation.warm_up()
+        self._clock, self.playing, self._kinematic = clock, False, False
+        self._pacer = Pacer(simulation.step_size, 1.0, clock)
+        self._failure, self._holder, self._grabbed = None, None, None
+        self._start = None
+        joints = simulation.mechanism.joints
+        self._drives = {name: [TORQUE, 0.0] for name in simulation.actuated_joints}
+        self._gains = self._find_gains()
+        self._columns = SimulationRows(simulation, [self._hand.spring])
+        self.feed = Feed(describe(
+            scene.mechanism, self._columns.columns, mode='live', title=scene.name,
+            drives=[{
+                'joint': name, 'slides': joints[place].type == PRISMATIC,
+                'torque': self._reach(name, joints[place]),
+                'position': self._range(place, joints[place])}
+                for name, place in zip(simulation.actuated_joints, simulation.actuated.tolist())],
+            integrators={name: one.kind for name, one in INTEGRATORS.items()
+                         if one.family != SCIPY},
+            stabilisations=list(STABILISATIONS), hand=self._hand.spring is not None, poses=True,
+            gravity=self._hand.gravity, speeds=[SLOWEST, FASTEST]))
+        self._before = self._now = (0.0, self._columns.row())
+        self._looked, self._findings, self._changed = clock(), (), True
+        self._tell()
+        self.feed.show(*self._now)
+
+    # What drives are given.
+
+    def _find_gains(self):
+        """Return, by actuated joint, the inertia that its drive feels at the start."""
+        simulation = self.simulation
+        q, rest = simulation.position, np.zeros(len(simulation.joint_names))
+        still, _ = simulation.forward_dynamics(q, rest)
+        gains = {}
+        for name, place in zip(simulation.actuated_joints, simulation.actuated):
+            moved, _ = simulation.forward_dynamics(q, rest, {name: 1.0})
+            response = moved[place] - still[place]
+            gains[name] = 1.0 / response if response > 1e-9 else 1.0
+        return gains
+
+    def _reach(self, name, joint):
+        """Return the largest torque of a slider: that of the drive, or what moves briskly."""
+        for record in self.simulation.effects.values():
+            if isinstance(record, Actuator) and record.joint == name and record.max_torque:
+                return record.max_torque
+        return _round(REACH[joint.type == PRISMATIC] * self._gains[name])
+
+    def _range(self, place, joint):
+        """Return the lowest and the highest position of a slider."""
+        reach = extent(self.simulation.mechanism) if joint.type == PRISMATIC else math.pi
+        middle = self.simulation.position[place]
+        return [middle - reach, middle + reach]
+
+    def _torques(self):
+        """Return the joint torques that the drives give now, shape (nv,)."""
+        simulation = self.simulation
+        tau = np.zeros(len(simulation.joint_names))
+        position, velocity = simulation.position, simulation.velocity
+        for (name, (mode, value)), place in zip(self._drives.items(), simulation.actuated):
+            if mode == TORQUE:
+                tau[place] = value
+            else:
+                tau[place] = self._gains[name] * DRIVE_RATE * (
+                    DRIVE_RATE * (value - position[place]) - 2.0 * velocity[place])
+        return tau
+
+    def _advance(self, steps):
+        """Advance by steps, with the drives' torques anew so often."""
+        simulation = self.simulation
+        most = steps
+        if any(mode == POSITION for mode, _ in self._drives.values()):
+            most = max(1, round(DRIVE_PERIOD / simulation.step_size))
+        while steps > 0:
+            portion = min(steps, most)
+            # Slow motion shows states between the last two.
+            if self._slow and portion == steps:
+                if portion > 1:
+                    simulation.advance(self._torques(), portion - 1)
+                    portion = 1
+                    steps = 1
+                self._before = simulation.time, self._columns.row()
+            simulation.advance(self._torques(), portion)
+            steps -= portion
+
+    @property
+    def _slow(self):
+        """Whether frames come faster than steps."""
+        return self._pacer.real_time_factor / RATE < 2.0 * self.simulation.step_size
+
+    # The loop.
+
+    def run(self, keep_going=lambda: True):
+        """
+        Run until told to end, with a frame every sixtieth of a second.
+
+        Parameters
+        ----------
+        keep_going : callable
+            Asked for every frame.
+
+        """
+        due = self._clock()
+        while keep_going():
+            self.tick()
+            due = max(due + 1.0 / RATE, self._clock() - 1.0 / RATE)
+            time.sleep(max(0.0, due - self._clock()))
+
+    def tick(self):
+        """Follow what was asked for, advance to the present, show it."""
+        self._follow()
+        if self.playing:
+            self._guarded(self._take)
+            self._changed = True
+        if self._changed:
+            self._show()
+
+    def _take(self):
+        self._pacer.tick(self._advance, COMPUTING_SHARE / RATE)
+
+    def _show(self):
+        now = self._clock()
+        if now - self._looked > LOOK_PERIOD or not self.playing:
+            self._looked = now
+            self._findings = self._columns.look().findings
+        time_now, row = self.simulation.time, self._columns.row()
+        if self.playing and self._slow:
+            begin, before = self._before
+            share = self._pacer.portion_of_step
+            self.feed.show(begin + share * (time_now - begin), before + np.float32(share) * (
+                row - before))
+        else:
+            self.feed.show(time_now, row)
+        self._changed = False
+        self._tell()
+
+    def _guarded(self, action):
+        """Do what may fail as simulations do; stand still if it does, the state kept."""
+        try:
+            with warnings.catch_warnings():
+                # The report tells of it.
+                warnings.simplefilter('ignore', InaccuracyWarning)
+                action()
+        except SimulationError as error:
+            self._failure = str(error)
+            self._stop()
+
+    def _stop(self):
+        if self.playing:
+            self._pacer.stop()
+        self.playing, self._changed = False, True
+
+    def _tell(self):
+        simulation = self.simulation
+        effects, enabled = simulation.effects, simulation.enabled_effects
+        self.feed.tell(
+            playing=self.playing, speed=self._pacer.real_time_factor, failure=self._failure,
+            kinematic=self._kinematic, findings=list(self._findings), busy=None,
+            grabbed=self._grabbed,
+            drives={name: {'mode': mode, 'value': value}
+                    for name, (mode, value) in self._drives.items()},
+            method={key: getattr(simulation.scene.method, key) for key in METHOD_KEYS},
+            unused=list(simulation.scene.method.unused),
+            effects={name: {
+                'type': effect_type(record), 'enabled': name in enabled,
+                'values': {each.name: getattr(record, each.name) for each in fields(record)}}
+                for name, record in effects.items() if name != self._hand.spring})
+
+    # What pages ask for.
+
+    def _follow(self):
+        """Follow what was asked for since the last frame; of pulls and poses the newest."""
+        wanted = list(self.feed.messages())
+        latest = {}
+        for number, (page, message) in enumerate(wanted):
+            if message['do'] in ('pull', 'pose', 'command'):
+                latest[message['do'], message.get('joint'), id(page)] = number
+        for number, (page, message) in enumerate(wanted):
+            key = message['do'], message.get('joint'), id(page)
+            if latest.get(key, number) != number:
+                continue
+            try:
+                getattr(self, f'_do_{message.pop("do")}')(page, **message)
+            except (ValueError, SimulationError) as error:
+                self.feed.refuse(error)
+            self._changed = True
+
+    def _do_play(self, page):
+        if self._kinematic:
+            self._do_kinematic(page, False)
+        if not self.playing:
+            self._failure = None
+            self.playing = True
+            self._before = self.simulation.time, self._columns.row()
+            self._pacer.start()
+
+    def _do_pause(self, page):
+        self._stop()
+
+    def _do_step(self, page, count):
+        self._stop()
+        self._failure = None
+        self._guarded(lambda: self._advance(count))
+
+    def _do_reset(self, page):
+        self._stop()
+        self._failure = None
+        for drive in self._drives.values():
+            drive[:] = TORQUE, 0.0
+
+        def reset():
+            self.simulation.reset()
+            if self._start is not None:
+                self.simulation.set_state(self._start)
+
+        self._guarded(reset)
+        self._pacer = Pacer(self.simulation.step_size, self._pacer.real_time_factor, self._clock)
+
+    def _do_speed(self, page, factor):
+        self._pacer.real_time_factor = factor
+
+    def _drive(self, joint):
+        if joint not in self._drives:
+            raise FieldError(f'one of the driven joints ({", ".join(self._drives)})',
+                             shown(joint), path=('joint',))
+        return self._drives[joint]
+
+    def _do_drive(self, page, joint, mode):
+        drive = self._drive(joint)
+        if drive[0] != mode:
+            place = self.simulation.joint_names.index(joint)
+            drive[:] = mode, 0.0 if mode == TORQUE else float(self.simulation.position[place])
+
+    def _do_command(self, page, joint, value):
+        self._drive(joint)[1] = value
+
+    def _do_effect(self, page, name, enabled=None, values=None):
+        if name == self._hand.spring:
+            raise FieldError('an effect of the scene', shown(name), path=('name',))
+        self._busily('changing the effects', lambda: self.simulation.set_effect(
+            name, enabled, **(values or {})))
+
+    def _do_method(self, page, values):
+        unknown = [key for key in values if key not in METHOD_KEYS]
+        if unknown:
+            raise FieldError(f'one of {", ".join(METHOD_KEYS)}', shown(unknown[0]),
+                             path=('method',))
+
+        def change():
+            self.simulation.prepare_method(**values)()
+            self._pacer.step_size = self.simulation.step_size
+
+        self._busily('compiling the method', change)
+
+    def _busily(self, what, action):
+        """Do what may compile for long, saying so; time stands still meanwhile."""
+        running = self.playing
+        if running:
+            self._pacer.stop()
+        self.feed.tell(busy=what)
+        try:
+            action()
+        finally:
+            if running:
+                self._pacer.start()
+
+    def _do_grab(self, page, body, place, at):
+        name = self._hand.point(body, place)
+        if self._kinematic:
+            self._holder, self._grabbed = page, [body, place]
+            self._pose_to(at)
+        elif self._hand.spring is None:
+            raise FieldError('kinematic mode', 'a pull at a mechanism in space',
+                             'only there can be pulled so far')
+        else:
+            self._holder, self._grabbed = page, [body, place]
+            self._pull(at, enabled=True, point_a=name)
+
+    def _do_pull(self, page, at):
+        if self._holder is not page:
+            return
+        if self._kinematic:
+            self._pose_to(at)
+        else:
+            self._pull(at)
+
+    def _pull(self, at, enabled=None, **more):
+        self.simulation.set_effect(
+            self._hand.spring, enabled, anchor=tuple(at[:self._hand.dimensions]), **more)
+
+    def _do_release(self, page):
+        if self._holder is page:
+            self._holder = self._grabbed = None
+            if self._hand.spring in self.simulation.enabled_effects:
+                self.simulation.set_effect(self._hand.spring, False)
+
+    # Kinematic mode.
+
+    def _do_kinematic(self, page, on):
+        self._stop()
+        if self._holder is not None:
+            self._do_release(self._holder)
+        if on:
+            self._failure = None
+            self.simulation.set_state(self.simulation.position)
+        elif self._kinematic:
+            # What was posed is the start from now on.
+            self._start = self.simulation.position
+            self._do_reset(page)
+        self._kinematic = on
+
+    def _require_kinematic(self):
+        if not self._kinematic:
+            raise FieldError('kinematic mode', 'a pose while the mechanism moves by forces')
+
+    def _do_pose(self, page, joint, value):
+        self._require_kinematic()
+        self._drive(joint)
+        joint_to(self.simulation, joint, value)
+
+    def _pose_to(self, at):
+        body, place = self._grabbed
+        point_to(self.simulation, self._hand.point(body, place), at)
+
+
+def _round(value):
+    """Round a positive number up to 1, 2 or 5 times a power of ten."""
+    power = 10.0 ** math.floor(math.log10(value))
+    return next(factor * power for factor in (1.0, 2.0, 5.0, 10.0) if factor * power >= value)
+
+
+def initial_text(simulation):
+    """Return the present position as a scene has it under ``initial``."""
+    return json.dumps({'position': dict(zip(
+        simulation.joint_names, np.round(simulation.position, 6).tolist()))})

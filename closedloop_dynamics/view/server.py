@@ -1,0 +1,230 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Serves pages over HTTP and what they show over websockets, in a thread of its own.
+
+A page gets frames as fast as it says that it has shown them, always the newest. It may be slow,
+go away, or send nonsense: what computes does not wait for it.
+
+"""
+
+import asyncio
+from contextlib import suppress
+import hmac
+from http import HTTPStatus
+import ipaddress
+import secrets
+import threading
+from urllib.parse import parse_qs, urlsplit
+
+from websockets.asyncio.server import serve
+from websockets.datastructures import Headers
+from websockets.exceptions import ConnectionClosed
+from websockets.http11 import Response
+
+# Frames on the way to a page that it has not shown yet.
+WINDOW = 3
+# Bytes of a message that a page may send.
+LARGEST_MESSAGE = 8192
+# How long to wait for pages at the end [s].
+PATIENCE = 1.0
+LOCAL = '127.0.0.1'
+LOCAL_NAMES = ('localhost', '127.0.0.1', '[::1]')
+# A page may load nothing from elsewhere, and talk to this server only.
+POLICY = ("default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
+          "img-src data: blob:; connect-src 'self'; frame-ancestors 'none'; base-uri 'none'")
+
+
+class Server:
+    """
+    Serves one page for each feed: ``/``, ``/1``, ...
+
+    Parameters
+    ----------
+    pages : list of str
+        HTML.
+    feeds : list of feed.Feed
+        As many, or none where the pages have all that they show.
+    host : str
+        Address to listen on; with any but those of this host a token is needed.
+    port : int
+        0: any that is free.
+
+    Attributes
+    ----------
+    url : str
+        Of the first page, with the token if there is one.
+    port : int
+        That is listened on.
+    token : str or None
+
+    Raises
+    ------
+    OSError
+        Where the port cannot be had.
+
+    """
+
+    def __init__(self, pages, feeds, host=LOCAL, port=0):
+        """Listen, in a thread."""
+        self._pages, self._feeds = [page.encode() for page in pages], feeds
+        self._host = host
+        self.token = None if is_local(host) else secrets.token_urlsafe(16)
+        self._started, self._error = threading.Event(), None
+        self._loop, self._over = None, None
+        self._wanted_port, self.port = port, None
+        self._thread = threading.Thread(target=self._run, name='view_server', daemon=True)
+        self._thread.start()
+        self._started.wait()
+        if self._error is not None:
+            raise self._error
+        name = f'[{host}]' if ':' in host else host
+        self.url = f'http://{name}:{self.port}/' + (f'?token={self.token}' if self.token else '')
+
+    def close(self):
+        """End all connections and stop listening."""
+        with suppress(RuntimeError):
+            # The loop may be over already.
+            self._loop.call_soon_threadsafe(self._over.set)
+        self._thread.join(2.0 * PATIENCE)
+
+    def _run(self):
+        asyncio.run(self._serve())
+
+    async def _serve(self):
+        self._loop, self._over = asyncio.get_running_loop(), asyncio.Event()
+        try:
+            server = await serve(
+                self._attend, self._host, self._wanted_port, process_request=self._answer,
+                max_size=LARGEST_MESSAGE, compression=None, close_timeout=PATIENCE,
+                server_header=None)
+        except OSError as error:
+            self._error = error
+            self._started.set()
+            return
+        self.port = server.sockets[0].getsockname()[1]
+        self._started.set()
+        async with server:
+            await self._over.wait()
+
+    # Pages.
+
+    def _answer(self, connection, request):
+        """Answer a request that is not to become a websocket; refuse who may not ask."""
+        address = urlsplit(request.path)
+        if not self._may(request, address):
+            return _response(HTTPStatus.FORBIDDEN, 'text/plain', (
+                b'Open the address that `closedloop view` has printed, as a whole.\n'))
+        name = address.path.strip('/').removesuffix('live').strip('/')
+        if name and not (name.isdecimal() and int(name) < len(self._pages)):
+            return _response(HTTPStatus.NOT_FOUND, 'text/plain', b'There is no such page.\n')
+        if not address.path.endswith('live'):
+            return _response(HTTPStatus.OK, 'text/html; charset=utf-8',
+                             self._pages[int(name or 0)])
+        if not self._feeds:
+            return _response(HTTPStatus.NOT_FOUND, 'text/plain', b'Nothing runs here.\n')
+        connection.feed = self._feeds[int(name or 0)]
+        return None
+
+    def _may(self, request, address):
+        """Return whether a request is from a page of this server, by who may see it."""
+        host = request.headers.get('Host', '')
+        if self.token is None:
+            # A name that leads here by the DNS of somebody else is none of ours.
+            if host.removesuffix(f':{self.port}').lower() not in LOCAL_NAMES:
+                return False
+        else:
+            given = parse_qs(address.query).get('token', [''])[0]
+            if not hmac.compare_digest(given.encode(), self.token.encode()):
+                return False
+        # Browsers say which page opens a websocket: another site's must not.
+        origin = request.headers.get('Origin')
+        return origin is None or urlsplit(origin).netloc == host
+
+    # Websockets.
+
+    async def _attend(self, connection):
+        """Tell a page what there is, and take what it asks for, until it goes."""
+        feed, changed = connection.feed, asyncio.Event()
+        page = _Page(connection, feed, changed)
+
+        def wake():
+            with suppress(RuntimeError):
+                # The loop may be over already.
+                self._loop.call_soon_threadsafe(changed.set)
+
+        feed.on_change.append(wake)
+        feed.pages += 1
+        sending = asyncio.create_task(page.send())
+        try:
+            async for text in connection:
+                page.hear(text)
+        except ConnectionClosed:
+            # A tab was closed, or a network was lost.
+            pass
+        finally:
+            feed.on_change.remove(wake)
+            feed.pages -= 1
+            sending.cancel()
+            feed.leave(page)
+
+
+class _Page:
+    """One page that is open."""
+
+    def __init__(self, connection, feed, changed):
+        self._connection, self._feed, self._changed = connection, feed, changed
+        self._sent, self._seen = [], 0
+        changed.set()
+
+    def hear(self, text):
+        """Take what the page sends."""
+        seen = self._feed.take(self, text)
+        if seen in self._sent:
+            del self._sent[:self._sent.index(seen) + 1]
+            self._changed.set()
+
+    async def send(self):
+        """Send what is new, as long as the page keeps up."""
+        with suppress(ConnectionClosed):
+            await self._connection.send(self._feed.description)
+            version = number = 0
+            while True:
+                await self._changed.wait()
+                self._changed.clear()
+                if self._feed.version != version:
+                    version = self._feed.version
+                    await self._connection.send(self._feed.controls)
+                if self._feed.number != number and len(self._sent) < WINDOW:
+                    number, frame = self._feed.number, self._feed.frame
+                    self._sent.append(number)
+                    await self._connection.send(frame)
+
+
+def is_local(host):
+    """Return whether an address can be reached from this host only."""
+    if host == 'localhost':
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+def _response(status, kind, body):
+    return Response(status.value, status.phrase, Headers({
+        'Content-Type': kind, 'Content-Length': str(len(body)), 'Connection': 'close',
+        'Content-Security-Policy': POLICY, 'X-Content-Type-Options': 'nosniff',
+        'Referrer-Policy': 'no-referrer', 'Cache-Control': 'no-store'}), body)

@@ -1,0 +1,143 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""A real browser without a window, driven over its DevTools port."""
+
+import base64
+from contextlib import contextmanager
+import io
+import itertools
+import json
+from pathlib import Path
+import shutil
+import subprocess
+import tempfile
+import time
+
+import numpy as np
+from PIL import Image
+from websockets.sync.client import connect
+
+NAMES = ('chromium', 'chromium-browser', 'google-chrome', 'chrome')
+# Longest wait for a browser on a busy machine [s].
+PATIENCE = 60.0
+
+
+def program():
+    """Return the path of a browser, or None."""
+    return next(filter(None, map(shutil.which, NAMES)), None)
+
+
+@contextmanager
+def browser():
+    """Run a browser; yield a function that opens a page in it."""
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as home:
+        process = subprocess.Popen(
+            [program(), '--headless=new', '--no-sandbox', '--disable-gpu-sandbox',
+             '--use-angle=swiftshader', '--enable-unsafe-swiftshader', '--no-first-run',
+             '--disable-extensions', '--disable-background-networking', '--hide-scrollbars',
+             '--remote-debugging-port=0', f'--user-data-dir={home}', 'about:blank'],
+            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        try:
+            told = Path(home, 'DevToolsActivePort')
+            end = time.monotonic() + PATIENCE
+            while not (told.is_file() and len(told.read_text().splitlines()) == 2):
+                assert process.poll() is None and time.monotonic() < end, 'no browser'
+                time.sleep(0.05)
+            port, path = told.read_text().splitlines()
+            with connect(f'ws://127.0.0.1:{port}{path}', max_size=None) as socket:
+                yield lambda *arguments, **options: Tab(socket, *arguments, **options)
+        finally:
+            process.kill()
+            process.wait()
+
+
+class Tab:
+    """One page in the browser."""
+
+    numbers = itertools.count(1)
+
+    def __init__(self, socket, url, width=1280, height=800, dark=False, phone=False):
+        """Open it, with a size in CSS pixels and a theme."""
+        self._socket = socket
+        target = self._do('Target.createTarget', url='about:blank')['targetId']
+        self._session = None
+        self._session = self._do('Target.attachToTarget', targetId=target,
+                                 flatten=True)['sessionId']
+        self._do('Emulation.setDeviceMetricsOverride', width=width, height=height,
+                 deviceScaleFactor=2 if phone else 1, mobile=phone)
+        self._do('Emulation.setEmulatedMedia', features=[
+            {'name': 'prefers-color-scheme', 'value': 'dark' if dark else 'light'}])
+        self.errors = []
+        self._do('Runtime.enable')
+        self._do('Page.enable')
+        self._do('Page.navigate', url=url)
+        self._target = target
+
+    def _do(self, method, **parameters):
+        number = next(self.numbers)
+        message = {'id': number, 'method': method, 'params': parameters}
+        if getattr(self, '_session', None):
+            message['sessionId'] = self._session
+        self._socket.send(json.dumps(message))
+        while True:
+            answer = json.loads(self._socket.recv(timeout=PATIENCE))
+            if answer.get('method') == 'Runtime.exceptionThrown':
+                self.errors.append(answer['params']['exceptionDetails'])
+            if answer.get('id') == number:
+                assert 'error' not in answer, answer
+                return answer['result']
+
+    def ask(self, script):
+        """Return the value of an expression in the page."""
+        result = self._do('Runtime.evaluate', expression=script, returnByValue=True,
+                          awaitPromise=True)
+        assert 'exceptionDetails' not in result, result
+        return result['result'].get('value')
+
+    def wait(self, condition, patience=PATIENCE):
+        """Wait until an expression in the page is true."""
+        end = time.monotonic() + patience
+        while not self.ask(condition):
+            assert time.monotonic() < end, f'never true: {condition}; errors: {self.errors}'
+            time.sleep(0.05)
+
+    def picture(self):
+        """Return what is seen, shape (height, width, 3)."""
+        data = self._do('Page.captureScreenshot', format='png')['data']
+        return np.asarray(Image.open(io.BytesIO(base64.b64decode(data))).convert('RGB'))
+
+    def mouse(self, kind, x, y, buttons=0):
+        """Let the mouse do something: ``mousePressed``, ``mouseMoved``, ``mouseReleased``."""
+        self._do('Input.dispatchMouseEvent', type=kind, x=x, y=y, buttons=buttons,
+                 button='left' if kind != 'mouseMoved' or buttons else 'none', clickCount=1)
+
+    def click(self, selector):
+        """Click on what a CSS selector finds."""
+        x, y = self.middle(selector)
+        self.mouse('mousePressed', x, y, 1)
+        self.mouse('mouseReleased', x, y)
+
+    def middle(self, selector):
+        """Return where the middle of what a CSS selector finds is."""
+        return self.ask(f"""(() => {{
+            const e = document.querySelector({json.dumps(selector)});
+            e.scrollIntoView({{block: "nearest"}});
+            const box = e.getBoundingClientRect();
+            return [box.x + box.width / 2, box.y + box.height / 2]; }})()""")
+
+    def close(self):
+        """Close the page."""
+        self._session = None
+        self._do('Target.closeTarget', targetId=self._target)

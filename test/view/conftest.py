@@ -1,0 +1,85 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""A simulation that is shown, with a clock that moves when told; compiled once."""
+
+import json
+import threading
+
+from closedloop_dynamics.simulation.scene import load_scene
+from closedloop_dynamics.view.page import live_page
+from closedloop_dynamics.view.runner import RATE, Runner
+from closedloop_dynamics.view.server import Server
+import pytest
+
+
+class Shown:
+    """A runner and its clock."""
+
+    def __init__(self, scene):
+        self.now, self.served = 100.0, False
+        self.runner = Runner(load_scene(scene, in_space=True), lambda: self.now)
+        self.simulation, self.feed = self.runner.simulation, self.runner.feed
+
+    def ask(self, what, page='page', **more):
+        """Ask for something as a page does, and let it be followed."""
+        self.feed.take(page, json.dumps({'do': what, **more}))
+        if not self.served:
+            self.runner.tick()
+
+    def run(self, frames):
+        """Let so many frames pass."""
+        for _ in range(frames):
+            self.now += 1.0 / RATE
+            self.runner.tick()
+
+
+@pytest.fixture(scope='session')
+def shown_once():
+    return Shown('three_rrr_vertical')
+
+
+@pytest.fixture
+def shown(shown_once):
+    """At its start, with the method, the effects and the drives of its scene."""
+    shown = shown_once
+    shown.ask('kinematic', on=False)
+    shown.runner._start = None
+    shown.ask('release', page=shown.runner._holder)
+    shown.ask('reset')
+    shown.ask('effect', name='gravity', enabled=True, values={'acceleration': [0.0, -9.81]})
+    shown.ask('speed', factor=1.0)
+    assert shown.simulation.time == 0.0 and not shown.runner.playing
+    return shown
+
+
+@pytest.fixture
+def live(shown):
+    """Serve it, with a thread that lets time pass as fast as frames are made."""
+    server = Server([live_page('test')], [shown.feed])
+    over = threading.Event()
+
+    def run():
+        while not over.wait(0.005):
+            shown.run(1)
+
+    thread = threading.Thread(target=run)
+    shown.served = True
+    thread.start()
+    shown.url, shown.server = server.url, server
+    yield shown
+    over.set()
+    thread.join()
+    shown.served = False
+    server.close()

@@ -1,0 +1,138 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The page in a real browser: a slider moves the mechanism, what is drawn changes."""
+
+from test.view.browser import browser, program
+
+from closedloop_dynamics.cli import main
+import numpy as np
+import pytest
+
+pytestmark = pytest.mark.skipif(
+    program() is None, reason='no Chromium is installed (Debian: apt install chromium)')
+READY = 'typeof page !== "undefined" && Boolean(page.shownRow) && Boolean(page.told)'
+POSITION = 'page.position("theta_1")'
+
+
+@pytest.fixture(scope='module')
+def open_page():
+    with browser() as open_page:
+        yield open_page
+
+
+def stage(tab):
+    """Return the part of the picture with the mechanism."""
+    x, y, width, height = map(round, tab.ask("""(() => {
+        const box = document.getElementById("solid").getBoundingClientRect();
+        return [box.x, box.y, box.width, box.height]; })()"""))
+    return tab.picture()[y:y + height, x:x + width].astype(int)
+
+
+def test_a_slider_moves_the_mechanism(open_page, live):
+    tab = open_page(live.url)
+    tab.wait(READY)
+    live.ask('effect', name='gravity', enabled=False)
+    before, start = stage(tab), tab.ask(POSITION)
+    # Something is drawn, in the colours of the subsystems.
+    assert (np.abs(before - np.array([0, 114, 178])).max(axis=2) < 60).mean() > 0.005
+    tab.click('#play')
+    tab.wait('page.playing')
+    x, y = tab.middle('#drives input[type=range]')
+    tab.mouse('mousePressed', x, y, 1)
+    tab.mouse('mouseMoved', x + 20, y, 1)
+    tab.mouse('mouseReleased', x + 20, y)
+    tab.wait('page.told.drives.theta_1.value > 0')
+    tab.wait(f'Math.abs({POSITION} - {start}) > 0.2')
+    tab.click('#play')
+    tab.wait('!page.playing')
+    assert live.runner._drives['theta_1'][1] > 0.0
+    place = live.simulation.joint_names.index('theta_1')
+    tab.wait(f'{POSITION} === Math.fround({live.simulation.position[place]})')
+    changed = (np.abs(stage(tab) - before).max(axis=2) > 30).mean()
+    assert changed > 0.005
+    assert not tab.errors
+    tab.close()
+
+
+def test_a_point_is_dragged_by_the_mouse(open_page, live):
+    tab = open_page(live.url)
+    tab.wait(READY)
+    live.ask('effect', name='gravity', enabled=False)
+    body = [one.name for one in live.simulation.mechanism.bodies].index('platform')
+    x, y = tab.ask(f"""(() => {{
+        const [x, y] = page.picture.project(page.picture.grabbed([{body}, 0]));
+        const box = document.getElementById("solid").getBoundingClientRect();
+        return [x + box.x, y + box.y]; }})()""")
+    place = f'page.picture.grabbed([{body}, 0])'
+    before = tab.ask(place)
+    tab.click('#play')
+    tab.mouse('mouseMoved', x, y)
+    tab.mouse('mousePressed', x, y, 1)
+    tab.mouse('mouseMoved', x + 60, y, 1)
+    tab.wait('page.told.grabbed !== null')
+    tab.wait(f'{place}[0] > {before[0] + 0.01}')
+    tab.mouse('mouseReleased', x + 60, y)
+    tab.wait('page.told.grabbed === null')
+    assert not tab.errors
+    tab.close()
+
+
+def test_the_picture_is_dark_and_light_and_fits_a_phone(open_page, live):
+    brightness = {}
+    for dark in (False, True):
+        tab = open_page(live.url, width=390, height=844, dark=dark, phone=True)
+        tab.wait(READY)
+        # Nothing sticks out at the side.
+        assert tab.ask('document.documentElement.scrollWidth <= innerWidth')
+        assert tab.ask("""[...document.querySelectorAll("button, select, input")].filter(
+            (e) => e.offsetParent).every((e) => {
+              const box = e.getBoundingClientRect();
+              return box.left >= 0 && box.right <= innerWidth + 1; })""")
+        brightness[dark] = tab.picture().mean()
+        assert not tab.errors
+        tab.close()
+    assert brightness[False] > 2.0 * brightness[True]
+
+
+def test_the_page_comes_back_with_its_server(open_page, live):
+    tab = open_page(live.url)
+    tab.wait(READY)
+    port = live.server.port
+    live.server.close()
+    tab.wait('page.lost && !document.getElementById("message").hidden')
+    again = type(live.server)([''], [live.feed], port=port)
+    tab.wait('!page.lost && document.getElementById("message").hidden')
+    tab.click('#play')
+    tab.wait('page.playing')
+    again.close()
+    assert live.runner.playing and not tab.errors
+    tab.close()
+
+
+def test_a_saved_page_plays_without_a_server(open_page, tmp_path, capsys):
+    path = tmp_path / 'run.html'
+    assert main(['view', 'four_bar', '--duration', '1', '--save', str(path)]) == 0
+    tab = open_page(path.as_uri())
+    tab.wait('typeof page !== "undefined" && Boolean(page.shownRow) && page.now > 0.1')
+    tab.ask('page.playing && page.toggle()')
+    tab.ask('document.getElementById("time").value = 0; document.getElementById("time").oninput()')
+    tab.wait('page.now === 0')
+    first = stage(tab)
+    tab.ask('document.getElementById("time").value = 700;'
+            'document.getElementById("time").oninput()')
+    tab.wait('page.shownRow && page.now > 0.6')
+    assert (np.abs(stage(tab) - first).max(axis=2) > 30).mean() > 0.003
+    assert not tab.errors
+    tab.close()

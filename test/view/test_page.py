@@ -1,0 +1,88 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""A page that was saved has the motion in it, and nothing from elsewhere."""
+
+import base64
+import json
+import re
+
+from closedloop_dynamics.cli import main
+from closedloop_dynamics.recording.recording import read_recording
+from closedloop_dynamics.simulation.scene import load_scene
+from closedloop_dynamics.view.columns import MotionRows, poses_in_space
+from closedloop_dynamics.view.page import live_page
+from closedloop_dynamics.visual.motion import body_poses
+import numpy as np
+
+
+def contents(path):
+    """Return description, times and rows of a saved page."""
+    text = path.read_text(encoding='utf-8')
+    data = json.loads(re.search(r'<script type="application/json" id="data">(.*?)</script>',
+                                text, re.DOTALL)[1])
+    times, rows = (np.frombuffer(base64.b64decode(data[key]), dtype=kind)
+                   for key, kind in (('times', '<f8'), ('rows', '<f4')))
+    return data['scene'], times, rows.reshape(len(times), -1)
+
+
+def test_a_simulated_motion_is_saved_as_it_was_computed(tmp_path, capsys):
+    page, table = tmp_path / 'run.html', tmp_path / 'run.csv'
+    arguments = ['--duration', '10', '--torque', 'theta_1=3']
+    assert main(['view', 'three_rrr', *arguments, '--save', str(page)]) == 0
+    assert 'MB' in capsys.readouterr().out
+    assert main(['simulate', 'three_rrr', *arguments, '--rate', '60', '--no-error-estimate',
+                 '--output', str(table)]) == 0
+    assert page.stat().st_size < 3_000_000
+    scene, times, rows = contents(page)
+    motion = read_recording(table, load_scene('three_rrr')).motion
+    np.testing.assert_array_equal(times, motion.time)
+    poses = rows[:, :scene['columns']['forces']].reshape(len(times), -1, 7)
+    np.testing.assert_array_equal(poses, poses_in_space(
+        body_poses(motion.mechanism, motion.position)).astype(np.float32))
+    forces = rows[:, scene['columns']['forces']:scene['columns']['loads']]
+    np.testing.assert_allclose(
+        forces.reshape(len(times), -1, 3)[..., :2], motion.forces[..., 1:], rtol=1e-6)
+    plots = {(plot['group'], plot['name']): rows[:, scene['columns']['plots'] + k]
+             for k, plot in enumerate(scene['plots'])}
+    np.testing.assert_array_equal(
+        plots['joint velocity', 'theta_1'], motion.velocity[:, 0].astype(np.float32))
+    assert np.isfinite(plots['energy', 'kinetic']).all()
+    assert main(['view', 'three_rrr', '--save', str(page)]) == 2
+    # A recording is saved with the same motion, without what it does not tell.
+    assert main(['view', str(table), '--scene', 'three_rrr', '--save', str(page),
+                 '--overwrite']) == 0
+    scene, again, recorded = contents(page)
+    np.testing.assert_array_equal(again, times)
+    np.testing.assert_array_equal(recorded, MotionRows(motion).rows)
+    np.testing.assert_array_equal(recorded[:, :scene['columns']['forces']], rows[
+        :, :scene['columns']['forces']])
+
+
+def test_a_page_needs_nothing_from_elsewhere():
+    text = live_page('</title><script>evil()</script>')
+    assert 'evil()</script>' not in text.replace('&lt;script>evil()&lt;/script>', '')
+    assert not re.search(r'(src|href)\s*=\s*["\'](?!data:)', text)
+    assert not re.search(r'https?://(?!www\.w3\.org)', text)
+    assert '/*' not in re.sub(r'<style>.*?</style>', '', text, flags=re.DOTALL)
+
+
+def test_what_cannot_be_shown_is_said(capsys, tmp_path):
+    for arguments, problem in (
+            ([], 'expected a scene or a recording'),
+            (['no_such_scene'], 'no_such_scene'),
+            (['run.csv'], 'add --scene'),
+            (['three_rrr', '--torque', 'theta_1=1'], '--torque: expected it with --save')):
+        assert main(['view', *arguments]) == 2
+        assert problem in capsys.readouterr().err

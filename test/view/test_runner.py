@@ -1,0 +1,220 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""What a simulation does that pages take hold of."""
+
+import json
+
+from closedloop_dynamics.simulation.simulation import Simulation
+from closedloop_dynamics.view.columns import poses_in_space
+import numpy as np
+import pytest
+
+
+def controls(shown):
+    return json.loads(shown.feed.controls)
+
+
+def row(shown):
+    """Return the columns of the newest frame, by group and name."""
+    told = json.loads(shown.feed.description)
+    values = np.frombuffer(shown.feed.frame[16:], dtype=np.float32)
+    assert len(values) == told['columns']['width']
+    first = told['columns']['plots']
+    return {(plot['group'], plot['name']): values[first + k]
+            for k, plot in enumerate(told['plots'])}
+
+
+def test_it_moves_as_without_a_page(shown):
+    alone = Simulation.from_scene('three_rrr_vertical')
+    shown.ask('command', joint='theta_1', value=2.5)
+    shown.ask('play')
+    shown.run(40)
+    steps = round(shown.simulation.time / alone.step_size)
+    assert steps in range(600, 670)
+    alone.advance(alone.joint_torques({'theta_1': 2.5}), steps)
+    # The spring of the hand, switched off, is one more state in the same sums.
+    np.testing.assert_allclose(shown.simulation.position, alone.position, rtol=0.0, atol=1e-9)
+
+
+def test_frames_show_the_state(shown):
+    shown.ask('play')
+    shown.run(30)
+    shown.ask('pause')
+    simulation = shown.simulation
+    told = json.loads(shown.feed.description)
+    values = np.frombuffer(shown.feed.frame[16:], dtype=np.float32)
+    poses = values[:7 * len(told['bodies'])].reshape(-1, 7)
+    np.testing.assert_array_equal(
+        poses, poses_in_space(simulation.body_poses).astype(np.float32))
+    found = row(shown)
+    for name, value in zip(simulation.joint_names, simulation.position):
+        assert found['joint position', name] == np.float32(value)
+    forces = np.linalg.norm(simulation.constraint_forces[:, 1:], axis=1)
+    for cut, force in zip(simulation.cut_joints, forces):
+        assert found['force at cut joints', cut.name] == pytest.approx(force, rel=1e-6)
+    balance = simulation.energy_balance
+    assert found['energy', 'kinetic'] == np.float32(balance.kinetic) > 0.0
+
+
+def test_time_stands_still_steps_and_starts_anew(shown):
+    shown.run(5)
+    assert shown.simulation.time == 0.0
+    shown.ask('step', count=7)
+    assert shown.simulation.time == pytest.approx(7 * shown.simulation.step_size)
+    shown.ask('play')
+    shown.run(10)
+    shown.ask('pause')
+    time = shown.simulation.time
+    shown.run(5)
+    assert shown.simulation.time == time > 0.1
+    start = Simulation.from_scene('three_rrr_vertical').position
+    shown.ask('reset')
+    assert shown.simulation.time == 0.0
+    np.testing.assert_array_equal(shown.simulation.position, start)
+
+
+@pytest.mark.parametrize('factor', [0.01, 0.3, 10.0])
+def test_speed_is_followed(shown, factor):
+    shown.ask('speed', factor=factor)
+    shown.ask('play')
+    shown.run(60)
+    # What is due but is no whole step yet is left.
+    assert factor - shown.simulation.time < shown.simulation.step_size + 1e-9
+
+
+def test_slow_motion_is_even(shown):
+    shown.ask('speed', factor=0.01)
+    shown.ask('play')
+    times = []
+    for _ in range(60):
+        shown.run(1)
+        times.append(np.frombuffer(shown.feed.frame[8:16])[0])
+    # A sixth of a step from frame to frame, not six frames alike and then a step.
+    np.testing.assert_allclose(np.diff(times)[12:], 0.01 / 60.0, rtol=1e-6)
+
+
+def test_a_step_that_fails_stops_and_is_told(shown):
+    shown.ask('command', joint='theta_1', value=1e12)
+    shown.ask('play')
+    shown.run(60)
+    told = controls(shown)
+    assert not told['playing'] and 'kept' in told['failure']
+    assert np.isfinite(shown.simulation.position).all()
+    shown.ask('reset')
+    assert controls(shown)['failure'] is None
+    shown.ask('play')
+    shown.run(20)
+    assert controls(shown)['playing'] and shown.simulation.time > 0.2
+
+
+def test_a_position_drive_arrives(shown):
+    place = shown.simulation.joint_names.index('theta_1')
+    goal = shown.simulation.position[place] + 0.3
+    for joint in shown.simulation.actuated_joints:
+        shown.ask('drive', joint=joint, mode='position')
+    shown.ask('command', joint='theta_1', value=goal)
+    shown.ask('effect', name='gravity', enabled=False)
+    shown.ask('play')
+    shown.run(120)
+    assert shown.simulation.position[place] == pytest.approx(goal, abs=1e-3)
+    assert np.abs(shown.simulation.velocity).max() < 0.02
+
+
+def test_gravity_turns_and_is_switched_off(shown):
+    shown.ask('effect', name='gravity', values={'acceleration': [9.81, 0.0]})
+    shown.ask('play')
+    shown.run(6)
+    sideways = shown.simulation.velocity.copy()
+    shown.ask('reset')
+    shown.ask('effect', name='gravity', enabled=False)
+    shown.ask('play')
+    shown.run(6)
+    assert np.abs(sideways).max() > 0.1
+    assert np.abs(shown.simulation.velocity).max() < 1e-9
+
+
+def test_a_hand_pulls_as_a_spring_does(shown):
+    simulation = shown.simulation
+    shown.ask('effect', name='gravity', enabled=False)
+    told = json.loads(shown.feed.description)
+    body = next(k for k, one in enumerate(told['bodies']) if one['name'] == 'platform')
+    start = simulation.body_poses[body][:2]
+    place = next(k for k, grab in enumerate(told['bodies'][body]['grabs']) if not any(grab))
+    at = [*(start + [0.03, 0.02]), 0.0]
+    shown.ask('play')
+    shown.ask('grab', body=body, place=place, at=at)
+    shown.run(6)
+    moved = simulation.body_poses[body][:2] - start
+    assert moved @ [0.03, 0.02] > 0.0
+    # All energy is that of the spring: nothing comes from nowhere.
+    balance = simulation.energy_balance
+    assert abs(balance.residual) < 1e-6 * (balance.kinetic + balance.stored)
+    # Another page has no say in it, and what holds lets go when it leaves.
+    shown.ask('release', page='another')
+    assert 'hand' in simulation.enabled_effects
+    shown.feed.leave('page')
+    shown.run(1)
+    assert 'hand' not in simulation.enabled_effects
+
+
+def test_loops_stay_closed_while_it_is_posed(shown):
+    simulation = shown.simulation
+    shown.ask('kinematic', on=True)
+    place = simulation.joint_names.index('theta_1')
+    others = [k for k in simulation.actuated if k != place]
+    held = simulation.position[others]
+    for value in np.linspace(simulation.position[place], simulation.position[place] - 0.4, 8):
+        shown.ask('pose', joint='theta_1', value=float(value))
+        assert simulation.closure < 1e-9
+    assert simulation.position[place] == pytest.approx(value, abs=1e-8)
+    np.testing.assert_allclose(simulation.position[others], held, atol=1e-6)
+    # By hand: the point follows as far as the legs reach.
+    told = json.loads(shown.feed.description)
+    body = next(k for k, one in enumerate(told['bodies']) if one['name'] == 'platform')
+    which = next(k for k, grab in enumerate(told['bodies'][body]['grabs']) if not any(grab))
+    at = [*(simulation.body_poses[body][:2] + [0.02, -0.03]), 0.0]
+    shown.ask('grab', body=body, place=which, at=at)
+    np.testing.assert_allclose(simulation.body_poses[body][:2], at[:2], atol=1e-6)
+    shown.ask('pull', at=[5.0, 5.0, 0.0])
+    assert simulation.closure < 1e-9
+    # What was posed is the start now.
+    posed = simulation.position
+    shown.ask('kinematic', on=False)
+    shown.ask('play')
+    shown.run(10)
+    assert np.abs(simulation.position - posed).max() > 1e-3
+    shown.ask('reset')
+    np.testing.assert_allclose(simulation.position, posed, atol=1e-9)
+
+
+@pytest.mark.parametrize('asked', [
+    {'do': 'command', 'joint': 'theta_2', 'value': 1.0},
+    {'do': 'effect', 'name': 'nothing', 'enabled': True},
+    {'do': 'effect', 'name': 'hand', 'enabled': True},
+    {'do': 'effect', 'name': 'gravity', 'values': {'acceleration': [1.0]}},
+    {'do': 'effect', 'name': 'gravity', 'values': {'mass': 1.0}},
+    {'do': 'method', 'values': {'integrator': 'guess'}},
+    {'do': 'method', 'values': {'formulation': 'system'}},
+    {'do': 'method', 'values': {'step_size': -1.0}},
+    {'do': 'grab', 'body': 99, 'place': 0, 'at': [0.0, 0.0, 0.0]},
+    {'do': 'pose', 'joint': 'theta_1', 'value': 1.0},
+])
+def test_what_makes_no_sense_is_refused_and_changes_nothing(shown, asked):
+    state, refused = shown.simulation.state, shown.feed.refused
+    before = {**controls(shown), 'notes': None, 'refused': None}
+    shown.ask(asked.pop('do'), **asked)
+    assert shown.feed.refused == refused + 1
+    assert {**controls(shown), 'notes': None, 'refused': None} == before
+    np.testing.assert_array_equal(shown.simulation.state, state)
