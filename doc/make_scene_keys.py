@@ -43,6 +43,7 @@ TYPES = {'str': 'text', 'bool': 'true or false', 'float': 'number', 'int': 'whol
          'float, or tuple of 3 or 6 floats': 'number, in space a list',
          'tuple of 3 floats or None': '[x, y, z]',
          'tuple of 4 floats': '{rpy: [r, p, y]} or {quaternion: [x, y, z, w]}',
+         'dict of str to float': 'number by joint name',
          'tuple of nv floats': 'number by joint name',
          'tuple of nq floats': 'number by joint name'}
 CHOICES = {'integrator': (AUTO, *INTEGRATORS), 'stabilisation': STABILISATIONS,

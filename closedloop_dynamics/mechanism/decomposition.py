@@ -49,9 +49,9 @@ class Decomposition:
     cut_subsystems : tuple of tuples of int
         Indices of the subsystems that each cut joint touches.
     elimination_order : tuple of str
-        Names of the cut joints in the order they are eliminated.
+        Names of the cut joints and couplings in the order they are eliminated.
     cut_order : tuple of int
-        The same as indices into ``mechanism.cut_joints``.
+        The same as indices into ``mechanism.closures``.
     structure : tuple of frozensets of int
         For each place in the elimination order, the later places that its block column
         of the factor reaches.
@@ -85,7 +85,9 @@ def decompose(mechanism):
     """
     return _decompose(
         tuple(_Joint(joint.name, joint.parent, joint.child) for joint in mechanism.joints),
-        tuple(_Cut(cut.name, cut.body_a, cut.body_b) for cut in mechanism.cut_joints))
+        tuple(_Cut(cut.name, (cut.body_a, cut.body_b)) for cut in mechanism.cut_joints) + tuple(
+            _Cut(one.name, tuple(joint.child for joint in mechanism.joints
+                                 if joint.name in one.joints)) for one in mechanism.couplings))
 
 
 class _Joint(NamedTuple):
@@ -96,8 +98,7 @@ class _Joint(NamedTuple):
 
 class _Cut(NamedTuple):
     name: str
-    body_a: str
-    body_b: str
+    bodies: tuple
 
 
 # Many simulations of one mechanism differ in numbers only.
@@ -108,8 +109,7 @@ def _decompose(joints, cut_joints):
     subsystem_of = {
         joints[j].child: k for k, tree in enumerate(trees) for j in tree}
     cut_subsystems = tuple(
-        tuple(sorted({subsystem_of[body] for body in (cut.body_a, cut.body_b)
-                      if body != GROUND}))
+        tuple(sorted({subsystem_of[body] for body in cut.bodies if body != GROUND}))
         for cut in cut_joints)
     neighbours = _cut_joint_graph(cut_subsystems, len(trees))
     order = _elimination_order(neighbours)

@@ -27,7 +27,7 @@ from dataclasses import fields, is_dataclass, replace
 import math
 import operator
 import re
-from typing import get_args
+from typing import get_args, get_origin
 import warnings
 
 from .checks import NAME_PATTERN, number
@@ -257,4 +257,6 @@ def put_changes(value, before, after):
 def _of_numbers(kind):
     """Tell whether a field of this type is made of numbers."""
     parts = get_args(kind)
+    if get_origin(kind) is dict:
+        return _of_numbers(parts[1])
     return kind is float or str not in parts and any(map(_of_numbers, parts))

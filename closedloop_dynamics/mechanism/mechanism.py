@@ -35,13 +35,16 @@ along it, or both. An axis is given in the frame at q = 0.
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Optional, Tuple, Union
+from typing import Dict, Optional, Tuple, Union
 
 from .coordinates import (
     Coordinates, CYLINDRICAL, FIXED, FREE, HELICAL, PLANAR, PRISMATIC, REVOLUTE, SPHERICAL,
     UNIVERSAL)
 
 GROUND = 'ground'
+DISTANCE = 'distance'
+POINT_ON_LINE = 'point_on_line'
+POINT_ON_PLANE = 'point_on_plane'
 # Joints of trees in the plane, and cut joints with their closure equations.
 JOINT_TYPES = (REVOLUTE, PRISMATIC)
 CUT_JOINT_EQUATIONS = {REVOLUTE: 2, PRISMATIC: 2, FIXED: 3}
@@ -49,11 +52,18 @@ CUT_JOINT_EQUATIONS = {REVOLUTE: 2, PRISMATIC: 2, FIXED: 3}
 JOINT_FREEDOMS = {REVOLUTE: 1, PRISMATIC: 1, HELICAL: 1, CYLINDRICAL: 2, UNIVERSAL: 2,
                   SPHERICAL: 3, PLANAR: 3, FREE: 6, FIXED: 0}
 SPATIAL_CUT_JOINT_EQUATIONS = {REVOLUTE: 5, PRISMATIC: 5, FIXED: 6, CYLINDRICAL: 4, UNIVERSAL: 4,
-                               SPHERICAL: 3, PLANAR: 3}
+                               SPHERICAL: 3, PLANAR: 3, HELICAL: 5, DISTANCE: 1,
+                               POINT_ON_LINE: 2, POINT_ON_PLANE: 1}
 # Joints that an axis belongs to, of trees and where they are cut.
 WITH_AXIS = (REVOLUTE, PRISMATIC, HELICAL, CYLINDRICAL, UNIVERSAL)
 CUT_WITH_AXIS_A = (REVOLUTE, CYLINDRICAL, UNIVERSAL, PLANAR)
-CUT_WITH_AXIS_B = (*CUT_WITH_AXIS_A, PRISMATIC)
+CUT_WITH_AXIS_B = (*CUT_WITH_AXIS_A, PRISMATIC, HELICAL, POINT_ON_LINE, POINT_ON_PLANE)
+# Cut joints that keep the orientation of body A in body B, or lead it back there.
+CUT_WITH_ORIENTATION = (PRISMATIC, FIXED, HELICAL)
+# Cut joints that exert no moment about their point on body A.
+CUT_WITHOUT_MOMENT = (SPHERICAL, DISTANCE, POINT_ON_LINE, POINT_ON_PLANE)
+# Joints that can be coupled: they have one coordinate.
+COUPLED = (REVOLUTE, PRISMATIC, HELICAL)
 
 Vector2 = Tuple[float, float]
 Vector3 = Tuple[float, float, float]
@@ -164,9 +174,15 @@ class CutJoint:
         Relative angle alpha_a - alpha_b [rad]; unused for ``'revolute'``; in the plane.
     axis_a, axis_b : tuple of 3 floats or None
         In space: the joint's axis in both bodies' frames, of a universal joint the axis fixed in
-        each, of a planar joint the plane's normal. A prismatic joint has ``axis_b`` alone.
+        each, of a planar joint the plane's normal. Prismatic and helical joints have ``axis_b``
+        alone, as do a point on a line of body b (its direction) and one on a plane (its normal).
     orientation : tuple of 4 floats
-        Of body a in body b, where the joint keeps it: prismatic and fixed ones in space.
+        Of body a in body b, where the joint keeps it: prismatic and fixed ones in space; of a
+        helical one where it has not slid.
+    length : float or None
+        Of ``'distance'``: how far apart the two points stay, as the ends of a massless rod [m].
+    lead : float or None
+        Of a helical joint [m/rad].
 
     """
 
@@ -180,6 +196,31 @@ class CutJoint:
     axis_a: Optional[Vector3] = None
     axis_b: Optional[Vector3] = None
     orientation: Quaternion = UNTURNED
+    length: Optional[float] = None
+    lead: Optional[float] = None
+
+
+@dataclass(frozen=True)
+class Coupling:
+    """
+    A linear equation between joint coordinates: gears, a belt, rack and pinion, a mimic joint.
+
+    Its multiplier is the generalized force: times a joint's factor what acts in that joint.
+
+    Attributes
+    ----------
+    name : str
+    joints : dict of str to float
+        Factors by joint [rad or m]; joints of one freedom. The sum of the coordinates times their
+        factors stays ``offset``.
+    offset : float
+        That sum.
+
+    """
+
+    name: str
+    joints: Dict[str, float]
+    offset: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -208,7 +249,7 @@ class Mechanism:
     A mechanism: bodies, spanning-tree joints, cut joints, named points.
 
     The order of ``joints`` is the order of the joint coordinates q (``coordinates``), that of
-    ``cut_joints`` the order of the Lagrange multipliers.
+    ``cut_joints``, then of ``couplings``, the order of the Lagrange multipliers.
 
     ``parameters`` are the named numbers that a file's expressions were computed with, ``source``
     is what ``reader.with_parameters`` computes them with others from; neither makes two mechanisms
@@ -222,6 +263,7 @@ class Mechanism:
     cut_joints: Tuple[CutJoint, ...] = ()
     points: Tuple[Point, ...] = ()
     description: str = ''
+    couplings: Tuple[Coupling, ...] = ()
     parameters: dict = field(default_factory=dict, compare=False, repr=False)
     source: Optional[tuple] = field(default=None, compare=False, repr=False)
 
@@ -237,6 +279,11 @@ class Mechanism:
     def coordinates(self):
         """Names and places of the numbers of a state, a ``coordinates.Coordinates``."""
         return Coordinates(self.joints)
+
+    @cached_property
+    def closures(self):
+        """Return what holds the coordinates, in the order of the multipliers."""
+        return (*self.cut_joints, *self.couplings)
 
     @cached_property
     def actuated_joints(self):
@@ -272,4 +319,4 @@ class Mechanism:
     def number_of_equations(self):
         """Return nc, the number of closure equations; in space with those that always hold."""
         equations = CUT_JOINT_EQUATIONS if self.planar else SPATIAL_CUT_JOINT_EQUATIONS
-        return sum(equations[cut.type] for cut in self.cut_joints)
+        return sum(equations[cut.type] for cut in self.cut_joints) + len(self.couplings)

@@ -24,11 +24,12 @@ import numpy as np
 from .checks import (
     boolean, direction, listed, name, not_negative, number, numbers, one_of, orientation, positive,
     text, vector2, vector3)
-from .fields import among, at, FieldError, nearest, normalise, shown
+from .fields import among, at, FieldError, mapping, nearest, normalise, shown
 from .mechanism import (
-    Body, CUT_JOINT_EQUATIONS, CUT_WITH_AXIS_A, CUT_WITH_AXIS_B, CutJoint, FIXED, GROUND, HELICAL,
-    Joint, JOINT_FREEDOMS, JOINT_TYPES, Mechanism, MechanismError, Point, PRISMATIC, REVOLUTE,
-    SPATIAL_CUT_JOINT_EQUATIONS, UNIVERSAL, UNTURNED, WITH_AXIS)
+    Body, COUPLED, Coupling, CUT_JOINT_EQUATIONS, CUT_WITH_AXIS_A, CUT_WITH_AXIS_B,
+    CUT_WITH_ORIENTATION, CutJoint, DISTANCE, GROUND, HELICAL, Joint, JOINT_FREEDOMS, JOINT_TYPES,
+    Mechanism, MechanismError, Point, REVOLUTE, SPATIAL_CUT_JOINT_EQUATIONS, UNIVERSAL, UNTURNED,
+    WITH_AXIS)
 
 # How far moments of inertia may miss the triangle inequality, against their sum.
 ROUNDED_INERTIA = 1e-6
@@ -54,6 +55,25 @@ def _left_out(standing, where, value):
 def _given(check, value):
     """Return a checked value, None where there is none."""
     return None if value is None else check(value)
+
+
+def _not_zero(value):
+    """Return a number that is not zero."""
+    result = number(value)
+    if result == 0.0:
+        raise FieldError('a number that is not zero', shown(value))
+    return result
+
+
+def _factors(value):
+    """Return the factors of a coupling by joint."""
+    found = {}
+    for key, factor in mapping(value).items():
+        with at(key):
+            found[key] = _not_zero(factor)
+    if not found:
+        raise FieldError('at least one joint and its factor', 'none')
+    return found
 
 
 def _inertia(value):
@@ -86,9 +106,11 @@ SECTIONS = {
     'cut_joints': (CutJoint, {
         'type': one_of(tuple(CUT_JOINT_EQUATIONS)), 'point_a': vector2, 'point_b': vector2,
         'angle': number,
-        **dict.fromkeys(('axis_a', 'axis_b'), partial(_left_out, None, 'space')),
+        **dict.fromkeys(('axis_a', 'axis_b', 'length', 'lead'),
+                        partial(_left_out, None, 'space')),
         'orientation': partial(_left_out, UNTURNED, 'space')}),
     'points': (Point, {'position': vector2}),
+    'couplings': (Coupling, {'joints': partial(_left_out, {}, 'space')}),
 }
 # The same in space, where vectors have three numbers.
 SPATIAL_SECTIONS = {
@@ -103,19 +125,23 @@ SPATIAL_SECTIONS = {
         'type': one_of(tuple(SPATIAL_CUT_JOINT_EQUATIONS)), 'point_a': vector3,
         'point_b': vector3, 'angle': partial(_left_out, 0.0, 'the plane'),
         'axis_a': partial(_given, direction), 'axis_b': partial(_given, direction),
-        'orientation': orientation}),
+        'orientation': orientation, 'length': partial(_given, positive),
+        'lead': partial(_given, _not_zero)}),
     'points': (Point, {'position': vector3}),
+    'couplings': (Coupling, {'joints': _factors, 'offset': number}),
 }
 # Which joints have which keys, and must have them.
 _KEYS_OF_JOINTS = {
     'joints': {'axis': WITH_AXIS, 'second_axis': (UNIVERSAL,), 'lead': (HELICAL,)},
-    'cut_joints': {'axis_a': CUT_WITH_AXIS_A, 'axis_b': CUT_WITH_AXIS_B}}
+    'cut_joints': {'axis_a': CUT_WITH_AXIS_A, 'axis_b': CUT_WITH_AXIS_B, 'length': (DISTANCE,),
+                   'lead': (HELICAL,)}}
 # Keys of joints and cut joints that only mechanisms in space have.
-KEYS_OF_SPACE = ('axis', 'second_axis', 'lead', 'axis_a', 'axis_b', 'orientation')
+KEYS_OF_SPACE = ('axis', 'second_axis', 'lead', 'axis_a', 'axis_b', 'orientation', 'length')
 # Cosine of the angle between universal axes from which on they are parallel.
 PARALLEL = 0.999
 # Names that would stand for two things in one place: CSV columns and topics, frames.
-_SHARED_NAMES = (('joints', 'cut_joints'), ('bodies', 'points'))
+_SHARED_NAMES = (('joints', 'cut_joints'), ('joints', 'couplings'), ('cut_joints', 'couplings'),
+                 ('bodies', 'points'))
 
 
 def validate_mechanism(mechanism, source=None):
@@ -162,6 +188,7 @@ def checked(mechanism):
     _check_names(mechanism)
     _check_references(mechanism)
     _check_tree(mechanism)
+    _check_couplings(mechanism)
     if spatial:
         _check_axes(mechanism)
     object.__setattr__(mechanism, 'valid', True)
@@ -279,6 +306,18 @@ def _check_references(mechanism):
                              shown(cut.angle), path=('cut_joints', cut.name, 'angle'))
 
 
+def _check_couplings(mechanism):
+    """Refuse couplings of what is no joint of one freedom."""
+    joints = {joint.name: joint for joint in mechanism.joints}
+    for coupling in mechanism.couplings:
+        for key in coupling.joints:
+            with at('couplings', coupling.name, 'joints', key):
+                one_of(tuple(joints), 'one of the joints')(key)
+                if joints[key].type not in COUPLED:
+                    raise FieldError(f'a joint of one freedom: {among(COUPLED)}',
+                                     f'one that is {joints[key].type}')
+
+
 def _check_tree(mechanism):
     """Refuse what is no tree on the ground: each body is the child of one joint."""
     carrier = {}
@@ -325,7 +364,7 @@ def _check_axes(mechanism):
             raise FieldError('a second axis across the first', 'one that is parallel to it',
                              path=('joints', joint.name, 'second_axis'))
     for cut in mechanism.cut_joints:
-        if cut.type not in (PRISMATIC, FIXED) and cut.orientation != UNTURNED:
+        if cut.type not in CUT_WITH_ORIENTATION and cut.orientation != UNTURNED:
             raise FieldError(f'no orientation of a {cut.type} joint, which its axes tell',
                              shown(cut.orientation),
                              path=('cut_joints', cut.name, 'orientation'))

@@ -22,7 +22,7 @@ import time
 import numpy as np
 
 from ..integration.registry import AUTO, FIXED, INTEGRATORS
-from ..mechanism.mechanism import REVOLUTE, SPHERICAL
+from ..mechanism.mechanism import CUT_WITHOUT_MOMENT, REVOLUTE
 from ..simulation.errors import SimulationError
 from ..simulation.monitor import ROSENBROCK_ORDER
 from ..simulation.rollout_run import TIME_ROUNDING
@@ -97,6 +97,7 @@ def columns(simulation, all_forces=False):
         names += simulation.coordinates.columns(quantity)
     for cut in simulation.cut_joints:
         names += [f'force.{cut.name}.{part}' for part in _force_parts(simulation, cut)]
+    names += [f'coupling.{coupling.name}' for coupling in simulation.mechanism.couplings]
     if all_forces:
         names += [f'force.{joint}.{part}' for joint in joints for part in ('x', 'y', 'torque')]
     names += [f'point.{point.name}.{axis}' for point in simulation.mechanism.points
@@ -124,6 +125,7 @@ def row(simulation, seconds, all_forces=False):
         values += quantity.tolist()
     for cut, wrench in zip(simulation.cut_joints, simulation.constraint_forces.tolist()):
         values += [wrench[place] for place in _force_parts(simulation, cut).values()]
+    values += simulation.coupling_forces.tolist()
     if all_forces:
         # Moment last, as for the cut joints.
         values += simulation.joint_forces[:, [1, 2, 0]].ravel().tolist()
@@ -134,7 +136,8 @@ def _force_parts(simulation, cut):
     """Return the components of a cut joint's wrench that can differ from zero, with places."""
     parts = list(enumerate(wrench_parts(simulation.mechanism)))
     moments = len(parts) // 2
-    without_torque = cut.type == (REVOLUTE if simulation.mechanism.planar else SPHERICAL)
+    without_torque = (cut.type == REVOLUTE if simulation.mechanism.planar
+                      else cut.type in CUT_WITHOUT_MOMENT)
     shown = parts[moments:] + ([] if without_torque else parts[:moments])
     return {name: place for place, name in shown}
 

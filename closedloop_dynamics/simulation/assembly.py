@@ -462,11 +462,12 @@ class Assembler:
     def _open_loops(self, guess, psi, hold):
         """Return what to say of loops that do not close."""
         worst, first = [], 0
-        for cut, rows in zip(self.mechanism.cut_joints, self._counts()):
+        for cut, rows in zip(self.mechanism.closures, self._counts()):
             gap = np.abs(psi[first:first + rows]).max(initial=0.0)
             first += rows
             if not gap <= TOLERANCE * self.extent:
-                worst.append(f'cut_joints.{cut.name} open by {gap:.3g}')
+                section = 'cut_joints' if cut in self.mechanism.cut_joints else 'couplings'
+                worst.append(f'{section}.{cut.name} open by {gap:.3g}')
         held = f' with {", ".join(hold)} held' if len(hold) > 0 else ''
         return (f'{self.mechanism.name} cannot be assembled from this position{held}: '
                 f'expected loops that close, got {", ".join(worst)} (m or rad). ' + ' '.join(

@@ -122,6 +122,8 @@ def _below(value):
         return {str(index): _below(item) for index, item in enumerate(value)}
     if isinstance(value, float):
         return value
+    if isinstance(value, dict):
+        return {key: _below(item) for key, item in value.items()}
     try:
         keys = fields(value)
     except TypeError:
@@ -154,6 +156,8 @@ def _with(value, below):
     """Return a record or tuple with what is nested in a dict put into it."""
     if isinstance(value, tuple):
         return tuple(_replaced(item, below, str(index)) for index, item in enumerate(value))
+    if isinstance(value, dict):
+        return {key: _replaced(item, below, key) for key, item in value.items()}
     return replace(value, **{key: _replaced(getattr(value, key), below, key) for key in below})
 
 

@@ -307,6 +307,19 @@ class Simulation:
         return out
 
     @property
+    def coupling_forces(self):
+        """
+        Generalized forces of the couplings, shape (number of couplings,).
+
+        Times a joint's factor: the torque [N m] or force [N] of the coupling in that joint.
+
+        """
+        self._evaluate()
+        if not self.mechanism.couplings:
+            return np.zeros(0)
+        return self._geometry.coupling_forces(self._q, self._qd, self.system.lam)
+
+    @property
     def joint_forces(self):
         """
         Wrenches in the joints, shape (nv, 3): moment, force x, force y.

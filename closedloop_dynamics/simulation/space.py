@@ -127,7 +127,25 @@ class SpatialGeometry:
 
         """
         numbers = self.move(q, qd)
-        return numbers.cut_wrenches(numbers.of_all(lam))
+        return numbers.cut_wrenches(numbers.of_all(lam))[:len(self.mechanism.cut_joints)]
+
+    def coupling_forces(self, q, qd, lam):
+        """
+        Return the multipliers of the couplings: the least that give the motion.
+
+        Parameters
+        ----------
+        q, qd, lam
+            As for ``cut_wrenches``.
+
+        Returns
+        -------
+        ndarray, shape (number of couplings,)
+
+        """
+        count = len(self.mechanism.couplings)
+        numbers = self.move(q, qd)
+        return numbers.of_all(lam)[numbers.nc - count:]
 
     def move(self, q, qd=None):
         """

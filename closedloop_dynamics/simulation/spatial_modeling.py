@@ -33,8 +33,9 @@ from ..core.straight_line.tape import LOAD, Tape
 from ..core.straight_line.vectors import is_zero
 from ..mechanism.decomposition import decompose
 from ..mechanism.mechanism import (
-    CYLINDRICAL, FIXED, FREE, GROUND, HELICAL, JOINT_FREEDOMS, MechanismError, PLANAR, PRISMATIC,
-    REVOLUTE, SPHERICAL, UNIVERSAL)
+    Coupling, CUT_WITH_ORIENTATION, CYLINDRICAL, DISTANCE, FIXED, FREE, GROUND, HELICAL,
+    JOINT_FREEDOMS, MechanismError, PLANAR, POINT_ON_LINE, POINT_ON_PLANE, PRISMATIC, REVOLUTE,
+    SPHERICAL, UNIVERSAL)
 
 # Components of unit vectors this near to 0, 1 and -1 are what a description meant by them.
 ROUNDING = 1e-14
@@ -124,10 +125,12 @@ def build_spatial_model(mechanism, gravity=(0.0, 0.0, 0.0), decomposition=None, 
     for index in decomposition.joint_order:
         builder.add(index)
     tree, body = builder.arrays(decomposition)
-    cut, point = _cut_joints(mechanism, decomposition, tree, body, builder.placements)
+    cut, point, slots = _closures(mechanism, decomposition, tree, builder)
+    for k, possible in enumerate(_possible(mechanism, tree, body, cut, point, slots)):
+        cut[k, [t.POSSIBLE, t.KEPT]] = sum(1 << n for n in possible)
     if kept is not None:
         _keep(cut, kept)
-    slots = _number(cut, tree)
+    _number(cut)
     block, pair = block_arrays(cut, slots)
     column, row, entry = factor_arrays(decomposition, cut, block)
     dependency, dependency_place = dependencies(column, row)
@@ -276,23 +279,39 @@ def _frame(axis, hint):
     return _snapped(np.column_stack([across, np.cross(axis, across), axis]))
 
 
-def _cut_joints(mechanism, decomposition, tree, body, placements):
-    """Return ``Model.cut``, not yet numbered, and ``Model.cut_point``."""
-    count = len(mechanism.cut_joints)
-    cut = np.zeros((count, t.CUT_COLUMNS), dtype=np.int64)
-    point = np.zeros((count, space.CUT_POINT_COLUMNS))
-    for k, index in enumerate(decomposition.cut_order):
-        joint = mechanism.cut_joints[index]
-        a, b = placements[joint.body_a], placements[joint.body_b]
+def _closures(mechanism, decomposition, tree, builder):
+    """Return ``Model.cut``, not yet numbered, ``Model.cut_point`` and ``Model.slot_body``."""
+    closures = [mechanism.closures[index] for index in decomposition.cut_order]
+    cut = np.zeros((len(closures), t.CUT_COLUMNS), dtype=np.int64)
+    slots, points = [], []
+    for one, index, joint in zip(cut, decomposition.cut_order, closures):
+        one[t.CUT_NUMBER] = index
+        if isinstance(joint, Coupling):
+            one[t.CUT_TYPE] = space.COUPLING
+            points.append(_coupled(joint, one, tree, builder.rows, slots))
+            continue
+        a, b = builder.placements[joint.body_a], builder.placements[joint.body_b]
         frame_a, frame_b = _cut_frames(joint, a, b)
-        cut[k, [t.CUT_TYPE, t.BODY_A, t.BODY_B, t.CUT_NUMBER]] = (
-            space.CUT_TYPES.index(joint.type), a.row, b.row, index)
-        point[k] = np.concatenate([
+        one[[t.CUT_TYPE, t.BODY_A, t.BODY_B]] = (
+            space.CUT_TYPES.index(joint.type), a.row, b.row)
+        points.append(np.concatenate([
             _cleared(a.place(joint.point_a)), _cleared(b.place(joint.point_b)),
-            frame_a.ravel(), frame_b.ravel()])
-    for k, possible in enumerate(_possible(mechanism, tree, body, cut, point)):
-        cut[k, [t.POSSIBLE, t.KEPT]] = sum(1 << n for n in possible)
-    return cut, point
+            frame_a.ravel(), frame_b.ravel(), [joint.length or joint.lead or 0.0]]))
+        _pass(one, tree, slots)
+    point = np.zeros((len(cut), max([space.CUT_POINT_COLUMNS, *map(len, points)])))
+    for row, values in zip(point, points):
+        row[:len(values)] = values
+    return cut, point, np.array(slots, dtype=np.int64)
+
+
+def _coupled(coupling, one, tree, rows, slots):
+    """Add the slots of a coupling; return its row of ``Model.cut_point``."""
+    factors = {rows[joint][0]: factor for joint, factor in coupling.joints.items()}
+    own = sorted({row for joint in factors for row in path(tree, joint)}, reverse=True)
+    one[[t.SLOT_A, t.SLOT_B, t.SLOT_COMMON, t.SLOT_END]] = (
+        len(slots), *3 * (len(slots) + len(own),))
+    slots += own
+    return np.array([coupling.offset, *(factors.get(row, 0.0) for row in own)])
 
 
 def _keep(cut, kept):
@@ -303,36 +322,39 @@ def _keep(cut, kept):
             1 << n for n in range(6) if cut[k, t.POSSIBLE] >> n & 1 and next(kept))
 
 
-def _number(cut, tree):
-    """Fill in numbers of equations and slots of cut joints; return ``Model.slot_body``."""
+def _number(cut):
+    """Fill in numbers of equations."""
     cut[:, t.ROWS] = [bin(kept).count('1') for kept in cut[:, t.KEPT].tolist()]
     by_user = np.zeros(len(cut) + 1, dtype=np.int64)
     by_user[cut[:, t.CUT_NUMBER] + 1] = cut[:, t.ROWS]
     cut[:, t.CUT_ROW] = np.cumsum(by_user)[cut[:, t.CUT_NUMBER]]
     cut[:, t.ROW] = np.cumsum([0, *cut[:, t.ROWS]])[:-1]
-    slots = []
-    for one in cut:
-        path_a, path_b = path(tree, one[t.BODY_A]), path(tree, one[t.BODY_B])
-        shared = set(path_b)
-        common = [row for row in path_a if row in shared]
-        own_a = path_a[:len(path_a) - len(common)]
-        own_b = path_b[:len(path_b) - len(common)]
-        start, middle = len(slots), len(slots) + len(own_a)
-        slots += own_a + own_b + common
-        one[[t.SLOT_A, t.SLOT_B, t.SLOT_COMMON, t.SLOT_END]] = (
-            start, middle, middle + len(own_b), len(slots))
-    return np.array(slots, dtype=np.int64)
+
+
+def _pass(one, tree, slots):
+    """Add the slots of a cut joint: the bodies that its forces pass."""
+    path_a, path_b = path(tree, one[t.BODY_A]), path(tree, one[t.BODY_B])
+    shared = set(path_b)
+    common = [row for row in path_a if row in shared]
+    own_a = path_a[:len(path_a) - len(common)]
+    own_b = path_b[:len(path_b) - len(common)]
+    start, middle = len(slots), len(slots) + len(own_a)
+    slots += own_a + own_b + common
+    one[[t.SLOT_A, t.SLOT_B, t.SLOT_COMMON, t.SLOT_END]] = (
+        start, middle, middle + len(own_b), len(slots))
 
 
 def _cut_frames(joint, a, b):
     """Return the joint's axes in the frames of both rows."""
-    if joint.type in (FIXED, PRISMATIC):
+    if joint.type in CUT_WITH_ORIENTATION:
         own = _UNIT if joint.axis_b is None else _frame(np.array(joint.axis_b), np.zeros(3))
         held = np.array(rotation(joint.orientation)).T
         return _snapped(a.axes @ held @ own), _snapped(b.axes @ own)
-    if joint.type == SPHERICAL:
+    if joint.type in (SPHERICAL, DISTANCE):
         return _UNIT, _UNIT
     along_b = _frame(b.axes @ joint.axis_b, np.zeros(3))
+    if joint.type in (POINT_ON_LINE, POINT_ON_PLANE):
+        return _UNIT, along_b
     along_a = _frame(a.axes @ joint.axis_a, np.zeros(3))
     if joint.type == UNIVERSAL:
         # The axis on body A is its X.
@@ -340,10 +362,10 @@ def _cut_frames(joint, a, b):
     return along_a, along_b
 
 
-def _possible(mechanism, tree, body, cut, point):
+def _possible(mechanism, tree, body, cut, point, slots):
     """Return the numbers of each cut joint's equations that do not hold anyway."""
     model = t.Model(
-        tree, body, np.zeros(3), cut, point, *(7 * (None,)), None)
+        tree, body, np.zeros(3), cut, point, slots, *(6 * (None,)), None)
     tape = Tape()
 
     def symbols(source, shape):
@@ -365,11 +387,13 @@ def _possible(mechanism, tree, body, cut, point):
                         mechanism.coordinates.start().tolist(), [0.0] * nv)
     size = extent(mechanism)
     for a, one in enumerate(cut):
-        fixed = [isinstance(equation.value, float) or is_zero((equation.rate,))
+        # Bodies that are fixed to one another are one row of the tree.
+        joined = one[t.CUT_TYPE] != space.COUPLING and one[t.BODY_A] == one[t.BODY_B]
+        fixed = [joined or isinstance(equation.value, float) or is_zero((equation.rate,))
                  for equation in symbolic.equations(model, a)]
         for always, equation in zip(fixed, somewhere.equations(model, a)):
             if always and not abs(equation.value) <= NEVER_CLOSED * size:
-                name = mechanism.cut_joints[one[t.CUT_NUMBER]].name
+                name = mechanism.closures[one[t.CUT_NUMBER]].name
                 raise MechanismError(
                     f'cut_joints.{name}: expected axes and points that the joints of the tree '
                     'can bring together, got an equation that no motion changes and that is not '

@@ -21,7 +21,7 @@ from ..effects.registry import effect_type
 from ..integration.registry import ADAPTIVE, AUTO, BAUMGARTE, INTEGRATORS, STABILISATIONS
 from ..mechanism.decomposition import decompose
 from ..mechanism.mechanism import (
-    CUT_JOINT_EQUATIONS, Mechanism, SPATIAL_CUT_JOINT_EQUATIONS)
+    CUT_JOINT_EQUATIONS, Mechanism)
 from ..simulation.assembly import find_degrees_of_freedom
 from ..simulation.space import equations_left
 from ..visual.tables import text_table
@@ -81,6 +81,7 @@ def _mechanism(mechanism, simulation=None, parameters=True):
             (str(number), ', '.join(joints))
             for number, joints in enumerate(decomposition.subsystems, 1)]),
         _cut_joints(mechanism, decomposition),
+        *_couplings(mechanism),
     ]
     if mechanism.points:
         parts.append(_table('Points', ('name', 'body', 'position [m]'), [
@@ -117,6 +118,15 @@ def _equations(mechanism):
     return equations_left(mechanism)
 
 
+def _couplings(mechanism):
+    """Return the table of couplings where there are any."""
+    return [_table('Couplings', ('name', 'factors of joints', 'sum'), [
+        (coupling.name, ', '.join(f'{joint} {_value(factor)}'
+                                  for joint, factor in coupling.joints.items()),
+         _value(coupling.offset)) for coupling in mechanism.couplings])] * bool(
+             mechanism.couplings)
+
+
 def _cut_joints(mechanism, decomposition):
     header = ('name', 'type', 'body A', 'point A [m]', 'body B', 'point B [m]', 'equations',
               'subsystems')
@@ -142,7 +152,7 @@ def _number_of_equations(mechanism):
     left = sum(_equations(mechanism))
     if mechanism.planar:
         return left
-    always = sum(SPATIAL_CUT_JOINT_EQUATIONS[cut.type] for cut in mechanism.cut_joints) - left
+    always = mechanism.number_of_equations - left
     return f'{left}, beside {always} that always hold' if always else left
 
 

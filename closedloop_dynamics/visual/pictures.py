@@ -22,7 +22,7 @@ import numpy as np
 from .drawing import all_places, MechanismArtist
 from .motion import body_poses, magnitudes
 from .views import FRONT, perspective, PLANE, SIDE, TOP
-from ..mechanism.mechanism import PRISMATIC, REVOLUTE, SPHERICAL
+from ..mechanism.mechanism import CUT_WITHOUT_MOMENT, PRISMATIC, REVOLUTE
 
 # Okabe and Ito's palette, its yellow darkened; with the dashes, 21 lines can be told apart.
 COLORS = ('#0072B2', '#D55E00', '#009E73', '#CC79A7', '#56B4E9', '#B8A200', '#333333')
@@ -118,7 +118,7 @@ def constraint_forces(motion, title):
 def _spatial_forces(motion, title):
     """Draw force and, where there is one, moment of every cut joint in space over time."""
     cuts = motion.mechanism.cut_joints
-    moments = [cut.type != SPHERICAL for cut in cuts]
+    moments = [cut.type not in CUT_WITHOUT_MOMENT for cut in cuts]
     figure, rows = _panels(len(cuts), title, 1 + any(moments))
     for k, (row, cut) in enumerate(zip(rows, cuts)):
         halves = motion.forces[:, k, 3:], motion.forces[:, k, :3]

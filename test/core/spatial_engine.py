@@ -161,6 +161,8 @@ class SpatialEngine:
         recursion.outward(self.model, q, qd, None)
         found = {}
         for a, cut in enumerate(self.model.cut):
+            if cut[t.CUT_NUMBER] >= len(self.mechanism.cut_joints):
+                continue
             wrench = sum((value * np.array(one.on_a, dtype=float) for value, one in zip(
                 lam[cut[t.CUT_ROW]:], recursion.closures(self.model, a))), np.zeros(6))
             motion = recursion.motion[cut[t.BODY_A]]

@@ -19,7 +19,8 @@ from dataclasses import replace
 from closedloop_dynamics.core.straight_line import available
 from closedloop_dynamics.core.straight_line.numbers import Numbers
 from closedloop_dynamics.core.types import ROWS
-from closedloop_dynamics.mechanism.mechanism import Body, CutJoint, Joint, Mechanism
+from closedloop_dynamics.mechanism.mechanism import (
+    Body, CutJoint, Joint, Mechanism, SPATIAL_CUT_JOINT_EQUATIONS)
 from closedloop_dynamics.simulation.modeling import build_model
 import numpy as np
 import pytest
@@ -85,6 +86,8 @@ def test_random_mechanisms_move_as_in_maximal_coordinates(seed):
     wrenches = engine.wrenches(q, qd, lam)
     assert_agree([wrenches[cut.name] for cut in mechanism.cut_joints],
                  [expected.wrenches[cut.name] for cut in mechanism.cut_joints], 1e-8)
+    count = len(mechanism.couplings)
+    assert_agree(lam[engine.nc - count:], list(expected.multipliers.values()), 1e-8)
     # The recursions on numbers solve for the same by dense matrices.
     numbers = Numbers(engine.model)
     numbers.move(q, qd)
@@ -93,6 +96,30 @@ def test_random_mechanisms_move_as_in_maximal_coordinates(seed):
     assert rank == engine.nc
     assert_agree(again, qdd, 1e-10)
     assert_agree(forces, lam, 1e-9)
+
+
+@pytest.mark.parametrize('kind', SPATIAL_CUT_JOINT_EQUATIONS)
+def test_rates_and_biases_are_derivatives_where_loops_are_open(kind):
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        # Coordinates of others are no integrals of the rates.
+        mechanism, q, qd = spatial_linkages.random_mechanism(rng, ('spherical', 'free', 'fixed'))
+        motions = twin.forward(mechanism, q, qd, 0.0 * qd)[0]
+        cut = spatial_linkages.random_cut(rng, 'cut', kind, mechanism.bodies[-1].name,
+                                          mechanism.bodies[0].name, motions)
+        numbers = Numbers(SpatialEngine(replace(mechanism, cut_joints=(cut,))).model)
+        q, qd = q + rng.normal(size=len(q)), rng.normal(size=len(q))
+
+        def closures(step):
+            numbers.move(q + step * qd, qd)
+            return numbers.closures()
+
+        (_, rate, bias), step = closures(0.0), 1e-5
+        assert_agree(numbers.jacobian() @ qd, rate, 1e-12)
+        before, after = closures(-step), closures(step)
+        found = (after[:2] - before[:2]) / (2.0 * step)
+        assert_agree(found[0], rate, 1e-8, smallest=1.0)
+        assert_agree(found[1], bias, 1e-8, smallest=1.0)
 
 
 @pytest.mark.parametrize('light', [1.0, 1e-4])

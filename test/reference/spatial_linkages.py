@@ -15,8 +15,9 @@
 """Random mechanisms in space with states that close their loops."""
 
 from closedloop_dynamics.mechanism.mechanism import (
-    Body, CutJoint, FIXED, FREE, GROUND, HELICAL, Joint, JOINT_FREEDOMS, Mechanism,
-    PRISMATIC, SPATIAL_CUT_JOINT_EQUATIONS, SPHERICAL, UNIVERSAL, WITH_AXIS)
+    Body, COUPLED, Coupling, CUT_WITH_AXIS_A, CUT_WITH_AXIS_B, CUT_WITH_ORIENTATION, CutJoint,
+    DISTANCE, FIXED, FREE, GROUND, HELICAL, Joint, JOINT_FREEDOMS, Mechanism,
+    SPATIAL_CUT_JOINT_EQUATIONS, SPHERICAL, UNIVERSAL, WITH_AXIS)
 import numpy as np
 
 from . import spatial_maximal as twin
@@ -87,16 +88,39 @@ def random_cut(rng, name, kind, first, second, motions):
     place = b.origin + b.axes @ point_b
     axes = {}
     along = np.array(direction(rng))
-    if kind in (PRISMATIC, FIXED):
+    if kind in CUT_WITH_ORIENTATION:
         axes['orientation'] = as_quaternion(b.axes.T @ a.axes)
-    if kind not in (SPHERICAL, FIXED):
+    if kind == HELICAL:
+        # As it is where nothing has slid, or half way round.
+        axes['lead'] = rng.uniform(0.05, 0.2)
+        turned = rng.integers(0, 2) * np.pi
+        place = place + turned * axes['lead'] * along
+        axes['orientation'] = as_quaternion(
+            b.axes.T @ twin.about(along, turned).T @ a.axes)
+    if kind == DISTANCE:
+        axes['length'] = rng.uniform(0.5, 1.5)
+        place = place + axes['length'] * along
+    if kind in CUT_WITH_AXIS_B:
         axes['axis_b'] = tuple(b.axes.T @ along)
+    if kind in CUT_WITH_AXIS_A:
         if kind == UNIVERSAL:
             along = np.array(across(rng, along))
-        if kind != PRISMATIC:
-            axes['axis_a'] = tuple(a.axes.T @ along)
+        axes['axis_a'] = tuple(a.axes.T @ along)
     return CutJoint(name, kind, first, second, tuple(a.axes.T @ (place - a.origin)),
                     tuple(point_b), **axes)
+
+
+def random_couplings(rng, joints, q):
+    """Return a coupling, or none, of some joints that a state obeys."""
+    places = np.cumsum([0] + [twin.coordinates(joint) for joint in joints])
+    simple = {joint.name: q[place] for joint, place in zip(joints, places)
+              if joint.type in COUPLED}
+    if len(simple) < 2 or rng.random() < 0.5:
+        return ()
+    chosen = rng.permutation(sorted(simple))[:rng.integers(2, 4)]
+    factors = {str(name): rng.choice([1.0, rng.normal()]) for name in chosen}
+    return (Coupling('coupling', factors,
+                     sum(factor * simple[name] for name, factor in factors.items())),)
 
 
 def random_mechanism(rng, without=(FIXED,)):
@@ -124,7 +148,8 @@ def random_mechanism(rng, without=(FIXED,)):
             first, second = rng.choice(names, 2, replace=False)
             kind = str(rng.choice(sorted(SPATIAL_CUT_JOINT_EQUATIONS)))
             cuts.append(random_cut(rng, f'cut_{k}', kind, str(first), str(second), motions))
-        mechanism = Mechanism('random', tree.bodies, tree.joints, tuple(cuts))
+        mechanism = Mechanism('random', tree.bodies, tree.joints, tuple(cuts),
+                              couplings=random_couplings(rng, tree.joints, q))
         jac = twin.closure_rates(mechanism, q)
         if len(jac) < nv and np.linalg.svd(jac, compute_uv=False)[-1] > 0.1:
             qd = rng.normal(size=nv)

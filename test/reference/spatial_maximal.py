@@ -24,8 +24,8 @@ the user's own: no tree recursion on inertias, no joint frames, no code generati
 from typing import NamedTuple
 
 from closedloop_dynamics.mechanism.mechanism import (
-    CYLINDRICAL, FIXED, FREE, GROUND, HELICAL, JOINT_FREEDOMS, PLANAR, PRISMATIC, REVOLUTE,
-    SPHERICAL, UNIVERSAL)
+    CUT_WITHOUT_MOMENT, CYLINDRICAL, DISTANCE, FIXED, FREE, GROUND, HELICAL, JOINT_FREEDOMS,
+    PLANAR, POINT_ON_LINE, POINT_ON_PLANE, PRISMATIC, REVOLUTE, SPHERICAL, UNIVERSAL)
 import numpy as np
 
 
@@ -43,6 +43,7 @@ class Result(NamedTuple):
 
     accelerations: dict    # body name -> (6,), linear part at the frame's origin
     wrenches: dict         # cut joint -> (6,) on body A at its cut point, moment first
+    multipliers: dict      # coupling -> generalized force
 
 
 def matrix(quaternion):
@@ -160,8 +161,12 @@ class Equations:
 
     def add(self, first, on_first, second, on_second, right):
         """Add a row: on_first . a_first + on_second . a_second = right."""
+        self.add_parts(((first, on_first), (second, on_second)), right)
+
+    def add_parts(self, parts, right):
+        """Add a row on any bodies, several times on one, too."""
         row = np.zeros(6 * len(self.place))
-        for name, part in ((first, on_first), (second, on_second)):
+        for name, part in parts:
             if name != GROUND:
                 row[self.place[name]:self.place[name] + 6] += part
         self.rows.append(row)
@@ -180,17 +185,30 @@ def cut_rows(equations, motions, cut):
     arm_a, arm_b = a.axes @ cut.point_a, b.axes @ cut.point_b
     apart = a.origin + arm_a - b.origin - arm_b
     speed = (a.velocity + np.cross(a.spin, arm_a) - b.velocity - np.cross(b.spin, arm_b))
-    if cut.type in (PRISMATIC, CYLINDRICAL, PLANAR):
-        across = complement(b.axes @ cut.axis_b)
-        directions = [b.axes @ cut.axis_b] if cut.type == PLANAR else across
-        for n in directions:
-            # n turns with body B: d2/dt2 (n . apart) = 0.
-            on_a, bias_a = point_row(a, arm_a, n)
-            on_b, _ = point_row(b, arm_b + apart, n)
-            turning = np.cross(b.spin, n)
-            bias = (bias_a - n @ np.cross(b.spin, np.cross(b.spin, arm_b))
-                    + 2.0 * turning @ speed + np.cross(b.spin, turning) @ apart)
+
+    def turned(n):
+        """Return the row and bias of d2/dt2 (n . apart), n fixed in body B."""
+        on_a, bias_a = point_row(a, arm_a, n)
+        on_b, _ = point_row(b, arm_b + apart, n)
+        turning = np.cross(b.spin, n)
+        return on_a, on_b, (bias_a - n @ np.cross(b.spin, np.cross(b.spin, arm_b))
+                            + 2.0 * turning @ speed + np.cross(b.spin, turning) @ apart)
+
+    if cut.type in (PRISMATIC, CYLINDRICAL, PLANAR, HELICAL, POINT_ON_LINE, POINT_ON_PLANE):
+        along = b.axes @ cut.axis_b
+        for n in [along] if cut.type in (PLANAR, POINT_ON_PLANE) else complement(along):
+            on_a, on_b, bias = turned(n)
             equations.add(cut.body_a, on_a, cut.body_b, -on_b, -bias)
+        if cut.type == HELICAL:
+            # What slides is the lead times what turns.
+            on_a, on_b, bias = turned(along)
+            turn = np.concatenate([cut.lead * along, np.zeros(3)])
+            bias -= cut.lead * np.cross(b.spin, along) @ (a.spin - b.spin)
+            equations.add(cut.body_a, on_a - turn, cut.body_b, turn - on_b, -bias)
+    elif cut.type == DISTANCE:
+        on_a, bias_a = point_row(a, arm_a, apart)
+        on_b, bias_b = point_row(b, arm_b, apart)
+        equations.add(cut.body_a, on_a, cut.body_b, -on_b, bias_b - bias_a - speed @ speed)
     else:
         for n in np.eye(3):
             on_a, bias_a = point_row(a, arm_a, n)
@@ -212,7 +230,7 @@ def complement(axis):
 
 def perpendicular(cut, a, b):
     """Return pairs of directions, fixed in body A and in body B, that stay perpendicular."""
-    if cut.type == SPHERICAL:
+    if cut.type in CUT_WITHOUT_MOMENT:
         return []
     if cut.type == UNIVERSAL:
         return [(a.axes @ cut.axis_a, b.axes @ cut.axis_b)]
@@ -220,7 +238,8 @@ def perpendicular(cut, a, b):
         held = a.axes @ matrix(cut.orientation).T
         x, y, z = np.eye(3)
         return [(held @ z, b.axes @ x), (held @ z, b.axes @ y), (held @ x, b.axes @ y)]
-    along = a.axes @ cut.axis_a
+    along = a.axes @ (matrix(cut.orientation).T @ cut.axis_b if cut.type == HELICAL
+                      else cut.axis_a)
     return [(along, across) for across in complement(b.axes @ cut.axis_b)]
 
 
@@ -236,15 +255,30 @@ def tree_rows(equations, motions, rates, bases, joint):
         equations.add(joint.child, n, joint.parent, -n @ parent, n @ bias)
 
 
+def coupling_row(equations, mechanism, motions, rates, bases, coupling):
+    """Add the equation of a coupling: what its joints do beyond what they do without rates."""
+    parts, right = [], 0.0
+    for joint in mechanism.joints:
+        if joint.name in coupling.joints:
+            row = coupling.joints[joint.name] * np.linalg.pinv(bases[joint.name])[0]
+            parent = np.eye(6)
+            parent[3:, :3] = -hat(motions[joint.child].origin - motions[joint.parent].origin)
+            parts += [(joint.child, row), (joint.parent, -row @ parent)]
+            right += row @ (rates[joint.child] - parent @ rates[joint.parent])
+    equations.add_parts(parts, right)
+
+
 def closure_rates(mechanism, q):
     """Return the matrix that gives the rates of the cut joints' equations from qd."""
     nv = sum(JOINT_FREEDOMS[joint.type] for joint in mechanism.joints)
     columns = []
     for unit in np.eye(nv):
-        motions, _, _ = forward(mechanism, q, unit, np.zeros(nv))
+        motions, rates, bases = forward(mechanism, q, unit, np.zeros(nv))
         equations = Equations(mechanism)
         for cut in mechanism.cut_joints:
             cut_rows(equations, motions, cut)
+        for coupling in mechanism.couplings:
+            coupling_row(equations, mechanism, motions, rates, bases, coupling)
         speeds = np.concatenate([
             [*motions[body.name].spin, *motions[body.name].velocity] for body in mechanism.bodies])
         columns.append(np.array(equations.rows).reshape(-1, len(speeds)) @ speeds)
@@ -261,6 +295,8 @@ def forward_dynamics(mechanism, q, qd, tau, gravity=(0.0, 0.0, -9.81)):
     for cut in mechanism.cut_joints:
         cut_rows(cuts, motions, cut)
         counts.append(len(cuts.rows))
+    for coupling in mechanism.couplings:
+        coupling_row(cuts, mechanism, motions, rates, bases, coupling)
     size = 6 * len(mechanism.bodies)
     mass, force = np.zeros((size, size)), np.zeros(size)
     for k, body in enumerate(mechanism.bodies):
@@ -302,4 +338,5 @@ def forward_dynamics(mechanism, q, qd, tau, gravity=(0.0, 0.0, -9.81)):
         arm = arm - motions[name].origin
         wrenches[cut.name] = np.concatenate(
             [wrench[:3] - np.cross(arm, wrench[3:]), wrench[3:]])
-    return Result(accelerations, wrenches)
+    return Result(accelerations, wrenches, dict(zip(
+        [coupling.name for coupling in mechanism.couplings], lam[[0, *counts][-1]:])))

@@ -117,7 +117,11 @@ class Numbers:
         jac = np.zeros((self.nc, self.nv))
         for a, row, equation in self._equations():
             first, second = self.model.cut[a, [BODY_A, BODY_B]]
-            jac[row] = self._inward({first: equation.on_a, second: equation.on_b})
+            if equation.in_joints:
+                for i, force in equation.in_joints:
+                    jac[row, self.model.tree[i, DOF]] = force
+            else:
+                jac[row] = self._inward({first: equation.on_a, second: equation.on_b})
         return self._own_axes(jac.T).T
 
     def _inward(self, wrenches):

@@ -24,17 +24,22 @@ them go the terms that they multiply.
 import numpy as np
 
 from .spatial import Body, Cut, X, Y, Z
+from .vectors import is_zero
 from ..types import (
-    AXIS, BALL, CUT_TYPE, HELICAL, KEPT, PRISMATIC, REVOLUTE_ARMATURE, TYPE)
+    AXIS, BALL, CUT_TYPE, HELICAL, KEPT, PARENT, PRISMATIC, REVOLUTE_ARMATURE, SLOT_A, SLOT_END,
+    TYPE)
 
 # Columns of Model.body, one row a body: mass; first moments; moments of inertia about the body's
 # origin, xx, yy, zz, xy, xz, yz; the joint's place in the parent's frame; its axes there, row by
 # row; whether it shares the parent's Z axis; rotor inertia; lead of a screw [m/rad].
 MASS, MOMENT, INERTIA, PLACE, TURNED, PARALLEL, ARMATURE, LEAD = 0, 1, 4, 10, 13, 22, 23, 24
 BODY_COLUMNS = 25
-# Columns of Model.cut_point, one row a cut joint: its place and its axes in both bodies' frames.
-POINT_A, POINT_B, TURNED_A, TURNED_B = 0, 3, 6, 15
-CUT_POINT_COLUMNS = 24
+# Columns of Model.cut_point, one row a cut joint: its place and its axes in both bodies' frames,
+# the length of a rod [m] or the lead of a thread [m/rad]. Of a coupling the sum that it holds, and
+# from FACTORS on the factor of each slot's coordinate: there may be more columns.
+POINT_A, POINT_B, TURNED_A, TURNED_B, LENGTH = 0, 3, 6, 15, 24
+CUT_POINT_COLUMNS = 25
+HELD_SUM, FACTORS = 0, 1
 # Columns of Workspace.body, one row a body: origin, axes row by row, angular velocity, velocity of
 # the origin; the force that the body's acceleration takes, moment first.
 ORIGIN, FRAME, SPIN, VELOCITY, FORCE = 0, 3, 12, 15, 18
@@ -51,8 +56,14 @@ HELD = (
     ('universal', _POINT, ((X, Z),)),
     ('spherical', _POINT, ()),
     ('planar', (Z,), _TURNING),
+    ('helical', (X, Y), _TURNING),
+    ('distance', (), ()),
+    ('point_on_line', (X, Y), ()),
+    ('point_on_plane', (Z,), ()),
+    ('coupling', (), ()),
 )
 CUT_TYPES = tuple(name for name, _, _ in HELD)
+HELICAL_CUT, DISTANCE, COUPLING = map(CUT_TYPES.index, ('helical', 'distance', 'coupling'))
 
 
 def is_spatial(model):
@@ -86,7 +97,17 @@ def structure(model):
     tuple of ndarrays
 
     """
-    return _body_structure(model.body), _structure(model.cut_point, slice(TURNED_A, None))
+    return _body_structure(model), _cut_structure(model)
+
+
+def _cut_structure(model):
+    """Return the structural numbers of cut joints."""
+    found = _structure(model.cut_point, slice(TURNED_A, LENGTH))
+    couplings = model.cut[:, CUT_TYPE] == COUPLING
+    found[couplings] = _structure(model.cut_point[couplings], slice(None))
+    # A sum may be zero now and another one later.
+    found[couplings, HELD_SUM] = np.nan
+    return found
 
 
 def _structure(values, rotations):
@@ -96,10 +117,17 @@ def _structure(values, rotations):
     return np.where(fixed, values, np.nan)
 
 
-def _body_structure(body):
+def _body_structure(model):
     """Return the structural numbers of bodies, and which of their moments of inertia agree."""
+    body = model.body
     found = _structure(body, slice(TURNED, PARALLEL))
     found[:, PARALLEL] = body[:, PARALLEL]
+    # Where nothing has mass a joint's pivot is zero, and is to be divided by like any other:
+    # refinement takes it from there.
+    bare = body[:, MASS] == 0.0
+    for row, parent in reversed(list(enumerate(model.tree[:, PARENT]))[1:]):
+        bare[parent] &= bare[row]
+    found[np.ix_(bare, (MASS, INERTIA, INERTIA + 1, INERTIA + 2))] = np.nan
     same = [body[:, INERTIA + m] == body[:, INERTIA + n] for m, n in ((0, 1), (0, 2), (1, 2))]
     return np.column_stack([found, *same])
 
@@ -125,7 +153,7 @@ def bodies(model, symbols):
     list of Body
 
     """
-    pattern = _body_structure(model.body)
+    pattern = _body_structure(model)
     found = []
     for kind, axis, fixed, row in zip(model.tree[:, TYPE], model.tree[:, AXIS], pattern, symbols):
         row = _known(fixed[:BODY_COLUMNS], row)
@@ -153,7 +181,7 @@ def cuts(model, symbols, which=KEPT):
     ----------
     model : Model
         Constant arrays of the mechanism.
-    symbols : ndarray, shape (number of cuts, CUT_POINT_COLUMNS)
+    symbols : ndarray, shape (number of cuts, CUT_POINT_COLUMNS or more)
         Of the inputs, as ``Model.cut_point``.
     which : int
         Column of ``Model.cut`` with the equations' bits.
@@ -163,16 +191,25 @@ def cuts(model, symbols, which=KEPT):
     list of Cut
 
     """
-    pattern = _structure(model.cut_point, slice(TURNED_A, None))
-    found = []
+    pattern, found = _cut_structure(model), []
     for cut, fixed, row in zip(model.cut, pattern, symbols):
         row = _known(fixed, row)
         _, along, perpendicular = HELD[cut[CUT_TYPE]]
         found.append(Cut(
             along, perpendicular, tuple(row[POINT_A:POINT_A + 3]),
             tuple(row[POINT_B:POINT_B + 3]), _matrix(row[TURNED_A:]), _matrix(row[TURNED_B:]),
-            0.0, tuple(n for n in range(6) if cut[which] >> n & 1)))
+            0.0, tuple(n for n in range(6) if cut[which] >> n & 1),
+            length=row[LENGTH] if cut[CUT_TYPE] == DISTANCE else None,
+            lead=row[LENGTH] if cut[CUT_TYPE] == HELICAL_CUT else None,
+            coupling=_coupling(model, cut, row) if cut[CUT_TYPE] == COUPLING else None))
     return found
+
+
+def _coupling(model, cut, row):
+    """Return what ``Cut.coupling`` is."""
+    slots = model.slot_body[cut[SLOT_A]:cut[SLOT_END]].tolist()
+    return row[HELD_SUM], tuple(
+        (i, factor) for i, factor in zip(slots, row[FACTORS:]) if not is_zero((factor,)))
 
 
 def _matrix(row):

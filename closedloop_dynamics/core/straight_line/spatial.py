@@ -103,6 +103,13 @@ class Cut(NamedTuple):
     kept : tuple of int or None
         The equations that do not hold anyway, in the order of ``along`` and ``perpendicular``;
         None where that is to be seen from the equations.
+    length : number or None
+        Distance of the two points, where that is held [m].
+    lead : number or None
+        How far body A slides along Z of body B for an angle about it, where that is held [m/rad].
+    coupling : tuple or None
+        Of a coupling of joints, which holds nothing else: the sum that is held, and pairs of a
+        row of the tree and the factor of its coordinate in that sum.
 
     """
 
@@ -114,6 +121,9 @@ class Cut(NamedTuple):
     turned_b: tuple
     angle: object
     kept: tuple
+    length: object = None
+    lead: object = None
+    coupling: tuple = None
 
 
 class Motion(NamedTuple):
@@ -180,6 +190,8 @@ class Closure(NamedTuple):
         psi, J qd and Jdot qd.
     on_a, on_b : tuple of 6
         Moment and force of a unit multiplier on both bodies, at their origins.
+    in_joints : tuple of pairs
+        Rows of the tree and the forces of a unit multiplier in their joints.
 
     """
 
@@ -188,6 +200,7 @@ class Closure(NamedTuple):
     bias: object
     on_a: tuple
     on_b: tuple
+    in_joints: tuple = ()
 
 
 class Recursion:
@@ -223,12 +236,14 @@ class Recursion:
             2 * ZERO)
         self.motion, self.inertia, self.force = [], [], []
         self._factors, self._acceleration = {}, {}
+        self._coordinates = {}
 
     def outward(self, model, q, qd, work):
         """Do as ``kinematics.outward`` does."""
         self.motion, self.inertia, self.force = [self.ground], [None], [None]
         for i in range(1, len(self.bodies)):
             p, first, dof = (model.tree[i, column] for column in (PARENT, COORDINATE, DOF))
+            self._coordinates[i] = q[first], qd[dof]
             motion = (self._rolled(i, p, q[first:first + 4], qd[dof - 2:dof + 1])
                       if self.bodies[i].ball else self._moved(i, p, q[first], qd[dof]))
             inertia, force = _rigid(self.bodies[i], motion)
@@ -390,17 +405,58 @@ class Recursion:
     def equations(self, model, a):
         """Return all equations of a cut joint."""
         cut = self.cuts[a]
+        if cut.coupling is not None:
+            return [self._coupled(cut)]
         first, second = self.motion[model.cut[a, BODY_A]], self.motion[model.cut[a, BODY_B]]
         at_a = times(first.frame, cut.point_a)
         at_b = times(second.frame, cut.point_b)
-        return [*_translations(cut, first, second, at_a, at_b), *_rotations(cut, first, second)]
+        found = [*_translations(cut, first, second, at_a, at_b), *_rotations(cut, first, second)]
+        if cut.length is not None:
+            found.append(_distance(cut, first, second, at_a, at_b))
+        if cut.lead is not None:
+            found.append(_screw(cut, first, second, at_a, at_b))
+        return found
+
+    def _coupled(self, cut):
+        """Return the equation that holds a sum of joint coordinates."""
+        held, factors = cut.coupling
+        value, rate = 0.0 - held, 0.0
+        for i, factor in factors:
+            coordinate, speed = self._coordinates[i]
+            value, rate = value + factor * coordinate, rate + factor * speed
+        return Closure(value, rate, 0.0, 2 * ZERO, 2 * ZERO, factors)
 
     def _respond(self, model, work, responses, cut, row, equation):
         """Carry a unit multiplier's wrenches inward and keep their share at each joint."""
+        if equation.in_joints:
+            self._respond_in_joints(model, work, responses, cut, row, dict(equation.in_joints))
+            return
         middle, common, end = cut[SLOT_B], cut[SLOT_COMMON], cut[SLOT_END]
         one = self._reduced(model, work, responses, cut[SLOT_A], middle, row, equation.on_a)
         other = self._reduced(model, work, responses, middle, common, row, equation.on_b)
         self._reduced(model, work, responses, common, end, row, add(one, other))
+
+    def _respond_in_joints(self, model, work, responses, cut, row, forces):
+        """Do as ``_respond`` does for forces in joints; a slot's body comes before its parent."""
+        arrived = {}
+        for slot in range(cut[SLOT_A], cut[SLOT_END]):
+            i = model.slot_body[slot]
+            motion, own = self.motion[i], forces.get(i, 0.0)
+            wrench = arrived.pop(i, 2 * ZERO)
+            force = dot(motion.axis, wrench) + own
+            work.response[slot, row] = force
+            if responses == LEVERS:
+                work.response_scaled[slot, row] = 0.0
+                if self._counts_angles(i) and self._joined_before(model, i):
+                    wrench = subtract(wrench, scale(motion.axis, force))
+            else:
+                share, alone = self._factors[i]
+                scaled = force * work.body[i, DINV]
+                work.response_scaled[slot, row] = scaled
+                wrench = tuple(0.0 - own if n == alone else wrench[n] - share[n] * scaled
+                               for n in range(6))
+            parent = model.tree[i, PARENT]
+            arrived[parent] = add(arrived.get(parent, 2 * ZERO), _at_parent(wrench, motion.offset))
 
     def _reduced(self, model, work, responses, begin, end, row, wrench):
         """Carry a wrench inward along slots; return what arrives at the last one's parent."""
@@ -535,29 +591,56 @@ def _shifted(inertia, offset):
         one + tuple(other) for one, other in zip(transpose(shifted), mass))
 
 
+def _gap(first, second, at_a, at_b):
+    """Return from point B to point A, how fast that changes, and Jdot qd of it."""
+    return (subtract(add(first.origin, at_a), add(second.origin, at_b)),
+            subtract(add(first.velocity, cross(first.spin, at_a)),
+                     add(second.velocity, cross(second.spin, at_b))),
+            subtract(add(first.acceleration, first.carried(at_a)),
+                     add(second.acceleration, second.carried(at_b))))
+
+
 def _translations(cut, first, second, at_a, at_b):
     """Yield the equations that keep two points together, in the world's axes or in body B's."""
-    apart = subtract(add(first.origin, at_a), add(second.origin, at_b))
-    rate = subtract(add(first.velocity, cross(first.spin, at_a)),
-                    add(second.velocity, cross(second.spin, at_b)))
-    bias = subtract(add(first.acceleration, first.carried(at_a)),
-                    add(second.acceleration, second.carried(at_b)))
+    apart, rate, bias = gap = _gap(first, second, at_a, at_b)
     if len(cut.along) == 3:
         for n, axis in enumerate(IDENTITY):
             yield Closure(apart[n], rate[n], bias[n], cross(at_a, axis) + axis,
                           cross(axis, at_b) + negate(axis))
-        return
-    axes, spin = transpose(_joint_frame(second, cut.turned_b, cut.angle)), second.spin
-    for axis in (axes[n] for n in cut.along):
-        value = dot(axis, apart)
-        # The axis turns with body B.
-        turning = cross(axis, apart)
-        yield Closure(
-            value, dot(axis, rate) + dot(spin, turning),
-            dot(axis, bias) + 2.0 * dot(spin, cross(axis, rate)) + (
-                dot(second.spin_rate, turning) + dot(spin, axis) * dot(spin, apart)
-                - dot(spin, spin) * value),
-            cross(at_a, axis) + axis, cross(axis, add(apart, at_b)) + negate(axis))
+    elif cut.along:
+        axes = transpose(_joint_frame(second, cut.turned_b, cut.angle))
+        for n in cut.along:
+            yield _along(axes[n], gap, second, at_a, at_b)
+
+
+def _along(axis, gap, second, at_a, at_b):
+    """Return the equation that keeps two points together along an axis of body B."""
+    (apart, rate, bias), spin = gap, second.spin
+    value = dot(axis, apart)
+    # The axis turns with body B.
+    turning = cross(axis, apart)
+    return Closure(
+        value, dot(axis, rate) + dot(spin, turning),
+        dot(axis, bias) + 2.0 * dot(spin, cross(axis, rate)) + (
+            dot(second.spin_rate, turning) + dot(spin, axis) * dot(spin, apart)
+            - dot(spin, spin) * value),
+        cross(at_a, axis) + axis, cross(axis, add(apart, at_b)) + negate(axis))
+
+
+def _distance(cut, first, second, at_a, at_b):
+    """
+    Return the equation that keeps two points at a distance l: (d . d / l - l) / 2.
+
+    Without a root; its multiplier is the force that pushes the points apart.
+
+    """
+    apart, rate, bias = _gap(first, second, at_a, at_b)
+    inverse = 1.0 / cut.length
+    along = scale(apart, inverse)
+    return Closure(
+        0.5 * (dot(along, apart) - cut.length), dot(along, rate),
+        dot(along, bias) + inverse * dot(rate, rate), cross(at_a, along) + along,
+        cross(along, at_b) + negate(along))
 
 
 def _rotations(cut, first, second):
@@ -572,14 +655,46 @@ def _rotations(cut, first, second):
                 dot(axis, subtract(first.spin_rate, second.spin_rate)), axis + ZERO,
                 negate(axis) + ZERO)
             continue
-        one = transpose(_joint_frame(first, cut.turned_a, 0.0))[n]
-        other = transpose(_joint_frame(second, cut.turned_b, cut.angle))[m]
-        lever = cross(one, other)
-        yield Closure(
-            dot(one, other), dot(lever, turns),
-            dot(first.carried(one), other) + dot(one, second.carried(other)) + 2.0 * dot(
-                cross(first.spin, one), cross(second.spin, other)),
-            lever + ZERO, negate(lever) + ZERO)
+        yield _perpendicular(
+            transpose(_joint_frame(first, cut.turned_a, 0.0))[n],
+            transpose(_joint_frame(second, cut.turned_b, cut.angle))[m], first, second, turns)
+
+
+def _perpendicular(one, other, first, second, turns):
+    """Return the equation that keeps an axis of body A perpendicular to one of body B."""
+    lever = cross(one, other)
+    return Closure(
+        dot(one, other), dot(lever, turns),
+        dot(first.carried(one), other) + dot(one, second.carried(other)) + 2.0 * dot(
+            cross(first.spin, one), cross(second.spin, other)),
+        lever + ZERO, negate(lever) + ZERO)
+
+
+def _screw(cut, first, second, at_a, at_b):
+    """
+    Return the equation of a thread: X of body A lies across Y of body B, turned by slide / lead.
+
+    That holds however many turns there are. Times the lead: an error in metres.
+
+    """
+    x, y, z = transpose(_joint_frame(second, cut.turned_b, cut.angle))
+    own = transpose(_joint_frame(first, cut.turned_a, 0.0))[X]
+    slide = _along(z, _gap(first, second, at_a, at_b), second, at_a, at_b)
+    turned = slide.value / cut.lead
+    cos, sin = cosine(turned), sine(turned)
+    turns = subtract(first.spin, second.spin)
+    across = _perpendicular(
+        own, subtract(scale(y, cos), scale(x, sin)), first, second, turns)
+    beside = _perpendicular(own, add(scale(x, cos), scale(y, sin)), first, second, turns)
+
+    def of(one, other):
+        return subtract(scale(one, cut.lead), scale(other, beside.value))
+
+    return Closure(
+        cut.lead * across.value, cut.lead * across.rate - beside.value * slide.rate,
+        cut.lead * across.bias - 2.0 * slide.rate * beside.rate - beside.value * slide.bias
+        - across.value * slide.rate * (slide.rate / cut.lead),
+        of(across.on_a, slide.on_a), of(across.on_b, slide.on_b))
 
 
 def _joint_frame(motion, turned, angle):

@@ -157,6 +157,10 @@ class Symbol:
         """Compare; false for a NaN, as always."""
         return self._put(GREATER_EQUAL, self, other)
 
+    def __le__(self, other):
+        """Compare."""
+        return self._put(GREATER_EQUAL, other, self)
+
     def __bool__(self):
         """Take the branch, and remember that the results hold only there."""
         guard = self.tape.guard
