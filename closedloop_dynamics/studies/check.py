@@ -20,8 +20,7 @@ from textwrap import indent
 from ..effects.registry import effect_type
 from ..integration.registry import ADAPTIVE, AUTO, BAUMGARTE, INTEGRATORS, STABILISATIONS
 from ..mechanism.decomposition import decompose
-from ..mechanism.mechanism import (
-    CUT_JOINT_EQUATIONS, Mechanism)
+from ..mechanism.mechanism import CUT_JOINT_EQUATIONS, Mechanism
 from ..simulation.assembly import find_degrees_of_freedom
 from ..simulation.space import equations_left
 from ..visual.tables import text_table
