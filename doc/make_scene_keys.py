@@ -24,6 +24,7 @@ import inspect
 from pathlib import Path
 import re
 
+from closedloop_dynamics.effects.external_force import BODY, WORLD
 from closedloop_dynamics.effects.registry import EFFECTS
 from closedloop_dynamics.integration.registry import INTEGRATORS, STABILISATIONS
 from closedloop_dynamics.mechanism.expressions import FUNCTIONS
@@ -40,14 +41,17 @@ TYPES = {'str': 'text', 'bool': 'true or false', 'float': 'number', 'int': 'whol
          'tuple of 2 floats or None': '[x, y]', 'tuple of str': 'list of names',
          'tuple of 2 or 3 floats': '[x, y], in space [x, y, z]',
          'tuple of 2 floats, or 3 in space': '[x, y], in space [x, y, z]',
+         'tuple of 2 floats, or 3 in space, or None': '[x, y], in space [x, y, z]',
+         'float, or tuple of 3 floats in space': 'number, in space [x, y, z]',
          'float, or tuple of 3 or 6 floats': 'number, in space a list',
+         'float, or tuple of 3 or 6 floats in space': 'number, in space a list',
          'tuple of 3 floats or None': '[x, y, z]',
          'tuple of 4 floats': '{rpy: [r, p, y]} or {quaternion: [x, y, z, w]}',
          'dict of str to float': 'number by joint name',
          'tuple of nv floats': 'number by joint name',
          'tuple of nq floats': 'number by joint name'}
 CHOICES = {'integrator': (AUTO, *INTEGRATORS), 'stabilisation': STABILISATIONS,
-           'formulation': FORMULATIONS}
+           'formulation': FORMULATIONS, 'axes': (WORLD, BODY)}
 HEAD = """\
 # Keys of mechanism and scene files
 

@@ -62,7 +62,6 @@ class Actuator(Effect):
     CHECKS = {'joint': name, 'lag': not_negative, 'delay': not_negative, 'max_torque': positive,
               'max_speed': positive}
     READINGS = ('torque',)
-    IN_SPACE = True
 
     joint: str
     max_torque: Optional[float] = None

@@ -13,10 +13,11 @@
 # limitations under the License.
 
 """
-Contact of a named point with a straight line fixed in the world.
+Contact of a named point with a straight line fixed in the world, in space with a plane.
 
-The line goes through ``origin`` at ``angle``; the free side is on its left, looking along it.
-With depth d beyond the line, its rate d', and the sliding rate v along the line:
+The line goes through ``origin`` at ``angle``; the free side is on its left, looking along it. The
+plane goes through ``origin``, its ``normal`` points to the free side. With depth d beyond either,
+its rate d', and the sliding rate v along it:
 
     normal     N = k d^n max(0, 1 + c d')               pushes out, never pulls
     friction   T = mu N s(v)                            against the sliding
@@ -33,29 +34,32 @@ a foot on the floor, a guide.
 
 from dataclasses import dataclass
 import math
+from typing import Optional
 
 from .effect import Effect
-from .forces import offset, push
-from .table import CONTACT, DISSIPATED, FIRST, ForceElement, STATE, State, STORED
+from .forces import offset, push, push_in_space, turned, velocity_in_space
+from .table import (
+    CONTACT, DISSIPATED, FIRST, ForceElement, SPATIAL_CONTACT, STATE, State, STORED)
 from ..core.compiled import inlined
+from ..core.straight_line.space import ORIGIN
 from ..core.types import OMEGA, PX, PY, VX, VY
-from ..mechanism.checks import name, not_negative, number, positive, vector2
-from ..mechanism.fields import FieldError
-from ..mechanism.mechanism import Vector2
+from ..mechanism.checks import direction, name, not_negative, number, positive, vector
+from ..mechanism.fields import FieldError, shown
+from ..mechanism.mechanism import Vector, Vector3
 
 
 @dataclass(frozen=True)
 class Contact(Effect):
     """
-    Contact of a named point with a line.
+    Contact of a named point with a line, or with a plane in space.
 
     Attributes
     ----------
     point : str
-    origin : tuple of 2 floats
-        A place on the line, world axes [m].
+    origin : tuple of 2 floats, or 3 in space
+        A place on the line or plane, world axes [m].
     angle : float
-        Direction of the line [rad]; 0: along x, free above.
+        Direction of the line [rad]; 0: along x, free above. Not in space.
     stiffness : float
         k, positive [N/m^n].
     exponent : float
@@ -68,16 +72,19 @@ class Contact(Effect):
         v_r, positive [m/s].
     scraping : float
         b, zero or more [N/m].
+    normal : tuple of 3 floats or None
+        Of the plane, world axes, to the free side; of unit length here. In space only.
 
     """
 
-    CHECKS = {'point': name, 'origin': vector2, 'stiffness': positive, 'angle': number,
+    CHECKS = {'point': name, 'origin': vector, 'stiffness': positive, 'angle': number,
               'exponent': positive, 'damping': not_negative, 'friction': not_negative,
-              'slip_velocity': positive, 'scraping': not_negative}
+              'slip_velocity': positive, 'scraping': not_negative, 'normal': direction}
+    VECTORS = ('origin',)
     READINGS = ('depth', 'normal_force', 'friction_force', 'scraping_force')
 
     point: str
-    origin: Vector2
+    origin: Vector
     stiffness: float
     angle: float = 0.0
     exponent: float = 1.0
@@ -85,6 +92,7 @@ class Contact(Effect):
     friction: float = 0.0
     slip_velocity: float = 0.01
     scraping: float = 0.0
+    normal: Optional[Vector3] = None
 
     def __post_init__(self):
         """Refuse what cannot be a contact."""
@@ -93,20 +101,55 @@ class Contact(Effect):
             raise FieldError('a number that is one or more', f'{self.exponent:g}',
                              path=('exponent',))
 
+    def fit(self, mechanism):
+        """Refuse a plane in the plane, and a line in space."""
+        super().fit(mechanism)
+        if mechanism.planar and self.normal is not None:
+            raise FieldError('no normal for a line in the plane, which has an angle',
+                             shown(self.normal), path=('normal',))
+        if not mechanism.planar and self.normal is None:
+            raise FieldError('the normal [x, y, z] of a plane', 'none', path=('normal',))
+        if not mechanism.planar and self.angle != 0.0:
+            raise FieldError('no angle for a plane in space, which has a normal',
+                             shown(self.angle), path=('angle',))
+
     def element(self, machine):
         """Return the effect as a row of the table."""
         row, place = machine.point(self.point)
-        return ForceElement(CONTACT, (row,), (
-            *place, *self.origin, math.cos(self.angle), math.sin(self.angle), self.stiffness,
-            self.exponent, self.damping, self.friction, self.slip_velocity, self.scraping),
-            (State(DISSIPATED),))
+        law = (self.stiffness, self.exponent, self.damping, self.friction, self.slip_velocity,
+               self.scraping)
+        states = (State(DISSIPATED),)
+        if machine.mechanism.planar:
+            return ForceElement(CONTACT, (row,), (
+                *place, *self.origin, math.cos(self.angle), math.sin(self.angle), *law), states)
+        height = sum(n * x for n, x in zip(self.normal, self.origin))
+        return ForceElement(
+            SPATIAL_CONTACT, (row,), (*place, *self.normal, *law, height), states)
+
+
+@inlined
+def _press(table, row, depth, rate, slip):
+    """Return the forces out of the line or plane and along the sliding, and note them."""
+    values, output = table.values, table.output
+    sign = slip / math.sqrt(slip * slip + values[row, 10] * values[row, 10])
+    elastic = values[row, 6] * depth ** values[row, 7]
+    normal = elastic * max(0.0, 1.0 + values[row, 8] * rate)
+    friction = values[row, 9] * normal * sign
+    scraping = values[row, 11] * depth * sign
+    along = -friction - scraping
+    table.rates[table.index[row, STATE]] = (normal - elastic) * rate - along * slip
+    output[row, STORED] = elastic * depth / (values[row, 7] + 1.0)
+    output[row, 1] = depth
+    output[row, 2] = normal
+    output[row, 3] = -friction
+    output[row, 4] = -scraping
+    return normal, along
 
 
 @inlined
 def apply(table, row, body):
     """Apply the force; see ``dispatch.apply``."""
-    values, output = table.values, table.output
-    i, state = table.index[row, FIRST], table.index[row, STATE]
+    values, output, i = table.values, table.output, table.index[row, FIRST]
     rx, ry = offset(body, i, values[row, 0], values[row, 1])
     # Along the line (ux, uy), out of it (-uy, ux).
     ux, uy = values[row, 4], values[row, 5]
@@ -119,16 +162,30 @@ def apply(table, row, body):
         vy = body[i, VY] + body[i, OMEGA] * rx
         rate = uy * vx - ux * vy
         slip = ux * vx + uy * vy
-        sign = slip / math.sqrt(slip * slip + values[row, 10] * values[row, 10])
-        elastic = values[row, 6] * depth ** values[row, 7]
-        normal = elastic * max(0.0, 1.0 + values[row, 8] * rate)
-        friction = values[row, 9] * normal * sign
-        scraping = values[row, 11] * depth * sign
-        along = -friction - scraping
+        normal, along = _press(table, row, depth, rate, slip)
         push(body, i, rx, ry, along * ux - normal * uy, along * uy + normal * ux)
-        table.rates[state] = (normal - elastic) * rate - along * slip
-        output[row, STORED] = elastic * depth / (values[row, 7] + 1.0)
-        output[row, 1] = depth
-        output[row, 2] = normal
-        output[row, 3] = -friction
-        output[row, 4] = -scraping
+
+
+@inlined
+def apply_in_space(table, row, body):
+    """Apply the force in space; see ``dispatch.apply``."""
+    values, output, i = table.values, table.output, table.index[row, FIRST]
+    rx, ry, rz = turned(body, i, values[row, 0], values[row, 1], values[row, 2])
+    nx, ny, nz = values[row, 3], values[row, 4], values[row, 5]
+    depth = values[row, 12] - (
+        nx * (body[i, ORIGIN] + rx) + ny * (body[i, ORIGIN + 1] + ry)
+        + nz * (body[i, ORIGIN + 2] + rz))
+    for k in range(output.shape[1]):
+        output[row, k] = 0.0
+    if depth > 0.0:
+        vx, vy, vz = velocity_in_space(body, i, rx, ry, rz)
+        rate = -(nx * vx + ny * vy + nz * vz)
+        # What is left of the velocity slides.
+        vx += rate * nx
+        vy += rate * ny
+        vz += rate * nz
+        slip = math.sqrt(vx * vx + vy * vy + vz * vz)
+        normal, along = _press(table, row, depth, rate, slip)
+        drag = along / slip if slip > 0.0 else 0.0
+        push_in_space(body, i, rx, ry, rz, normal * nx + drag * vx, normal * ny + drag * vy,
+                      normal * nz + drag * vz)

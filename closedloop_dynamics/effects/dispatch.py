@@ -24,7 +24,7 @@ from . import (
     point_spring)
 from .table import (
     ACTUATOR, CONTACT, END_STOP, EXTERNAL_FORCE, JOINT_DAMPING, JOINT_FRICTION, JOINT_SPRING,
-    POINT_SPRING)
+    POINT_SPRING, SPATIAL_CONTACT, SPATIAL_FORCE, SPATIAL_POINT_SPRING)
 from ..core.compiled import compiled
 
 
@@ -36,7 +36,8 @@ def apply(body, table, q, qd, tau):
     Parameters
     ----------
     body : ndarray, shape (nb + 1, WORK_COLUMNS)
-        After ``kinematics.outward``. Forces at points reduce the bias force, columns FZ to FY.
+        After ``kinematics.outward``. Forces at points reduce the bias force: columns FZ to FY, in
+        space the six from FORCE on.
     table : EffectTable
         ``states`` is read; ``applied`` (commands and joint torques), ``rates``, ``output`` and
         which joints stick are written.
@@ -71,3 +72,9 @@ def apply(body, table, q, qd, tau):
             contact.apply(table, row, body)
         elif kind == ACTUATOR:
             actuator.apply(table, row, qd, tau)
+        elif kind == SPATIAL_POINT_SPRING:
+            point_spring.apply_in_space(table, row, body)
+        elif kind == SPATIAL_FORCE:
+            external_force.apply_in_space(table, row, body)
+        elif kind == SPATIAL_CONTACT:
+            contact.apply_in_space(table, row, body)

@@ -14,22 +14,38 @@
 
 """What every effect can be asked, and where the joints, bodies and points that it names are."""
 
-from ..mechanism.checks import one_of
+from ..mechanism.checks import one_of, vector2, vector3
 from ..mechanism.fields import at, FieldError, normalise
 
 
 class Machine:
-    """A mechanism's names, resolved."""
+    """
+    A mechanism's names, resolved.
 
-    def __init__(self, mechanism, rows):
+    Parameters
+    ----------
+    mechanism : Mechanism
+    rows : dict of str to int
+        Row of each body in the kernels' arrays.
+    placements : dict of str to Placement, optional
+        Where the bodies' frames are in those of their rows, in space; in the plane they are the
+        same.
+
+    """
+
+    def __init__(self, mechanism, rows, placements=None):
         """Collect the names."""
-        self.mechanism, self._rows = mechanism, rows
+        self.mechanism, self._rows, self._placements = mechanism, rows, placements
         self._joints = {joint.name: joint for joint in mechanism.joints}
         self._points = {point.name: point for point in mechanism.points}
 
     def joint(self, name):
         """Return the place of a joint of one freedom in qd."""
         return self.mechanism.coordinates.index[name]
+
+    def description(self, name):
+        """Return a joint as the mechanism has it."""
+        return self._joints[name]
 
     def joint_row(self, name):
         """Return the row of the body that a joint carries."""
@@ -39,10 +55,24 @@ class Machine:
         """Return the row of a body."""
         return self._rows[name]
 
+    def placement(self, name):
+        """Return where a body's frame is in that of its row, in space."""
+        return self._placements[name]
+
     def point(self, name):
-        """Return the row of a point's body, and its place in that body's frame."""
+        """Return the row of a point's body, and its place in the row's frame."""
         point = self._points[name]
-        return self._rows[point.body], point.position
+        place = point.position if self.mechanism.planar else tuple(
+            self._placements[point.body].place(point.position))
+        return self._rows[point.body], place
+
+    def carrier(self, name):
+        """Return the name of the body that a point belongs to."""
+        return self._points[name].body
+
+    def vector(self, values):
+        """Return a vector with as many numbers as there are dimensions; no numbers are zeros."""
+        return values if self.mechanism.planar or len(values) == 3 else (0.0, 0.0, 0.0)
 
 
 def require_joint(mechanism, key, name, actuated=False):
@@ -96,8 +126,8 @@ class Effect:
     READINGS = ()
     # Whether a change of parameters can make the scene too stiff for its steps.
     STIFFENS = True
-    # Whether it acts on mechanisms in space, too.
-    IN_SPACE = False
+    # Fields that are vectors: of two numbers in the plane, of three in space.
+    VECTORS = ()
     # Whether steps must end where the effect's joint comes to rest; its first own state is then
     # the direction in which the joint slides (``integration.stick_slip``).
     ENDS_STEPS = False
@@ -112,11 +142,18 @@ class Effect:
         """
         Refuse a mechanism without the joints, bodies or points that the effect names.
 
+        And one in the plane for vectors in space, or the other way round.
+
         Raises
         ------
         FieldError
 
         """
+        for key in self.VECTORS:
+            # What was not given fits either.
+            if getattr(self, key) != getattr(type(self), key, None):
+                with at(key):
+                    (vector2 if mechanism.planar else vector3)(getattr(self, key))
         for key, require in REQUIRE.items():
             if getattr(self, key, None) is not None:
                 require(mechanism, key, getattr(self, key))

@@ -56,7 +56,6 @@ class EndStop(Effect):
     CHECKS = {'joint': name, 'stiffness': positive, 'damping': not_negative, 'lower': number,
               'upper': number}
     READINGS = ('torque', 'depth')
-    IN_SPACE = True
 
     joint: str
     stiffness: float

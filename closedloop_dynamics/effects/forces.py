@@ -12,9 +12,10 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What the laws of forces at points share."""
+"""What the laws of forces at points share, in the plane and in space."""
 
 from ..core.compiled import inlined
+from ..core.straight_line.space import FORCE, FRAME, SPIN, VELOCITY
 from ..core.types import COS, FX, FY, FZ, SIN
 
 
@@ -56,3 +57,78 @@ def push(body, row, rx, ry, fx, fy):
     body[row, FZ] -= rx * fy - ry * fx
     body[row, FX] -= fx
     body[row, FY] -= fy
+
+
+@inlined
+def turned(body, row, x, y, z):
+    """
+    Return a vector of a body's frame in world axes, in space.
+
+    Parameters
+    ----------
+    body : ndarray, shape (nb + 1, WORK_COLUMNS)
+        After the outward recursion.
+    row : int
+        Of the body, 0 for the ground.
+    x, y, z : float
+        In the frame of the body's row.
+
+    """
+    return (body[row, FRAME] * x + body[row, FRAME + 1] * y + body[row, FRAME + 2] * z,
+            body[row, FRAME + 3] * x + body[row, FRAME + 4] * y + body[row, FRAME + 5] * z,
+            body[row, FRAME + 6] * x + body[row, FRAME + 7] * y + body[row, FRAME + 8] * z)
+
+
+@inlined
+def velocity_in_space(body, row, rx, ry, rz):
+    """
+    Return the velocity of a point of a body, in space [m/s].
+
+    Parameters
+    ----------
+    body, row
+        As for ``turned``.
+    rx, ry, rz : float
+        Offset of the point from the origin of the body's row, world axes [m].
+
+    """
+    x, y, z = body[row, SPIN], body[row, SPIN + 1], body[row, SPIN + 2]
+    return (body[row, VELOCITY] + y * rz - z * ry, body[row, VELOCITY + 1] + z * rx - x * rz,
+            body[row, VELOCITY + 2] + x * ry - y * rx)
+
+
+@inlined
+def push_in_space(body, row, rx, ry, rz, fx, fy, fz):
+    """
+    Apply a force to a body, in space.
+
+    Parameters
+    ----------
+    body, row, rx, ry, rz
+        As for ``velocity_in_space``; the force that the body's acceleration takes is reduced.
+    fx, fy, fz : float
+        World axes [N].
+
+    """
+    twist(body, row, ry * fz - rz * fy, rz * fx - rx * fz, rx * fy - ry * fx)
+    body[row, FORCE + 3] -= fx
+    body[row, FORCE + 4] -= fy
+    body[row, FORCE + 5] -= fz
+
+
+@inlined
+def twist(body, row, x, y, z):
+    """
+    Apply a torque to a body, in space.
+
+    Parameters
+    ----------
+    body, row
+        As for ``push_in_space``.
+    x, y, z : float
+        World axes [N m].
+
+    """
+    body[row, FORCE] -= x
+    body[row, FORCE + 1] -= y
+    body[row, FORCE + 2] -= z

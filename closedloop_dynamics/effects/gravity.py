@@ -24,15 +24,8 @@ It stores the potential energy ``-sum_i m_i g . p_i``.
 from dataclasses import dataclass
 
 from .effect import Effect
-from ..mechanism.checks import vector2, vector3
-from ..mechanism.fields import at
+from ..mechanism.checks import vector
 from ..mechanism.mechanism import Vector
-
-
-def _vector(value):
-    """Return a vector of two or of three numbers."""
-    return vector3(value) if isinstance(value, (list, tuple)) and len(value) == 3 else vector2(
-        value)
 
 
 @dataclass(frozen=True)
@@ -48,15 +41,10 @@ class Gravity(Effect):
 
     """
 
-    IN_SPACE = True
-    CHECKS = {'acceleration': _vector}
+    CHECKS = {'acceleration': vector}
+    VECTORS = ('acceleration',)
 
     acceleration: Vector
-
-    def fit(self, mechanism):
-        """Refuse a vector of the plane in space, and one of space in the plane."""
-        with at('acceleration'):
-            (vector2 if mechanism.planar else vector3)(self.acceleration)
 
     def change(self, model, machine):
         """Add the field to the model, whose recursion starts from it: no force is computed."""

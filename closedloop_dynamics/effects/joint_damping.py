@@ -45,7 +45,6 @@ class JointDamping(Effect):
 
     CHECKS = {'joint': name, 'coefficient': not_negative}
     READINGS = ('torque',)
-    IN_SPACE = True
 
     joint: str
     coefficient: float

@@ -47,7 +47,6 @@ class JointSpring(Effect):
 
     CHECKS = {'joint': name, 'stiffness': not_negative, 'rest': number}
     READINGS = ('torque',)
-    IN_SPACE = True
 
     joint: str
     stiffness: float

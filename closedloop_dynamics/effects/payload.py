@@ -17,17 +17,21 @@ A mass added rigidly to a body.
 
     m += m_p,   m c += m_p r,   I += I_p + m_p r^2        about the body's origin
 
-Its weight and inertia then act like the body's own; nothing is computed in addition. When: a
-tool, a part in the gripper, a counterweight.
+Its weight and inertia then act like the body's own; nothing is computed in addition. In space
+m_p r^2 is the matrix m_p (r . r 1 - r r^T). When: a tool, a part in the gripper, a counterweight.
 
 """
 
 from dataclasses import dataclass
+from typing import Tuple, Union
 
 from .effect import Effect
+from ..core.straight_line import space
 from ..core.types import INERTIA, MASS, MASS_X, MASS_Y
-from ..mechanism.checks import name, not_negative, vector2
-from ..mechanism.mechanism import Vector2
+from ..mechanism.checks import name, not_negative, one_or_several, vector
+from ..mechanism.fields import at
+from ..mechanism.mechanism import Vector
+from ..mechanism.validation import spatial_inertia
 
 
 @dataclass(frozen=True)
@@ -40,23 +44,41 @@ class Payload(Effect):
     body : str
     mass : float
         Zero or more [kg].
-    position : tuple of 2 floats
+    position : tuple of 2 floats, or 3 in space
         Its centre of mass in the body's frame [m].
-    inertia : float
-        About its own centre of mass, zero or more [kg m^2].
+    inertia : float, or tuple of 3 or 6 floats in space
+        About its own centre of mass, zero or more [kg m^2]; in space in the body's axes: xx, yy,
+        zz, xy, xz, yz.
 
     """
 
-    CHECKS = {'body': name, 'mass': not_negative, 'position': vector2, 'inertia': not_negative}
+    CHECKS = {'body': name, 'mass': not_negative, 'position': vector,
+              'inertia': one_or_several(not_negative, spatial_inertia)}
+    VECTORS = ('position',)
 
     body: str
     mass: float
-    position: Vector2 = (0.0, 0.0)
-    inertia: float = 0.0
+    position: Vector = (0.0, 0.0)
+    inertia: Union[float, Tuple[float, ...]] = 0.0
+
+    def fit(self, mechanism):
+        """Refuse an inertia of the plane in space, and one of space in the plane."""
+        super().fit(mechanism)
+        with at('inertia'):
+            if mechanism.planar:
+                not_negative(self.inertia)
+            elif self.inertia != 0.0:
+                spatial_inertia(self.inertia)
 
     def change(self, model, machine):
         """Add the mass to the model."""
-        row, (x, y) = machine.body(self.body), self.position
+        row, position = machine.body(self.body), machine.vector(self.position)
+        if not machine.mechanism.planar:
+            placement = machine.placement(self.body)
+            about = placement.axes @ space.inertia_matrix(self.inertia) @ placement.axes.T
+            space.weigh(model.body[row], self.mass, placement.place(position), about)
+            return
+        x, y = position
         model.body[row, MASS] += self.mass
         model.body[row, MASS_X] += self.mass * x
         model.body[row, MASS_Y] += self.mass * y

@@ -28,13 +28,16 @@ import math
 from typing import Optional
 
 from .effect import Effect
-from .forces import offset, push
-from .table import DISSIPATED, FIRST, ForceElement, POINT_SPRING, SECOND, STATE, State, STORED
+from .forces import offset, push, push_in_space, turned, velocity_in_space
+from .table import (
+    DISSIPATED, FIRST, ForceElement, POINT_SPRING, SECOND, SPATIAL_POINT_SPRING, STATE, State,
+    STORED)
 from ..core.compiled import inlined
+from ..core.straight_line.space import ORIGIN
 from ..core.types import OMEGA, PX, PY, VX, VY
-from ..mechanism.checks import name, not_negative, vector2
+from ..mechanism.checks import name, not_negative, vector
 from ..mechanism.fields import FieldError
-from ..mechanism.mechanism import Vector2
+from ..mechanism.mechanism import Vector
 
 
 @dataclass(frozen=True)
@@ -48,7 +51,7 @@ class PointSpring(Effect):
         A named point.
     point_b : str or None
         The other one; None where ``anchor`` is given.
-    anchor : tuple of 2 floats or None
+    anchor : tuple of 2 floats, or 3 in space, or None
         The other end's place in the world [m].
     stiffness : float
         k, zero or more [N/m].
@@ -60,12 +63,13 @@ class PointSpring(Effect):
     """
 
     CHECKS = {'point_a': name, 'stiffness': not_negative, 'damping': not_negative,
-              'free_length': not_negative, 'point_b': name, 'anchor': vector2}
+              'free_length': not_negative, 'point_b': name, 'anchor': vector}
+    VECTORS = ('anchor',)
     READINGS = ('tension', 'length')
 
     point_a: str
     point_b: Optional[str] = None
-    anchor: Optional[Vector2] = None
+    anchor: Optional[Vector] = None
     stiffness: float = 0.0
     damping: float = 0.0
     free_length: float = 0.0
@@ -81,32 +85,65 @@ class PointSpring(Effect):
         """Return the effect as a row of the table."""
         row_a, place_a = machine.point(self.point_a)
         row_b, place_b = machine.point(self.point_b) if self.point_b else (0, self.anchor)
-        return ForceElement(POINT_SPRING, (row_a, row_b), (
-            *place_a, *place_b, self.stiffness, self.damping, self.free_length),
+        kind = POINT_SPRING if machine.mechanism.planar else SPATIAL_POINT_SPRING
+        return ForceElement(kind, (row_a, row_b), (
+            self.stiffness, self.damping, self.free_length, *place_a, *place_b),
             (State(DISSIPATED),))
+
+
+@inlined
+def _tension(table, row, length, rate):
+    """Return the tension at a length and its rate, and note it."""
+    values = table.values
+    stretch, tension = length - values[row, 2], 0.0
+    if length > 0.0:
+        tension = values[row, 0] * stretch + values[row, 1] * rate
+    table.rates[table.index[row, STATE]] = values[row, 1] * rate * rate
+    table.output[row, STORED] = 0.5 * values[row, 0] * stretch * stretch
+    table.output[row, 1] = tension
+    table.output[row, 2] = length
+    return tension
 
 
 @inlined
 def apply(table, row, body):
     """Apply the forces; see ``dispatch.apply``."""
     values, a, b = table.values, table.index[row, FIRST], table.index[row, SECOND]
-    ax, ay = offset(body, a, values[row, 0], values[row, 1])
-    bx, by = offset(body, b, values[row, 2], values[row, 3])
+    ax, ay = offset(body, a, values[row, 3], values[row, 4])
+    bx, by = offset(body, b, values[row, 5], values[row, 6])
     x = body[b, PX] - body[a, PX] + bx - ax
     y = body[b, PY] - body[a, PY] + by - ay
-    length = math.sqrt(x * x + y * y)
-    stretch = length - values[row, 6]
-    rate, tension = 0.0, 0.0
+    length, rate = math.sqrt(x * x + y * y), 0.0
     if length > 0.0:
         x /= length
         y /= length
         vx = body[b, VX] - body[a, VX] - body[b, OMEGA] * by + body[a, OMEGA] * ay
         vy = body[b, VY] - body[a, VY] + body[b, OMEGA] * bx - body[a, OMEGA] * ax
         rate = x * vx + y * vy
-        tension = values[row, 4] * stretch + values[row, 5] * rate
+    tension = _tension(table, row, length, rate)
+    if length > 0.0:
         push(body, a, ax, ay, tension * x, tension * y)
         push(body, b, bx, by, -tension * x, -tension * y)
-    table.rates[table.index[row, STATE]] = values[row, 5] * rate * rate
-    table.output[row, STORED] = 0.5 * values[row, 4] * stretch * stretch
-    table.output[row, 1] = tension
-    table.output[row, 2] = length
+
+
+@inlined
+def apply_in_space(table, row, body):
+    """Apply the forces in space; see ``dispatch.apply``."""
+    values, a, b = table.values, table.index[row, FIRST], table.index[row, SECOND]
+    ax, ay, az = turned(body, a, values[row, 3], values[row, 4], values[row, 5])
+    bx, by, bz = turned(body, b, values[row, 6], values[row, 7], values[row, 8])
+    x = body[b, ORIGIN] - body[a, ORIGIN] + bx - ax
+    y = body[b, ORIGIN + 1] - body[a, ORIGIN + 1] + by - ay
+    z = body[b, ORIGIN + 2] - body[a, ORIGIN + 2] + bz - az
+    length, rate = math.sqrt(x * x + y * y + z * z), 0.0
+    if length > 0.0:
+        x /= length
+        y /= length
+        z /= length
+        vx, vy, vz = velocity_in_space(body, b, bx, by, bz)
+        ux, uy, uz = velocity_in_space(body, a, ax, ay, az)
+        rate = x * (vx - ux) + y * (vy - uy) + z * (vz - uz)
+    tension = _tension(table, row, length, rate)
+    if length > 0.0:
+        push_in_space(body, a, ax, ay, az, tension * x, tension * y, tension * z)
+        push_in_space(body, b, bx, by, bz, -tension * x, -tension * y, -tension * z)

@@ -17,19 +17,35 @@ Inertia of a motor's rotor behind a gear.
 
     reflected inertia  I_r = N^2 J        joint torque for it: I_r qdd
 
-The rotor turns N times as fast as the joint; its energy J (N qd)^2 / 2 counts as kinetic. It is
-taken relative to the body that carries the motor, as usual: the share from that body's own
-turning is left out, which is exact where the motor stands on the ground. When: geared
-drives, whose rotor often outweighs the link.
+The rotor turns N times as fast as the joint, on the body that carries the motor: the joint's
+parent.
+
+In the plane it is taken relative to that body, as usual: the energy J (N qd)^2 / 2 counts as
+kinetic, the share from the carrier's own turning is left out, which is exact where the
+motor stands on the ground. In space nothing is left out. With the rotor's axis a and the angular
+velocity w of the carrier, its energy beyond that of a rotor that is fixed to the carrier is
+N^2 J qd^2 / 2 + N J qd a . w, from which follow
+
+    joint torque  N^2 J qdd + N J a . w'        torque on the carrier  N J (qdd a + qd w x a)
+
+the last of them the gyroscopic torque. Mass and inertia of the rotor as if it were fixed are the
+carrier's, in its own description or by a payload. When: geared drives, whose rotor often outweighs
+the link; flywheels.
 
 """
 
 from dataclasses import dataclass
+from typing import Optional
+
+import numpy as np
 
 from .effect import Effect
-from ..core.types import ARMATURE, REVOLUTE, REVOLUTE_ARMATURE, TYPE
-from ..mechanism.checks import name, not_negative, number
-from ..mechanism.fields import FieldError
+from ..core.straight_line import space
+from ..core.straight_line.spatial import rotation
+from ..core.types import ARMATURE, PARENT, REVOLUTE, REVOLUTE_ARMATURE, TYPE
+from ..mechanism.checks import direction, name, not_negative, number
+from ..mechanism.fields import FieldError, shown
+from ..mechanism.mechanism import Vector3
 
 
 @dataclass(frozen=True)
@@ -45,14 +61,18 @@ class Rotor(Effect):
     gear_ratio : float
         N, turns of the rotor per turn of the joint, not zero (per metre in a prismatic
         joint: 2 pi / lead [rad/m]).
+    axis : tuple of 3 floats or None
+        The rotor's axis in the frame of the joint's parent; of unit length here. The joint's
+        own axis when not given. In space only.
 
     """
 
-    CHECKS = {'joint': name, 'inertia': not_negative, 'gear_ratio': number}
+    CHECKS = {'joint': name, 'inertia': not_negative, 'gear_ratio': number, 'axis': direction}
 
     joint: str
     inertia: float
     gear_ratio: float = 1.0
+    axis: Optional[Vector3] = None
 
     def __post_init__(self):
         """Refuse what cannot be a rotor."""
@@ -60,9 +80,24 @@ class Rotor(Effect):
         if self.gear_ratio == 0.0:
             raise FieldError('a number that is not zero', '0', path=('gear_ratio',))
 
+    def fit(self, mechanism):
+        """Refuse an axis in the plane."""
+        super().fit(mechanism)
+        if mechanism.planar and self.axis is not None:
+            raise FieldError('no axis in the plane, which every rotor turns in', shown(self.axis),
+                             path=('axis',))
+
     def change(self, model, machine):
-        """Add the reflected inertia to the model."""
+        """Add the rotor to the model."""
         row = machine.joint_row(self.joint)
-        model.body[row, ARMATURE] += self.gear_ratio ** 2 * self.inertia
-        if model.tree[row, TYPE] == REVOLUTE:
-            model.tree[row, TYPE] = REVOLUTE_ARMATURE
+        if machine.mechanism.planar:
+            model.body[row, ARMATURE] += self.gear_ratio ** 2 * self.inertia
+            if model.tree[row, TYPE] == REVOLUTE:
+                model.tree[row, TYPE] = REVOLUTE_ARMATURE
+            return
+        model.body[row, space.ARMATURE] += self.gear_ratio ** 2 * self.inertia
+        if model.tree[row, PARENT] > 0:
+            joint = machine.description(self.joint)
+            axis = self.axis or np.array(rotation(joint.orientation)) @ joint.axis
+            model.body[row, space.ROTOR:space.ROTOR + 3] += self.gear_ratio * self.inertia * (
+                space.snapped(machine.placement(joint.parent).axes @ axis))

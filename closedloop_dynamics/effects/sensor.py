@@ -53,7 +53,6 @@ class Sensor(Effect):
 
     """
 
-    IN_SPACE = True
     CHECKS = {'position_noise': not_negative, 'velocity_noise': not_negative,
               'position_bias': number, 'velocity_bias': number,
               'position_resolution': not_negative, 'velocity_resolution': not_negative,

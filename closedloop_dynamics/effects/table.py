@@ -28,13 +28,13 @@ from ..core.joint_wrenches import COLUMNS
 
 # Which law a row of the table obeys.
 (JOINT_DAMPING, JOINT_SPRING, END_STOP, JOINT_FRICTION, POINT_SPRING, EXTERNAL_FORCE, CONTACT,
- ACTUATOR) = range(8)
+ ACTUATOR, SPATIAL_POINT_SPRING, SPATIAL_FORCE, SPATIAL_CONTACT) = range(11)
 # Columns of EffectTable.index: first own state; joint (its place in q) or the row of the body
 # that carries the first point; the row of the second point's body, or of the joint's; whether the
 # law wants the reaction in its joint, as its second state.
 STATE, FIRST, SECOND, LOADED = range(4)
 INDEX_COLUMNS = 4
-VALUE_COLUMNS = 12
+VALUE_COLUMNS = 13
 # Last column of EffectTable.values where a law is LOADED: time constant of the reaction [s].
 LOAD_TIME = 11
 # First column of EffectTable.output: stored energy [J]. The others are the law's readings.
@@ -57,7 +57,7 @@ class State(NamedTuple):
 class ForceElement(NamedTuple):
     """One effect as a row of the table."""
 
-    kind: int  # ``JOINT_DAMPING`` to ``ACTUATOR``
+    kind: int  # ``JOINT_DAMPING`` to ``SPATIAL_CONTACT``
     index: Tuple[int, ...]  # FIRST and SECOND, as far as the law reads them
     values: Tuple[float, ...]  # Parameters, in the order the law reads them
     states: Tuple[State, ...] = ()  # In the order the law reads and writes them

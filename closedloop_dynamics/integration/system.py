@@ -29,9 +29,8 @@ from ..core.independent import allocate_partition, close, Partition
 from ..core.joint_wrenches import bias_forces
 from ..core.manifold import (
     by_rate, Manifold, manifold_of, number_of_coordinates, rates_begin, rates_of_coordinates, TURN)
-from ..core.straight_line import linkage as links
+from ..core.straight_line import linkage as links, space
 from ..core.straight_line.numbers import Numbers
-from ..core.straight_line.space import is_spatial
 from ..core.types import allocate, Model, RANK, RANK_REVEALING_COUNT, Workspace
 from ..effects import dispatch, joint_reaction, sticking
 from ..effects.table import build_table, EffectTable
@@ -140,7 +139,7 @@ def build_system(model, formulation=SUBSYSTEM, baumgarte=0.0, extent=1.0, indepe
     nv, nc = len(model.tree) - 1, len(model.column) - 1
     if unrolled is None:
         unrolled = (straight_line.available() and formulation == SUBSYSTEM
-                    and (nv <= MOST_UNROLLED_BODIES or is_spatial(model)))
+                    and (nv <= MOST_UNROLLED_BODIES or space.is_spatial(model)))
     # Closure errors of 1e-12 of the size are rounding; one of 1e-5 of it is an open loop.
     settings = np.array([
         formulation, baumgarte, 1e-12 * extent, 1e-5 * extent, rank_revealing.ASIDE])
@@ -180,7 +179,7 @@ def _relinked(*fields):
 
 def _careful_routines(system):
     """Return the rank-revealing path as functions of q and qd, compiled when first called."""
-    if is_spatial(system.model):
+    if space.is_spatial(system.model):
         return _careful_in_space(system)
     model, work, effects, settings, qdd = (
         system.model, system.work, system.effects, system.settings, system.qdd)
@@ -206,6 +205,8 @@ def _careful_in_space(system):
 
     def accelerate(q, qd):
         numbers.move(q, qd)
+        # As effects have left them.
+        space.read(numbers.recursion, system.work.body)
         qdd[:], lam, health[RANK] = numbers.accelerations(
             system.applied, system.settings[BAUMGARTE_GAIN])
         system.lam[:] = numbers.of_kept(lam)

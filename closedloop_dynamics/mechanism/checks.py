@@ -97,6 +97,16 @@ def vector3(value):
     return numbers(value, 3, 'a list of 3 finite numbers [x, y, z]')
 
 
+def one_or_several(one, several):
+    """Return the check for what passes ``several`` where it has a length, ``one`` otherwise."""
+    return lambda value: (several if hasattr(value, '__len__') else one)(value)
+
+
+def vector(value):
+    """Return ``value`` as a tuple of two floats, or of three."""
+    return (vector3 if hasattr(value, '__len__') and len(value) == 3 else vector2)(value)
+
+
 # What has a norm this near to 1 stays as it is, so that what was checked and written can be read
 # again to the last digit.
 UNIT_NORM = 1e-15

@@ -76,7 +76,7 @@ def _factors(value):
     return found
 
 
-def _inertia(value):
+def spatial_inertia(value):
     """Return moments of inertia in space, three or six; refuse those that no body has."""
     expected = ('a list of 3 finite numbers [xx, yy, zz] or 6 [xx, yy, zz, xy, xz, yz], about the '
                 'centre of mass')
@@ -115,7 +115,8 @@ SECTIONS = {
 # The same in space, where vectors have three numbers.
 SPATIAL_SECTIONS = {
     'bodies': (Body, {
-        'massless': boolean, 'mass': _mass, 'center_of_mass': vector3, 'inertia': _inertia}),
+        'massless': boolean, 'mass': _mass, 'center_of_mass': vector3,
+        'inertia': spatial_inertia}),
     'joints': (Joint, {
         'type': one_of(tuple(JOINT_FREEDOMS)), 'position': vector3,
         'angle': partial(_left_out, 0.0, 'the plane'), 'actuated': boolean,

@@ -110,8 +110,11 @@ class EffectParameters:
 
     def on_force(self, name, message):
         """Let a force from a topic act, or refuse it."""
+        force = (message.x, message.y)
+        if not self._simulation.mechanism.planar:
+            force = (*force, message.z)
         try:
-            self._simulation.set_effect(name, **{FORCE: (message.x, message.y)})
+            self._simulation.set_effect(name, **{FORCE: force})
         except ValueError as error:
             if self._rejection.ready():
                 self._logger.warning(f'effects/{name}/{FORCE} rejected: {error}')

@@ -19,10 +19,10 @@ from pathlib import Path
 from typing import Optional, Tuple
 
 from ..effects.effect_set import require_one_drive_each
-from ..effects.registry import effect_type, EFFECTS
+from ..effects.registry import EFFECTS
 from ..integration.registry import ADAPTIVE, AUTO, BAUMGARTE, INTEGRATORS, STABILISATIONS
 from ..mechanism.checks import list_of, name, number, one_of, positive, text
-from ..mechanism.fields import among, at, FieldError, mapping, normalise, shown
+from ..mechanism.fields import at, FieldError, mapping, normalise, shown
 from ..mechanism.mechanism import Mechanism
 from ..mechanism.validation import validate_mechanism
 
@@ -177,11 +177,6 @@ class Scene:
                 name(key)
                 if type(effect) not in EFFECTS.values():
                     raise FieldError('a record of effects.registry', shown(effect))
-                if not (self.mechanism.planar or effect.IN_SPACE):
-                    raise FieldError(
-                        'an effect that acts on mechanisms in space, too: '
-                        + among(kind for kind, record in EFFECTS.items() if record.IN_SPACE),
-                        f'{effect_type(effect)!r}, which acts in the plane only')
                 effect.fit(self.mechanism)
         with at('effects'):
             require_one_drive_each(self.effects)

@@ -94,7 +94,9 @@ class Simulation:
             self._geometry.leave_out_repeated(np.array(scene.initial.position))
             self._rows, model = self._geometry.rows, self._geometry.model
             self._require_methods_of_space(scene.method)
-        self._effects = EffectSet(scene.effects, model, Machine(self.mechanism, self._rows))
+        machine = Machine(self.mechanism, self._rows,
+                          None if self._geometry is None else self._geometry.placements)
+        self._effects = EffectSet(scene.effects, model, machine)
         method = scene.method
         baumgarte = 1.0 / method.time_constant if method.stabilisation == 'baumgarte' else 0.0
         size = extent(self.mechanism)

@@ -45,6 +45,8 @@ class SpatialGeometry:
     Attributes
     ----------
     model : core.types.Model
+    placements : dict of str to spatial_modeling.Placement
+        Where the bodies' frames are in those of their rows.
     rows : dict of str to int
         Row of each body in the model's arrays.
 
@@ -60,13 +62,13 @@ class SpatialGeometry:
         self.mechanism = mechanism
         self._decomposition = decomposition or decompose(mechanism)
         self._build(None)
-        self.rows = {name: one.row for name, one in self._placements.items()}
+        self.rows = {name: one.row for name, one in self.placements.items()}
 
     def _build(self, kept):
         """Build the model, and what works on numbers."""
         built = build_spatial_model(
             self.mechanism, decomposition=self._decomposition, kept=kept)
-        self.model, self._placements = built.model, built.placements
+        self.model, self.placements = built.model, built.placements
         self._numbers = Numbers(self.model)
 
     def leave_out_repeated(self, q):
@@ -186,7 +188,7 @@ class SpatialGeometry:
             In the world [m].
 
         """
-        placement = self._placements[body]
+        placement = self.placements[body]
         return self.move(q).point(placement.row, placement.place(position))
 
     def poses(self, q):
@@ -208,7 +210,7 @@ class SpatialGeometry:
         motions = self.move(q).recursion.motion
         found = np.empty((len(self.mechanism.bodies), 7))
         for pose, body in zip(found, self.mechanism.bodies):
-            placement = self._placements[body.name]
+            placement = self.placements[body.name]
             motion = motions[placement.row]
             frame = np.array(motion.frame, dtype=float)
             pose[:3] = np.array(motion.origin, dtype=float) + frame @ placement.origin

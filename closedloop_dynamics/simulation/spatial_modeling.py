@@ -28,6 +28,7 @@ import numpy as np
 from .modeling import block_arrays, dependencies, extent, factor_arrays, path
 from ..core import types as t
 from ..core.straight_line import space
+from ..core.straight_line.space import cleared, snapped
 from ..core.straight_line.spatial import Recursion, rotation, X, Y, Z
 from ..core.straight_line.tape import LOAD, Tape
 from ..core.straight_line.vectors import is_zero
@@ -37,8 +38,6 @@ from ..mechanism.mechanism import (
     JOINT_FREEDOMS, MechanismError, PLANAR, POINT_ON_LINE, POINT_ON_PLANE, PRISMATIC, REVOLUTE,
     SPHERICAL, UNIVERSAL)
 
-# Components of unit vectors this near to 0, 1 and -1 are what a description meant by them.
-ROUNDING = 1e-14
 # Of the size: errors of equations that no motion changes are rounding below this.
 NEVER_CLOSED = 1e-9
 _UNIT = np.eye(3)
@@ -159,12 +158,12 @@ class _Tree:
         """Add the rows of one joint, and the body that it carries."""
         joint = self.mechanism.joints[index]
         parent, body = self.placements[joint.parent], self.bodies[joint.child]
-        axes = _snapped(parent.axes @ np.array(rotation(joint.orientation)))
+        axes = snapped(parent.axes @ np.array(rotation(joint.orientation)))
         place, row, rows = parent.place(joint.position), parent.row, []
         dof, coordinate = self.first[index], self.coordinate[index]
         for kind, axis, turned in self._freedoms(joint, axes):
             constant = np.zeros(space.BODY_COLUMNS)
-            constant[space.PLACE:space.PLACE + 3] = _cleared(place)
+            constant[space.PLACE:space.PLACE + 3] = cleared(place)
             constant[space.TURNED:space.TURNED + 9] = turned.ravel()
             # The frame of a ball begins anew; what only slides does not turn.
             constant[space.PARALLEL] = np.array_equal(turned, _UNIT)
@@ -172,7 +171,7 @@ class _Tree:
                 constant[space.LEAD] = joint.lead
             self.tree.append((row, dof, kind, 0, coordinate, axis))
             self.body.append(constant)
-            row, place, axes = len(self.tree) - 1, np.zeros(3), _snapped(turned.T @ axes)
+            row, place, axes = len(self.tree) - 1, np.zeros(3), snapped(turned.T @ axes)
             rows.append(row)
             dof, coordinate = dof + 1, coordinate + (kind != t.BALL)
         for last in rows[-3:]:
@@ -208,14 +207,9 @@ class _Tree:
 
     def _weigh(self, row, axes, origin, body):
         """Add a body's mass, first moments and inertia to a row."""
-        constant, mass = self.body[row], body.mass
-        center = axes @ body.center_of_mass + origin
-        about = axes @ inertia_matrix(body.inertia) @ axes.T
-        about = _cleared(about) + mass * (center @ center * _UNIT - np.outer(center, center))
-        constant[space.MASS] += mass
-        constant[space.MOMENT:space.MOMENT + 3] += _cleared(mass * center)
-        constant[space.INERTIA:space.INERTIA + 6] += _agreed(_cleared(about))[
-            (0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)]
+        space.weigh(
+            self.body[row], body.mass, axes @ body.center_of_mass + origin,
+            axes @ space.inertia_matrix(body.inertia) @ axes.T)
 
     def arrays(self, decomposition):
         """Return ``Model.tree`` and ``Model.body``."""
@@ -227,56 +221,17 @@ class _Tree:
         return tree, np.array(self.body)
 
 
-def inertia_matrix(inertia):
-    """
-    Return an inertia as a matrix.
-
-    Parameters
-    ----------
-    inertia : float or tuple of 3 or 6
-        As ``mechanism.Body`` has it.
-
-    Returns
-    -------
-    ndarray, shape (3, 3)
-
-    """
-    values = np.zeros(6)
-    values[:np.size(inertia)] = inertia
-    xx, yy, zz, xy, xz, yz = values
-    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-
-
-def _snapped(matrix):
-    """Return a rotation with entries that are nearly 0, 1 or -1 exactly so."""
-    nearest = np.round(matrix)
-    return np.where(np.abs(matrix - nearest) < ROUNDING, nearest, matrix) + 0.0
-
-
-def _cleared(values):
-    """Return numbers, zero where they are next to nothing beside the largest."""
-    return np.where(np.abs(values) < ROUNDING * np.abs(values).max(), 0.0, values)
-
-
-def _agreed(about):
-    """Return an inertia, principal moments that differ by rounding equal."""
-    for m, n in ((0, 1), (0, 2), (1, 2)):
-        if abs(about[m, m] - about[n, n]) < ROUNDING * about[m, m]:
-            about[n, n] = about[m, m]
-    return about
-
-
 def _frame(axis, hint):
     """Return a frame with an axis as its Z, X towards a hint; the present one where that does."""
-    axis = _snapped(np.array(axis) / np.linalg.norm(axis))
+    axis = snapped(np.array(axis) / np.linalg.norm(axis))
     if np.array_equal(axis, _UNIT[Z]):
         return _UNIT
     across = hint - axis * (axis @ hint)
     if np.linalg.norm(across) <= 1e-9 * np.linalg.norm(hint):
         # Perpendicular to the axis and to the present axis that it is the least along.
         across = np.cross(_UNIT[np.argmin(np.abs(axis))], axis)
-    across = _snapped(across / np.linalg.norm(across))
-    return _snapped(np.column_stack([across, np.cross(axis, across), axis]))
+    across = snapped(across / np.linalg.norm(across))
+    return snapped(np.column_stack([across, np.cross(axis, across), axis]))
 
 
 def _closures(mechanism, decomposition, tree, builder):
@@ -295,7 +250,7 @@ def _closures(mechanism, decomposition, tree, builder):
         one[[t.CUT_TYPE, t.BODY_A, t.BODY_B]] = (
             space.CUT_TYPES.index(joint.type), a.row, b.row)
         points.append(np.concatenate([
-            _cleared(a.place(joint.point_a)), _cleared(b.place(joint.point_b)),
+            cleared(a.place(joint.point_a)), cleared(b.place(joint.point_b)),
             frame_a.ravel(), frame_b.ravel(), [joint.length or joint.lead or 0.0]]))
         _pass(one, tree, slots)
     point = np.zeros((len(cut), max([space.CUT_POINT_COLUMNS, *map(len, points)])))
@@ -349,7 +304,7 @@ def _cut_frames(joint, a, b):
     if joint.type in CUT_WITH_ORIENTATION:
         own = _UNIT if joint.axis_b is None else _frame(np.array(joint.axis_b), np.zeros(3))
         held = np.array(rotation(joint.orientation)).T
-        return _snapped(a.axes @ held @ own), _snapped(b.axes @ own)
+        return snapped(a.axes @ held @ own), snapped(b.axes @ own)
     if joint.type in (SPHERICAL, DISTANCE):
         return _UNIT, _UNIT
     along_b = _frame(b.axes @ joint.axis_b, np.zeros(3))

@@ -285,8 +285,13 @@ def closure_rates(mechanism, q):
     return np.array(columns).T
 
 
-def forward_dynamics(mechanism, q, qd, tau, gravity=(0.0, 0.0, -9.81)):
-    """Return the Result for coordinates (nq,), rates and joint forces (nv,)."""
+def forward_dynamics(mechanism, q, qd, tau, gravity=(0.0, 0.0, -9.81), wrenches=None):
+    """
+    Return the Result for coordinates (nq,), rates and joint forces (nv,).
+
+    ``wrenches``: what else acts on bodies, (6,) by name, moment first, at their frames' origins.
+
+    """
     motions, rates, bases = forward(mechanism, q, qd, np.zeros(len(qd)))
     tree, cuts = Equations(mechanism), Equations(mechanism)
     for joint in mechanism.joints:
@@ -312,7 +317,7 @@ def forward_dynamics(mechanism, q, qd, tau, gravity=(0.0, 0.0, -9.81)):
             np.cross(spin, about_center @ spin),
             body.mass * (np.cross(spin, np.cross(spin, arm)) - np.array(gravity))])
         mass[own, own] = shift.T @ center @ shift
-        force[own] = -shift.T @ bias
+        force[own] = (wrenches or {}).get(body.name, 0.0) - shift.T @ bias
     efforts = split(mechanism, tau, lambda joint: JOINT_FREEDOMS[joint.type])
     for joint in mechanism.joints:
         wrench = np.linalg.pinv(bases[joint.name]).T @ efforts[joint.name]

@@ -343,9 +343,9 @@ def test_what_cannot_be_had_in_space_says_so(linkage):
             Simulation(scene(mechanism, **method))
 
 
-def test_effects_of_the_plane_are_refused(linkage):
+def test_effects_with_vectors_of_the_plane_are_refused(linkage):
     mechanism, _ = linkage
-    with pytest.raises(FieldError, match='effects.load: .*joint_damping.*payload'):
-        scene(mechanism, effects={'load': Payload('rod', 1.0)})
     with pytest.raises(FieldError, match='effects.gravity.acceleration: .*3 finite numbers'):
         scene(mechanism, gravity=(0.0, -9.81))
+    with pytest.raises(FieldError, match='effects.load.position: .*3 finite numbers'):
+        scene(mechanism, effects={'load': Payload('rod', 1.0, (0.1, 0.0))})

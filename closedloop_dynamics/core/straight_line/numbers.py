@@ -78,6 +78,7 @@ class Numbers:
 
         """
         model = self.model
+        self._rates = np.zeros(self.nv) if qd is None else qd
         self.recursion = Recursion(
             space.bodies(model, model.body.astype(object)),
             space.cuts(model, model.cut_point.astype(object), POSSIBLE),
@@ -163,9 +164,12 @@ class Numbers:
             tips[i, :, model.tree[i, DOF]] += motion.axis
             force[i] = np.array(self.recursion.inertia[i]) @ tips[i]
         gim = sum(tips[i].T @ force[i] for i in range(1, len(model.tree)))
-        for i, body in enumerate(self.recursion.bodies):
-            if i > 0 and body.armature is not None:
-                gim[model.tree[i, DOF], model.tree[i, DOF]] += body.armature
+        for i, (_, parent, armature, rotor) in self._rotors():
+            dof = model.tree[i, DOF]
+            gim[dof, dof] += armature
+            coupling = rotor @ tips[parent, :3]
+            gim[dof] += coupling
+            gim[:, dof] += coupling
         return self._own_axes(self._own_axes(gim).T)
 
     def bias_force(self):
@@ -179,7 +183,18 @@ class Numbers:
         """
         forces = dict(enumerate(self.recursion.force))
         del forces[0]
-        return self._own_axes(self._inward(forces))
+        shares = self._own_axes(self._inward(forces))
+        for i, (motion, _, _, rotor) in self._rotors():
+            shares[self.model.tree[i, DOF]] += rotor @ motion.spin_rate
+        return shares
+
+    def _rotors(self):
+        """Yield rows of joints with rotors: motion and row of the carrier, armature, momentum."""
+        for i, body in enumerate(self.recursion.bodies):
+            if i > 0 and body.armature is not None:
+                parent = self.model.tree[i, PARENT]
+                yield i, (self.recursion.motion[parent], parent, body.armature,
+                          np.array(self.recursion.rotor[i]))
 
     def energies(self):
         """
@@ -197,6 +212,9 @@ class Numbers:
             kinetic += 0.5 * rates @ np.array(inertia) @ rates
             moment = body.mass * np.array(motion.origin) + np.array(motion.frame) @ body.moment
             potential -= self.model.gravity @ moment
+        for i, (motion, _, armature, rotor) in self._rotors():
+            rate = self._rates[self.model.tree[i, DOF]]
+            kinetic += rate * (0.5 * armature * rate + rotor @ motion.spin)
         return float(kinetic), float(potential)
 
     def cut_wrenches(self, lam):

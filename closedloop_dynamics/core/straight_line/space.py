@@ -26,14 +26,15 @@ import numpy as np
 from .spatial import Body, Cut, X, Y, Z
 from .vectors import is_zero
 from ..types import (
-    AXIS, BALL, CUT_TYPE, HELICAL, KEPT, PARENT, PRISMATIC, REVOLUTE_ARMATURE, SLOT_A, SLOT_END,
-    TYPE)
+    AXIS, BALL, CUT_TYPE, HELICAL, KEPT, PARENT, PRISMATIC, SLOT_A, SLOT_END, TYPE)
 
 # Columns of Model.body, one row a body: mass; first moments; moments of inertia about the body's
 # origin, xx, yy, zz, xy, xz, yz; the joint's place in the parent's frame; its axes there, row by
-# row; whether it shares the parent's Z axis; rotor inertia; lead of a screw [m/rad].
-MASS, MOMENT, INERTIA, PLACE, TURNED, PARALLEL, ARMATURE, LEAD = 0, 1, 4, 10, 13, 22, 23, 24
-BODY_COLUMNS = 25
+# row; whether it shares the parent's Z axis; rotor inertia as seen at the joint; lead of a screw
+# [m/rad]; angular momentum of rotors on the parent, in its frame, for a unit of the joint's rate.
+MASS, MOMENT, INERTIA, PLACE, TURNED, PARALLEL, ARMATURE, LEAD, ROTOR = (
+    0, 1, 4, 10, 13, 22, 23, 24, 25)
+BODY_COLUMNS = 28
 # Columns of Model.cut_point, one row a cut joint: its place and its axes in both bodies' frames,
 # the length of a rod [m] or the lead of a thread [m/rad]. Of a coupling the sum that it holds, and
 # from FACTORS on the factor of each slot's coordinate: there may be more columns.
@@ -64,6 +65,68 @@ HELD = (
 )
 CUT_TYPES = tuple(name for name, _, _ in HELD)
 HELICAL_CUT, DISTANCE, COUPLING = map(CUT_TYPES.index, ('helical', 'distance', 'coupling'))
+
+
+# Numbers this small beside the largest of their kind are rounding.
+ROUNDING = 1e-14
+
+
+def cleared(values):
+    """Return numbers, zero where they are next to nothing beside the largest."""
+    return np.where(np.abs(values) < ROUNDING * np.abs(values).max(), 0.0, values)
+
+
+def snapped(values):
+    """Return directions, components that are nearly 0, 1 or -1 exactly so, as was meant."""
+    nearest = np.round(values)
+    return np.where(np.abs(values - nearest) < ROUNDING, nearest, values) + 0.0
+
+
+def weigh(constant, mass, center, about):
+    """
+    Add a rigid mass to a row of ``Model.body``.
+
+    Parameters
+    ----------
+    constant : ndarray, shape (BODY_COLUMNS,)
+        Changed in place.
+    mass : float
+        [kg].
+    center : ndarray, shape (3,)
+        Its centre of mass in the row's frame [m].
+    about : ndarray, shape (3, 3)
+        Inertia about that, in the axes of the row's frame [kg m^2].
+
+    """
+    about = cleared(cleared(about) + mass * (
+        center @ center * np.eye(3) - np.outer(center, center)))
+    for m, n in ((0, 1), (0, 2), (1, 2)):
+        # Principal moments that differ by rounding are equal.
+        if abs(about[m, m] - about[n, n]) < ROUNDING * about[m, m]:
+            about[n, n] = about[m, m]
+    constant[MASS] += mass
+    constant[MOMENT:MOMENT + 3] += cleared(mass * center)
+    constant[INERTIA:INERTIA + 6] += about[(0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)]
+
+
+def inertia_matrix(inertia):
+    """
+    Return an inertia as a matrix.
+
+    Parameters
+    ----------
+    inertia : float or tuple of 3 or 6
+        As ``mechanism.Body`` has it.
+
+    Returns
+    -------
+    ndarray, shape (3, 3)
+
+    """
+    values = np.zeros(6)
+    values[:np.size(inertia)] = inertia
+    xx, yy, zz, xy, xz, yz = values
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
 def is_spatial(model):
@@ -169,7 +232,8 @@ def bodies(model, symbols):
             turned=None if row[PARALLEL] else _matrix(row[TURNED:]), angle=0.0,
             mass=row[MASS], moment=tuple(row[MOMENT:MOMENT + 3]),
             inertia=((xx, xy, xz), (xy, yy, yz), (xz, yz, zz)),
-            armature=row[ARMATURE] if kind == REVOLUTE_ARMATURE else None))
+            armature=None if is_zero((row[ARMATURE],)) else row[ARMATURE],
+            rotor=tuple(row[ROTOR:ROTOR + 3])))
     return found
 
 

@@ -67,7 +67,10 @@ class Body(NamedTuple):
     inertia : tuple of 3 tuples
         About the body's origin, in the body's frame [kg m^2].
     armature : number or None
-        Inertia of a rotor as seen at the joint.
+        Inertia of rotors as seen at the joint.
+    rotor : tuple of 3
+        Angular momentum of rotors that stand on the parent, for a unit of the joint's rate, in
+        the parent's frame.
 
     """
 
@@ -82,6 +85,7 @@ class Body(NamedTuple):
     moment: tuple
     inertia: tuple
     armature: object
+    rotor: tuple = ZERO
 
 
 class Cut(NamedTuple):
@@ -225,6 +229,9 @@ class Recursion:
     force : list of tuples of 6
         What accelerates the bodies as ``motion`` says; with all that hangs on them after
         ``inward``.
+    rotor : list of tuples of 3
+        Angular momentum of rotors on the parents for unit rates of the bodies' joints, in world
+        axes.
 
     """
 
@@ -235,6 +242,7 @@ class Recursion:
             IDENTITY, 0, True, 0.0, IDENTITY, ZERO, ZERO, ZERO, ZERO, ZERO, negate(gravity),
             2 * ZERO)
         self.motion, self.inertia, self.force = [], [], []
+        self.rotor = len(bodies) * [ZERO]
         self._factors, self._acceleration = {}, {}
         self._coordinates = {}
 
@@ -250,6 +258,12 @@ class Recursion:
             self.motion.append(motion)
             self.inertia.append(inertia)
             self.force.append(force)
+            rotor = times(self.motion[p].frame, self.bodies[i].rotor)
+            self.rotor[i] = rotor
+            if not is_zero(rotor):
+                # What turns the rotors with their carrier.
+                turning = scale(cross(self.motion[p].spin, rotor), qd[dof])
+                self.force[p] = add(self.force[p], turning + ZERO)
 
     def _moved(self, i, p, coordinate, rate):
         """Return the motion of a body on its parent."""
@@ -310,6 +324,9 @@ class Recursion:
                 pivot, alone = pivot + armature, None
             inverse = _inverse(pivot, massless)
             right = tau[dof] - dot(axis, force)
+            if not is_zero(self.rotor[i]):
+                share, alone = add(share, self.rotor[i] + ZERO), None
+                right = right - dot(self.rotor[i], self.motion[parent].spin_rate)
             work.body[i, DINV], work.body[i, RHS] = inverse, right
             self._factors[i] = share, alone
             if parent == 0:

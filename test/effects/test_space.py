@@ -1,0 +1,376 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Effects in space: against maximal coordinates, closed forms, and by their energy."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+from closedloop_dynamics.core.straight_line import available, space
+from closedloop_dynamics.core.straight_line.numbers import Numbers
+from closedloop_dynamics.core.types import WORK_COLUMNS
+from closedloop_dynamics.effects import dispatch
+from closedloop_dynamics.effects.contact import Contact
+from closedloop_dynamics.effects.effect import Machine
+from closedloop_dynamics.effects.effect_set import EffectSet
+from closedloop_dynamics.effects.external_force import ExternalForce
+from closedloop_dynamics.effects.gravity import Gravity
+from closedloop_dynamics.effects.joint_damping import JointDamping
+from closedloop_dynamics.effects.payload import Payload
+from closedloop_dynamics.effects.point_spring import PointSpring
+from closedloop_dynamics.effects.rotor import Rotor
+from closedloop_dynamics.effects.table import build_table
+from closedloop_dynamics.mechanism.fields import FieldError
+from closedloop_dynamics.mechanism.mechanism import Body, GROUND, Joint, Mechanism, Point
+from closedloop_dynamics.simulation.spatial_modeling import build_spatial_model
+import numpy as np
+import pytest
+
+from .machines import assert_balanced, block, simulated
+from ..reference import spatial_linkages, spatial_machines, spatial_maximal as twin
+from ..reference.compare import assert_agree
+
+needs_compiler = pytest.mark.skipif(not available(), reason='nothing moves in space uncompiled')
+TIGHT = {'integrator': 'dop853', 'tolerance': 1e-12}
+MASSLESS = ((0.0, 0.0, 0.0), 0.0, True)
+
+
+def accelerations(mechanism, q, qd, tau, effects):
+    """Return joint accelerations under effects by dense matrices, and the effects' table."""
+    built = build_spatial_model(mechanism, (0.0, 0.0, -9.81))
+    rows = {name: one.row for name, one in built.placements.items()}
+    for record in effects.values():
+        record.fit(mechanism)
+    chosen = EffectSet(effects, built.model, Machine(mechanism, rows, built.placements))
+    numbers = Numbers(built.model)
+    table = build_table(chosen.elements, tau, numbers.nv, numbers.nc)
+    numbers.move(q, qd)
+    body = np.zeros((len(built.model.tree), WORK_COLUMNS))
+    space.write(numbers.recursion, body)
+    dispatch.apply(body, table, q, qd, tau)
+    space.read(numbers.recursion, body)
+    return numbers.accelerations(table.applied, 0.0)[0], table
+
+
+def at_point(motion, place):
+    """Return arm, place and velocity of a point of a body."""
+    arm = motion.axes @ place
+    return arm, motion.origin + arm, motion.velocity + np.cross(motion.spin, arm)
+
+
+def drawn(seed):
+    """Return a random mechanism with three points, its state and where the points are."""
+    rng = np.random.default_rng(seed)
+    mechanism, q, qd = spatial_linkages.random_mechanism(rng)
+    bodies = rng.choice([body.name for body in mechanism.bodies], 3)
+    places = rng.normal(size=(3, 3))
+    mechanism = replace(mechanism, points=tuple(
+        Point(f'p{k}', str(body), tuple(place))
+        for k, (body, place) in enumerate(zip(bodies, places))))
+    motions = twin.forward(mechanism, q, qd, np.zeros(len(qd)))[0]
+    return rng, mechanism, q, qd, bodies, [
+        at_point(motions[body], place) for body, place in zip(bodies, places)], motions
+
+
+def collected(pushes):
+    """Return wrenches by body of (body, arm, force, torque)."""
+    wrenches = {}
+    for body, arm, force, torque in pushes:
+        wrench = wrenches.setdefault(body, np.zeros(6))
+        wrench += [*(np.cross(arm, force) + torque), *force]
+    return wrenches
+
+
+def assert_moves(mechanism, q, qd, effects, pushes):
+    """Assert that effects move a mechanism as forces and torques do; return their table."""
+    tau = np.random.default_rng(1).normal(size=len(qd))
+    expected = twin.forward_dynamics(mechanism, q, qd, tau, wrenches=collected(pushes))
+    qdd, table = accelerations(mechanism, q, qd, tau, effects)
+    found = twin.forward(mechanism, q, qd, qdd)[1]
+    names = [body.name for body in mechanism.bodies]
+    assert_agree([found[name] for name in names],
+                 [expected.accelerations[name] for name in names], 1e-9)
+    return table
+
+
+@pytest.mark.parametrize('seed', range(8))
+def test_springs_between_points_pull_as_in_maximal_coordinates(seed):
+    _, mechanism, q, qd, bodies, points, _ = drawn(seed)
+    (arm_a, a, va), (arm_b, b, vb), (arm_c, c, vc) = points
+    stiffness, damping, free, anchor = 30.0, 2.0, 0.4, np.array([0.3, -0.5, 0.8])
+    pushes, stored, lost = [], 0.0, 0.0
+    for first, second in (((bodies[0], arm_a, a, va), (bodies[1], arm_b, b, vb)),
+                          ((bodies[2], arm_c, c, vc), (GROUND, 0.0, anchor, np.zeros(3)))):
+        apart = second[2] - first[2]
+        length = np.linalg.norm(apart)
+        along = apart / length
+        rate = along @ (second[3] - first[3])
+        tension = stiffness * (length - free) + damping * rate
+        stored += 0.5 * stiffness * (length - free) ** 2
+        lost += damping * rate ** 2
+        for body, arm, sign in ((*first[:2], 1.0), (*second[:2], -1.0)):
+            if body != GROUND:
+                pushes.append((body, arm, sign * tension * along, 0.0))
+    law = {'stiffness': stiffness, 'damping': damping, 'free_length': free}
+    table = assert_moves(mechanism, q, qd, {
+        'between': PointSpring('p0', 'p1', **law),
+        'anchored': PointSpring('p2', anchor=tuple(anchor), **law)}, pushes)
+    assert_agree(table.output[:, 0].sum(), stored, 1e-12)
+    assert_agree(table.rates.sum(), lost, 1e-11, smallest=1.0)
+
+
+@pytest.mark.parametrize('seed', range(8))
+def test_forces_and_torques_push_as_in_maximal_coordinates(seed):
+    rng, mechanism, q, qd, bodies, points, motions = drawn(100 + seed)
+    force, torque = rng.normal(size=(2, 2, 3)) * 5.0
+    axes = motions[bodies[1]].axes
+    pushes = [(bodies[0], points[0][0], force[0], torque[0]),
+              (bodies[1], points[1][0], axes @ force[1], axes @ torque[1])]
+    table = assert_moves(mechanism, q, qd, {
+        'push': ExternalForce('p0', tuple(force[0]), tuple(torque[0])),
+        'thruster': ExternalForce('p1', tuple(force[1]), tuple(torque[1]), 'body')}, pushes)
+    assert_agree(table.rates, [
+        f @ point[2] + t @ motions[body].spin
+        for (body, _, f, t), point in zip(pushes, points)], 1e-11, smallest=1.0)
+
+
+@pytest.mark.parametrize('seed', range(8))
+def test_planes_push_as_in_maximal_coordinates(seed):
+    rng, mechanism, q, qd, bodies, points, _ = drawn(200 + seed)
+    normal = rng.normal(size=3)
+    unit = normal / np.linalg.norm(normal)
+    pushes, effects, powers = [], {}, []
+    for k, depth in enumerate((0.1, -0.1)):
+        arm, place, velocity = points[k]
+        origin = place + depth * unit + np.cross(unit, rng.normal(size=3))
+        effects[f'floor_{k}'] = Contact(
+            f'p{k}', tuple(origin), 200.0, exponent=1.5, damping=0.1, friction=0.3,
+            slip_velocity=0.02, scraping=1.0, normal=tuple(normal))
+        if depth < 0.0:
+            continue
+        rate = -unit @ velocity
+        sliding = velocity + rate * unit
+        elastic = 200.0 * depth ** 1.5
+        press = elastic * max(0.0, 1.0 + 0.1 * rate)
+        drag = (0.3 * press + 1.0 * depth) * sliding / np.hypot(np.linalg.norm(sliding), 0.02)
+        pushes.append((bodies[k], arm, press * unit - drag, 0.0))
+        powers.append((press - elastic) * rate + drag @ sliding)
+        stored = elastic * depth / 2.5
+    table = assert_moves(mechanism, q, qd, effects, pushes)
+    assert_agree(table.rates, [powers[0], 0.0], 1e-9)
+    assert_agree(table.output[:, 0], [stored, 0.0], 1e-9)
+
+
+@pytest.mark.parametrize('seed', range(8))
+def test_a_payload_is_a_part_of_its_body(seed):
+    rng, mechanism, q, qd, bodies, _, _ = drawn(300 + seed)
+    position, mass = rng.normal(size=3), 0.7
+    added = spatial_linkages.random_body(rng, 'part')
+    inertia = tuple(0.1 * np.array(added.inertia))
+    expected, _ = accelerations(mechanism, q, qd, np.zeros(len(qd)), {
+        'part': Payload(str(bodies[0]), mass, tuple(position), inertia)})
+    whole = []
+    for body in mechanism.bodies:
+        if body.name == bodies[0]:
+            total = body.mass + mass
+            center = (body.mass * np.array(body.center_of_mass) + mass * position) / total
+            about = twin.inertia(body) + twin.inertia(replace(added, inertia=inertia))
+            for part, place in ((body.mass, body.center_of_mass), (mass, position)):
+                arm = place - center
+                about = about + part * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+            body = replace(body, mass=total, center_of_mass=tuple(center), inertia=tuple(
+                about[(0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)]))
+        whole.append(body)
+    found, _ = accelerations(replace(mechanism, bodies=tuple(whole)), q, qd, np.zeros(len(qd)), {})
+    assert_agree(found, expected, 1e-10)
+
+
+def carried(seed, joint, axis):
+    """
+    Return a chain of three bodies, and the same with the rotor of a joint as one more body.
+
+    The rotor stands on the parent of a joint, its centre of mass on the joint.
+
+    """
+    rng = np.random.default_rng(seed)
+    kinds = ('revolute', 'helical', 'prismatic')
+    bodies = tuple(spatial_linkages.random_body(rng, f'body_{k}') for k in range(3))
+    joints = tuple(spatial_linkages.random_joint(
+        rng, f'joint_{k}', kind, GROUND if k == 0 else f'body_{k - 1}', f'body_{k}')
+        for k, kind in enumerate(kinds))
+    axis = axis or tuple(twin.matrix(joints[joint].orientation) @ joints[joint].axis)
+    wheel = Body('wheel', 0.2, (0.0, 0.0, 0.0), tuple(
+        (0.05 * np.eye(3) + 0.02 * np.outer(axis, axis))[(0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)]))
+    bearing = Joint('spin', 'revolute', f'body_{joint - 1}', 'wheel', joints[joint].position,
+                    axis=axis)
+    explicit = Mechanism('explicit', (*bodies, wheel), (*joints, bearing))
+    # As if it were fixed, the rotor is its carrier's.
+    fixed = Payload(f'body_{joint - 1}', 0.2, joints[joint].position, wheel.inertia)
+    q, qd = rng.normal(size=(2, 3))
+    return Mechanism('chain', bodies, joints), fixed, explicit, q, qd
+
+
+@pytest.mark.parametrize('joint, axis, ratio', [
+    (1, None, 1.0), (1, None, -7.0), (2, None, 4.0), (1, (0.6, 0.0, 0.8), 3.0)])
+@pytest.mark.parametrize('seed', range(3))
+def test_a_rotor_moves_as_a_body_of_its_own(seed, joint, axis, ratio):
+    chain, fixed, explicit, q, qd = carried(seed, joint, axis)
+    built = build_spatial_model(chain, (0.0, 0.0, -9.81))
+    rows = {name: one.row for name, one in built.placements.items()}
+    machine = Machine(chain, rows, built.placements)
+    effects = {'motor': Rotor(f'joint_{joint}', 0.07, ratio, axis), 'fixed': fixed}
+    EffectSet(effects, built.model, machine)
+    one, other = Numbers(built.model), Numbers(build_spatial_model(
+        explicit, (0.0, 0.0, -9.81)).model)
+    # The wheel turns by the gear.
+    geared = np.vstack([np.eye(3), ratio * np.eye(3)[joint]])
+    one.move(q, qd)
+    other.move(geared @ q, geared @ qd)
+    assert_agree(one.inertia(), geared.T @ other.inertia() @ geared, 1e-12)
+    assert_agree(one.bias_force(), geared.T @ other.bias_force(), 1e-11)
+    assert_agree(one.energies(), other.energies(), 1e-12)
+    # The recursions move it like the matrices.
+    tau = np.array([0.3, -0.2, 0.5])
+    expected = np.linalg.solve(one.inertia(), tau - one.bias_force())
+    work, qdd = SimpleNamespace(body=np.zeros((4, WORK_COLUMNS))), np.zeros(3)
+    one.recursion.inward(built.model, tau, work)
+    one.recursion.outward_acceleration(built.model, work, qdd)
+    assert_agree(qdd, expected, 1e-11)
+
+
+def point_mass():
+    """Return a mass that slides along three axes, of the ground and of massless bodies."""
+    return Mechanism(
+        'point', (Body('along', 0.0, *MASSLESS), Body('across', 0.0, *MASSLESS),
+                  Body('ball', 2.0, (0.0, 0.0, 0.0), (0.1, 0.1, 0.1))),
+        tuple(Joint(name, 'prismatic', parent, child, (0.0, 0.0, 0.0), axis=tuple(axis))
+              for name, parent, child, axis in zip(
+                  'xyz', (GROUND, 'along', 'across'), ('along', 'across', 'ball'), np.eye(3))),
+        (), (Point('center', 'ball', (0.0, 0.0, 0.0)),))
+
+
+@needs_compiler
+def test_a_mass_on_a_spring_of_no_length_runs_in_an_ellipse():
+    place, velocity = np.array([0.4, -0.2, 0.1]), np.array([0.3, 0.5, -0.6])
+    one = simulated(point_mass(), {'cord': PointSpring(
+        'center', anchor=(0.1, 0.0, 0.2), stiffness=50.0)}, place, velocity, **TIGHT)
+    one.step(duration=1.7)
+    anchor, rate = np.array([0.1, 0.0, 0.2]), 5.0
+    expected = anchor + (place - anchor) * np.cos(rate * 1.7) + velocity * np.sin(
+        rate * 1.7) / rate
+    assert_agree(one.point('center'), expected, 1e-9)
+    assert_balanced(one, 1e-9)
+
+
+@needs_compiler
+def test_a_mass_slides_down_a_plane_with_friction():
+    tilt, mu, gravity = 0.6, 0.2, 9.81
+    normal = np.array([np.sin(tilt), 0.0, np.cos(tilt)])
+    down = np.array([np.cos(tilt), 0.0, -np.sin(tilt)])
+    # At rest across the plane, sliding along it so fast that friction is Coulomb's.
+    depth = 2.0 * gravity * np.cos(tilt) / 1e4
+    place, velocity = np.array([1.0, 2.0, 3.0]) - depth * normal, 2.0 * down
+    one = simulated(point_mass(), {
+        'gravity': Gravity((0.0, 0.0, -gravity)),
+        'slope': Contact('center', (1.0, 2.0, 3.0), 1e4, friction=mu, slip_velocity=1e-6,
+                         normal=tuple(normal))}, place, velocity, **TIGHT)
+    one.step(duration=0.5)
+    pull = gravity * (np.sin(tilt) - mu * np.cos(tilt))
+    assert_agree(one.point('center'), place + (2.0 * 0.5 + 0.5 * pull * 0.25) * down, 1e-9)
+    assert one.effect_readings('slope')['normal_force'] == pytest.approx(
+        2.0 * gravity * np.cos(tilt), rel=1e-9)
+    assert_balanced(one, 1e-9)
+
+
+def gyroscope():
+    """Return a housing on two axes, the vertical one first, with a wheel of no weight."""
+    x, y, z = np.eye(3)
+    return Mechanism(
+        'gyroscope', (Body('fork', 0.0, *MASSLESS),
+                      Body('housing', 1.5, (0.2, 0.0, 0.0), (0.001, 0.004, 0.004)),
+                      Body('wheel', 1e-3, (0.0, 0.0, 0.0), (1e-6, 1e-6, 1e-6))),
+        (Joint('turn', 'revolute', GROUND, 'fork', (0.0, 0.0, 0.0), axis=tuple(z)),
+         Joint('tilt', 'revolute', 'fork', 'housing', (0.0, 0.0, 0.0), axis=tuple(y)),
+         Joint('spin', 'revolute', 'housing', 'wheel', (0.2, 0.0, 0.0), axis=tuple(x))),
+        (), (Point('center', 'housing', (0.2, 0.0, 0.0)),))
+
+
+@needs_compiler
+@pytest.mark.parametrize('tilt', [0.0, -0.5])
+def test_a_gyroscope_precesses_steadily(tilt):
+    # A rotor of 0.003 kg m^2 turns ten times as fast as the wheel.
+    momentum, rate, gravity = 10.0 * 0.003 + 1e-6, 40.0, 9.81
+    weight = (1.5 * 0.2 + 1e-3 * 0.2) * gravity
+    # Steady: weight * cos = turn cos (momentum rate + (A - C) turn sin), as for every top, with
+    # moments across the axis at the pivot and along it, sin of the axis above the horizon.
+    across = 0.004 + 1.5 * 0.04 + 1e-6 + 1e-3 * 0.04
+    along = 0.001 + 1e-6
+    up = np.sin(-tilt)
+    turn = weight / (momentum * rate)
+    for _ in range(100):
+        turn = weight / (momentum * rate + (along - across) * turn * up)
+    one = simulated(
+        gyroscope(), {'gravity': Gravity((0.0, 0.0, -gravity)),
+                      'rotor': Rotor('spin', 0.003, 10.0)},
+        (0.0, tilt, 0.0), (turn, 0.0, rate), **TIGHT)
+    one.step(duration=1.0)
+    assert_agree(one.position, (turn, tilt, rate), 1e-9)
+    assert_agree(one.velocity, (turn, 0.0, rate), 1e-9, smallest=1.0)
+    assert_balanced(one, 1e-9)
+
+
+@needs_compiler
+def test_a_linkage_with_all_of_it_keeps_its_energy_in_balance():
+    mechanism, torque = spatial_machines.rssr_four_bar()
+    mechanism = replace(spatial_machines.with_single_freedoms(mechanism), points=(
+        Point('tip', 'crank', (0.1, 0.0, 0.0)), Point('end', 'rocker', (0.0, 0.0, 0.3))))
+    effects = {
+        'gravity': Gravity((0.0, 0.0, -9.81)),
+        'cord': PointSpring('tip', 'end', stiffness=20.0, damping=0.1, free_length=0.5),
+        'part': Payload('rocker', 0.3, (0.0, 0.0, 0.2), (1e-3, 1e-3, 1e-4)),
+        'motor': Rotor('crank', 1e-4, 5.0), 'idler': Rotor('tip', 1e-5, 3.0),
+        'push': ExternalForce('end', (0.5, 0.2, 0.1), (0.02, 0.0, 0.0), 'body'),
+        'grease': JointDamping('rocker', 0.01),
+        'floor': Contact('end', (0.0, 0.0, 0.27), 300.0, damping=0.5, friction=0.3,
+                         normal=(0.0, 0.1, 1.0))}
+    one = simulated(mechanism, effects, np.zeros(len(mechanism.joints)), **TIGHT)
+    one.step(torque, 0.8)
+    balance = one.energy_balance
+    assert balance.dissipated > 1e-3 and abs(balance.work) > 1e-3
+    assert_balanced(one, 1e-8)
+
+
+@pytest.mark.parametrize('record, expected', [
+    (ExternalForce('center', (1.0, 2.0)), 'force: .*3 finite numbers'),
+    (ExternalForce('center', (1.0, 2.0, 3.0), 1.0), 'torque: .*3 finite numbers'),
+    (PointSpring('center', anchor=(0.0, 0.0)), 'anchor: .*3 finite numbers'),
+    (Contact('center', (0.0, 0.0, 0.0), 1.0), 'normal: .*normal .* got none'),
+    (Contact('center', (0.0, 0.0, 0.0), 1.0, angle=0.1, normal=(0.0, 0.0, 1.0)),
+     'angle: .*no angle'),
+    (Payload('ball', 1.0, (0.0, 1.0)), 'position: .*3 finite numbers'),
+    (Payload('ball', 1.0, inertia=0.1), 'inertia: .*list of 3')])
+def test_values_of_the_plane_are_refused_in_space(record, expected):
+    with pytest.raises(FieldError, match=expected):
+        simulated(point_mass(), {'effect': record}, (0.0, 0.0, 0.0))
+
+
+@pytest.mark.parametrize('record, expected', [
+    (ExternalForce('center', (1.0, 2.0, 3.0)), 'force: .*2 finite numbers'),
+    (ExternalForce('center', torque=(1.0, 2.0, 3.0)), 'torque: .*a finite number'),
+    (Contact('center', (0.0, 0.0), 1.0, normal=(0.0, 1.0, 0.0)), 'normal: .*no normal'),
+    (Rotor('slide', 1.0, axis=(0.0, 0.0, 1.0)), 'axis: .*no axis'),
+    (Payload('block', 1.0, inertia=(0.1, 0.1, 0.1)), 'inertia: .*zero or more')])
+def test_values_of_space_are_refused_in_the_plane(record, expected):
+    with pytest.raises(FieldError, match=expected):
+        simulated(block(), {'effect': record}, (0.0,))
