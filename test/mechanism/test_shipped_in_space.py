@@ -14,8 +14,11 @@
 
 """The shipped mechanisms in space are what they are called, and move as in maximal coordinates."""
 
+from dataclasses import replace
+
 from closedloop_dynamics.core.straight_line import available
 from closedloop_dynamics.simulation.scene import load_scene
+from closedloop_dynamics.simulation.scene_records import Method
 from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.visual.motion import body_poses, closure, named_point, pose_of
 import numpy as np
@@ -29,8 +32,14 @@ pytestmark = pytest.mark.skipif(not available(), reason='nothing moves in space 
 MACHINES = {
     'bennett': (3, 5, 2, 1),
     'bricard': (5, 5, 4, 1),
+    'delta_robot': (10, 15, 15, 3),
     'excavator_arm': (12, 16, 8, 4),
+    'rssr_four_bar': (3, 3, 3, 2),
+    'stewart_platform': (13, 15, 15, 6),
 }
+# References are maximal coordinates with quaternions, to twelve digits.
+STEWART_FORCES = 28.5 * np.array([1.0, 1.1, 0.95, 1.05, 0.9, 1.0])
+DELTA_TORQUES = np.array([0.5, 0.0, -0.5])
 
 
 @pytest.fixture(scope='module', params=MACHINES)
@@ -59,7 +68,7 @@ def test_accelerations_are_those_of_maximal_coordinates(machine):
     _, one = machine
     torque = np.random.default_rng(1).normal(size=len(one.actuated_joints))
     tau = np.zeros(len(one.velocity))
-    tau[[one.joint_names.index(joint) for joint in one.actuated_joints]] = torque
+    tau[list(one.mechanism.coordinates.actuated)] = torque
     gravity = one.scene.effects['gravity'].acceleration
     expected = twin.forward_dynamics(one.mechanism, one.position, one.velocity, tau, gravity)
     acceleration, _ = one.forward_dynamics(one.position, one.velocity, torque)
@@ -80,6 +89,84 @@ def test_loops_stay_closed_and_energy_stays(machine):
     assert closure(one.mechanism, one.position[np.newaxis])[0] < 1e-9
 
 
+def known(name):
+    """Return a machine that is simulated tightly."""
+    scene = load_scene(name, in_space=True)
+    return Simulation(replace(scene, method=Method(integrator='dop853', tolerance=1e-12)))
+
+
+def platform(one):
+    """Return place of a platform's center and axes of its body."""
+    pose = one.body_poses[[body.name for body in one.mechanism.bodies].index('platform')]
+    return one.point('platform_center'), twin.matrix(pose[3:])
+
+
+def test_stewart_platform_starts_and_moves_as_known():
+    one = known('stewart_platform')
+    place, axes = platform(one)
+    assert_agree(place, (0.0, 0.0, 0.6), 1e-12)
+    assert_agree(axes, np.eye(3), 1e-12)
+    rates = np.zeros_like(one.velocity)
+    acceleration, _ = one.forward_dynamics(one.position, rates, STEWART_FORCES)
+    found = twin.forward(one.mechanism, one.position, rates, acceleration)[1]['platform']
+    center = one.mechanism.bodies[-1].center_of_mass
+    assert_agree(found[:3], (0.916001846266, -1.58656173756, 1.422003749095), 1e-10)
+    assert_agree(found[3:] + np.cross(found[:3], center),
+                 (-0.133940827051, -0.077330772553, 0.111880085879), 1e-10)
+    start, strokes = one.energy, one.position[list(one.mechanism.coordinates.place[
+        list(one.mechanism.coordinates.actuated)])]
+    one.step(STEWART_FORCES, 0.3)
+    assert_agree(platform(one)[0], (-0.006612888235, -0.003836627965, 0.605095609325), 1e-9)
+    one.step(STEWART_FORCES, 0.3)
+    place, axes = platform(one)
+    assert_agree(place, (-0.034261768566, -0.020474374083, 0.617628809006), 1e-9)
+    assert_agree(axes, [[0.788368044122, -0.577218863246, -0.212824366368],
+                        [0.476391160672, 0.791680900711, -0.382482435522],
+                        [0.389265062703, 0.200149282690, 0.899117887486]], 1e-9)
+    moved = one.position[list(one.mechanism.coordinates.place[
+        list(one.mechanism.coordinates.actuated)])] - strokes
+    for work in (one.energy - start, STEWART_FORCES @ moved):
+        assert_agree(work, 8.148633672, 1e-9)
+
+
+def test_delta_robot_starts_and_moves_as_known():
+    one = known('delta_robot')
+    rates = np.zeros_like(one.velocity)
+    acceleration, _ = one.forward_dynamics(one.position, rates, DELTA_TORQUES)
+    found = twin.forward(one.mechanism, one.position, rates, acceleration)[1]['platform']
+    assert_agree(found, (0.0, 0.0, 0.0, -1.904887309353, -1.099787200831, -11.852912650886), 1e-10)
+    start = one.energy
+    one.step(DELTA_TORQUES, 0.25)
+    assert_agree(platform(one)[0], (-0.047474961513, -0.028554924782, -1.079204205218), 1e-9)
+    one.step(DELTA_TORQUES, 0.25)
+    place, axes = platform(one)
+    assert_agree(place, (0.528637631678, -0.112854291725, -0.681333093596), 1e-9)
+    # The platform never turns.
+    assert_agree(axes, np.eye(3), 1e-9)
+    # Of the first arm, below the horizontal.
+    assert_agree(one.position[0], 2.483436197, 1e-9)
+    assert_agree(one.energy - start, 0.690703490, 1e-8)
+
+
+def test_rssr_four_bar_moves_as_known():
+    one = known('rssr_four_bar')
+    start = one.energy
+    one.step({'crank': 0.02}, 0.5)
+    assert_agree(one.point('rocker_center'), (0.4, 0.313911207995, 0.149353534582), 1e-9)
+    one.step({'crank': 0.02}, 0.5)
+    assert_agree(one.point('rocker_center'), (0.4, 0.269707605674, 0.146909396725), 1e-9)
+    assert_agree(one.position[0], 1.622930658, 1e-9)
+    assert_agree(one.velocity[1], 1.655614798758, 1e-9)
+    assert_agree(one.energy - start, 0.032458613162, 1e-9)
+
+
+def test_bricards_linkage_moves_as_known():
+    one = known('bricard')
+    one.step(None, 1.0)
+    assert_agree(one.point('corner'), (0.5105014612, -1.6491675994, 0.1401231146), 1e-9)
+    assert_agree(one.energy, -29.43, 1e-9)
+
+
 def test_bennetts_linkage_keeps_its_law():
     one = Simulation(load_scene('bennett', in_space=True))
     alpha, beta = (one.mechanism.parameters[key] for key in ('alpha', 'beta'))
@@ -95,7 +182,7 @@ def test_bennetts_linkage_keeps_its_law():
 
 def test_the_excavator_turns_as_a_whole():
     one = Simulation(load_scene('excavator_arm', in_space=True))
-    arm = {name: value for name, value in zip(one.joint_names, one.position)}
+    arm = dict(zip(one.joint_names, one.position))
     places = {}
     for turn in (0.0, 0.5 * np.pi, 2.5):
         one.set_state({**arm, 'slew': turn})

@@ -129,20 +129,7 @@ def rssr_four_bar():
     All frames are parallel to the world's at the start.
 
     """
-    tip, end = np.array([0.1, 0.0, 0.0]), np.array([0.4, 0.3, 0.3])
-    length = np.linalg.norm(end - tip)
-    along = unit(end - tip)
-    x, z = np.eye(3)[[0, 2]]
-    bodies = (Body('crank', 0.5, tuple(0.05 * x), rod(x, 0.5, 0.1, 0.01)),
-              Body('rocker', 1.0, tuple(0.15 * z), rod(z, 1.0, 0.3, 0.015)),
-              Body('rod', 0.8, tuple(0.5 * (end - tip)), rod(along, 0.8, length, 0.01)))
-    joints = (
-        Joint('crank', 'revolute', 'ground', 'crank', (0.0, 0.0, 0.0), axis=tuple(z),
-              actuated=True),
-        Joint('rocker', 'revolute', 'ground', 'rocker', (0.4, 0.3, 0.0), axis=tuple(x)),
-        Joint('tip', 'spherical', 'crank', 'rod', (0.1, 0.0, 0.0)))
-    cuts = (CutJoint('end', 'spherical', 'rod', 'rocker', tuple(end - tip), (0.0, 0.0, 0.3)),)
-    return Mechanism('rssr_four_bar', bodies, joints, cuts), {'crank': 0.02}
+    return read_mechanism(shipped_path('mechanisms', 'rssr_four_bar')), {'crank': 0.02}
 
 
 def bricard():
