@@ -19,8 +19,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..mechanism.mechanism import (
-    CYLINDRICAL, FIXED, FREE, GROUND, HELICAL, PLANAR, PRISMATIC, REVOLUTE,
-    SPHERICAL, UNIVERSAL, UNTURNED)
+    CUT_WITH_ORIENTATION, CYLINDRICAL, DISTANCE, FIXED, FREE, GROUND, HELICAL, PLANAR,
+    POINT_ON_LINE, POINT_ON_PLANE, PRISMATIC, REVOLUTE, SPHERICAL, UNIVERSAL, UNTURNED)
 
 _AXES = np.eye(3)
 
@@ -254,25 +254,44 @@ def _spatial_errors(cut, pose_a, pose_b, gap):
     along_a, along_b = (
         None if axis is None else rotated(pose[..., 3:], np.array(axis) / np.linalg.norm(axis))
         for pose, axis in ((pose_a, cut.axis_a), (pose_b, cut.axis_b)))
-    if cut.type in (PRISMATIC, CYLINDRICAL):
-        vectors = [np.cross(gap, along_b)]
-    elif cut.type == PLANAR:
-        vectors = [np.sum(gap * along_b, axis=-1, keepdims=True)]
+    vectors = []
+    if cut.type in (PRISMATIC, CYLINDRICAL, HELICAL, POINT_ON_LINE):
+        vectors.append(np.cross(gap, along_b))
+    elif cut.type in (PLANAR, POINT_ON_PLANE):
+        vectors.append(np.sum(gap * along_b, axis=-1, keepdims=True))
+    elif cut.type == DISTANCE:
+        vectors.append(np.linalg.norm(gap, axis=-1, keepdims=True) - cut.length)
     else:
-        vectors = [gap]
+        vectors.append(gap)
+    if cut.type in CUT_WITH_ORIENTATION:
+        # The turn that is left of body A's frame against where the joint holds it, or began.
+        held = composed(pose_b[..., 3:], np.array(cut.orientation))
+        left = composed(pose_a[..., 3:], held * (-1.0, -1.0, -1.0, 1.0))
     if cut.type in (REVOLUTE, CYLINDRICAL, PLANAR):
         vectors.append(np.cross(along_a, along_b))
     elif cut.type == UNIVERSAL:
         vectors.append(np.sum(along_a * along_b, axis=-1, keepdims=True))
     elif cut.type in (PRISMATIC, FIXED):
-        # The turn that is left of body A's frame against where the joint holds it.
-        held = composed(pose_b[..., 3:], np.array(cut.orientation))
-        left = composed(held * (-1.0, -1.0, -1.0, 1.0), pose_a[..., 3:])
         vectors.append(2.0 * left[..., 3:] * left[..., :3])
+    elif cut.type == HELICAL:
+        vectors.append(np.cross(rotated(left, along_b), along_b))
+        angle = 2.0 * np.arctan2(np.sum(left[..., :3] * along_b, axis=-1), left[..., 3])
+        # As many turns as there are between the two is not told by where bodies are.
+        turned = np.sum(gap * along_b, axis=-1) / cut.lead - angle
+        vectors.append(cut.lead * ((turned + np.pi) % (2.0 * np.pi) - np.pi)[..., np.newaxis])
     return [vector[..., k] for vector in vectors for k in range(vector.shape[-1])]
 
 
 def closure(mechanism, position):
     """Return the largest closure error [m or rad], shape (n,), of positions, shape (n, nv)."""
     poses = body_poses(mechanism, position)
-    return np.max(np.abs([np.zeros(len(poses)), *closure_errors(mechanism, poses)]), axis=0)
+    return np.max(np.abs([np.zeros(len(poses)), *closure_errors(mechanism, poses),
+                          *coupling_errors(mechanism, position)]), axis=0)
+
+
+def coupling_errors(mechanism, position):
+    """Return the errors of couplings, a list of shapes (...), of positions, shape (..., nq)."""
+    places = mechanism.coordinates.coordinates
+    return [sum(factor * position[..., places[joint].start]
+                for joint, factor in coupling.joints.items()) - coupling.offset
+            for coupling in mechanism.couplings]

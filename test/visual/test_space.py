@@ -67,9 +67,10 @@ def test_bodies_are_placed_and_loops_seen_as_in_maximal_coordinates(seed):
     rows, step = twin.closure_rates(mechanism, q), 1e-6
     moves = [joint for joint in mechanism.joints if joint.type in ('spherical', 'free')]
     if not moves:
-        shifted = motions.body_poses(mechanism, np.vstack([
-            q + step * np.eye(len(q)), q - step * np.eye(len(q))]))
-        errors = np.array(motions.closure_errors(mechanism, shifted))
+        shifted = np.vstack([q + step * np.eye(len(q)), q - step * np.eye(len(q))])
+        errors = np.array([
+            *motions.closure_errors(mechanism, motions.body_poses(mechanism, shifted)),
+            *motions.coupling_errors(mechanism, shifted)])
         slopes = (errors[:, :len(q)] - errors[:, len(q):]) / (2.0 * step)
         assert np.linalg.matrix_rank(slopes, 1e-7) == len(rows)
         assert np.linalg.matrix_rank(np.vstack([slopes, rows]), 1e-7) == len(rows)
