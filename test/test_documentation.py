@@ -16,8 +16,8 @@
 Every command, script and file in README.md and doc/ does what the page says.
 
 What is run is what stands in fenced blocks: ``console`` (lines with ``$`` are commands, the
-others their output, ``...`` for what is left out), ``python``, and ``yaml`` whose first line
-is a comment with the file's name. A comment before a block says how it is run:
+others their output, ``...`` for what is left out), ``python``, and ``yaml`` and ``xml`` whose
+first line is a comment with the file's name. A comment before a block says how it is run:
 
     <!-- exits with 2 -->                     the exit code expected
     <!-- each in a terminal of its own -->    nodes, run together, ended by Ctrl-C
@@ -89,8 +89,8 @@ def write_files(page, directory):
     """Write the files that a page shows; return their names."""
     names = []
     for block in blocks_of(page):
-        name = re.match(r'# (\S+\.yaml)\n', block.text)
-        if block.kind == 'yaml' and name:
+        name = re.match(r'(?:# (?=\S+\.yaml\n)|<!-- (?=\S+ -->\n))(\S+)', block.text)
+        if block.kind in ('yaml', 'xml') and name:
             (directory / name[1]).write_text(block.text)
             names.append(name[1])
     return names

@@ -19,22 +19,27 @@ import sys
 import numpy as np
 
 from .command import add_set, Command, UsageError, with_numbers
+from ..formats.registry import is_model, read_model
 from ..mechanism.mechanism import Mechanism, MechanismError
 from ..simulation.errors import NumericalError, SimulationError
 from ..simulation.scene import load_scene_or_mechanism
 from ..simulation.simulation import Simulation
-from ..studies.check import describe
+from ..studies.check import describe, describe_model
 from ..visual.progress import announced
 
 
 def _add_arguments(parser):
     parser.add_argument(
         'scene', metavar='FILE_OR_SCENE',
-        help='a shipped scene or mechanism by its name, or a YAML file')
+        help='a shipped scene or mechanism by its name, a YAML file, or a model '
+             'in another format')
     add_set(parser)
 
 
 def _run(arguments):
+    if is_model(arguments.scene):
+        print(describe_model(read_model(arguments.scene)))
+        return 0
     read = load_scene_or_mechanism(arguments.scene, in_space=True)
     if isinstance(read, Mechanism):
         if arguments.set:

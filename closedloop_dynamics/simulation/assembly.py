@@ -42,6 +42,8 @@ LARGEST_CORRECTION = 0.25
 RANK_TOLERANCE = 1e-7
 # Inertia of a motion against the largest: less is none.
 NO_INERTIA = 1e-13
+# What a joint moves in the loops, against the most that one moves: less is nothing.
+NO_LEVER = 1e-12
 # Dense ranks of larger mechanisms would take longer than all the rest of the set-up.
 MOST_EQUATIONS = 300
 # How far away neighbours of a position are looked for [rad, and shares of the size], how many.
@@ -398,7 +400,8 @@ class Assembler:
         """Refuse massless bodies that the loops leave free to move."""
         jac = self.jacobian(q)
         levers = np.abs(jac).max(axis=0, initial=0.0)
-        levers[levers == 0.0] = 1.0
+        # Those of joints that no loop moves are rounding errors: nothing to scale by.
+        levers[levers <= NO_LEVER * levers.max(initial=0.0)] = 1.0
         _, singular, right = np.linalg.svd(jac / levers)
         rank = int(np.sum(singular > RANK_TOLERANCE * singular.max(initial=0.0)))
         basis = right[rank:] / levers

@@ -26,8 +26,10 @@ from pathlib import Path
 
 import numpy as np
 
+from .model_scene import closed_start, scene_of_model
 from .scene_records import Initial, Method, Scene
 from ..effects.registry import EFFECTS
+from ..formats.registry import is_model, read_model
 from ..mechanism.checks import list_of, name, NAME_PATTERN, one_of
 from ..mechanism.config import config_directory, shipped_names, shipped_path
 from ..mechanism.document import Document
@@ -41,6 +43,8 @@ __all__ = ['config_directory', 'Initial', 'load_scene', 'load_scene_or_mechanism
 
 # Required and optional keys.
 SCENE_KEYS = ('mechanism', 'initial'), ('description', 'effects', 'method', 'parameters')
+# Where the mechanism is a model in another format, which may start as it is drawn.
+MODEL_KEYS = ('mechanism',), ('initial', 'loops', *SCENE_KEYS[1])
 INITIAL_KEYS = ('position',), ('hold', 'velocity')
 
 
@@ -60,7 +64,8 @@ def load_scene(name_or_path, in_space=False):
     Parameters
     ----------
     name_or_path : str or pathlib.Path
-        A shipped scene by its name (a single word), or the path of a file.
+        A shipped scene by its name (a single word), or the path of a file: of a scene, or of a
+        model in another format (``formats``), under gravity, at rest, with the loops closed.
     in_space : bool
         Whether the mechanism may be one in space; most of what asks for a scene knows the plane
         only.
@@ -71,7 +76,13 @@ def load_scene(name_or_path, in_space=False):
         Where there is no such scene, or it or its mechanism is faulty.
 
     """
-    return _scene_of(Document(_scene_path(name_or_path), SceneError), in_space)
+    path = _scene_path(name_or_path)
+    if is_model(path):
+        scene = scene_of_model(path, read_model(path))
+        if not in_space:
+            _require_planar(scene.mechanism)
+        return scene
+    return _scene_of(Document(path, SceneError), in_space)
 
 
 def load_scene_or_mechanism(name_or_path, in_space=False):
@@ -92,6 +103,8 @@ def load_scene_or_mechanism(name_or_path, in_space=False):
         if name_or_path not in scene_names() and name_or_path in shipped_names('mechanisms'):
             return read_mechanism(shipped_path('mechanisms', name_or_path))
         return load_scene(name_or_path, in_space)
+    if is_model(name_or_path):
+        return read_model(name_or_path).mechanism
     document = Document(name_or_path, SceneError)
     if isinstance(document.data, Mapping) and 'bodies' in document.data:
         mechanism = read_mechanism(name_or_path)
@@ -147,9 +160,18 @@ def _read(document):
     if isinstance(data, Mapping) and 'bodies' in data:
         raise FieldError('a scene', 'a mechanism', 'a scene names one under `mechanism`',
                          ('bodies',))
-    mapping(data, *SCENE_KEYS)
-    with at('mechanism'):
-        mechanism = _mechanism(data['mechanism'], document.path.parent)
+    mapping(data, ('mechanism',))
+    model = _model(data, document.path.parent)
+    mapping(data, *(SCENE_KEYS if model is None else MODEL_KEYS))
+    if model is None:
+        with at('mechanism'):
+            mechanism = _mechanism(data['mechanism'], document.path.parent)
+    else:
+        mechanism = model.mechanism
+        if 'initial' not in data:
+            start = closed_start(model)
+            data = {**data, 'initial': {
+                'position': mechanism.coordinates.told('position', start.position)}}
     return _scene(data, {}, document.path, mechanism)
 
 
@@ -228,6 +250,19 @@ def _mechanism(value, directory):
         return read_mechanism(path)
     except MechanismError as error:
         raise FieldError('a valid mechanism', f'this error in its file:\n{error}') from None
+
+
+def _model(data, directory):
+    """Return what the model of a scene was read as; None where it has a mechanism."""
+    path = data['mechanism']
+    if not isinstance(path, str) or _is_name(path) or not is_model(path):
+        return None
+    try:
+        with at('loops'):
+            return read_model(directory / path, loops=data.get('loops'))
+    except MechanismError as error:
+        raise FieldError('a valid mechanism', f'this error in its file:\n{error}',
+                         path=('mechanism',)) from None
 
 
 def _initial(value, mechanism, names):

@@ -18,10 +18,14 @@ from dataclasses import asdict
 from textwrap import indent
 
 from ..effects.registry import effect_type
+from ..formats.building import lines
 from ..integration.registry import ADAPTIVE, AUTO, BAUMGARTE, INTEGRATORS, STABILISATIONS
 from ..mechanism.decomposition import decompose
 from ..mechanism.mechanism import CUT_JOINT_EQUATIONS, Mechanism
 from ..simulation.assembly import find_degrees_of_freedom
+from ..simulation.far_assembly import find_closed, Loops
+from ..simulation.model_scene import assembled
+from ..simulation.modeling import extent
 from ..simulation.space import equations_left
 from ..visual.tables import text_table
 
@@ -48,6 +52,43 @@ def describe(scene_or_mechanism, simulation=None):
     return '\n\n'.join(_scene(scene_or_mechanism, simulation))
 
 
+def describe_model(imported):
+    """
+    Describe a model in another format: the mechanism that it became, and how its loops close.
+
+    Parameters
+    ----------
+    imported : formats.building.Imported
+        What was read.
+
+    Returns
+    -------
+    str
+        Paragraphs with headings and tables, without a final newline.
+
+    """
+    mechanism = imported.mechanism
+    found, notes = assembled(imported)
+    return '\n\n'.join([
+        *_mechanism(mechanism, found=found), *_loops(imported, found),
+        '\n'.join(['Notes', *(f'  {note}' for note in (*notes, *lines(imported.ignored)))])])
+
+
+def _loops(imported, found):
+    """Return how far the loops are open as drawn and closed, and where the joints are then."""
+    mechanism = imported.mechanism
+    loops = Loops(mechanism, extent(mechanism))
+    drawn = loops.start(imported.position)
+    before = loops.gaps(drawn)
+    return [
+        _table('Loops', ('name', 'open as drawn [m, rad]', 'open when closed'), [
+            (name, _value(before[name]), f'{gap:.2g}') for name, gap in found.gaps.items()]),
+        _table('Joints when closed', ('name', 'type', 'position [rad, m; x, y, z, w]'), [
+            (joint.name, joint.type, ', '.join(map(_value, found.q[
+                mechanism.coordinates.coordinates[joint.name]].tolist())))
+            for joint in mechanism.joints])]
+
+
 def _scene(scene, simulation):
     return [
         _heading('Scene', scene),
@@ -67,7 +108,7 @@ def _parameters(described):
         (name, _value(value)) for name, value in described.parameters.items()])]
 
 
-def _mechanism(mechanism, simulation=None, parameters=True):
+def _mechanism(mechanism, simulation=None, parameters=True, found=None):
     decomposition = decompose(mechanism)
     parts = [
         _heading('Mechanism', mechanism),
@@ -85,7 +126,7 @@ def _mechanism(mechanism, simulation=None, parameters=True):
     if mechanism.points:
         parts.append(_table('Points', ('name', 'body', 'position [m]'), [
             (point.name, point.body, _value(point.position)) for point in mechanism.points]))
-    return [*parts, _summary(mechanism, decomposition, simulation)]
+    return [*parts, _summary(mechanism, decomposition, simulation, found)]
 
 
 def _joints(mechanism):
@@ -136,11 +177,11 @@ def _cut_joints(mechanism, decomposition):
             mechanism.cut_joints, _equations(mechanism), decomposition.cut_subsystems)])
 
 
-def _summary(mechanism, decomposition, simulation):
+def _summary(mechanism, decomposition, simulation, found):
     order = ', '.join(decomposition.elimination_order) or 'none'
     return _lines('Summary', (
         ('constraint equations', _number_of_equations(mechanism)),
-        ('degrees of freedom', _degrees_of_freedom(mechanism, simulation)),
+        ('degrees of freedom', _degrees_of_freedom(mechanism, simulation, found)),
         ('elimination order', f'{order}; blocks of fill: {decomposition.fill}'),
         ('actuated joints', ', '.join(mechanism.actuated_joints) or 'none'),
     ))
@@ -155,21 +196,31 @@ def _number_of_equations(mechanism):
     return f'{left}, beside {always} that always hold' if always else left
 
 
-def _degrees_of_freedom(mechanism, simulation):
-    joints, equations = mechanism.coordinates.nv, sum(_equations(mechanism))
-    if not mechanism.planar and simulation is None:
-        return f'{joints - equations} = {joints} of the joints - {equations} equations, if none ' \
-               'repeats others'
-    freedoms = (find_degrees_of_freedom(mechanism) if simulation is None
-                else simulation.degrees_of_freedom())
+def _degrees_of_freedom(mechanism, simulation, found):
+    joints = mechanism.coordinates.nv
+    equations = sum(_equations(mechanism))
+    if simulation is not None:
+        freedoms = simulation.degrees_of_freedom()
+    elif mechanism.planar:
+        freedoms = find_degrees_of_freedom(mechanism)
+    else:
+        found = found or _closed(mechanism)
+        freedoms = None if not found.closed else (
+            joints - Loops(mechanism, extent(mechanism)).rank(found.q))
     if freedoms is None:
         return (f'{joints - equations} = {joints} joints - {equations} equations, if none repeats '
                 'others (no position that closes the loops was found to tell)')
     independent = joints - freedoms
-    of_joints = 'joints' if joints == len(mechanism.joints) else 'of the joints'
-    return f'{freedoms} = {joints} {of_joints} - {independent} ' + (
+    several = 'joints' if joints == len(mechanism.joints) else 'of the joints'
+    return f'{freedoms} = {joints} {several} - {independent} ' + (
         'equations' if independent == equations else
         f'independent equations ({equations - independent} of {equations} repeat others)')
+
+
+def _closed(mechanism):
+    """Search a position of a mechanism in space that closes the loops."""
+    size = extent(mechanism)
+    return find_closed(mechanism, size, Loops(mechanism, size).start())
 
 
 def _initial(mechanism, initial, simulation):

@@ -1,0 +1,82 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""``closedloop import``: a model in another format as a mechanism and a scene to edit."""
+
+import os
+from pathlib import Path
+import sys
+
+from .command import Command, positive, require_free, UsageError
+from ..formats.building import lines
+from ..formats.registry import read_model, READERS
+from ..formats.yaml_text import mechanism_text, scene_text
+from ..simulation.model_scene import assembled
+from ..visual.progress import announced
+
+
+def _add_arguments(parser):
+    parser.add_argument('model', metavar='FILE', type=Path,
+                        help=f'a model: a name that ends with {", ".join(READERS)}')
+    parser.add_argument('--output', metavar='FILE', type=Path, required=True,
+                        help='where to write the mechanism, as YAML')
+    parser.add_argument('--scene', metavar='FILE', type=Path,
+                        help='where to write a scene of it, its loops closed (default: nowhere)')
+    parser.add_argument('--end-stops', metavar='STIFFNESS', type=positive,
+                        help='make limits of joints end stops of this stiffness, in the scene '
+                             '[N m/rad; N/m] (default: leave them out)')
+    parser.add_argument('--overwrite', action='store_true', help='replace files that exist')
+
+
+def _run(arguments):
+    if arguments.end_stops is not None and arguments.scene is None:
+        raise UsageError('--end-stops: expected it with --scene, which they are written into')
+    require_free(arguments, arguments.output)
+    if arguments.scene is not None:
+        require_free(arguments, arguments.scene, option='--scene')
+    imported = read_model(arguments.model, arguments.end_stops)
+    notes = lines(imported.ignored)
+    if arguments.scene is not None:
+        with announced('Closing the loops ...'):
+            found, told = assembled(imported)
+        notes = [*told, *notes]
+    arguments.output.write_text(mechanism_text(imported.mechanism, notes), encoding='utf-8')
+    if arguments.scene is not None:
+        beside = os.path.relpath(arguments.output, arguments.scene.parent)
+        arguments.scene.write_text(
+            scene_text(imported, found.q, os.path.join(os.curdir, beside)), encoding='utf-8')
+    mechanism = imported.mechanism
+    print(f'{arguments.output}: {len(mechanism.bodies)} bodies, {len(mechanism.joints)} joints, '
+          f'{len(mechanism.cut_joints)} that close loops')
+    for note in notes:
+        print(f'{arguments.prog}: {note}', file=sys.stderr)
+    return 0
+
+
+COMMAND = Command(
+    name='import',
+    summary='write a model in another format (URDF, ...) as a mechanism to edit',
+    description="""\
+Read a model of a robot or machine in another format and write it as a mechanism,
+and a scene where one is wanted. Links that are fixed together become one body;
+loops that are drawn open are closed in the scene. What is left out is told. A model
+need not be imported to be simulated: check, simulate and the nodes take its file.
+""",
+    epilog="""\
+examples:
+  closedloop import robot.urdf --output my_robot.yaml
+  closedloop import robot.urdf --output my_robot.yaml --scene my_robot_scene.yaml
+""",
+    add_arguments=_add_arguments,
+    run=_run)

@@ -1,0 +1,480 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+From what a format tells to a mechanism of ours: one body for what is fixed together, a tree, cuts.
+
+Joints that are driven stay in the tree; loops are cut, where there is a choice, at the joints
+with the most freedoms, which leave the fewest equations.
+
+"""
+
+from dataclasses import dataclass, replace
+import re
+from typing import NamedTuple
+
+import numpy as np
+
+from .model import Connection
+from .pose import IDENTITY, Pose, quaternion_of
+from ..mechanism.fields import FieldError
+from ..mechanism.mechanism import (
+    Body, CUT_WITH_AXIS_A, CUT_WITH_AXIS_B, CutJoint, FIXED, FREE, GROUND, HELICAL, Joint,
+    JOINT_FREEDOMS, Mechanism, MechanismError, PLANAR, Point, PRISMATIC,
+    SPATIAL_CUT_JOINT_EQUATIONS, UNIVERSAL, UNTURNED, WITH_AXIS)
+from ..mechanism.validation import checked
+
+# Entries of rotations this near to 0, 1 and -1 are what a file meant by them.
+ROUNDING = 1e-14
+# What is fixed twice may differ by so much [m, or sines of angles].
+AGREEMENT = 1e-9
+# Gear ratio of rotors whose carrier's turning does not count.
+ENDLESS = 1e12
+# Effect by the attribute of a joint that asks for it, and the key of the number.
+JOINT_EFFECTS = {'damping': ('joint_damping', 'coefficient'),
+                 'friction': ('joint_friction', 'coulomb'),
+                 'armature': ('rotor', 'inertia'),
+                 'stiffness': ('joint_spring', 'stiffness')}
+
+
+@dataclass(frozen=True)
+class Imported:
+    """
+    A mechanism with what its file says beside it.
+
+    Attributes
+    ----------
+    mechanism : Mechanism
+    position : dict of str to float
+        Where joints of one freedom start that do not start at zero [rad or m].
+    effects : dict of str to dict
+        Keys of the effects as a scene has them, gravity among them.
+    limits : dict of str to tuple of 2
+        Least and largest coordinate of joints of one freedom, None where there is none.
+    ignored : dict of str to str
+        What was left out, with the reason.
+
+    """
+
+    mechanism: Mechanism
+    position: dict
+    effects: dict
+    limits: dict
+    ignored: dict
+
+
+class _Tree(NamedTuple):
+    joints: list
+    cuts: list
+
+
+def mechanism_of(model, end_stops=None):
+    """
+    Return the mechanism that a model describes.
+
+    Parameters
+    ----------
+    model : Model
+        As a reader of a format left it.
+    end_stops : float, optional
+        Stiffness that limits of joints become end stops with [N m/rad or N/m].
+
+    Returns
+    -------
+    Imported
+
+    Raises
+    ------
+    MechanismError
+        Where it is no mechanism, with the element of the file.
+
+    """
+    ignored = dict(model.ignored)
+    model.check()
+    joints = [_upright(joint) for joint in model.joints.values()]
+    groups = _Groups(model, joints)
+    moving = groups.moving(joints, ignored)
+    tree = _spanning_tree(groups, moving)
+    if not tree.joints:
+        raise MechanismError(f'{model.path}: expected a joint that moves, got none')
+    named = _Names(model)
+    bodies, frames = _bodies(model, groups, tree, named)
+    mechanism = Mechanism(
+        name=_word(model.name), bodies=tuple(bodies),
+        joints=tuple(_joint(joint, groups, frames, named) for joint in tree.joints),
+        cut_joints=tuple(_cut(joint, groups, frames, named, ignored) for joint in tree.cuts),
+        points=tuple(_points(model, groups, frames, named)),
+        description=f'From {model.path.name}.')
+    try:
+        mechanism = checked(mechanism)
+    except FieldError as error:
+        raise MechanismError(_told(error, model, named)) from None
+    if named.changed:
+        ignored[f'characters of {named.changed} name(s)'] = (
+            'names have letters, digits and underscores, each once')
+    effects, position = _effects(model, tree, named, end_stops, ignored)
+    limits = {named.joint(joint.name): (joint.lower, joint.upper) for joint in tree.joints
+              if JOINT_FREEDOMS[joint.type] == 1 and (joint.lower, joint.upper) != (None, None)}
+    return Imported(mechanism, position, effects, limits, ignored)
+
+
+def _upright(joint):
+    """Return a planar joint with the plane's normal as the z axis of its frame, others as is."""
+    if joint.type != PLANAR or joint.closes:
+        return joint
+    normal = joint.axis
+    across = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
+    across /= np.linalg.norm(across)
+    turned = Pose(np.column_stack([np.cross(across, normal), across, normal]), np.zeros(3))
+    if abs(normal[2] - 1.0) < ROUNDING:
+        turned = IDENTITY
+    return replace(joint, in_parent=joint.in_parent @ turned, in_child=joint.in_child @ turned,
+                   axis=None)
+
+
+class _Groups:
+    """Links that are fixed together: one body of each group, the ground among them."""
+
+    def __init__(self, model, joints):
+        """Follow the fixed joints from each group's first link."""
+        self.of, self.links = {GROUND: (GROUND, IDENTITY)}, {GROUND: [GROUND]}
+        neighbours = {}
+        fixed = [joint for joint in joints if joint.type == FIXED and not joint.closes]
+        for joint in fixed:
+            across = joint.in_parent @ joint.in_child.inverse
+            neighbours.setdefault(joint.parent, []).append((joint.child, across))
+            neighbours.setdefault(joint.child, []).append((joint.parent, across.inverse))
+        carried = {joint.child for joint in fixed}
+        first = [name for name in model.links if name not in carried]
+        for root in [GROUND, *first, *model.links]:
+            if root in self.of and root != GROUND:
+                continue
+            self.of[root] = root, IDENTITY
+            self.links[root] = [root]
+            waiting = [root]
+            while waiting:
+                link = waiting.pop()
+                for other, pose in neighbours.get(link, ()):
+                    if other not in self.of:
+                        self.of[other] = root, self.of[link][1] @ pose
+                        self.links[root].append(other)
+                        waiting.append(other)
+
+    def place(self, link, pose):
+        """Return the group of a link, and a pose on it in the group's frame."""
+        group, at = self.of[link]
+        return group, at @ pose
+
+    def moving(self, joints, ignored):
+        """Return the joints between different groups; refuse others that cannot be met."""
+        found = []
+        for joint in joints:
+            (a, pose_a), (b, pose_b) = (self.place(joint.parent, joint.in_parent),
+                                        self.place(joint.child, joint.in_child))
+            if a != b:
+                found.append(joint)
+            elif joint.type != FIXED:
+                raise MechanismError(f'{joint.where}: expected links that can move against each '
+                                     f'other, got {joint.parent!r} and {joint.child!r}, which '
+                                     'are fixed together')
+            elif not all(np.allclose(one, other, rtol=0.0, atol=AGREEMENT)
+                         for one, other in zip(pose_a, pose_b)):
+                raise MechanismError(f'{joint.where}: expected the same place as that which '
+                                     'other fixed joints give, got another')
+        return found
+
+
+def _spanning_tree(groups, joints):
+    """Return the joints of a tree on the ground, outwards, and those that close loops."""
+    root = {group: group for group in groups.links}
+
+    def find(group):
+        while root[group] != group:
+            root[group] = root[root[group]]
+            group = root[group]
+        return group
+
+    chosen, order = set(), sorted(
+        (joint for joint in joints if not joint.closes),
+        key=lambda joint: (not joint.actuated, JOINT_FREEDOMS[joint.type]))
+    for joint in order:
+        a, b = find(groups.of[joint.parent][0]), find(groups.of[joint.child][0])
+        if a != b:
+            root[a] = b
+            chosen.add(joint.name)
+    free = []
+    for group in groups.links:
+        if find(group) != find(GROUND):
+            root[find(group)] = find(GROUND)
+            free.append(_free(group, joints, chosen, groups))
+    joints = [*free, *joints]
+    chosen |= {joint.name for joint in free}
+    return _Tree(_outwards([joint for joint in joints if joint.name in chosen], groups),
+                 [joint for joint in joints if joint.name not in chosen])
+
+
+def _free(group, joints, chosen, groups):
+    """Return the free joint that carries what nothing joins to the ground."""
+    name = f'{group}_free'
+    while any(joint.name == name for joint in joints):
+        name += '_'
+    return Connection(name, FREE, GROUND, group, actuated=False)
+
+
+def _outwards(joints, groups):
+    """Return the joints with their parents on the side of the ground."""
+    reached, left, turned = {GROUND}, list(joints), {}
+    while left:
+        waiting = []
+        for joint in left:
+            parent, child = groups.of[joint.parent][0], groups.of[joint.child][0]
+            if parent in reached:
+                reached.add(child)
+                turned[joint.name] = joint
+            elif child in reached:
+                reached.add(parent)
+                turned[joint.name] = _reversed(joint)
+            else:
+                waiting.append(joint)
+        left = waiting
+    return [turned[joint.name] for joint in joints]
+
+
+def _reversed(joint):
+    """Return a joint with parent and child exchanged, its coordinate the same."""
+    axis, other = joint.axis, joint.child_axis
+    if joint.type == UNIVERSAL:
+        axis, other = other, axis
+    return replace(joint, parent=joint.child, child=joint.parent, in_parent=joint.in_child,
+                   in_child=joint.in_parent, axis=None if axis is None else -axis,
+                   child_axis=None if other is None else -other)
+
+
+def _bodies(model, groups, tree, named):
+    """Return the bodies, and the pose of each body's frame in that of its group."""
+    frames, bodies = {GROUND: IDENTITY}, {}
+    for joint in tree.joints:
+        group, frames_pose = groups.place(joint.child, joint.in_child)
+        frames[group] = frames_pose
+    for group in groups.links:
+        if group == GROUND:
+            continue
+        mass, moment, about = 0.0, np.zeros(3), np.zeros((3, 3))
+        parts = []
+        for name in groups.links[group]:
+            link = model.links[name]
+            pose = frames[group].inverse @ groups.of[name][1]
+            _check_link(link)
+            center = pose.place(link.center)
+            parts.append((link.mass, center, pose.rotation @ link.inertia @ pose.rotation.T))
+            mass += link.mass
+            moment += link.mass * center
+        center = moment / mass if mass > 0.0 else moment
+        for part, place, inertia in parts:
+            offset = place - center
+            about += inertia + part * (offset @ offset * np.eye(3) - np.outer(offset, offset))
+        bodies[group] = Body(
+            named.body(group), mass, _vector(center), _inertia(about) if mass > 0.0 else 0.0,
+            massless=mass == 0.0)
+    return [bodies[group] for group in groups.links if group in bodies], frames
+
+
+def _check_link(link):
+    """Refuse an inertia without mass."""
+    if link.mass == 0.0 and link.inertia.any():
+        raise MechanismError(f'{link.where}: expected a positive mass, got 0 with an inertia that '
+                             'is not zero')
+
+
+def _joint(joint, groups, frames, named):
+    """Return a joint of the tree."""
+    parent, pose = groups.place(joint.parent, joint.in_parent)
+    pose = frames[parent].inverse @ pose
+    child = groups.of[joint.child][0]
+    return Joint(
+        named.joint(joint.name), joint.type, named.body(parent), named.body(child),
+        _vector(pose.position), actuated=bool(joint.actuated),
+        orientation=_orientation(pose.rotation),
+        axis=_direction(joint.axis) if joint.type in WITH_AXIS else None,
+        second_axis=_direction(joint.child_axis) if joint.type == UNIVERSAL else None,
+        lead=joint.lead if joint.type == HELICAL else None)
+
+
+def _cut(joint, groups, frames, named, ignored):
+    """Return a joint that closes a loop."""
+    if joint.type not in SPATIAL_CUT_JOINT_EQUATIONS:
+        raise MechanismError(f'{joint.where}: expected a type that a loop can be closed with, '
+                             f'got {joint.type!r}')
+    (a, pose_a), (b, pose_b) = (groups.place(joint.parent, joint.in_parent),
+                                groups.place(joint.child, joint.in_child))
+    pose_a, pose_b = frames[a].inverse @ pose_a, frames[b].inverse @ pose_b
+    other = joint.axis if joint.child_axis is None else joint.child_axis
+    if joint.type == UNIVERSAL and abs(joint.axis @ other) > AGREEMENT:
+        raise MechanismError(f'{joint.where}: expected two axes at right angles, where the loop '
+                             'is closed by a universal joint, got others')
+    lost = [key for key in ('actuated', *JOINT_EFFECTS) if getattr(joint, key)]
+    if lost:
+        ignored[f'{", ".join(lost)} of {joint.name}'] = 'this joint closes a loop'
+    held = joint.type in (FIXED, PRISMATIC)
+    return CutJoint(
+        named.joint(joint.name), joint.type, named.body(a), named.body(b),
+        _vector(pose_a.position), _vector(pose_b.position),
+        axis_a=_direction(pose_a.rotation @ joint.axis)
+        if joint.type in CUT_WITH_AXIS_A else None,
+        axis_b=_direction(pose_b.rotation @ other) if joint.type in CUT_WITH_AXIS_B else None,
+        orientation=_orientation(pose_b.rotation @ pose_a.rotation.T) if held else UNTURNED)
+
+
+def _points(model, groups, frames, named):
+    """Yield the frames that a file names, and the links that were merged into others."""
+    merged = {name: (name, IDENTITY) for group, links in groups.links.items()
+              for name in links if name != group}
+    for name, (link, pose) in {**merged, **model.frames}.items():
+        if name in groups.links:
+            continue
+        group, pose = groups.place(link, pose)
+        yield Point(named.body(name), named.body(group),
+                    _vector((frames[group].inverse @ pose).position))
+
+
+def _effects(model, tree, named, end_stops, ignored):
+    """Return what acts on the joints, as a scene has it, and where they start."""
+    effects, position = {'gravity': {'type': 'gravity', 'acceleration': model.gravity}}, {}
+    if not any(model.gravity):
+        effects = {}
+    limits, drives = [], []
+    for joint in tree.joints:
+        name = named.joint(joint.name)
+        several = JOINT_FREEDOMS[joint.type] > 1
+        for key, (kind, number) in JOINT_EFFECTS.items():
+            value = getattr(joint, key)
+            if value and several:
+                ignored[f'{key} of {joint.name}'] = 'this joint has several freedoms'
+            elif value:
+                effects[f'{key}_{name}'] = {'type': kind, 'joint': name, number: value}
+                if key == 'armature':
+                    # Other programs leave the turning of the carrier out, as one that turns
+                    # without end does: the product of inertia and ratio is next to nothing.
+                    effects[f'{key}_{name}'].update(
+                        inertia=value / ENDLESS ** 2, gear_ratio=ENDLESS)
+                if key == 'stiffness' and joint.rest:
+                    effects[f'{key}_{name}']['rest'] = joint.rest
+        if joint.lower is not None or joint.upper is not None:
+            if end_stops is None or several:
+                limits.append(name)
+            else:
+                effects[f'end_stop_{name}'] = {
+                    'type': 'end_stop', 'joint': name, 'stiffness': end_stops,
+                    **{key: getattr(joint, key) for key in ('lower', 'upper')
+                       if getattr(joint, key) is not None}}
+        if joint.actuated and (joint.effort or joint.speed):
+            drives.append(name)
+        if joint.start and not several:
+            position[name] = joint.start
+    if limits:
+        ignored[f'limits of {len(limits)} joint(s)'] = 'no end stops unless they are asked for'
+    if drives:
+        ignored[f'limits of {len(drives)} drive(s)'] = 'an effect actuator has them'
+    return effects, position
+
+
+class _Names:
+    """Names of ours for those of a file: of joints, and of bodies and points."""
+
+    def __init__(self, model):
+        """Name links and joints in the file's order, links before frames."""
+        self._of = {'joint': {}, 'body': {GROUND: GROUND}}
+        self._taken = {'joint': {GROUND}, 'body': {GROUND}}
+        self.changed = 0
+        for name in model.links:
+            self.body(name)
+        for name in model.joints:
+            self.joint(name)
+
+    def joint(self, name):
+        return self._name('joint', name)
+
+    def body(self, name):
+        return self._name('body', name)
+
+    def original(self, kind, name):
+        """Return what a name stands for in the file."""
+        return next((old for old, new in self._of[kind].items() if new == name), None)
+
+    def _name(self, kind, name):
+        known, taken = self._of[kind], self._taken[kind]
+        if name not in known:
+            word, number = _word(name), 1
+            while word in taken:
+                number += 1
+                word = f'{_word(name)}_{number}'
+            known[name] = word
+            taken.add(word)
+            self.changed += word != name
+        return known[name]
+
+
+def _word(name):
+    """Return a name of letters, digits and underscores that starts with a letter."""
+    word = re.sub(r'[^A-Za-z0-9_]', '_', name)
+    return word if re.match('[A-Za-z]', word) else f'x{word}'
+
+
+def _told(error, model, named):
+    """Return an error of the mechanism as one of the file's element."""
+    section, *rest = [*error.path, None]
+    kind = {'bodies': 'body', 'joints': 'joint', 'cut_joints': 'joint'}.get(section)
+    name = named.original(kind, rest[0]) if kind else None
+    record = (model.links if kind == 'body' else model.joints).get(name)
+    return f'{record.where if record else model.path}: {error}'
+
+
+def lines(ignored):
+    """
+    Return what was left out, a line for each reason.
+
+    Parameters
+    ----------
+    ignored : dict of str to str
+        As ``Imported`` has it.
+
+    Returns
+    -------
+    list of str
+
+    """
+    return [f'left out, {reason}: '
+            + ', '.join(what for what, why in ignored.items() if why == reason)
+            for reason in dict.fromkeys(ignored.values())]
+
+
+def _vector(values):
+    return tuple((np.asarray(values, dtype=float) + 0.0).tolist())
+
+
+def _direction(axis):
+    nearest = np.round(axis)
+    axis = np.where(np.abs(axis - nearest) < ROUNDING, nearest, axis) + 0.0
+    return _vector(axis / np.linalg.norm(axis))
+
+
+def _orientation(rotation):
+    nearest = np.round(rotation)
+    near = np.abs(rotation - nearest) < ROUNDING
+    return quaternion_of(np.where(near, nearest, rotation))
+
+
+def _inertia(about):
+    values = _vector(about[(0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)])
+    return values if any(values[3:]) else values[:3]

@@ -1,0 +1,208 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+What any format tells of a machine, before it becomes a mechanism of ours.
+
+Links have frames of their own choice and joints join any two of them, in loops, too. Readers of
+formats fill these records; ``building.mechanism_of`` chooses a tree and writes a Mechanism, and
+the writers of formats start from them again.
+
+"""
+
+from dataclasses import dataclass, field
+from typing import Optional
+
+import numpy as np
+
+from .pose import IDENTITY, Pose
+from ..mechanism.fields import among, nearest
+from ..mechanism.mechanism import GROUND, JOINT_FREEDOMS, MechanismError
+
+# Standard gravity of formats that leave it to the simulator [m/s^2].
+GRAVITY = (0.0, 0.0, -9.81)
+
+
+@dataclass
+class Link:
+    """
+    A rigid body as a format has it.
+
+    Attributes
+    ----------
+    name : str
+    where : str
+        File, line and element, for messages.
+    mass : float
+        [kg], zero or more.
+    center : ndarray, shape (3,)
+        Centre of mass in the link's frame [m].
+    inertia : ndarray, shape (3, 3)
+        About the centre of mass, along the axes of the link's frame [kg m^2].
+
+    """
+
+    name: str
+    where: str = ''
+    mass: float = 0.0
+    center: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    inertia: np.ndarray = field(default_factory=lambda: np.zeros((3, 3)))
+
+
+@dataclass
+class Connection:
+    """
+    A joint between two links, in a tree or closing a loop.
+
+    Attributes
+    ----------
+    name : str
+    type : str
+        One of ``mechanism.JOINT_FREEDOMS``.
+    parent, child : str
+        Links, or ``'ground'``.
+    where : str
+        File, line and element, for messages.
+    in_parent, in_child : Pose
+        The joint's frame in the frames of both links; they agree at q = 0.
+    axis : ndarray, shape (3,), or None
+        In the joint's frame; of a universal joint the one fixed in the parent, of a planar joint
+        the plane's normal.
+    child_axis : ndarray, shape (3,), or None
+        In the joint's frame in the child, where it differs from ``axis``; the second axis of a
+        universal joint.
+    lead : float or None
+        Of a helical joint [m/rad].
+    closes : bool
+        Whether it must not be a joint of the tree.
+    actuated : bool or None
+        None where the format does not tell.
+    damping, friction, armature, stiffness, rest : float
+        Zero where there is none; SI units.
+    lower, upper, effort, speed : float or None
+        Limits of the coordinate, of the drive and of the rate; None where there is none.
+    start : float
+        Coordinate that the machine starts from.
+
+    """
+
+    name: str
+    type: str  # noqa: A003
+    parent: str
+    child: str
+    where: str = ''
+    in_parent: Pose = IDENTITY
+    in_child: Pose = IDENTITY
+    axis: Optional[np.ndarray] = None
+    child_axis: Optional[np.ndarray] = None
+    lead: Optional[float] = None
+    closes: bool = False
+    actuated: Optional[bool] = None
+    damping: float = 0.0
+    friction: float = 0.0
+    armature: float = 0.0
+    stiffness: float = 0.0
+    rest: float = 0.0
+    lower: Optional[float] = None
+    upper: Optional[float] = None
+    effort: Optional[float] = None
+    speed: Optional[float] = None
+    start: float = 0.0
+
+
+@dataclass
+class Model:
+    """
+    A machine as a format has it.
+
+    Attributes
+    ----------
+    name : str
+    path : pathlib.Path
+        The file.
+    links : dict of str to Link
+        Without the ground.
+    joints : dict of str to Connection
+        In the file's order.
+    frames : dict of str to tuple (str, Pose)
+        Named frames on links, or on ``'ground'``.
+    gravity : tuple of 3 floats
+        [m/s^2].
+    ignored : dict of str to str
+        What the file says and a mechanism does not have, with the reason.
+
+    """
+
+    name: str
+    path: object
+    links: dict = field(default_factory=dict)
+    joints: dict = field(default_factory=dict)
+    frames: dict = field(default_factory=dict)
+    gravity: tuple = GRAVITY
+    ignored: dict = field(default_factory=dict)
+
+    def add(self, record):
+        """
+        Add a link or a joint.
+
+        Raises
+        ------
+        MechanismError
+            Where another has its name.
+
+        """
+        section = self.links if isinstance(record, Link) else self.joints
+        if record.name in section:
+            raise MechanismError(
+                f'{record.where}: expected every name once, got {record.name!r} again, first '
+                f'given at {section[record.name].where}')
+        section[record.name] = record
+
+    def frame(self, name, where):
+        """
+        Return the link and the pose on it of a frame, or of a link, by its name.
+
+        Raises
+        ------
+        MechanismError
+            Where there is neither.
+
+        """
+        if name in self.frames:
+            return self.frames[name]
+        if name in self.links or name == GROUND:
+            return name, IDENTITY
+        known = [*self.links, *self.frames]
+        raise MechanismError(
+            f'{where}: expected the name of a link or frame, got {name!r}'
+            f' ({nearest(name, known) or "there are " + among(known)})')
+
+    def check(self):
+        """
+        Refuse joints of links that do not exist, and of unknown types.
+
+        Raises
+        ------
+        MechanismError
+
+        """
+        for joint in self.joints.values():
+            for link in (joint.parent, joint.child):
+                if link not in self.links and link != GROUND:
+                    self.frame(link, joint.where)
+                    raise MechanismError(f'{joint.where}: expected the name of a link, got that '
+                                         f'of the frame {link!r}')
+            if joint.type not in JOINT_FREEDOMS:
+                raise MechanismError(f'{joint.where}: expected a joint of a known type, got '
+                                     f'{joint.type!r}')

@@ -1,0 +1,146 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Places and turns of frames."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+
+class Pose(NamedTuple):
+    """
+    Where one frame is in another.
+
+    Attributes
+    ----------
+    rotation : ndarray, shape (3, 3)
+        Columns: the axes of the frame.
+    position : ndarray, shape (3,)
+        Of its origin [m].
+
+    """
+
+    rotation: np.ndarray
+    position: np.ndarray
+
+    def __matmul__(self, other):
+        """Return the pose of a frame that is given in this one."""
+        return Pose(self.rotation @ other.rotation, self.place(other.position))
+
+    def place(self, point):
+        """Return where a point of this frame is, shape (3,)."""
+        return self.rotation @ point + self.position
+
+    @property
+    def inverse(self):
+        """Return the pose of the other frame in this one."""
+        return Pose(self.rotation.T, -(self.rotation.T @ self.position))
+
+
+IDENTITY = Pose(np.eye(3), np.zeros(3))
+
+
+def of_angles(angles):
+    """
+    Return the rotation of turns about the fixed axes x, y and z, one after the other.
+
+    Parameters
+    ----------
+    angles : sequence of 3 floats
+        Roll, pitch and yaw [rad].
+
+    Returns
+    -------
+    ndarray, shape (3, 3)
+
+    """
+    (sr, cr), (sp, cp), (sy, cy) = ((math.sin(angle), math.cos(angle)) for angle in angles)
+    return np.array([
+        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+        [-sp, cp * sr, cp * cr]])
+
+
+def angles_of(matrix):
+    """
+    Return roll, pitch and yaw of a rotation.
+
+    Parameters
+    ----------
+    matrix : ndarray, shape (3, 3)
+        A rotation.
+
+    Returns
+    -------
+    tuple of 3 floats
+        Turns about the fixed axes x, y and z, one after the other [rad].
+
+    """
+    (xx, xy, _), (yx, yy, _), (zx, zy, zz) = matrix.tolist()
+    cosine = math.hypot(xx, yx)
+    pitch = math.atan2(-zx, cosine)
+    if cosine < 1e-9:
+        # Roll and yaw are one turn.
+        return 0.0, pitch, math.atan2(-xy, yy)
+    return math.atan2(zy, zz), pitch, math.atan2(yx, xx)
+
+
+def of_quaternion(quaternion):
+    """
+    Return the rotation of a quaternion, which need not have the norm 1 exactly.
+
+    Parameters
+    ----------
+    quaternion : sequence of 4 floats
+        x, y, z, w.
+
+    Returns
+    -------
+    ndarray, shape (3, 3)
+
+    """
+    x, y, z, w = np.asarray(quaternion, dtype=float) / np.linalg.norm(quaternion)
+    return np.array([
+        [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)],
+        [2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)],
+        [2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)]])
+
+
+def quaternion_of(matrix):
+    """
+    Return the unit quaternion of a rotation, w not negative.
+
+    Parameters
+    ----------
+    matrix : ndarray, shape (3, 3)
+        A rotation.
+
+    Returns
+    -------
+    tuple of 4 floats
+        x, y, z, w.
+
+    """
+    # q q^T, of which the column with the largest diagonal entry tells q best.
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = matrix
+    outer = 0.25 * np.array([
+        [1.0 + xx - yy - zz, xy + yx, xz + zx, zy - yz],
+        [xy + yx, 1.0 - xx + yy - zz, yz + zy, xz - zx],
+        [xz + zx, yz + zy, 1.0 - xx - yy + zz, yx - xy],
+        [zy - yz, xz - zx, yx - xy, 1.0 + xx + yy + zz]])
+    column = outer[np.argmax(np.diag(outer))]
+    found = column / np.copysign(np.linalg.norm(column), column[3])
+    return tuple((found + 0.0).tolist())

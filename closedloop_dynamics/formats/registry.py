@@ -1,0 +1,64 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Which files are models in other formats, and what reads them."""
+
+from pathlib import Path
+
+from .building import mechanism_of
+from .loops import add_loops
+from .urdf import read_urdf
+from ..mechanism.mechanism import MechanismError
+
+READERS = {'.urdf': read_urdf, '.xacro': read_urdf}
+
+
+def is_model(path):
+    """Tell from its name whether a file is a model in another format."""
+    return Path(path).suffix.lower() in READERS
+
+
+def read_model(path, end_stops=None, loops=None):
+    """
+    Read a model in another format as a mechanism.
+
+    Parameters
+    ----------
+    path : str or pathlib.Path
+        Of the file; how its name ends tells the format.
+    end_stops : float, optional
+        Stiffness that limits of joints become end stops with [N m/rad or N/m].
+    loops : mapping, optional
+        Loops that the file does not tell (``loops``).
+
+    Returns
+    -------
+    building.Imported
+
+    Raises
+    ------
+    MechanismError
+        With file, line and element.
+    FieldError
+        Where one of the loops given is none.
+
+    """
+    path = Path(path)
+    if not is_model(path):
+        raise MechanismError(f'{path}: expected a name that ends with one of '
+                             f'{", ".join(READERS)}, got another')
+    model = READERS[path.suffix.lower()](path)
+    if loops is not None:
+        add_loops(model, loops)
+    return mechanism_of(model, end_stops)

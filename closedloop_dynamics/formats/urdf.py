@@ -1,0 +1,294 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+URDF, with the tags in which loops are written.
+
+``<loop>`` (URDF+), ``<constraint>`` (proposed for URDF), ``<loop_joint>`` (Isaac) and
+``<drake:ball_constraint>``; a YAML file beside the URDF with ``closed_loop`` and others
+(``parallel_yaml``). The root link stands on the ground.
+
+"""
+
+from pathlib import Path
+
+import numpy as np
+
+from .model import Connection, Link, Model
+from .parallel_yaml import add_parallel_yaml
+from .pose import IDENTITY, of_angles, Pose
+from .xml_file import read_xml
+from ..mechanism.mechanism import (
+    CYLINDRICAL, FIXED, FREE, GROUND, MechanismError, PLANAR, PRISMATIC, REVOLUTE, SPHERICAL,
+    UNIVERSAL)
+
+TYPES = {'revolute': REVOLUTE, 'continuous': REVOLUTE, 'prismatic': PRISMATIC, 'fixed': FIXED,
+         'floating': FREE, 'planar': PLANAR}
+LOOP_TYPES = {'revolute': REVOLUTE, 'continuous': REVOLUTE, 'prismatic': PRISMATIC,
+              'fixed': FIXED, 'spherical': SPHERICAL, 'ball': SPHERICAL, 'planar': PLANAR,
+              'universal': UNIVERSAL, 'cylindrical': CYLINDRICAL}
+WITHOUT_AXIS = (FIXED, FREE, SPHERICAL)
+# Why what is not read is not needed.
+REASONS = {
+    'visual': 'for pictures', 'material': 'for pictures', 'collision': 'for contacts',
+    'gazebo': 'for a simulator', 'joint_properties': 'for another program',
+    'safety_controller': 'for controllers', 'calibration': 'for controllers',
+    'hardware': 'for controllers', 'sensor': 'for sensors',
+    'drake:linear_bushing_rpy': 'bushings close no loops'}
+UNKNOWN = 'not known to this reader'
+
+
+def read_urdf(path):
+    """
+    Read a URDF file.
+
+    Parameters
+    ----------
+    path : str or pathlib.Path
+        Of the file; one that ends with .xacro goes through xacro first.
+
+    Returns
+    -------
+    Model
+
+    Raises
+    ------
+    MechanismError
+        With file, line and element.
+
+    """
+    path = Path(path)
+    robot = read_xml(path, ('robot',), _expanded(path) if path.suffix == '.xacro' else None)
+    model = Model(robot.get('name') or path.stem, path)
+    for link in robot.all('link'):
+        model.add(_link(link))
+    mimics = []
+    for joint in robot.all('joint'):
+        model.add(_joint(joint, mimics))
+    for element in robot.all('loop'):
+        model.add(_loop(element))
+    for element in robot.all('constraint'):
+        model.add(_constraint(element))
+    for element in robot.all('loop_joint'):
+        model.add(_loop_joint(element))
+    for number, element in enumerate(robot.all('drake:ball_constraint'), 1):
+        model.add(_ball_constraint(element, f'ball_constraint_{number}'))
+    for element in [*mimics, *robot.all('coupling')]:
+        raise element.error('joints that move on their own',
+                            f'<{element.tag}>, a coupling of two',
+                            'a mechanism cannot have that yet')
+    model.check()
+    _stand(model, robot)
+    _find_drives(model, robot)
+    add_parallel_yaml(model)
+    joints = model.joints.values()
+    if all(joint.actuated is None for joint in joints):
+        for joint in joints:
+            joint.actuated = joint.type in (REVOLUTE, PRISMATIC) and bool(joint.effort)
+    for what, times in robot.unasked().items():
+        model.ignored[f'{times} {what}' if times > 1 else what] = REASONS.get(what, UNKNOWN)
+    return model
+
+
+def _expanded(path):
+    """Return what xacro makes of a file."""
+    read_xml(path, ('robot',))
+    try:
+        import xacro
+    except ImportError:
+        raise MechanismError(f'{path}: a xacro file needs xacro: pip install xacro, or in ROS '
+                             'install ros-jazzy-xacro') from None
+    try:
+        return xacro.process_file(str(path)).toxml(encoding='utf-8')
+    except Exception as error:  # noqa: B902
+        # Whatever the macros do: errors of a language of its own.
+        raise MechanismError(f'{path}: expected what xacro can expand, got: {error}') from None
+
+
+def _link(element):
+    """Return a link; one without an element inertial has no mass."""
+    name, link = element.word('name'), Link(element.get('name'), element.where)
+    if name == GROUND:
+        # It is the world itself where it has no joint above it.
+        link.name = name
+    inertial = element.child('inertial')
+    if inertial is None:
+        return link
+    pose = _origin(inertial.child('origin'))
+    mass = inertial.required('mass')
+    link.mass = mass.number('value')
+    if link.mass is None:
+        raise mass.error('the attribute value', 'none')
+    if link.mass < 0.0:
+        raise mass.error('a mass that is zero or more', f'{link.mass:g}')
+    inertia = inertial.required('inertia')
+    xx, yy, zz, xy, xz, yz = (
+        inertia.number(key, 0.0) for key in ('ixx', 'iyy', 'izz', 'ixy', 'ixz', 'iyz'))
+    link.center = pose.position
+    link.inertia = pose.rotation @ np.array(
+        [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ pose.rotation.T
+    return link
+
+
+def _origin(element):
+    """Return the pose that an element origin gives, if there is one."""
+    if element is None:
+        return IDENTITY
+    return Pose(of_angles(element.numbers('rpy', 3, np.zeros(3))),
+                element.numbers('xyz', 3, np.zeros(3)))
+
+
+def _joint(element, mimics):
+    """Return a joint of the tree."""
+    kind = TYPES[element.word('type', tuple(TYPES))]
+    joint = Connection(
+        element.word('name'), kind, element.required('parent').word('link'),
+        element.required('child').word('link'), element.where,
+        in_parent=_origin(element.child('origin')), axis=_axis(element, 'axis', kind))
+    mimic = element.child('mimic')
+    if mimic is not None:
+        mimics.append(mimic)
+    dynamics, limit = element.child('dynamics'), element.child('limit')
+    if dynamics is not None:
+        joint.damping, joint.friction = (
+            _not_negative(dynamics, key) for key in ('damping', 'friction'))
+    if limit is not None:
+        joint.effort, joint.speed = limit.number('effort'), limit.number('velocity')
+        if element.attributes['type'] in ('revolute', 'prismatic'):
+            joint.lower, joint.upper = limit.number('lower'), limit.number('upper')
+            if joint.lower == joint.upper == 0.0:
+                joint.lower = joint.upper = None
+    if element.get('independent') is not None:
+        joint.actuated = element.word('independent', ('true', 'false')) == 'true'
+    return joint
+
+
+def _not_negative(element, key):
+    value = element.number(key, 0.0)
+    if value < 0.0:
+        raise element.error(f'{key} to be zero or more', f'{value:g}')
+    return value
+
+
+def _axis(element, tag, kind):
+    """Return the axis of a joint; None where its type has none."""
+    axis = element.child(tag)
+    if kind in WITHOUT_AXIS:
+        if axis is not None:
+            axis.get('xyz')
+        return None
+    if axis is None:
+        return np.array([1.0, 0.0, 0.0])
+    return axis.direction('xyz', (1.0, 0.0, 0.0))
+
+
+def _loop(element):
+    """Return a loop as URDF+ writes it."""
+    kind = LOOP_TYPES[element.word('type', tuple(LOOP_TYPES))]
+    ends = [element.required(tag) for tag in ('predecessor', 'successor')]
+    if kind == UNIVERSAL:
+        raise element.error('a type of one axis', "'universal'")
+    return Connection(
+        element.word('name'), kind, *(end.word('link') for end in ends), element.where,
+        *(_origin(end.child('origin')) for end in ends), axis=_axis(element, 'axis', kind),
+        closes=True)
+
+
+def _constraint(element):
+    """Return a loop as it is proposed for URDF."""
+    kind = LOOP_TYPES[element.word('type', tuple(LOOP_TYPES))]
+    return Connection(
+        element.word('name'), kind, element.required('parent').word('link'),
+        element.required('child').word('link'), element.where,
+        _origin(element.child('parent_origin')), _origin(element.child('child_origin')),
+        axis=_axis(element, 'parent_axis', kind), child_axis=_axis(element, 'child_axis', kind),
+        closes=True)
+
+
+def _loop_joint(element):
+    """Return a loop as Isaac writes it."""
+    kind = LOOP_TYPES[element.word('type', tuple(LOOP_TYPES))]
+    if kind == UNIVERSAL:
+        raise element.error('a type of one axis', "'universal'")
+    ends = [element.required(tag) for tag in ('link1', 'link2')]
+    return Connection(
+        element.word('name'), kind, *(end.word('link') for end in ends), element.where,
+        *map(_origin, ends), axis=_axis(element, 'axis', kind), closes=True)
+
+
+def _ball_constraint(element, name):
+    """Return a loop as Drake writes it."""
+    ends = [(element.required(f'drake:ball_constraint_body_{body}').word('name'),
+             element.required(f'drake:ball_constraint_p_{point}'))
+            for body, point in (('A', 'AP'), ('B', 'BQ'))]
+    places = []
+    for _, point in ends:
+        place = point.numbers('value', 3)
+        if place is None:
+            raise point.error('the attribute value', 'none')
+        places.append(Pose(np.eye(3), place))
+    return Connection(name, SPHERICAL, ends[0][0], ends[1][0], element.where, *places,
+                      closes=True)
+
+
+def _stand(model, robot):
+    """Put the root link on the ground; refuse what is no tree."""
+    carried = {}
+    for joint in model.joints.values():
+        if joint.closes:
+            continue
+        first = carried.setdefault(joint.child, joint)
+        if first is not joint:
+            raise MechanismError(
+                f'{joint.where}: expected a child that no other joint carries, got '
+                f'{joint.child!r}, which joint {first.name!r} carries (close the loop by an '
+                'element <loop> instead)')
+    roots = [name for name in model.links if name not in carried]
+    if len(roots) != 1:
+        raise robot.error('one link that no joint carries',
+                          'the roots ' + ', '.join(roots[:5]) if roots else 'a cycle of links')
+    seen = {roots[0]}
+    children = {}
+    for joint in carried.values():
+        children.setdefault(joint.parent, []).append(joint.child)
+    waiting = [roots[0]]
+    while waiting:
+        for child in children.get(waiting.pop(), ()):
+            seen.add(child)
+            waiting.append(child)
+    for name, joint in carried.items():
+        if name not in seen and joint.parent in model.links:
+            raise MechanismError(f'{joint.where}: expected a chain of joints to the root link '
+                                 f'{roots[0]!r}, got a cycle')
+    if roots[0] != GROUND:
+        name = 'to_ground'
+        while name in model.joints:
+            name += '_'
+        model.add(Connection(name, FIXED, GROUND, roots[0]))
+    else:
+        del model.links[GROUND]
+
+
+def _find_drives(model, robot):
+    """Note which joints are driven: as transmissions or ros2_control say."""
+    named = [(transmission.where, joint.get('name'))
+             for transmission in robot.all('transmission')
+             for joint in transmission.all('joint')]
+    for control in robot.all('ros2_control'):
+        named += [(joint.where, joint.get('name')) for joint in control.all('joint')
+                  if joint.all('command_interface')]
+    for where, name in named:
+        if name not in model.joints:
+            raise MechanismError(f'{where}: expected the name of a joint, got {name!r}')
+        model.joints[name].actuated = True

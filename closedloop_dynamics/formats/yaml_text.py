@@ -1,0 +1,113 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""A mechanism, and the scene of a model, as YAML that people read and change."""
+
+from dataclasses import fields, MISSING
+import json
+
+from ..mechanism.mechanism import UNTURNED
+from ..mechanism.validation import SECTIONS
+
+LONGEST_LINE = 110
+
+
+def mechanism_text(mechanism, notes=()):
+    """
+    Return a mechanism as a file of our own.
+
+    Parameters
+    ----------
+    mechanism : Mechanism
+        Any.
+    notes : sequence of str
+        Comments above it.
+
+    Returns
+    -------
+    str
+        YAML; what ``mechanism.reader`` makes of it is the mechanism again, to the last digit.
+
+    """
+    parts = [*(f'# {note}' for note in notes), f'name: {mechanism.name}']
+    if mechanism.description:
+        parts.append(f'description: {json.dumps(mechanism.description, ensure_ascii=False)}')
+    for section in SECTIONS:
+        records = getattr(mechanism, section)
+        if records:
+            parts += ['', f'{section}:', *(
+                line for record in records for line in _entry(record.name, _values(record)))]
+    return '\n'.join(parts) + '\n'
+
+
+def scene_text(imported, q, mechanism_path):
+    """
+    Return a scene of a model: where it starts, and what acts on it.
+
+    Parameters
+    ----------
+    imported : building.Imported
+        What was read.
+    q : ndarray, shape (nq,)
+        Coordinates at the start.
+    mechanism_path : str
+        Of the mechanism's file, as the scene names it.
+
+    Returns
+    -------
+    str
+        YAML.
+
+    """
+    mechanism = imported.mechanism
+    position = mechanism.coordinates.told('position', q)
+    parts = [f'mechanism: {mechanism_path}',
+             f'description: {json.dumps(mechanism.description)}', '', 'initial:',
+             '  position:', *(f'    {name}: {_value(value)}' for name, value in position.items())]
+    if imported.effects:
+        parts += ['', 'effects:', *(line for name, values in imported.effects.items()
+                                    for line in _entry(name, values))]
+    return '\n'.join(parts) + '\n'
+
+
+def _values(record):
+    """Return the keys of a record that differ from what they are when left out."""
+    values = {
+        field.name: value for field in fields(record) if field.name != 'name'
+        and ((value := getattr(record, field.name)) != field.default or field.default is MISSING)}
+    if values.get('massless'):
+        values = {'massless': True}
+    if values.get('orientation', UNTURNED) != UNTURNED:
+        values['orientation'] = {'quaternion': values['orientation']}
+    return values
+
+
+def _entry(name, values):
+    """Return the lines of one entry, in flow style as long as it fits into one."""
+    line = f'  {name}: {_value(values)}'
+    if len(line) <= LONGEST_LINE:
+        return [line]
+    return [f'  {name}:', *(f'    {key}: {_value(value)}' for key, value in values.items())]
+
+
+def _value(value):
+    if isinstance(value, dict):
+        return '{' + ', '.join(f'{key}: {_value(item)}' for key, item in value.items()) + '}'
+    if isinstance(value, (tuple, list)):
+        return '[' + ', '.join(map(_value, value)) + ']'
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, (int, float)):
+        return repr(float(value)) if 'e' in repr(value) else repr(float(value)).removesuffix('.0')
+    return str(value)

@@ -1,0 +1,518 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Positions that close the loops of a mechanism in space, found from far away.
+
+Models of robots are often drawn open, by metres or radians. Here loops are closed by damped least
+squares in the mass metric: each joint that closes a loop asks that points and directions of two
+bodies coincide, so that axes cannot be met the wrong way round, as they can by equations that
+are sines of angles. Where that ends at a place that is not closed, the gaps are closed little by
+little (a homotopy), and then other starts around the first are tried. What is found is exact to
+some 1e-9 only, for Newton's method (``assembly``) to end with.
+
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ..core.straight_line.spatial import rotation
+from ..mechanism.mechanism import (
+    CUT_WITH_ORIENTATION, CYLINDRICAL, DISTANCE, FIXED, FREE, GROUND, HELICAL, PLANAR,
+    POINT_ON_LINE, POINT_ON_PLANE, PRISMATIC, REVOLUTE, SPHERICAL, UNIVERSAL)
+
+# Closed means this, relative to the mechanism's size, or sines of angles.
+CLOSED = 1e-9
+MOST_ITERATIONS = 150
+# Largest change of a coordinate in one iteration [rad, or in units of the size].
+LARGEST_STEP = 0.5
+STEPS_OF_HOMOTOPY = 12
+# How far around the first start others are [rad, and shares of the size], one after the other.
+AMPLITUDES = (0.2, 0.5, 1.0, 1.5, 2.5, 3.1)
+STARTS_EACH = 4
+# Share of the largest inertia that every coordinate has at least in the metric.
+LEAST_INERTIA = 1e-4
+# How far away neighbours of a position are looked for [rad, and shares of the size], how many.
+NEARBY, NEIGHBOURS = 0.1, 2
+# Singular values below this times the largest belong to dependent equations.
+RANK_TOLERANCE = 1e-7
+_UNIT = np.eye(3)
+
+
+class Found(NamedTuple):
+    """
+    Where the search ended.
+
+    Attributes
+    ----------
+    q : ndarray, shape (nq,)
+        Coordinates; orientations as unit quaternions x, y, z, w.
+    gaps : dict of str to float
+        By joint that closes a loop: how far it is open [m or rad].
+    closed : bool
+    how : str
+        How it was found.
+
+    """
+
+    q: np.ndarray
+    gaps: dict
+    closed: bool
+    how: str
+
+
+class Loops:
+    """
+    The loops of a mechanism in space as points and directions that are to coincide.
+
+    Parameters
+    ----------
+    mechanism : Mechanism
+        In space.
+    size : float
+        Of the mechanism [m], by which lengths are measured.
+    limits : dict of str to tuple of 2
+        Least and largest coordinate of joints of one freedom, None where there is none.
+
+    Attributes
+    ----------
+    nv, nq : int
+        Rates and coordinates.
+    coordinates : mechanism.coordinates.Coordinates
+        Of the mechanism.
+    scale : ndarray, shape (nv,)
+        Unit of each rate: the size, or 1 for angles.
+
+    """
+
+    def __init__(self, mechanism, size, limits=None):
+        """Find the places of the coordinates and put the joints in an order with parents first."""
+        self.mechanism, self.size = mechanism, size
+        self.coordinates = mechanism.coordinates
+        self.nq, self.nv = self.coordinates.nq, self.coordinates.nv
+        self._place = {name: some.start for name, some in self.coordinates.coordinates.items()}
+        self._rate = {name: some.start for name, some in self.coordinates.rates.items()}
+        self._joints = _parents_first(mechanism.joints)
+        self._turned = {joint.name: np.array(rotation(joint.orientation))
+                        for joint in mechanism.joints}
+        self._chain = {GROUND: []}
+        for joint in self._joints:
+            rates = self.coordinates.rates[joint.name]
+            self._chain[joint.child] = [*self._chain[joint.parent],
+                                        *range(rates.start, rates.stop)]
+        self._ends = [_ends(cut) for cut in mechanism.cut_joints]
+        self.scale = np.where(self.coordinates.lengths, size, 1.0)
+        self._limits = [
+            (self._place[name], self._rate[name], lower, upper)
+            for name, (lower, upper) in (limits or {}).items()]
+
+    def start(self, position=None):
+        """Return coordinates, shape (nq,), of joints of one freedom by name, others as drawn."""
+        q = self.coordinates.start()
+        for name, value in (position or {}).items():
+            q[self._place[name]] = value
+        return q
+
+    def moved(self, q, change):
+        """Return coordinates, shape (nq,), after a change, shape (nv,)."""
+        return self.coordinates.moved(q, change)
+
+    def unwound(self, q, start):
+        """Return the same position with angles within half a turn of those of a start."""
+        q, limited = q.copy(), {place for place, *_ in self._limits}
+        for joint in self.mechanism.joints:
+            place = self._place[joint.name]
+            count = {REVOLUTE: 1, UNIVERSAL: 2, CYLINDRICAL: 1}.get(joint.type, 0)
+            for at in range(place, place + count):
+                if at not in limited:
+                    q[at] -= 2.0 * np.pi * np.round((q[at] - start[at]) / (2.0 * np.pi))
+        return q
+
+    def _move(self, q):
+        """Return frames and origins of the bodies, and the axes of all rates."""
+        frames, origins = {GROUND: _UNIT}, {GROUND: np.zeros(3)}
+        spins, arms, slides = (np.zeros((self.nv, 3)) for _ in range(3))
+        for joint in self._joints:
+            frame = frames[joint.parent] @ self._turned[joint.name]
+            origin = origins[joint.parent] + frames[joint.parent] @ joint.position
+            rate, place = self._rate[joint.name], self._place[joint.name]
+            kind = joint.type
+            steps = []
+            if kind in (REVOLUTE, HELICAL, CYLINDRICAL):
+                steps = [('turn', joint.axis)]
+            elif kind == UNIVERSAL:
+                steps = [('turn', joint.axis), ('turn', joint.second_axis)]
+            elif kind in (PRISMATIC,):
+                steps = [('slide', joint.axis)]
+            elif kind in (PLANAR, FREE):
+                steps = [('slide', axis) for axis in _UNIT[:2 if kind == PLANAR else 3]]
+            for step, axis in steps:
+                world, value = frame @ axis, q[place]
+                if step == 'turn':
+                    spins[rate], arms[rate] = world, origin
+                    if kind == HELICAL:
+                        slides[rate] = world * joint.lead
+                        origin = origin + world * (joint.lead * value)
+                    frame = frame @ _about(np.array(axis), value)
+                else:
+                    slides[rate] = world
+                    origin = origin + world * value
+                rate, place = rate + 1, place + 1
+            if kind == CYLINDRICAL:
+                slides[rate] = frame @ joint.axis
+                origin = origin + slides[rate] * q[place]
+            elif kind == PLANAR:
+                spins[rate], arms[rate] = frame[:, 2], origin
+                frame = frame @ _about(_UNIT[2], q[place])
+            elif kind in (SPHERICAL, FREE):
+                frame = frame @ np.array(rotation(q[place:place + 4].tolist()))
+                spins[rate:rate + 3], arms[rate:rate + 3] = frame.T, origin
+            frames[joint.child], origins[joint.child] = frame, origin
+        # Where arms[k] moves with what its joint slides, the slide has no spin.
+        return frames, origins, spins, slides - np.cross(spins, arms)
+
+    def residual(self, q, wanted=True):
+        """
+        Return how far everything is from coinciding, and how that changes.
+
+        Parameters
+        ----------
+        q : ndarray, shape (nq,)
+            Coordinates.
+        wanted : bool
+            Whether the change is wanted.
+
+        Returns
+        -------
+        residual : ndarray, shape (n,)
+            Lengths in units of the size, and differences of unit vectors.
+        jac : ndarray, shape (n, nv), or None
+        counts : list of int
+            How many of the numbers each cut joint has, then each coupling; limits follow.
+
+        """
+        frames, origins, spins, moments = self._move(q)
+        values, rows, counts = [], [], []
+
+        def velocity(body, point):
+            jac = np.zeros((3, self.nv))
+            chain = self._chain[body]
+            jac[:, chain] = (moments[chain] + np.cross(spins[chain], point)).T
+            return jac
+
+        def turn(body, direction):
+            jac = np.zeros((3, self.nv))
+            chain = self._chain[body]
+            jac[:, chain] = np.cross(spins[chain], direction).T
+            return jac
+
+        def spin(body):
+            jac = np.zeros((3, self.nv))
+            chain = self._chain[body]
+            jac[:, chain] = spins[chain].T
+            return jac
+
+        for cut, (same, across, right) in zip(self.mechanism.cut_joints, self._ends):
+            a, b, before = cut.body_a, cut.body_b, len(values)
+            point_a = origins[a] + frames[a] @ cut.point_a
+            point_b = origins[b] + frames[b] @ cut.point_b
+            gap = (point_a - point_b) / self.size
+            if cut.type == DISTANCE:
+                values.append(0.5 * (gap @ gap * self.size / cut.length
+                                     - cut.length / self.size))
+                if wanted:
+                    rows.append((gap @ (velocity(a, point_a) - velocity(b, point_b))
+                                 / cut.length)[None])
+            elif across is None:
+                values += gap.tolist()
+                if wanted:
+                    rows.append((velocity(a, point_a) - velocity(b, point_b)) / self.size)
+            else:
+                for normal in across:
+                    world = frames[b] @ normal
+                    values.append(float(world @ gap))
+                    if wanted:
+                        rows.append((
+                            world @ (velocity(a, point_a) - velocity(b, point_b)) / self.size
+                            + gap @ turn(b, world))[None])
+            for one, other in same:
+                one, other = frames[a] @ one, frames[b] @ other
+                values += (one - other).tolist()
+                if wanted:
+                    rows.append(turn(a, one) - turn(b, other))
+            for one, other in right:
+                one, other = frames[a] @ one, frames[b] @ other
+                values.append(float(one @ other))
+                if wanted:
+                    rows.append((other @ turn(a, one) + one @ turn(b, other))[None])
+            if cut.type == HELICAL:
+                axis = frames[b] @ cut.axis_b
+                held = frames[b] @ np.array(rotation(cut.orientation)) @ frames[a].T
+                angle = np.arctan2(-axis @ _vector_of(held), 0.5 * (
+                    np.trace(held) - axis @ held @ axis))
+                # Whole turns count by the way that the thread has gone.
+                slide = float(axis @ gap) * self.size
+                angle += 2.0 * np.pi * np.round((slide / cut.lead - angle) / (2.0 * np.pi))
+                values.append((slide - cut.lead * angle) / self.size)
+                if wanted:
+                    rows.append(((
+                        axis @ (velocity(a, point_a) - velocity(b, point_b))
+                        - cut.lead * axis @ (spin(a) - spin(b))) / self.size
+                        + gap @ turn(b, axis))[None])
+            counts.append(len(values) - before)
+        for coupling in self.mechanism.couplings:
+            row = np.zeros((1, self.nv))
+            for name, factor in coupling.joints.items():
+                row[0, self._rate[name]] = factor
+            unit = np.abs(row * self.scale).max()
+            q_here = [q[self._place[name]] for name in coupling.joints]
+            held = np.dot(q_here, list(coupling.joints.values()))
+            values.append((held - coupling.offset) / unit)
+            rows.append(row / unit)
+            counts.append(1)
+        for place, rate, lower, upper in self._limits:
+            beyond = max(0.0, q[place] - upper) if upper is not None else 0.0
+            beyond += min(0.0, q[place] - lower) if lower is not None else 0.0
+            values.append(beyond / self.scale[rate])
+            if wanted:
+                row = np.zeros((1, self.nv))
+                row[0, rate] = 1.0 / self.scale[rate] if beyond else 0.0
+                rows.append(row)
+        jac = np.concatenate(rows) if rows else np.zeros((0, self.nv))
+        return np.array(values), jac if wanted else None, counts
+
+    def metric(self, q):
+        """Return the inertia of the tree, shape (nv, nv), in units of its largest entry."""
+        frames, origins, spins, moments = self._move(q)
+        inertia = np.zeros((self.nv, self.nv))
+        for body in self.mechanism.bodies:
+            if body.massless:
+                continue
+            chain = self._chain[body.name]
+            center = origins[body.name] + frames[body.name] @ body.center_of_mass
+            shift = moments[chain] + np.cross(spins[chain], center)
+            turn = spins[chain] @ frames[body.name]
+            values = np.zeros(6)
+            values[:np.size(body.inertia)] = body.inertia
+            xx, yy, zz, xy, xz, yz = values
+            about = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+            inertia[np.ix_(chain, chain)] += (
+                body.mass * shift @ shift.T + turn @ about @ turn.T)
+        scaled = inertia * np.outer(self.scale, self.scale)
+        largest = np.diag(scaled).max(initial=0.0) or 1.0
+        scaled = scaled / largest + LEAST_INERTIA * np.eye(self.nv)
+        return scaled / np.outer(self.scale, self.scale)
+
+    def gaps(self, q):
+        """Return how far each joint that closes a loop is open [m or rad], by name."""
+        values, _, counts = self.residual(q, wanted=False)
+        found, first = {}, 0
+        for cut, count in zip((*self.mechanism.cut_joints, *self.mechanism.couplings), counts):
+            found[cut.name] = float(np.linalg.norm(values[first:first + count]))
+            first += count
+        return found
+
+    def rank(self, q):
+        """
+        Return the largest rank of the equations at a closed position and around it.
+
+        Parameters
+        ----------
+        q : ndarray, shape (nq,)
+            Closing the loops.
+
+        """
+        rng, ranks = np.random.default_rng(0), [_rank(self.residual(q)[1])]
+        free = np.arange(self.nv)
+        for _ in range(NEIGHBOURS if self._ends or self.mechanism.couplings else 0):
+            near = _least_squares(self, self.moved(
+                q, NEARBY * self.scale * rng.uniform(-1.0, 1.0, self.nv)), free)
+            if self.is_closed(near):
+                ranks.append(_rank(self.residual(near)[1]))
+        return max(ranks)
+
+    def is_closed(self, q):
+        """Tell whether every loop is closed and every limit respected."""
+        return np.abs(self.residual(q, wanted=False)[0]).max(initial=0.0) <= CLOSED
+
+
+def find_closed(mechanism, size, start, hold=(), limits=None, starts=STARTS_EACH):
+    """
+    Search a position that closes the loops, near a start.
+
+    Parameters
+    ----------
+    mechanism : Mechanism
+        In space.
+    size : float
+        Of the mechanism [m].
+    start : ndarray, shape (nq,)
+        Coordinates; orientations as unit quaternions x, y, z, w.
+    hold : sequence of str
+        Joints that stay where they are.
+    limits : dict of str to tuple of 2, optional
+        Least and largest coordinate of joints of one freedom.
+    starts : int
+        How many others are tried at each distance from the first.
+
+    Returns
+    -------
+    Found
+        The nearest of what was found at the first distance where anything was; where nothing was,
+        the least open.
+
+    """
+    loops = Loops(mechanism, size, limits)
+    held = [k for name in hold for k in range(loops.nv)[loops.coordinates.rates[name]]]
+    free = np.setdiff1d(np.arange(loops.nv), held)
+    best, how = _least_squares(loops, start, free), 'from the start'
+    if not loops.is_closed(best):
+        found = _homotopy(loops, start, free)
+        if _openness(loops, found) < _openness(loops, best):
+            best, how = found, 'closing the gaps little by little'
+    rng = np.random.default_rng(0)
+    for amplitude in AMPLITUDES:
+        if loops.is_closed(best):
+            break
+        found = []
+        for _ in range(starts):
+            change = np.zeros(loops.nv)
+            change[free] = rng.uniform(-amplitude, amplitude, len(free)) * loops.scale[free]
+            found.append(_least_squares(loops, loops.moved(start, change), free))
+        closed = [q for q in found if loops.is_closed(q)]
+        if closed:
+            best = min(closed, key=lambda q: np.linalg.norm(q - start))
+            how = f'from starts up to {amplitude:g} rad away'
+        else:
+            best = min([best, *found], key=lambda q: _openness(loops, q))
+    best = loops.unwound(best, start)
+    return Found(best, loops.gaps(best), loops.is_closed(best), how)
+
+
+def _rank(jac):
+    singular = np.linalg.svd(jac, compute_uv=False) if jac.size else np.zeros(1)
+    return int(np.sum(singular > RANK_TOLERANCE * singular.max(initial=1e-300)))
+
+
+def _openness(loops, q):
+    return np.linalg.norm(loops.residual(q, wanted=False)[0])
+
+
+def _homotopy(loops, q, free):
+    """Return coordinates reached while the gaps of a start are closed in equal parts."""
+    first = loops.residual(q, wanted=False)[0]
+    for step in range(1, STEPS_OF_HOMOTOPY + 1):
+        q = _least_squares(loops, q, free, (1.0 - step / STEPS_OF_HOMOTOPY) * first,
+                           MOST_ITERATIONS if step == STEPS_OF_HOMOTOPY else 20)
+    return q
+
+
+def _least_squares(loops, q, free, target=0.0, most=MOST_ITERATIONS):
+    """Return coordinates where Levenberg's and Marquardt's method ends."""
+    metric, damping, growth = None, 1e-2, 2.0
+    residual, jac, _ = loops.residual(q)
+    residual = residual - target
+    for number in range(most):
+        if np.abs(residual).max(initial=0.0) <= 1e-3 * CLOSED:
+            break
+        if number % 10 == 0:
+            metric = loops.metric(q)[np.ix_(free, free)]
+        some = jac[:, free]
+        normal, slope = some.T @ some, some.T @ residual
+        change = np.zeros(loops.nv)
+        try:
+            change[free] = -np.linalg.solve(normal + damping * metric, slope)
+        except np.linalg.LinAlgError:
+            damping *= 10.0
+            continue
+        largest = np.abs(change / loops.scale).max(initial=0.0)
+        if largest <= 1e-14:
+            break
+        change *= min(1.0, LARGEST_STEP / largest)
+        trial = loops.moved(q, change)
+        found = loops.residual(trial, wanted=False)[0] - target
+        before, after = residual @ residual, found @ found
+        expected = before - np.sum((residual + jac @ change) ** 2)
+        gain = (before - after) / expected if expected > 0.0 else -1.0
+        if gain > 0.0:
+            q = trial
+            residual, jac, _ = loops.residual(q)
+            residual = residual - target
+            damping = max(1e-14, damping * max(1.0 / 10.0, 1.0 - (2.0 * gain - 1.0) ** 3))
+            growth = 2.0
+            if before - after < 1e-12 * before and before > 1e-6:
+                break
+        else:
+            damping *= growth
+            growth *= 2.0
+            if damping > 1e12:
+                break
+    return q
+
+
+def _ends(cut):
+    """Return what is to coincide: pairs of directions, normals across, pairs at right angles."""
+    if cut.type in CUT_WITH_ORIENTATION:
+        held = np.array(rotation(cut.orientation))
+        if cut.type == HELICAL:
+            axis = np.array(cut.axis_b)
+            return [(held.T @ axis, axis)], _across(axis), []
+        same = [(held.T @ axis, axis) for axis in _UNIT]
+        return same, None if cut.type == FIXED else _across(np.array(cut.axis_b)), []
+    if cut.type in (SPHERICAL, DISTANCE):
+        return [], None, []
+    if cut.type == POINT_ON_LINE:
+        return [], _across(np.array(cut.axis_b)), []
+    if cut.type == POINT_ON_PLANE:
+        return [], (np.array(cut.axis_b),), []
+    a, b = np.array(cut.axis_a), np.array(cut.axis_b)
+    if cut.type == UNIVERSAL:
+        return [], None, [(a, b)]
+    across = {REVOLUTE: None, CYLINDRICAL: _across(b), PLANAR: (b,)}
+    return [(a, b)], across[cut.type], []
+
+
+def _across(axis):
+    one = np.cross(axis, _UNIT[np.argmin(np.abs(axis))])
+    one = one / np.linalg.norm(one)
+    return one, np.cross(axis, one)
+
+
+def _vector_of(matrix):
+    """Return half the axial vector of a matrix: a rotation's axis times the sine of its angle."""
+    return 0.5 * np.array([matrix[2, 1] - matrix[1, 2], matrix[0, 2] - matrix[2, 0],
+                           matrix[1, 0] - matrix[0, 1]])
+
+
+def _parents_first(joints):
+    """Return joints in an order in which every parent is carried before."""
+    known, order, left = {GROUND}, [], list(joints)
+    while left:
+        waiting = []
+        for joint in left:
+            if joint.parent in known:
+                known.add(joint.child)
+                order.append(joint)
+            else:
+                waiting.append(joint)
+        left = waiting
+    return order
+
+
+def _about(axis, angle):
+    """Return the rotation about a unit vector."""
+    x, y, z = axis.tolist()
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return _UNIT + np.sin(angle) * cross + (1.0 - np.cos(angle)) * (cross @ cross)

@@ -1,0 +1,170 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Scenes of models in other formats: under gravity, at rest, with the loops closed.
+
+What a model says of damping, springs and the like becomes effects. What is left out is told by a
+warning, and so is how far the joints moved to close the loops.
+
+"""
+
+import warnings
+
+import numpy as np
+
+from .errors import AssemblyError
+from .far_assembly import CLOSED, find_closed, Loops, STARTS_EACH
+from .modeling import extent
+from .scene_records import Initial, Scene
+from ..effects.registry import EFFECTS
+from ..formats.building import lines
+from ..mechanism.fields import at, FieldError
+from ..mechanism.mechanism import MechanismError
+
+# So many of the joints that moved the furthest are told.
+MOST_TOLD = 3
+# Shorter ways are not told [rad or m].
+FAR = 0.05
+
+
+class ModelWarning(UserWarning):
+    """Something that a model says was left out, or its joints were moved."""
+
+
+def scene_of_model(path, imported):
+    """
+    Return the scene of a model.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        Of its file.
+    imported : formats.building.Imported
+        What was read.
+
+    Returns
+    -------
+    Scene
+
+    Raises
+    ------
+    MechanismError
+        Where it cannot be simulated.
+    AssemblyError
+        Where no position was found that closes the loops.
+
+    """
+    mechanism, effects = imported.mechanism, {}
+    try:
+        for name, values in imported.effects.items():
+            record = EFFECTS[values['type']]
+            with at('effects', name):
+                effects[name] = record(**{
+                    key: value for key, value in values.items() if key != 'type'})
+        # Before the search: a mechanism that cannot be simulated is refused at once.
+        Scene(path.stem, path, mechanism.description, mechanism,
+              _at_rest(mechanism, mechanism.coordinates.start()), effects)
+    except FieldError as error:
+        raise MechanismError(f'{path}: {error}') from None
+    initial = closed_start(imported)
+    for note in lines(imported.ignored):
+        warnings.warn(f'{path.name}: {note}', ModelWarning, stacklevel=2)
+    return Scene(path.stem, path, mechanism.description, mechanism, initial, effects)
+
+
+def closed_start(imported):
+    """
+    Search where a model starts with its loops closed: as it is drawn, or near.
+
+    Parameters
+    ----------
+    imported : formats.building.Imported
+        What was read.
+
+    Returns
+    -------
+    Initial
+
+    Raises
+    ------
+    AssemblyError
+        Where none was found; it tells which loops stay open.
+
+    """
+    found, notes = assembled(imported)
+    if not found.closed:
+        raise AssemblyError(' '.join(notes))
+    for note in notes:
+        warnings.warn(f'{imported.mechanism.name}: {note}', ModelWarning, stacklevel=2)
+    return _at_rest(imported.mechanism, found.q)
+
+
+def _at_rest(mechanism, q):
+    return Initial(tuple(q.tolist()), (0.0,) * mechanism.coordinates.nv)
+
+
+def assembled(imported):
+    """
+    Close the loops of a model with drives held and limits kept, or as well as it goes.
+
+    Parameters
+    ----------
+    imported : formats.building.Imported
+        What was read.
+
+    Returns
+    -------
+    found : far_assembly.Found
+    notes : list of str
+        What to tell of it; none where nothing moved.
+
+    """
+    mechanism, size = imported.mechanism, extent(imported.mechanism)
+    start = Loops(mechanism, size).start(imported.position)
+    if not (mechanism.cut_joints or mechanism.couplings):
+        return find_closed(mechanism, size, start), []
+    attempts = [((), imported.limits, '', STARTS_EACH)]
+    if mechanism.actuated_joints:
+        attempts.insert(0, (mechanism.actuated_joints, imported.limits, 'the drives held', 1))
+    if imported.limits:
+        attempts.append(((), {}, '', STARTS_EACH))
+    tried = []
+    for hold, limits, told, starts in attempts:
+        found = find_closed(mechanism, size, start, hold, limits, starts)
+        if found.closed:
+            break
+        tried.append(found)
+    else:
+        found = min(tried, key=lambda one: sum(one.gaps.values()))
+        return found, [f'{mechanism.name} cannot be assembled: ' + '; '.join(
+            f'{name} stays open by {gap:.3g}' for name, gap in found.gaps.items()
+            if gap > CLOSED) + ' (m or rad), at the nearest place found. Give it a start nearer '
+            'to a closed one, or check lengths and frames.']
+    return found, _moves(mechanism, start, found, told, bool(imported.limits and not limits))
+
+
+def _moves(mechanism, start, found, told, beyond):
+    """Return what to tell of the way to a closed position."""
+    coordinates = mechanism.coordinates
+    moves = sorted(zip(np.abs(coordinates.apart(found.q, start)).tolist(), coordinates.names),
+                   reverse=True)
+    notes = []
+    if moves[0][0] > FAR:
+        most = ', '.join(f'{name} by {far:.3g}' for far, name in moves[:MOST_TOLD] if far > FAR)
+        notes.append(f'the loops are drawn open and were closed {found.how}'
+                     f'{", " + told if told else ""}; furthest moved: {most} (rad or m)')
+    if beyond:
+        notes.append('no position was found that closes the loops within the limits of the joints')
+    return notes

@@ -1,0 +1,83 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Damaged models in other formats: refused in words, or right; never a traceback.
+
+Seeded; a few hundred of each, thousands with ``--all``. Counts are printed (``-s`` shows them).
+
+"""
+
+from collections import Counter
+import re
+
+from closedloop_dynamics.formats.registry import read_model
+from closedloop_dynamics.formats.yaml_text import mechanism_text
+from closedloop_dynamics.mechanism.mechanism import MechanismError
+from closedloop_dynamics.mechanism.reader import read_mechanism
+import numpy as np
+import pytest
+
+from .test_mutated_scenes import mutated, put, swap, told, WORD
+from ..formats import machines
+
+VALUES = ('"1e999"', '"-1"', '"nan"', '"0"', '""', '"1e-320"', '"1 2"', '"1 2 3 4"', '"ground"',
+          '"base"', '"pin"', '"../x"', '"&lt;"', '"&x;"', '"&#0;"', '"' + 9 * '9' * 99 + '"')
+ATTRIBUTE = re.compile(r'"[^"<>]*"')
+ELEMENT = re.compile(r'<[a-z_:A-Z]+[^<>]*/>|<([a-z_:A-Z]+)[^<>]*>[^<>]*</\1>')
+FILES = {'urdf': [machines.four_bar(way) for way in machines.LOOPS]}
+
+
+def damaged(rng, text):
+    """Return a model with one to three damages, as bytes."""
+    if rng.random() < 0.4:
+        return mutated(rng, text)
+    for _ in range(rng.integers(1, 4)):
+        kind = rng.integers(4)
+        if kind == 0:
+            text = put(rng, text, ATTRIBUTE, str(rng.choice(VALUES)))
+        elif kind == 1:
+            text = swap(rng, text, ATTRIBUTE)
+        elif kind == 2:
+            text = swap(rng, text, ELEMENT if rng.random() < 0.7 else WORD)
+        else:
+            text = put(rng, text, ELEMENT, '')
+    return text.encode()
+
+
+@pytest.mark.filterwarnings('ignore')
+@pytest.mark.parametrize('kind', FILES)
+@pytest.mark.parametrize('count', [300, pytest.param(3000, marks=pytest.mark.slow)])
+def test_damaged_models_are_refused_in_words_or_right(tmp_path, kind, count):
+    rng, counts, bad = np.random.default_rng(20261122), Counter(tried=count), []
+    path, again = tmp_path / f'model.{kind}', tmp_path / 'again.yaml'
+    for number in range(count):
+        content = damaged(rng, FILES[kind][number % len(FILES[kind])])
+        path.write_bytes(content)
+        try:
+            mechanism = read_model(path).mechanism
+            again.write_text(mechanism_text(mechanism), encoding='utf-8')
+            right = read_mechanism(again) == mechanism
+            outcome = 'accepted' if right else 'silent'
+        except MechanismError as error:
+            outcome = 'clean errors' if str(error).startswith(str(path)) else 'silent'
+        except Exception as error:
+            outcome = 'tracebacks'
+            bad.append(f'{number}: {type(error).__name__}: {error}')
+        counts[outcome] += 1
+        if outcome == 'silent':
+            bad.append(f'{number}: {content!r}')
+    told(counts)
+    assert not bad, '\n'.join(bad)
+    assert min(counts['clean errors'], counts['accepted']) > 0.05 * count

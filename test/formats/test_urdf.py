@@ -1,0 +1,248 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""URDF: the same machine in every way of writing its loop, and what is refused."""
+
+from dataclasses import replace
+import re
+
+from closedloop_dynamics.formats.registry import read_model
+from closedloop_dynamics.formats.yaml_text import mechanism_text
+from closedloop_dynamics.mechanism.mechanism import MechanismError
+from closedloop_dynamics.mechanism.reader import read_mechanism
+import numpy as np
+import pytest
+
+from . import machines
+from .machines import four_bar, joint, link, LINKS, LOOPS, robot, TIPS, TREE
+
+
+def written(tmp_path, text, name='robot.urdf'):
+    path = tmp_path / name
+    path.write_text(text)
+    return path
+
+
+def read(tmp_path, text, **options):
+    return read_model(written(tmp_path, text), **options)
+
+
+@pytest.mark.parametrize('way', LOOPS)
+def test_every_way_of_writing_a_loop_is_the_same_machine(tmp_path, way):
+    kind = LOOPS[way][0]
+    own = read_mechanism(written(tmp_path, machines.mechanism_text(kind), 'own.yaml'))
+    read_here = read(tmp_path, four_bar(way)).mechanism
+    cut = replace(read_here.cut_joints[0], name='pin')
+    assert replace(read_here, cut_joints=(cut,), points=(), description='') == own
+
+
+def test_parallel_yaml_closes_loops_between_frames(tmp_path):
+    text = robot(LINKS, TREE, TIPS)
+    written(tmp_path, 'closed_loop: [[coupler_tip, rocker_tip]]\ntype: [3d]\n'
+            'name_mot: [crank_joint]\n', 'robot.yaml')
+    mechanism = read(tmp_path, text).mechanism
+    own = read_mechanism(written(tmp_path, machines.mechanism_text('spherical'), 'own.yaml'))
+    assert replace(mechanism.cut_joints[0], name='pin') == own.cut_joints[0]
+    assert mechanism.actuated_joints == ('crank_joint',)
+    assert {point.name: (point.body, point.position) for point in mechanism.points} == {
+        'base': ('ground', (0.0, 0.0, 0.0)), 'coupler_tip': ('coupler', (0.4, 0.0, 0.0)),
+        'rocker_tip': ('rocker', (0.3, 0.0, 0.0))}
+
+
+def test_parallel_yaml_replaces_joints(tmp_path):
+    written(tmp_path, 'closed_loop: [[coupler_tip, rocker_tip]]\ntype: [6d]\n'
+            'joint_name: [coupler_joint, rocker_joint]\njoint_type: [SPHERICAL, UJOINT_YZ]\n',
+            'robot.yaml')
+    mechanism = read(tmp_path, robot(LINKS, TREE, TIPS)).mechanism
+    assert [one.type for one in mechanism.joints] == ['revolute', 'spherical', 'universal']
+    assert mechanism.joints[2].axis == (0.0, 1.0, 0.0)
+    assert mechanism.joints[2].second_axis == (0.0, 0.0, 1.0)
+    assert mechanism.cut_joints[0].type == 'fixed'
+
+
+def test_loops_of_a_scene(tmp_path):
+    own = read_mechanism(written(tmp_path, machines.mechanism_text('revolute'), 'own.yaml'))
+    mechanism = read(tmp_path, robot(LINKS, TREE, TIPS), loops={'pin': {
+        'type': 'revolute', 'between': ['coupler_tip', 'rocker'], 'axis': [0, 2, 0],
+        'points': [[0, 0, 0], [0.3, 0, 0]]}}).mechanism
+    assert mechanism.cut_joints == own.cut_joints
+
+
+def test_links_fixed_together_are_one_body(tmp_path):
+    turn = 'rpy="0.3 -0.2 1.1"'
+    text = robot(
+        link('base'), link('arm', 2.0, 0.1, (0.01, 0.02, 0.025)),
+        link('tool', 1.0, 0.05, (0.001, 0.002, 0.0025), '0.5 0.1 -0.4'),
+        joint('turn', 'continuous', 'base', 'arm'),
+        joint('held', 'fixed', 'arm', 'tool', '0.3 0 0.1').replace('/><axis', f' {turn}/><axis'))
+    arm, = read(tmp_path, text).mechanism.bodies
+    # As a cloud of points with the same moments, in two frames.
+    rotation = turned(0.3, -0.2, 1.1)
+    cloud = [*points(2.0, (0.1, 0, 0), (0.01, 0.02, 0.025), np.eye(3))]
+    cloud += [(m, rotation @ p + (0.3, 0, 0.1)) for m, p in points(
+        1.0, (0.05, 0, 0), (0.001, 0.002, 0.0025), turned(0.5, 0.1, -0.4))]
+    mass = sum(m for m, _ in cloud)
+    center = sum(m * p for m, p in cloud) / mass
+    about = sum(m * ((p - center) @ (p - center) * np.eye(3) - np.outer(p - center, p - center))
+                for m, p in cloud)
+    assert arm.mass == pytest.approx(mass, rel=1e-14)
+    np.testing.assert_allclose(arm.center_of_mass, center, rtol=1e-13, atol=1e-15)
+    np.testing.assert_allclose(
+        arm.inertia, about[(0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)], rtol=1e-12, atol=1e-15)
+
+
+def turned(roll, pitch, yaw):
+    """Return turns about x, y and z, one after the other."""
+    found = np.eye(3)
+    for axis, angle in enumerate((roll, pitch, yaw)):
+        one, other = [k for k in range(3) if k != axis]
+        turn = np.eye(3)
+        sign = -1.0 if axis == 1 else 1.0
+        turn[one, one] = turn[other, other] = np.cos(angle)
+        turn[other, one], turn[one, other] = sign * np.sin(angle), -sign * np.sin(angle)
+        found = turn @ found
+    return found
+
+
+def points(mass, center, moments, rotation):
+    """Yield six points with a mass, a centre and moments of inertia along turned axes."""
+    for axis in range(3):
+        # Half the sum of the moments less the one about the axis is sum m x^2 along it.
+        spread = np.sqrt((sum(moments) / 2.0 - moments[axis]) * 3.0 / mass)
+        for sign in (-1.0, 1.0):
+            yield mass / 6.0, center + sign * spread * rotation[:, axis]
+
+
+def test_dynamics_and_drives_are_read(tmp_path):
+    text = robot(
+        LINKS, TREE.replace('</joint>', '<dynamics damping="0.25" friction="0.5"/></joint>', 1),
+        '<transmission name="t"><joint name="rocker_joint"/></transmission>\n'
+        '<ros2_control name="c" type="system"><joint name="coupler_joint">'
+        '<command_interface name="effort"/></joint><joint name="crank_joint"/></ros2_control>\n',
+        LOOPS['loop'][1])
+    imported = read(tmp_path, text)
+    assert imported.mechanism.actuated_joints == ('coupler_joint', 'rocker_joint')
+    assert imported.effects == {
+        'gravity': {'type': 'gravity', 'acceleration': (0.0, 0.0, -9.81)},
+        'damping_crank_joint': {
+            'type': 'joint_damping', 'joint': 'crank_joint', 'coefficient': 0.25},
+        'friction_crank_joint': {
+            'type': 'joint_friction', 'joint': 'crank_joint', 'coulomb': 0.5}}
+
+
+def test_limits_become_end_stops_where_asked_for(tmp_path):
+    text = robot(LINKS, TREE.replace(
+        'continuous', 'revolute', 1).replace('effort="2"', 'effort="2" lower="-1" upper="2"'),
+        LOOPS['loop'][1])
+    assert read(tmp_path, text).limits == {'crank_joint': (-1.0, 2.0)}
+    assert not any(name.startswith('end') for name in read(tmp_path, text).effects)
+    assert read(tmp_path, text, end_stops=1e4).effects['end_stop_crank_joint'] == {
+        'type': 'end_stop', 'joint': 'crank_joint', 'stiffness': 1e4, 'lower': -1.0, 'upper': 2.0}
+
+
+def test_what_is_not_read_is_told(tmp_path):
+    text = four_bar().replace('</robot>', '<sensor name="s"/><colour/><colour/></robot>').replace(
+        '<link name="base"/>', '<link name="base"><visual/></link>')
+    ignored = read(tmp_path, text).ignored
+    assert ignored['visual'] == 'for pictures'
+    assert ignored['sensor'] == 'for sensors'
+    assert ignored['2 colour'] == 'not known to this reader'
+
+
+def test_joints_of_several_freedoms(tmp_path):
+    text = robot(
+        link('base'), link('a', *machines.BARS['crank']), link('b', *machines.BARS['rocker']),
+        joint('drift', 'floating', 'base', 'a'),
+        joint('slide', 'planar', 'a', 'b', '0.1 0 0', '1 0 0'))
+    free, planar = read(tmp_path, text).mechanism.joints
+    assert (free.type, planar.type) == ('free', 'planar')
+    # The plane's normal is the z axis of the joint's frame.
+    x, y, z, w = planar.orientation
+    np.testing.assert_allclose([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)],
+                               [1.0, 0.0, 0.0], atol=1e-15)
+
+
+def test_names_become_ours(tmp_path):
+    text = robot(link('base'), link('2nd link', *machines.BARS['crank']),
+                 link('2nd-link', *machines.BARS['crank']),
+                 joint('a/b', 'continuous', 'base', '2nd link'),
+                 joint('a.b', 'continuous', 'base', '2nd-link'))
+    mechanism = read(tmp_path, text).mechanism
+    assert [body.name for body in mechanism.bodies] == ['x2nd_link', 'x2nd_link_2']
+    assert mechanism.joint_names == ('a_b', 'a_b_2')
+
+
+def test_yaml_text_is_the_same_mechanism(tmp_path):
+    text = four_bar().replace('<origin xyz="0.1 0 0"/>', '<origin xyz="0.1 0 0" rpy="1 2 3"/>')
+    mechanism = read(tmp_path, text).mechanism
+    path = written(tmp_path, mechanism_text(mechanism, ['a note']), 'again.yaml')
+    assert read_mechanism(path) == mechanism
+
+
+FAULTS = {
+    'no_xml': ('<robot', '<robot <', r':1: expected XML, got a syntax error'),
+    'doctype': ('<robot', '<!DOCTYPE x [<!ENTITY a "b">]><robot',
+                r':1: expected plain elements, got a document type definition'),
+    'root': ('robot', 'sdf', r":1: <sdf name='four_bar'>: expected one of the elements <robot>"),
+    'link_twice': ('name="crank"', 'name="coupler"', 'expected every name once'),
+    'parent': ('parent link="base"', 'parent link="bas"',
+               r"<joint name='crank_joint'>: expected the name of a link or frame, got 'bas' "
+               r"\(did you mean 'base'\?\)"),
+    'loop_end': ('predecessor link="coupler"', 'predecessor link="x"',
+                 r"<loop name='pin'>: expected the name of a link or frame, got 'x'"),
+    'type': ('type="continuous"', 'type="hinge"',
+             r"<joint name='crank_joint'>: expected type to be one of revolute, .* got 'hinge'"),
+    'number': ('mass value="0.5"', 'mass value="1,5"',
+               r"<mass>: expected value to be 1 finite number, got '1,5'"),
+    'nan': ('xyz="0.1 0 0"', 'xyz="0.1 nan 0"',
+            r"<origin>: expected xyz to be 3 finite numbers, got '0.1 nan 0'"),
+    'mass': ('mass value="0.5"', 'mass value="-1"',
+             'expected a mass that is zero or more, got -1'),
+    'inertia': ('iyy="0.00055"', 'iyy="-1"',
+                r"<link name='crank'>: bodies.crank.inertia: expected "
+                'moments of inertia that a body can have'),
+    'axis': ('axis xyz="0 1 0"', 'axis xyz="0 0 0"',
+             'expected xyz to be a direction that is not zero'),
+    'two_parents': ('child link="rocker"', 'child link="coupler"',
+                    r"expected a child that no other joint carries, got 'coupler', which joint "
+                    "'coupler_joint' carries"),
+    'cycle': ('parent link="base"', 'parent link="coupler"', 'got a cycle'),
+    'mimic': ('</joint>', '<mimic joint="rocker_joint"/></joint>',
+              'expected joints that move on their own, got <mimic>'),
+}
+
+
+@pytest.mark.parametrize('fault', FAULTS)
+def test_faults_name_file_line_and_element(tmp_path, fault):
+    right, wrong, said = FAULTS[fault]
+    text = four_bar()
+    assert right in text
+    path = written(tmp_path, text.replace(right, wrong, None if fault == 'root' else 1)
+                   if fault != 'root' else text.replace(right, wrong))
+    with pytest.raises(MechanismError, match=said) as caught:
+        read_model(path)
+    assert re.match(rf'{path}:\d+: ', str(caught.value))
+
+
+def test_too_large_a_file_is_refused(tmp_path):
+    path = written(tmp_path, '<robot name="a">' + ' ' * 10_000_001 + '</robot>')
+    with pytest.raises(MechanismError, match='expected a file of at most 10000000 bytes'):
+        read_model(path)
+
+
+def test_deep_and_many_elements_are_refused(tmp_path):
+    with pytest.raises(MechanismError, match='expected elements at most 100 deep'):
+        read(tmp_path, '<robot>' + '<a>' * 200 + '</a>' * 200 + '</robot>')
+    with pytest.raises(MechanismError, match='expected at most 200000 elements'):
+        read(tmp_path, '<robot>' + '<a/>' * 200_001 + '</robot>')

@@ -1,0 +1,170 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Loops that are drawn wide open are closed, the right way round; told where they cannot be."""
+
+from closedloop_dynamics.mechanism.mechanism import (
+    Body, Coupling, CutJoint, Joint, Mechanism)
+from closedloop_dynamics.mechanism.validation import validate_mechanism
+from closedloop_dynamics.simulation.far_assembly import CLOSED, find_closed, Loops
+import numpy as np
+import pytest
+
+BAR = (1.0, (0.0, 0.0, 0.0), (0.01, 0.01, 0.01))
+Z = (0.0, 0.0, 1.0)
+TURNED = (0.18257418583505536, 0.3651483716701107, 0.5477225575051661, 0.7302967433402214)
+
+
+def mechanism(joints, cuts, couplings=()):
+    """Return a mechanism whose bodies are the joints' children, all the same."""
+    return validate_mechanism(Mechanism(
+        'm', tuple(Body(joint.child, *BAR) for joint in joints), tuple(joints), tuple(cuts),
+        couplings=tuple(couplings)))
+
+
+def every_joint():
+    """Return a tree with every type of joint, cut at its end in every way."""
+    kinds = [('revolute', {'axis': Z}), ('prismatic', {'axis': (1.0, 0.0, 0.0)}),
+             ('helical', {'axis': Z, 'lead': 0.3}), ('cylindrical', {'axis': Z}),
+             ('universal', {'axis': Z, 'second_axis': (0.0, 1.0, 0.0)}), ('spherical', {}),
+             ('planar', {}), ('free', {})]
+    joints, parent = [], 'ground'
+    for number, (kind, keys) in enumerate(kinds):
+        joints.append(Joint(f'j{number}', kind, parent, f'b{number}', (0.3, 0.1 * number, -0.2),
+                            orientation=TURNED, **keys))
+        parent = f'b{number}'
+    points = {'point_a': (0.1, 0.2, 0.3), 'point_b': (0.0, -0.2, 0.1)}
+    axes = {'axis_a': (0.0, 0.6, 0.8), 'axis_b': (0.8, 0.0, 0.6)}
+    cuts = [CutJoint(kind, kind, parent, f'b{number}', **points, **(axes if kind in (
+        'revolute', 'cylindrical', 'universal', 'planar') else {}))
+        for number, kind in enumerate(('revolute', 'cylindrical', 'universal', 'planar',
+                                       'spherical', 'fixed'))]
+    cuts.append(CutJoint('prismatic', 'prismatic', parent, 'ground', **points,
+                         axis_b=(0.0, 0.6, 0.8), orientation=TURNED))
+    cuts += [CutJoint('distance', 'distance', parent, 'b1', **points, length=0.7),
+             CutJoint('point_on_line', 'point_on_line', parent, 'b2', **points, axis_b=Z),
+             CutJoint('point_on_plane', 'point_on_plane', parent, 'b3', **points, axis_b=Z)]
+    return mechanism(joints, cuts, [Coupling('gear', {'j0': 1.0, 'j1': -3.0, 'j2': 0.5}, 0.1)])
+
+
+def test_jacobian_is_the_derivative_of_the_gaps():
+    loops, rng = Loops(every_joint(), 0.7, {'j0': (-0.1, 0.1)}), np.random.default_rng(0)
+    for _ in range(5):
+        q = loops.moved(loops.start(), rng.normal(size=loops.nv))
+        _, jac, _ = loops.residual(q)
+        change = 1e-6 * rng.normal(size=loops.nv)
+        ahead, behind = (loops.residual(loops.moved(q, step), wanted=False)[0]
+                         for step in (change, -change))
+        np.testing.assert_allclose((ahead - behind) / 2e-6, jac @ change / 1e-6, atol=1e-8)
+
+
+def test_metric_is_the_kinetic_energy():
+    loops, rng = Loops(every_joint(), 1.0), np.random.default_rng(1)
+    q, rates = loops.moved(loops.start(), rng.normal(size=loops.nv)), rng.normal(size=loops.nv)
+
+    def energy():
+        step, total = 1e-5, 0.0
+        (frames, origins, *_), (before, behind, *_), (after, ahead, *_) = (
+            loops._move(loops.moved(q, s * rates)) for s in (0.0, -step, step))
+        for body in loops.mechanism.bodies:
+            velocity = (ahead[body.name] - behind[body.name]) / (2.0 * step)
+            spin = (after[body.name] - before[body.name]) / (2.0 * step) @ frames[body.name].T
+            spin = np.array([spin[2, 1], spin[0, 2], spin[1, 0]])
+            total += 0.5 * velocity @ velocity + 0.5 * 0.01 * spin @ spin
+        return total
+
+    # In units of the largest entry, and with a little more: compare what two motions differ by.
+    metric = loops.metric(q)
+    inertia = metric - 1e-4 * np.eye(loops.nv)
+    first = 0.5 * rates @ inertia @ rates
+    energy_first, rates = energy(), rng.normal(size=loops.nv)
+    second = 0.5 * rates @ inertia @ rates
+    assert energy() / energy_first == pytest.approx(second / first, rel=1e-6)
+
+
+def triangle(length):
+    """Return two bars on the ground, 1 apart, that meet in a pin: one of length 1, one other."""
+    joints = [Joint('left', 'revolute', 'ground', 'a', (0.0, 0.0, 0.0), axis=Z, actuated=True),
+              Joint('right', 'revolute', 'ground', 'b', (1.0, 0.0, 0.0), axis=Z)]
+    cut = CutJoint('pin', 'revolute', 'a', 'b', (1.0, 0.0, 0.0), (length, 0.0, 0.0), axis_a=Z,
+                   axis_b=Z)
+    return mechanism(joints, [cut])
+
+
+@pytest.mark.parametrize('start', [(0.0, 0.0), (3.0, -3.0), (-2.0, 0.5)])
+def test_loops_that_are_drawn_wide_open_close(start):
+    found = find_closed(triangle(1.2), 1.0, np.array(start))
+    # The law of cosines.
+    assert found.closed
+    assert np.cos(found.q[0]) == pytest.approx((1.0 + 1.0 - 1.44) / 2.0, abs=1e-8)
+    assert np.abs(found.q - start).max() <= np.pi
+
+
+def test_a_thread_turns_as_it_slides():
+    joint = Joint('free', 'free', 'ground', 'a', (0.1, 0.0, 0.0))
+    cuts = [CutJoint('thread', 'helical', 'a', 'ground', (0.0, 0.0, 0.0), (0.0, 0.0, 0.0),
+                     axis_b=Z, lead=0.2),
+            CutJoint('stop', 'point_on_plane', 'a', 'ground', (0.0, 0.0, 0.0), (0.0, 0.0, 0.3),
+                     axis_b=Z)]
+    found = find_closed(mechanism([joint], cuts), 1.0,
+                        np.array([0.2, 0.1, 0.0, 0.3, -0.2, 0.1, 0.9273618495495703]))
+    assert found.closed
+    np.testing.assert_allclose(found.q[:3], [-0.1, 0.0, 0.3], atol=1e-8)
+    # A slide of 0.3 m at 0.2 m/rad.
+    np.testing.assert_allclose(np.abs(found.q[3:]), [0.0, 0.0, np.sin(0.75), np.cos(0.75)],
+                               atol=1e-7)
+
+
+def test_limits_choose_the_branch():
+    machine = triangle(1.2)
+    for limits, sign in (((0.0, 3.0), 1.0), ((-3.0, 0.0), -1.0)):
+        found = find_closed(machine, 1.0, np.array([-sign, -sign]), limits={'left': limits})
+        assert found.closed
+        assert np.sign(np.sin(found.q[0])) == sign
+
+
+def test_held_joints_stay():
+    found = find_closed(triangle(1.2), 1.0, np.array([1.2870022175866, 0.0]), hold=['left'])
+    assert found.closed
+    assert found.q[0] == 1.2870022175866
+
+
+def test_a_loop_that_cannot_close_is_told_with_its_gap():
+    # A bar of 2.5 and one of 1 on pins 1 apart: half a metre too long.
+    found = find_closed(triangle(2.5), 1.0, np.array([0.3, -0.2]), starts=1)
+    assert not found.closed
+    assert found.gaps == {'pin': pytest.approx(0.5, abs=1e-4)}
+
+
+def test_bodies_do_not_meet_the_wrong_way_round():
+    # Turned by half a turn, the directions of both bodies are at right angles as they should be.
+    joint = Joint('ball', 'spherical', 'ground', 'a', (0.0, 0.0, 0.0))
+    cut = CutJoint('weld', 'fixed', 'a', 'ground', (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    found = find_closed(mechanism([joint], [cut]), 1.0, np.array([0.1, 0.99, 0.1, 0.0]))
+    assert found.closed
+    np.testing.assert_allclose(np.abs(found.q), [0.0, 0.0, 0.0, 1.0], atol=1e-8)
+
+
+def test_rank_in_a_parallelogram_and_beside_it():
+    # Flat, where the rank is less; the third row of the pin and two more always hold.
+    joints = [Joint('a', 'revolute', 'ground', 'a', (0.0, 0.0, 0.0), axis=Z),
+              Joint('b', 'revolute', 'a', 'b', (0.3, 0.0, 0.0), axis=Z),
+              Joint('c', 'revolute', 'ground', 'c', (1.0, 0.0, 0.0), axis=Z)]
+    cut = CutJoint('pin', 'revolute', 'b', 'c', (1.0, 0.0, 0.0), (0.3, 0.0, 0.0), axis_a=Z,
+                   axis_b=Z)
+    loops = Loops(mechanism(joints, [cut]), 1.0)
+    flat = np.zeros(3)
+    assert np.abs(loops.residual(flat)[0]).max() < CLOSED
+    assert np.linalg.matrix_rank(loops.residual(flat)[1], tol=1e-9) == 1
+    assert loops.rank(flat) == 2
