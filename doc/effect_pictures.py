@@ -18,15 +18,20 @@ from pathlib import Path
 
 from closedloop_dynamics import Simulation
 from closedloop_dynamics.effects.actuator import Actuator
+from closedloop_dynamics.effects.body_contact import BodyContact
+from closedloop_dynamics.effects.bushing import Bushing
+from closedloop_dynamics.effects.cable import Cable
 from closedloop_dynamics.effects.contact import Contact
 from closedloop_dynamics.effects.end_stop import EndStop
 from closedloop_dynamics.effects.external_force import ExternalForce
+from closedloop_dynamics.effects.force_table import ForceTable
 from closedloop_dynamics.effects.gravity import Gravity
 from closedloop_dynamics.effects.joint_damping import JointDamping
 from closedloop_dynamics.effects.joint_friction import JointFriction
 from closedloop_dynamics.effects.joint_spring import JointSpring
 from closedloop_dynamics.effects.payload import Payload
 from closedloop_dynamics.effects.point_spring import PointSpring
+from closedloop_dynamics.effects.prescribed_force import PrescribedForce
 from closedloop_dynamics.effects.rotor import Rotor
 from closedloop_dynamics.effects.sensor import Sensor
 from closedloop_dynamics.mechanism.mechanism import Body, Joint, Mechanism, Point
@@ -44,7 +49,8 @@ BLOCK = Mechanism(
 UPRIGHT = Mechanism(
     'upright', (Body('block', 1.0, (0.0, 0.0), 0.1),),
     (Joint('slide', 'prismatic', 'ground', 'block', (0.0, 0.0), np.pi / 2.0, True),), (),
-    (Point('center', 'block', (0.0, 0.0)),))
+    (Point('center', 'block', (0.0, 0.0)), Point('floor', 'ground', (0.0, 0.0)),
+     Point('ceiling', 'ground', (0.0, 0.5))))
 PENDULUM = Mechanism(
     'pendulum', (Body('rod', 1.0, (0.25, 0.0), 0.02),),
     (Joint('hinge', 'revolute', 'ground', 'rod', (0.0, 0.0), 0.0, True),), (),
@@ -142,6 +148,40 @@ def points():
     draw('contact', 'normal force [N]', curves, 'depth [mm]')
 
 
+def elements():
+    """Draw what machines are made of: forces over time, tables, bushings, cables, contact."""
+    def force(simulation):
+        return simulation.effect_readings('force')['force']
+
+    pulse = {'amplitude': 2.0, 'start': 0.1, 'rise': 0.3, 'hold': 0.2}
+    draw('prescribed_force', 'force [N]', {
+        label: run(BLOCK, {'force': PrescribedForce(shape, 'slide', **keys)}, 0.0, 0.0, 1.0,
+                   of=force)
+        for label, shape, keys in (
+            ('sine', 'sine', {'amplitude': 1.0, 'frequency': 2.0}),
+            ('trapezoid', 'trapezoid', pulse), ('cycloid', 'cycloid', pulse),
+            ('table, cubic', 'table', {
+                'times': (0.0, 0.2, 0.4, 0.7, 1.0), 'interpolation': 'cubic',
+                'values': (0.0, -1.0, 0.5, -0.5, 0.0)}))})
+    strokes = np.linspace(-0.15, 0.15, 31)
+    bistable = ForceTable(tuple(strokes), tuple(200.0 * strokes * (1.0 - (strokes / 0.1) ** 2)),
+                          'slide', interpolation='cubic', damping=1.0)
+    draw('force_table', 'position [m]', {
+        f'bistable, from {x:g} m': run(BLOCK, {'spring': bistable}, x, v)
+        for x, v in ((0.01, 0.0), (-0.01, 0.0), (0.15, 0.0))})
+    draw('bushing', 'angle [rad]', {
+        f'{c:g} N m s/rad': run(PENDULUM, {'gravity': EARTH, 'mount': Bushing(
+            'tip', anchor=(0.5, 0.0), turning_stiffness=30.0, turning_damping=c)},
+            -0.5, 0.0, 2.0) for c in (0.0, 0.3)})
+    draw('cable', 'height [m]', {
+        f'c = {c:g} s/m': run(UPRIGHT, {'gravity': EARTH, 'rope': Cable(
+            ('ceiling', 'center'), 2e3, 0.5, damping=c)}, 0.3, 0.0, 1.5) for c in (0.0, 0.2)})
+    draw('body_contact', 'height [m]', {
+        f'e = {e:g}': run(UPRIGHT, {'gravity': EARTH, 'floor': BodyContact(
+            'center', 'floor', 'line', 1e5, restitution=e, impact_velocity=2.4)}, 0.3, 0.0, 1.5)
+        for e in (1.0, 0.8, 0.5)})
+
+
 def drives_and_sensors():
     """Draw what becomes of commands and of what is measured."""
     def effort(simulation):
@@ -181,4 +221,5 @@ if __name__ == '__main__':
     masses()
     joints()
     points()
+    elements()
     drives_and_sensors()

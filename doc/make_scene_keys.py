@@ -39,6 +39,8 @@ PAGE = Path(__file__).with_name('scene_keys.md')
 TYPES = {'str': 'text', 'bool': 'true or false', 'float': 'number', 'int': 'whole number',
          'tuple of 2 floats': '[x, y]', 'float or None': 'number', 'str or None': 'text',
          'tuple of 2 floats or None': '[x, y]', 'tuple of str': 'list of names',
+         'tuple of floats': 'list of numbers', 'tuple of floats or None': 'list of numbers',
+         'bool or None': 'true or false',
          'tuple of 2 or 3 floats': '[x, y], in space [x, y, z]',
          'tuple of 2 floats, or 3 in space': '[x, y], in space [x, y, z]',
          'tuple of 2 floats, or 3 in space, or None': '[x, y], in space [x, y, z]',
@@ -123,6 +125,9 @@ def page():
         summary = inspect.getdoc(record_type).partition('\n')[0]
         lines += ['', f'### An entry of `effects` with `type: {kind}`', '', summary, '',
                   *table(record_type, keys_of(record_type))]
+        for key, columns in record_type.FILES.items():
+            lines += ['', f'Or `{key}` in the place of {" and ".join(f"`{c}`" for c in columns)}: '
+                      'the path of a CSV file with these columns, from the scene on.']
     return '\n'.join(lines) + '\n'
 
 

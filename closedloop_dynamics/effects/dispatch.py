@@ -20,11 +20,13 @@ A new law is one branch of ``apply``. Only listed effects are visited.
 """
 
 from . import (
-    actuator, contact, end_stop, external_force, joint_damping, joint_friction, joint_spring,
-    point_spring)
+    actuator, body_contact, bushing, cable, contact, end_stop, external_force, force_table,
+    joint_damping, joint_friction, joint_spring, point_spring, prescribed_force)
 from .table import (
-    ACTUATOR, CONTACT, END_STOP, EXTERNAL_FORCE, JOINT_DAMPING, JOINT_FRICTION, JOINT_SPRING,
-    POINT_SPRING, SPATIAL_CONTACT, SPATIAL_FORCE, SPATIAL_POINT_SPRING)
+    ACTUATOR, BUSHING, CABLE, CIRCLE_CONTACT, CONTACT, CURVE_CONTACT, END_STOP, EXTERNAL_FORCE,
+    JOINT_DAMPING, JOINT_FORCE_TABLE, JOINT_FRICTION, JOINT_SPRING, LINE_CONTACT,
+    POINT_FORCE_TABLE, POINT_SPRING, PRESCRIBED_FORCE, PRESCRIBED_TORQUE, SPATIAL_CONTACT,
+    SPATIAL_FORCE, SPATIAL_POINT_SPRING)
 from ..core.compiled import compiled
 
 
@@ -78,3 +80,30 @@ def apply(body, table, q, qd, tau):
             external_force.apply_in_space(table, row, body)
         elif kind == SPATIAL_CONTACT:
             contact.apply_in_space(table, row, body)
+        else:
+            _apply_element(table.data, table, row, body, q, qd)
+
+
+@compiled
+def _apply_element(data, table, row, body, q, qd):
+    """Apply a machine element, where a scene lists any: ``data`` is None where not."""
+    if data is not None:
+        kind = table.kind[row]
+        if kind == PRESCRIBED_TORQUE:
+            prescribed_force.apply(table, row, qd)
+        elif kind == PRESCRIBED_FORCE:
+            prescribed_force.apply_at_point(table, row, body)
+        elif kind == JOINT_FORCE_TABLE:
+            force_table.apply(table, row, q, qd)
+        elif kind == POINT_FORCE_TABLE:
+            force_table.apply_between_points(table, row, body)
+        elif kind == BUSHING:
+            bushing.apply(table, row, body)
+        elif kind == CABLE:
+            cable.apply(table, row, body)
+        elif kind == LINE_CONTACT:
+            body_contact.apply_on_line(table, row, body)
+        elif kind == CIRCLE_CONTACT:
+            body_contact.apply_on_circle(table, row, body)
+        elif kind == CURVE_CONTACT:
+            body_contact.apply_on_curve(table, row, body)

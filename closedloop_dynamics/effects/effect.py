@@ -106,6 +106,13 @@ def require_point(mechanism, key, name):
         one_of(tuple(point.name for point in mechanism.points), 'one of the points')(name)
 
 
+def require_plane(mechanism, key):
+    """Refuse a mechanism in space, where what a key stands for does not act yet."""
+    if not mechanism.planar:
+        raise FieldError('a mechanism in the plane, where this acts',
+                         f'{mechanism.name!r}, which moves in space', path=(key,))
+
+
 # Field -> refuses a name that the mechanism does not have.
 REQUIRE = {'joint': require_joint, 'body': require_body, 'point': require_point,
            'point_a': require_point, 'point_b': require_point}
@@ -128,9 +135,12 @@ class Effect:
     STIFFENS = True
     # Fields that are vectors: of two numbers in the plane, of three in space.
     VECTORS = ()
-    # Whether steps must end where the effect's joint comes to rest; its first own state is then
-    # the direction in which the joint slides (``integration.stick_slip``).
+    # Whether steps must end where the effect's joint comes to rest, its first own state being the
+    # direction in which the joint slides (``integration.stick_slip``), or where its course over
+    # time has corners (``integration.breaks``).
     ENDS_STEPS = False
+    # Files that a scene may name: key -> the fields that take their columns.
+    FILES = {}
 
     def __post_init__(self):
         """Pass the fields through their checks."""
@@ -199,6 +209,23 @@ class Effect:
 
         """
         return 0.0
+
+    def clock(self, time):
+        """
+        Return the first own states of an effect that follows the time.
+
+        Parameters
+        ----------
+        time : float
+            Of the simulation [s].
+
+        Returns
+        -------
+        tuple of 2 floats, or None
+            The time, and which piece of its course is the present one (``integration.breaks``);
+            None where the effect knows no time.
+
+        """
 
     def instrument(self):
         """

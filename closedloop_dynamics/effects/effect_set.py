@@ -23,7 +23,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from .table import build_table, DISSIPATED, fill_row, FIRST, LOADED, OWN, STATE, STORED, WORK
+from .table import (
+    build_table, DISSIPATED, fill_row, FIRST, LOADED, OWN, size_of_data, STATE, STORED, WORK)
 from ..core import straight_line
 from ..core.types import TYPE
 from ..mechanism.checks import boolean, one_of
@@ -190,9 +191,21 @@ class EffectSet:
             mapping(parameters, (), [key for keys in keys_of(type(record)) for key in keys])
             record = replace(record, **parameters)
             record.fit(self._machine.mechanism)
+            self._require_room(name, record)
         with at('effects'):
             require_one_drive_each({**self.records, name: record})
         return record
+
+    def _require_room(self, name, record):
+        """Refuse more numbers than there is room for since the scene was loaded."""
+        if name in self._rows:
+            row = self._rows.index(name)
+            room, wanted = map(
+                size_of_data, (self.elements[row], record.element(self._machine)))
+            if wanted > room:
+                raise FieldError('a course or curve of no more pieces than it had when the scene '
+                                 'was loaded', f'one that takes {wanted} numbers instead of '
+                                 f'{room}', 'load a scene that has it')
 
     def change(self, name, enabled, parameters):
         """
@@ -247,9 +260,17 @@ class EffectSet:
     def follow(self, states, qd):
         """Let the own states begin with joint rates as they are, in place."""
         for row, name in enumerate(self._rows):
-            if self.enabled[name] and self.records[name].ENDS_STEPS:
+            if self.enabled[name] and self.elements[row].sticks:
                 states[self._table.index[row, STATE]] = self.records[name].direction(
                     qd[self._table.index[row, FIRST]])
+
+    def follow_time(self, states, time):
+        """Let the own states of effects that follow the time begin at a time [s], in place."""
+        for row, name in enumerate(self._rows):
+            clock = self.records[name].clock(time)
+            if clock is not None:
+                first = self._table.index[row, STATE]
+                states[first:first + len(clock)] = clock
 
     def stored(self):
         """Return the energy that they store at the latest evaluation [J]."""

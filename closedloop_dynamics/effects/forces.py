@@ -14,9 +14,11 @@
 
 """What the laws of forces at points share, in the plane and in space."""
 
+import math
+
 from ..core.compiled import inlined
 from ..core.straight_line.space import FORCE, FRAME, SPIN, VELOCITY
-from ..core.types import COS, FX, FY, FZ, SIN
+from ..core.types import COS, FX, FY, FZ, OMEGA, PX, PY, SIN, VX, VY
 
 
 @inlined
@@ -57,6 +59,77 @@ def push(body, row, rx, ry, fx, fy):
     body[row, FZ] -= rx * fy - ry * fx
     body[row, FX] -= fx
     body[row, FY] -= fy
+
+
+@inlined
+def place(body, row, x, y):
+    """Return the place of a point in the world [m]; parameters as of ``offset``."""
+    rx, ry = offset(body, row, x, y)
+    return body[row, PX] + rx, body[row, PY] + ry
+
+
+@inlined
+def velocity(body, row, px, py):
+    """
+    Return the velocity of what is at a place of a body [m/s].
+
+    Parameters
+    ----------
+    body, row
+        As for ``offset``.
+    px, py : float
+        In the world [m].
+
+    """
+    rx, ry = px - body[row, PX], py - body[row, PY]
+    return body[row, VX] - body[row, OMEGA] * ry, body[row, VY] + body[row, OMEGA] * rx
+
+
+@inlined
+def push_at(body, row, px, py, fx, fy):
+    """Apply a force to a body at a place in the world; parameters as of ``push``."""
+    push(body, row, px - body[row, PX], py - body[row, PY], fx, fy)
+
+
+@inlined
+def pull(body, row, x, y, fx, fy):
+    """Apply a force to a body at a place in its frame; parameters as of ``push``."""
+    rx, ry = offset(body, row, x, y)
+    push(body, row, rx, ry, fx, fy)
+
+
+@inlined
+def distance(body, a, ax, ay, b, bx, by):
+    """
+    Return the direction from one point to another, their distance and its rate.
+
+    Parameters
+    ----------
+    body : ndarray, shape (nb + 1, WORK_COLUMNS)
+        After ``kinematics.outward``.
+    a, b : int
+        Rows of the points' bodies.
+    ax, ay, bx, by : float
+        Places in the bodies' frames [m].
+
+    Returns
+    -------
+    x, y, length, rate : float
+        Direction zero where the points meet; [m], [m/s].
+
+    """
+    px, py = place(body, a, ax, ay)
+    x, y = place(body, b, bx, by)
+    vx, vy = velocity(body, b, x, y)
+    ux, uy = velocity(body, a, px, py)
+    x -= px
+    y -= py
+    length, rate = math.sqrt(x * x + y * y), 0.0
+    if length > 0.0:
+        x /= length
+        y /= length
+        rate = x * (vx - ux) + y * (vy - uy)
+    return x, y, length, rate
 
 
 @inlined

@@ -22,29 +22,39 @@ has one, is one branch of ``dispatch.apply``.
 """
 
 from .actuator import Actuator
+from .body_contact import BodyContact
+from .bushing import Bushing
+from .cable import Cable
 from .contact import Contact
 from .end_stop import EndStop
 from .external_force import ExternalForce
+from .force_table import ForceTable
 from .gravity import Gravity
 from .joint_damping import JointDamping
 from .joint_friction import JointFriction
 from .joint_spring import JointSpring
 from .payload import Payload
 from .point_spring import PointSpring
+from .prescribed_force import PrescribedForce
 from .rotor import Rotor
 from .sensor import Sensor
 
 EFFECTS = {
     'actuator': Actuator,
+    'body_contact': BodyContact,
+    'bushing': Bushing,
+    'cable': Cable,
     'contact': Contact,
     'end_stop': EndStop,
     'external_force': ExternalForce,
+    'force_table': ForceTable,
     'gravity': Gravity,
     'joint_damping': JointDamping,
     'joint_friction': JointFriction,
     'joint_spring': JointSpring,
     'payload': Payload,
     'point_spring': PointSpring,
+    'prescribed_force': PrescribedForce,
     'rotor': Rotor,
     'sensor': Sensor,
 }

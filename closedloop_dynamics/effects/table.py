@@ -20,7 +20,7 @@ compiled code serves every scene.
 
 """
 
-from typing import NamedTuple, Tuple
+from typing import NamedTuple, Optional, Tuple
 
 import numpy as np
 
@@ -28,12 +28,15 @@ from ..core.joint_wrenches import COLUMNS
 
 # Which law a row of the table obeys.
 (JOINT_DAMPING, JOINT_SPRING, END_STOP, JOINT_FRICTION, POINT_SPRING, EXTERNAL_FORCE, CONTACT,
- ACTUATOR, SPATIAL_POINT_SPRING, SPATIAL_FORCE, SPATIAL_CONTACT) = range(11)
+ ACTUATOR, SPATIAL_POINT_SPRING, SPATIAL_FORCE, SPATIAL_CONTACT, PRESCRIBED_TORQUE,
+ PRESCRIBED_FORCE, JOINT_FORCE_TABLE, POINT_FORCE_TABLE, BUSHING, CABLE, LINE_CONTACT,
+ CIRCLE_CONTACT, CURVE_CONTACT) = range(20)
 # Columns of EffectTable.index: first own state; joint (its place in q) or the row of the body
 # that carries the first point; the row of the second point's body, or of the joint's; whether the
-# law wants the reaction in its joint, as its second state.
-STATE, FIRST, SECOND, LOADED = range(4)
-INDEX_COLUMNS = 4
+# law wants the reaction in its joint, as its second state; where its numbers begin among those of
+# all effects, and how many entries they are.
+STATE, FIRST, SECOND, LOADED, DATA, ENTRIES = range(6)
+INDEX_COLUMNS = 6
 VALUE_COLUMNS = 13
 # Last column of EffectTable.values where a law is LOADED: time constant of the reaction [s].
 LOAD_TIME = 11
@@ -57,12 +60,15 @@ class State(NamedTuple):
 class ForceElement(NamedTuple):
     """One effect as a row of the table."""
 
-    kind: int  # ``JOINT_DAMPING`` to ``SPATIAL_CONTACT``
+    kind: int  # ``JOINT_DAMPING`` to ``CURVE_CONTACT``
     index: Tuple[int, ...]  # FIRST and SECOND, as far as the law reads them
     values: Tuple[float, ...]  # Parameters, in the order the law reads them
     states: Tuple[State, ...] = ()  # In the order the law reads and writes them
     loaded: bool = False  # Whether the law wants the reaction in its joint
     sticks: bool = False  # Whether the law may hold its joint at rest
+    # Of machine elements, the laws that only scenes with such compile: entries of numbers, such as
+    # the pieces of a course or a curve, in the order the law reads them. None for other laws.
+    data: Optional[Tuple[Tuple[float, ...], ...]] = None
 
 
 class Sticking(NamedTuple):
@@ -109,6 +115,9 @@ class EffectTable(NamedTuple):
     # where no effect is listed.
     reaction: np.ndarray
     sticking: Sticking
+    # Shape (nd,): entries of all machine elements; None where there are none, so that their laws
+    # are not even compiled.
+    data: Optional[np.ndarray]
 
 
 def build_table(elements, tau, bodies, equations):
@@ -146,13 +155,21 @@ def build_table(elements, tau, bodies, equations):
             response=np.zeros((most + 1, len(tau) + equations)), matrix=np.zeros((most, most)),
             right=np.zeros(most), bound=np.zeros(most), move=np.zeros(most),
             factor=np.zeros((most, most)), free=np.zeros(most, dtype=np.int64),
-            share=np.zeros(most), impulse=np.zeros(most)))
-    first = 0
+            share=np.zeros(most), impulse=np.zeros(most)),
+        data=np.zeros(sum(map(size_of_data, elements))) if any(
+            element.data is not None for element in elements) else None)
+    first = begin = 0
     for row, element in enumerate(elements):
-        table.index[row, STATE] = first
+        table.index[row, [STATE, DATA]] = first, begin
         fill_row(table, row, element)
         first += len(element.states)
+        begin += size_of_data(element)
     return table
+
+
+def size_of_data(element):
+    """Return how many numbers the entries of an element are."""
+    return sum(map(len, element.data or ()))
 
 
 def fill_row(table, row, element):
@@ -160,6 +177,11 @@ def fill_row(table, row, element):
     table.index[row, 1:1 + len(element.index)] = element.index
     table.values[row] = 0.0
     table.values[row, :len(element.values)] = element.values
+    if element.data is not None:
+        begin = table.index[row, DATA]
+        table.data[begin:begin + size_of_data(element)] = [
+            number for entry in element.data for number in entry]
+        table.index[row, ENTRIES] = len(element.data)
     table.index[row, LOADED] = element.loaded
     table.loaded[0] = table.index[:, LOADED].sum()
     first = table.index[row, STATE]

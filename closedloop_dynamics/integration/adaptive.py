@@ -16,7 +16,7 @@
 
 import math
 
-from . import runge_kutta, stick_slip
+from . import breaks, runge_kutta, stick_slip
 from .advance import DONE, NOT_FINITE, OPEN_LOOP, STEP_TOO_SMALL, TOO_MUCH_WORK
 from .projection import all_finite, stabilised
 from .system import rate_of_change
@@ -278,6 +278,7 @@ def accepted_step(system, tableau, stabilisation, control, scale, scratch):
         # Two steps of a half rather than one and a crumb.
         size = rest if size >= rest else min(size, 0.5 * rest) if size > 0.5 * rest else size
     rejected, closed, cuts = False, True, 0
+    size = min(size, breaks.until_next(system.effects, system, after))
     while True:
         if not size > LEAST * max(abs(control[REACHED]), 1e-3):
             return (NOT_FINITE if not all_finite(slopes[0]) else
@@ -311,6 +312,7 @@ def accepted_step(system, tableau, stabilisation, control, scale, scratch):
         before[i] = after[i]
         after[i] = out[i]
     stick_slip.rest(system.effects, system, after)
+    breaks.pass_corners(system.effects, system, after)
     growth = LARGEST_GROWTH if error < 1e-10 else min(
         LARGEST_GROWTH, SAFETY * error ** (-1.0 / (tableau.error_order + 1)))
     if rejected:

@@ -14,7 +14,7 @@
 
 """Whole steps of a chosen scheme with a chosen stabilisation, compiled as one loop."""
 
-from . import runge_kutta, semi_implicit_euler, stick_slip
+from . import breaks, runge_kutta, semi_implicit_euler, stick_slip
 from .projection import all_finite, stabilise
 from .system import derivative
 from ..core.compiled import compiled, inlined
@@ -58,8 +58,10 @@ def advance(system, tableau, stabilisation, state, step_size, steps, scratch):
     for done in range(steps):
         left, size, cuts = step_size, step_size, 0
         _keep(effects, state, start)
-        # Once, but where a joint under dry friction comes to rest within the step.
+        # Once, but where a joint under dry friction comes to rest within the step, or a force over
+        # time has a corner.
         while left > 0.0:
+            size = min(size, breaks.until_next(effects, system, state))
             derivative(system, state, slopes[0])
             if tableau.b.shape[0] == 0:
                 semi_implicit_euler.step(
@@ -76,6 +78,7 @@ def advance(system, tableau, stabilisation, state, step_size, steps, scratch):
                 size, cuts = part, cuts + 1
                 continue
             stick_slip.rest(effects, system, out)
+            breaks.pass_corners(effects, system, out)
             for i in range(state.shape[0]):
                 state[i] = out[i]
             left -= size

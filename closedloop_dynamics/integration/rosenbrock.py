@@ -28,7 +28,7 @@ import math
 
 import numpy as np
 
-from . import stick_slip
+from . import breaks, stick_slip
 from .adaptive import (
     ACCEPTED, ERROR, is_before, LARGEST_ERROR, LEAST, NEXT_STEP, REACHED, REJECTED, SAFETY,
     STIFFNESS, WORK)
@@ -211,8 +211,10 @@ def advance_fixed(system, stabilisation, state, step_size, steps, matrix, pivots
         left, size, cuts = step_size, step_size, 0
         for i in range(state.shape[0]):
             start[i] = state[i]
-        # Once, but where a joint under dry friction comes to rest within the step.
+        # Once, but where a joint under dry friction comes to rest within the step, or a force over
+        # time has a corner.
         while left > 0.0:
+            size = min(size, breaks.until_next(system.effects, system, state))
             rate_of_change(system, state, slope)
             factor_jacobian(system, state, slope, size, matrix, pivots, direction, stage, moved)
             step(system, state, size, matrix, pivots, slopes, stage, out)
@@ -227,6 +229,7 @@ def advance_fixed(system, stabilisation, state, step_size, steps, matrix, pivots
                 size, cuts = part, cuts + 1
                 continue
             stick_slip.rest(system.effects, system, out)
+            breaks.pass_corners(system.effects, system, out)
             for i in range(state.shape[0]):
                 state[i] = out[i]
             left -= size
@@ -286,8 +289,9 @@ def accepted_step(system, stabilisation, state, limit, control, scale, matrix, p
     stage, out, slope, moved, direction, slopes = (
         scratch[0], scratch[1], scratch[2], scratch[3], scratch[4], scratch[FIRST_SLOPE:])
     n, rest = state.shape[0], limit - control[REACHED]
-    # A smaller step, at whose end a joint under dry friction comes to rest.
-    cut, cuts = math.inf, 0
+    # A smaller step, at whose end a joint under dry friction comes to rest, or a force over time
+    # has a corner.
+    cut, cuts = breaks.until_next(system.effects, system, state), 0
     size = control[NEXT_STEP] if control[NEXT_STEP] > 0.0 else 1e-4
     rate_of_change(system, state, slope)
     if not all_finite(slope):
@@ -321,6 +325,7 @@ def accepted_step(system, stabilisation, state, limit, control, scale, matrix, p
         control[REJECTED] += 1.0
         size = used * (min(factor, SAFETY) if closed else 0.5)
     stick_slip.rest(system.effects, system, out)
+    breaks.pass_corners(system.effects, system, out)
     for i in range(n):
         state[i] = out[i]
     control[REACHED] = limit if last else control[REACHED] + used
@@ -329,5 +334,6 @@ def accepted_step(system, stabilisation, state, limit, control, scale, matrix, p
     control[LARGEST_ERROR] = max(control[LARGEST_ERROR], error)
     control[STIFFNESS] = rate
     # A step cut short says nothing against the size that was to be tried.
-    control[NEXT_STEP] = max(size, used * factor) if last or cuts > 0 else used * factor
+    shortened = last or cuts > 0 or cut <= used
+    control[NEXT_STEP] = max(size, used * factor) if shortened else used * factor
     return DONE

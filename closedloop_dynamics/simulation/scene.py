@@ -32,6 +32,7 @@ from ..effects.registry import EFFECTS
 from ..formats.registry import is_model, read_model
 from ..mechanism.checks import list_of, name, NAME_PATTERN, one_of
 from ..mechanism.config import config_directory, shipped_names, shipped_path
+from ..mechanism.csv_columns import read_columns
 from ..mechanism.document import Document
 from ..mechanism.expressions import Parameters, put_changes
 from ..mechanism.fields import among, at, FieldError, keys_of, mapping, nearest, shown
@@ -220,7 +221,8 @@ def _scene(data, given, path, read):
     with at('initial'):
         initial = _initial(data['initial'], mechanism, names)
     with at('effects'):
-        effects = {key: _effect(key, values, names)
+        directory = None if path is None else path.parent
+        effects = {key: _effect(key, values, names, directory)
                    for key, values in _section(data, 'effects').items()}
     with at('method'):
         method = _method(names.record(Method, _section(data, 'method')))
@@ -285,17 +287,32 @@ def _initial(value, mechanism, names):
     return Initial(tuple(position.tolist()), tuple(velocity.tolist()), hold)
 
 
-def _effect(key, values, names):
-    """Return the record of one effect."""
+def _effect(key, values, names, directory):
+    """Return the record of one effect; files that it names stand beside the scene."""
     with at(key):
         name(key)
         mapping(values, ('type',))
         with at('type'):
             record_type = EFFECTS[one_of(tuple(EFFECTS), 'one of the effects')(values['type'])]
         required, optional = keys_of(record_type)
+        values = _with_columns(values, record_type.FILES, directory)
         values = dict(mapping(values, ['type', *required], optional))
         del values['type']
         return record_type(**names.record(record_type, values))
+
+
+def _with_columns(values, files, directory):
+    """Return the keys of an effect with columns of numbers in the place of files."""
+    found = dict(values)
+    for key in files:
+        if key in found:
+            with at(key):
+                for column in files[key]:
+                    if column in found:
+                        raise FieldError(f'this key or {column}', 'both')
+                found.update(zip(files[key], read_columns(
+                    found.pop(key), directory, len(files[key]))))
+    return found
 
 
 def _method(values):

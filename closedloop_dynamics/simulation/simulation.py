@@ -405,6 +405,7 @@ class Simulation:
     def _feel_loads(self):
         """Let effects start with the rates and the reactions of their joints as they are."""
         self._effects.follow(self._own, self._qd)
+        self._effects.follow_time(self._own, self.time)
         if self._table.loaded[0] > 0:
             # A fixed point: friction changes the reactions a little.
             for _ in range(20):
@@ -620,9 +621,10 @@ class Simulation:
         if names and INTEGRATORS[method.integrator].family == SCIPY:
             own = [name for name, one in INTEGRATORS.items() if one.family != SCIPY]
             raise SimulationError(
-                f'The scene lists dry friction ({", ".join(names)}): steps must end where a '
-                f'joint comes to rest, and {method.integrator} does not tell where its steps end. '
-                f'Take another integrator ({", ".join(own)}), or leave the friction out.')
+                f'The scene lists dry friction, or forces whose course over time has corners '
+                f'({", ".join(names)}): steps must end where a joint comes to rest and at '
+                f'corners, and {method.integrator} does not tell where its steps end. Take '
+                f'another integrator ({", ".join(own)}), or leave them out.')
 
     def step(self, torque=None, duration=None):
         """
@@ -1177,6 +1179,7 @@ class Simulation:
         before = self.energy
         anew = self._try_effect(name, enabled, parameters)
         self._own[anew] = self._effects.initial[anew]
+        self._effects.follow_time(self._own, self.time)
         self._driver.restart()
         self._jump()
         if len(anew):
@@ -1290,6 +1293,7 @@ class Simulation:
         q, qd, qdd = (vector(name, values, nv) for name, values in (
             ('position', position), ('velocity', velocity), ('acceleration', acceleration)))
         self._fresh = False
+        self._effects.follow_time(self._table.states, self.time)
         return self._inverse.solve(q, qd, qdd)
 
 

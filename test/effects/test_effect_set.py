@@ -14,20 +14,28 @@
 
 """Effects together: energy balance of any set, switching, inverse dynamics, none at all."""
 
+from dataclasses import replace
+
 from closedloop_dynamics.effects.actuator import Actuator
+from closedloop_dynamics.effects.body_contact import BodyContact
+from closedloop_dynamics.effects.bushing import Bushing
+from closedloop_dynamics.effects.cable import Cable
 from closedloop_dynamics.effects.contact import Contact
 from closedloop_dynamics.effects.end_stop import EndStop
 from closedloop_dynamics.effects.external_force import ExternalForce
+from closedloop_dynamics.effects.force_table import ForceTable
 from closedloop_dynamics.effects.gravity import Gravity
 from closedloop_dynamics.effects.joint_damping import JointDamping
 from closedloop_dynamics.effects.joint_friction import JointFriction
 from closedloop_dynamics.effects.joint_spring import JointSpring
 from closedloop_dynamics.effects.payload import Payload
 from closedloop_dynamics.effects.point_spring import PointSpring
+from closedloop_dynamics.effects.prescribed_force import PrescribedForce
 from closedloop_dynamics.effects.registry import EFFECTS
 from closedloop_dynamics.effects.rotor import Rotor
 from closedloop_dynamics.effects.sensor import Sensor
 from closedloop_dynamics.effects.table import JOINT_FRICTION
+from closedloop_dynamics.mechanism.mechanism import Point
 import numpy as np
 import pytest
 
@@ -37,13 +45,21 @@ from ..reference import cases
 EARTH = Gravity((0.0, -9.81))
 
 
+def drawn(case, seed=0):
+    """Draw a case with a named place of the ground beside its points."""
+    rng, mechanism, q, qd = cases.drawn(case, seed)
+    return rng, replace(mechanism, points=(
+        *mechanism.points, Point('base', 'ground', (0.1, 0.05)))), q, qd
+
+
 def every_effect(rng, mechanism, q):
     """Return one effect of every type, at random places of a mechanism with points."""
     def joint():
         return str(rng.choice(mechanism.joint_names))
 
     def point():
-        return str(rng.choice([point.name for point in mechanism.points]))
+        return str(rng.choice([
+            point.name for point in mechanism.points if point.body != 'ground']))
 
     motor = str(rng.choice(mechanism.actuated_joints))
     stopped = int(rng.integers(len(q)))
@@ -66,17 +82,49 @@ def every_effect(rng, mechanism, q):
         'encoder': Sensor(position_noise=0.1, seed=1)}
 
 
+def every_element(rng, mechanism, q):
+    """Return one machine element of every type, likewise."""
+    def joint():
+        return str(rng.choice(mechanism.joint_names))
+
+    def point():
+        return str(rng.choice([
+            point.name for point in mechanism.points if point.body != 'ground']))
+
+    stretched, place = int(rng.integers(len(q))), tuple(rng.normal(size=2))
+    return {
+        'cutter': PrescribedForce(
+            'cycloid', joint(), amplitude=2.0, start=0.0301, rise=0.02, hold=0.04, fall=0.01),
+        'shaker': PrescribedForce('sine', point=point(), direction=place, frame='body',
+                                  amplitude=3.0, frequency=10.0),
+        'gas': ForceTable(tuple(q[stretched] + [-0.1, 0.0, 0.1]), (2.0, 1.0, -1.0),
+                          mechanism.joint_names[stretched], damping=0.1),
+        'strut': ForceTable((0.0, 0.5, 2.0), (-1.0, 3.0, 4.0), point_a=point(), anchor=place,
+                            interpolation='cubic'),
+        'mount': Bushing(point(), anchor=place, stiffness=(20.0, 5.0), damping=(1.0, 0.0),
+                         turning_stiffness=2.0, turning_damping=0.1),
+        'rope': Cable((point(), point(), point()), 50.0, 0.1, damping=0.1),
+        'roller': BodyContact(point(), 'base', 'line', 300.0, radius=0.02, exponent=1.5,
+                              damping=0.4, friction=0.3, slip_velocity=0.2)}
+
+
+def all_effects(rng, mechanism, q):
+    """Return one effect of every type, machine elements among them."""
+    return {**every_effect(rng, mechanism, q), **every_element(rng, mechanism, q)}
+
+
 def test_every_type_of_effect_takes_part():
-    rng, mechanism, q, _ = cases.drawn('three_rrr')
-    assert {type(effect) for effect in every_effect(rng, mechanism, q).values()} == set(
+    rng, mechanism, q, _ = drawn('three_rrr')
+    assert {type(effect) for effect in all_effects(rng, mechanism, q).values()} == set(
         EFFECTS.values())
 
 
-@pytest.mark.parametrize('seed', range(6))
+@pytest.mark.parametrize('kind, seed', [
+    *((every_effect, seed) for seed in range(6)), *((every_element, seed) for seed in range(3))])
 @pytest.mark.parametrize('case', ['three_rrr', 'slider_crank', 'carpet_scraper'])
-def test_the_energy_balance_of_random_sets_closes_with_the_step(case, seed):
-    rng, mechanism, q, qd = cases.drawn(case, seed)
-    effects = every_effect(rng, mechanism, q)
+def test_the_energy_balance_of_random_sets_closes_with_the_step(case, kind, seed):
+    rng, mechanism, q, qd = drawn(case, seed)
+    effects = kind(rng, mechanism, q)
     chosen = {name: effect for name, effect in effects.items() if rng.random() < 0.6}
     torque = {name: float(rng.normal()) for name in mechanism.actuated_joints}
     residuals = []
@@ -93,8 +141,8 @@ def test_the_energy_balance_of_random_sets_closes_with_the_step(case, seed):
 
 
 def test_the_energy_balance_survives_switching_and_new_states():
-    rng, mechanism, q, qd = cases.drawn('three_rrr')
-    simulation = simulated(mechanism, every_effect(rng, mechanism, q), q, qd, step_size=2e-4)
+    rng, mechanism, q, qd = drawn('three_rrr')
+    simulation = simulated(mechanism, all_effects(rng, mechanism, q), q, qd, step_size=2e-4)
     for name in simulation.effects:
         simulation.step([1.0, -1.0, 0.5], 0.01)
         simulation.set_effect(name, enabled=False)
@@ -108,11 +156,11 @@ def test_the_energy_balance_survives_switching_and_new_states():
 
 
 def test_effects_that_are_absent_or_off_leave_identical_bits():
-    rng, mechanism, q, qd = cases.drawn('three_rrr')
+    rng, mechanism, q, qd = drawn('three_rrr')
     bare = simulated(mechanism, {'gravity': EARTH}, q, qd)
     assert bare.system.applied is bare.system.tau
     assert bare.system.effects is None
-    off = simulated(mechanism, every_effect(rng, mechanism, q), q, qd)
+    off = simulated(mechanism, all_effects(rng, mechanism, q), q, qd)
     for name in off.effects:
         off.set_effect(name, enabled=name == 'gravity')
     assert off.enabled_effects == ('gravity',)
@@ -124,8 +172,8 @@ def test_effects_that_are_absent_or_off_leave_identical_bits():
 
 
 def test_readings_of_all_effects_add_up_to_the_balance():
-    rng, mechanism, q, qd = cases.drawn('three_rrr')
-    simulation = simulated(mechanism, every_effect(rng, mechanism, q), q, qd, step_size=2e-4)
+    rng, mechanism, q, qd = drawn('three_rrr')
+    simulation = simulated(mechanism, all_effects(rng, mechanism, q), q, qd, step_size=2e-4)
     simulation.step([1.0, -1.0, 0.5], 0.1)
     readings = {name: simulation.effect_readings(name) for name in simulation.effects}
     dissipated = [each['dissipated_energy'] for each in readings.values()
@@ -173,8 +221,8 @@ def test_impossible_changes_are_refused_and_change_nothing(name, values, match):
 
 @pytest.mark.parametrize('case', ['three_rrr', 'slider_crank', 'carpet_scraper'])
 def test_inverse_dynamics_sees_the_effects(case):
-    rng, mechanism, q, qd = cases.drawn(case)
-    effects = every_effect(rng, mechanism, q)
+    rng, mechanism, q, qd = drawn(case)
+    effects = all_effects(rng, mechanism, q)
     simulation = simulated(mechanism, effects, q, qd)
     # What the drive does to a command is not the mechanism's.
     simulation.set_effect('motor', enabled=False)
@@ -193,6 +241,7 @@ def test_inverse_dynamics_sees_the_effects(case):
     assert np.allclose(multipliers, lam, atol=1e-9 * scale)
 
 
+@pytest.mark.parametrize('kind', [every_effect, every_element])
 @pytest.mark.parametrize('method', [
     {'integrator': 'semi_implicit_euler'}, {'integrator': 'heun'}, {'integrator': 'dop853'},
     {'integrator': 'auto'},
@@ -200,9 +249,9 @@ def test_inverse_dynamics_sees_the_effects(case):
     *(pytest.param({key: value}, marks=pytest.mark.slow) for key, value in (
         ('integrator', 'rodas4'), ('stabilisation', 'independent'),
         ('formulation', 'augmented')))])
-def test_every_method_moves_the_effects_own_states(method):
-    rng, mechanism, q, qd = cases.drawn('slider_crank')
-    effects = every_effect(rng, mechanism, q)
+def test_every_method_moves_the_effects_own_states(method, kind):
+    rng, mechanism, q, qd = drawn('slider_crank')
+    effects = kind(rng, mechanism, q)
     ends = []
     for chosen in ({'step_size': 2e-4}, {'step_size': 2e-4, 'tolerance': 1e-8, **method}):
         simulation = simulated(mechanism, effects, q, 0.3 * qd, **chosen)

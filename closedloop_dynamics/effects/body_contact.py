@@ -1,0 +1,323 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Contact of a point or roller of one body with a line, a circle or a curve of another.
+
+The roller is a circle of radius r about a named point (0: the point itself). With depth d, by
+which it reaches beyond the line or curve, its rate d', and the sliding rate v:
+
+    normal     N = k d^n max(0, 1 + c d')               pushes apart, never pulls
+    friction   T = mu N s(v),  s(v) = v / sqrt(v^2 + v_r^2)
+
+act on both bodies where the roller reaches furthest beyond the line or curve: as in ``contact``,
+with bodies that both move. It stores k d^(n+1) / (n+1). Friction turns a
+roller that is a body of its own. The damping follows from a coefficient of restitution e at an
+impact rate w, exactly for a free impact:
+
+    x - ln(1 + x) + e x + ln(1 - e x) = 0,    x = c w
+
+When: cams with followers, Geneva drives, ratchets, rollers, grippers.
+
+"""
+
+from dataclasses import dataclass
+import math
+from typing import Optional, Tuple
+
+from . import curve
+from .effect import Effect, require_plane, require_point
+from .forces import place, push_at, velocity
+from .table import (
+    CIRCLE_CONTACT, CURVE_CONTACT, DISSIPATED, FIRST, ForceElement, LINE_CONTACT, SECOND, STATE,
+    State, STORED)
+from ..core.compiled import inlined
+from ..core.types import COS, SIN
+from ..mechanism.checks import boolean, list_of, name, not_negative, number, one_of, positive
+from ..mechanism.fields import FieldError, shown
+
+# Shape -> the keys that it needs, and those that it may have.
+SHAPES = {'line': ((), ('angle',)), 'circle': (('other_radius',), ('hollow',)),
+          'curve': ((), ('x', 'y', 'radii', 'closed', 'interpolation', 'hollow'))}
+
+
+def damping(restitution, rate):
+    """
+    Return the damping c with which an impact at a rate has a coefficient of restitution.
+
+    Parameters
+    ----------
+    restitution : float
+        More than 0, at most 1.
+    rate : float
+        Of the impact [m/s].
+
+    """
+    if restitution == 1.0:
+        return 0.0
+    # 1 - e x must be positive; the sum falls from x = 0 on, after it has risen.
+    low, high = 0.0, 1.0 / restitution
+    for _ in range(200):
+        x = 0.5 * (low + high)
+        if x == low or x == high:
+            break
+        if x - math.log1p(x) + restitution * x + math.log1p(-restitution * x) > 0.0:
+            low = x
+        else:
+            high = x
+    return low / rate
+
+
+@dataclass(frozen=True)
+class BodyContact(Effect):
+    """
+    Contact of a point or roller of one body with a line, a circle or a curve of another.
+
+    Attributes
+    ----------
+    point : str
+        A named point: the centre of the roller.
+    other : str
+        A named point of the other body: on the line, the centre of the circle, or where the
+        curve's coordinates begin; its axes are those of its body.
+    shape : str
+        ``line``, ``circle`` or ``curve``.
+    stiffness : float
+        k, positive [N/m^n].
+    radius : float
+        r of the roller, zero or more [m].
+    angle : float or None
+        Of a line, in the other body's axes [rad]; free on its left; 0 when not given.
+    other_radius : float or None
+        Of a circle, positive [m].
+    x, y : tuple of floats or None
+        Points of a curve [m]; the first one of a closed curve is not repeated.
+    radii : tuple of floats or None
+        Or its distances from ``other`` at even angles, the first along x [m].
+    closed : bool or None
+        Whether a curve closes, which it does when not given; an open one is free on its left.
+    interpolation : str or None
+        Of a curve: ``cubic`` (a spline, when not given) or ``linear``.
+    hollow : bool or None
+        Whether a circle or closed curve is free inside; an open curve, on its right.
+    exponent : float
+        n, one or more; 1 linear, 1.5 Hertz.
+    damping : float or None
+        c, zero or more [s/m]; 0 when not given.
+    restitution : float or None
+        e in the place of damping, more than 0 and at most 1, at
+    impact_velocity : float or None
+        this rate of impact, positive [m/s].
+    friction : float
+        mu, zero or more.
+    slip_velocity : float
+        v_r, positive [m/s].
+
+    """
+
+    CHECKS = {
+        'point': name, 'other': name, 'shape': one_of(tuple(SHAPES)), 'stiffness': positive,
+        'radius': not_negative, 'angle': number, 'other_radius': positive, 'x': list_of(number),
+        'y': list_of(number), 'radii': list_of(positive), 'closed': boolean,
+        'interpolation': one_of(('cubic', 'linear')), 'hollow': boolean, 'exponent': positive,
+        'damping': not_negative, 'restitution': positive, 'impact_velocity': positive,
+        'friction': not_negative, 'slip_velocity': positive}
+    FILES = {'file': ('x', 'y')}
+    READINGS = ('depth', 'normal_force', 'friction_force', 'slip')
+
+    point: str
+    other: str
+    shape: str
+    stiffness: float
+    radius: float = 0.0
+    angle: Optional[float] = None
+    other_radius: Optional[float] = None
+    x: Optional[Tuple[float, ...]] = None
+    y: Optional[Tuple[float, ...]] = None
+    radii: Optional[Tuple[float, ...]] = None
+    closed: Optional[bool] = None
+    interpolation: Optional[str] = None
+    hollow: Optional[bool] = None
+    exponent: float = 1.0
+    damping: Optional[float] = None
+    restitution: Optional[float] = None
+    impact_velocity: Optional[float] = None
+    friction: float = 0.0
+    slip_velocity: float = 0.01
+
+    def __post_init__(self):
+        """Refuse what cannot be a contact, and curves that cross themselves."""
+        super().__post_init__()
+        if self.exponent < 1.0:
+            raise FieldError('a number that is one or more', f'{self.exponent:g}',
+                             path=('exponent',))
+        if (self.restitution is None) != (self.impact_velocity is None):
+            raise FieldError('both restitution and impact_velocity, or neither', 'one of them',
+                             path=('restitution',))
+        if self.restitution is not None and self.restitution > 1.0:
+            raise FieldError('a number that is at most one', f'{self.restitution:g}',
+                             path=('restitution',))
+        if self.restitution is not None and self.damping is not None:
+            raise FieldError('this key or restitution', 'both', path=('damping',))
+        self._require_keys()
+        if self.shape == 'circle' and self.hollow and self.radius >= self.other_radius:
+            raise FieldError(f'less than the radius around it ({self.other_radius:g})',
+                             f'{self.radius:g}', path=('radius',))
+        object.__setattr__(self, '_pieces', self._curve() if self.shape == 'curve' else ())
+
+    def _require_keys(self):
+        """Refuse keys that the shape does not have, and miss those that it needs."""
+        required, optional = SHAPES[self.shape]
+        for key in required:
+            if getattr(self, key) is None:
+                raise FieldError(f'this required key of shape: {self.shape}', 'none', path=(key,))
+        for shape, keys in SHAPES.items():
+            for key in keys[0] + keys[1]:
+                if key not in required + optional and getattr(self, key) is not None:
+                    raise FieldError(f'this key only with shape: {shape}',
+                                     shown(getattr(self, key)),
+                                     f'remove it, as the shape is {self.shape}', (key,))
+
+    def _curve(self):
+        """Return the pieces of the curve."""
+        if (self.x is None) != (self.y is None):
+            raise FieldError('both x and y', 'one of them', path=('x',))
+        if (self.x is None) == (self.radii is None):
+            raise FieldError('x and y, or radii', 'neither' if self.x is None else 'both',
+                             path=('x',))
+        x, y = (self.x, self.y) if self.radii is None else curve.polar(self.radii)
+        if self.closed is False and self.radii is not None:
+            raise FieldError('a closed curve of radii', 'false', path=('closed',))
+        return curve.pieces(x, y, self.closed is not False, self.interpolation or 'cubic',
+                            bool(self.hollow))
+
+    def fit(self, mechanism):
+        """Refuse a mechanism without the points, one in space, and points of one body."""
+        super().fit(mechanism)
+        require_plane(mechanism, 'point')
+        require_point(mechanism, 'other', self.other)
+        bodies = {point.name: point.body for point in mechanism.points}
+        if bodies[self.point] == bodies[self.other]:
+            raise FieldError(f'a point of another body than {bodies[self.point]!r}',
+                             repr(self.other), path=('other',))
+
+    def element(self, machine):
+        """Return the effect as a row of the table."""
+        (a, place_a), (b, place_b) = machine.point(self.point), machine.point(self.other)
+        loss = self.damping or 0.0
+        if self.restitution is not None:
+            loss = damping(self.restitution, self.impact_velocity)
+        kind, one, other = {
+            'line': (LINE_CONTACT, math.cos(self.angle or 0.0), math.sin(self.angle or 0.0)),
+            'circle': (CIRCLE_CONTACT, self.other_radius, -1.0 if self.hollow else 1.0),
+            'curve': (CURVE_CONTACT, float(self.closed is not False), 0.0)}[self.shape]
+        return ForceElement(kind, (a, b), (
+            *place_a, *place_b, self.radius, one, self.stiffness, self.exponent, loss,
+            self.friction, self.slip_velocity, other), (State(DISSIPATED),), data=self._pieces)
+
+
+@inlined
+def _press(table, row, body, x, y, nx, ny, distance):
+    """
+    Press two bodies apart.
+
+    Parameters
+    ----------
+    table : EffectTable
+        Rates and readings are written.
+    row : int
+        Of the effect.
+    body : ndarray, shape (nb + 1, WORK_COLUMNS)
+        The bias forces are reduced.
+    x, y : float
+        Centre of the roller, in the world [m].
+    nx, ny : float
+        Normal, towards the roller.
+    distance : float
+        Of the centre from the line or curve, negative beyond it [m].
+
+    """
+    values, output, state = table.values, table.output, table.index[row, STATE]
+    radius = values[row, 4]
+    gap, px, py = distance - radius, x - radius * nx, y - radius * ny
+    a, b = table.index[row, FIRST], table.index[row, SECOND]
+    for k in range(output.shape[1]):
+        output[row, k] = 0.0
+    if gap < 0.0:
+        vx, vy = velocity(body, a, px, py)
+        ux, uy = velocity(body, b, px, py)
+        vx -= ux
+        vy -= uy
+        # Along the free side's boundary: (ny, -nx).
+        rate, slip = -(nx * vx + ny * vy), ny * vx - nx * vy
+        elastic = values[row, 6] * (-gap) ** values[row, 7]
+        normal = elastic * max(0.0, 1.0 + values[row, 8] * rate)
+        along = -values[row, 9] * normal * slip / math.sqrt(
+            slip * slip + values[row, 10] * values[row, 10])
+        fx, fy = normal * nx + along * ny, normal * ny - along * nx
+        push_at(body, a, px, py, fx, fy)
+        push_at(body, b, px, py, -fx, -fy)
+        table.rates[state] = (normal - elastic) * rate - along * slip
+        output[row, STORED] = -elastic * gap / (values[row, 7] + 1.0)
+        output[row, 1] = -gap
+        output[row, 2] = normal
+        output[row, 3] = along
+        output[row, 4] = slip
+
+
+@inlined
+def _centres(table, row, body):
+    """Return the centre of the roller, and the named point of the other body, in the world."""
+    values, a, b = table.values, table.index[row, FIRST], table.index[row, SECOND]
+    x, y = place(body, a, values[row, 0], values[row, 1])
+    ox, oy = place(body, b, values[row, 2], values[row, 3])
+    return x, y, ox, oy
+
+
+@inlined
+def apply_on_line(table, row, body):
+    """Apply the forces of a roller on a line; see ``dispatch.apply``."""
+    values, b = table.values, table.index[row, SECOND]
+    x, y, ox, oy = _centres(table, row, body)
+    ux = body[b, COS] * values[row, 5] - body[b, SIN] * values[row, 11]
+    uy = body[b, SIN] * values[row, 5] + body[b, COS] * values[row, 11]
+    distance = ux * (y - oy) - uy * (x - ox)
+    _press(table, row, body, x, y, -uy, ux, distance)
+
+
+@inlined
+def apply_on_circle(table, row, body):
+    """Apply the forces of a roller on or in a circle; see ``dispatch.apply``."""
+    values = table.values
+    x, y, ox, oy = _centres(table, row, body)
+    nx, ny, between = x - ox, y - oy, 0.0
+    between = math.sqrt(nx * nx + ny * ny)
+    # Where the centres meet there is no direction, and inside no contact.
+    if between > 0.0:
+        nx /= between
+        ny /= between
+        side = values[row, 11]
+        _press(table, row, body, x, y, side * nx, side * ny, side * (between - values[row, 5]))
+
+
+@inlined
+def apply_on_curve(table, row, body):
+    """Apply the forces of a roller on a curve; see ``dispatch.apply``."""
+    values, b = table.values, table.index[row, SECOND]
+    x, y, ox, oy = _centres(table, row, body)
+    cos, sin = body[b, COS], body[b, SIN]
+    dx, dy = x - ox, y - oy
+    mx, my, distance = curve.nearest(
+        table, row, cos * dx + sin * dy, cos * dy - sin * dx, values[row, 5] == 1.0)
+    _press(table, row, body, x, y, cos * mx - sin * my, sin * mx + cos * my, distance)

@@ -1,0 +1,242 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Courses over time: a quantity as a chain of pieces, each a cubic and a sine.
+
+    y(t) = c0 + u (c1 + u (c2 + u c3)) + a sin(w u + p),     u = t - (start of the piece)
+
+A state of the effect counts the pieces, so that within a step one formula holds; steps end where
+the next begins (``integration.breaks``). With a period the chain begins anew again and again.
+
+"""
+
+import math
+
+import numpy as np
+
+from .table import DATA, ENTRIES, STATE
+from ..core.compiled import inlined
+from ..mechanism.fields import FieldError, shown
+
+# Columns of a piece: its start [s], c0 to c3, a, w, p.
+COLUMNS = 8
+# Shape -> the keys that it needs, and those that it may have.
+_RAMPS = (('amplitude', 'rise'), ('offset', 'start', 'hold', 'fall', 'period'))
+SHAPES = {
+    'constant': (('amplitude',), ()),
+    'sine': (('amplitude', 'frequency'), ('phase', 'offset')),
+    'trapezoid': _RAMPS,
+    'cycloid': _RAMPS,
+    'table': (('times', 'values'), ('interpolation', 'period'))}
+INTERPOLATIONS = ('linear', 'cubic', 'step')
+# Times closer than this, relative to their size, are the same.
+SAME_TIME = 1e-12
+
+
+def require_keys(record):
+    """
+    Refuse keys that the shape of a course does not have, and miss those that it needs.
+
+    Parameters
+    ----------
+    record : object
+        With the keys of all shapes as attributes, None where not given.
+
+    Raises
+    ------
+    FieldError
+
+    """
+    required, optional = SHAPES[record.shape]
+    for key in required:
+        if getattr(record, key) is None:
+            raise FieldError(f'this required key of shape: {record.shape}', 'none', path=(key,))
+    for key in {key: 0 for lists in SHAPES.values() for keys in lists for key in keys}:
+        if key not in required + optional and getattr(record, key) is not None:
+            of = ', '.join(shape for shape, keys in SHAPES.items() if key in keys[0] + keys[1])
+            raise FieldError(f'this key only with shape: {of}', shown(getattr(record, key)),
+                             f'remove it, as the shape is {record.shape}', (key,))
+
+
+def pieces(record):
+    """
+    Return the pieces of a course.
+
+    Parameters
+    ----------
+    record : object
+        With shape and keys of the course, checked.
+
+    Returns
+    -------
+    tuple of tuples of COLUMNS floats
+
+    Raises
+    ------
+    FieldError
+
+    """
+    if record.shape == 'constant':
+        return (_piece(0.0, record.amplitude),)
+    if record.shape == 'sine':
+        return ((0.0, record.offset or 0.0, 0.0, 0.0, 0.0, record.amplitude,
+                 2.0 * math.pi * record.frequency, record.phase or 0.0),)
+    if record.shape == 'table':
+        return _of_table(record)
+    return _ramps(record)
+
+
+def _piece(start, level, slope=0.0):
+    return (start, level, slope, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+def _ramps(record):
+    """Return the pieces of a rise, a rest on top where there is one, and a fall."""
+    low = record.offset or 0.0
+    fall = record.rise if record.fall is None else record.fall
+    found, now = [_piece(0.0, low)], record.start or 0.0
+    top = low + record.amplitude
+    found += _ramp(now, record.rise, low, record.amplitude, record.shape)
+    now += record.rise
+    found.append(_piece(now, top))
+    if record.hold is not None:
+        now += record.hold
+        found += _ramp(now, fall, top, -record.amplitude, record.shape)
+        now += fall
+        found.append(_piece(now, low))
+    elif record.fall is not None:
+        raise FieldError('this key beside hold, after which it falls', 'it alone', path=('fall',))
+    elif record.period is not None:
+        raise FieldError('this key beside hold, after which it falls', 'it alone',
+                         path=('period',))
+    if record.period is not None and now > record.period * (1.0 + SAME_TIME):
+        raise FieldError(f'no less than start, rise, hold and fall together ({now:g} s)',
+                         f'{record.period:g}', path=('period',))
+    return _without_empty(found, record.period)
+
+
+def _ramp(start, duration, level, height, shape):
+    """Return a ramp as a list of one piece, or of none where it takes no time."""
+    if duration == 0.0:
+        return []
+    wave = (0.0, 0.0, 0.0) if shape == 'trapezoid' else (
+        -height / (2.0 * math.pi), 2.0 * math.pi / duration, 0.0)
+    return [(start, level, height / duration, 0.0, 0.0, *wave)]
+
+
+def _of_table(record):
+    """Return the pieces between the rows of a table; before and after it the ends hold."""
+    times, values, period = np.array(record.times), np.array(record.values), record.period
+    if len(times) < 2:
+        raise FieldError('two times or more', f'{len(times)}', path=('times',))
+    if len(values) != len(times):
+        raise FieldError(f'{len(times)} values, one for each time', f'{len(values)}',
+                         path=('values',))
+    for index, (one, other) in enumerate(zip(times, times[1:])):
+        if not one < other:
+            raise FieldError(f'times that grow (more than {one:g})', f'{other:g}',
+                             path=('times', index + 1))
+    kind = record.interpolation or 'linear'
+    if period is not None:
+        if times[0] != 0.0 or abs(times[-1] - period) > SAME_TIME * period:
+            raise FieldError(f'times from 0 to the period of {period:g} s',
+                             f'{times[0]:g} to {times[-1]:g}', path=('times',))
+        if kind == 'cubic' and values[0] != values[-1]:
+            raise FieldError(f'the first value ({values[0]:g}) again at the end of the period',
+                             f'{values[-1]:g}', path=('values', len(values) - 1))
+    # Before the table, wherever that begins.
+    rows = [_piece(times[0] - 1.0, values[0])] if period is None else []
+    if kind == 'cubic':
+        # Not before it is wanted: it takes a third of the time that loading the package would.
+        from scipy.interpolate import CubicSpline
+        spline = CubicSpline(times, values, bc_type='not-a-knot' if period is None else 'periodic')
+        rows += [(start, *spline.c[::-1, k], 0.0, 0.0, 0.0)
+                 for k, start in enumerate(times[:-1])]
+    else:
+        slopes = np.diff(values) / np.diff(times) * (kind == 'linear')
+        rows += map(_piece, times[:-1], values[:-1], slopes)
+    rows.append(_piece(times[-1], values[-1]))
+    return _without_empty(rows, period)
+
+
+def _without_empty(found, period):
+    """Leave out pieces that take no time; those of a period begin at 0."""
+    ends = [piece[0] for piece in found[1:]] + [math.inf if period is None else period]
+    kept = [piece for piece, end in zip(found, ends)
+            if end - piece[0] > SAME_TIME * max(1.0, abs(piece[0]))]
+    return tuple(tuple(map(float, piece)) for piece in kept)
+
+
+def present(found, period, time):
+    """
+    Return which piece is the present one, counted on through all periods.
+
+    Parameters
+    ----------
+    found : tuple of tuples
+        Of ``pieces``.
+    period : float or None
+        [s].
+    time : float
+        [s].
+
+    """
+    time += SAME_TIME * max(1.0, abs(time))
+    cycle = 0 if period is None else math.floor(time / period)
+    starts = [piece[0] for piece in found[1:]]
+    inside = time if period is None else time - cycle * period
+    return float(cycle * len(found) + int(np.searchsorted(starts, inside, 'right')))
+
+
+@inlined
+def value(table, row, period):
+    """
+    Return the value of a course at the time that the effect's first state tells.
+
+    Parameters
+    ----------
+    table : EffectTable
+        The effect's first two states are the time and the count of its pieces.
+    row : int
+        Of the effect.
+    period : float
+        [s]; zero without.
+
+    """
+    data, state, count = table.data, table.index[row, STATE], table.index[row, ENTRIES]
+    # A float that is whole, but for the differences that stiff methods take.
+    piece = int(math.floor(table.states[state + 1] + 0.5))
+    time, cycle = table.states[state], 0
+    if period > 0.0:
+        cycle = piece // count
+        time -= cycle * period
+    at = table.index[row, DATA] + COLUMNS * (piece - cycle * count)
+    u = time - data[at]
+    y = data[at + 1] + u * (data[at + 2] + u * (data[at + 3] + u * data[at + 4]))
+    if data[at + 5] != 0.0:
+        y += data[at + 5] * math.sin(data[at + 6] * u + data[at + 7])
+    return y
+
+
+@inlined
+def end_of_piece(table, row, period, piece):
+    """Return when a piece of a course ends [s]; infinity where it is the last one."""
+    count, following, cycle = table.index[row, ENTRIES], piece + 1, 0
+    if period > 0.0:
+        cycle = following // count
+    elif following >= count:
+        return math.inf
+    at = table.index[row, DATA] + COLUMNS * (following - cycle * count)
+    return table.data[at] + cycle * period

@@ -1,0 +1,257 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Curves of bodies: the outline of a cam, the slots of a wheel; and how far from them a point is.
+
+A curve is a chain of pieces (x, y)(u), cubics in 0 <= u <= 1, whose free side is on the left. It
+is straight between its points, or a cubic spline.
+
+"""
+
+import math
+
+import numpy as np
+
+from .table import DATA, ENTRIES
+from ..core.compiled import inlined
+from ..mechanism.fields import FieldError
+
+# Numbers of a piece: x = c0 + u (c1 + u (c2 + u c3)), and y.
+COLUMNS = 8
+# Points of a curve, at most; and how finely its splines are looked at for crossings.
+MOST_POINTS, FINENESS = 2000, 8
+# An area between places in one line, beside the square of how far they are apart.
+TOUCHING = 1e-12
+# Newton steps to the nearest point of a piece; they stop when they are as short as this.
+MOST_STEPS, SHORT = 30, 1e-15
+
+
+def pieces(x, y, closed, interpolation, hollow):
+    """
+    Return the pieces of a curve through points.
+
+    Parameters
+    ----------
+    x, y : sequence of floats
+        In the body's frame [m]; the first point of a closed curve is not repeated.
+    closed : bool
+        Whether it ends where it begins.
+    interpolation : str
+        ``'linear'`` or ``'cubic'``.
+    hollow : bool
+        Whether the inside of a closed curve is free; for an open one, whether its right is.
+
+    Returns
+    -------
+    tuple of tuples of COLUMNS floats
+
+    Raises
+    ------
+    FieldError
+
+    """
+    points = _checked_points(x, y, closed)
+    if closed:
+        x, y = points.T
+        turns_left = np.dot(x, np.roll(y, -1)) > np.dot(y, np.roll(x, -1))
+        backwards = turns_left != hollow
+    else:
+        backwards = hollow
+    if backwards:
+        points = points[::-1]
+    ends = np.vstack((points, points[:1])) if closed else points
+    rows = _straight(ends) if interpolation == 'linear' else _spline(ends, closed)
+    _require_no_crossing(rows, closed, 1 if interpolation == 'linear' else FINENESS)
+    return tuple(tuple(map(float, row)) for row in rows)
+
+
+def polar(radii):
+    """Return the points of a closed curve from its radii at even angles, the first along x."""
+    angles = 2.0 * np.pi * np.arange(len(radii)) / len(radii)
+    return np.asarray(radii) * np.cos(angles), np.asarray(radii) * np.sin(angles)
+
+
+def _checked_points(x, y, closed):
+    least = 3 if closed else 2
+    if not least <= len(x) <= MOST_POINTS:
+        raise FieldError(f'{least} to {MOST_POINTS} points', f'{len(x)}', path=('x',))
+    if len(y) != len(x):
+        raise FieldError(f'{len(x)} numbers, one for each x', f'{len(y)}', path=('y',))
+    points = np.column_stack((x, y)).astype(float)
+    following = np.roll(points, -1, axis=0) if closed else points[1:]
+    for index, (one, other) in enumerate(zip(points, following)):
+        if (one == other).all():
+            raise FieldError('points that differ from the ones before them',
+                             f'[{one[0]:g}, {one[1]:g}] twice',
+                             'the first point of a closed curve is not repeated',
+                             path=('x', index))
+    return points
+
+
+def _straight(ends):
+    rows = np.zeros((len(ends) - 1, COLUMNS))
+    rows[:, [0, 4]], rows[:, [1, 5]] = ends[:-1], np.diff(ends, axis=0)
+    return rows
+
+
+def _spline(ends, closed):
+    """Return the pieces of a spline over the length of the chords, scaled to 0 <= u <= 1."""
+    # Not before it is wanted: it takes a third of the time that loading the package would.
+    from scipy.interpolate import CubicSpline
+    chords = np.hypot(*np.diff(ends, axis=0).T)
+    length = np.concatenate(([0.0], np.cumsum(chords)))
+    spline = CubicSpline(length, ends, bc_type='periodic' if closed else 'not-a-knot')
+    # Coefficients by falling powers, of pieces, of x and y.
+    scaled = spline.c[::-1] * chords[:, None] ** np.arange(4)[:, None, None]
+    return np.concatenate((scaled[:, :, 0], scaled[:, :, 1])).T
+
+
+def _require_no_crossing(rows, closed, fineness):
+    """Refuse a curve that crosses or touches itself."""
+    u = np.arange(fineness)[:, None] / fineness
+    x, y = (sum(rows[:, first + k] * u ** k for k in range(4)).T.ravel() for first in (0, 4))
+    end = rows[-1, :4].sum(), rows[-1, 4:].sum()
+    start = np.column_stack((x, y))
+    stop = np.vstack((start[1:], end))
+    count = len(start)
+    for k in range(count - 2):
+        others = slice(k + 2, count - 1 if closed and k == 0 else count)
+        if _crosses(start[k], stop[k], start[others], stop[others]).any():
+            where = start[k]
+            raise FieldError('a curve that does not cross itself',
+                             f'one that does near [{where[0]:g}, {where[1]:g}]', path=('x',))
+
+
+def _crosses(a, b, c, d):
+    """Return for each piece from c to d whether it crosses that from a to b."""
+    def side(p, q, r):
+        area = (q[..., 0] - p[..., 0]) * (r[..., 1] - p[..., 1]) - (
+            q[..., 1] - p[..., 1]) * (r[..., 0] - p[..., 0])
+        return np.where(np.abs(area) < least, 0.0, area)
+
+    least = TOUCHING * max(np.abs(b - a).max(), np.abs(d - c).max()) ** 2
+    one, other = side(a, b, c) * side(a, b, d), side(c, d, a) * side(c, d, b)
+    # In one line, pieces meet where their boxes do.
+    apart = ((np.maximum(c, d) < np.minimum(a, b)) | (np.maximum(a, b) < np.minimum(c, d))).any(-1)
+    return (one <= 0.0) & (other <= 0.0) & ~apart
+
+
+@inlined
+def _at(data, at, u):
+    """Return the place on a piece, and its first and second derivative by u."""
+    return (data[at] + u * (data[at + 1] + u * (data[at + 2] + u * data[at + 3])),
+            data[at + 4] + u * (data[at + 5] + u * (data[at + 6] + u * data[at + 7])),
+            data[at + 1] + u * (2.0 * data[at + 2] + u * 3.0 * data[at + 3]),
+            data[at + 5] + u * (2.0 * data[at + 6] + u * 3.0 * data[at + 7]),
+            2.0 * data[at + 2] + 6.0 * u * data[at + 3],
+            2.0 * data[at + 6] + 6.0 * u * data[at + 7])
+
+
+@inlined
+def _nearest_on(data, at, px, py):
+    """Return the nearest place on a piece, its u and its distance squared."""
+    x, y, tx, ty, bx, by = _at(data, at, 0.5)
+    # The chord's nearest place to begin with.
+    cx = data[at + 1] + data[at + 2] + data[at + 3]
+    cy = data[at + 5] + data[at + 6] + data[at + 7]
+    u = ((px - data[at]) * cx + (py - data[at + 4]) * cy) / (cx * cx + cy * cy)
+    u = min(1.0, max(0.0, u))
+    for _ in range(MOST_STEPS):
+        x, y, tx, ty, bx, by = _at(data, at, u)
+        slope = (x - px) * tx + (y - py) * ty
+        bend = tx * tx + ty * ty + (x - px) * bx + (y - py) * by
+        # Where the distance is no valley, as if the piece were straight.
+        if not bend > 0.25 * (tx * tx + ty * ty):
+            bend = tx * tx + ty * ty
+        better = min(1.0, max(0.0, u - slope / bend))
+        move = abs(better - u)
+        u = better
+        if move <= SHORT:
+            break
+    x, y, tx, ty, bx, by = _at(data, at, u)
+    return x, y, u, (x - px) * (x - px) + (y - py) * (y - py)
+
+
+@inlined
+def nearest(table, row, px, py, closed):
+    """
+    Return how far a point is from a curve, and which way is out.
+
+    Parameters
+    ----------
+    table : EffectTable
+        ``data`` has the pieces of the curve.
+    row : int
+        Of the effect.
+    px, py : float
+        The point, in the frame of the curve's body [m].
+    closed : bool
+        Whether the curve ends where it begins.
+
+    Returns
+    -------
+    nx, ny, distance : float
+        Normal to the free side, and how far the point is out on that side [m]; negative where it
+        is in the solid.
+
+    """
+    data, first, count = table.data, table.index[row, DATA], table.index[row, ENTRIES]
+    least, best = math.inf, 0
+    for k in range(count):
+        # From the chord, which tells which pieces come into question.
+        at = first + COLUMNS * k
+        cx = data[at + 1] + data[at + 2] + data[at + 3]
+        cy = data[at + 5] + data[at + 6] + data[at + 7]
+        ox, oy = px - data[at], py - data[at + 4]
+        u = min(1.0, max(0.0, (ox * cx + oy * cy) / (cx * cx + cy * cy)))
+        ox -= u * cx
+        oy -= u * cy
+        if ox * ox + oy * oy < least:
+            least, best = ox * ox + oy * oy, k
+    least, piece, share, x, y = math.inf, best, 0.0, 0.0, 0.0
+    for neighbour in range(best - 1, best + 2):
+        k = neighbour
+        if closed:
+            k = (neighbour + count) % count
+        if 0 <= k < count:
+            one_x, one_y, u, square = _nearest_on(data, first + COLUMNS * k, px, py)
+            if square < least:
+                least, piece, share, x, y = square, k, u, one_x, one_y
+    _, _, tx, ty, _, _ = _at(data, first + COLUMNS * piece, share)
+    length = math.sqrt(tx * tx + ty * ty)
+    tx /= length
+    ty /= length
+    # At a corner, the direction half way round it.
+    beside = piece
+    if share == 0.0:
+        beside = piece - 1
+    elif share == 1.0:
+        beside = piece + 1
+    if closed:
+        beside = (beside + count) % count
+    if beside != piece and 0 <= beside < count:
+        _, _, wx, wy, _, _ = _at(data, first + COLUMNS * beside, 1.0 - share)
+        length = math.sqrt(wx * wx + wy * wy)
+        tx += wx / length
+        ty += wy / length
+    distance = math.sqrt(least)
+    side = tx * (py - y) - ty * (px - x)
+    if distance > 0.0:
+        # Past the end of an open curve there is nothing solid.
+        past = beside < 0 or beside >= count
+        sign = 1.0 if past else math.copysign(1.0, side)
+        return sign * (px - x) / distance, sign * (py - y) / distance, sign * distance
+    length = math.sqrt(tx * tx + ty * ty)
+    return -ty / length, tx / length, 0.0

@@ -1,0 +1,198 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Spring whose force over its stroke is a table, in a joint or between two points.
+
+    tau = y(q) - c qd           in a joint
+    F = y(l) + c l'             pulls two points together, l being their distance
+
+y is linear between the rows or a cubic spline; beyond the ends it goes on straight, with the slope
+that it has there. The energy stored is the integral of the table from its first stroke on; c l'^2
+is dissipated. When: gas springs (negative between points: they push), constant-force springs,
+bistable springs, rubber buffers, a measured characteristic.
+
+"""
+
+from dataclasses import dataclass
+from typing import Optional, Tuple
+
+import numpy as np
+
+from .effect import Effect, require_plane
+from .forces import distance, pull
+from .table import (
+    DATA, DISSIPATED, ENTRIES, FIRST, ForceElement, JOINT_FORCE_TABLE, POINT_FORCE_TABLE, SECOND,
+    STATE, State, STORED)
+from ..core.compiled import inlined
+from ..mechanism.checks import list_of, name, not_negative, number, one_of, vector2
+from ..mechanism.fields import FieldError, shown
+from ..mechanism.mechanism import Vector2
+
+# Numbers of an entry: stroke at which a piece begins, coefficients, energy there.
+COLUMNS = 6
+
+
+@dataclass(frozen=True)
+class ForceTable(Effect):
+    """
+    Spring whose force over its stroke is a table.
+
+    Attributes
+    ----------
+    strokes : tuple of floats
+        Joint coordinates or distances, growing [rad; m].
+    forces : tuple of floats
+        What acts there: on the joint, or pulling the points together [N m; N].
+    joint : str or None
+        Where it acts: a joint, or
+    point_a : str or None
+        a named point and
+    point_b : str or None
+        another one, or
+    anchor : tuple of 2 floats or None
+        a place in the world [m].
+    interpolation : str
+        ``linear`` or ``cubic`` (a spline).
+    damping : float
+        c, zero or more [N m s/rad; N s/m].
+
+    """
+
+    CHECKS = {'strokes': list_of(number), 'forces': list_of(number), 'joint': name,
+              'point_a': name, 'point_b': name, 'anchor': vector2,
+              'interpolation': one_of(('linear', 'cubic')), 'damping': not_negative}
+    FILES = {'file': ('strokes', 'forces')}
+    READINGS = ('force', 'stroke')
+
+    strokes: Tuple[float, ...]
+    forces: Tuple[float, ...]
+    joint: Optional[str] = None
+    point_a: Optional[str] = None
+    point_b: Optional[str] = None
+    anchor: Optional[Vector2] = None
+    interpolation: str = 'linear'
+    damping: float = 0.0
+
+    def __post_init__(self):
+        """Refuse what is no table, and ends that are missing or too many."""
+        super().__post_init__()
+        if (self.joint is None) == (self.point_a is None):
+            raise FieldError('either joint or point_a', 'both' if self.joint else 'neither',
+                             path=('joint',))
+        if (self.point_a is not None) != ((self.point_b is None) != (self.anchor is None)) or (
+                self.joint is not None and self.anchor is not None):
+            raise FieldError('either point_b or anchor beside point_a',
+                             shown(self.point_b or self.anchor), path=('point_b',))
+        if len(self.strokes) < 2:
+            raise FieldError('two strokes or more', f'{len(self.strokes)}', path=('strokes',))
+        if len(self.forces) != len(self.strokes):
+            raise FieldError(f'{len(self.strokes)} forces, one for each stroke',
+                             f'{len(self.forces)}', path=('forces',))
+        for index, (one, other) in enumerate(zip(self.strokes, self.strokes[1:])):
+            if not one < other:
+                raise FieldError(f'strokes that grow (more than {one:g})', f'{other:g}',
+                                 path=('strokes', index + 1))
+
+    def fit(self, mechanism):
+        """Refuse a mechanism without the joint or points, and points in space."""
+        super().fit(mechanism)
+        if self.point_a is not None:
+            require_plane(mechanism, 'point_a')
+
+    def element(self, machine):
+        """Return the effect as a row of the table."""
+        states, data = (State(DISSIPATED),), _pieces(
+            np.array(self.strokes), np.array(self.forces), self.interpolation)
+        if self.joint is not None:
+            return ForceElement(
+                JOINT_FORCE_TABLE, (machine.joint(self.joint),), (self.damping,), states,
+                data=data)
+        row_a, place_a = machine.point(self.point_a)
+        row_b, place_b = machine.point(self.point_b) if self.point_b else (0, self.anchor)
+        return ForceElement(POINT_FORCE_TABLE, (row_a, row_b), (
+            self.damping, *place_a, *place_b), states, data=data)
+
+
+def _pieces(strokes, forces, interpolation):
+    """Return the pieces of a table: one before it, those between its rows, one beyond it."""
+    if interpolation == 'cubic':
+        # Not before it is wanted: it takes a third of the time that loading the package would.
+        from scipy.interpolate import CubicSpline
+        inside = CubicSpline(strokes, forces).c[::-1].T
+    else:
+        slopes = np.diff(forces) / np.diff(strokes)
+        inside = np.column_stack((forces[:-1], slopes, 0.0 * slopes, 0.0 * slopes))
+    widths = np.diff(strokes)
+    powers = widths[:, None] ** np.arange(1, 5) / np.arange(1, 5)
+    energies = np.concatenate(([0.0], np.cumsum((inside * powers).sum(axis=1))))
+    last = inside[-1]
+    slope = last[1] + widths[-1] * (2.0 * last[2] + widths[-1] * 3.0 * last[3])
+    rows = [(strokes[0], forces[0], inside[0, 1], 0.0, 0.0, 0.0)]
+    rows += [(start, *row, energy) for start, row, energy in zip(strokes, inside, energies)]
+    rows.append((strokes[-1], forces[-1], slope, 0.0, 0.0, energies[-1]))
+    return tuple(tuple(map(float, row)) for row in rows)
+
+
+@inlined
+def _look_up(table, row, stroke):
+    """Return force and energy at a stroke, and note them."""
+    data, first = table.data, table.index[row, DATA]
+    # The piece before the table begins where its first one does.
+    low, high = 0, table.index[row, ENTRIES] - 1
+    if stroke < data[first]:
+        high = 0
+    while high - low > 0:
+        middle = (low + high + 1) // 2
+        if data[first + COLUMNS * middle] <= stroke:
+            low = middle
+        else:
+            high = middle - 1
+    at = first + COLUMNS * low
+    u = stroke - data[at]
+    force = data[at + 1] + u * (data[at + 2] + u * (data[at + 3] + u * data[at + 4]))
+    energy = data[at + 5] + u * (data[at + 1] + u * (
+        data[at + 2] / 2.0 + u * (data[at + 3] / 3.0 + u * data[at + 4] / 4.0)))
+    return force, energy
+
+
+@inlined
+def _note(table, row, force, stroke, energy, dissipated):
+    table.rates[table.index[row, STATE]] = dissipated
+    table.output[row, STORED] = energy
+    table.output[row, 1] = force
+    table.output[row, 2] = stroke
+
+
+@inlined
+def apply(table, row, q, qd):
+    """Add the torque; see ``dispatch.apply``."""
+    joint, damping = table.index[row, FIRST], table.values[row, 0]
+    force, energy = _look_up(table, row, q[joint])
+    loss = damping * qd[joint]
+    table.applied[joint] += force - loss
+    _note(table, row, force - loss, q[joint], -energy, loss * qd[joint])
+
+
+@inlined
+def apply_between_points(table, row, body):
+    """Apply the forces between points; see ``dispatch.apply``."""
+    values, a, b = table.values, table.index[row, FIRST], table.index[row, SECOND]
+    x, y, length, rate = distance(
+        body, a, values[row, 1], values[row, 2], b, values[row, 3], values[row, 4])
+    force, energy = _look_up(table, row, length)
+    tension = force + values[row, 0] * rate if length > 0.0 else 0.0
+    pull(body, a, values[row, 1], values[row, 2], tension * x, tension * y)
+    pull(body, b, values[row, 3], values[row, 4], -tension * x, -tension * y)
+    _note(table, row, tension, length, energy, values[row, 0] * rate * rate)

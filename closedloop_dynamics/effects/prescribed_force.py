@@ -1,0 +1,192 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+A torque or force in a joint, or a force at a point, whose course over time is given.
+
+    tau = y(t)          in a joint
+    F = y(t) e          at a named point, along a direction e in world axes or in the body's
+
+work done on the mechanism: the integral of tau qd, or of F . v. Courses y(t): ``course``. In a
+joint it acts beside what is commanded, behind the drive. When: a press or a cutter with a known
+force, a motor with a known torque, a shaker, a measured load.
+
+"""
+
+from dataclasses import dataclass
+import math
+from typing import Optional, Tuple
+
+from . import course
+from .effect import Effect, require_plane
+from .forces import offset, push
+from .table import (
+    FIRST, ForceElement, OWN, PRESCRIBED_FORCE, PRESCRIBED_TORQUE, STATE, State, WORK)
+from ..core.compiled import inlined
+from ..core.types import COS, OMEGA, SIN, VX, VY
+from ..mechanism.checks import list_of, name, not_negative, number, one_of, positive, vector2
+from ..mechanism.fields import FieldError, shown
+from ..mechanism.mechanism import Vector2
+
+
+@dataclass(frozen=True)
+class PrescribedForce(Effect):
+    """
+    A torque or force in a joint, or a force at a point, given over time.
+
+    Attributes
+    ----------
+    shape : str
+        ``constant``, ``sine``, ``trapezoid``, ``cycloid`` or ``table``.
+    joint : str or None
+        Where it acts: a joint, or
+    point : str or None
+        a named point.
+    direction : tuple of 2 floats or None
+        Of the force at a point; its length does not matter.
+    frame : str or None
+        Axes of the direction: ``world`` (when not given) or ``body``.
+    amplitude : float or None
+        Value of a constant, height of a sine, of a trapezoid or of a cycloid [N m; N].
+    offset : float or None
+        Added; a trapezoid or cycloid rises from there [N m; N]; 0 when not given.
+    frequency : float or None
+        Of a sine, positive [Hz].
+    phase : float or None
+        Of a sine [rad]; 0 when not given.
+    start : float or None
+        When a trapezoid or cycloid begins to rise, zero or more [s]; 0 when not given.
+    rise : float or None
+        How long it rises, zero or more [s].
+    hold : float or None
+        How long it stays there, zero or more [s]; for good when not given.
+    fall : float or None
+        How long it falls, zero or more [s]; as long as it rises when not given.
+    period : float or None
+        After which a trapezoid, cycloid or table begins anew, positive [s]; never when not given.
+    times : tuple of floats or None
+        Of a table, growing [s]; before and after it its ends hold.
+    values : tuple of floats or None
+        At these times [N m; N].
+    interpolation : str or None
+        Of a table: ``linear`` (when not given), ``cubic`` (a spline) or ``step``.
+
+    """
+
+    CHECKS = {
+        'joint': name, 'point': name, 'direction': vector2, 'shape': one_of(tuple(course.SHAPES)),
+        'frame': one_of(('world', 'body')), 'amplitude': number, 'offset': number,
+        'frequency': positive, 'phase': number, 'start': not_negative, 'rise': not_negative,
+        'hold': not_negative, 'fall': not_negative, 'period': positive, 'times': list_of(number),
+        'values': list_of(number), 'interpolation': one_of(course.INTERPOLATIONS)}
+    FILES = {'file': ('times', 'values')}
+    STIFFENS = False
+    READINGS = ('force', 'power')
+
+    shape: str
+    joint: Optional[str] = None
+    point: Optional[str] = None
+    direction: Optional[Vector2] = None
+    frame: Optional[str] = None
+    amplitude: Optional[float] = None
+    offset: Optional[float] = None
+    frequency: Optional[float] = None
+    phase: Optional[float] = None
+    start: Optional[float] = None
+    rise: Optional[float] = None
+    hold: Optional[float] = None
+    fall: Optional[float] = None
+    period: Optional[float] = None
+    times: Optional[Tuple[float, ...]] = None
+    values: Optional[Tuple[float, ...]] = None
+    interpolation: Optional[str] = None
+
+    def __post_init__(self):
+        """Refuse what acts nowhere or in two places, and courses that make no sense."""
+        super().__post_init__()
+        if (self.joint is None) == (self.point is None):
+            raise FieldError('either joint or point', 'neither' if self.joint is None else 'both',
+                             path=('joint',))
+        if (self.point is None) != (self.direction is None):
+            raise FieldError('a direction for a force at a point, and for no other',
+                             shown(self.direction), path=('direction',))
+        if self.direction is not None and not math.hypot(*self.direction) > 0.0:
+            raise FieldError('a direction that is not zero', shown(self.direction),
+                             path=('direction',))
+        if self.frame is not None and self.point is None:
+            raise FieldError('this key only beside point', shown(self.frame), path=('frame',))
+        course.require_keys(self)
+        object.__setattr__(self, '_pieces', course.pieces(self))
+
+    def fit(self, mechanism):
+        """Refuse a mechanism without the joint or point, and points in space."""
+        super().fit(mechanism)
+        if self.point is not None:
+            require_plane(mechanism, 'point')
+
+    @property
+    def ENDS_STEPS(self):  # noqa: N802
+        """Whether the course has corners."""
+        return len(self._pieces) > 1 or self.period is not None
+
+    def clock(self, time):
+        """Return the time, and which piece of the course is the present one."""
+        return time, course.present(self._pieces, self.period, time)
+
+    def element(self, machine):
+        """Return the effect as a row of the table."""
+        states = State(OWN), State(OWN, 1.0, self.clock(0.0)[1]), State(WORK)
+        if self.joint is not None:
+            return ForceElement(
+                PRESCRIBED_TORQUE, (machine.joint(self.joint),), (self.period or 0.0,), states,
+                data=self._pieces)
+        row, place = machine.point(self.point)
+        x, y = self.direction
+        length = math.hypot(x, y)
+        return ForceElement(
+            PRESCRIBED_FORCE, (row,),
+            (self.period or 0.0, *place, x / length, y / length, float(self.frame == 'body')),
+            states, data=self._pieces)
+
+
+@inlined
+def _note(table, row, force, power):
+    state = table.index[row, STATE]
+    table.rates[state] = 1.0
+    table.rates[state + 2] = power
+    table.output[row, 1] = force
+    table.output[row, 2] = power
+
+
+@inlined
+def apply(table, row, qd):
+    """Add the torque; see ``dispatch.apply``."""
+    joint = table.index[row, FIRST]
+    torque = course.value(table, row, table.values[row, 0])
+    table.applied[joint] += torque
+    _note(table, row, torque, torque * qd[joint])
+
+
+@inlined
+def apply_at_point(table, row, body):
+    """Apply the force at a point; see ``dispatch.apply``."""
+    values, i = table.values, table.index[row, FIRST]
+    rx, ry = offset(body, i, values[row, 1], values[row, 2])
+    force = course.value(table, row, values[row, 0])
+    x, y = values[row, 3], values[row, 4]
+    if values[row, 5] == 1.0:
+        x, y = body[i, COS] * x - body[i, SIN] * y, body[i, SIN] * x + body[i, COS] * y
+    push(body, i, rx, ry, force * x, force * y)
+    _note(table, row, force, force * (
+        x * (body[i, VX] - body[i, OMEGA] * ry) + y * (body[i, VY] + body[i, OMEGA] * rx)))

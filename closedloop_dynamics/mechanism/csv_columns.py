@@ -1,0 +1,76 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Columns of numbers from a CSV file: what a scene names instead of listing them."""
+
+import csv
+from pathlib import Path
+
+from .checks import text
+from .fields import FieldError, shown
+
+MOST_BYTES = 4_000_000
+
+
+def read_columns(value, directory, count):
+    """
+    Return the columns of a CSV file.
+
+    Parameters
+    ----------
+    value : str
+        Its path, from the directory on.
+    directory : pathlib.Path
+        Of the file that names it.
+    count : int
+        Number of columns.
+
+    Returns
+    -------
+    tuple of count tuples of floats
+
+    Raises
+    ------
+    FieldError
+        Naming file and line. A first line of words is a heading; empty lines and what follows
+        a # are left out.
+
+    """
+    path = Path(directory) / text(value)
+    try:
+        with open(path, 'rb') as file:
+            content = file.read(MOST_BYTES + 1)
+        lines = content.decode('utf-8-sig').splitlines()
+    except (OSError, ValueError) as error:
+        raise FieldError('a CSV file that can be read', f'{path}: {error}') from None
+    if len(content) > MOST_BYTES:
+        raise FieldError(f'a file of at most {MOST_BYTES} bytes', f'a larger one: {path}')
+    rows = []
+    for number, line in enumerate(lines, 1):
+        line = line.partition('#')[0].strip()
+        if not line:
+            continue
+        words = [word.strip() for word in next(csv.reader([line]))]
+        try:
+            row = tuple(map(float, words))
+        except ValueError:
+            if rows or number > 1:
+                raise FieldError(f'{count} numbers', f'{shown(line)} in {path}:{number}') from None
+            continue
+        if len(row) != count:
+            raise FieldError(f'{count} numbers in a line', f'{len(row)} in {path}:{number}')
+        rows.append(row)
+    if not rows:
+        raise FieldError(f'a file with lines of {count} numbers', f'none in {path}')
+    return tuple(zip(*rows))

@@ -1,0 +1,193 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Contact between bodies: lift of a cam, impacts, momentum, curves."""
+
+import math
+
+from closedloop_dynamics.effects import curve
+from closedloop_dynamics.effects.body_contact import BodyContact, damping
+from closedloop_dynamics.effects.contact import Contact
+from closedloop_dynamics.effects.gravity import Gravity
+from closedloop_dynamics.mechanism.fields import FieldError
+from closedloop_dynamics.mechanism.mechanism import Body, Joint, Mechanism, Point
+import numpy as np
+import pytest
+
+from .machines import assert_balanced, block, flyer, simulated
+from .test_bushing import pair
+
+EARTH = Gravity((0.0, -9.81))
+
+
+def cam(base=0.04, lift=0.01):
+    """Return a cam that turns about the world's origin, and a follower that slides along y."""
+    return Mechanism(
+        'cam', (Body('cam', 1.0, (0, 0), 0.1), Body('follower', 0.5, (0, 0), 0.1)),
+        (Joint('turn', 'revolute', 'ground', 'cam', (0, 0), 0.0, True),
+         Joint('slide', 'prismatic', 'ground', 'follower', (0, 0), math.pi / 2)), (),
+        (Point('axle', 'cam', (0, 0)), Point('roller', 'follower', (0, 0))))
+
+
+def two_at(one, other):
+    """Return the state of ``pair`` from places and angles of its bodies."""
+    return np.array([*one, *other], dtype=float)
+
+
+def test_on_a_line_of_the_ground_it_is_the_contact_of_a_point():
+    ground = flyer()
+    machine = Mechanism('flyer', ground.bodies, ground.joints, (), (
+        *ground.points, Point('floor', 'ground', (0.3, -0.1))))
+    law = {'exponent': 1.5, 'damping': 0.4, 'friction': 0.3, 'slip_velocity': 0.2}
+    found = []
+    for floor in (Contact('rim', (0.3, -0.1), 2e3, angle=0.2, **law),
+                  BodyContact('rim', 'floor', 'line', 2e3, angle=0.2, **law)):
+        simulation = simulated(machine, {'gravity': EARTH, 'floor': floor}, [0.0, 0.2, 0.4],
+                               [0.5, 0.0, 1.0], step_size=5e-4)
+        simulation.step(duration=0.4)
+        found.append(np.concatenate((simulation.position, simulation.velocity)))
+    assert np.allclose(*found, rtol=0.0, atol=1e-11)
+
+
+@pytest.mark.parametrize('shape', [
+    {'shape': 'line', 'angle': 0.2}, {'shape': 'circle', 'other_radius': 0.15},
+    {'shape': 'curve', 'radii': (0.15, 0.2, 0.14, 0.16, 0.15, 0.17), 'friction': 0.4}])
+def test_bodies_keep_their_momentum_and_the_balance_closes(shape):
+    touch = BodyContact('front', 'rear', radius=0.05, stiffness=2e3, exponent=1.5, damping=0.3,
+                        **shape)
+    q = two_at((0.0, 0.05, 0.1), (0.72, 0.0, -0.2))
+    simulation = simulated(pair(), {'touch': touch}, q, [1.0, 0.0, 0.5, -1.0, 0.1, -0.5],
+                           step_size=2e-4)
+
+    def momenta():
+        x, v = simulation.position, simulation.velocity
+        spin = sum(x[k] * v[k + 1] - x[k + 1] * v[k] + 0.5 * v[k + 2] for k in (0, 3))
+        return np.array([v[0] + v[3], v[1] + v[4], spin])
+
+    before, most = momenta(), 0.0
+    for _ in range(40):
+        simulation.step(duration=0.01)
+        most = max(most, simulation.effect_readings('touch')['normal_force'])
+    assert most > 1.0
+    assert np.allclose(momenta(), before, atol=1e-9)
+    assert_balanced(simulation, 1e-6)
+
+
+def test_a_disc_in_a_ring_is_pushed_inwards():
+    touch = BodyContact('front', 'rear', 'circle', 1e3, radius=0.1, other_radius=0.3, hollow=True)
+    # 0.25 m from the ring's centre along x: 0.05 m too far.
+    simulation = simulated(pair(), {'touch': touch}, two_at((0.0, 0.0, 0.0), (0.25, 0.0, 0.0)))
+    assert simulation.effect_readings('touch')['depth'] == pytest.approx(0.05)
+    assert simulation.acceleration[0] == pytest.approx(-50.0)
+    assert simulation.acceleration[3] == pytest.approx(50.0)
+
+
+@pytest.mark.parametrize('restitution', [0.95, 0.6, 0.2])
+@pytest.mark.parametrize('exponent', [1.0, 1.5])
+def test_restitution_is_what_was_asked_for(restitution, exponent):
+    machine = Mechanism('drop', block(1.3, math.pi / 2).bodies, block(1.3, math.pi / 2).joints,
+                        (), (Point('ball', 'block', (0, 0)), Point('floor', 'ground', (0, 0))))
+    floor = BodyContact('ball', 'floor', 'line', 1e4, exponent=exponent,
+                        restitution=restitution, impact_velocity=2.0)
+    simulation = simulated(machine, {'floor': floor}, [0.01], [-2.0], step_size=2e-5)
+    simulation.step(duration=0.2)
+    assert simulation.velocity[0] == pytest.approx(2.0 * restitution, rel=2e-5)
+    assert damping(restitution, 4.0) == pytest.approx(0.5 * damping(restitution, 2.0))
+
+
+def test_an_eccentric_lifts_its_follower_by_its_closed_form():
+    # A circle of radius 0.03 about a place 0.01 from the axle, as a curve of 90 points.
+    machine, angles = cam(), 2.0 * np.pi * np.arange(90) / 90
+    touch = BodyContact('roller', 'axle', 'curve', 1e7, radius=0.008,
+                        x=tuple(0.01 + 0.03 * np.cos(angles)), y=tuple(0.03 * np.sin(angles)))
+    for turn in np.linspace(0.0, 6.0, 13):
+        height = 0.01 * math.sin(turn) + math.sqrt(
+            0.038 ** 2 - (0.01 * math.cos(turn)) ** 2)
+        simulation = simulated(machine, {'touch': touch}, [turn, height - 1e-5], step_size=1e-4)
+        found = simulation.effect_readings('touch')
+        tilt = (0.01 * math.cos(turn)) / 0.038
+        assert found['depth'] == pytest.approx(1e-5 * math.sqrt(1.0 - tilt ** 2), abs=2e-8)
+
+
+def test_a_roller_rides_on_the_curve_parallel_to_its_path():
+    # Roller follower on the pitch curve's parallel: the roller's centre is at 0.05 + s(angle).
+    angles = 2.0 * np.pi * np.arange(720) / 720
+    radius = 0.05 + 0.005 * (1.0 - np.cos(2.0 * angles))
+    slope = 0.01 * np.sin(2.0 * angles)
+    x, y = radius * np.cos(angles), radius * np.sin(angles)
+    along = np.array([slope * np.cos(angles) - y, slope * np.sin(angles) + x])
+    along /= np.hypot(*along)
+    # The cam's outline is the roller's radius within the path of its centre.
+    touch = BodyContact('roller', 'axle', 'curve', 1e8, radius=0.01,
+                        x=tuple(x - 0.01 * along[1]), y=tuple(y + 0.01 * along[0]))
+    for turn in np.linspace(0.1, 6.2, 30):
+        s = 0.05 + 0.005 * (1.0 - math.cos(2.0 * (math.pi / 2 - turn)))
+        # Known by one that is 1 um too low.
+        found = simulated(cam(), {'touch': touch}, [turn, s - 1e-6], step_size=1e-5)
+        tilt = 0.01 * math.sin(2.0 * (math.pi / 2 - turn)) / s
+        assert found.effect_readings('touch')['depth'] == pytest.approx(
+            1e-6 / math.hypot(1.0, tilt), abs=2e-9)
+
+
+def test_corners_of_an_outline_are_rounded_by_the_roller():
+    square = BodyContact('front', 'rear', 'curve', 1e3, radius=0.1, interpolation='linear',
+                         x=(0.2, -0.2, -0.2, 0.2), y=(0.2, 0.2, -0.2, -0.2))
+    shift = 0.05
+    place = (-0.2 + 0.2 + shift, 0.2 + shift)
+    # The front of body a is 0.3 before its place.
+    simulation = simulated(pair(), {'touch': square}, two_at(
+        (place[0] - 0.3, place[1], 0.0), (0.0, 0.0, 0.0)))
+    assert simulation.effect_readings('touch')['depth'] == pytest.approx(
+        0.1 - math.hypot(shift, shift))
+    force = 1e3 * (0.1 - math.hypot(shift, shift)) / math.sqrt(2.0)
+    assert np.allclose(simulation.acceleration[:2], force, rtol=1e-10)
+
+
+def test_a_figure_of_eight_is_refused_and_a_slot_is_not():
+    t = 2.0 * np.pi * np.arange(40) / 40
+    for interpolation in ('linear', 'cubic'):
+        with pytest.raises(FieldError, match='does not cross itself'):
+            curve.pieces(np.sin(t), np.sin(2.0 * t), True, interpolation, False)
+    x, y = (0, 2, 2, 1.1, 1.1, 0.9, 0.9, 0), (0, 0, 2, 2, 1, 1, 2, 2)
+    assert len(curve.pieces(x, y, True, 'linear', False)) == 8
+    with pytest.raises(FieldError, match='does not cross itself'):
+        curve.pieces((0, 1, 1, 0.5), (0, 0, 1, -1), False, 'linear', False)
+
+
+LINE = {'shape': 'line'}
+CURVE = {'shape': 'curve', 'x': (0.0, 1.0, 0.0), 'y': (0.0, 0.0, 1.0)}
+
+
+@pytest.mark.parametrize('values, key', [
+    ({**LINE, 'stiffness': 0.0}, 'stiffness'), ({**LINE, 'radius': -1.0}, 'radius'),
+    ({**LINE, 'exponent': 0.5}, 'exponent'), ({**LINE, 'hollow': True}, 'hollow'),
+    ({**LINE, 'restitution': 0.5}, 'restitution'),
+    ({**LINE, 'restitution': 1.5, 'impact_velocity': 1.0}, 'restitution'),
+    ({**LINE, 'restitution': 0.5, 'impact_velocity': 1.0, 'damping': 0.1}, 'damping'),
+    ({'shape': 'circle'}, 'other_radius'),
+    ({'shape': 'circle', 'other_radius': 0.1, 'radius': 0.2, 'hollow': True}, 'radius'),
+    ({**CURVE, 'x': (0.0, 1.0)}, 'x'), ({**CURVE, 'y': (0.0, 1.0)}, 'y'),
+    ({**CURVE, 'radii': (1.0, 1.0, 1.0)}, 'x'), ({'shape': 'curve'}, 'x'),
+    ({**CURVE, 'x': (0.0, 0.0, 1.0), 'y': (0.0, 0.0, 1.0)}, 'x[0]'),
+    ({**CURVE, 'other_radius': 1.0}, 'other_radius'),
+    ({'shape': 'curve', 'radii': (1.0, -1.0, 1.0)}, 'radii[1]')])
+def test_impossible_contacts_are_refused(values, key):
+    with pytest.raises(FieldError) as refusal:
+        BodyContact('front', 'rear', **{'stiffness': 1.0, **values})
+    assert str(refusal.value).startswith(key + ': expected'), refusal.value
+
+
+def test_a_body_does_not_touch_itself():
+    with pytest.raises(FieldError, match='another body'):
+        simulated(flyer(), {'touch': BodyContact('ball', 'rim', 'line', 1.0)}, [0, 0, 0])

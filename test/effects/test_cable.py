@@ -1,0 +1,132 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Cables over guides and pulleys: Newton by hand, length, slackness, energy."""
+
+import math
+
+from closedloop_dynamics.effects.cable import Cable
+from closedloop_dynamics.effects.gravity import Gravity
+from closedloop_dynamics.mechanism.fields import FieldError
+from closedloop_dynamics.mechanism.mechanism import Body, Joint, Mechanism, Point
+import numpy as np
+import pytest
+
+from .machines import assert_balanced, flyer, simulated
+
+EARTH = Gravity((0.0, -9.81))
+RADIUS, STIFFNESS = 0.1, 1e4
+
+
+def hoist():
+    """
+    Return a load on a moving pulley, and a counterweight on the same rope.
+
+    The rope goes from the ceiling down around the load's pulley, up over a pulley at the ceiling,
+    and down to the counterweight: 'load' and 'weight' [m], both upwards.
+
+    """
+    return Mechanism(
+        'hoist', (Body('load', 6.0, (0, 0), 0.1), Body('weight', 2.0, (0, 0), 0.1)),
+        (Joint('load', 'prismatic', 'ground', 'load', (0.1, -1.0), math.pi / 2),
+         Joint('weight', 'prismatic', 'ground', 'weight', (0.4, -1.0), math.pi / 2)), (),
+        (Point('ceiling', 'ground', (0.0, 0.0)), Point('pulley', 'load', (0.0, 0.0)),
+         Point('wheel', 'ground', (0.3, 0.0)), Point('hook', 'weight', (0.0, 0.0))))
+
+
+def rope(stretch, **values):
+    """Return the hoist's rope, stretched by so much at the start."""
+    length = 1.0 + math.pi * RADIUS + 1.0 + math.pi * RADIUS + 1.0
+    return Cable(('ceiling', 'pulley', 'wheel', 'hook'), STIFFNESS, length - stretch,
+                 radii=(0.0, RADIUS, -RADIUS, 0.0), **values)
+
+
+def test_a_hoist_moves_as_newton_says():
+    # Bound by the rope, weight = -2 load: T = a_l m_l / 2 + m_l g / 2 = m_w (g + a_w).
+    m_l, m_w, g = 6.0, 2.0, 9.81
+    up = (2.0 * m_w - m_l) * g / (m_l + 4.0 * m_w)
+    tension = m_w * (g - 2.0 * up)
+    simulation = simulated(hoist(), {'gravity': EARTH, 'rope': rope(tension / STIFFNESS)},
+                           [0.0, 0.0])
+    assert simulation.effect_readings('rope')['length'] == pytest.approx(
+        3.0 + 2.0 * math.pi * RADIUS, abs=1e-13)
+    assert np.allclose(simulation.acceleration, [up, -2.0 * up], rtol=1e-12)
+    simulation.step(duration=0.3)
+    # Started without a swing of the rope, which stays as long as it is.
+    assert np.allclose(simulation.position, [0.5 * up * 0.09, -up * 0.09], atol=1e-9)
+    assert simulation.effect_readings('rope')['tension'] == pytest.approx(tension, rel=1e-6)
+    assert_balanced(simulation, 1e-7)
+
+
+def test_a_slack_rope_does_nothing_and_becomes_taut_without_a_jump():
+    simulation = simulated(
+        hoist(), {'gravity': EARTH, 'rope': rope(-0.05, damping=0.2)}, [0.0, 0.0], step_size=1e-4)
+    assert np.allclose(simulation.acceleration, -9.81)
+    tensions = []
+    for _ in range(200):
+        simulation.step(duration=2e-3)
+        tensions.append(simulation.effect_readings('rope')['tension'])
+    assert min(tensions) == 0.0 < max(tensions)
+    assert simulation.energy_balance.dissipated > 0.0
+    assert_balanced(simulation, 1e-4)
+
+
+@pytest.mark.parametrize('radii', [None, (0.0, 0.15, -0.1, 0.0), (0.0, -0.15, 0.1, 0.0)])
+def test_the_force_is_the_gradient_of_the_length(radii):
+    # The length by its definition, and the force by finite differences of it.
+    machine = flyer()
+    machine = Mechanism('flyer', machine.bodies, machine.joints, (), (
+        Point('start', 'ground', (-1.0, 0.2)), Point('roll', 'hull', (0.2, 0.3)),
+        Point('wheel', 'ground', (0.9, -0.6)), Point('end', 'hull', (-0.3, -0.4))))
+    cable = Cable(('start', 'roll', 'wheel', 'end'), 100.0, 1.0, radii=radii)
+    q = np.array([0.1, -0.2, 0.3])
+
+    def length(q):
+        simulation = simulated(machine, {'cable': cable}, q)
+        return simulation.effect_readings('cable')['length']
+
+    h = 1e-6
+    gradient = np.array([(length(q + h * e) - length(q - h * e)) / (2.0 * h) for e in np.eye(3)])
+    simulation = simulated(machine, {'cable': cable}, q)
+    tension = simulation.effect_readings('cable')['tension']
+    assert tension == pytest.approx(100.0 * (length(q) - 1.0))
+    assert np.allclose(simulation.acceleration * [1.5, 1.25, 0.5], -tension * gradient, atol=1e-6)
+
+
+def test_a_rope_over_one_pulley_is_tangents_and_an_arc():
+    fixed = Mechanism('arc', flyer().bodies, flyer().joints, (), (
+        Point('a', 'ground', (-0.5, 0.0)), Point('b', 'ground', (0.0, 0.3)),
+        Point('c', 'hull', (0.0, 0.0))))
+    simulation = simulated(fixed, {'rope': Cable(
+        ('a', 'b', 'c'), 10.0, 0.0, radii=(0.0, -0.2, 0.0))}, [0.5, 0.0, 0.0])
+    far = math.hypot(0.5, 0.3)
+    tangent = math.sqrt(far ** 2 - 0.2 ** 2)
+    rise = math.atan2(0.3, 0.5) + math.asin(0.2 / far)
+    assert simulation.effect_readings('rope')['length'] == pytest.approx(
+        2.0 * tangent + 2.0 * 0.2 * rise, abs=1e-13)
+
+
+@pytest.mark.parametrize('values, key', [
+    ({'points': ('a',)}, 'points'), ({'stiffness': 0.0}, 'stiffness'),
+    ({'free_length': -1.0}, 'free_length'), ({'radii': (0.0,)}, 'radii'),
+    ({'radii': (0.1, 0.0)}, 'radii[0]'), ({'damping': -1.0}, 'damping')])
+def test_impossible_cables_are_refused(values, key):
+    with pytest.raises(FieldError) as refusal:
+        Cable(**{'points': ('a', 'b'), 'stiffness': 1.0, 'free_length': 1.0, **values})
+    assert str(refusal.value).startswith(key + ': expected'), refusal.value
+
+
+def test_unknown_points_are_refused():
+    with pytest.raises(FieldError, match=r'effects\.rope\.points\[1\]'):
+        simulated(flyer(), {'rope': Cable(('ball', 'tip'), 1.0, 1.0)}, [0, 0, 0])

@@ -1,0 +1,93 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Springs whose force over the stroke is a table."""
+
+from closedloop_dynamics.effects.force_table import ForceTable
+from closedloop_dynamics.effects.gravity import Gravity
+from closedloop_dynamics.effects.joint_spring import JointSpring
+from closedloop_dynamics.effects.point_spring import PointSpring
+from closedloop_dynamics.mechanism.fields import FieldError
+import numpy as np
+import pytest
+from scipy.interpolate import CubicSpline
+
+from .machines import assert_balanced, block, flyer, simulated
+
+EARTH = Gravity((0.0, -9.81))
+
+
+def test_a_straight_table_is_a_linear_spring():
+    motions = []
+    for spring in (JointSpring('slide', 40.0, 0.1), ForceTable(
+            (0.0, 0.1, 0.15), (4.0, 0.0, -2.0), joint='slide')):
+        simulation = simulated(block(), {'spring': spring}, [0.3], [-1.0])
+        simulation.step(duration=0.5)
+        motions.append(simulation.position)
+        assert_balanced(simulation, 1e-9)
+    assert np.allclose(*motions, rtol=0.0, atol=1e-12)
+
+
+def test_a_constant_force_spring_gives_constant_acceleration():
+    simulation = simulated(block(2.0), {'spring': ForceTable(
+        (0.0, 1.0), (-5.0, -5.0), joint='slide')}, [3.0])
+    simulation.step(duration=1.0)
+    assert simulation.position[0] == pytest.approx(3.0 - 0.5 * 2.5, abs=1e-12)
+    assert simulation.effect_readings('spring')['stored_energy'] == pytest.approx(
+        5.0 * simulation.position[0], abs=1e-11)
+
+
+def test_a_cubic_table_has_the_force_and_energy_of_its_spline():
+    strokes, forces = np.array([-0.2, 0.0, 0.1, 0.3]), np.array([1.0, 0.0, -2.0, 0.5])
+    spline = CubicSpline(strokes, forces)
+    for q in (-0.15, 0.05, 0.1, 0.22):
+        simulation = simulated(block(1.0), {'spring': ForceTable(
+            tuple(strokes), tuple(forces), joint='slide', interpolation='cubic')}, [q])
+        assert simulation.acceleration[0] == pytest.approx(spline(q), abs=1e-13)
+        assert simulation.effect_readings('spring')['stored_energy'] == pytest.approx(
+            -spline.integrate(-0.2, q), abs=1e-13)
+
+
+@pytest.mark.parametrize('place', [(1.5, 0.0), (-0.6, 0.4)])
+def test_between_points_a_straight_table_is_a_point_spring(place):
+    found = []
+    for spring in (
+            PointSpring('rim', anchor=place, stiffness=30.0, damping=2.0, free_length=0.3),
+            ForceTable((0.3, 0.5), (0.0, 6.0), point_a='rim', anchor=place, damping=2.0)):
+        simulation = simulated(flyer(), {'gravity': EARTH, 'spring': spring}, [0.0, 0.1, 0.2],
+                               [0.3, 0.0, 1.0])
+        simulation.step(duration=0.3)
+        found.append(np.concatenate((simulation.position, simulation.velocity)))
+        assert_balanced(simulation, 1e-8)
+    assert np.allclose(*found, rtol=0.0, atol=1e-12)
+
+
+def test_beyond_its_ends_a_table_goes_on_straight():
+    table = ForceTable((0.0, 0.1, 0.2), (0.0, -1.0, -4.0), joint='slide')
+    for q, force in ((-0.1, 1.0), (0.05, -0.5), (0.15, -2.5), (0.4, -10.0)):
+        assert simulated(block(), {'spring': table}, [q]).acceleration[0] == pytest.approx(force)
+
+
+@pytest.mark.parametrize('values, key', [
+    ({}, 'joint'), ({'joint': 'slide', 'point_a': 'rim'}, 'joint'),
+    ({'point_a': 'rim'}, 'point_b'),
+    ({'joint': 'slide', 'strokes': (0.0,)}, 'strokes'),
+    ({'joint': 'slide', 'strokes': (0.0, 0.0)}, 'strokes[1]'),
+    ({'joint': 'slide', 'forces': (0.0,)}, 'forces'),
+    ({'joint': 'slide', 'damping': -1.0}, 'damping'),
+    ({'joint': 'slide', 'interpolation': 'quadratic'}, 'interpolation')])
+def test_impossible_tables_are_refused(values, key):
+    with pytest.raises(FieldError) as refusal:
+        ForceTable(**{'strokes': (0.0, 1.0), 'forces': (0.0, 1.0), **values})
+    assert str(refusal.value).startswith(key + ': expected'), refusal.value

@@ -1,0 +1,238 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Torques and forces over time: known motions, corners met by every method, work."""
+
+import math
+
+from closedloop_dynamics.effects.gravity import Gravity
+from closedloop_dynamics.effects.joint_spring import JointSpring
+from closedloop_dynamics.effects.prescribed_force import PrescribedForce
+from closedloop_dynamics.mechanism.fields import FieldError
+from closedloop_dynamics.simulation.errors import SimulationError
+from closedloop_dynamics.simulation.scene import load_scene, SceneError
+import numpy as np
+import pytest
+from scipy.interpolate import CubicSpline
+
+from .machines import assert_balanced, block, flyer, pendulum, simulated
+
+EARTH = Gravity((0.0, -9.81))
+PULSE = PrescribedForce('trapezoid', 'slide', amplitude=3.0, start=0.1234, rise=0.0, hold=0.5111)
+# Corners everywhere but on the raster.
+CORNERS = PrescribedForce('table', 'slide', times=(0.05, 0.11, 0.333, 0.3339, 0.7777),
+                          values=(1.0, -2.0, 5.0, -5.0, 0.5))
+
+
+def position_under(force, mass, end):
+    """Return where a block is that a piecewise linear force has pushed from rest."""
+    times = np.unique(np.concatenate(([0.0, end], [t for t in force.times if t < end])))
+    x, v = 0.0, 0.0
+    for start, stop in zip(times, times[1:]):
+        one, other = np.interp([start, stop], force.times, force.values) / mass
+        h = stop - start
+        x, v = x + v * h + h * h * (2.0 * one + other) / 6.0, v + h * (one + other) / 2.0
+    return x
+
+
+def test_a_jump_within_a_step_leaves_no_error():
+    simulation = simulated(block(2.0), {'push': PULSE}, [0.0], step_size=0.01)
+    simulation.step(duration=1.0)
+    rate = 1.5 * 0.5111
+    assert simulation.velocity[0] == pytest.approx(rate, abs=1e-13)
+    assert simulation.position[0] == pytest.approx(
+        0.5 * rate * 0.5111 + rate * (1.0 - 0.1234 - 0.5111), abs=1e-13)
+    assert_balanced(simulation, 1e-12)
+
+
+@pytest.mark.parametrize('method', [
+    {'integrator': 'rk4', 'step_size': 0.01}, {'integrator': 'auto', 'step_size': 0.01},
+    pytest.param({'integrator': 'rodas4', 'step_size': 0.3}, marks=pytest.mark.slow),
+    pytest.param({'integrator': 'dopri5', 'step_size': 0.3}, marks=pytest.mark.slow),
+    pytest.param({'integrator': 'rodas4_fixed', 'step_size': 0.01}, marks=pytest.mark.slow)])
+def test_corners_are_met_by_every_method(method):
+    # The position is a cubic between corners: every method of order 3 is exact.
+    simulation = simulated(block(2.0), {'push': CORNERS}, [0.0], **method)
+    simulation.step(duration=0.9)
+    assert simulation.position[0] == pytest.approx(position_under(CORNERS, 2.0, 0.9), abs=1e-13)
+    assert_balanced(simulation, 1e-12)
+
+
+def test_a_run_in_portions_is_the_same_to_the_last_bit():
+    whole, parts = (simulated(block(2.0), {'push': CORNERS}, [0.0], step_size=0.01,
+                              integrator='auto') for _ in range(2))
+    whole.step(duration=0.9)
+    for _ in range(90):
+        parts.step()
+    assert np.array_equal(whole.position, parts.position)
+
+
+def test_a_sine_in_a_joint_moves_a_block_on_a_spring():
+    frequency, phase, k, m = 3.0, 0.4, 50.0, 2.0
+    w = 2.0 * math.pi * frequency
+    simulation = simulated(
+        block(m), {'spring': JointSpring('slide', k), 'shaker': PrescribedForce(
+            'sine', 'slide', amplitude=4.0, frequency=frequency, phase=phase, offset=1.0)},
+        [0.0])
+    simulation.step(duration=0.7)
+    own = math.sqrt(k / m)
+    high = 4.0 / (k - m * w * w)
+
+    def steady(t):
+        return 1.0 / k + high * math.sin(w * t + phase)
+
+    at_start, rate = -steady(0.0), -high * w * math.cos(phase)
+    t = 0.7
+    assert simulation.position[0] == pytest.approx(
+        steady(t) + at_start * math.cos(own * t) + rate / own * math.sin(own * t), abs=1e-9)
+    assert_balanced(simulation, 1e-9)
+    reading = simulation.effect_readings('shaker')
+    assert reading['force'] == pytest.approx(1.0 + 4.0 * math.sin(w * t + phase), abs=1e-11)
+    assert reading['power'] == pytest.approx(reading['force'] * simulation.velocity[0])
+
+
+def test_a_cycloid_rises_and_falls_by_its_closed_form():
+    force = PrescribedForce('cycloid', 'slide', amplitude=2.0, offset=1.0, start=0.1, rise=0.3,
+                            hold=0.2, fall=0.1)
+    simulation = simulated(block(1e3), {'push': force}, [0.0])
+
+    def reading():
+        return simulation.effect_readings('push')['force']
+
+    for time in np.arange(1, 90) / 100.0:
+        simulation.step(duration=0.01)
+        up, down = np.clip([(time - 0.1) / 0.3, (time - 0.6) / 0.1], 0.0, 1.0)
+        share = sum(sign * (s - math.sin(2.0 * math.pi * s) / (2.0 * math.pi))
+                    for sign, s in ((1.0, up), (-1.0, down)))
+        assert reading() == pytest.approx(1.0 + 2.0 * share, abs=1e-12)
+
+
+def test_a_period_begins_anew_and_work_is_told():
+    force = PrescribedForce('table', 'slide', times=(0.0, 0.1, 0.25), values=(1.0, -1.0, 4.0),
+                            period=0.25, interpolation='step')
+    simulation = simulated(block(1.0), {'push': force}, [0.0], step_size=0.02)
+    simulation.step(duration=3.0)
+    # Each period: 0.1 s of 1 N and 0.15 s of -1 N.
+    assert simulation.velocity[0] == pytest.approx(12 * (0.1 - 0.15), abs=1e-12)
+    assert simulation.energy_balance.work == pytest.approx(0.5 * 0.6 ** 2, abs=1e-12)
+
+
+def test_a_cubic_table_is_a_spline():
+    times, values = (0.0, 0.1, 0.25, 0.3, 0.6), (0.0, 1.0, -1.0, 2.0, 2.5)
+    simulation = simulated(block(1.0), {'push': PrescribedForce(
+        'table', 'slide', times=times, values=values, interpolation='cubic')}, [0.0],
+        integrator='auto')
+    simulation.step(duration=0.5)
+    twice = CubicSpline(times, values).antiderivative(2)
+    assert simulation.position[0] == pytest.approx(twice(0.5), abs=1e-12)
+
+
+@pytest.mark.parametrize('frame', ['world', 'body'])
+def test_a_force_at_a_point_turns_and_moves_the_body(frame):
+    force = PrescribedForce('constant', point='rim', direction=(3.0, 0.0), frame=frame,
+                            amplitude=2.0)
+    simulation = simulated(flyer(), {'push': force}, [0.0, 0.0, 0.5], [0.0, 0.0, 1.0])
+    x, y = (2.0, 0.0) if frame == 'world' else (2.0 * math.cos(0.5), 2.0 * math.sin(0.5))
+    arm = 0.2 * math.sin(0.5), -0.2 * math.cos(0.5)
+    assert np.allclose(simulation.acceleration, [
+        x / 1.5, y / 1.25, (arm[0] * y - arm[1] * x) / 0.5], atol=1e-13)
+    simulation.step(duration=0.5)
+    assert_balanced(simulation, 1e-9)
+
+
+def test_the_time_goes_on_over_new_states_and_changes():
+    simulation = simulated(block(1.0), {'push': CORNERS}, [0.0], step_size=0.01)
+    simulation.step(duration=0.2)
+    simulation.set_state([0.0])
+    expected = np.interp(0.2, CORNERS.times, CORNERS.values)
+    assert simulation.effect_readings('push')['force'] == pytest.approx(expected, abs=1e-12)
+    simulation.set_effect('push', times=(0.0, 1.0), values=(0.0, 1.0))
+    simulation.step(duration=0.1)
+    assert simulation.effect_readings('push')['force'] == pytest.approx(0.3, abs=1e-12)
+    simulation.reset()
+    assert simulation.effect_readings('push')['force'] == 0.0
+    with pytest.raises(FieldError, match='no more pieces'):
+        simulation.set_effect('push', times=tuple(range(20)), values=(0.0,) * 20)
+
+
+def test_inverse_dynamics_knows_the_time():
+    simulation = simulated(pendulum(), {'gravity': EARTH, 'push': PrescribedForce(
+        'trapezoid', 'hinge', amplitude=2.0, rise=1.0)}, [0.3], [0.0])
+    simulation.step(duration=0.25)
+    state = simulation.position, simulation.velocity
+    torque, _ = simulation.inverse_dynamics(*state, simulation.acceleration)
+    assert torque[0] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_solvers_that_pass_corners_are_refused():
+    with pytest.raises(SimulationError, match='push'):
+        simulated(block(), {'push': PULSE}, [0.0], integrator='scipy_dop853')
+    simulated(block(), {'push': PrescribedForce('constant', 'slide', amplitude=1.0)}, [0.0],
+              integrator='scipy_dop853')
+
+
+def scene(directory, effect):
+    """Write a scene of a slider-crank with an effect; return its path."""
+    path = directory / 'scene.yaml'
+    path.write_text('mechanism: four_bar\ninitial:\n  position: {crank_joint: 1.0, '
+                    'coupler_joint: 0.0, rocker_joint: 1.0}\neffects:\n  push:\n'
+                    '    type: prescribed_force\n' + effect)
+    return path
+
+
+def test_a_table_is_read_from_a_file(tmp_path):
+    (tmp_path / 'force.csv').write_text('time, force\n0, 1\n\n0.5, 2  # so\n1e0, -3\n')
+    path = scene(tmp_path, '    shape: table\n    joint: crank_joint\n    file: force.csv\n')
+    push = load_scene(path).effects['push']
+    assert push.times == (0.0, 0.5, 1.0) and push.values == (1.0, 2.0, -3.0)
+
+
+@pytest.mark.parametrize('text, message', [
+    ('0, 1\n0.5\n', r'push\.file: expected 2 numbers in a line, got 1 in .*force\.csv:2'),
+    ('0, 1\nx, 1\n', r'push\.file: expected 2 numbers, got .*force\.csv:2'),
+    ('time, force\n', r'push\.file: expected a file with lines of 2 numbers'),
+    (None, r'push\.file: expected a CSV file that can be read')])
+def test_files_that_are_no_table_are_refused(tmp_path, text, message):
+    if text is not None:
+        (tmp_path / 'force.csv').write_text(text)
+    path = scene(tmp_path, '    shape: table\n    joint: crank_joint\n    file: force.csv\n')
+    with pytest.raises(SceneError, match=message):
+        load_scene(path)
+
+
+TABLE = {'shape': 'table', 'joint': 'slide', 'times': (0.0, 1.0), 'values': (0.0, 1.0)}
+
+
+@pytest.mark.parametrize('values, key', [
+    ({'shape': 'sine', 'joint': 'slide', 'amplitude': 1.0}, 'frequency'),
+    ({'shape': 'sine', 'joint': 'slide', 'amplitude': 1.0, 'frequency': 0.0}, 'frequency'),
+    ({'shape': 'constant', 'joint': 'slide', 'amplitude': 1.0, 'rise': 1.0}, 'rise'),
+    ({'shape': 'constant', 'amplitude': 1.0}, 'joint'),
+    ({'shape': 'constant', 'joint': 'slide', 'point': 'center', 'amplitude': 1.0}, 'joint'),
+    ({'shape': 'constant', 'point': 'center', 'amplitude': 1.0}, 'direction'),
+    ({'shape': 'constant', 'point': 'center', 'amplitude': 1.0, 'direction': (0, 0)},
+     'direction'),
+    ({'shape': 'wave', 'joint': 'slide'}, 'shape'),
+    ({'shape': 'trapezoid', 'joint': 'slide', 'amplitude': 1.0, 'rise': -1.0}, 'rise'),
+    ({'shape': 'trapezoid', 'joint': 'slide', 'amplitude': 1.0, 'rise': 1.0, 'fall': 1.0}, 'fall'),
+    ({'shape': 'trapezoid', 'joint': 'slide', 'amplitude': 1.0, 'rise': 1.0, 'hold': 1.0,
+      'period': 2.0}, 'period'),
+    ({**TABLE, 'times': (0.0, 0.0)}, 'times[1]'), ({**TABLE, 'values': (0.0,)}, 'values'),
+    ({**TABLE, 'times': (0.0,), 'values': (1.0,)}, 'times'),
+    ({**TABLE, 'period': 2.0}, 'times'), ({**TABLE, 'values': (0.0, math.nan)}, 'values[1]'),
+    ({**TABLE, 'period': 1.0, 'interpolation': 'cubic'}, 'values[1]')])
+def test_impossible_courses_are_refused(values, key):
+    with pytest.raises(FieldError) as refusal:
+        PrescribedForce(**values)
+    assert str(refusal.value).startswith(key + ': expected'), refusal.value
