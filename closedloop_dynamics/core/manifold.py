@@ -226,34 +226,20 @@ def normalise(manifold, q):
 
 
 @compiled
-def _numbers(manifold, q):
-    """Fill in and return the scratch of ``by_rate``."""
-    for i in range(manifold.place.shape[0]):
-        manifold.number[i] = q[manifold.place[i]] if manifold.place[i] >= 0 else 0.0
-
-
-@inlined
-def by_rate(manifold, q):
+def fill_numbers(manifold, q):
     """
-    Return the coordinate of each rate.
+    Put the coordinate of each rate into ``number``; 0 for rates of rotations.
 
     Parameters
     ----------
-    manifold : Manifold or None
+    manifold : Manifold
         Of the mechanism.
     q : ndarray, shape (nq,)
         Coordinates.
 
-    Returns
-    -------
-    ndarray, shape (nv,)
-        0 for rates of rotations; ``q`` itself where there are none.
-
     """
-    if manifold is None:
-        return q
-    _numbers(manifold, q)
-    return manifold.number
+    for i in range(manifold.place.shape[0]):
+        manifold.number[i] = q[manifold.place[i]] if manifold.place[i] >= 0 else 0.0
 
 
 def weights(manifold, nv):

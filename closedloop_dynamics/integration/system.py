@@ -28,7 +28,7 @@ from ..core.formulations import accelerate_dense, allocate_dense, DenseWorkspace
 from ..core.independent import allocate_partition, close, Partition
 from ..core.joint_wrenches import bias_forces
 from ..core.manifold import (
-    by_rate, Manifold, manifold_of, number_of_coordinates, rates_begin, rates_of_coordinates, TURN)
+    fill_numbers, Manifold, manifold_of, number_of_coordinates, rates_begin, rates_of_coordinates, TURN)
 from ..core.straight_line import linkage as links, space
 from ..core.straight_line.numbers import Numbers
 from ..core.types import allocate, Model, RANK, RANK_REVEALING_COUNT, Workspace
@@ -328,7 +328,11 @@ def apply_effects(effects, manifold, work, q, qd, tau):
 
     """
     if effects is not None:
-        dispatch.apply(work.body, effects, by_rate(manifold, q), qd, tau)
+        if manifold is None:
+            dispatch.apply(work.body, effects, q, qd, tau)
+        else:
+            fill_numbers(manifold, q)
+            dispatch.apply(work.body, effects, manifold.number, qd, tau)
         if effects.loaded[0] > 0:
             bias_forces(work.body, effects.reaction)
 

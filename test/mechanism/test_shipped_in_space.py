@@ -33,6 +33,7 @@ MACHINES = {
     'bennett': (3, 5, 2, 1),
     'bricard': (5, 5, 4, 1),
     'delta_robot': (10, 15, 15, 3),
+    'double_wishbone': (8, 6, 6, 5),
     'excavator_arm': (12, 16, 8, 4),
     'rssr_four_bar': (3, 3, 3, 2),
     'stewart_platform': (13, 15, 15, 6),
@@ -44,8 +45,9 @@ DELTA_TORQUES = np.array([0.5, 0.0, -0.5])
 
 @pytest.fixture(scope='module', params=MACHINES)
 def machine(request):
-    """Return a machine's name, its simulation and a state that closes its loops in motion."""
-    one = Simulation(load_scene(request.param, in_space=True))
+    """Return a machine's name and its simulation in motion under gravity alone."""
+    scene = load_scene(request.param, in_space=True)
+    one = Simulation(replace(scene, effects={'gravity': scene.effects['gravity']}))
     rng = np.random.default_rng(7)
     one.step(0.05 * rng.normal(size=len(one.actuated_joints)), 0.05)
     rates = twin.closure_rates(one.mechanism, one.position)
@@ -197,3 +199,19 @@ def test_the_excavator_turns_as_a_whole():
         assert_agree(found[:3], (cosine * flat[0], sine * flat[0], flat[2]), 1e-9)
         assert_agree(found[3:], flat[3:], 1e-8)
     assert pose_of(one.mechanism, poses, 'ground')[6] == 1.0
+
+
+def test_the_car_stands_on_its_tyre():
+    one = Simulation(load_scene('double_wishbone', in_space=True))
+    places = one.mechanism.coordinates
+    for _ in range(200):
+        state = [values[where[joint]][0] for joint in ('steering', 'lift')
+                 for values, where in ((one.position, places.coordinates),
+                                       (one.velocity, places.rates))]
+        one.step([-2e4 * state[0] - 6e2 * state[1], 5500.0 - 5e5 * state[2] - 2e4 * state[3]],
+                 0.01)
+    carried = sum(body.mass for body in one.mechanism.bodies if body.name != 'road')
+    # It still settles a little.
+    assert -one.effect_readings('tyre')['tension'] == pytest.approx(9.81 * carried, rel=5e-3)
+    assert abs(one.position[0]) < 0.005
+    assert one.closure < 1e-9
