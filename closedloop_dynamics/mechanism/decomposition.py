@@ -111,9 +111,7 @@ def _decompose(joints, cut_joints):
     cut_subsystems = tuple(
         tuple(sorted({subsystem_of[body] for body in cut.bodies if body != GROUND}))
         for cut in cut_joints)
-    neighbours = _cut_joint_graph(cut_subsystems, len(trees))
-    order = _elimination_order(neighbours)
-    structure, fill = _fill(neighbours, order)
+    order, structure, fill = _eliminated(_cut_joint_graph(cut_subsystems, len(trees)))
     return Decomposition(
         subsystems=tuple(tuple(joints[j].name for j in tree) for tree in trees),
         joint_order=tuple(j for tree in trees for j in tree),
@@ -122,6 +120,33 @@ def _decompose(joints, cut_joints):
         cut_order=order,
         structure=structure,
         fill=fill)
+
+
+def structure_of(touched):
+    """
+    Order cut joints that touch subsystems, and tell what elimination in that order reaches.
+
+    Parameters
+    ----------
+    touched : sequence of collections
+        The subsystems that each cut joint touches; numbers of any kind.
+
+    Returns
+    -------
+    order : tuple of int
+    structure : tuple of frozensets of int
+        As ``Decomposition`` has them.
+
+    """
+    numbers = {key: number for number, key in enumerate(sorted(set().union(*touched)))}
+    return _eliminated(_cut_joint_graph(
+        [[numbers[key] for key in sorted(some)] for some in touched], len(numbers)))[:2]
+
+
+def _eliminated(neighbours):
+    """Return the order of elimination, what each column reaches, and the fill."""
+    order = _elimination_order(neighbours)
+    return (order, *_fill(neighbours, order))
 
 
 def _subsystems(joints):

@@ -252,8 +252,8 @@ class Mechanism:
     ``cut_joints``, then of ``couplings``, the order of the Lagrange multipliers.
 
     ``parameters`` are the named numbers that a file's expressions were computed with, ``source``
-    is what ``reader.with_parameters`` computes them with others from; neither makes two mechanisms
-    differ.
+    is what ``reader.with_parameters`` computes them with others from, ``tree`` tells which joints
+    the program chose to cut (``between.ChosenTree``); none of these makes two mechanisms differ.
 
     """
 
@@ -266,6 +266,7 @@ class Mechanism:
     couplings: Tuple[Coupling, ...] = ()
     parameters: dict = field(default_factory=dict, compare=False, repr=False)
     source: Optional[tuple] = field(default=None, compare=False, repr=False)
+    tree: Optional[object] = field(default=None, compare=False, repr=False)
 
     # Set on what validation.checked returns; a copy with other values has not been checked.
     valid = False

@@ -24,20 +24,21 @@ got the text 'uper_arm' (did you mean 'upper_arm'?)``.
 from collections.abc import Mapping
 from dataclasses import replace
 
+from .between import BETWEEN, link, with_tree
 from .checks import number
 from .document import Document
 from .expressions import Parameters, put_changes
-from .fields import among, at, FieldError, keys_of, mapping, nearest
-from .mechanism import Mechanism, MechanismError
+from .fields import among, at, FieldError, keys_of, mapping, nearest, normalise
+from .mechanism import Joint, Mechanism, MechanismError
 from .shapes import with_shape
-from .validation import checked, SECTIONS, validate_mechanism
+from .validation import checked, SECTIONS, SPATIAL_SECTIONS, validate_mechanism
 
 # What a massless body need not say, beside its centre of mass.
 _NOTHING = {'mass': 0.0, 'inertia': 0.0}
 # What follows from a shape, that stands beside it for a body's keys.
 _SHAPE_KEYS = ('shape', 'density')
 
-__all__ = ['read_mechanism', 'validate_mechanism', 'with_parameters']
+__all__ = ['read_mechanism', 'validate_mechanism', 'with_cuts', 'with_parameters']
 
 
 def read_mechanism(path, parameters=None):
@@ -86,14 +87,38 @@ def with_parameters(mechanism, parameters):
     if mechanism.source is None:
         raise FieldError('a mechanism that was read from a file with parameters',
                          'one that was built in Python', path=('parameters',))
-    data, given = mechanism.source
+    data, given, orders = mechanism.source
     return checked(put_changes(
-        mechanism, _mechanism(data, given), _mechanism(data, {**given, **parameters})))
+        mechanism, _mechanism(data, given, orders),
+        _mechanism(data, {**given, **parameters}, orders)))
 
 
-def _mechanism(data, given):
-    """Return the mechanism of plain data, or raise FieldError."""
-    mapping(data, *keys_of(Mechanism, leave_out=('source',)))
+def with_cuts(mechanism, cut):
+    """
+    Return a mechanism that was read from a file with other joints cut.
+
+    Parameters
+    ----------
+    mechanism : Mechanism
+        With ``tree``.
+    cut : sequence of str
+        Joints between bodies; all others of them are kept.
+
+    Raises
+    ------
+    FieldError
+        Where these leave no tree.
+
+    """
+    data, given, _ = mechanism.source
+    found = _mechanism(data, given, {
+        name: name in cut for name, values in data['joints'].items() if BETWEEN in values})
+    return replace(found, tree=replace(found.tree, listed=mechanism.tree.listed))
+
+
+def _mechanism(data, given, orders=None):
+    """Return the mechanism of plain data, or raise FieldError; with orders what to cut."""
+    mapping(data, *keys_of(Mechanism, leave_out=('source', 'tree')))
     parameters = Parameters.read(data.get('parameters'), given)
     with at('parameters'):
         for key, value in given.items():
@@ -103,17 +128,39 @@ def _mechanism(data, given):
                     repr(key), nearest(key, parameters.values))
             with at(key):
                 number(value)
-    spatial = _is_spatial(data)
+    spatial, links = _is_spatial(data), {}
     mechanism = Mechanism(**{**{
-        key: _records(value, key, parameters, spatial) if key in SECTIONS else value
+        key: _records(value, key, parameters, spatial, links, data) if key in SECTIONS else value
         for key, value in data.items()},
-        'parameters': dict(parameters.values), 'source': (data, dict(given))})
+        'parameters': dict(parameters.values), 'source': (data, dict(given), orders)})
     origin = (0.0, 0.0, 0.0) if spatial else (0.0, 0.0)
     bodies = tuple(
         replace(body, center_of_mass=origin)
         if body.massless is True and body.center_of_mass is None else body
         for body in mechanism.bodies or ())
-    return checked(replace(mechanism, bodies=bodies))
+    mechanism = replace(mechanism, bodies=bodies)
+    if all(isinstance(one, Joint) for one in links.values()):
+        return checked(mechanism)
+    return checked(with_tree(_checked_parts(mechanism, spatial), links, orders))
+
+
+def _checked_parts(mechanism, spatial):
+    """Return a mechanism with all but its joints checked one by one."""
+    sections = SPATIAL_SECTIONS if spatial else SECTIONS
+    found = {}
+    for key, (_, checks) in sections.items():
+        if key in ('bodies', 'cut_joints', 'points', 'couplings'):
+            with at(key):
+                found[key] = tuple(_checked_record(record, checks)
+                                   for record in getattr(mechanism, key) or ())
+    return replace(mechanism, **found)
+
+
+def _checked_record(record, checks):
+    if getattr(record, 'massless', False):
+        return record
+    with at(record.name):
+        return normalise(replace(record), **checks)
 
 
 def _is_spatial(data):
@@ -121,11 +168,14 @@ def _is_spatial(data):
     joints = data.get('joints')
     first = next(iter(joints.values()), None) if isinstance(joints, Mapping) else None
     place = first.get('position') if isinstance(first, Mapping) else None
+    if isinstance(first, Mapping) and BETWEEN in first:
+        points = first.get('points')
+        place = points[0] if isinstance(points, list) and points else None
     return isinstance(place, list) and len(place) == 3
 
 
-def _records(section, key, parameters, spatial):
-    """Return the records of one section of the file."""
+def _records(section, key, parameters, spatial, links, data):
+    """Return the records of one section of the file; put joints, of both kinds, into links."""
     record_type, _ = SECTIONS[key]
     required, optional = keys_of(record_type, leave_out=('name',))
     if key == 'bodies':
@@ -136,9 +186,17 @@ def _records(section, key, parameters, spatial):
             with at(entry):
                 if isinstance(values, Mapping):
                     values = parameters.record(record_type, values)
+                    if key == 'joints' and BETWEEN in values:
+                        with at('points'):
+                            points = parameters.evaluated(values.get('points'))
+                        links[entry] = link(entry, {**values, 'points': points} if (
+                            'points' in values) else values, data['bodies'] or (), spatial)
+                        continue
                     if key == 'bodies':
                         values = _body(values, parameters, spatial)
                 records.append(record_type(entry, **mapping(values, required, optional)))
+                if key == 'joints':
+                    links[entry] = records[-1]
     return tuple(records)
 
 

@@ -191,7 +191,7 @@ def checked(mechanism):
     _check_tree(mechanism)
     _check_couplings(mechanism)
     if spatial:
-        _check_axes(mechanism)
+        check_axes(mechanism)
     object.__setattr__(mechanism, 'valid', True)
     return mechanism
 
@@ -348,8 +348,20 @@ def _check_tree(mechanism):
         grounded.update(chain)
 
 
-def _check_axes(mechanism):
-    """Refuse axes that a joint in space does not have, and ask for those that it has."""
+def check_axes(mechanism):
+    """
+    Refuse axes that a joint in space does not have, and ask for those that it has.
+
+    Parameters
+    ----------
+    mechanism : Mechanism
+        Of which ``joints`` and ``cut_joints`` are looked at.
+
+    Raises
+    ------
+    FieldError
+
+    """
     for section, keys in _KEYS_OF_JOINTS.items():
         for joint in getattr(mechanism, section):
             for key, types in keys.items():

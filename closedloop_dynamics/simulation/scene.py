@@ -22,12 +22,14 @@ got.
 """
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from .model_scene import closed_start, scene_of_model
 from .scene_records import Initial, Method, Scene
+from .tree_choice import cheapest
 from ..effects.registry import EFFECTS
 from ..formats.registry import is_model, read_model
 from ..mechanism.checks import list_of, name, NAME_PATTERN, one_of
@@ -102,13 +104,13 @@ def load_scene_or_mechanism(name_or_path, in_space=False):
     """
     if _is_name(name_or_path):
         if name_or_path not in scene_names() and name_or_path in shipped_names('mechanisms'):
-            return read_mechanism(shipped_path('mechanisms', name_or_path))
+            return cheapest(read_mechanism(shipped_path('mechanisms', name_or_path)))
         return load_scene(name_or_path, in_space)
     if is_model(name_or_path):
         return read_model(name_or_path).mechanism
     document = Document(name_or_path, SceneError)
     if isinstance(document.data, Mapping) and 'bodies' in document.data:
-        mechanism = read_mechanism(name_or_path)
+        mechanism = cheapest(read_mechanism(name_or_path))
         if not in_space:
             _require_planar(mechanism)
         return mechanism
@@ -222,7 +224,7 @@ def _scene(data, given, path, read):
         initial = _initial(data['initial'], mechanism, names)
     with at('effects'):
         directory = None if path is None else path.parent
-        effects = {key: _effect(key, values, names, directory)
+        effects = {key: _effect(key, values, names, directory, mechanism.tree)
                    for key, values in _section(data, 'effects').items()}
     with at('method'):
         method = _method(names.record(Method, _section(data, 'method')))
@@ -249,7 +251,7 @@ def _mechanism(value, directory):
     else:
         path = _shipped('mechanisms', value)
     try:
-        return read_mechanism(path)
+        return cheapest(read_mechanism(path))
     except MechanismError as error:
         raise FieldError('a valid mechanism', f'this error in its file:\n{error}') from None
 
@@ -272,7 +274,11 @@ def _initial(value, mechanism, names):
     mapping(value, *INITIAL_KEYS)
     coordinates, joints = mechanism.coordinates, mechanism.joint_names
     with at('position'):
-        given = names.evaluated(mapping(value['position'], coordinates.keys, ()))
+        cut = () if mechanism.tree is None else mechanism.tree.cut
+        given = names.evaluated(mapping(value['position'], coordinates.keys, [
+            key for key in mapping(value['position']) if key.partition('.')[0] in cut]))
+        # Where the program cut joints their positions follow from the others.
+        given = {key: one for key, one in given.items() if key.partition('.')[0] not in cut}
         position = coordinates.filled('position', given, coordinates.start())
     with at('hold'):
         hold = list_of(one_of(joints, 'one of the joints'))(value.get('hold', ()))
@@ -287,7 +293,7 @@ def _initial(value, mechanism, names):
     return Initial(tuple(position.tolist()), tuple(velocity.tolist()), hold)
 
 
-def _effect(key, values, names, directory):
+def _effect(key, values, names, directory, tree):
     """Return the record of one effect; files that it names stand beside the scene."""
     with at(key):
         name(key)
@@ -298,7 +304,13 @@ def _effect(key, values, names, directory):
         values = _with_columns(values, record_type.FILES, directory)
         values = dict(mapping(values, ['type', *required], optional))
         del values['type']
-        return record_type(**names.record(record_type, values))
+        record = record_type(**names.record(record_type, values))
+        if tree is not None and hasattr(record, 'body') and hasattr(record, 'position'):
+            # In the body's frame as it was described.
+            record = replace(record, position=tuple(
+                place - shift for place, shift in zip(
+                    record.position, tree.shifts.get(record.body, record.position))))
+        return record
 
 
 def _with_columns(values, files, directory):

@@ -21,12 +21,15 @@ from ..effects.registry import effect_type
 from ..formats.building import lines
 from ..integration.registry import ADAPTIVE, AUTO, BAUMGARTE, INTEGRATORS, STABILISATIONS
 from ..mechanism.decomposition import decompose
-from ..mechanism.mechanism import CUT_JOINT_EQUATIONS, Mechanism
+from ..mechanism.fields import FieldError
+from ..mechanism.mechanism import CUT_JOINT_EQUATIONS, Mechanism, MechanismError
+from ..mechanism.reader import with_cuts
 from ..simulation.assembly import find_degrees_of_freedom
 from ..simulation.far_assembly import find_closed, Loops
 from ..simulation.model_scene import assembled
 from ..simulation.modeling import extent
 from ..simulation.space import equations_left
+from ..simulation.tree_choice import count_operations
 from ..visual.tables import text_table
 
 
@@ -126,6 +129,7 @@ def _mechanism(mechanism, simulation=None, parameters=True, found=None):
     if mechanism.points:
         parts.append(_table('Points', ('name', 'body', 'position [m]'), [
             (point.name, point.body, _value(point.position)) for point in mechanism.points]))
+    parts += _chosen(mechanism)
     return [*parts, _summary(mechanism, decomposition, simulation, found)]
 
 
@@ -175,6 +179,27 @@ def _cut_joints(mechanism, decomposition):
          str(count), ', '.join(str(k + 1) for k in subsystems))
         for cut, count, subsystems in zip(
             mechanism.cut_joints, _equations(mechanism), decomposition.cut_subsystems)])
+
+
+def _chosen(mechanism):
+    """Return what was chosen where a description leaves the tree open."""
+    tree = mechanism.tree
+    if tree is None:
+        return []
+    items = [('cut', ', '.join(tree.cut) or 'none'),
+             ('in the tree', ', '.join(joint.name for joint in mechanism.joints))]
+    count = count_operations(mechanism)
+    if count is not None:
+        told = f'{count} an evaluation'
+        if set(tree.listed) != set(tree.cut):
+            try:
+                listed = count_operations(with_cuts(mechanism, tree.listed))
+                told += (f'; {listed} with {", ".join(tree.listed)} cut, as the joints are listed: '
+                         f'{1.0 - count / listed:.0%} saved')
+            except (FieldError, MechanismError):
+                told += '; the order in which the joints are listed gives no tree'
+        items.append(('operations', told))
+    return [_lines('Tree, chosen by the program', items)]
 
 
 def _summary(mechanism, decomposition, simulation, found):

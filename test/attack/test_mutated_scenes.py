@@ -86,6 +86,22 @@ joints:
 cut_joints:
   cut_1: {type: revolute, body_a: coupler, point_a: [k, 0], body_b: rocker, point_b: [0.25, 0]}
 """]
+BETWEEN = ["""\
+mechanism: ./machine.yaml
+initial: {position: {crank_joint: 1, coupler_joint: -0.5, tip: 0, rocker_joint: 1.7}}
+effects: {lamp: {type: payload, body: coupler, mass: 1, position: [0.1, 0.0]}}
+""", """\
+name: four_bar
+bodies:
+  crank: {mass: 0.5, center_of_mass: [0.05, 0.0], inertia: 0.0004}
+  coupler: {mass: 1.0, center_of_mass: [0.0, 0.0], inertia: 0.01}
+  rocker: {mass: 0.8, center_of_mass: [0.125, 0.0], inertia: 0.004}
+joints:
+  crank_joint: {type: revolute, between: [ground, crank], points: [[0, 0], [0, 0]], actuated: true}
+  coupler_joint: {type: revolute, between: [crank, coupler], points: [[0.1, 0], [-0.175, 0]]}
+  tip: {type: revolute, between: [coupler, rocker], points: [[0.175, 0], [0.25, 0]], cut: true}
+  rocker_joint: {type: revolute, between: [ground, rocker], points: [[0.4, 0], [0, 0]]}
+"""]
 VALUES = (
     '0', '-1', '1e999', '-1e308', '1e-320', '.nan', '-.inf', '9' * 5000, '0x' + 'f' * 5000, '1_0',
     '', '~', 'true', 'yes', '[]', '{}', '[1, 2, 3]', '{x: 1}', "''", '"\\0"', '"a\\0.yaml"',
@@ -176,7 +192,7 @@ def test_mutated_scenes_are_refused_in_words_or_right(tmp_path, capsys, count):
     rng, counts, bad = np.random.default_rng(20261121), Counter(), []
     sources = [[(config_directory() / kind / f'{file}.yaml').read_text() for kind, file in (
         ('scenes', name), ('mechanisms', load_scene(name).mechanism.name))] for name in SCENES]
-    sources += [SPACE, PLANE]
+    sources += [SPACE, PLANE, BETWEEN]
     for number in range(count):
         scene, mechanism = sources[number % len(sources)]
         scene = re.sub(r'(?m)^mechanism: \S+', 'mechanism: ./machine.yaml', scene)

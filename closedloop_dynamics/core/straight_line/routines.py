@@ -22,7 +22,7 @@ from .linkage import (
     EVALUATION, GRAVITY, HEALTH, LAM, OUTWARD, QDD, REFINED_ACCELERATION, REFINED_CORRECTION, TAU,
     WORK_BODY)
 from .spatial import Recursion
-from .tape import LOAD, Tape, unrolled
+from .tape import ADD, DIVIDE, LOAD, MULTIPLY, NEGATE, SUBTRACT, Tape, unrolled
 from .. import (
     articulated_inertia, elimination, forward_dynamics, kinematics, loop_closure, refinement)
 from ..types import allocate, number_of_coordinates, RHS, TYPE, Workspace
@@ -80,6 +80,26 @@ def addresses(model, which, writer=emit.Writer):
             key, lambda: [Unrolling(model).routine(one) for one in which], writer)
         _addresses[key] = {one: find(NAMES[one]) for one in which}
     return _addresses[key]
+
+
+def operations(model):
+    """
+    Count the operations of an evaluation, before anything is compiled.
+
+    Parameters
+    ----------
+    model : Model
+        Constant arrays of the mechanism.
+
+    Returns
+    -------
+    int
+        Additions, subtractions, multiplications, divisions and negations.
+
+    """
+    routine = Unrolling(model).routine(EVALUATION)
+    kinds = (ADD, SUBTRACT, MULTIPLY, DIVIDE, NEGATE)
+    return sum(routine.tape.operations[place][0] in kinds for place in routine.needed())
 
 
 class Unrolling:

@@ -1,0 +1,242 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Joints between two bodies, of which the program chooses those that carry and those that are cut.
+
+A body's frame may lie anywhere in it; the records that come of it have it at the joint that carries
+the body, its axes as described.
+
+"""
+
+from dataclasses import dataclass, field, replace
+from types import SimpleNamespace
+
+import numpy as np
+
+from .checks import boolean, listed, one_of
+from .fields import among, at, FieldError, mapping, normalise, shown
+from .mechanism import (
+    CUT_JOINT_EQUATIONS, CUT_WITH_AXIS_A, CUT_WITH_AXIS_B, CUT_WITH_ORIENTATION, CutJoint,
+    CYLINDRICAL, FIXED, FREE, GROUND, HELICAL, Joint, JOINT_FREEDOMS, PLANAR, PRISMATIC, REVOLUTE,
+    SPATIAL_CUT_JOINT_EQUATIONS, UNIVERSAL, UNTURNED)
+from .spanning_tree import choose_tree, Edge
+from .validation import check_axes, SECTIONS, SPATIAL_SECTIONS
+
+BETWEEN = 'between'
+# Instead of parent, child and position.
+OWN_KEYS = (BETWEEN, 'points', 'cut')
+# Joints whose coordinates mean the same whichever body carries the other.
+REVERSIBLE = (REVOLUTE, PRISMATIC, HELICAL, CYLINDRICAL, FIXED)
+
+
+@dataclass(frozen=True)
+class ChosenTree:
+    """
+    What was chosen.
+
+    Attributes
+    ----------
+    cut : tuple of str
+        Joints that were cut.
+    listed : tuple of str
+        Joints that would be cut, were the tree built in their order.
+    open : tuple of str
+        Joints that may be cut or not.
+    shifts : dict of str to tuple
+        Where the frame of each body lies in that of its description [m].
+
+    """
+
+    cut: tuple
+    listed: tuple
+    open: tuple  # noqa: A003
+    shifts: dict = field(default_factory=dict)
+
+
+def link(name, values, bodies, spatial):
+    """
+    Read a joint between two bodies.
+
+    Parameters
+    ----------
+    name : str
+        Of the joint.
+    values : mapping
+        Its keys, expressions computed.
+    bodies : sequence of str
+        Names of all bodies.
+    spatial : bool
+        Whether it is a joint in space.
+
+    Returns
+    -------
+    joint : Joint
+        As if the first body carried the second one.
+    point : tuple of floats
+        Its place in the second body's frame [m].
+    cut : bool or None
+
+    Raises
+    ------
+    FieldError
+
+    """
+    optional = ('angle', 'actuated', 'orientation', 'axis', 'second_axis', 'lead', 'cut')
+    values = dict(mapping(values, ('type', BETWEEN, 'points'), optional))
+    cut, points = values.pop('cut', None), values.pop('points')
+    checks = (SPATIAL_SECTIONS if spatial else SECTIONS)['joints'][1]
+    with at(BETWEEN):
+        pair = listed(values.pop(BETWEEN), 'a list of the names of 2 bodies')
+        if len(pair) != 2 or pair[0] == pair[1]:
+            raise FieldError('a list of the names of 2 different bodies', shown(pair))
+        for index, body in enumerate(pair):
+            with at(index):
+                one_of((*bodies, GROUND), 'the name of a body:')(body)
+    with at('points'):
+        points = listed(points, 'a list of 2 places, in the frames of both bodies')
+        if len(points) != 2:
+            raise FieldError('a list of 2 places, in the frames of both bodies', shown(points))
+        places = []
+        for index, point in enumerate(points):
+            with at(index):
+                places.append(checks['position'](point))
+    joint = normalise(Joint(name, values.pop('type'), *pair, places[0], **values), **checks)
+    if cut is not None:
+        with at('cut'):
+            cut = boolean(cut)
+    if cut is True and joint.actuated:
+        raise FieldError('a joint that is not cut where it is actuated', 'both', path=('cut',))
+    return joint, places[1], cut
+
+
+def with_tree(mechanism, links, orders=None):
+    """
+    Choose a tree.
+
+    Parameters
+    ----------
+    mechanism : Mechanism
+        Its joints have parents and children; those between bodies are not among them.
+    links : dict of str to (Joint, tuple, bool)
+        Joints between bodies as ``link`` returns them, and other joints as Joint, in order.
+    orders : dict of str to bool, optional
+        Which of them to cut and which not, beside what they say.
+
+    Returns
+    -------
+    Mechanism
+        With joints and cut joints, and ``tree``.
+
+    Raises
+    ------
+    FieldError
+
+    """
+    spatial = len(mechanism.bodies[0].center_of_mass) == 3
+    kept = {joint for coupling in mechanism.couplings for joint in coupling.joints}
+    edges, found, free = [], [], []
+    for name, one in links.items():
+        if isinstance(one, Joint):
+            joint, point, cut = one, (0.0,) * (3 if spatial else 2), False
+        else:
+            joint, point, cut = one
+            if spatial:
+                check_axes(SimpleNamespace(joints=(joint,), cut_joints=()))
+            if cut is None and (joint.actuated or name in kept or joint.type == FREE):
+                cut = False
+            if cut is None:
+                free.append(name)
+            cut = (orders or {}).get(name, cut)
+        found.append((joint, point))
+        edges.append(Edge(
+            name, joint.parent, joint.child, JOINT_FREEDOMS.get(joint.type, 1),
+            (SPATIAL_CUT_JOINT_EQUATIONS if spatial else CUT_JOINT_EQUATIONS).get(joint.type, 0),
+            spatial and joint.type in REVERSIBLE and not isinstance(one, Joint), cut))
+    equations = SPATIAL_CUT_JOINT_EQUATIONS if spatial else CUT_JOINT_EQUATIONS
+    children = {joint.name: joint.child for joint, _ in found}
+    closures = [((cut.body_a, cut.body_b), equations[cut.type]) for cut in mechanism.cut_joints]
+    closures += [(tuple(children[joint] for joint in coupling.joints if joint in children), 1)
+                 for coupling in mechanism.couplings]
+    chosen, first = choose_tree([body.name for body in mechanism.bodies], edges, closures)
+    shifts = {GROUND: np.zeros(3 if spatial else 2)}
+    for body, (index, turned) in chosen.carriers.items():
+        joint, point = found[index]
+        shifts[body] = np.array(joint.position if turned else point)
+    carried = {index: turned for index, turned in chosen.carriers.values()}
+    joints = [_joint(joint, point, carried[index], shifts)
+              for index, (joint, point) in enumerate(found) if index in carried]
+    cuts = [_cut(*found[index], shifts, spatial) for index in chosen.cut]
+    return replace(
+        mechanism, joints=tuple(joints),
+        bodies=tuple(replace(body, center_of_mass=_moved(body.center_of_mass, shifts[body.name]))
+                     if not body.massless else body for body in mechanism.bodies),
+        cut_joints=(*cuts, *(replace(
+            cut, point_a=_moved(cut.point_a, shifts.get(cut.body_a)),
+            point_b=_moved(cut.point_b, shifts.get(cut.body_b)))
+            for cut in mechanism.cut_joints)),
+        points=tuple(replace(point, position=_moved(point.position, shifts.get(point.body)))
+                     for point in mechanism.points),
+        tree=ChosenTree(tuple(edges[index].name for index in chosen.cut),
+                        tuple(edges[index].name for index in first.cut) if orders is None
+                        else (), tuple(free),
+                        {body: tuple(shift.tolist()) for body, shift in shifts.items()}))
+
+
+def _moved(place, shift):
+    """Return a place in a frame that was moved; as it is where that is not known."""
+    if shift is None or not shift.any() or len(place) != len(shift):
+        return place
+    return tuple((np.array(place) - shift).tolist())
+
+
+def _joint(joint, point, turned, shifts):
+    """Return a joint of the tree."""
+    if not turned:
+        return replace(joint, position=_moved(joint.position, shifts[joint.parent]))
+    x, y, z, w = joint.orientation
+    axis = None if joint.axis is None else tuple((0.0 - _turned(joint)).tolist())
+    return replace(
+        joint, parent=joint.child, child=joint.parent, axis=axis,
+        position=_moved(point, shifts[joint.child]), orientation=(0.0 - x, 0.0 - y, 0.0 - z, w))
+
+
+def _cut(joint, point, shifts, spatial):
+    """Return a joint that is cut: body A is the second one."""
+    keys = {}
+    if not spatial:
+        keys = {'angle': joint.angle} if joint.type != REVOLUTE else {}
+    else:
+        if joint.type in CUT_WITH_AXIS_B:
+            keys['axis_b'] = tuple(_turned(joint).tolist())
+        if joint.type in CUT_WITH_AXIS_A:
+            keys['axis_a'] = {UNIVERSAL: joint.second_axis, PLANAR: (0.0, 0.0, 1.0)}.get(
+                joint.type, joint.axis)
+        if joint.type in CUT_WITH_ORIENTATION:
+            keys['orientation'] = joint.orientation
+        if joint.type == HELICAL:
+            keys['lead'] = joint.lead
+    return CutJoint(joint.name, joint.type, joint.child, joint.parent,
+                    _moved(point, shifts[joint.child]),
+                    _moved(joint.position, shifts[joint.parent]), **keys)
+
+
+def _turned(joint):
+    """Return a joint's axis in the frame of the first body."""
+    axis = np.array((0.0, 0.0, 1.0) if joint.type == PLANAR else joint.axis)
+    if joint.orientation == UNTURNED:
+        return axis
+    x, y, z, w = joint.orientation
+    across = np.cross((x, y, z), axis)
+    return axis + 2.0 * w * across + 2.0 * np.cross((x, y, z), across)

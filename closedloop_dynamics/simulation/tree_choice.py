@@ -1,0 +1,114 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Of a mechanism described without a tree the one that takes the fewest operations."""
+
+from .modeling import build_model
+from .spatial_modeling import build_spatial_model
+from ..core.straight_line.routines import operations
+from ..mechanism.fields import FieldError
+from ..mechanism.mechanism import MechanismError
+from ..mechanism.reader import with_cuts
+
+# Operations that are counted in a search: about a second.
+MOST_COUNTED = 40_000
+# Trees of more joints are left as they are estimated.
+MOST_JOINTS = 40
+
+
+def count_operations(mechanism):
+    """
+    Count the operations of one evaluation: additions, multiplications, divisions, negations.
+
+    Parameters
+    ----------
+    mechanism : Mechanism
+        With a tree.
+
+    Returns
+    -------
+    int or None
+        None for a mechanism that is too large to count.
+
+    Raises
+    ------
+    MechanismError
+        Where a loop cannot close.
+
+    """
+    if len(mechanism.joints) > MOST_JOINTS:
+        return None
+    build = build_model if mechanism.planar else build_spatial_model
+    built = build(mechanism)
+    return operations(built if mechanism.planar else built.model)
+
+
+def cheapest(mechanism):
+    """
+    Exchange joints that are cut for others, one by one, as long as that saves operations.
+
+    Parameters
+    ----------
+    mechanism : Mechanism
+        As it was read.
+
+    Returns
+    -------
+    Mechanism
+        Itself where there is nothing to choose.
+
+    """
+    if mechanism.tree is None or len(mechanism.joints) > MOST_JOINTS:
+        return mechanism
+    best, fewest = mechanism, _counted(mechanism)
+    if fewest is None:
+        return mechanism
+    spent, seen = fewest, {frozenset(mechanism.tree.cut)}
+    while True:
+        found = best
+        for other in _neighbours(best, seen):
+            count = _counted(other)
+            if count is not None:
+                spent += count
+                if count < fewest:
+                    found, fewest = other, count
+            if spent > MOST_COUNTED:
+                return found
+        if found is best:
+            return best
+        best = found
+
+
+def _counted(mechanism):
+    """Return how many operations a mechanism takes, None where its loops cannot close."""
+    try:
+        return count_operations(mechanism)
+    except MechanismError:
+        return None
+
+
+def _neighbours(mechanism, seen):
+    """Yield the mechanisms with one other joint cut that were not seen yet."""
+    cut = mechanism.tree.cut
+    for chord in cut:
+        for name in mechanism.tree.open:
+            members = frozenset(cut) - {chord} | {name}
+            if name in cut or chord not in mechanism.tree.open or members in seen:
+                continue
+            seen.add(members)
+            try:
+                yield with_cuts(mechanism, members)
+            except FieldError:
+                # These leave no tree.
+                continue

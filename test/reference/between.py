@@ -1,0 +1,69 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Mechanisms written down without a tree: joints between bodies."""
+
+import numpy as np
+
+
+def described(mechanism, cut=None):
+    """
+    Return the data of a mechanism in space with all joints between bodies.
+
+    Parameters
+    ----------
+    mechanism : Mechanism
+        Of which cut joints can be joints of a tree as they are.
+    cut : sequence of str, optional
+        Joints ordered to be cut, all others to be kept; nothing is ordered when not given.
+
+    Returns
+    -------
+    dict
+
+    """
+    joints = {}
+    for joint in mechanism.joints:
+        entry = {'type': joint.type, 'between': [joint.parent, joint.child],
+                 'points': [list(map(float, joint.position)), [0.0, 0.0, 0.0]],
+                 'orientation': {'quaternion': list(map(float, joint.orientation))}}
+        if joint.actuated:
+            entry['actuated'] = True
+        for key in ('axis', 'second_axis'):
+            if getattr(joint, key) is not None:
+                entry[key] = list(map(float, getattr(joint, key)))
+        if joint.lead is not None:
+            entry['lead'] = float(joint.lead)
+        joints[joint.name] = entry
+    for one in mechanism.cut_joints:
+        # Body B carries body A where they are not cut.
+        entry = {'type': one.type, 'between': [one.body_b, one.body_a],
+                 'points': [list(map(float, one.point_b)), list(map(float, one.point_a))]}
+        if one.axis_a is not None:
+            # Of parallel frames at the start.
+            assert np.allclose(one.axis_a, one.axis_b)
+            entry['axis'] = list(map(float, one.axis_a))
+        joints[one.name] = entry
+    if cut is not None:
+        for name, entry in joints.items():
+            if 'actuated' not in entry:
+                entry['cut'] = name in cut
+    return {
+        'name': mechanism.name,
+        'bodies': {body.name: {'massless': True} if body.massless else {
+            'mass': float(body.mass), 'center_of_mass': list(map(float, body.center_of_mass)),
+            'inertia': list(map(float, body.inertia))} for body in mechanism.bodies},
+        'joints': joints,
+        'points': {point.name: {'body': point.body, 'position': list(map(float, point.position))}
+                   for point in mechanism.points}}
