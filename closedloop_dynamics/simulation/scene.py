@@ -306,10 +306,13 @@ def _effect(key, values, names, directory, tree):
         del values['type']
         record = record_type(**names.record(record_type, values))
         if tree is not None and hasattr(record, 'body') and hasattr(record, 'position'):
-            # In the body's frame as it was described.
-            record = replace(record, position=tuple(
-                place - shift for place, shift in zip(
-                    record.position, tree.shifts.get(record.body, record.position))))
+            # In the body's frame as it was described; left out, that is its origin.
+            shift, place = tree.shifts.get(record.body), record.position
+            if 'position' not in values and shift is not None:
+                place = len(shift) * (0.0,)
+            if shift is not None and len(place) == len(shift):
+                record = replace(record, position=tuple(
+                    one - step for one, step in zip(place, shift)))
         return record
 
 

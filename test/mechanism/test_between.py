@@ -169,6 +169,9 @@ def test_the_tree_of_fewest_operations_is_chosen_and_told(tmp_path):
     assert scene.effects['lamp'].position == pytest.approx((0.275, 0.0))
     assert mechanism.points[0].position == pytest.approx((0.175, 0.1))
     assert scene.initial.position == (1.0, -0.5, 1.7)
+    path = tmp_path / 'middle.yaml'
+    path.write_text((tmp_path / 'scene.yaml').read_text().replace(', position: [0.1, 0.0]', ''))
+    assert load_scene(path).effects['lamp'].position == (0.175, 0.0)
     assert load_scene(tmp_path / 'scene.yaml') == scene
     told = describe(mechanism)
     assert 'Tree, chosen by the program\n  cut          tip\n' in told
