@@ -69,7 +69,7 @@ class SpatialGeometry:
         built = build_spatial_model(
             self.mechanism, decomposition=self._decomposition, kept=kept)
         self.model, self.placements = built.model, built.placements
-        self._numbers = Numbers(self.model)
+        self._numbers, self._state, self._rates = Numbers(self.model), None, None
 
     def leave_out_repeated(self, q):
         """
@@ -158,7 +158,7 @@ class SpatialGeometry:
         q : ndarray, shape (nq,)
             Joint coordinates.
         qd : ndarray, shape (nv,), optional
-            Their rates; none when not given.
+            Their rates; any when not given.
 
         Returns
         -------
@@ -166,7 +166,13 @@ class SpatialGeometry:
             In that state.
 
         """
-        self._numbers.move(q, qd)
+        # Poses, forces and energies of one state are asked for one after the other.
+        model = self.model
+        state = tuple(each.tobytes() for each in (q, model.body, model.tree, model.gravity))
+        rates = self._rates if qd is None else qd.tobytes()
+        if state != self._state or rates != self._rates:
+            self._numbers.move(q, qd)
+            self._state, self._rates = state, rates if qd is not None else None
         return self._numbers
 
     def point(self, q, body, position):

@@ -27,7 +27,6 @@ from ..core.types import SMALLEST_PIVOT
 from ..effects.contact import Contact
 from ..effects.external_force import ExternalForce
 from ..effects.point_spring import PointSpring
-from ..mechanism.mechanism import PRISMATIC
 from ..simulation.health import drive_sine, WARN_BELOW
 from ..visual.motion import body_poses, magnitudes
 
@@ -109,12 +108,16 @@ def _forces_in_space(wrenches):
 
 def _joint_plots(mechanism):
     """Return the plots of joints and cut joints, which recordings have, too."""
-    plots = []
-    for group, units in (('joint position', ('rad', 'm')), ('joint velocity', ('rad/s', 'm/s'))):
-        plots += [Plot(group, joint.name, units[joint.type == PRISMATIC], joint.actuated)
-                  for joint in mechanism.joints]
-    plots += [Plot('drive torque or force', joint.name, ('N m', 'N')[joint.type == PRISMATIC])
-              for joint in mechanism.joints if joint.actuated]
+    names = mechanism.coordinates
+    freedoms = [(name, bool(length), place in names.actuated) for place, (name, length) in (
+        enumerate(zip(names.names, names.lengths)))]
+    # Orientations are no numbers one by one.
+    plots = [Plot('joint position', name, ('rad', 'm')[length], driven)
+             for (name, length, driven), place in zip(freedoms, names.place) if place >= 0]
+    plots += [Plot('joint velocity', name, ('rad/s', 'm/s')[length], driven)
+              for name, length, driven in freedoms]
+    plots += [Plot('drive torque or force', name, ('N m', 'N')[length])
+              for name, length, driven in freedoms if driven]
     return plots + [Plot('force at cut joints', cut.name, 'N') for cut in mechanism.cut_joints]
 
 
@@ -126,13 +129,14 @@ class MotionRows:
         mechanism = motion.mechanism
         self.columns = Columns(len(mechanism.bodies), len(mechanism.cut_joints),
                                plots=_joint_plots(mechanism))
-        actuated = [joint.actuated for joint in mechanism.joints]
+        names = mechanism.coordinates
         count = len(motion.time)
         poses = poses_in_space(body_poses(mechanism, motion.position))
         self.times = np.array(motion.time, dtype=float)
         self.rows = np.hstack([
             poses.reshape(count, -1), _forces_in_space(motion.forces).reshape(count, -1),
-            motion.position, motion.velocity, motion.effort[:, actuated],
+            motion.position[:, names.place[names.place >= 0]], motion.velocity,
+            motion.effort[:, list(names.actuated)],
             magnitudes(motion.forces)]).astype(np.float32)
 
 
@@ -156,8 +160,9 @@ class SimulationRows:
         self._loads = {name: record for name, record in simulation.effects.items()
                        if isinstance(record, (Contact, ExternalForce, PointSpring))
                        and name not in hidden}
-        self._passive = np.array([k for k, joint in enumerate(mechanism.joints)
-                                  if not joint.actuated], dtype=int)
+        names = mechanism.coordinates
+        self._passive = np.setdiff1d(np.arange(names.nv), names.actuated)
+        self._numbers = names.place[names.place >= 0]
         plots = _joint_plots(mechanism)
         plots += [Plot('energy', name, 'J')
                   for name in ('kinetic', 'stored', 'dissipated', 'work')]
@@ -223,7 +228,8 @@ class SimulationRows:
         freedoms = max(jac.shape[1] - len(jac), 0)
         direction = np.linalg.svd(jac)[2][-1 - freedoms]
         mechanism, q = simulation.mechanism, simulation.position
-        poses = [poses_in_space(body_poses(mechanism, q + 1e-4 * sign * direction))
+        poses = [poses_in_space(body_poses(
+            mechanism, mechanism.coordinates.moved(q, 1e-4 * sign * direction)))
                  for sign in (1.0, -1.0)]
         rate = 0.5e4 * (poses[0] - poses[1])
         fastest = np.abs(rate[:, :3]).max(initial=0.0)
@@ -253,7 +259,8 @@ class SimulationRows:
         sine, step, bound, share = self._rarely
         return np.concatenate([
             poses.ravel(), _forces_in_space(forces).ravel(), self._arrows().ravel(),
-            self._direction, simulation.position, simulation.velocity,
+            self._direction, simulation.position[self._numbers],
+            simulation.velocity,
             simulation.effort[self._actuated], magnitudes(forces),
             [balance.kinetic, balance.stored, balance.dissipated, balance.work,
              simulation.closure, abs(balance.residual), np.sqrt(pivot)],

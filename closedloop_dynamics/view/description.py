@@ -27,7 +27,7 @@ from ..mechanism.mechanism import GROUND, PRISMATIC
 from ..simulation.modeling import extent
 from ..visual.appearance import (
     body_colors, CONTACT_COLOR, CUT_COLOR, FORCE_COLOR, marked_points, outline, PATH_COLOR,
-    sliders)
+    sliders, solid)
 from ..visual.urdf import depths
 
 # Of links, as shares of the mechanism's size: radius of bars, thickness of plates and the distance
@@ -158,14 +158,17 @@ def _shapes(mechanism, body, size, height, blocks):
 
 
 def _bars(points, radius):
-    """Return the bars of a body in space: between two points, or from their middle to each."""
+    """Return the bars of a body in space along the edges of its convex hull, and its faces."""
+    edges, faces = solid(points)
     points = points.tolist()
-    if len(points) == 1:
+    if not edges:
         return [{'kind': 'ball', 'center': points[0], 'radius': 1.6 * radius}]
-    if len(points) == 2:
-        return [{'kind': 'bar', 'from': points[0], 'to': points[1], 'radius': radius}]
-    middle = np.mean(points, axis=0).tolist()
-    return [{'kind': 'bar', 'from': middle, 'to': point, 'radius': radius} for point in points]
+    shapes = [{'kind': 'bar', 'from': points[start], 'to': points[end], 'radius': radius}
+              for start, end in edges]
+    if faces:
+        shapes.append({'kind': 'faces', 'triangles': [
+            [points[corner] for corner in face] for face in faces]})
+    return shapes
 
 
 def _rails(mechanism, rows):

@@ -38,6 +38,13 @@ def _count(value):
     return value
 
 
+def _word(value):
+    """Return what may be the name of a joint or of one of its freedoms."""
+    if not isinstance(value, str):
+        raise FieldError('a name', shown(value))
+    return value
+
+
 def _index(value):
     if isinstance(value, bool) or not isinstance(value, int) or value < 0:
         raise FieldError('a whole number that is zero or more', shown(value))
@@ -69,14 +76,14 @@ ASKED = {
     'play': {}, 'pause': {}, 'reset': {}, 'release': {},
     'step': {'count': _count},
     'speed': {'factor': _speed},
-    'drive': {'joint': name, 'mode': one_of((TORQUE, POSITION))},
-    'command': {'joint': name, 'value': number},
+    'drive': {'joint': _word, 'mode': one_of((TORQUE, POSITION))},
+    'command': {'joint': _word, 'value': number},
     'effect': {'name': name, 'enabled': boolean, 'values': _values},
     'method': {'values': _values},
     'grab': {'body': _index, 'place': _index, 'at': _place},
     'pull': {'at': _place},
     'kinematic': {'on': boolean},
-    'pose': {'joint': name, 'value': number},
+    'pose': {'joint': _word, 'value': number},
     # How far the page has got with the frames it was sent.
     'seen': {'frame': _index},
 }

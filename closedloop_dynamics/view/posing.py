@@ -45,10 +45,12 @@ def point_to(simulation, name, place):
         Where the loops cannot be closed there; the last state that could be is kept.
 
     """
+    moved = simulation.coordinates.moved
+
     def goal(free):
         start, q = simulation.point(name), simulation.position
-        moves = [(simulation.place(name, q + DIFFERENCE * motion)
-                  - simulation.place(name, q - DIFFERENCE * motion)) / (2.0 * DIFFERENCE)
+        moves = [(simulation.place(name, moved(q, DIFFERENCE * motion))
+                  - simulation.place(name, moved(q, -DIFFERENCE * motion))) / (2.0 * DIFFERENCE)
                  for motion in free.T]
         return np.array(place)[:len(start)] - start, np.array(moves).T
 
@@ -74,13 +76,14 @@ def joint_to(simulation, name, value):
         As for ``point_to``.
 
     """
-    joint = simulation.joint_names.index(name)
+    names = simulation.coordinates
+    joint = names.index[name]
     held = [joint, *(k for k in simulation.actuated.tolist() if k != joint)]
-    wanted = simulation.position[held]
+    wanted = names.by_freedom(simulation.position)[held]
     wanted[0] = value
 
     def goal(free):
-        return wanted - simulation.position[held], free[held]
+        return wanted - names.by_freedom(simulation.position)[held], free[held]
 
     _follow(simulation, goal)
 
@@ -103,4 +106,4 @@ def _follow(simulation, goal):
         change *= min(1.0, FARTHEST / max(np.abs(change).max(), 1e-12))
         if not np.abs(change).max() > NEAR:
             return
-        simulation.set_state(simulation.position + change)
+        simulation.set_state(simulation.coordinates.moved(simulation.position, change))

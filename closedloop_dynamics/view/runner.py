@@ -15,7 +15,6 @@
 """A simulation that runs live under what pages ask for."""
 
 from dataclasses import fields, replace
-import json
 import math
 import time
 import warnings
@@ -33,7 +32,7 @@ from ..effects.point_spring import PointSpring
 from ..effects.registry import effect_type
 from ..integration.registry import INTEGRATORS, SCIPY, STABILISATIONS
 from ..mechanism.fields import FieldError, shown
-from ..mechanism.mechanism import Point, PRISMATIC
+from ..mechanism.mechanism import Point
 from ..simulation.errors import InaccuracyWarning, SimulationError
 from ..simulation.modeling import extent
 from ..simulation.pacer import Pacer
@@ -44,7 +43,7 @@ from ..simulation.simulation import Simulation
 RATE, COMPUTING_SHARE, LOOK_PERIOD = 60.0, 0.6, 0.25
 # A position drive moves its joint like a critically damped spring of this rate [1/s], and acts
 # anew so often in simulated time [s].
-DRIVE_RATE, DRIVE_PERIOD = 20.0, 0.002
+DRIVE_RATE, DRIVE_PERIOD = 50.0, 0.002
 # Accelerations that the sliders of torques reach [rad/s^2, m/s^2].
 REACH = {False: 60.0, True: 20.0}
 # The spring that a hand pulls with: its stretch under the machine's weight, as a share of its
@@ -152,16 +151,15 @@ class Runner:
         self._pacer = Pacer(simulation.step_size, 1.0, clock)
         self._failure, self._holder, self._grabbed = None, None, None
         self._start = None
-        joints = simulation.mechanism.joints
         self._drives = {name: [TORQUE, 0.0] for name in simulation.actuated_joints}
         self._gains = self._find_gains()
         self._columns = SimulationRows(simulation, [self._hand.spring])
         self.feed = Feed(describe(
             scene.mechanism, self._columns.columns, mode='live', title=scene.name,
             drives=[{
-                'joint': name, 'slides': joints[place].type == PRISMATIC,
-                'torque': self._reach(name, joints[place]),
-                'position': self._range(place, joints[place])}
+                'joint': name, 'slides': bool(simulation.coordinates.lengths[place]),
+                'turns': bool(simulation.coordinates.place[place] < 0),
+                'torque': self._reach(name, place), 'position': self._range(place)}
                 for name, place in zip(simulation.actuated_joints, simulation.actuated.tolist())],
             integrators={name: one.kind for name, one in INTEGRATORS.items()
                          if one.family != SCIPY},
@@ -186,24 +184,29 @@ class Runner:
             gains[name] = 1.0 / response if response > 1e-9 else 1.0
         return gains
 
-    def _reach(self, name, joint):
+    def _reach(self, name, place):
         """Return the largest torque of a slider: that of the drive, or what moves briskly."""
         for record in self.simulation.effects.values():
             if isinstance(record, Actuator) and record.joint == name and record.max_torque:
                 return record.max_torque
-        return _round(REACH[joint.type == PRISMATIC] * self._gains[name])
+        return _round(REACH[bool(self.simulation.coordinates.lengths[place])] * self._gains[name])
 
-    def _range(self, place, joint):
+    def _positions(self):
+        """Return the number of each freedom, shape (nv,)."""
+        return self.simulation.coordinates.by_freedom(self.simulation.position)
+
+    def _range(self, place):
         """Return the lowest and the highest position of a slider."""
-        reach = extent(self.simulation.mechanism) if joint.type == PRISMATIC else math.pi
-        middle = self.simulation.position[place]
+        simulation = self.simulation
+        reach = extent(simulation.mechanism) if simulation.coordinates.lengths[place] else math.pi
+        middle = float(self._positions()[place])
         return [middle - reach, middle + reach]
 
     def _torques(self):
         """Return the joint torques that the drives give now, shape (nv,)."""
         simulation = self.simulation
         tau = np.zeros(len(simulation.joint_names))
-        position, velocity = simulation.position, simulation.velocity
+        position, velocity = self._positions(), simulation.velocity
         for (name, (mode, value)), place in zip(self._drives.items(), simulation.actuated):
             if mode == TORQUE:
                 tau[place] = value
@@ -303,7 +306,9 @@ class Runner:
         self.feed.tell(
             playing=self.playing, speed=self._pacer.real_time_factor, failure=self._failure,
             kinematic=self._kinematic, findings=list(self._findings), busy=None,
-            grabbed=self._grabbed,
+            grabbed=self._grabbed, position=(
+                simulation.coordinates.told('position', np.round(simulation.position, 6))
+                if self._kinematic else None),
             drives={name: {'mode': mode, 'value': value}
                     for name, (mode, value) in self._drives.items()},
             method={key: getattr(simulation.scene.method, key) for key in METHOD_KEYS},
@@ -376,7 +381,10 @@ class Runner:
         drive = self._drive(joint)
         if drive[0] != mode:
             place = self.simulation.joint_names.index(joint)
-            drive[:] = mode, 0.0 if mode == TORQUE else float(self.simulation.position[place])
+            if mode == POSITION and self.simulation.coordinates.place[place] < 0:
+                raise FieldError('a torque', 'a position', 'an orientation is not one number',
+                                 ('mode',))
+            drive[:] = mode, 0.0 if mode == TORQUE else float(self._positions()[place])
 
     def _do_command(self, page, joint, value):
         self._drive(joint)[1] = value
@@ -474,9 +482,3 @@ def _round(value):
     """Round a positive number up to 1, 2 or 5 times a power of ten."""
     power = 10.0 ** math.floor(math.log10(value))
     return next(factor * power for factor in (1.0, 2.0, 5.0, 10.0) if factor * power >= value)
-
-
-def initial_text(simulation):
-    """Return the present position as a scene has it under ``initial``."""
-    return json.dumps({'position': dict(zip(
-        simulation.joint_names, np.round(simulation.position, 6).tolist()))})

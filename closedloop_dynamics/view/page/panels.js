@@ -45,7 +45,8 @@ class Slider {
       : [this.low, this.high, value];
     const share = Math.max(0, Math.min(1, (v - a) / (b - a)));
     this.range.value = Math.round(1000 * share);
-    const zero = this.log || this.low >= 0 ? 0 : -this.low / (this.high - this.low);
+    const zero = this.log || this.low >= 0 ? 0
+      : Math.min(1, -this.low / (this.high - this.low));
     const [from, to] = [Math.min(zero, share), Math.max(zero, share)].map((s) => `${100 * s}%`);
     this.range.style.setProperty('--from', from);
     this.range.style.setProperty('--to', to);
@@ -74,7 +75,7 @@ class Drives {
       const row = make(`<div class="drive"><b title="${escaped(drive.joint)}">${escaped(drive.joint)}</b>
         <select aria-label="what drives ${escaped(drive.joint)}">
         <option value="torque">${drive.slides ? 'force' : 'torque'}</option>
-        <option value="position">position</option></select></div>`);
+        ${drive.turns ? '' : '<option value="position">position</option>'}</select></div>`);
       const select = row.querySelector('select');
       select.onchange = () => ask('drive', {joint: drive.joint, mode: select.value});
       const slider = new Slider({
@@ -89,10 +90,26 @@ class Drives {
       place.append(row);
       this.rows[drive.joint] = {select, slider, drive, mode: 'torque'};
     }
+    const turning = described.drives.filter((drive) => !drive.turns);
+    if (turning.length > 1) {
+      const all = make(`<div class="all"><button>all free</button>
+        <button>hold all where they are</button></div>`);
+      ['torque', 'position'].forEach((mode, k) => {
+        all.children[k].onclick = () => {
+          for (const {joint} of turning) {
+            ask('drive', {joint, mode});
+            if (mode === 'torque') ask('command', {joint, value: 0});
+          }
+        };
+      });
+      place.append(all);
+      this.all = all;
+    }
   }
 
   follow({drives, kinematic}, position) {
     this.kinematic = kinematic;
+    if (this.all) this.all.hidden = kinematic;
     for (const [joint, {mode, value}] of Object.entries(drives)) {
       const row = this.rows[joint], now = kinematic ? 'position' : mode;
       row.select.disabled = kinematic;

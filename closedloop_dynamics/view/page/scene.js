@@ -350,12 +350,15 @@ class Scene {
     this.frames = this.described.bodies.map((_, k) => ofPose(row, first + 7 * k));
     const places = this.described.bodies.flatMap((body, k) => (
       body.grabs.map((place) => moved(this.frames[k], place))));
-    this.extent ??= {low: [...places[0]], high: [...places[0]]};
-    for (const place of places) {
-      for (let k = 0; k < 3; k++) {
-        this.extent.low[k] = Math.min(this.extent.low[k], place[k]);
-        this.extent.high[k] = Math.max(this.extent.high[k], place[k]);
-      }
+    const low = [0, 1, 2].map((k) => Math.min(...places.map((place) => place[k])));
+    const high = [0, 1, 2].map((k) => Math.max(...places.map((place) => place[k])));
+    this.extent ??= {low: [...low], high: [...high]};
+    const {extent} = this;
+    for (let k = 0; k < 3; k++) {
+      // What runs away is followed: where nothing has been for long is left.
+      const lag = high[k] - low[k] + 2 * this.size;
+      extent.low[k] = Math.max(Math.min(extent.low[k], low[k]), high[k] - lag);
+      extent.high[k] = Math.min(Math.max(extent.high[k], high[k]), low[k] + lag);
     }
     if (!this.touched) this.fit();
     this.follow();
