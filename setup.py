@@ -83,6 +83,7 @@ setup(
             'closedloop_recorder = closedloop_dynamics.ros.process:recorder',
             'closedloop_simulator = closedloop_dynamics.ros.process:simulator',
             'closedloop_torque_source = closedloop_dynamics.ros.process:torque_source',
+            'closedloop_viewer = closedloop_dynamics.ros.process:viewer',
         ],
     },
 )

@@ -14,6 +14,7 @@
 
 """``closedloop view``: a mechanism in the browser, live or as it was recorded."""
 
+from importlib.util import find_spec
 import math
 import os
 from pathlib import Path
@@ -23,11 +24,11 @@ import webbrowser
 import numpy as np
 
 from .command import Command, mapping, positive, require_free, UsageError
-from ..recording.recording import read_recording, RecordingError, since_the_last_reset
+from ..recording.recording import part, read_recording, RecordingError, since_the_last_reset
 from ..simulation.errors import AssemblyError
 from ..simulation.scene import load_scene
 from ..simulation.signals import program_watch
-from ..view.columns import MotionRows
+from ..view.columns import motion_columns, motion_rows
 from ..view.description import describe
 from ..view.page import live_page, recorded_page
 from ..visual.progress import announced
@@ -37,6 +38,8 @@ USUAL_PORT = 8791
 # Frames per second of what is saved, and the most that a page is given.
 RATE, MOST_ROWS = 60.0, 36_000
 RECORDINGS = ('.csv', '.mcap', '.db3', '.zstd')
+# Only ros/ knows ROS: the node is a process of its own.
+VIEWER = 'from closedloop_dynamics.ros.process import viewer; viewer()'
 COMPILING = 'Compiling (half a minute the very first time, seconds from then on) ...'
 
 
@@ -49,6 +52,9 @@ def _add_arguments(parser):
                         help='what was simulated, for a recording that does not tell')
     parser.add_argument('--namespace', metavar='NAME',
                         help='of the simulator, where several are in the bag')
+    parser.add_argument('--node', metavar='NAME', action='append', default=[],
+                        help='show a running simulator of this name, through its topics; may be '
+                             'repeated')
     parser.add_argument('--save', metavar='FILE', type=Path,
                         help='write one HTML file that plays the motion anywhere, offline, '
                              'instead of showing it')
@@ -68,14 +74,30 @@ def _add_arguments(parser):
 
 
 def _run(arguments):
+    if arguments.node:
+        return _attach(arguments)
     if arguments.what is None:
-        raise UsageError('expected a scene or a recording')
+        raise UsageError('expected a scene or a recording, or --node')
     if arguments.save is not None:
         require_free(arguments, arguments.save, option='--save')
         return _save(arguments)
     if arguments.torque:
         raise UsageError('--torque: expected it with --save; the page has sliders')
     return _play(arguments) if _is_recording(arguments.what) else _live(arguments)
+
+
+def _attach(arguments):
+    """Become the node ``closedloop_viewer``, which ends with Ctrl-C."""
+    for option in ('what', 'save', 'scene'):
+        if getattr(arguments, option) is not None:
+            raise UsageError(f'--node: expected no other thing to show, got {option}')
+    if find_spec('rclpy') is None:
+        raise UsageError('--node: expected ROS 2 (rclpy), which is not installed here')
+    sys.stdout.flush()
+    os.execv(sys.executable, [
+        sys.executable, '-c', VIEWER, '--ros-args', '-p', f'nodes:={",".join(arguments.node)}',
+        '-p', f'host:={arguments.host}',
+        '-p', f'port:={USUAL_PORT if arguments.port is None else arguments.port}'])
 
 
 def _is_recording(what):
@@ -141,15 +163,16 @@ def _recorded_page(arguments):
     except RecordingError as error:
         raise UsageError(str(error)) from None
     motion = since_the_last_reset(recording.motion)
-    shown = MotionRows(motion)
-    every = math.ceil(len(shown.times) / MOST_ROWS)
+    count = len(motion.time)
+    every = math.ceil(count / MOST_ROWS)
     if every > 1:
-        print(f'{arguments.what}: {len(shown.times)} states, of which every {every}th is shown',
+        print(f'{arguments.what}: {count} states, of which every {every}th is shown',
               file=sys.stderr)
     title = recording.scene.name
     return recorded_page(
-        title, describe(motion.mechanism, shown.columns, mode='recording', title=title),
-        shown.times[::every], shown.rows[::every])
+        title, describe(motion.mechanism, motion_columns(motion.mechanism), mode='recording',
+                        title=title),
+        motion.time[::every], motion_rows(part(motion, np.arange(count) % every == 0)))
 
 
 def _save(arguments):
@@ -191,6 +214,7 @@ this computer and needs no network. Closing it changes nothing; Ctrl-C ends the 
 examples:
   closedloop view three_rrr
   closedloop view my_bag
+  closedloop view --node /closedloop_simulator
   closedloop view three_rrr --duration 10 --torque theta_1=5 --save run.html
 """,
     add_arguments=_add_arguments,

@@ -270,6 +270,13 @@ def torque_source():
     leave(main())
 
 
+def viewer():
+    """Run ``closedloop_viewer``; end the process with its exit code."""
+    watch_signals()
+    from closedloop_dynamics.ros.viewer_node import main
+    leave(main())
+
+
 def recorder():
     """Run ``closedloop_recorder``; end the process with its exit code."""
     watch_signals()

@@ -121,23 +121,32 @@ def _joint_plots(mechanism):
     return plots + [Plot('force at cut joints', cut.name, 'N') for cut in mechanism.cut_joints]
 
 
-class MotionRows:
-    """The rows of a recorded motion."""
+def motion_columns(mechanism):
+    """Return the columns of what was recorded, or is told by topics."""
+    return Columns(len(mechanism.bodies), len(mechanism.cut_joints),
+                   plots=_joint_plots(mechanism))
 
-    def __init__(self, motion):
-        """Compute them all; ``rows``: shape (n, width), ``times``: shape (n,) [s]."""
-        mechanism = motion.mechanism
-        self.columns = Columns(len(mechanism.bodies), len(mechanism.cut_joints),
-                               plots=_joint_plots(mechanism))
-        names = mechanism.coordinates
-        count = len(motion.time)
-        poses = poses_in_space(body_poses(mechanism, motion.position))
-        self.times = np.array(motion.time, dtype=float)
-        self.rows = np.hstack([
-            poses.reshape(count, -1), _forces_in_space(motion.forces).reshape(count, -1),
-            motion.position[:, names.place[names.place >= 0]], motion.velocity,
-            motion.effort[:, list(names.actuated)],
-            magnitudes(motion.forces)]).astype(np.float32)
+
+def motion_rows(motion):
+    """
+    Return the rows of what was recorded, or is told by topics.
+
+    Parameters
+    ----------
+    motion : visual.motion.Motion
+        Of n instants.
+
+    Returns
+    -------
+    ndarray of float32, shape (n, width)
+
+    """
+    names, count = motion.mechanism.coordinates, len(motion.time)
+    poses = poses_in_space(body_poses(motion.mechanism, motion.position))
+    return np.hstack([
+        poses.reshape(count, -1), _forces_in_space(motion.forces).reshape(count, -1),
+        motion.position[:, names.place[names.place >= 0]], motion.velocity,
+        motion.effort[:, list(names.actuated)], magnitudes(motion.forces)]).astype(np.float32)
 
 
 class SimulationRows:

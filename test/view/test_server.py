@@ -16,7 +16,7 @@
 
 from contextlib import ExitStack
 import json
-import struct
+from test.view.client import Client, PATIENCE
 from urllib.error import HTTPError
 from urllib.request import Request, urlopen
 
@@ -26,66 +26,6 @@ import numpy as np
 import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
-
-PATIENCE = 30.0
-
-
-class Client:
-    """A page without a browser."""
-
-    def __init__(self, url):
-        self._stack = ExitStack()
-        self.socket = self._stack.enter_context(connect(
-            url.replace('http', 'ws').replace('/?', '/live?')
-            if '?' in url else url.replace('http', 'ws') + 'live'))
-        self.scene = json.loads(self.socket.recv(timeout=PATIENCE))
-        assert self.scene['type'] == 'scene'
-        self.controls, self.row, self.number, self.time = {}, None, 0, 0.0
-
-    def ask(self, what, **more):
-        self.socket.send(json.dumps({'do': what, **more}))
-
-    def take(self, seen=True):
-        """Take the next message; return the number of the frame, or None."""
-        data = self.socket.recv(timeout=PATIENCE)
-        if isinstance(data, str):
-            self.controls = json.loads(data)
-            return None
-        self.number, self.time = struct.unpack('<Ixxxxd', data[:16])
-        self.row = np.frombuffer(data[16:], dtype=np.float32)
-        if seen:
-            self.ask('seen', frame=self.number)
-        return self.number
-
-    def until(self, condition):
-        while not condition(self):
-            self.take()
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *error):
-        self._stack.close()
-
-
-def plotted(client, group, name):
-    column = [(plot['group'], plot['name']) for plot in client.scene['plots']].index((group, name))
-    return client.row[client.scene['columns']['plots'] + column]
-
-
-def test_the_state_follows_a_slider(live):
-    with Client(live.url) as client:
-        client.until(lambda client: client.row is not None)
-        start = plotted(client, 'joint position', 'theta_1')
-        client.ask('effect', name='gravity', enabled=False)
-        client.ask('command', joint='theta_1', value=10.0)
-        client.ask('play')
-        client.until(lambda client: client.time > 0.3)
-        assert client.controls['drives']['theta_1'] == {'mode': 'torque', 'value': 10.0}
-        assert plotted(client, 'drive torque or force', 'theta_1') == 10.0
-        assert plotted(client, 'joint position', 'theta_1') > start + 0.05
-        client.ask('pause')
-        client.until(lambda client: not client.controls['playing'])
 
 
 @pytest.mark.parametrize('text', [

@@ -22,6 +22,7 @@ class Page {
     this.dark = matchMedia('(prefers-color-scheme: dark)').matches;
     this.setTheme();
     byId('theme').onclick = () => { this.dark = !this.dark; this.setTheme(); };
+    this.others();
     if (data.scene) this.startRecorded();
     else this.connect();
     requestAnimationFrame(() => this.tick());
@@ -32,6 +33,14 @@ class Page {
     this.theme = THEMES[this.dark ? 'dark' : 'light'];
     if (this.plots) this.recolor();
     this.gravity?.draw();
+  }
+
+  // Links to the other pages of this server.
+  others() {
+    const here = Number(location.pathname.replaceAll('/', '') || 0);
+    byId('pages').replaceChildren(...(this.data.pages ?? []).map((title, k) => make(
+      `<a href="${k || '/'}${escaped(location.search)}"${k === here ? ' aria-current="page"' : ''}>${
+        escaped(title)}</a>`)));
   }
 
   // Both kinds.
@@ -451,7 +460,7 @@ class Page {
       parts.push(`<span class="${this.lost ? 'bad' : ''}">${
         this.lost ? 'no connection' : this.playing ? 'running' : told?.kinematic ? 'posing' : 'paused'}</span>`);
       if (this.playing) parts.push(`<span class="wide"><b>${Math.round(rate)}</b> Hz</span>`);
-      if (Number.isFinite(cost)) {
+      if (this.scene.mode === 'live' && Number.isFinite(cost)) {
         parts.push(`<span class="wide">computing <b>${short(cost, 2)} %</b> of real time</span>`);
       }
       this.count = 0;

@@ -328,7 +328,8 @@ class Method {
 
   follow({method, unused}) {
     for (const [key, input] of Object.entries(this.inputs)) {
-      input.closest('label').hidden = unused.includes(key);
+      input.closest('label').hidden = unused.includes(key) || !(key in method);
+      if (!(key in method)) continue;
       if (document.activeElement === input && input.tagName === 'INPUT') continue;
       input.value = input.tagName === 'SELECT' ? method[key] : short(method[key]).replace('−', '-');
     }

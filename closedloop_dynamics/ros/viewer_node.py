@@ -1,0 +1,369 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The node ``closedloop_viewer``: running simulators in a browser, through their topics."""
+
+from dataclasses import fields
+import time
+
+from closedloop_dynamics.effects.registry import effect_type
+from closedloop_dynamics.integration.registry import INTEGRATORS, STABILISATIONS
+from closedloop_dynamics.mechanism.fields import FieldError
+from closedloop_dynamics.ros.auxiliary_publishers import LATCHED_QOS
+from closedloop_dynamics.ros.parameters import declare, Parameter, usage
+from closedloop_dynamics.ros.process import run
+from closedloop_dynamics.ros.simulator_parameters import LIVE_INTEGRATORS
+from closedloop_dynamics.simulation.scene import SceneError
+from closedloop_dynamics.simulation.scene_text import read_scene_text
+from closedloop_dynamics.view.columns import motion_columns, motion_rows
+from closedloop_dynamics.view.description import describe
+from closedloop_dynamics.view.feed import Feed
+from closedloop_dynamics.view.messages import FASTEST, SLOWEST
+from closedloop_dynamics.view.page import live_page
+from closedloop_dynamics.view.server import Server
+from closedloop_dynamics.visual.motion import Motion
+from geometry_msgs.msg import WrenchStamped
+import numpy as np
+from rcl_interfaces.msg import Parameter as ParameterMessage
+from rcl_interfaces.srv import SetParametersAtomically
+from rclpy.clock import Clock
+from rclpy.clock import ClockType
+from rclpy.node import Node
+from rclpy.parameter import Parameter as RosParameter
+from rclpy.qos import QoSProfile
+from rclpy.qos import ReliabilityPolicy
+from sensor_msgs.msg import JointState
+from sensor_msgs.msg import MultiDOFJointState
+from std_msgs.msg import String
+from std_srvs.srv import SetBool
+from std_srvs.srv import Trigger
+
+NAME = 'closedloop_viewer'
+# Frames per second; time between two looks for simulators; how long one may be silent before it is
+# said [s].
+RATE, LOOK_PERIOD, SILENCE = 60.0, 0.25, 3.0
+# Where all simulators are shown: how long to look for more after the first [s].
+GATHERING = 2.0
+# The newest state is enough.
+QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+# Parameters of a simulator that a page calls by other names, and the largest torques of sliders.
+METHOD_KEYS = ('integrator', 'step_size', 'stabilisation')
+LARGEST = 50.0
+VIEWER_PARAMETERS = (
+    Parameter('nodes', '', 'Full names of the simulators to show, with commas between them; not '
+                           'given: all that are found.'),
+    Parameter('host', '127.0.0.1', 'Address to listen on; any but that of this host needs the '
+                                   'token in the address that is told.'),
+    Parameter('port', 0, 'To listen on; 0: any that is free.', (0, 65535)),
+)
+
+
+class Attached:
+    """
+    One simulator that is shown.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+        Subscribes and asks.
+    name : str
+        Full name of the simulator.
+    topics : dict of str to str
+        Its topics by their last names: ``scene``, ``joint_states``, ``constraint_forces/CUT``,
+        ``multi_dof_joint_states``.
+
+    Attributes
+    ----------
+    feed : view.feed.Feed or None
+        None until the scene is known.
+
+    """
+
+    def __init__(self, node, name, topics):
+        self.name, self.feed = name, None
+        self._node, self._topics, self._text = node, topics, None
+        self._heard = time.monotonic()
+        self._next, self._fresh, self._start = 0.0, False, None
+        self._playing, self._speed = True, 1.0
+        self._subscriptions = [
+            node.create_subscription(String, topics['scene'], self._on_scene, LATCHED_QOS)]
+        prefix = name.rstrip('/')
+        self._pause = node.create_client(SetBool, f'{prefix}/pause')
+        self._triggers = {what: node.create_client(Trigger, f'{prefix}/{what}')
+                          for what in ('reset', 'step')}
+        self._set = node.create_client(
+            SetParametersAtomically, f'{prefix}/set_parameters_atomically')
+        self._commands = None
+
+    def _on_scene(self, message):
+        try:
+            scene, facts = read_scene_text(message.data)
+        except SceneError as error:
+            self._node.get_logger().error(f'{self.name}: {error}')
+            return
+        if self.feed is None:
+            self._describe(scene)
+        self._scene, self._disabled = scene, facts.get('disabled', ())
+        self._tell()
+
+    def _describe(self, scene):
+        """Subscribe to what the scene has, and describe it."""
+        mechanism, node = scene.mechanism, self._node
+        names = self._names = mechanism.coordinates
+        self._mechanism = mechanism
+        self._position = np.zeros(names.nq)
+        self._position[names.place[names.place >= 0]] = 0.0
+        for first, _ in names.balls:
+            self._position[first + 3] = 1.0
+        self._velocity, self._effort = np.zeros(names.nv), np.zeros(names.nv)
+        self._forces = np.full((len(mechanism.cut_joints), 3 if mechanism.planar else 6), np.nan)
+        self._torques = dict.fromkeys(mechanism.actuated_joints, 0.0)
+        self._subscriptions.append(node.create_subscription(
+            JointState, self._topics['joint_states'], self._on_state, QOS))
+        if 'multi_dof_joint_states' in self._topics:
+            self._subscriptions.append(node.create_subscription(
+                MultiDOFJointState, self._topics['multi_dof_joint_states'], self._on_turns, QOS))
+        for k, cut in enumerate(mechanism.cut_joints):
+            topic = self._topics.get(f'constraint_forces/{cut.name}')
+            if topic is not None:
+                self._subscriptions.append(node.create_subscription(
+                    WrenchStamped, topic, lambda message, k=k: self._on_force(k, message), QOS))
+        place = self._topics['joint_states'].rpartition('/')[0]
+        self._commands = node.create_publisher(JointState, f'{place}/joint_command', 1)
+        gravity = next((name for name, record in scene.effects.items()
+                        if effect_type(record) == 'gravity'), None)
+        self.feed = Feed(describe(
+            mechanism, motion_columns(mechanism), mode='node', title=self.name,
+            drives=[{'joint': name, 'slides': bool(names.lengths[names.index[name]]),
+                     'turns': True, 'torque': LARGEST, 'position': [0.0, 1.0]}
+                    for name in mechanism.actuated_joints],
+            integrators={name: INTEGRATORS[name].kind for name in LIVE_INTEGRATORS},
+            stabilisations=list(STABILISATIONS), hand=False, gravity=gravity, poses=False,
+            speeds=[SLOWEST, FASTEST]))
+
+    # What the simulator publishes.
+
+    def _on_state(self, message):
+        self._heard = time.monotonic()
+        index = self._names.index
+        for k, name in enumerate(message.name):
+            if name not in index:
+                continue
+            place = index[name]
+            self._position[self._names.place[place]] = message.position[k]
+            self._velocity[place] = message.velocity[k]
+            self._effort[place] = message.effort[k]
+        stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
+        if self._start is None or stamp < self._start:
+            self._start = stamp
+        self._time, self._fresh = stamp - self._start, True
+
+    def _on_turns(self, message):
+        known = self._names.with_orientation
+        for name, pose, twist in zip(message.joint_names, message.transforms, message.twist):
+            if name not in known:
+                continue
+            at, turn = pose.translation, pose.rotation
+            for values, where, numbers in (
+                    (self._position, self._names.pose, (
+                        at.x, at.y, at.z, turn.x, turn.y, turn.z, turn.w)),
+                    (self._velocity, self._names.twist, (
+                        twist.linear.x, twist.linear.y, twist.linear.z,
+                        twist.angular.x, twist.angular.y, twist.angular.z))):
+                places = where[known.index(name)]
+                values[places[places >= 0]] = np.array(numbers)[places >= 0]
+
+    def _on_force(self, k, message):
+        force, torque = message.wrench.force, message.wrench.torque
+        self._forces[k] = (torque.z, force.x, force.y) if self._mechanism.planar else (
+            torque.x, torque.y, torque.z, force.x, force.y, force.z)
+
+    # What the pages see and ask for.
+
+    def tick(self):
+        """Show what is new, follow what the pages ask for."""
+        if self.feed is None:
+            return
+        for _, message in self.feed.messages():
+            try:
+                self._follow(**message)
+            except ValueError as error:
+                self.feed.refuse(error)
+        if self._fresh and self.feed.pages:
+            self._fresh = False
+            motion = Motion(self._mechanism, np.array([self._time]), *(
+                values[np.newaxis] for values in (
+                    self._position, self._velocity, self._effort, self._forces)))
+            self.feed.show(self._time, motion_rows(motion)[0])
+        self._tell()
+
+    def _tell(self):
+        silent = time.monotonic() - self._heard > SILENCE
+        method = self._scene.method
+        self.feed.tell(
+            playing=self._playing, speed=self._speed, kinematic=False, findings=[], busy=None,
+            grabbed=None, failure=f'{self.name} publishes no states.' if silent else None,
+            drives={name: {'mode': 'torque', 'value': value}
+                    for name, value in self._torques.items()},
+            method={key: getattr(method, key) for key in METHOD_KEYS},
+            unused=['accuracy', 'tolerance'],
+            effects={name: {
+                'type': effect_type(record), 'enabled': name not in self._disabled,
+                'values': {each.name: getattr(record, each.name) for each in fields(record)}}
+                for name, record in self._scene.effects.items()})
+
+    def _follow(self, do, **asked):
+        """Ask the simulator for what a page asks for."""
+        if do in ('play', 'pause'):
+            self._call(self._pause, SetBool.Request(data=do == 'pause'))
+            self._playing = do == 'play'
+        elif do in self._triggers:
+            self._call(self._triggers[do], Trigger.Request())
+        elif do == 'command':
+            if asked['joint'] not in self._torques:
+                raise FieldError(f'one of {", ".join(self._torques)}', repr(asked['joint']),
+                                 path=('joint',))
+            self._torques[asked['joint']] = asked['value']
+            self._commands.publish(JointState(
+                name=list(self._torques), effort=list(self._torques.values())))
+        elif do == 'speed':
+            self._change({'real_time_factor': asked['factor']})
+            self._speed = asked['factor']
+        elif do == 'method':
+            self._change(asked['values'])
+        elif do == 'effect':
+            name = asked['name']
+            changes = dict(asked.get('values') or {})
+            if 'enabled' in asked:
+                changes['enabled'] = asked['enabled']
+            self._change({f'effects.{name}.{key}': value for key, value in changes.items()})
+        elif do != 'release':
+            raise FieldError('what a simulator can be asked for over topics', repr(do))
+
+    def _change(self, values):
+        """Set parameters of the simulator."""
+        self._call(self._set, SetParametersAtomically.Request(parameters=[
+            RosParameter(key, value=list(value) if isinstance(value, tuple) else value)
+            .to_parameter_msg() if value is not None else ParameterMessage(name=key)
+            for key, value in values.items()]))
+
+    def _call(self, client, request):
+        """Call a service, and tell the pages where it refuses or is not there."""
+        if not client.service_is_ready():
+            raise FieldError(f'the service {client.srv_name}', 'none: is the simulator running?')
+        client.call_async(request).add_done_callback(self._answered)
+
+    def _answered(self, future):
+        answer = future.result()
+        answer = getattr(answer, 'result', answer)
+        good = getattr(answer, 'successful', getattr(answer, 'success', True))
+        if not good:
+            self.feed.refuse(getattr(answer, 'reason', '') or getattr(answer, 'message', ''))
+            # What was asked for is not how it stands.
+            self.feed.version += 1
+
+
+class ViewerNode(Node):
+    """
+    Show running simulators in a browser.
+
+    Attributes
+    ----------
+    exit_code : int or None
+        None while the node wants to go on.
+    server : view.server.Server or None
+        None until the simulators are known.
+
+    """
+
+    def __init__(self, **options):
+        super().__init__(NAME, **options)
+        self.exit_code, self.server = None, None
+        self._values = declare(self, VIEWER_PARAMETERS)
+        self._wanted = [self._full(name) for name in self._values['nodes'].split(',')
+                        if name.strip()]
+        self._shown, self._first = {}, None
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._timer = self.create_timer(LOOK_PERIOD, self.look, clock=steady)
+        self.create_timer(1.0 / RATE, self.tick, clock=steady)
+        self.get_logger().info(
+            f'looking for {", ".join(self._wanted) or "simulators"} ...')
+
+    def _full(self, name):
+        name = name.strip()
+        return name if name.startswith('/') else f'{self.get_namespace().rstrip("/")}/{name}'
+
+    def look(self):
+        """Look for simulators until all that are wanted are known; then serve pages."""
+        for name, space in self.get_node_names_and_namespaces():
+            full = f'{space.rstrip("/")}/{name}'
+            if full in self._shown or (self._wanted and full not in self._wanted):
+                continue
+            topics = self._topics(name, space)
+            if {'scene', 'joint_states'} <= set(topics):
+                self._shown[full] = Attached(self, full, topics)
+        known = [one for one in self._shown.values() if one.feed is not None]
+        if self._wanted:
+            ready = len(known) == len(self._wanted)
+        else:
+            if known and self._first is None:
+                self._first = time.monotonic()
+            ready = known and len(known) == len(self._shown) and (
+                time.monotonic() - self._first > GATHERING)
+        if ready:
+            self._timer.cancel()
+            self._serve(sorted(known, key=lambda one: one.name))
+
+    def _topics(self, name, space):
+        """Return what a node publishes, by the last part of the names."""
+        try:
+            published = self.get_publisher_names_and_types_by_node(name, space)
+        except RuntimeError:
+            # It has gone again.
+            return {}
+        found = {}
+        for topic, _ in published:
+            *_, parent, last = ('', *topic.split('/'))
+            if parent == 'constraint_forces':
+                found[f'{parent}/{last}'] = topic
+            elif last in ('scene', 'joint_states', 'multi_dof_joint_states'):
+                found[last] = topic
+        return found
+
+    def _serve(self, shown):
+        names = [one.name for one in shown]
+        pages = [live_page(name, names if len(names) > 1 else ()) for name in names]
+        try:
+            self.server = Server(pages, [one.feed for one in shown], self._values['host'],
+                                 self._values['port'])
+        except OSError as error:
+            self.get_logger().fatal(f"port {self._values['port']}: {error}")
+            self.exit_code = 1
+            return
+        self.get_logger().info(f'{", ".join(names)} at {self.server.url}')
+
+    def tick(self):
+        """Show what is new."""
+        for one in self._shown.values():
+            one.tick()
+
+    def close(self):
+        """End the server."""
+        if self.server is not None:
+            self.server.close()
+
+
+def main(args=None):
+    """Run the node; return the exit code."""
+    return run(ViewerNode, NAME, usage(NAME, ViewerNode, VIEWER_PARAMETERS), args)

@@ -1,0 +1,103 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The viewer shows running simulators through their topics, and asks them through services."""
+
+from test.view.client import Client, plotted
+import threading
+
+from closedloop_dynamics.ros.simulator_node import SimulatorNode
+from closedloop_dynamics.ros.viewer_node import ViewerNode
+import numpy as np
+import pytest
+from rclpy.executors import SingleThreadedExecutor
+
+
+@pytest.fixture
+def spinning(context, make_node):
+    """Return a function that makes nodes which a thread spins."""
+    executor = SingleThreadedExecutor(context=context)
+    over = threading.Event()
+
+    def spin():
+        while not over.is_set():
+            executor.spin_once(timeout_sec=0.05)
+
+    thread = threading.Thread(target=spin)
+    nodes = []
+
+    def make(*arguments, **parameters):
+        nodes.append(make_node(*arguments, **parameters))
+        executor.add_node(nodes[-1])
+        if not thread.is_alive():
+            thread.start()
+        return nodes[-1]
+
+    yield make
+    over.set()
+    thread.join()
+    for node in nodes:
+        node.close()
+
+
+def served(viewer):
+    """Return the server's address when the simulators are found."""
+    while viewer.server is None:
+        assert viewer.exit_code is None
+        threading.Event().wait(0.05)
+    return viewer.server.url
+
+
+@pytest.mark.timeout(300)
+def test_a_running_simulator_is_shown_and_driven(spinning):
+    simulator = spinning(SimulatorNode, scene='three_rrr_vertical')
+    viewer = spinning(ViewerNode, nodes='/closedloop_simulator')
+    with Client(served(viewer)) as client:
+        assert client.scene['title'] == '/closedloop_simulator'
+        client.until(lambda client: client.row is not None and np.isfinite(client.row).all())
+        client.ask('effect', name='gravity', enabled=False)
+        client.until(lambda client: not client.controls['effects']['gravity']['enabled'])
+        client.ask('command', joint='theta_1', value=7.5)
+        client.until(lambda client: client.row is not None and plotted(
+            client, 'drive torque or force', 'theta_1') == 7.5)
+        client.ask('pause')
+        client.until(lambda client: not client.controls['playing'])
+        while not simulator.paused:
+            threading.Event().wait(0.01)
+        expected = np.float32(simulator.simulation.position[0])
+        client.until(lambda client: plotted(client, 'joint position', 'theta_1') == expected)
+        refused = client.controls['refused']
+        for what, more in (('effect', {'name': 'gravity', 'values': {'acceleration': [1.0]}}),
+                           ('effect', {'name': 'nothing', 'enabled': True}),
+                           ('command', {'joint': 'theta_2', 'value': 1.0}),
+                           ('method', {'values': {'integrator': 'guess'}})):
+            client.ask(what, **more)
+            refused += 1
+            client.until(lambda client: client.controls['refused'] == refused)
+        client.ask('reset')
+        client.until(lambda client: abs(plotted(client, 'joint position', 'theta_1') - expected)
+                     > 1e-4)
+    assert simulator.exit_code is None and simulator.paused
+
+
+@pytest.mark.timeout(300)
+def test_several_simulators_have_a_page_each(spinning):
+    for space, scene in (('left', 'three_rrr'), ('right', 'four_bar')):
+        spinning(SimulatorNode, namespace=space, scene=scene)
+    viewer = spinning(ViewerNode)
+    url = served(viewer)
+    for path, name in (('', 'three_rrr'), ('1/', 'four_bar')):
+        with Client(url + path) as client:
+            assert client.scene['name'] == name
+            client.until(lambda client: client.row is not None)

@@ -1,0 +1,82 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""A page without a browser."""
+
+from contextlib import ExitStack
+import json
+import struct
+
+import numpy as np
+from websockets.sync.client import connect
+
+PATIENCE = 30.0
+
+
+class Client:
+    """What a page would be told, and what it asks for."""
+
+    def __init__(self, url):
+        self._stack = ExitStack()
+        self.socket = self._stack.enter_context(connect(
+            url.replace('http', 'ws').replace('/?', '/live?')
+            if '?' in url else url.replace('http', 'ws') + 'live'))
+        self.scene = json.loads(self.socket.recv(timeout=PATIENCE))
+        assert self.scene['type'] == 'scene'
+        self.controls, self.row, self.number, self.time = {}, None, 0, 0.0
+
+    def ask(self, what, **more):
+        self.socket.send(json.dumps({'do': what, **more}))
+
+    def take(self, seen=True):
+        """Take the next message; return the number of the frame, or None."""
+        data = self.socket.recv(timeout=PATIENCE)
+        if isinstance(data, str):
+            self.controls = json.loads(data)
+            return None
+        self.number, self.time = struct.unpack('<Ixxxxd', data[:16])
+        self.row = np.frombuffer(data[16:], dtype=np.float32)
+        if seen:
+            self.ask('seen', frame=self.number)
+        return self.number
+
+    def until(self, condition):
+        while not condition(self):
+            self.take()
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *error):
+        self._stack.close()
+
+
+def plotted(client, group, name):
+    column = [(plot['group'], plot['name']) for plot in client.scene['plots']].index((group, name))
+    return client.row[client.scene['columns']['plots'] + column]
+
+
+def test_the_state_follows_a_slider(live):
+    with Client(live.url) as client:
+        client.until(lambda client: client.row is not None)
+        start = plotted(client, 'joint position', 'theta_1')
+        client.ask('effect', name='gravity', enabled=False)
+        client.ask('command', joint='theta_1', value=10.0)
+        client.ask('play')
+        client.until(lambda client: client.time > 0.3)
+        assert client.controls['drives']['theta_1'] == {'mode': 'torque', 'value': 10.0}
+        assert plotted(client, 'drive torque or force', 'theta_1') == 10.0
+        assert plotted(client, 'joint position', 'theta_1') > start + 0.05
+        client.ask('pause')
+        client.until(lambda client: not client.controls['playing'])
