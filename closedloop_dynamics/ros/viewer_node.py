@@ -92,12 +92,13 @@ class Attached:
 
     def __init__(self, node, name, topics):
         self.name, self.feed = name, None
-        self._node, self._topics, self._text = node, topics, None
+        self._topics, self._logger = topics, node.get_logger()
+        self._subscribe, self._publish = node.create_subscription, node.create_publisher
         self._heard = time.monotonic()
         self._next, self._fresh, self._start = 0.0, False, None
         self._playing, self._speed = True, 1.0
         self._subscriptions = [
-            node.create_subscription(String, topics['scene'], self._on_scene, LATCHED_QOS)]
+            self._subscribe(String, topics['scene'], self._on_scene, LATCHED_QOS)]
         prefix = name.rstrip('/')
         self._pause = node.create_client(SetBool, f'{prefix}/pause')
         self._triggers = {what: node.create_client(Trigger, f'{prefix}/{what}')
@@ -110,7 +111,7 @@ class Attached:
         try:
             scene, facts = read_scene_text(message.data)
         except SceneError as error:
-            self._node.get_logger().error(f'{self.name}: {error}')
+            self._logger.error(f'{self.name}: {error}')
             return
         if self.feed is None:
             self._describe(scene)
@@ -119,7 +120,7 @@ class Attached:
 
     def _describe(self, scene):
         """Subscribe to what the scene has, and describe it."""
-        mechanism, node = scene.mechanism, self._node
+        mechanism = scene.mechanism
         names = self._names = mechanism.coordinates
         self._mechanism = mechanism
         self._position = np.zeros(names.nq)
@@ -129,18 +130,18 @@ class Attached:
         self._velocity, self._effort = np.zeros(names.nv), np.zeros(names.nv)
         self._forces = np.full((len(mechanism.cut_joints), 3 if mechanism.planar else 6), np.nan)
         self._torques = dict.fromkeys(mechanism.actuated_joints, 0.0)
-        self._subscriptions.append(node.create_subscription(
+        self._subscriptions.append(self._subscribe(
             JointState, self._topics['joint_states'], self._on_state, QOS))
         if 'multi_dof_joint_states' in self._topics:
-            self._subscriptions.append(node.create_subscription(
+            self._subscriptions.append(self._subscribe(
                 MultiDOFJointState, self._topics['multi_dof_joint_states'], self._on_turns, QOS))
         for k, cut in enumerate(mechanism.cut_joints):
             topic = self._topics.get(f'constraint_forces/{cut.name}')
             if topic is not None:
-                self._subscriptions.append(node.create_subscription(
+                self._subscriptions.append(self._subscribe(
                     WrenchStamped, topic, lambda message, k=k: self._on_force(k, message), QOS))
         place = self._topics['joint_states'].rpartition('/')[0]
-        self._commands = node.create_publisher(JointState, f'{place}/joint_command', 1)
+        self._commands = self._publish(JointState, f'{place}/joint_command', 1)
         gravity = next((name for name, record in scene.effects.items()
                         if effect_type(record) == 'gravity'), None)
         self.feed = Feed(describe(

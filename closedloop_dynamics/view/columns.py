@@ -298,6 +298,9 @@ class SimulationRows:
         if isinstance(record, Contact):
             along = readings['friction_force'] + readings['scraping_force']
             normal, angle = readings['normal_force'], record.angle
+            if record.normal is not None:
+                # What rubs, rubs against the sliding: its direction is not told.
+                return normal * np.array(record.normal)
             return (along * np.cos(angle) - normal * np.sin(angle),
                     along * np.sin(angle) + normal * np.cos(angle))
         end = (np.array(record.anchor) if record.point_b is None

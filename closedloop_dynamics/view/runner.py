@@ -67,8 +67,10 @@ class Hand:
         With the spring, the places it can be fixed to, and gravity, switched off, if it has none.
     off : tuple of str
         Effects that were added.
-    spring : str or None
-        Name of the spring; None where there is none for such a mechanism.
+    spring : str
+        Name of the spring.
+    gravity : str
+        Name of gravity.
 
     """
 
@@ -82,7 +84,6 @@ class Hand:
                 name = _unused(f'grab_{k}_{n}', taken)
                 added.append(Point(name, body.name, tuple(place[:len(body.center_of_mass)])))
                 self._points[k, n] = name
-        self.spring = None
         effects = dict(scene.effects)
         down = (0.0, -EARTH) if mechanism.planar else (0.0, 0.0, -EARTH)
         self.gravity = next((name for name, record in effects.items()
@@ -92,15 +93,13 @@ class Hand:
             self.gravity = _unused('gravity', effects)
             effects[self.gravity] = Gravity(acceleration=down)
             self.off = (self.gravity,)
-        if mechanism.planar or PointSpring.IN_SPACE:
-            self.spring = _unused('hand', effects)
-            mass = sum(body.mass for body in mechanism.bodies) or 1.0
-            stiffness = mass * EARTH / (GIVE * size)
-            effects[self.spring] = PointSpring(
-                point_a=next(iter(self._points.values())),
-                anchor=tuple(0.0 for _ in down), stiffness=stiffness,
-                damping=DAMPING * math.sqrt(stiffness * mass))
-            self.off += (self.spring,)
+        self.spring = _unused('hand', effects)
+        mass = sum(body.mass for body in mechanism.bodies) or 1.0
+        stiffness = mass * EARTH / (GIVE * size)
+        effects[self.spring] = PointSpring(
+            point_a=next(iter(self._points.values())), anchor=tuple(0.0 for _ in down),
+            stiffness=stiffness, damping=DAMPING * math.sqrt(stiffness * mass))
+        self.off += (self.spring,)
         self.scene = replace(
             scene, effects=effects,
             mechanism=replace(mechanism, points=(*mechanism.points, *added)))
@@ -163,7 +162,7 @@ class Runner:
                 for name, place in zip(simulation.actuated_joints, simulation.actuated.tolist())],
             integrators={name: one.kind for name, one in INTEGRATORS.items()
                          if one.family != SCIPY},
-            stabilisations=list(STABILISATIONS), hand=self._hand.spring is not None, poses=True,
+            stabilisations=list(STABILISATIONS), hand=True, poses=True,
             gravity=self._hand.gravity, speeds=[SLOWEST, FASTEST]))
         self._before = self._now = (0.0, self._columns.row())
         self._looked, self._findings, self._changed = clock(), (), True
@@ -424,9 +423,6 @@ class Runner:
         if self._kinematic:
             self._holder, self._grabbed = page, [body, place]
             self._pose_to(at)
-        elif self._hand.spring is None:
-            raise FieldError('kinematic mode', 'a pull at a mechanism in space',
-                             'only there can be pulled so far')
         else:
             self._holder, self._grabbed = page, [body, place]
             self._pull(at, enabled=True, point_a=name)

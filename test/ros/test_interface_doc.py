@@ -22,6 +22,7 @@ from closedloop_dynamics.ros.parameters import in_yaml
 from closedloop_dynamics.ros.recorder_node import PARAMETERS as RECORDER_PARAMETERS
 from closedloop_dynamics.ros.simulator_parameters import SIMULATOR_PARAMETERS
 from closedloop_dynamics.ros.torque_source_parameters import TORQUE_SOURCE_PARAMETERS
+from closedloop_dynamics.ros.viewer_node import VIEWER_PARAMETERS
 import pytest
 
 DOCUMENT = Path(__file__).resolve().parents[2] / 'doc' / 'interface.md'
@@ -41,6 +42,6 @@ def row(parameter):
 @pytest.mark.parametrize('row', [
     row(parameter) for parameter in (
         *SIMULATOR_PARAMETERS, *FRAME_PARAMETERS, *MARKER_PARAMETERS,
-        *TORQUE_SOURCE_PARAMETERS, *RECORDER_PARAMETERS)])
+        *TORQUE_SOURCE_PARAMETERS, *RECORDER_PARAMETERS, *VIEWER_PARAMETERS)])
 def test_parameter_is_described_as_it_is(row):
     assert row in DOCUMENT.read_text().splitlines()

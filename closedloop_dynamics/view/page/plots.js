@@ -187,7 +187,7 @@ class Plot {
     }
     pen.textAlign = 'center';
     pen.textBaseline = 'top';
-    const period = tickStep(to - from, 5);
+    const period = tickStep(to - from, 4);
     if (!(period > 0)) return;
     for (let t = Math.ceil(from / period - 1e-9) * period; t <= to + 1e-9 * period; t += period) {
       if (x(t) < left + 8 || x(t) > right - 14) continue;
@@ -206,10 +206,10 @@ class Plots {
     this.groups = [];
     const names = [...new Set(described.plots.map((plot) => plot.group))];
     const hidden = ['joint velocity', 'energy from nowhere'];
-    const few = matchMedia('(max-width: 760px)').matches;
     names.forEach((name) => {
       const series = described.plots.map((plot, column) => ({...plot, column}))
-        .filter((plot) => plot.group === name);
+        .filter((plot) => plot.group === name)
+        .sort((a, b) => b.shown - a.shown);
       const plot = new Plot(name, series, colors);
       plot.open = !hidden.includes(name);
       place.append(plot.card);
@@ -233,7 +233,6 @@ class Plots {
       }
     });
     for (const plot of this.groups) this.watch.observe(plot.canvas);
-    this.few = few;
   }
 
   draw(history, now, theme) {
