@@ -30,7 +30,7 @@ from .model import Connection
 from .pose import IDENTITY, Pose, quaternion_of
 from ..mechanism.fields import FieldError
 from ..mechanism.mechanism import (
-    Body, CUT_WITH_AXIS_A, CUT_WITH_AXIS_B, CutJoint, FIXED, FREE, GROUND, HELICAL, Joint,
+    Body, COUPLED, Coupling, CUT_WITH_AXIS_A, CUT_WITH_AXIS_B, CutJoint, FIXED, FREE, GROUND, HELICAL, Joint,
     JOINT_FREEDOMS, Mechanism, MechanismError, PLANAR, Point, PRISMATIC,
     SPATIAL_CUT_JOINT_EQUATIONS, UNIVERSAL, UNTURNED, WITH_AXIS)
 from ..mechanism.validation import checked
@@ -114,6 +114,7 @@ def mechanism_of(model, end_stops=None):
         name=_word(model.name), bodies=tuple(bodies),
         joints=tuple(_joint(joint, groups, frames, named) for joint in tree.joints),
         cut_joints=tuple(_cut(joint, groups, frames, named, ignored) for joint in tree.cuts),
+        couplings=tuple(_coupling(relation, tree, named) for relation in model.relations),
         points=tuple(_points(model, groups, frames, named)),
         description=f'From {model.path.name}.')
     try:
@@ -336,6 +337,18 @@ def _cut(joint, groups, frames, named, ignored):
         orientation=_orientation(pose_b.rotation @ pose_a.rotation.T) if held else UNTURNED)
 
 
+def _coupling(relation, tree, named):
+    """Return a coupling of joints."""
+    kinds = {joint.name: joint.type for joint in tree.joints}
+    for name in relation.factors:
+        if kinds.get(name) not in COUPLED:
+            raise MechanismError(
+                f'{relation.where}: expected joints of one freedom that move and close no loop, '
+                f'got {name!r}')
+    return Coupling(named.coupling(relation.name), {
+        named.joint(name): factor for name, factor in relation.factors.items()}, relation.offset)
+
+
 def _points(model, groups, frames, named):
     """Yield the frames that a file names, and the links that were merged into others."""
     merged = {name: (name, IDENTITY) for group, links in groups.links.items()
@@ -394,8 +407,10 @@ class _Names:
 
     def __init__(self, model):
         """Name links and joints in the file's order, links before frames."""
-        self._of = {'joint': {}, 'body': {GROUND: GROUND}}
-        self._taken = {'joint': {GROUND}, 'body': {GROUND}}
+        self._of = {'joint': {}, 'body': {GROUND: GROUND}, 'coupling': {}}
+        # Couplings and joints share their names.
+        joints = {GROUND}
+        self._taken = {'joint': joints, 'body': {GROUND}, 'coupling': joints}
         self.changed = 0
         for name in model.links:
             self.body(name)
@@ -407,6 +422,9 @@ class _Names:
 
     def body(self, name):
         return self._name('body', name)
+
+    def coupling(self, name):
+        return self._name('coupling', name)
 
     def original(self, kind, name):
         """Return what a name stands for in the file."""

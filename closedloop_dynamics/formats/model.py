@@ -122,6 +122,28 @@ class Connection:
 
 
 @dataclass
+class Relation:
+    """
+    A linear equation between coordinates of joints.
+
+    Attributes
+    ----------
+    name : str
+    where : str
+        File, line and element, for messages.
+    factors : dict of str to float
+        By joint; the sum of coordinates times factors is ``offset``.
+    offset : float
+
+    """
+
+    name: str
+    where: str
+    factors: dict
+    offset: float = 0.0
+
+
+@dataclass
 class Model:
     """
     A machine as a format has it.
@@ -135,6 +157,7 @@ class Model:
         Without the ground.
     joints : dict of str to Connection
         In the file's order.
+    relations : list of Relation
     frames : dict of str to tuple (str, Pose)
         Named frames on links, or on ``'ground'``.
     gravity : tuple of 3 floats
@@ -148,6 +171,7 @@ class Model:
     path: object
     links: dict = field(default_factory=dict)
     joints: dict = field(default_factory=dict)
+    relations: list = field(default_factory=list)
     frames: dict = field(default_factory=dict)
     gravity: tuple = GRAVITY
     ignored: dict = field(default_factory=dict)

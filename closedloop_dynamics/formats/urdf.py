@@ -15,8 +15,8 @@
 """
 URDF, with the tags in which loops are written.
 
-``<loop>`` (URDF+), ``<constraint>`` (proposed for URDF), ``<loop_joint>`` (Isaac) and
-``<drake:ball_constraint>``; a YAML file beside the URDF with ``closed_loop`` and others
+``<loop>`` and ``<coupling>`` (URDF+), ``<constraint>`` (proposed for URDF), ``<loop_joint>`` (Isaac)
+and ``<drake:ball_constraint>``; a YAML file beside the URDF with ``closed_loop`` and others
 (``parallel_yaml``). The root link stands on the ground.
 
 """
@@ -25,10 +25,11 @@ from pathlib import Path
 
 import numpy as np
 
-from .model import Connection, Link, Model
+from .model import Connection, Link, Model, Relation
 from .parallel_yaml import add_parallel_yaml
 from .pose import IDENTITY, of_angles, Pose
 from .xml_file import read_xml
+from ..mechanism.fields import nearest
 from ..mechanism.mechanism import (
     CYLINDRICAL, FIXED, FREE, GROUND, MechanismError, PLANAR, PRISMATIC, REVOLUTE, SPHERICAL,
     UNIVERSAL)
@@ -84,18 +85,19 @@ def read_urdf(path):
         model.add(_loop_joint(element))
     for number, element in enumerate(robot.all('drake:ball_constraint'), 1):
         model.add(_ball_constraint(element, f'ball_constraint_{number}'))
-    for element in [*mimics, *robot.all('coupling')]:
-        raise element.error('joints that move on their own',
-                            f'<{element.tag}>, a coupling of two',
-                            'a mechanism cannot have that yet')
+    for joint, element in mimics:
+        model.relations.append(_mimic(model, joint, element))
     model.check()
     _stand(model, robot)
+    for element in robot.all('coupling'):
+        model.relations.append(_coupling(model, element))
     _find_drives(model, robot)
     add_parallel_yaml(model)
     joints = model.joints.values()
     if all(joint.actuated is None for joint in joints):
         for joint in joints:
-            joint.actuated = joint.type in (REVOLUTE, PRISMATIC) and bool(joint.effort)
+            joint.actuated = (joint.type in (REVOLUTE, PRISMATIC) and bool(joint.effort)
+                              and joint not in [mimic for mimic, _ in mimics])
     for what, times in robot.unasked().items():
         model.ignored[f'{times} {what}' if times > 1 else what] = REASONS.get(what, UNKNOWN)
     return model
@@ -158,7 +160,7 @@ def _joint(element, mimics):
         in_parent=_origin(element.child('origin')), axis=_axis(element, 'axis', kind))
     mimic = element.child('mimic')
     if mimic is not None:
-        mimics.append(mimic)
+        mimics.append((joint, mimic))
     dynamics, limit = element.child('dynamics'), element.child('limit')
     if dynamics is not None:
         joint.damping, joint.friction = (
@@ -191,6 +193,43 @@ def _axis(element, tag, kind):
     if axis is None:
         return np.array([1.0, 0.0, 0.0])
     return axis.direction('xyz', (1.0, 0.0, 0.0))
+
+
+def _mimic(model, joint, element):
+    """Return what a joint that mimics another keeps to."""
+    other = element.word('joint')
+    if other not in model.joints:
+        raise element.error('the name of a joint', repr(other), nearest(other, model.joints))
+    if other == joint.name:
+        raise element.error('another joint', 'the joint itself')
+    factor = element.number('multiplier', 1.0)
+    if factor == 0.0:
+        raise element.error('a multiplier that is not zero', '0')
+    return Relation(f'{joint.name}_mimics_{other}', element.where,
+                    {joint.name: 1.0, other: -factor}, element.number('offset', 0.0))
+
+
+def _coupling(model, element):
+    """Return a coupling of URDF+: what leads to one link turns so many times the other."""
+    above = {joint.child: joint for joint in model.joints.values() if not joint.closes}
+    chains = []
+    for tag in ('successor', 'predecessor'):
+        link, chain = element.required(tag).word('link'), []
+        if link not in model.links and link != GROUND:
+            model.frame(link, element.where)
+        while link in above:
+            chain.append(above[link])
+            link = above[link].parent
+        chains.append(chain)
+    ratio = element.required('ratio').number('value')
+    if not ratio:
+        raise element.error('a ratio that is not zero', repr(ratio))
+    factors = {}
+    for chain, other, factor in ((chains[0], chains[1], 1.0), (chains[1], chains[0], -ratio)):
+        shared = [joint.name for joint in other]
+        factors.update((joint.name, factor) for joint in chain
+                       if joint.name not in shared and joint.type != FIXED)
+    return Relation(element.word('name'), element.where, factors)
 
 
 def _loop(element):
