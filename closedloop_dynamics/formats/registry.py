@@ -18,10 +18,20 @@ from pathlib import Path
 
 from .building import mechanism_of
 from .loops import add_loops
+from .mjcf import read_mjcf
 from .urdf import read_urdf
+from .xml_file import read_xml
 from ..mechanism.mechanism import MechanismError
 
-READERS = {'.urdf': read_urdf, '.xacro': read_urdf}
+# By the outermost element of a file whose name ends with .xml.
+ROOTS = {'mujoco': read_mjcf, 'robot': read_urdf}
+
+
+def _read_xml(path):
+    return ROOTS[read_xml(path, tuple(ROOTS)).tag](path)
+
+
+READERS = {'.urdf': read_urdf, '.xacro': read_urdf, '.mjcf': read_mjcf, '.xml': _read_xml}
 
 
 def is_model(path):

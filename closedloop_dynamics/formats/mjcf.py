@@ -1,0 +1,346 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+MJCF, compiled by MuJoCo: bodies, joints, equalities, actuators, fixed tendons in equalities.
+
+MuJoCo itself opens no file: includes are read here, from the folder of the model and below, and
+meshes only where a body's mass is to follow from one. Coordinates are MuJoCo's (``ref`` among
+them), except for free joints, which are counted from where they are drawn. Equalities, soft there,
+hold exactly here.
+
+"""
+
+from collections import Counter
+from pathlib import Path
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+
+from .model import Connection, Link, Model, Relation
+from .pose import of_quaternion, Pose
+from .xml_file import read_bytes, read_xml
+from ..mechanism.mechanism import (
+    FIXED, FREE, GROUND, MechanismError, PRISMATIC, REVOLUTE, SPHERICAL)
+
+MOST_INCLUDES = 100
+# What is left out, and why.
+SECTIONS = {
+    'asset': 'for pictures and contacts', 'visual': 'for pictures', 'statistic': 'for pictures',
+    'contact': 'for contacts', 'sensor': 'for sensors', 'keyframe': 'other states',
+    'custom': 'for programs', 'deformable': 'not rigid', 'extension': 'for programs'}
+PARTS = {'camera': 'for pictures', 'light': 'for pictures', 'plugin': 'for programs'}
+_SOFT = ('material', 'hfield')
+# Names of MuJoCo's types of joints, in its order.
+TYPES = (FREE, SPHERICAL, PRISMATIC, REVOLUTE)
+CONNECT, WELD, JOINT, TENDON = range(4)
+
+
+def read_mjcf(path):
+    """
+    Read an MJCF file.
+
+    Parameters
+    ----------
+    path : str or pathlib.Path
+        Of the file.
+
+    Returns
+    -------
+    Model
+
+    Raises
+    ------
+    MechanismError
+        With file, line and element, as far as MuJoCo tells them.
+
+    """
+    path = Path(path)
+    root = _included(read_xml(path, ('mujoco',)), path.parent.resolve(), [path.resolve()])
+    try:
+        import mujoco
+    except ImportError:
+        raise MechanismError(
+            f'{path}: an MJCF file needs MuJoCo: pip install mujoco') from None
+    model = Model(root.get('model') or path.stem, path)
+    left_out = Counter()
+    assets = _stripped(root, path.parent.resolve(), left_out)
+    model.ignored.update({f'{count} {tag}' if count > 1 else tag: {**SECTIONS, **PARTS}.get(
+        tag, 'for contacts') for tag, count in left_out.items()})
+    try:
+        compiled = mujoco.MjSpec.from_string(_text(root), assets=assets).compile()
+    except (ValueError, mujoco.FatalError) as error:
+        told = ' '.join(str(error).split())
+        raise MechanismError(f'{path}: expected a model that MuJoCo compiles, got: {told}'
+                             ) from None
+    _Reader(mujoco, compiled, model).read()
+    return model
+
+
+def _included(element, folder, files):
+    """Return an element with the files in it that it includes."""
+    children = []
+    for child in element.children:
+        if child.tag != 'include':
+            children.append(_included(child, folder, files))
+            continue
+        path = (folder / child.word('file')).resolve()
+        if not path.is_relative_to(folder):
+            raise child.error('a file in the folder of the model or below', repr(str(path)))
+        if path in files:
+            raise child.error('files that do not include themselves, each once',
+                              f'{path.name!r} again')
+        if len(files) > MOST_INCLUDES:
+            raise child.error(f'at most {MOST_INCLUDES} files', 'more')
+        files.append(path)
+        inside = read_xml(path, ('mujoco', 'mujocoinclude'))
+        children += _included(inside, folder, files).children
+    element.children = children
+    return element
+
+
+def _stripped(root, folder, left_out):
+    """Take out what only pictures and contacts need; return the meshes that masses need."""
+    compiler = {}
+    for element in root.children:
+        if element.tag == 'compiler':
+            compiler.update(element.attributes)
+            for key in ('meshdir', 'texturedir', 'assetdir'):
+                element.attributes.pop(key, None)
+    geoms = compiler.get('inertiafromgeom', 'auto')
+    needed = set()
+    for element in root.children:
+        if element.tag in ('worldbody', 'default'):
+            _strip_below(element, geoms, needed, left_out)
+    meshes = {mesh.attributes.get('name') or Path(mesh.attributes.get('file', '')).stem: mesh
+              for section in root.children if section.tag == 'asset'
+              for mesh in section.children if mesh.tag == 'mesh'}
+    kept, assets = [], {}
+    for element in root.children:
+        if element.tag not in SECTIONS:
+            kept.append(element)
+            continue
+        left_out[element.tag] += 1
+    root.children = kept
+    for name in sorted(needed & set(meshes)):
+        mesh = meshes[name]
+        if 'file' in mesh.attributes:
+            place = folder / compiler.get('meshdir', compiler.get('assetdir', ''))
+            file = (place / mesh.attributes['file']).resolve()
+            if not file.is_relative_to(folder):
+                raise mesh.error('a mesh in the folder of the model or below', repr(str(file)))
+            assets[mesh.attributes['file']] = read_bytes(file)
+        mesh.attributes.pop('material', None)
+        section = type(root)('asset', {}, root.source, mesh.line)
+        section.children.append(mesh)
+        root.children.append(section)
+    return assets
+
+
+def _strip_below(element, geoms, needed, left_out):
+    """Take out what has no mass, and geometry of bodies whose mass is told."""
+    told = geoms == 'false' or geoms == 'auto' and any(
+        child.tag == 'inertial' for child in element.children)
+    told = told or element.tag == 'worldbody'
+    kept = []
+    for child in element.children:
+        for key in _SOFT:
+            child.attributes.pop(key, None)
+        if child.tag in PARTS or told and child.tag in ('geom', 'attach'):
+            left_out[child.tag] += 1
+            continue
+        if child.tag == 'geom' and 'mesh' in child.attributes:
+            needed.add(child.attributes['mesh'])
+        _strip_below(child, geoms, needed, left_out)
+        kept.append(child)
+    element.children = kept
+
+
+def _text(element):
+    """Return an element as XML again."""
+    attributes = ''.join(f' {key}={quoteattr(value)}'
+                         for key, value in element.attributes.items())
+    inside = ''.join(map(_text, element.children))
+    return f'<{element.tag}{attributes}>{inside}</{element.tag}>'
+
+
+class _Reader:
+    """Records from what MuJoCo compiled."""
+
+    def __init__(self, mujoco, compiled, model):
+        self.compiled, self.model, self.mujoco = compiled, model, mujoco
+        self.objects = mujoco.mjtObj
+        self.joints = {}
+
+    def read(self):
+        compiled, model = self.compiled, self.model
+        model.gravity = tuple(compiled.opt.gravity.tolist())
+        for body in range(1, compiled.nbody):
+            self._body(body)
+        drives = set()
+        for drive in range(compiled.nu):
+            if compiled.actuator_trntype[drive] in (0, 1):
+                drives.add(self.joints[int(compiled.actuator_trnid[drive, 0])])
+            else:
+                self._leave(self.objects.mjOBJ_ACTUATOR, drive, 'it drives no joint')
+        for joint in model.joints.values():
+            joint.actuated = joint.name in drives
+        if compiled.nu:
+            model.ignored['gains and limits of actuators'] = (
+                'commands are torques and forces of joints')
+        for equality in range(compiled.neq):
+            self._equality(equality)
+
+    def _name(self, kind, number, default):
+        return self.mujoco.mj_id2name(self.compiled, kind, int(number)) or default
+
+    def _leave(self, kind, number, reason):
+        name = self._name(kind, number, f'number {number + 1}')
+        self.model.ignored[f'{kind.name.removeprefix("mjOBJ_").lower()} {name}'] = reason
+
+    def _body_name(self, body):
+        return GROUND if body == 0 else self._name(
+            self.objects.mjOBJ_BODY, body, f'body_{int(body)}')
+
+    def _body(self, body):
+        compiled, name = self.compiled, self._body_name(body)
+        where = f'{self.model.path}: <body name={name!r}>'
+        axes = _rotation(compiled.body_iquat[body])
+        self.model.add(Link(
+            name, where, float(compiled.body_mass[body]), compiled.body_ipos[body].copy(),
+            axes @ np.diag(compiled.body_inertia[body]) @ axes.T))
+        if compiled.body_gravcomp[body]:
+            self._leave(self.objects.mjOBJ_BODY, body, 'gravity is not compensated for bodies')
+        place = Pose(_rotation(compiled.body_quat[body]), compiled.body_pos[body].copy())
+        parent = self._body_name(compiled.body_parentid[body])
+        first, count = int(compiled.body_jntadr[body]), int(compiled.body_jntnum[body])
+        for number in range(count):
+            joint = first + number
+            child = name
+            if number < count - 1:
+                child = f'{name}_{number + 1}'
+                while child in self.model.links:
+                    child += '_'
+                self.model.add(Link(child, where))
+            connection = self._joint(joint, name, number, parent, child, place)
+            self.model.add(connection)
+            self.joints[joint] = connection.name
+            parent, place = child, Pose(np.eye(3), np.zeros(3))
+        if not count:
+            self.model.add(Connection(f'{name}_fixed', FIXED, parent, name, where,
+                                      in_parent=place))
+
+    def _joint(self, joint, body, number, parent, child, place):
+        compiled = self.compiled
+        kind = TYPES[compiled.jnt_type[joint]]
+        name = self._name(self.objects.mjOBJ_JOINT, joint, f'{body}_joint_{number + 1}')
+        found = Connection(name, kind, parent, child,
+                           f'{self.model.path}: <joint name={name!r}>')
+        dof, address = int(compiled.jnt_dofadr[joint]), int(compiled.jnt_qposadr[joint])
+        found.damping, found.friction, found.armature = (
+            float(some[dof]) for some in (compiled.dof_damping, compiled.dof_frictionloss,
+                                          compiled.dof_armature))
+        found.stiffness = float(np.ravel(compiled.jnt_stiffness[joint])[0])
+        found.in_parent = place
+        if kind == FREE:
+            return found
+        anchor = Pose(np.eye(3), compiled.jnt_pos[joint].copy())
+        found.in_parent, found.in_child = place @ anchor, anchor
+        if kind == SPHERICAL:
+            return found
+        found.axis = compiled.jnt_axis[joint].copy()
+        drawn = float(compiled.qpos0[address])
+        found.start, found.rest = drawn, float(compiled.qpos_spring[address])
+        if drawn:
+            # As it is drawn the coordinate is not zero.
+            back = Pose(np.eye(3), -drawn * found.axis) if kind == PRISMATIC else Pose(
+                _about(found.axis, -drawn), np.zeros(3))
+            found.in_parent = found.in_parent @ back
+        if compiled.jnt_limited[joint]:
+            found.lower, found.upper = compiled.jnt_range[joint].tolist()
+        return found
+
+    def _equality(self, number):
+        compiled, model = self.compiled, self.model
+        kind, data = int(compiled.eq_type[number]), compiled.eq_data[number]
+        name = self._name(self.objects.mjOBJ_EQUALITY, number, f'equality_{number + 1}')
+        while name in model.joints:
+            name += '_'
+        where = f'{model.path}: <equality>, its element {number + 1}'
+        if not compiled.eq_active0[number]:
+            self._leave(self.objects.mjOBJ_EQUALITY, number, 'not active')
+        elif kind in (CONNECT, WELD):
+            self._close(number, name, where, kind, data)
+        elif kind in (JOINT, TENDON):
+            self._relate(number, name, where, kind, data)
+        else:
+            self._leave(self.objects.mjOBJ_EQUALITY, number, 'a type that is not read')
+
+    def _close(self, number, name, where, kind, data):
+        compiled = self.compiled
+        ends = int(compiled.eq_obj1id[number]), int(compiled.eq_obj2id[number])
+        if compiled.eq_objtype[number] == self.objects.mjOBJ_SITE:
+            bodies = [int(compiled.site_bodyid[site]) for site in ends]
+            places = [Pose(_rotation(compiled.site_quat[site]), compiled.site_pos[site].copy())
+                      for site in ends]
+        else:
+            bodies = ends
+            places = [Pose(np.eye(3), data[:3].copy()), Pose(np.eye(3), data[3:6].copy())]
+            if kind == WELD:
+                places = [Pose(_rotation(data[6:10]), data[3:6].copy()), places[0]]
+        self.model.add(Connection(
+            name, SPHERICAL if kind == CONNECT else FIXED, *map(self._body_name, bodies), where,
+            *places, closes=True))
+
+    def _relate(self, number, name, where, kind, data):
+        compiled = self.compiled
+        if data[2:5].any():
+            self._leave(self.objects.mjOBJ_EQUALITY, number, 'only linear couplings are read')
+            return
+        factors, offset = Counter(), float(data[0])
+        ends = int(compiled.eq_obj1id[number]), int(compiled.eq_obj2id[number])
+        for end, factor in zip(ends, (1.0, -float(data[1]))):
+            if end < 0:
+                continue
+            for joint, share in ([(end, 1.0)] if kind == JOINT else self._tendon(end) or []):
+                factors[self.joints[joint]] += factor * share
+                offset += factor * share * float(
+                    compiled.qpos0[compiled.jnt_qposadr[joint]])
+        factors = {joint: factor for joint, factor in factors.items() if factor}
+        if not factors or kind == TENDON and any(
+                end >= 0 and self._tendon(end) is None for end in ends):
+            self._leave(self.objects.mjOBJ_EQUALITY, number, 'only fixed tendons are read')
+            return
+        self.model.relations.append(Relation(name, where, factors, offset))
+
+    def _tendon(self, tendon):
+        """Return joints and factors of a fixed tendon; None for another."""
+        compiled = self.compiled
+        first, count = int(compiled.tendon_adr[tendon]), int(compiled.tendon_num[tendon])
+        wraps = range(first, first + count)
+        if any(compiled.wrap_type[k] != self.mujoco.mjtWrap.mjWRAP_JOINT for k in wraps):
+            return None
+        return [(int(compiled.wrap_objid[k]), float(compiled.wrap_prm[k])) for k in wraps]
+
+
+def _rotation(quaternion):
+    """Return the rotation of a quaternion in MuJoCo's order, w first."""
+    w, x, y, z = quaternion
+    return of_quaternion((x, y, z, w))
+
+
+def _about(axis, angle):
+    """Return the rotation about a unit vector."""
+    half = 0.5 * angle
+    return of_quaternion((*(np.sin(half) * axis), np.cos(half)))

@@ -1,0 +1,207 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""MJCF: the same accelerations and closures as MuJoCo has them, and what is refused."""
+
+import warnings
+
+from closedloop_dynamics.formats.registry import read_model
+from closedloop_dynamics.mechanism.mechanism import MechanismError
+from closedloop_dynamics.simulation.far_assembly import Loops
+from closedloop_dynamics.simulation.model_scene import scene_of_model
+from closedloop_dynamics.simulation.simulation import Simulation
+import numpy as np
+import pytest
+
+mujoco = pytest.importorskip('mujoco')
+
+# A tree of every joint, several in one body, offsets, ref, and all that acts on a joint.
+TREE = """\
+<mujoco model="tree">
+  <compiler angle="degree" eulerseq="xyz"/>
+  <option gravity="0.5 -1 -9"><flag contact="disable"/></option>
+  <default><default class="light"><joint damping="0.05"/></default></default>
+  <worldbody>
+    <light pos="0 0 1"/>
+    <body name="base" pos="0 0 1">
+      <inertial pos="0.1 0 0" mass="3" fullinertia="0.1 0.12 0.14 0.01 0.005 -0.01"/>
+      <freejoint name="drift"/>
+      <body name="arm" pos="0.2 0.1 0" euler="10 20 30">
+        <inertial pos="0.1 0.05 0" mass="1" diaginertia="0.01 0.02 0.02" euler="5 6 7"/>
+        <joint name="slide" type="slide" axis="1 2 0" ref="0.1" stiffness="3" springref="0.2"/>
+        <joint name="hinge" axis="0 1 1" pos="0.02 0.03 0" ref="-40" armature="0.2" class="light"
+               range="-90 45"/>
+        <geom size="0.1"/>
+        <body name="hand" pos="0.3 0 0" quat="0.5 0.5 0.5 0.5">
+          <inertial pos="0 0.1 0" mass="0.5" diaginertia="0.003 0.004 0.005"/>
+          <joint name="ball" type="ball" pos="0.01 0 0"/>
+        </body>
+        <body name="plate" pos="0.2 0 0" euler="0 0 40">
+          <geom type="box" size="0.1 0.02 0.03" pos="0.05 0 0" density="1000"/>
+        </body>
+      </body>
+    </body>
+  </worldbody>
+  <actuator><motor joint="hinge" gear="3"/></actuator>
+</mujoco>
+"""
+
+LOOPS = """\
+<mujoco model="loops">
+  <worldbody>
+    <body name="crank">
+      <inertial pos="0.05 0 0" mass="0.5" diaginertia="1e-3 2e-3 2e-3"/><joint name="a" axis="0 1 0"/>
+      <body name="coupler" pos="0.1 0 0"><inertial pos="0.2 0 0" mass="1" diaginertia="1e-3 0.01 0.01"/>
+        <joint name="b" axis="0 1 0" ref="30"/><site name="tip" pos="0.4 0 0"/></body>
+    </body>
+    <body name="rocker" pos="0.35 0 0"><inertial pos="0.1 0 0" mass="1" diaginertia="1e-3 0.01 0.01"/>
+      <joint name="c" axis="0 1 0"/><site name="top" pos="0.3 0 0" euler="0 20 0"/></body>
+    <body name="gear" pos="0 1 0"><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>
+      <joint name="d" axis="0 1 0"/></body>
+    <body name="lid" pos="0 2 0"><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>
+      <joint name="e" type="ball"/></body>
+  </worldbody>
+  <tendon><fixed name="belt"><joint joint="a" coef="2"/><joint joint="d" coef="-1"/></fixed></tendon>
+  <equality>
+    EQUALITY
+  </equality>
+</mujoco>
+"""
+EQUALITIES = {
+    'connect': '<connect body1="coupler" body2="rocker" anchor="0.4 0 0"/>',
+    'connect_sites': '<connect site1="tip" site2="top"/>',
+    'weld': '<weld body1="coupler" body2="lid" anchor="0.1 0.2 0.3" '
+            'relpose="0.1 0 0.2 0.5 0.5 0.5 0.5"/>',
+    'weld_sites': '<weld site1="top" site2="tip"/>',
+    'joint': '<joint joint1="a" joint2="b" polycoef="0.1 -2 0 0 0"/>',
+    'tendon': '<tendon tendon1="belt" polycoef="0.3 0 0 0 0"/>',
+}
+
+
+def written(tmp_path, text, name='model.xml'):
+    path = tmp_path / name
+    path.write_text(text)
+    return path
+
+
+def state(compiled, imported, rng):
+    """Return MuJoCo's data in a state, and our coordinates and rates in the same."""
+    coordinates = imported.mechanism.coordinates
+    data = mujoco.MjData(compiled)
+    q = Loops(imported.mechanism, 1.0).start(imported.position)
+    qd = rng.normal(size=coordinates.nv)
+    q = coordinates.moved(q, 0.5 * rng.normal(size=coordinates.nv))
+    for number in range(compiled.njnt):
+        name = compiled.joint(number).name
+        own, rates = coordinates.coordinates[name], coordinates.rates[name]
+        address, dof = compiled.jnt_qposadr[number], compiled.jnt_dofadr[number]
+        values = q[own].copy()
+        if len(values) >= 4:
+            values[-4:] = values[[-1, -4, -3, -2]]
+        if len(values) == 7:
+            values[:3] += compiled.qpos0[address:address + 3]
+        data.qpos[address:address + len(values)] = values
+        data.qvel[dof:dof + rates.stop - rates.start] = qd[rates]
+    mujoco.mj_forward(compiled, data)
+    return data, q, qd
+
+
+def test_accelerations_are_those_of_mujoco(tmp_path):
+    path = written(tmp_path, TREE)
+    compiled, imported = mujoco.MjModel.from_xml_string(TREE), read_model(path)
+    with warnings.catch_warnings():
+        warnings.simplefilter('ignore')
+        simulation = Simulation(scene_of_model(path, imported))
+    coordinates, rng = imported.mechanism.coordinates, np.random.default_rng(0)
+    for _ in range(3):
+        data, q, qd = state(compiled, imported, rng)
+        simulation.set_state(q, qd)
+        found = np.empty(coordinates.nv)
+        for number in range(compiled.njnt):
+            rates = coordinates.rates[compiled.joint(number).name]
+            dof = compiled.jnt_dofadr[number]
+            found[rates] = data.qacc[dof:dof + rates.stop - rates.start]
+        np.testing.assert_allclose(simulation.acceleration, found, rtol=1e-10, atol=1e-10)
+
+
+@pytest.mark.parametrize('kind', EQUALITIES)
+def test_equalities_are_open_as_mujoco_finds_them(tmp_path, kind):
+    text = LOOPS.replace('EQUALITY', EQUALITIES[kind])
+    compiled, imported = mujoco.MjModel.from_xml_string(text), read_model(written(tmp_path, text))
+    loops, rng = Loops(imported.mechanism, 1.0), np.random.default_rng(1)
+    if kind == 'connect':
+        # As it is drawn, MuJoCo finds the second anchor where the first is.
+        cut = imported.mechanism.cut_joints[0]
+        assert cut.point_a == (0.4, 0.0, 0.0)
+    for _ in range(3):
+        data, q, _ = state(compiled, imported, rng)
+        ours = loops.residual(q, wanted=False)[0]
+        np.testing.assert_allclose(np.linalg.norm(ours[:3]), np.linalg.norm(data.efc_pos[:3]),
+                                   rtol=1e-9) if len(ours) >= 3 else np.testing.assert_allclose(
+            np.abs(ours[0]) * np.abs(list(
+                imported.mechanism.couplings[0].joints.values())).max(), np.abs(data.efc_pos[0]),
+            rtol=1e-9)
+        if kind.startswith('weld'):
+            # Three pairs of directions differ by 2 sin(angle / 2) across the axis.
+            angle = 2.0 * np.arcsin(min(1.0, np.linalg.norm(ours[3:]) / np.sqrt(8.0)))
+            assert np.linalg.norm(data.efc_pos[3:6]) == pytest.approx(
+                abs(np.sin(0.5 * angle)), rel=1e-9)
+
+
+def test_what_acts_is_read_and_the_rest_is_told(tmp_path):
+    imported = read_model(written(tmp_path, TREE))
+    assert imported.mechanism.actuated_joints == ('hinge',)
+    assert imported.effects['gravity']['acceleration'] == (0.5, -1.0, -9.0)
+    assert set(imported.effects) == {'gravity', 'stiffness_slide', 'damping_hinge',
+                                     'armature_hinge'}
+    assert imported.limits == {'hinge': pytest.approx((-np.pi / 2, np.pi / 4))}
+    assert imported.position == {'slide': pytest.approx(0.1), 'hinge': pytest.approx(-0.69813170)}
+    assert imported.ignored['light'] == 'for pictures'
+    assert imported.ignored['geom'] == 'for contacts'
+
+
+def test_includes_are_read_from_the_folder_only(tmp_path):
+    inside = tmp_path / 'inside'
+    inside.mkdir()
+    body = '<body><joint/><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/></body>'
+    written(inside, f'<mujocoinclude>{body}</mujocoinclude>', 'part.xml')
+    text = '<mujoco><worldbody><include file="{}"/></worldbody></mujoco>'
+    assert read_model(written(inside, text.format('part.xml'))).mechanism.joint_names == (
+        'body_1_joint_1',)
+    written(tmp_path, f'<mujocoinclude>{body}</mujocoinclude>', 'outside.xml')
+    written(inside, '<mujocoinclude><include file="b.xml"/></mujocoinclude>', 'a.xml')
+    written(inside, '<mujocoinclude><include file="a.xml"/></mujocoinclude>', 'b.xml')
+    for file, said in (('../outside.xml', 'expected a file in the folder of the model or below'),
+                       ('a.xml', 'expected files that do not include themselves'),
+                       ('none.xml', 'none.xml: expected a file that can be read')):
+        with pytest.raises(MechanismError, match=said):
+            read_model(written(inside, text.format(file)))
+
+
+def test_meshes_are_needed_for_masses_only(tmp_path):
+    asset = '<asset><mesh name="m" file="m.stl"/></asset>'
+    geom = '<geom type="mesh" mesh="m"/>'
+    heavy = '<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>'
+    text = f'<mujoco>{asset}<worldbody><body><joint name="j"/>{geom}BODY</body></worldbody></mujoco>'
+    assert read_model(written(tmp_path, text.replace('BODY', heavy))).mechanism.bodies[0].mass == 1
+    with pytest.raises(MechanismError, match='m.stl: expected a file that can be read'):
+        read_model(written(tmp_path, text.replace('BODY', '')))
+
+
+def test_what_mujoco_refuses_is_told(tmp_path):
+    for text, said in (
+            ('<mujoco><worldbody><body><joint/></body></worldbody></mujoco>', 'mass and inertia'),
+            ('<mujoco><worldbody><x/></worldbody></mujoco>', 'x')):
+        with pytest.raises(MechanismError, match=f'expected a model that MuJoCo compiles.*{said}'):
+            read_model(written(tmp_path, text))
