@@ -30,8 +30,8 @@ from .model import Connection
 from .pose import IDENTITY, Pose, quaternion_of
 from ..mechanism.fields import FieldError
 from ..mechanism.mechanism import (
-    Body, COUPLED, Coupling, CUT_WITH_AXIS_A, CUT_WITH_AXIS_B, CutJoint, FIXED, FREE, GROUND, HELICAL, Joint,
-    JOINT_FREEDOMS, Mechanism, MechanismError, PLANAR, Point, PRISMATIC,
+    Body, COUPLED, Coupling, CUT_WITH_AXIS_A, CUT_WITH_AXIS_B, CutJoint, FIXED, FREE, GROUND,
+    HELICAL, Joint, JOINT_FREEDOMS, Mechanism, MechanismError, PLANAR, Point, PRISMATIC,
     SPATIAL_CUT_JOINT_EQUATIONS, UNIVERSAL, UNTURNED, WITH_AXIS)
 from ..mechanism.validation import checked
 

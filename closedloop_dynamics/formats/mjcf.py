@@ -80,7 +80,7 @@ def read_mjcf(path):
         tag, 'for contacts') for tag, count in left_out.items()})
     try:
         compiled = mujoco.MjSpec.from_string(_text(root), assets=assets).compile()
-    except (ValueError, mujoco.FatalError) as error:
+    except (ValueError, RuntimeError, mujoco.FatalError) as error:
         told = ' '.join(str(error).split())
         raise MechanismError(f'{path}: expected a model that MuJoCo compiles, got: {told}'
                              ) from None

@@ -14,13 +14,11 @@
 
 """MJCF: the same accelerations and closures as MuJoCo has them, and what is refused."""
 
-import warnings
-
+from closedloop_dynamics.core.straight_line.numbers import Numbers
 from closedloop_dynamics.formats.registry import read_model
 from closedloop_dynamics.mechanism.mechanism import MechanismError
 from closedloop_dynamics.simulation.far_assembly import Loops
-from closedloop_dynamics.simulation.model_scene import scene_of_model
-from closedloop_dynamics.simulation.simulation import Simulation
+from closedloop_dynamics.simulation.spatial_modeling import build_spatial_model
 import numpy as np
 import pytest
 
@@ -61,18 +59,22 @@ LOOPS = """\
 <mujoco model="loops">
   <worldbody>
     <body name="crank">
-      <inertial pos="0.05 0 0" mass="0.5" diaginertia="1e-3 2e-3 2e-3"/><joint name="a" axis="0 1 0"/>
-      <body name="coupler" pos="0.1 0 0"><inertial pos="0.2 0 0" mass="1" diaginertia="1e-3 0.01 0.01"/>
+      <inertial pos="0.05 0 0" mass="0.5" diaginertia="1e-3 2e-3 2e-3"/>
+      <joint name="a" axis="0 1 0"/>
+      <body name="coupler" pos="0.1 0 0">
+        <inertial pos="0.2 0 0" mass="1" diaginertia="1e-3 0.01 0.01"/>
         <joint name="b" axis="0 1 0" ref="30"/><site name="tip" pos="0.4 0 0"/></body>
     </body>
-    <body name="rocker" pos="0.35 0 0"><inertial pos="0.1 0 0" mass="1" diaginertia="1e-3 0.01 0.01"/>
+    <body name="rocker" pos="0.35 0 0">
+      <inertial pos="0.1 0 0" mass="1" diaginertia="1e-3 0.01 0.01"/>
       <joint name="c" axis="0 1 0"/><site name="top" pos="0.3 0 0" euler="0 20 0"/></body>
     <body name="gear" pos="0 1 0"><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>
       <joint name="d" axis="0 1 0"/></body>
     <body name="lid" pos="0 2 0"><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>
       <joint name="e" type="ball"/></body>
   </worldbody>
-  <tendon><fixed name="belt"><joint joint="a" coef="2"/><joint joint="d" coef="-1"/></fixed></tendon>
+  <tendon><fixed name="belt">
+    <joint joint="a" coef="2"/><joint joint="d" coef="-1"/></fixed></tendon>
   <equality>
     EQUALITY
   </equality>
@@ -118,21 +120,26 @@ def state(compiled, imported, rng):
 
 
 def test_accelerations_are_those_of_mujoco(tmp_path):
-    path = written(tmp_path, TREE)
-    compiled, imported = mujoco.MjModel.from_xml_string(TREE), read_model(path)
-    with warnings.catch_warnings():
-        warnings.simplefilter('ignore')
-        simulation = Simulation(scene_of_model(path, imported))
-    coordinates, rng = imported.mechanism.coordinates, np.random.default_rng(0)
+    compiled, imported = mujoco.MjModel.from_xml_string(TREE), read_model(written(tmp_path, TREE))
+    effects, coordinates = imported.effects, imported.mechanism.coordinates
+    numbers = Numbers(build_spatial_model(
+        imported.mechanism, effects['gravity']['acceleration']).model)
+    hinge, slide = coordinates.index['hinge'], coordinates.index['slide']
+    rotor, rng = effects['armature_hinge'], np.random.default_rng(0)
     for _ in range(3):
         data, q, qd = state(compiled, imported, rng)
-        simulation.set_state(q, qd)
+        numbers.move(q, qd)
+        inertia, force = numbers.inertia(), -numbers.bias_force()
+        inertia[hinge, hinge] += rotor['inertia'] * rotor['gear_ratio'] ** 2
+        force[hinge] -= effects['damping_hinge']['coefficient'] * qd[hinge]
+        spring = effects['stiffness_slide']
+        force[slide] -= spring['stiffness'] * (q[coordinates.place[slide]] - spring['rest'])
         found = np.empty(coordinates.nv)
         for number in range(compiled.njnt):
             rates = coordinates.rates[compiled.joint(number).name]
             dof = compiled.jnt_dofadr[number]
             found[rates] = data.qacc[dof:dof + rates.stop - rates.start]
-        np.testing.assert_allclose(simulation.acceleration, found, rtol=1e-10, atol=1e-10)
+        np.testing.assert_allclose(np.linalg.solve(inertia, force), found, rtol=1e-10, atol=1e-10)
 
 
 @pytest.mark.parametrize('kind', EQUALITIES)
@@ -146,12 +153,11 @@ def test_equalities_are_open_as_mujoco_finds_them(tmp_path, kind):
         assert cut.point_a == (0.4, 0.0, 0.0)
     for _ in range(3):
         data, q, _ = state(compiled, imported, rng)
-        ours = loops.residual(q, wanted=False)[0]
-        np.testing.assert_allclose(np.linalg.norm(ours[:3]), np.linalg.norm(data.efc_pos[:3]),
-                                   rtol=1e-9) if len(ours) >= 3 else np.testing.assert_allclose(
-            np.abs(ours[0]) * np.abs(list(
-                imported.mechanism.couplings[0].joints.values())).max(), np.abs(data.efc_pos[0]),
-            rtol=1e-9)
+        ours, unit = loops.residual(q, wanted=False)[0], 1.0
+        for coupling in imported.mechanism.couplings:
+            unit = max(map(abs, coupling.joints.values()))
+        assert unit * np.linalg.norm(ours[:3]) == pytest.approx(
+            np.linalg.norm(data.efc_pos[:3]), rel=1e-9)
         if kind.startswith('weld'):
             # Three pairs of directions differ by 2 sin(angle / 2) across the axis.
             angle = 2.0 * np.arcsin(min(1.0, np.linalg.norm(ours[3:]) / np.sqrt(8.0)))
@@ -193,7 +199,8 @@ def test_meshes_are_needed_for_masses_only(tmp_path):
     asset = '<asset><mesh name="m" file="m.stl"/></asset>'
     geom = '<geom type="mesh" mesh="m"/>'
     heavy = '<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>'
-    text = f'<mujoco>{asset}<worldbody><body><joint name="j"/>{geom}BODY</body></worldbody></mujoco>'
+    text = (f'<mujoco>{asset}<worldbody><body><joint name="j"/>{geom}BODY</body></worldbody>'
+            '</mujoco>')
     assert read_model(written(tmp_path, text.replace('BODY', heavy))).mechanism.bodies[0].mass == 1
     with pytest.raises(MechanismError, match='m.stl: expected a file that can be read'):
         read_model(written(tmp_path, text.replace('BODY', '')))

@@ -19,7 +19,7 @@ import re
 
 from closedloop_dynamics.formats.registry import read_model
 from closedloop_dynamics.formats.yaml_text import mechanism_text
-from closedloop_dynamics.mechanism.mechanism import MechanismError
+from closedloop_dynamics.mechanism.mechanism import Coupling, MechanismError
 from closedloop_dynamics.mechanism.reader import read_mechanism
 import numpy as np
 import pytest
@@ -141,6 +141,19 @@ def test_dynamics_and_drives_are_read(tmp_path):
             'type': 'joint_friction', 'joint': 'crank_joint', 'coulomb': 0.5}}
 
 
+def test_joints_that_mimic_others_and_gears(tmp_path):
+    text = robot(LINKS, TREE.replace(
+        '</joint>', '<mimic joint="rocker_joint" multiplier="-2" offset="0.5"/></joint>', 1),
+        '<coupling name="gear"><predecessor link="coupler"/><successor link="rocker"/>'
+        '<ratio value="3"/></coupling>')
+    imported = read(tmp_path, text)
+    assert imported.mechanism.couplings == (
+        Coupling('crank_joint_mimics_rocker_joint', {'crank_joint': 1.0, 'rocker_joint': 2.0},
+                 0.5),
+        Coupling('gear', {'rocker_joint': 1.0, 'coupler_joint': -3.0, 'crank_joint': -3.0}))
+    assert imported.mechanism.actuated_joints == ()
+
+
 def test_limits_become_end_stops_where_asked_for(tmp_path):
     text = robot(LINKS, TREE.replace(
         'continuous', 'revolute', 1).replace('effort="2"', 'effort="2" lower="-1" upper="2"'),
@@ -218,8 +231,11 @@ FAULTS = {
                     r"expected a child that no other joint carries, got 'coupler', which joint "
                     "'coupler_joint' carries"),
     'cycle': ('parent link="base"', 'parent link="coupler"', 'got a cycle'),
-    'mimic': ('</joint>', '<mimic joint="rocker_joint"/></joint>',
-              'expected joints that move on their own, got <mimic>'),
+    'mimic': ('</joint>', '<mimic joint="rocker"/></joint>',
+              r"<mimic>: expected the name of a joint, got 'rocker' \(did you mean 'rocker_jo"),
+    'coupled_link': ('</robot>', '<coupling name="c"><predecessor link="x"/><successor '
+                     'link="base"/><ratio value="1"/></coupling></robot>',
+                     "expected the name of a link or frame, got 'x'"),
 }
 
 
