@@ -17,9 +17,10 @@
 import math
 
 from .table import LOAD_TIME, LOADED, SECOND, STATE
-from ..core.compiled import compiled
+from ..core.compiled import compiled, inlined
 from ..core.joint_wrenches import FORCE_X, FORCE_Y, joint_wrenches
-from ..core.types import PRISMATIC, SX, SY, TYPE
+from ..core.straight_line.space import FRAME
+from ..core.types import AXIS, PRISMATIC, SX, SY, TYPE
 
 
 @compiled
@@ -51,5 +52,38 @@ def load(model, work, table, qdd, lam):
             size = math.sqrt(fx * fx + fy * fy)
             if tree[i, TYPE] == PRISMATIC:
                 size = abs(body[i, SX] * fy - body[i, SY] * fx)
-            table.rates[state] = (size - table.states[state]) / table.values[row, LOAD_TIME]
-            table.output[row, 2] = size
+            _follow(table, row, state, size)
+
+
+@inlined
+def _follow(table, row, state, size):
+    """Let a load follow the size of the reaction."""
+    table.rates[state] = (size - table.states[state]) / table.values[row, LOAD_TIME]
+    table.output[row, 2] = size
+
+
+@compiled
+def load_in_space(model, work, table):
+    """
+    Let the loaded effects' states follow the reactions in space.
+
+    Parameters
+    ----------
+    model, work
+        As for ``load``.
+    table : EffectTable
+        With the wrenches in the joints of the tree in ``reaction``: moment, then force.
+
+    """
+    tree, body, reaction = model.tree, work.body, table.reaction
+    for row in range(table.kind.shape[0]):
+        if table.enabled[row] == 1 and table.index[row, LOADED] == 1:
+            i, state = table.index[row, SECOND], table.index[row, STATE] + 1
+            fx, fy, fz = reaction[i, 3], reaction[i, 4], reaction[i, 5]
+            square = fx * fx + fy * fy + fz * fz
+            if tree[i, TYPE] == PRISMATIC:
+                # Z of the row's frame, or the axis that it slides along.
+                axis = FRAME + tree[i, AXIS]
+                along = (body[i, axis] * fx + body[i, axis + 3] * fy + body[i, axis + 6] * fz)
+                square = max(0.0, square - along * along)
+            _follow(table, row, state, math.sqrt(square))

@@ -28,8 +28,9 @@ from ..core.formulations import accelerate_dense, allocate_dense, DenseWorkspace
 from ..core.independent import allocate_partition, close, Partition
 from ..core.joint_wrenches import bias_forces
 from ..core.manifold import (
-    fill_numbers, Manifold, manifold_of, number_of_coordinates, rates_begin, rates_of_coordinates, TURN)
-from ..core.straight_line import linkage as links, space
+    fill_numbers, Manifold, manifold_of, number_of_coordinates, rates_begin, rates_of_coordinates,
+    TURN)
+from ..core.straight_line import linkage as links, on_demand, space
 from ..core.straight_line.numbers import Numbers
 from ..core.types import allocate, Model, RANK, RANK_REVEALING_COUNT, Workspace
 from ..effects import dispatch, joint_reaction, sticking
@@ -159,14 +160,16 @@ def build_system(model, formulation=SUBSYSTEM, baumgarte=0.0, extent=1.0, indepe
 def _linked(system):
     """Return a system with the addresses of its own arrays and routines."""
     model, work = system.model, system.work
+    results = {} if not space.is_spatial(model) else on_demand.arrays(
+        model, None if system.effects is None else system.effects.reaction)
     linkage = links.connect(
-        {links.BODY: model.body, links.GRAVITY: model.gravity, links.CUT_POINT: model.cut_point,
-         links.TAU: system.applied, links.QDD: system.qdd,
+        {**results, links.BODY: model.body, links.GRAVITY: model.gravity,
+         links.CUT_POINT: model.cut_point, links.TAU: system.applied, links.QDD: system.qdd,
          links.BAUMGARTE: system.settings[BAUMGARTE_GAIN:],
          links.LAM: system.lam, links.HEALTH: work.health, links.WORK_BODY: work.body,
          links.CLOSURE: work.closure, links.CLOSURE_RATE: work.closure_rate,
          links.CORRECTIONS: system.corrections},
-        _careful_routines(system), lambda: straight_line.refined(model))
+        _careful_routines(system), lambda place: straight_line.later(model, place))
     if system.unrolled is not None:
         straight_line.relink(model, linkage)
     return system._replace(linkage=linkage)
@@ -334,15 +337,20 @@ def apply_effects(effects, manifold, work, q, qd, tau):
             fill_numbers(manifold, q)
             dispatch.apply(work.body, effects, manifold.number, qd, tau)
         if effects.loaded[0] > 0:
+            # Written anew in space.
             bias_forces(work.body, effects.reaction)
 
 
 @inlined
-def _feel_reactions(effects, model, work, qdd, lam):
+def _feel_reactions(effects, system, q, qd):
     """Tell effects the reactions in their joints, where they ask for them."""
     if effects is not None:
         if effects.loaded[0] > 0:
-            joint_reaction.load(model, work, effects, qdd, lam)
+            if system.model.gravity.shape[0] == 3:
+                links.call(system.linkage, links.JOINT_WRENCHES, q, qd)
+                joint_reaction.load_in_space(system.model, system.work, effects)
+            else:
+                joint_reaction.load(system.model, system.work, effects, system.qdd, system.lam)
 
 
 @inlined
@@ -511,7 +519,7 @@ def _complete(effects, system, q, qd):
     if effects is not None:
         if effects.sticking.rows[0] > 0:
             _hold(effects, system, q, qd)
-        _feel_reactions(effects, system.model, system.work, system.qdd, system.lam)
+        _feel_reactions(effects, system, q, qd)
 
 
 @compiled

@@ -21,18 +21,19 @@ from ..core import jacobian, kinematics, loop_closure, types as t
 from ..core.forward_dynamics import to_user_order
 from ..core.inverse_dynamics import tree_torque
 from ..core.joint_wrenches import bias_forces
+from ..core.straight_line import space
 from ..effects import dispatch, joint_reaction
 
 
 class InverseDynamics:
     """Solves tau + tau_effects + J^T lambda = I qdd + c, tau zero at joints without a drive."""
 
-    def __init__(self, mechanism, system, effects, table):
-        """Find the joints that are actuated."""
-        self._mechanism, self._system = mechanism, system
+    def __init__(self, mechanism, system, effects, table, on_demand=None):
+        """Find the freedoms that are actuated; ``on_demand`` answers in space."""
+        self._mechanism, self._system, self._on_demand = mechanism, system, on_demand
         self._effects, self._table = effects, table
-        driven = np.array([joint.actuated for joint in mechanism.joints], dtype=bool)
-        self._actuated, self._passive = np.flatnonzero(driven), np.flatnonzero(~driven)
+        self._actuated = np.array(mechanism.coordinates.actuated, dtype=int)
+        self._passive = np.setdiff1d(np.arange(mechanism.coordinates.nv), self._actuated)
 
     def solve(self, q, qd, qdd):
         """
@@ -40,8 +41,10 @@ class InverseDynamics:
 
         Parameters
         ----------
-        q, qd, qdd : ndarray, shape (nv,)
-            Joint coordinates, rates and accelerations, consistent with the loops.
+        q : ndarray, shape (nq,)
+            Joint coordinates.
+        qd, qdd : ndarray, shape (nv,)
+            Rates and accelerations, consistent with the loops.
 
         Returns
         -------
@@ -61,7 +64,7 @@ class InverseDynamics:
                 return torque, lam
             # Friction driven by reactions depends on the result: a fixed point, fast because
             # friction is the smaller part.
-            joint_reaction.load(self._system.model, self._system.work, table, qdd, lam)
+            self._feel(q, qd, qdd, lam)
             places, values = self._effects.loads()
             change = np.abs(table.states[places] - values).max()
             table.states[places] = values
@@ -70,6 +73,25 @@ class InverseDynamics:
 
     def _jacobian(self, q, qd, qdd):
         """Return the constraint Jacobian, or refuse accelerations that open the loops."""
+        kept = slice(None)
+        if self._on_demand is None:
+            jac, bias, largest = self._in_plane(q, qd)
+        else:
+            kept = self._on_demand.kept
+            jac, bias, largest = self._in_space(q, qd)
+        part = np.abs(jac @ qdd + bias).max(initial=0.0)
+        # Beside its own size, what is left by rounding of the accelerations it is a difference of.
+        noise = 1e-12 * largest
+        if part > noise + 1e-8 * max(
+                np.abs(jac * qdd).max(initial=0.0), np.abs(bias).max(initial=0.0)):
+            raise SimulationError(
+                f'This acceleration opens the loops: the cut joints would part at {part:.3g} '
+                'm/s^2. Give accelerations of all joints that belong together, such as those '
+                'that forward_dynamics returns.')
+        return jac[kept]
+
+    def _in_plane(self, q, qd):
+        """Return Jacobian and bias of the closure equations, and the largest acceleration."""
         model, work = self._system.model, self._system.work
         jac = np.zeros((self._mechanism.number_of_equations, len(q)))
         bias = np.zeros(len(jac))
@@ -77,27 +99,44 @@ class InverseDynamics:
         jacobian.constraint_jacobian(model, work, jac)
         loop_closure.update(model, work, loop_closure.NO_RESPONSES)
         to_user_order(model, work.bias, bias)
-        part = np.abs(jac @ qdd + bias).max(initial=0.0)
-        # Beside its own size, what is left by rounding of the accelerations it is a difference of.
-        noise = 1e-12 * np.abs(work.body[:, [t.AX, t.AY]]).max()
-        if part > noise + 1e-8 * max(
-                np.abs(jac * qdd).max(initial=0.0), np.abs(bias).max(initial=0.0)):
-            raise SimulationError(
-                f'This acceleration opens the loops: the cut joints would part at {part:.3g} '
-                'm/s^2. Give accelerations of all joints that belong together, such as those '
-                'that forward_dynamics returns.')
-        return jac
+        return jac, bias, np.abs(work.body[:, [t.AX, t.AY]]).max()
+
+    def _in_space(self, q, qd):
+        """Do as ``_in_plane`` does, of all equations in space."""
+        body = self._on_demand.outward(q, qd)
+        bias, jac = self._on_demand.closures(q, qd)[2].copy(), self._on_demand.jacobian(q, qd)
+        spin, velocity = (np.abs(body[:, place:place + 3]).max()
+                          for place in (space.SPIN, space.VELOCITY))
+        return jac.copy(), bias, np.abs(self._system.model.gravity).max() + spin * velocity
+
+    def _feel(self, q, qd, qdd, lam):
+        """Tell effects the reactions in their joints."""
+        system, table = self._system, self._table
+        if self._on_demand is None:
+            joint_reaction.load(system.model, system.work, table, qdd, lam)
+        else:
+            system.qdd[:], system.lam[:] = qdd, lam
+            self._on_demand.joint_wrenches(q, qd)
+            joint_reaction.load_in_space(system.model, system.work, table)
 
     def _needed(self, q, qd, qdd):
         """Return what torques and constraint forces must add up to at the joints."""
-        need, table, work = np.zeros(len(q)), self._table, self._system.work
-        kinematics.outward(self._system.model, q, qd, work)
+        need, table, work = np.zeros(len(qd)), self._table, self._system.work
+        if self._on_demand is None:
+            kinematics.outward(self._system.model, q, qd, work)
+        else:
+            self._on_demand.outward(q, qd)
         if len(table.kind):
             self._effects.steady(qd)
-            dispatch.apply(work.body, table, q, qd, np.zeros(len(q)))
+            dispatch.apply(work.body, table, self._mechanism.coordinates.by_freedom(q), qd,
+                           np.zeros(len(qd)))
             self._effects.unsteady()
-            bias_forces(work.body, table.reaction)
-        tree_torque(self._system.model, work, qdd, need)
+        if self._on_demand is None:
+            if len(table.kind):
+                bias_forces(work.body, table.reaction)
+            tree_torque(self._system.model, work, qdd, need)
+        else:
+            need = self._on_demand.tree_forces(q, qd, qdd)
         return need - table.applied if len(table.kind) else need
 
     def _least_torques(self, need, jac):

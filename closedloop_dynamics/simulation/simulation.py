@@ -37,6 +37,7 @@ from ..core.independent import allocate_partition
 from ..core.joint_wrenches import cut_wrenches
 from ..core.loop_closure import largest
 from ..core.straight_line import available
+from ..core.straight_line.on_demand import OnDemand
 from ..effects.delay_line import DelayLine
 from ..effects.effect import Machine
 from ..effects.effect_set import EffectSet
@@ -104,6 +105,7 @@ class Simulation:
             model, FORMULATIONS[method.formulation], baumgarte, size,
             method.stabilisation == 'independent', self._effects.elements)
         self._table = self._effects.bind(self.system)
+        self._on_demand = None if self._geometry is None else OnDemand(self.system)
         self._balance = EnergyBalance(self._effects)
         self.coordinates = self.mechanism.coordinates
         *parts, states = parts_of_state(self.system)
@@ -124,7 +126,7 @@ class Simulation:
         self._driver = Monitor(build_driver(self.system, method), self.system, method)
         self._set_guards(StiffnessGuard(self.system, method, self._effects.own), method)
         self._inverse = InverseDynamics(
-            self.mechanism, self.system, self._effects, self._table)
+            self.mechanism, self.system, self._effects, self._table, self._on_demand)
         self._probe = Probe(self.system)
         self.reset()
 
@@ -302,7 +304,8 @@ class Simulation:
         """
         self._evaluate()
         if self._geometry is not None:
-            return self._geometry.cut_wrenches(self._q, self._qd, self.system.lam)
+            return self._on_demand.cut_wrenches(
+                self._q, self._qd, self.system.lam)[:len(self.cut_joints)]
         out = np.empty((len(self.cut_joints), 3))
         model = self.system.model
         cut_wrenches(model.cut, model.cut_point, self.system.work.body, self.system.lam, out)
@@ -319,7 +322,8 @@ class Simulation:
         self._evaluate()
         if not self.mechanism.couplings:
             return np.zeros(0)
-        return self._geometry.coupling_forces(self._q, self._qd, self.system.lam)
+        lam = self._on_demand.of_all(self._q, self._qd, self.system.lam)
+        return lam[len(lam) - len(self.mechanism.couplings):].copy()
 
     @property
     def joint_forces(self):
@@ -327,12 +331,15 @@ class Simulation:
         Wrenches in the joints, shape (nv, 3): moment, force x, force y.
 
         What the parent exerts on the child, in world axes, at the child's origin [N m, N]: the
-        reaction, and what the joint's drive, springs, dampers and friction hand over.
+        reaction, and what the joint's drive, springs, dampers and friction hand over. In space of
+        shape (number of joints, 6): moment x, y, z, force x, y, z; NaN in fixed joints.
 
         """
-        self._require_planar('the forces in the joints of the trees')
         self._evaluate()
         system = self.system
+        if self._geometry is not None:
+            return self._geometry.joint_wrenches_among(
+                system.work.body, self._on_demand.joint_wrenches(self._q, self._qd))
         self._fresh = False
         return joint_forces(
             system, system.tau[np.newaxis], 1, 1, self._state[np.newaxis],
@@ -361,7 +368,7 @@ class Simulation:
     def closure(self):
         """Largest closure error of positions [m or rad]."""
         if self._geometry is not None and self._geometry.leaves_out:
-            return self._geometry.closure(self._q)
+            return self._closure_of_all()
         self._evaluate()
         return float(largest(self.system.work.closure))
 
@@ -370,6 +377,10 @@ class Simulation:
         """Return the derivatives of the closure equations by the coordinates, shape (nc, nv)."""
         self._fresh = False
         return self._assembler.jacobian(self._q)
+
+    def _closure_of_all(self):
+        """Return the largest closure error, of equations that are left out among others."""
+        return float(np.abs(self._on_demand.closures(self._q, self._qd)[0]).max(initial=0.0))
 
     @property
     def energy(self):
@@ -419,7 +430,7 @@ class Simulation:
         """Return kinetic and stored energy of the present state."""
         self._evaluate()
         if self._geometry is not None:
-            kinetic, potential = self._geometry.move(self._q, self._qd).energies()
+            kinetic, potential = self._on_demand.energies(self._q, self._qd)
             return kinetic, potential + self._effects.stored()
         model, work = self.system.model, self.system.work
         return (energy.kinetic_energy(model, work, self._qd),
@@ -433,18 +444,19 @@ class Simulation:
         In space of shape (nb, 7): x, y, z [m], unit quaternion x, y, z, w.
 
         """
-        if self._geometry is not None:
-            return self._geometry.poses(self._q)
         self._evaluate()
+        if self._geometry is not None:
+            return self._geometry.poses_among(self.system.work.body)
         rows = [self._rows[body.name] for body in self.mechanism.bodies]
         return self.system.work.body[np.ix_(rows, (t.PX, t.PY, t.ALPHA))]
 
     def point(self, name):
         """Return the world place of a named point, shape (2,), in space (3,) [m]."""
         point = self._named_point(name)
-        if self._geometry is not None:
-            return self._geometry.point(self._q, point.body, point.position)
         self._evaluate()
+        if self._geometry is not None:
+            return self._geometry.points_among(self.system.work.body)[
+                list(self._points).index(name)]
         out = np.zeros(2)
         kinematics.point_position(self.system.work, self._rows[point.body], *point.position, out)
         return out
@@ -479,8 +491,11 @@ class Simulation:
     @property
     def points(self):
         """Places of all named points, shape (number of points, 2), in space 3 [m]."""
+        if self._geometry is not None:
+            self._evaluate()
+            return self._geometry.points_among(self.system.work.body)
         return np.array([self.point(name) for name in self._points]).reshape(
-            len(self._points), 2 if self._geometry is None else 3)
+            len(self._points), 2)
 
     def _named_point(self, name):
         if name not in self._points:
@@ -739,7 +754,7 @@ class Simulation:
         if self._geometry is None or not self._geometry.leaves_out or (
                 self.scene.method.stabilisation not in CLOSING):
             return
-        error = self._geometry.closure(self._q)
+        error = self._closure_of_all()
         if not error <= self.system.settings[CLOSURE_LIMIT]:
             raise ClosureError(
                 f'At t = {self.time:.9g} s the loops are open by {error:.3g} m or rad: equations '
@@ -1288,10 +1303,10 @@ class Simulation:
         friction is that of a steady motion, none where a joint rests.
 
         """
-        self._require_planar('inverse dynamics')
         nv = len(self.joint_names)
-        q, qd, qdd = (vector(name, values, nv) for name, values in (
-            ('position', position), ('velocity', velocity), ('acceleration', acceleration)))
+        q = self._taken(position)
+        qd, qdd = (vector(name, values, nv) for name, values in (
+            ('velocity', velocity), ('acceleration', acceleration)))
         self._fresh = False
         self._effects.follow_time(self._table.states, self.time)
         return self._inverse.solve(q, qd, qdd)

@@ -22,8 +22,11 @@ from .assembly import Assembler, RANK_TOLERANCE
 from .errors import AssemblyError, SimulationError
 from .modeling import extent
 from .spatial_modeling import build_spatial_model
+from ..core import types as t
+from ..core.straight_line import space
 from ..core.straight_line.numbers import Numbers
 from ..mechanism.decomposition import decompose
+from ..mechanism.mechanism import FIXED
 
 # Code for a whole mechanism grows with it: beyond so many freedoms it compiles for minutes.
 MOST_FREEDOMS = 40
@@ -63,6 +66,20 @@ class SpatialGeometry:
         self._decomposition = decomposition or decompose(mechanism)
         self._build(None)
         self.rows = {name: one.row for name, one in self.placements.items()}
+        self._bodies = self._frames([body.name for body in mechanism.bodies])
+        self._carried = self._frames([joint.child for joint in mechanism.joints])
+        self._fixed = np.array([joint.type == FIXED for joint in mechanism.joints])
+        self._points = self._frames(
+            [point.body for point in mechanism.points],
+            [point.position for point in mechanism.points])
+
+    def _frames(self, names, positions=None):
+        """Return rows, places of origins or other positions in them, and axes, of bodies."""
+        placed = [self.placements[name] for name in names]
+        places = [one.origin for one in placed] if positions is None else [
+            one.place(position) for one, position in zip(placed, positions)]
+        return (np.array([one.row for one in placed], dtype=int),
+                np.array(places).reshape(-1, 3), np.array([one.axes for one in placed]))
 
     def _build(self, kept):
         """Build the model, and what works on numbers."""
@@ -91,63 +108,6 @@ class SpatialGeometry:
     def leaves_out(self):
         """Whether the elimination leaves out equations that repeat others."""
         return not self._numbers.kept.all()
-
-    def closure(self, q):
-        """
-        Return the largest error of all equations, those left out among them.
-
-        Parameters
-        ----------
-        q : ndarray, shape (nq,)
-            Joint coordinates.
-
-        Returns
-        -------
-        float
-            [m, or sines of angles].
-
-        """
-        return float(np.abs(self.move(q).closures()[0]).max(initial=0.0))
-
-    def cut_wrenches(self, q, qd, lam):
-        """
-        Return what body B exerts on body A at each cut joint: the least that give the motion.
-
-        Parameters
-        ----------
-        q : ndarray, shape (nq,)
-            Joint coordinates.
-        qd : ndarray, shape (nv,)
-            Their rates.
-        lam : ndarray
-            Multipliers of the equations that the elimination works on.
-
-        Returns
-        -------
-        ndarray, shape (number of cuts, 6)
-            As ``Numbers.cut_wrenches`` does.
-
-        """
-        numbers = self.move(q, qd)
-        return numbers.cut_wrenches(numbers.of_all(lam))[:len(self.mechanism.cut_joints)]
-
-    def coupling_forces(self, q, qd, lam):
-        """
-        Return the multipliers of the couplings: the least that give the motion.
-
-        Parameters
-        ----------
-        q, qd, lam
-            As for ``cut_wrenches``.
-
-        Returns
-        -------
-        ndarray, shape (number of couplings,)
-
-        """
-        count = len(self.mechanism.couplings)
-        numbers = self.move(q, qd)
-        return numbers.of_all(lam)[numbers.nc - count:]
 
     def move(self, q, qd=None):
         """
@@ -199,7 +159,7 @@ class SpatialGeometry:
 
     def poses(self, q):
         """
-        Return the poses of the bodies.
+        Return the poses of the bodies at a position.
 
         Parameters
         ----------
@@ -209,19 +169,81 @@ class SpatialGeometry:
         Returns
         -------
         ndarray, shape (nb, 7)
+            As ``poses_among`` does.
+
+        """
+        body = np.zeros((len(self.model.tree), t.WORK_COLUMNS))
+        space.write(self.move(q).recursion, body)
+        return self.poses_among(body)
+
+    def poses_among(self, body):
+        """
+        Return the poses of the bodies where the rows of the tree are.
+
+        Parameters
+        ----------
+        body : ndarray, shape (nb + 1, WORK_COLUMNS)
+            Of ``Workspace``, after the outward recursion.
+
+        Returns
+        -------
+        ndarray, shape (nb, 7)
             x, y, z of the frame's origin [m] and its unit quaternion x, y, z, w, in the
             mechanism's order of bodies.
 
         """
-        motions = self.move(q).recursion.motion
-        found = np.empty((len(self.mechanism.bodies), 7))
-        for pose, body in zip(found, self.mechanism.bodies):
-            placement = self.placements[body.name]
-            motion = motions[placement.row]
-            frame = np.array(motion.frame, dtype=float)
-            pose[:3] = np.array(motion.origin, dtype=float) + frame @ placement.origin
-            pose[3:] = _quaternion(frame @ placement.axes)
+        rows, origins, axes = self._bodies
+        places, frames = _placed(body, rows, origins)
+        return np.hstack([places, _quaternions(frames @ axes)])
+
+    def points_among(self, body):
+        """
+        Return the places of all named points where the rows of the tree are.
+
+        Parameters
+        ----------
+        body : ndarray, shape (nb + 1, WORK_COLUMNS)
+            As for ``poses_among``.
+
+        Returns
+        -------
+        ndarray, shape (number of points, 3)
+            In the world [m].
+
+        """
+        rows, positions, _ = self._points
+        return _placed(body, rows, positions)[0]
+
+    def joint_wrenches_among(self, body, wrenches):
+        """
+        Return the wrenches in the joints at the origins of the bodies that they carry.
+
+        Parameters
+        ----------
+        body : ndarray, shape (nb + 1, WORK_COLUMNS)
+            As for ``poses_among``.
+        wrenches : ndarray, shape (nb + 1, 6)
+            At the origins of the rows.
+
+        Returns
+        -------
+        ndarray, shape (number of joints, 6)
+            Moment, then force; NaN in a fixed joint, of which the kernels know nothing.
+
+        """
+        rows, origins, _ = self._carried
+        arms = _placed(body, rows, origins)[0] - body[rows, space.ORIGIN:space.ORIGIN + 3]
+        found = wrenches[rows]
+        found[:, :3] -= np.cross(arms, found[:, 3:])
+        found[self._fixed] = np.nan
         return found
+
+
+def _placed(body, rows, places):
+    """Return places in the frames of rows in the world, and these frames."""
+    frames = body[rows, space.FRAME:space.FRAME + 9].reshape(-1, 3, 3)
+    offsets = (frames @ places[:, :, np.newaxis])[:, :, 0]
+    return body[rows, space.ORIGIN:space.ORIGIN + 3] + offsets, frames
 
 
 class SpatialAssembler(Assembler):
@@ -277,17 +299,19 @@ class SpatialAssembler(Assembler):
         return self._moved(q, whole)
 
 
-def _quaternion(matrix):
-    """Return the unit quaternion x, y, z, w of a rotation matrix, w not negative."""
+def _quaternions(matrices):
+    """Return the unit quaternions x, y, z, w of rotation matrices, w not negative."""
     # q q^T, of which the column with the largest diagonal entry tells q best.
-    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = matrix
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = np.moveaxis(matrices, 0, -1)
     outer = 0.25 * np.array([
         [1.0 + xx - yy - zz, xy + yx, xz + zx, zy - yz],
         [xy + yx, 1.0 - xx + yy - zz, yz + zy, xz - zx],
         [xz + zx, yz + zy, 1.0 - xx - yy + zz, yx - xy],
         [zy - yz, xz - zx, yx - xy, 1.0 + xx + yy + zz]])
-    column = outer[np.argmax(np.diag(outer))]
-    return column / np.copysign(np.linalg.norm(column), column[3])
+    best = np.argmax(np.einsum('iin->in', outer), axis=0)
+    columns = outer[:, best, np.arange(len(best))].T
+    return columns / np.copysign(
+        np.linalg.norm(columns, axis=1), columns[:, 3])[:, np.newaxis]
 
 
 def _independent(jac):

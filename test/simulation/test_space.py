@@ -333,11 +333,8 @@ def test_check_tells_axes_and_equations(linkage):
 def test_what_cannot_be_had_in_space_says_so(linkage):
     mechanism, _ = linkage
     one = Simulation(scene(mechanism))
-    for ask in (lambda: one.joint_forces,
-                lambda: one.inverse_dynamics(one.position, one.velocity, one.acceleration),
-                lambda: one.rollout(steps=1)):
-        with pytest.raises(SimulationError, match='is a mechanism in space'):
-            ask()
+    with pytest.raises(SimulationError, match='is a mechanism in space'):
+        one.rollout(steps=1)
     for method in ({'formulation': 'augmented'}, {'stabilisation': 'independent'}):
         with pytest.raises(SimulationError, match=next(iter(method.values()))):
             Simulation(scene(mechanism, **method))

@@ -26,7 +26,7 @@ the first start, a third of the time ever after.
 
 from .linkage import ALWAYS, available, REFINED, take
 
-__all__ = ['available', 'refined', 'relink']
+__all__ = ['available', 'later', 'relink']
 
 
 def relink(model, linkage):
@@ -46,14 +46,16 @@ def relink(model, linkage):
     take(linkage, addresses(model, ALWAYS))
 
 
-def refined(model):
+def later(model, place):
     """
-    Return the addresses of a model's routines with refinement.
+    Return the addresses of a model's routines that are not compiled before they are called.
 
     Parameters
     ----------
     model : core.types.Model
         Constant arrays of the mechanism.
+    place : int
+        Of one of them in the linkage; those with refinement come together.
 
     Returns
     -------
@@ -62,4 +64,4 @@ def refined(model):
     """
     # Here, as there may be no compiler.
     from .routines import addresses
-    return addresses(model, REFINED)
+    return addresses(model, REFINED if place in REFINED else (place,))

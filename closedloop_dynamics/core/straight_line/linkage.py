@@ -45,7 +45,14 @@ REFINED = (REFINED_ACCELERATION, REFINED_CORRECTION)
 # Addresses of arrays.
 (BODY, GRAVITY, CUT_POINT, TAU, BAUMGARTE, QDD, LAM, HEALTH, WORK_BODY, CLOSURE, CLOSURE_RATE,
  CORRECTIONS) = range(9, 21)
-LINKAGE_COLUMNS = 21
+# In space, routines for what is asked of a state beside its accelerations, which are compiled
+# when they are first called: wrenches in the joints of the tree, wrenches at the cut joints,
+# energies, all closure equations, their Jacobian, and the joint forces that accelerations take.
+ON_DEMAND = (JOINT_WRENCHES, CUT_WRENCHES, ENERGIES, CLOSURES, JACOBIAN, TREE_FORCES) = tuple(
+    range(21, 27))
+# Addresses of arrays for them: multipliers of all equations, and results.
+(ALL_LAM, JOINT_WRENCH, CUT_WRENCH, ENERGY, ALL_CLOSURES, ALL_JACOBIAN, TREE_FORCE) = range(27, 34)
+LINKAGE_COLUMNS = 34
 # States side by side in the vectors of ``lanes``: one of AVX-512, two of AVX2, four of NEON.
 LANES = 8
 
@@ -158,11 +165,13 @@ def connect(arrays, careful, find):
     Parameters
     ----------
     arrays : dict of int to ndarray
-        From the places BODY to CORRECTIONS; they must live as long as the linkage is used.
+        From the places BODY to CORRECTIONS, in space from ALL_LAM to TREE_FORCE, too; they are
+        kept as long as the linkage.
     careful : dict of int to callable
         From CAREFUL_ACCELERATION, CAREFUL_POSITION and CAREFUL_VELOCITY; called with q and qd.
     find : callable
-        Returns the addresses of REFINED_ACCELERATION and REFINED_CORRECTION, as ``take`` has them.
+        Called with a place among REFINED and ON_DEMAND; returns addresses by place, as ``take``
+        has them, that one among them.
 
     Returns
     -------
@@ -173,19 +182,19 @@ def connect(arrays, careful, find):
     for place, array in arrays.items():
         linkage[place] = array.ctypes.data
     nv = len(arrays[QDD])
-    kept = {place: _SIGNATURE(_compiling(find, place)) for place in REFINED}
+    kept = {place: _SIGNATURE(_compiling(find, place)) for place in (*REFINED, *ON_DEMAND)}
     for place, function in careful.items():
         kept[place] = _SIGNATURE(_on_arrays(function, nv))
     for place, routine in kept.items():
         linkage[place] = ctypes.cast(routine, ctypes.c_void_p).value
-    _callbacks[id(linkage)] = kept, careful
+    _callbacks[id(linkage)] = kept, careful, arrays
     weakref.finalize(linkage, _callbacks.pop, id(linkage))
     return linkage
 
 
 def take(linkage, routines):
     """
-    Give a linkage other unrolled routines; those with refinement are found when called.
+    Give a linkage other unrolled routines; REFINED and ON_DEMAND ones are found when called.
 
     Parameters
     ----------
@@ -197,15 +206,20 @@ def take(linkage, routines):
     """
     for place, address in routines.items():
         linkage[place] = address
-    for place in REFINED:
+    for place in (*REFINED, *ON_DEMAND):
         linkage[place] = ctypes.cast(
             _callbacks[id(linkage)][0][place], ctypes.c_void_p).value
+
+
+def array(linkage, place):
+    """Return one of the arrays that a linkage was connected with."""
+    return _callbacks[id(linkage)][2][place]
 
 
 def _compiling(find, place):
     """Return a function that finds a routine, links it in its own place, and calls it."""
     def called(linkage, q, qd):
-        address = find()[place]
+        address = find(place)[place]
         (ctypes.c_int64 * LINKAGE_COLUMNS).from_address(linkage)[place] = address
         return _SIGNATURE(address)(linkage, q, qd)
 

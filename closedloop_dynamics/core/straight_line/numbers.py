@@ -26,7 +26,7 @@ import numpy as np
 from . import space
 from .spatial import Recursion
 from .vectors import transpose
-from ..types import BODY_A, BODY_B, CUT_NUMBER, DOF, KEPT, PARENT, POSSIBLE
+from ..types import CUT_NUMBER, DOF, KEPT, PARENT, POSSIBLE
 
 # Singular values of the scaled Jacobian below this times the largest belong to equations that
 # repeat others.
@@ -62,7 +62,6 @@ class Numbers:
         self.counts = [len(some) for some in places]
         self.kept = np.array([kept >> n & 1 for some, (_, kept) in zip(places, cuts)
                               for n in some], dtype=bool)
-        self._first = np.cumsum([0, *self.counts])
         self.nv, self.nc = len(model.tree) - 1, sum(self.counts)
 
     def move(self, q, qd=None):
@@ -96,15 +95,9 @@ class Numbers:
 
         """
         found = np.zeros((3, self.nc))
-        for _, row, equation in self._equations():
+        for row, _, equation in space.equations(self.recursion, self.model):
             found[:, row] = equation.value, equation.rate, equation.bias
         return found
-
-    def _equations(self):
-        """Yield each equation with its cut joint and its place in the mechanism's order."""
-        for a, cut in enumerate(self.model.cut):
-            for n, equation in enumerate(self.recursion.closures(self.model, a)):
-                yield a, self._first[cut[CUT_NUMBER]] + n, equation
 
     def jacobian(self):
         """
@@ -116,28 +109,9 @@ class Numbers:
 
         """
         jac = np.zeros((self.nc, self.nv))
-        for a, row, equation in self._equations():
-            first, second = self.model.cut[a, [BODY_A, BODY_B]]
-            if equation.in_joints:
-                for i, force in equation.in_joints:
-                    jac[row, self.model.tree[i, DOF]] = force
-            else:
-                jac[row] = self._inward({first: equation.on_a, second: equation.on_b})
-        return self._own_axes(jac.T).T
-
-    def _inward(self, wrenches):
-        """Return the shares (nv,) in the joints of wrenches on bodies."""
-        model, shares = self.model, np.zeros(self.nv)
-        total = np.zeros((len(model.tree), 6))
-        for body, wrench in wrenches.items():
-            total[body] += wrench
-        for i in range(len(model.tree) - 1, 0, -1):
-            motion = self.recursion.motion[i]
-            shares[model.tree[i, DOF]] = np.dot(motion.axis, total[i])
-            parent = total[model.tree[i, PARENT]]
-            parent += total[i]
-            parent[:3] += np.cross(motion.offset, total[i, 3:])
-        return shares
+        for place, a, equation in space.equations(self.recursion, self.model):
+            jac[place] = self.recursion.row(self.model, a, equation)
+        return jac
 
     def _own_axes(self, values):
         """Turn rows of values for spherical joints from the world's axes into the bodies'."""
@@ -164,12 +138,13 @@ class Numbers:
             tips[i, :, model.tree[i, DOF]] += motion.axis
             force[i] = np.array(self.recursion.inertia[i]) @ tips[i]
         gim = sum(tips[i].T @ force[i] for i in range(1, len(model.tree)))
-        for i, (_, parent, armature, rotor) in self._rotors():
-            dof = model.tree[i, DOF]
-            gim[dof, dof] += armature
-            coupling = rotor @ tips[parent, :3]
-            gim[dof] += coupling
-            gim[:, dof] += coupling
+        for i, body in enumerate(self.recursion.bodies):
+            if i > 0 and body.armature is not None:
+                dof = model.tree[i, DOF]
+                gim[dof, dof] += body.armature
+                coupling = self.recursion.rotor[i] @ tips[model.tree[i, PARENT], :3]
+                gim[dof] += coupling
+                gim[:, dof] += coupling
         return self._own_axes(self._own_axes(gim).T)
 
     def bias_force(self):
@@ -181,20 +156,7 @@ class Numbers:
         ndarray, shape (nv,)
 
         """
-        forces = dict(enumerate(self.recursion.force))
-        del forces[0]
-        shares = self._own_axes(self._inward(forces))
-        for i, (motion, _, _, rotor) in self._rotors():
-            shares[self.model.tree[i, DOF]] += rotor @ motion.spin_rate
-        return shares
-
-    def _rotors(self):
-        """Yield rows of joints with rotors: motion and row of the carrier, armature, momentum."""
-        for i, body in enumerate(self.recursion.bodies):
-            if i > 0 and body.armature is not None:
-                parent = self.model.tree[i, PARENT]
-                yield i, (self.recursion.motion[parent], parent, body.armature,
-                          np.array(self.recursion.rotor[i]))
+        return np.array(self.recursion.joint_wrenches(self.model, np.zeros(self.nv))[1])
 
     def energies(self):
         """
@@ -205,40 +167,7 @@ class Numbers:
         tuple of 2 floats
 
         """
-        kinetic = potential = 0.0
-        for body, motion, inertia in list(zip(
-                self.recursion.bodies, self.recursion.motion, self.recursion.inertia))[1:]:
-            rates = np.array(motion.spin + motion.velocity)
-            kinetic += 0.5 * rates @ np.array(inertia) @ rates
-            moment = body.mass * np.array(motion.origin) + np.array(motion.frame) @ body.moment
-            potential -= self.model.gravity @ moment
-        for i, (motion, _, armature, rotor) in self._rotors():
-            rate = self._rates[self.model.tree[i, DOF]]
-            kinetic += rate * (0.5 * armature * rate + rotor @ motion.spin)
-        return float(kinetic), float(potential)
-
-    def cut_wrenches(self, lam):
-        """
-        Return what body B exerts on body A at each cut joint, at the cut point of A.
-
-        Parameters
-        ----------
-        lam : ndarray, shape (nc,)
-            Multipliers.
-
-        Returns
-        -------
-        ndarray, shape (number of cuts, 6)
-            Moment, then force, in world axes, in the mechanism's order [N m, N].
-
-        """
-        found = np.zeros((len(self.model.cut), 6))
-        for a, row, equation in self._equations():
-            found[a] += lam[row] * np.array(equation.on_a)
-        for wrench, cut, point in zip(found, self.model.cut, self.model.cut_point):
-            frame = np.array(self.recursion.motion[cut[BODY_A]].frame)
-            wrench[:3] -= np.cross(frame @ point[space.POINT_A:space.POINT_A + 3], wrench[3:])
-        return found[np.argsort(self.model.cut[:, CUT_NUMBER])]
+        return tuple(map(float, self.recursion.energies(self.model, self._rates)))
 
     def point(self, row, place):
         """
@@ -258,25 +187,6 @@ class Numbers:
         """
         motion = self.recursion.motion[row]
         return np.array(motion.origin) + np.array(motion.frame) @ np.array(place)
-
-    def of_all(self, lam):
-        """
-        Return the least multipliers of all equations that do what those of the kept ones do.
-
-        Parameters
-        ----------
-        lam : ndarray
-            Of the kept equations.
-
-        Returns
-        -------
-        ndarray, shape (nc,)
-
-        """
-        if self.kept.all():
-            return lam
-        jac = self.jacobian()
-        return np.linalg.lstsq(jac.T, jac[self.kept].T @ lam, rcond=DEPENDENT)[0]
 
     def of_kept(self, lam):
         """

@@ -26,7 +26,8 @@ import numpy as np
 from .spatial import Body, Cut, X, Y, Z
 from .vectors import is_zero
 from ..types import (
-    AXIS, BALL, CUT_TYPE, HELICAL, KEPT, PARENT, PRISMATIC, SLOT_A, SLOT_END, TYPE)
+    AXIS, BALL, CUT_NUMBER, CUT_TYPE, HELICAL, KEPT, PARENT, POSSIBLE, PRISMATIC, SLOT_A, SLOT_END,
+    TYPE)
 
 # Columns of Model.body, one row a body: mass; first moments; moments of inertia about the body's
 # origin, xx, yy, zz, xy, xz, yz; the joint's place in the parent's frame; its axes there, row by
@@ -313,3 +314,48 @@ def read(recursion, body):
 
     """
     recursion.force[1:] = [tuple(row[FORCE:FORCE + 6]) for row in body[1:]]
+
+
+def first_equations(model):
+    """
+    Return where each cut joint's equations that do not always hold begin, and their number.
+
+    Parameters
+    ----------
+    model : Model
+        Constant arrays of the mechanism.
+
+    Returns
+    -------
+    ndarray of int, shape (number of cuts + 1,)
+        In the mechanism's order.
+
+    """
+    possible = model.cut[np.argsort(model.cut[:, CUT_NUMBER]), POSSIBLE].tolist()
+    return np.cumsum([0, *(bin(one).count('1') for one in possible)])
+
+
+def equations(recursion, model):
+    """
+    Yield all equations that do not always hold.
+
+    Parameters
+    ----------
+    recursion : Recursion
+        With POSSIBLE cut joints, in a state.
+    model : Model
+        Constant arrays of the mechanism.
+
+    Yields
+    ------
+    place : int
+        In the mechanism's order.
+    a : int
+        Cut joint, in the model's order.
+    equation : Closure
+
+    """
+    first = first_equations(model)
+    for a, number in enumerate(model.cut[:, CUT_NUMBER]):
+        for n, equation in enumerate(recursion.closures(model, a)):
+            yield first[number] + n, a, equation

@@ -1,0 +1,231 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Forces in joints, energies and inverse dynamics in space, by the routines compiled on demand."""
+
+from dataclasses import replace
+
+from closedloop_dynamics.core.straight_line import available, linkage as links, routines
+from closedloop_dynamics.core.straight_line.emit import Q, QD
+from closedloop_dynamics.core.straight_line.numbers import Numbers
+from closedloop_dynamics.core.types import WORK_COLUMNS
+from closedloop_dynamics.effects.external_force import ExternalForce
+from closedloop_dynamics.effects.joint_friction import JointFriction
+from closedloop_dynamics.effects.joint_spring import JointSpring
+from closedloop_dynamics.effects.point_spring import PointSpring
+from closedloop_dynamics.effects.rotor import Rotor
+from closedloop_dynamics.mechanism.mechanism import GROUND, JOINT_FREEDOMS, Point
+from closedloop_dynamics.simulation.errors import SimulationError
+import numpy as np
+import pytest
+
+from .test_space import machine, scene, TIGHT
+from ..reference import spatial_linkages, spatial_maximal as twin
+from ..reference.compare import assert_agree
+if available():
+    from closedloop_dynamics.core.straight_line import space
+    from closedloop_dynamics.core.straight_line.on_demand import OnDemand
+    from closedloop_dynamics.simulation.simulation import Simulation
+
+    from ..core.spatial_engine import interpret, SpatialEngine
+
+pytestmark = pytest.mark.skipif(not available(), reason='nothing moves in space uncompiled')
+
+
+def on_demand(engine, which, result, q, qd, **more):
+    """Return the result of one of the routines, its arithmetic interpreted."""
+    model = engine.model
+    inputs = {links.BODY: model.body, links.GRAVITY: model.gravity,
+              links.CUT_POINT: model.cut_point, Q: q, QD: qd}
+    numbers = Numbers(model)
+    numbers.move(q, qd)
+    inputs[links.WORK_BODY] = np.zeros((len(model.tree), WORK_COLUMNS))
+    space.write(numbers.recursion, inputs[links.WORK_BODY])
+    inputs.update({getattr(links, name): np.array(value) for name, value in more.items()})
+    outputs, _ = interpret(routines.Unrolling(model).routine(which), inputs)
+    found = outputs.get(result, {})
+    return lambda *shape: np.array([
+        found.get(place, 0.0) for place in range(int(np.prod(shape)))]).reshape(shape)
+
+
+def reactions(mechanism, q, qd, expected):
+    """Return the wrench in each joint from the motion of the bodies, tips first."""
+    motions = twin.forward(mechanism, q, qd, np.zeros(len(qd)))[0]
+    needed = {GROUND: np.zeros(6)}
+    for body in mechanism.bodies:
+        motion, acceleration = motions[body.name], expected.accelerations[body.name]
+        arm, spin = motion.axes @ body.center_of_mass, motion.spin
+        about = motion.axes @ twin.inertia(body) @ motion.axes.T
+        center = acceleration[3:] + np.cross(acceleration[:3], arm) + np.cross(
+            spin, np.cross(spin, arm))
+        force = body.mass * (center - (0.0, 0.0, -9.81))
+        turning = about @ acceleration[:3] + np.cross(spin, about @ spin)
+        needed[body.name] = np.concatenate([turning + np.cross(arm, force), force])
+    for cut in mechanism.cut_joints:
+        a, b = motions[cut.body_a], motions[cut.body_b]
+        place = a.origin + a.axes @ cut.point_a
+        moment, force = np.split(expected.wrenches[cut.name], 2)
+        for name, motion, sign in ((cut.body_a, a, 1.0), (cut.body_b, b, -1.0)):
+            needed[name] = needed[name] - sign * np.concatenate(
+                [moment + np.cross(place - motion.origin, force), force])
+    left = {joint.child: joint for joint in mechanism.joints}
+    found = {}
+    while left:
+        parents = {joint.parent for joint in left.values()}
+        name = next(name for name in left if name not in parents)
+        joint = left.pop(name)
+        found[joint.name] = wrench = needed[name]
+        offset = motions[name].origin - motions[joint.parent].origin
+        needed[joint.parent] = needed[joint.parent] + np.concatenate(
+            [wrench[:3] + np.cross(offset, wrench[3:]), wrench[3:]])
+    return found
+
+
+@pytest.mark.parametrize('seed', range(12))
+def test_forces_in_joints_are_those_of_maximal_coordinates(seed):
+    rng = np.random.default_rng(seed)
+    mechanism, q, qd = spatial_linkages.random_mechanism(rng)
+    engine = SpatialEngine(mechanism)
+    tau = rng.normal(size=engine.nv)
+    expected = twin.forward_dynamics(mechanism, q, qd, tau)
+    qdd, lam, _ = engine.forward_dynamics(q, qd, tau)
+    rows = on_demand(engine, links.JOINT_WRENCHES, links.JOINT_WRENCH, q, qd, QDD=qdd, LAM=lam)(
+        len(engine.model.tree), 6)
+    motions = twin.forward(mechanism, q, qd, qdd)[0]
+    known, found = reactions(mechanism, q, qd, expected), {}
+    numbers = Numbers(engine.model)
+    numbers.move(q, qd)
+    for joint in mechanism.joints:
+        if JOINT_FREEDOMS[joint.type]:
+            row = engine.rows[joint.name][-1]
+            found[joint.name] = rows[row].copy()
+            arm = motions[joint.child].origin - numbers.recursion.motion[row].origin
+            found[joint.name][:3] -= np.cross(arm, rows[row, 3:])
+    assert_agree(list(found.values()), [known[name] for name in found], 1e-8)
+    # Along the joints' freedoms they are the forces that drive them, loops closed.
+    forces = on_demand(engine, links.TREE_FORCES, links.TREE_FORCE, q, qd, QDD=qdd)(engine.nv)
+    jac = on_demand(engine, links.JACOBIAN, links.ALL_JACOBIAN, q, qd)(engine.nc, engine.nv)
+    assert_agree(forces, tau + jac.T @ lam, 1e-9)
+    # Wrenches at the cut joints, of all equations.
+    wrenches = on_demand(engine, links.CUT_WRENCHES, links.CUT_WRENCH, q, qd, ALL_LAM=lam)(
+        len(mechanism.cut_joints), 6)
+    assert_agree(wrenches, [expected.wrenches[cut.name] for cut in mechanism.cut_joints], 1e-8)
+
+
+@pytest.mark.parametrize('seed', range(6))
+def test_what_is_compiled_on_demand_is_what_the_recursions_give_on_numbers(seed):
+    rng = np.random.default_rng(50 + seed)
+    mechanism, q, qd = spatial_linkages.random_mechanism(rng)
+    engine = SpatialEngine(mechanism)
+    numbers = Numbers(engine.model)
+    # Open loops: nothing is zero.
+    opened = qd + rng.normal(size=len(qd))
+    numbers.move(q, opened)
+    assert_agree(on_demand(engine, links.ENERGIES, links.ENERGY, q, opened)(2),
+                 numbers.energies(), 1e-12)
+    assert_agree(on_demand(engine, links.CLOSURES, links.ALL_CLOSURES, q, opened)(3, engine.nc),
+                 numbers.closures(), 1e-12)
+    assert_agree(on_demand(engine, links.JACOBIAN, links.ALL_JACOBIAN, q, opened)(
+        engine.nc, engine.nv), numbers.jacobian(), 1e-12)
+
+
+@pytest.fixture(scope='module')
+def linkage():
+    """Return an RSSR four-bar in motion under effects, and its torque."""
+    mechanism, torque = machine('rssr_four_bar', ('rocker', (0.0, 0.0, 0.15)))
+    return replace(mechanism, joints=tuple(
+        replace(joint, actuated=joint.name in ('crank', 'tip_3')) for joint in mechanism.joints))
+
+
+def moving(mechanism, effects=None):
+    """Return a simulation after some motion."""
+    one = Simulation(scene(mechanism, effects=effects, integrator='rk4'))
+    one.step({'crank': 0.03, 'tip_3': 1e-3}, 0.3)
+    return one
+
+
+@pytest.mark.parametrize('effects', [{}, {
+    'spring': JointSpring('rocker', 0.3, 0.1), 'motor': Rotor('crank', 1e-4, 3.0),
+    'idler': Rotor('tip', 1e-5, 4.0), 'cord': PointSpring(
+        'point_0', anchor=(0.0, 0.0, 1.0), stiffness=3.0, damping=0.1),
+    'push': ExternalForce('point_0', (0.1, 0.2, 0.3), (0.01, 0.0, 0.0), 'body')}])
+def test_inverse_dynamics_finds_the_torques_of_a_motion(linkage, effects):
+    one = moving(linkage, effects)
+    state = one.position, one.velocity
+    for crank, spin in ((0.05, 0.002), (-0.4, 0.0)):
+        torques = {'crank': crank, 'tip_3': spin}
+        acceleration, multipliers = one.forward_dynamics(*state, torques)
+        torque, lam = one.inverse_dynamics(*state, acceleration)
+        assert_agree(torque, [crank, spin], 1e-9)
+        assert_agree(lam, multipliers, 1e-8)
+    acceleration[1] += 1.0
+    with pytest.raises(SimulationError, match='opens the loops'):
+        one.inverse_dynamics(*state, acceleration)
+
+
+def test_forces_in_joints_do_the_work_of_what_moves(linkage):
+    one = moving(linkage)
+    forces, names = one.joint_forces, list(one.joint_names)
+    assert forces.shape == (len(names), 6)
+    # The hinge hands the crank the torque of its drive, and nothing about its axis otherwise.
+    assert_agree(forces[names.index('crank'), 2], 0.03, 1e-10)
+    assert_agree(forces[names.index('rocker'), 0], 0.0, 1e-10, smallest=1.0)
+    # All that holds the machine carries its weight and changes its momentum.
+    held = forces[names.index('crank'), 3:] + forces[names.index('rocker'), 3:]
+    total = np.zeros(3)
+    motions, rates = twin.forward(linkage, one.position, one.velocity, one.acceleration)[:2]
+    for body in linkage.bodies:
+        motion, rate = motions[body.name], rates[body.name]
+        arm = motion.axes @ body.center_of_mass
+        total += body.mass * (rate[3:] + np.cross(rate[:3], arm) + np.cross(
+            motion.spin, np.cross(motion.spin, arm)) - (0.0, 0.0, -9.81))
+    assert_agree(held, total, 1e-9)
+    assert_agree(one.force('rocker'), forces[names.index('rocker')], 0.0)
+
+
+def test_least_forces_are_the_same_by_way_of_compiled_code():
+    mechanism, _ = machine('bricard')
+    one = Simulation(scene(mechanism, gravity=(0.0, -9.81, 0.0), integrator='rk4'))
+    one.step(None, 0.2)
+    numbers = Numbers(one.system.model)
+    numbers.move(one.position, one.velocity)
+    _, lam, rank = numbers.accelerations(np.zeros(5), 0.0)
+    assert rank == 4
+    wrench = numbers.recursion.cut_wrench(one.system.model, 0, lam)
+    # Both least, one in the metric of the inertia: the same where they are turned into motion.
+    jac = numbers.jacobian()
+    found = OnDemand(one.system).of_all(one.position, one.velocity, one.multipliers)
+    assert_agree(jac.T @ found, jac.T @ lam, 1e-9)
+    assert np.linalg.norm(found) <= np.linalg.norm(lam) * (1.0 + 1e-9)
+    assert one.constraint_forces.shape == (1, len(wrench))
+
+
+def test_friction_in_a_joint_follows_the_force_that_the_joint_carries():
+    # A bar about a vertical hinge presses on it by its weight, and pulls by its turning.
+    mechanism, _ = machine('rssr_four_bar')
+    bar = replace(
+        mechanism, bodies=mechanism.bodies[:1], joints=mechanism.joints[:1], cut_joints=(),
+        points=(Point('end', 'crank', (0.1, 0.0, 0.0)),))
+    effects = {'rub': JointFriction('crank', friction_coefficient=0.2, radius=0.01)}
+    one = Simulation(scene(bar, effects=effects, **TIGHT))
+    one.set_state({'crank': 0.0}, {'crank': 20.0})
+    one.step(None, 0.05)
+    rate = one.velocity[0]
+    load = 0.5 * np.hypot(9.81, 0.05 * rate ** 2)
+    assert one.effect_readings('rub')['reaction'] == pytest.approx(load, rel=1e-3)
+    assert one.effect_readings('rub')['torque'] == pytest.approx(-0.2 * 0.01 * load, rel=1e-2)
+    # It comes to rest, and stays.
+    one.step(None, 3.0)
+    assert one.velocity[0] == 0.0
+    assert abs(one.energy_balance.residual) < 1e-9
