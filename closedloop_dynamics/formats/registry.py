@@ -19,19 +19,21 @@ from pathlib import Path
 from .building import mechanism_of
 from .loops import add_loops
 from .mjcf import read_mjcf
+from .sdf import read_sdf
 from .urdf import read_urdf
 from .xml_file import read_xml
 from ..mechanism.mechanism import MechanismError
 
 # By the outermost element of a file whose name ends with .xml.
-ROOTS = {'mujoco': read_mjcf, 'robot': read_urdf}
+ROOTS = {'mujoco': read_mjcf, 'robot': read_urdf, 'sdf': read_sdf}
 
 
 def _read_xml(path):
     return ROOTS[read_xml(path, tuple(ROOTS)).tag](path)
 
 
-READERS = {'.urdf': read_urdf, '.xacro': read_urdf, '.mjcf': read_mjcf, '.xml': _read_xml}
+READERS = {'.urdf': read_urdf, '.xacro': read_urdf, '.mjcf': read_mjcf, '.xml': _read_xml,
+           '.sdf': read_sdf, '.world': read_sdf}
 
 
 def is_model(path):

@@ -15,8 +15,8 @@
 """
 URDF, with the tags in which loops are written.
 
-``<loop>`` and ``<coupling>`` (URDF+), ``<constraint>`` (proposed for URDF), ``<loop_joint>``
-(Isaac) and ``<drake:ball_constraint>``; a YAML file beside the URDF with ``closed_loop`` and others
+Read are ``<loop>`` and ``<coupling>`` (URDF+), ``<constraint>`` (proposed), ``<loop_joint>``
+(Isaac) and ``<drake:ball_constraint>``; a YAML file beside it with ``closed_loop`` and others
 (``parallel_yaml``). The root link stands on the ground.
 
 """

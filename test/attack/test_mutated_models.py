@@ -30,7 +30,7 @@ import numpy as np
 import pytest
 
 from .test_mutated_scenes import mutated, put, swap, told, WORD
-from ..formats import machines
+from ..formats import machines, test_sdf
 try:
     from ..formats import test_mjcf
 except pytest.skip.Exception:
@@ -41,6 +41,7 @@ VALUES = ('"1e999"', '"-1"', '"nan"', '"0"', '""', '"1e-320"', '"1 2"', '"1 2 3 
 ATTRIBUTE = re.compile(r'"[^"<>]*"')
 ELEMENT = re.compile(r'<[a-z_:A-Z]+[^<>]*/>|<([a-z_:A-Z]+)[^<>]*>[^<>]*</\1>')
 FILES = {'urdf': [machines.four_bar(way) for way in machines.LOOPS],
+         'sdf': [test_sdf.FOUR_BAR],
          'mjcf': [test_mjcf.TREE, test_mjcf.LOOPS.replace(
              'EQUALITY', '\n'.join(test_mjcf.EQUALITIES.values()))] if test_mjcf else []}
 

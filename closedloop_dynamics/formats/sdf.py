@@ -1,0 +1,330 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+SDF: one model with joints between any links, in loops as well.
+
+Poses are relative to the frames that they name, axes expressed in them. A part of the model that
+nothing joins to the world floats. ``<drake:ball_constraint>`` closes a loop, too.
+
+"""
+
+import math
+from pathlib import Path
+import re
+
+import numpy as np
+
+from .model import Connection, Link, Model
+from .pose import IDENTITY, of_angles, of_quaternion, Pose
+from .xml_file import read_xml
+from ..mechanism.fields import nearest
+from ..mechanism.mechanism import (
+    FIXED, FREE, GROUND, HELICAL, MechanismError, PRISMATIC, REVOLUTE, SPHERICAL, UNIVERSAL)
+
+TYPES = {'revolute': REVOLUTE, 'continuous': REVOLUTE, 'prismatic': PRISMATIC, 'fixed': FIXED,
+         'ball': SPHERICAL, 'universal': UNIVERSAL, 'revolute2': UNIVERSAL, 'screw': HELICAL}
+MODEL, WORLD = '__model__', 'world'
+# Limits beyond this are none.
+ENDLESS = 1e15
+# The version in which axes began to be given in the joint's frame.
+OWN_AXES = (1, 5)
+REASONS = {
+    'visual': 'for pictures', 'material': 'for pictures', 'collision': 'for contacts',
+    'self_collide': 'for contacts', 'plugin': 'for a simulator', 'sensor': 'for sensors',
+    'light': 'for pictures', 'scene': 'for pictures', 'gui': 'for pictures',
+    'physics': 'for a simulator', 'must_be_loop_joint': 'for a simulator',
+    'drake:linear_bushing_rpy': 'bushings close no loops', 'enable_wind': 'for a simulator',
+    'allow_auto_disable': 'for a simulator', 'gravity': 'gravity acts on every link',
+    'velocity_decay': 'for a simulator'}
+UNKNOWN = 'not known to this reader'
+
+
+def read_sdf(path):
+    """
+    Read an SDF file.
+
+    Parameters
+    ----------
+    path : str or pathlib.Path
+        Of the file, with one model, which may stand in a world.
+
+    Returns
+    -------
+    Model
+
+    Raises
+    ------
+    MechanismError
+        With file, line and element.
+
+    """
+    path = Path(path)
+    root = read_xml(path, ('sdf',))
+    version = root.get('version', '1.12')
+    if not re.fullmatch('[0-9]{1,3}[.][0-9]{1,3}', version):
+        raise root.error('a version such as 1.10', repr(version))
+    version = tuple(map(int, version.split('.')))
+    world = root.child('world')
+    where = root if world is None else world
+    models = where.all('model')
+    for element in where.all('include'):
+        raise element.error('a model in the file itself', 'one that is to be included',
+                            'write it into the file, `gz sdf -p` does')
+    if len(models) != 1:
+        raise where.error('one <model>', f'{len(models)}')
+    reader = _Reader(models[0], Model(models[0].get('name') or path.stem, path), version)
+    gravity = world and world.child('gravity')
+    if gravity:
+        reader.model.gravity = tuple(gravity.values(gravity.text, 3, 'gravity'))
+    reader.read()
+    for what, times in root.unasked().items():
+        reader.model.ignored[f'{times} {what}' if times > 1 else what] = REASONS.get(
+            what, UNKNOWN)
+    return reader.model
+
+
+class _Reader:
+    """Records from one element model."""
+
+    def __init__(self, element, model, version):
+        """Note every frame with the pose that it is given."""
+        self.element, self.model, self.version = element, model, version
+        for child in element.all('model', 'include'):
+            raise child.error('links and joints', 'a model in the model')
+        static = element.child('static')
+        if static is not None and static.text in ('true', '1'):
+            raise static.error('a model that moves', 'a static one')
+        self.links, self.joints = element.all('link'), element.all('joint')
+        # By frame: the element with its pose, and what that is relative to if it names nothing.
+        self.given, self.found = {}, {MODEL: IDENTITY}
+        for kind, parts in (('link', self.links), ('frame', element.all('frame')),
+                            ('joint', self.joints)):
+            for part in parts:
+                name = part.word('name')
+                if name in self.given:
+                    raise part.error('every name once', f'{name!r} again')
+                before = MODEL
+                if kind == 'frame':
+                    before = part.get('attached_to') or MODEL
+                elif kind == 'joint':
+                    before = self._end(part, 'child')
+                self.given[name] = part, before
+
+    def read(self):
+        element, model = self.element, self.model
+        pose = element.child('pose')
+        self.found[WORLD] = self._pose(pose).inverse if pose is not None else IDENTITY
+        for link in self.links:
+            model.add(_link(link, self._pose))
+            if link.attributes['name'] in (WORLD, GROUND):
+                raise link.error(f'any name but {WORLD!r} and {GROUND!r}', 'this one')
+        for joint in self.joints:
+            model.add(self._joint(joint))
+        for number, constraint in enumerate(element.all('drake:ball_constraint'), 1):
+            model.add(_ball_constraint(constraint, f'ball_constraint_{number}'))
+        for name, (part, before) in self.given.items():
+            if part.tag == 'frame':
+                link = before
+                while link in self.given and self.given[link][0].tag == 'frame':
+                    link = self.given[link][1]
+                if link in model.links:
+                    model.frames[name] = link, self._in(link).inverse @ self._in(name)
+        model.check()
+        self._float()
+        if not any(joint.actuated for joint in model.joints.values()):
+            for joint in model.joints.values():
+                joint.actuated = joint.type in (REVOLUTE, PRISMATIC) and bool(joint.effort)
+
+    def _end(self, joint, tag):
+        """Return the name of a joint's parent or child."""
+        end = joint.required(tag)
+        name = end.text or end.get('link_name') or ''
+        if not name:
+            raise end.error('the name of a link', 'nothing')
+        return name
+
+    def _pose(self, element):
+        """Return the pose that an element pose tells."""
+        if element is None or not element.text:
+            return IDENTITY
+        if element.get('rotation_format', 'euler_rpy') == 'quat_xyzw':
+            values = element.values(element.text, 7, 'pose')
+            if not np.linalg.norm(values[3:]) > 1e-6:
+                raise element.error('a quaternion that is not zero', repr(element.text))
+            return Pose(of_quaternion(values[3:]), np.array(values[:3]))
+        values = element.values(element.text, 6, 'pose')
+        unit = math.pi / 180.0 if element.get('degrees') in ('true', '1') else 1.0
+        return Pose(of_angles([unit * angle for angle in values[3:]]), np.array(values[:3]))
+
+    def _in(self, name, asking=(), where=None):
+        """Return the pose of a frame in that of the model."""
+        if name in self.found:
+            return self.found[name]
+        if name not in self.given:
+            known = [*self.given, MODEL, WORLD]
+            raise MechanismError(
+                f'{(where or self.element).where}: expected the name of a frame, got {name!r}'
+                f' ({nearest(name, known) or "see the names of links, joints and frames"})')
+        part, before = self.given[name]
+        if name in asking:
+            raise part.error('frames that do not depend on themselves',
+                             ' -> '.join([*asking, name]))
+        element = part.child('pose')
+        if element is not None:
+            before = element.get('relative_to') or element.get('frame') or before
+        self.found[name] = self._in(before, (*asking, name), part) @ self._pose(element)
+        return self.found[name]
+
+    def _joint(self, element):
+        """Return a joint."""
+        kind = TYPES[element.word('type', tuple(TYPES))]
+        ends = [self._end(element, tag) for tag in ('parent', 'child')]
+        place = self._in(element.attributes['name'])
+        poses, links = [], []
+        for end in ends:
+            link = end
+            # A frame stands for the link that it is on.
+            while link in self.given and self.given[link][0].tag == 'frame':
+                link = self.given[link][1]
+            links.append(GROUND if link == WORLD else link)
+            poses.append(self._in(link, where=element).inverse @ place)
+        joint = Connection(element.attributes['name'], kind, *links, element.where, *poses)
+        first, second = element.child('axis'), element.child('axis2')
+        if kind in (FIXED, SPHERICAL):
+            return joint
+        if first is None:
+            raise element.error('a child <axis>', 'none')
+        joint.axis = self._axis(first, place)
+        if kind == UNIVERSAL:
+            if second is None:
+                raise element.error('a child <axis2>', 'none')
+            joint.child_axis = self._axis(second, place)
+            return joint
+        if kind == HELICAL:
+            joint.lead = _lead(element)
+        self._act(joint, first)
+        return joint
+
+    def _axis(self, element, place):
+        """Return an axis in the joint's frame."""
+        xyz = element.child('xyz')
+        if xyz is None:
+            return np.array([0.0, 0.0, 1.0])
+        axis = xyz.unit(np.array(xyz.values(xyz.text, 3, 'an axis')), 'an axis')
+        whose = xyz.get('expressed_in')
+        parent = element.child('use_parent_model_frame')
+        if whose:
+            frame = self._in(whose, where=xyz).rotation
+        elif (self.version < OWN_AXES if parent is None else parent.text in ('true', '1')):
+            frame = np.eye(3)
+        else:
+            return axis
+        return place.rotation.T @ frame @ axis
+
+    def _act(self, joint, element):
+        """Note what acts on a joint, and its limits."""
+        def value(parent, tag, default=None):
+            child = None if parent is None else parent.child(tag)
+            return default if child is None else child.values(child.text, 1, tag)[0]
+
+        dynamics, limit = element.child('dynamics'), element.child('limit')
+        joint.damping, joint.friction, joint.stiffness, joint.rest = (
+            value(dynamics, tag, 0.0)
+            for tag in ('damping', 'friction', 'spring_stiffness', 'spring_reference'))
+        for name in ('damping', 'friction', 'stiffness'):
+            if getattr(joint, name) < 0.0:
+                raise dynamics.error(f'{name} to be zero or more', f'{getattr(joint, name):g}')
+        limits = [value(limit, tag) for tag in ('lower', 'upper', 'effort', 'velocity')]
+        joint.lower, joint.upper, joint.effort, joint.speed = (
+            None if one is None or abs(one) > ENDLESS else one for one in limits)
+        if joint.effort is not None and joint.effort < 0.0:
+            joint.effort = None
+
+    def _float(self):
+        """Carry each part that nothing joins to the world by a free joint, where it is drawn."""
+        model = self.model
+        beside = {name: [] for name in [GROUND, *model.links]}
+        for joint in model.joints.values():
+            if not joint.closes:
+                beside[joint.parent].append(joint.child)
+                beside[joint.child].append(joint.parent)
+        reached = set()
+        for root in [GROUND, *model.links]:
+            if root in reached:
+                continue
+            waiting = [root]
+            while waiting:
+                link = waiting.pop()
+                if link not in reached:
+                    reached.add(link)
+                    waiting += beside[link]
+            if root != GROUND:
+                name = f'{root}_free'
+                while name in model.joints:
+                    name += '_'
+                model.add(Connection(
+                    name, FREE, GROUND, root, model.links[root].where,
+                    in_parent=self._in(WORLD).inverse @ self._in(root), actuated=False))
+
+
+def _link(element, pose_of):
+    """Return a link; one without inertial has a mass of 1 kg, as SDF has it."""
+    link = Link(element.word('name'), element.where, 1.0, np.zeros(3), np.eye(3))
+    inertial = element.child('inertial')
+    if inertial is None:
+        return link
+    if inertial.get('auto') in ('true', '1'):
+        raise inertial.error('a mass and an inertia', 'one that is to follow from shapes')
+    pose = pose_of(inertial.child('pose'))
+    mass, inertia = inertial.child('mass'), inertial.child('inertia')
+    if mass is not None:
+        link.mass = mass.values(mass.text, 1, 'mass')[0]
+        if link.mass < 0.0:
+            raise mass.error('a mass that is zero or more', f'{link.mass:g}')
+
+    def moment(tag, default):
+        child = None if inertia is None else inertia.child(tag)
+        return default if child is None else child.values(child.text, 1, tag)[0]
+
+    xx, yy, zz = (moment(tag, 1.0) for tag in ('ixx', 'iyy', 'izz'))
+    xy, xz, yz = (moment(tag, 0.0) for tag in ('ixy', 'ixz', 'iyz'))
+    link.center = pose.position
+    link.inertia = pose.rotation @ np.array(
+        [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ pose.rotation.T
+    return link
+
+
+def _lead(element):
+    """Return the lead of a screw joint [m/rad]."""
+    pitch = element.child('screw_thread_pitch')
+    if pitch is not None:
+        return pitch.values(pitch.text, 1, 'a pitch')[0] / (2.0 * math.pi)
+    # Turns the other way, and tells radians per metre.
+    pitch = element.child('thread_pitch')
+    found = -1.0 if pitch is None else pitch.values(pitch.text, 1, 'a pitch')[0]
+    if found == 0.0:
+        raise pitch.error('a pitch that is not zero', '0')
+    return -1.0 / found
+
+
+def _ball_constraint(element, name):
+    """Return a loop as Drake writes it."""
+    ends, places = [], []
+    for body, point in (('A', 'AP'), ('B', 'BQ')):
+        ends.append(element.required(f'drake:ball_constraint_body_{body}').text)
+        place = element.required(f'drake:ball_constraint_p_{point}')
+        places.append(Pose(np.eye(3), np.array(place.values(place.text, 3, 'a point'))))
+    ends = [GROUND if end == WORLD else end for end in ends]
+    return Connection(name, SPHERICAL, *ends, element.where, *places, closes=True)

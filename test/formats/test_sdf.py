@@ -1,0 +1,169 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""SDF: frames, axes and joints of every type, in loops; and what is refused."""
+
+from closedloop_dynamics.formats.registry import read_model
+from closedloop_dynamics.mechanism.mechanism import MechanismError
+from closedloop_dynamics.mechanism.reader import read_mechanism
+from closedloop_dynamics.simulation.far_assembly import Loops
+import numpy as np
+import pytest
+
+from . import machines
+
+# The four-bar of the other tests, standing 1 m up in the world, its frames named in many ways.
+FOUR_BAR = """\
+<sdf version="1.10">
+<world name="w"><gravity>0 0 -3.7</gravity>
+<model name="four_bar"><pose>0 0 1 0 0 0</pose>
+  <link name="crank"><inertial><pose>0.05 0 0 0 0 0</pose><mass>0.5</mass>
+    <inertia><ixx>1e-4</ixx><iyy>5.5e-4</iyy><izz>6e-4</izz></inertia></inertial></link>
+  <link name="coupler"><pose relative_to="joint">0 0 0 0 0 0</pose>
+    <inertial><pose>0.2 0 0 0 0 0</pose><mass>1</mass>
+    <inertia><ixx>2e-4</ixx><iyy>1.49e-2</iyy><izz>1.5e-2</izz></inertia></inertial></link>
+  <link name="rocker"><pose degrees="true">0.35 0 0 0 90 0</pose><inertial>
+    <pose>0 0 0.15 0 -1.5707963267948966 0</pose><mass>0.8</mass>
+    <inertia><ixx>1.5e-4</ixx><iyy>6.9e-3</iyy><izz>7e-3</izz></inertia></inertial></link>
+  <frame name="joint" attached_to="crank"><pose>0.1 0 0 0 0 0</pose></frame>
+  <frame name="tip" attached_to="coupler"><pose>0.4 0 0 0 0 0</pose></frame>
+  <joint name="crank_joint" type="revolute"><parent>world</parent><child>crank</child>
+    <axis><xyz>0 1 0</xyz><limit><effort>2</effort></limit><dynamics><damping>0.1</damping>
+    <spring_stiffness>3</spring_stiffness><spring_reference>0.2</spring_reference></dynamics>
+    </axis></joint>
+  <joint name="coupler_joint" type="continuous"><parent>joint</parent><child>coupler</child>
+    <axis><xyz expressed_in="__model__">0 1 0</xyz></axis></joint>
+  <joint name="rocker_joint" type="revolute"><parent>world</parent><child>rocker</child>
+    <axis><xyz expressed_in="crank">0 1 0</xyz>
+    <limit><lower>-1e16</lower><upper>1e16</upper></limit></axis></joint>
+  <joint name="pin" type="ball"><parent>rocker</parent><child>tip</child></joint>
+</model></world></sdf>
+"""
+
+
+def written(tmp_path, text, name='model.sdf'):
+    path = tmp_path / name
+    path.write_text(text)
+    return path
+
+
+def test_the_same_machine_in_frames_of_its_own(tmp_path):
+    text = FOUR_BAR.replace('<joint name="pin" type="ball">', '<joint name="pin" type="ball">'
+                            '<pose relative_to="tip"/>')
+    # The pin is where the coupler ends, which is at the rocker's foot.
+    text = text.replace('0.35 0 0 0 90 0', '0.5 0 0 0 90 0')
+    imported = read_model(written(tmp_path, text))
+    mechanism = imported.mechanism
+    assert [(one.name, one.type, one.parent, one.child, one.actuated)
+            for one in mechanism.joints] == [
+        ('crank_joint', 'revolute', 'ground', 'crank', True),
+        ('coupler_joint', 'revolute', 'crank', 'coupler', False),
+        ('rocker_joint', 'revolute', 'ground', 'rocker', False)]
+    assert [joint.position for joint in mechanism.joints] == [
+        (0.0, 0.0, 1.0), (0.1, 0.0, 0.0), (0.5, 0.0, 1.0)]
+    assert all(np.allclose(joint.axis, (0.0, 1.0, 0.0)) for joint in mechanism.joints)
+    cut, = mechanism.cut_joints
+    assert (cut.type, cut.body_a, cut.body_b) == ('spherical', 'rocker', 'coupler')
+    assert cut.point_b == pytest.approx((0.4, 0.0, 0.0))
+    own = read_mechanism(written(tmp_path, machines.mechanism_text('revolute'), 'own.yaml'))
+    for body, other in zip(mechanism.bodies[:2], own.bodies):
+        assert body.mass == other.mass
+        assert body.center_of_mass == pytest.approx(other.center_of_mass)
+        assert body.inertia[:3] == pytest.approx(other.inertia)
+    assert imported.effects == {
+        'gravity': {'type': 'gravity', 'acceleration': (0.0, 0.0, -3.7)},
+        'damping_crank_joint': {
+            'type': 'joint_damping', 'joint': 'crank_joint', 'coefficient': 0.1},
+        'stiffness_crank_joint': {
+            'type': 'joint_spring', 'joint': 'crank_joint', 'stiffness': 3.0, 'rest': 0.2}}
+    # Everything is drawn where the file says: all loops are closed there.
+    assert max(Loops(mechanism, 1.0).gaps(np.zeros(3)).values()) < 1e-12
+
+
+@pytest.mark.parametrize('version, given, expected', [
+    ('1.10', '<xyz>1 0 0</xyz>', (1.0, 0.0, 0.0)),
+    ('1.10', '<xyz expressed_in="__model__">0 0 -1</xyz>', (1.0, 0.0, 0.0)),
+    ('1.6', '<xyz>0 0 -1</xyz><use_parent_model_frame>1</use_parent_model_frame>',
+     (1.0, 0.0, 0.0)),
+    ('1.4', '<xyz>0 0 -1</xyz>', (1.0, 0.0, 0.0)),
+])
+def test_axes_are_expressed_in_frames(tmp_path, version, given, expected):
+    text = (f'<sdf version="{version}"><model name="m"><link name="a">'
+            '<pose>0 0 0 0 1.5707963267948966 0</pose></link><joint name="j" type="revolute">'
+            f'<parent>world</parent><child>a</child><axis>{given}</axis></joint></model></sdf>')
+    joint, = read_model(written(tmp_path, text)).mechanism.joints
+    assert joint.axis == pytest.approx(expected)
+
+
+def test_joints_of_every_type(tmp_path):
+    kinds = {'prismatic': 'prismatic', 'ball': 'spherical', 'universal': 'universal',
+             'revolute2': 'universal', 'screw': 'helical', 'fixed': None}
+    links = ''.join(f'<link name="{kind}"/>' for kind in kinds)
+    joints = ''.join(
+        f'<joint name="to_{kind}" type="{kind}"><parent>world</parent><child>{kind}</child>'
+        '<axis><xyz>0 0 1</xyz></axis><axis2><xyz>0 1 0</xyz></axis2>'
+        '<screw_thread_pitch>0.01</screw_thread_pitch></joint>' for kind in kinds)
+    found = read_model(written(
+        tmp_path, f'<sdf version="1.10"><model name="m">{links}{joints}</model></sdf>')).mechanism
+    assert [joint.type for joint in found.joints] == [one for one in kinds.values() if one]
+    assert found.joints[-1].lead == pytest.approx(0.01 / (2.0 * np.pi))
+    assert found.joints[2].second_axis == (0.0, 1.0, 0.0)
+
+
+def test_what_nothing_joins_to_the_world_floats_where_it_is_drawn(tmp_path):
+    text = FOUR_BAR.replace('<parent>world</parent>', '<parent>base</parent>').replace(
+        '<link name="crank">', '<link name="base"><pose>1 2 3 0 0 0</pose></link>'
+        '<link name="crank">')
+    joint = read_model(written(tmp_path, text)).mechanism.joints[-1]
+    assert (joint.type, joint.child, joint.position) == ('free', 'base', (1.0, 2.0, 4.0))
+
+
+def test_the_tree_keeps_what_is_driven_and_cuts_what_is_free_the_most(tmp_path):
+    # The ball comes first in the file, and is cut nevertheless; the rest is turned about.
+    ball = FOUR_BAR[FOUR_BAR.index('  <joint name="pin"'):FOUR_BAR.index('</model>')]
+    text = FOUR_BAR.replace(ball, '').replace('  <joint name="crank_joint"',
+                                              f'{ball}  <joint name="crank_joint"')
+    mechanism = read_model(written(tmp_path, text)).mechanism
+    assert [cut.name for cut in mechanism.cut_joints] == ['pin']
+
+
+FAULTS = {
+    'pose': ('<pose>0.1 0 0 0 0 0</pose>', '<pose>0.1 0 0</pose>',
+             "<pose>: expected pose to be 6 finite numbers, got '0.1 0 0'"),
+    'frame': ('relative_to="joint"', 'relative_to="joints"',
+              r"expected the name of a frame, got 'joints' \(did you mean 'joint'\?\)"),
+    'cycle': ('attached_to="crank"><pose>', 'attached_to="crank"><pose relative_to="coupler">',
+              'expected frames that do not depend on themselves, got'),
+    'child': ('<child>crank</child>', '<child>krank</child>',
+              r"expected the name of a frame, got 'krank' \(did you mean 'crank'\?\)"),
+    'type': ('type="ball"', 'type="gearbox"', "expected type to be one of .* got 'gearbox'"),
+    'axis': ('<xyz>0 1 0</xyz>', '<xyz>0 0 0</xyz>',
+             'expected an axis to be a direction that is not zero'),
+    'static': ('<link name="crank">', '<static>true</static><link name="crank">',
+               'expected a model that moves, got a static one'),
+    'include': ('<model ', '<include><uri>x</uri></include><model ',
+                'expected a model in the file itself'),
+    'mass': ('<mass>0.5</mass>', '<mass>heavy</mass>', "got 'heavy'"),
+    'world': ('<link name="crank">', '<link name="world"/><link name="crank">',
+              "expected any name but 'world'"),
+}
+
+
+@pytest.mark.parametrize('fault', FAULTS)
+def test_faults_name_file_line_and_element(tmp_path, fault):
+    right, wrong, said = FAULTS[fault]
+    assert right in FOUR_BAR
+    path = written(tmp_path, FOUR_BAR.replace(right, wrong, 1))
+    with pytest.raises(MechanismError, match=rf'model\.sdf:\d+: .*{said}'):
+        read_model(path)
