@@ -383,6 +383,12 @@ class Simulation:
         return float(np.abs(self._on_demand.closures(self._q, self._qd)[0]).max(initial=0.0))
 
     @property
+    def inertia(self):
+        """Return the generalized inertia matrix of the spanning tree, shape (nv, nv)."""
+        self._fresh = False
+        return self._assembler.inertia(self._q)
+
+    @property
     def energy(self):
         """Kinetic energy and energy stored in gravity and effects [J]."""
         return sum(self._energies())

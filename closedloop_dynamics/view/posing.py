@@ -26,6 +26,37 @@ DIFFERENCE = 1e-6
 NEAR = 1e-9
 
 
+def felt_inertia(simulation):
+    """
+    Return the inertia that a drive of each freedom feels in the present position.
+
+    Parameters
+    ----------
+    simulation : simulation.simulation.Simulation
+        Read.
+
+    Returns
+    -------
+    ndarray, shape (nv,)
+        [kg m^2, kg]; infinite where the loops prevent the motion.
+
+    """
+    free = _free(simulation)
+    if not free.shape[1]:
+        return np.full(len(free), np.inf)
+    response = np.sum((free @ np.linalg.pinv(
+        free.T @ simulation.inertia @ free)) * free, axis=1)
+    with np.errstate(divide='ignore'):
+        return 1.0 / np.where(response > 0.0, response, 0.0)
+
+
+def _free(simulation):
+    """Return motions that the loops allow, shape (nv, number of freedoms)."""
+    _, values, rows = np.linalg.svd(simulation.constraint_jacobian)
+    rank = int(np.sum(values > FREE * values.max(initial=0.0)))
+    return rows[rank:].T
+
+
 def point_to(simulation, name, place):
     """
     Move to the state in which a point is as near to a place as small motions of it lead.
@@ -91,9 +122,7 @@ def joint_to(simulation, name, value):
 def _follow(simulation, goal):
     """Correct the state until what ``goal`` says is missing is gone, or cannot be."""
     for _ in range(CORRECTIONS):
-        _, values, rows = np.linalg.svd(simulation.constraint_jacobian)
-        rank = int(np.sum(values > FREE * values.max(initial=0.0)))
-        free = rows[rank:].T
+        free = _free(simulation)
         if not free.shape[1]:
             return
         missing, moves = goal(free)

@@ -25,7 +25,7 @@ from .columns import SimulationRows
 from .description import describe, grabs
 from .feed import Feed
 from .messages import FASTEST, POSITION, SLOWEST, TORQUE
-from .posing import joint_to, point_to
+from .posing import felt_inertia, joint_to, point_to
 from ..effects.actuator import Actuator
 from ..effects.gravity import Gravity
 from ..effects.point_spring import PointSpring
@@ -174,14 +174,9 @@ class Runner:
     def _find_gains(self):
         """Return, by actuated joint, the inertia that its drive feels at the start."""
         simulation = self.simulation
-        q, rest = simulation.position, np.zeros(len(simulation.joint_names))
-        still, _ = simulation.forward_dynamics(q, rest)
-        gains = {}
-        for name, place in zip(simulation.actuated_joints, simulation.actuated):
-            moved, _ = simulation.forward_dynamics(q, rest, {name: 1.0})
-            response = moved[place] - still[place]
-            gains[name] = 1.0 / response if response > 1e-9 else 1.0
-        return gains
+        felt = felt_inertia(simulation)[simulation.actuated]
+        return {name: float(inertia) if math.isfinite(inertia) else 1.0
+                for name, inertia in zip(simulation.actuated_joints, felt)}
 
     def _reach(self, name, place):
         """Return the largest torque of a slider: that of the drive, or what moves briskly."""
