@@ -130,8 +130,6 @@ def _prepared(arguments):
             step_size=arguments.step_size, integrator=arguments.integrator,
             stabilisation=arguments.stabilisation, formulation=arguments.formulation,
             tolerance=arguments.tolerance, accuracy=arguments.accuracy), torque)
-        if arguments.forces == 'all' and not simulation.mechanism.planar:
-            raise UsageError('--forces: expected cuts, for a mechanism in space, got all')
         if arguments.output not in (None, STANDARD_OUTPUT) and Path(arguments.output).is_file():
             require_free(arguments, Path(arguments.output))
         simulation.warm_up()
@@ -215,10 +213,10 @@ and effort.JOINT of every joint; force.CUT.x and force.CUT.y of every cut joint
 body A, in world axes; with --forces all force.JOINT.x, .y and .torque of all
 joints of the tree, too, which the parent exerts on the child; point.NAME.x and
 point.NAME.y of every named point; closure, the largest error of the loops;
-energy, kinetic and potential. In space force.CUT has .z, and .torque_x, .torque_y
-and .torque_z for .torque, point.NAME has .z. SI units and radians; numbers with all their
-digits. An existing file is not replaced unless asked for. Ctrl-C leaves all
-rows so far.
+energy, kinetic and potential. In space force.CUT and force.JOINT have .z, and
+.torque_x, .torque_y and .torque_z for .torque, point.NAME has .z. SI units
+and radians; numbers with all their digits. An existing file is not replaced
+unless asked for. Ctrl-C leaves all rows so far.
 """,
     epilog="""\
 examples:

@@ -22,7 +22,7 @@ import time
 import numpy as np
 
 from ..integration.registry import AUTO, FIXED, INTEGRATORS
-from ..mechanism.mechanism import CUT_WITHOUT_MOMENT, REVOLUTE
+from ..mechanism.mechanism import CUT_WITHOUT_MOMENT, JOINT_FREEDOMS, REVOLUTE
 from ..simulation.errors import SimulationError
 from ..simulation.monitor import ROSENBROCK_ORDER
 from ..simulation.rollout_run import TIME_ROUNDING
@@ -92,14 +92,16 @@ class ErrorEstimate:
 
 def columns(simulation, all_forces=False):
     """Return the names of the columns, in the order of ``row``."""
-    joints, names = simulation.joint_names, ['time']
+    names = ['time']
     for quantity in ('position', 'velocity', 'acceleration', 'effort'):
         names += simulation.coordinates.columns(quantity)
     for cut in simulation.cut_joints:
         names += [f'force.{cut.name}.{part}' for part in _force_parts(simulation, cut)]
     names += [f'coupling.{coupling.name}' for coupling in simulation.mechanism.couplings]
     if all_forces:
-        names += [f'force.{joint}.{part}' for joint in joints for part in ('x', 'y', 'torque')]
+        parts = _force_parts(simulation)
+        names += [f'force.{simulation.mechanism.joints[place].name}.{part}'
+                  for place in _moving(simulation) for part in parts]
     names += [f'point.{point.name}.{axis}' for point in simulation.mechanism.points
               for axis in 'xyz'[:len(point.position)]]
     return [*names, 'closure', 'energy']
@@ -127,17 +129,29 @@ def row(simulation, seconds, all_forces=False):
         values += [wrench[place] for place in _force_parts(simulation, cut).values()]
     values += simulation.coupling_forces.tolist()
     if all_forces:
-        # Moment last, as for the cut joints.
-        values += simulation.joint_forces[:, [1, 2, 0]].ravel().tolist()
+        places = list(_force_parts(simulation).values())
+        values += simulation.joint_forces[_moving(simulation)][:, places].ravel().tolist()
     return [*values, *simulation.points.ravel().tolist(), simulation.closure, simulation.energy]
 
 
-def _force_parts(simulation, cut):
-    """Return the components of a cut joint's wrench that can differ from zero, with places."""
+def _moving(simulation):
+    """Return the places of the joints of the tree that are not fixed."""
+    return [place for place, joint in enumerate(simulation.mechanism.joints)
+            if JOINT_FREEDOMS[joint.type]]
+
+
+def _force_parts(simulation, cut=None):
+    """
+    Return the components of a wrench, moments last, with their places in it.
+
+    Of a cut joint those that can differ from zero; of a joint of the tree all.
+
+    """
     parts = list(enumerate(wrench_parts(simulation.mechanism)))
     moments = len(parts) // 2
-    without_torque = (cut.type == REVOLUTE if simulation.mechanism.planar
-                      else cut.type in CUT_WITHOUT_MOMENT)
+    without_torque = cut is not None and (
+        cut.type == REVOLUTE if simulation.mechanism.planar
+        else cut.type in CUT_WITHOUT_MOMENT)
     shown = parts[moments:] + ([] if without_torque else parts[:moments])
     return {name: place for place, name in shown}
 

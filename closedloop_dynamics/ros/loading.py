@@ -22,13 +22,12 @@ from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.simulation.simulation import Simulation
 
 
-def load_simulation(scene, logger, planar_for=None, **method):
+def load_simulation(scene, logger, **method):
     """
     Return the simulation of a scene, compiled, and the scene's own method; say so.
 
-    ``planar_for`` says what needs a planar mechanism, if anything does. ``method`` is what
-    differs from the scene's own; None: nothing. Raises StartError if the scene cannot be read or
-    simulated.
+    ``method`` is what differs from the scene's own; None: nothing. Raises StartError if the scene
+    cannot be read or simulated.
 
     """
     logger.info(f"loading scene '{scene}' and compiling (a quarter of a minute at the very first "
@@ -37,8 +36,6 @@ def load_simulation(scene, logger, planar_for=None, **method):
     try:
         with leaving_at_once():
             read = load_scene(scene, in_space=True)
-            if planar_for is not None:
-                read.mechanism.require_planar(planar_for)
             simulation = Simulation.from_scene(read, **method)
             simulation.warm_up()
     except (ValueError, OSError, SimulationError) as error:

@@ -273,9 +273,14 @@ class TorqueSourceNode(Node):
         if joints:
             raise StartError("mode 'computed_torque' drives all actuated joints of its scene: "
                              "leave parameter 'joints' out")
-        return load_simulation(
-            self._values['scene'], self.get_logger(),
-            planar_for="mode 'computed_torque' (unlike 'pd', which needs no model)")[0]
+        simulation, _ = load_simulation(self._values['scene'], self.get_logger())
+        turning = simulation.coordinates.with_orientation
+        if turning:
+            raise StartError(
+                "mode 'computed_torque' reads joint_states, which have no orientations: expected "
+                'a scene whose spherical and free joints are cut joints, got '
+                f"{', '.join(turning)} in the tree")
+        return simulation
 
     def _create_command(self, by_name):
         if by_name:

@@ -139,6 +139,10 @@ def reference(values, joints, simulation=None):
     if simulation is None:
         raise StartError("parameter 'circle_point': a circle needs mode 'computed_torque', which "
                          f"knows the mechanism; got mode '{values['mode']}'")
+    if not simulation.mechanism.planar:
+        raise StartError("parameter 'circle_point': expected the scene of a planar mechanism, got "
+                         f'one in space, {simulation.mechanism.name}; lead the joints by a '
+                         'trajectory on joint_trajectory')
     try:
         return Circle(
             simulation.mechanism, simulation.position, values['circle_point'],

@@ -355,13 +355,14 @@ class Simulation:
             Of a joint, as in ``joint_forces``, or of a cut joint, as in ``constraint_forces``.
 
         """
-        if name in self.joint_names:
-            return self.joint_forces[self.joint_names.index(name)]
+        joints = [joint.name for joint in self.mechanism.joints]
+        if name in joints:
+            return self.joint_forces[joints.index(name)]
         cuts = [cut.name for cut in self.cut_joints]
         if name not in cuts:
             raise SimulationError(
                 f'There is no joint {name!r} on {self.mechanism.name}; its joints: '
-                f'{", ".join([*self.joint_names, *cuts])}.')
+                f'{", ".join([*joints, *cuts])}.')
         return self.constraint_forces[cuts.index(name)]
 
     @property

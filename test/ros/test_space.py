@@ -240,10 +240,22 @@ def test_frames_are_where_cut_points_and_links_are(broadcast, tmp_path, name):  
         np.testing.assert_allclose(matrix((turn.x, turn.y, turn.z, turn.w)), axes, atol=1e-14)
 
 
-def test_a_controller_that_needs_the_plane_says_so_and_what_to_do(make_node, tmp_path):
+def test_computed_torque_leads_a_machine_in_space_and_no_point_round_a_circle(make_node, tmp_path):
     path = file_of(made('rssr_four_bar'), tmp_path)
-    with pytest.raises(StartError, match="mechanism in space .*'computed_torque' .*'pd'"):
-        make_node(TorqueSourceNode, mode='computed_torque', scene=path)
+    values = {'mode': 'computed_torque', 'scene': path, 'kp': [100.0], 'kd': [20.0],
+              'wait_for_subscribers': 0}
+    node = make_node(TorqueSourceNode, **values, target_position=[0.2])
+    one = Simulation(made('rssr_four_bar'))
+    state = JointState(name=list(one.joint_names), position=one.position.tolist(),
+                       velocity=one.velocity.tolist(), effort=[0.0] * len(one.joint_names))
+    sent = []
+    node._publisher.publish = sent.append
+    node.on_joint_states(state)
+    # From rest: kp times the distance.
+    acceleration, _ = one.forward_dynamics(one.position, one.velocity, sent[-1].data)
+    np.testing.assert_allclose(acceleration[0], 100.0 * 0.2, rtol=1e-9)
+    with pytest.raises(StartError, match="'circle_point': .*planar .*in space, rssr_four_bar"):
+        make_node(TorqueSourceNode, **values, circle_point='cut_point')
 
 
 def test_a_recorded_run_is_met_exactly(processes, listener, tmp_path, capsys):

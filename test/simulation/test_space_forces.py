@@ -26,6 +26,7 @@ from closedloop_dynamics.effects.joint_spring import JointSpring
 from closedloop_dynamics.effects.point_spring import PointSpring
 from closedloop_dynamics.effects.rotor import Rotor
 from closedloop_dynamics.mechanism.mechanism import GROUND, JOINT_FREEDOMS, Point
+from closedloop_dynamics.recording.run import columns, row
 from closedloop_dynamics.simulation.errors import SimulationError
 import numpy as np
 import pytest
@@ -229,3 +230,12 @@ def test_friction_in_a_joint_follows_the_force_that_the_joint_carries():
     one.step(None, 3.0)
     assert one.velocity[0] == 0.0
     assert abs(one.energy_balance.residual) < 1e-9
+
+
+def test_rows_have_the_forces_in_all_joints(linkage):
+    one = Simulation(scene(linkage, integrator='rk4'))
+    names, values = columns(one, all_forces=True), row(one, 0.0, all_forces=True)
+    assert len(names) == len(values)
+    found = [values[names.index(f'force.rocker.{part}')] for part in (
+        'torque_x', 'torque_y', 'torque_z', 'x', 'y', 'z')]
+    assert_agree(found, one.force('rocker'), 0.0)
