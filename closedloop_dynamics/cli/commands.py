@@ -19,18 +19,18 @@ import sys
 import warnings
 
 from . import (
-    accuracy, animate, check, effects, formulations, import_model, plot, recover, replay, simulate,
-    stability, sweep, urdf, view)
+    accuracy, animate, check, effects, export, formulations, import_model, plot, recover, replay,
+    simulate, stability, sweep, urdf, view)
 from .command import FAILED, HelpfulParser, UsageError
 from ..mechanism.mechanism import MechanismError
 from ..simulation.errors import SimulationError
 from ..simulation.scene import SceneError
 from ..simulation.signals import Interrupted, program_watch
 
-COMMANDS = (accuracy.COMMAND, animate.COMMAND, check.COMMAND, effects.COMMAND,
-            formulations.COMMAND, import_model.COMMAND, plot.COMMAND, recover.COMMAND,
-            replay.COMMAND, simulate.COMMAND, stability.COMMAND, sweep.COMMAND, urdf.COMMAND,
-            view.COMMAND)
+COMMANDS = (
+    accuracy.COMMAND, animate.COMMAND, check.COMMAND, effects.COMMAND, export.COMMAND,
+    formulations.COMMAND, import_model.COMMAND, plot.COMMAND, recover.COMMAND, replay.COMMAND,
+    simulate.COMMAND, stability.COMMAND, sweep.COMMAND, urdf.COMMAND, view.COMMAND)
 
 USAGE, BROKEN_PIPE = 2, 141
 DESCRIPTION = """\

@@ -321,7 +321,7 @@ def _cut(joint, groups, frames, named, ignored):
                                 groups.place(joint.child, joint.in_child))
     pose_a, pose_b = frames[a].inverse @ pose_a, frames[b].inverse @ pose_b
     other = joint.axis if joint.child_axis is None else joint.child_axis
-    if joint.type == UNIVERSAL and abs(joint.axis @ other) > AGREEMENT:
+    if joint.type == UNIVERSAL and not joint.closes and abs(joint.axis @ other) > AGREEMENT:
         raise MechanismError(f'{joint.where}: expected two axes at right angles, where the loop '
                              'is closed by a universal joint, got others')
     lost = [key for key in ('actuated', *JOINT_EFFECTS) if getattr(joint, key)]

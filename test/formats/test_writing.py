@@ -1,0 +1,179 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Mechanisms that are written in other formats and read again move as before."""
+
+from closedloop_dynamics.cli import main
+from closedloop_dynamics.core.straight_line.numbers import Numbers
+from closedloop_dynamics.formats.registry import read_model
+from closedloop_dynamics.formats.writing import in_space, mjcf, urdf_with_loops
+from closedloop_dynamics.mechanism.config import shipped_path
+from closedloop_dynamics.mechanism.mechanism import (
+    Body, Coupling, CutJoint, Joint, Mechanism, MechanismError)
+from closedloop_dynamics.mechanism.reader import read_mechanism
+from closedloop_dynamics.mechanism.validation import validate_mechanism
+from closedloop_dynamics.simulation.far_assembly import find_closed, Loops
+from closedloop_dynamics.simulation.spatial_modeling import build_spatial_model
+import numpy as np
+import pytest
+
+Z, TURNED = (0.0, 0.0, 1.0), (0.18257418583505536, 0.3651483716701107, 0.5477225575051661,
+                              0.7302967433402214)
+GRAVITY = {'gravity': {'type': 'gravity', 'acceleration': (0.0, 0.0, -9.81)}}
+
+
+def tree(*kinds, cuts=(), couplings=()):
+    """Return a chain of joints of some types, with cuts from its end."""
+    keys = {'universal': {'axis': Z, 'second_axis': (0.0, 1.0, 0.0)}, 'spherical': {}, 'free': {},
+            'planar': {}, 'fixed': {}, 'helical': {'axis': (0.6, 0.0, 0.8), 'lead': 0.1}}
+    bodies, joints, parent = [], [], 'ground'
+    for number, kind in enumerate(kinds):
+        kind, massless = kind.rstrip('0'), kind.endswith('0')
+        bodies.append(Body(f'b{number}', 0.0, (0.0, 0.0, 0.0), 0.0, massless=True) if massless
+                      else Body(f'b{number}', 1.0 + number, (0.1, 0.02 * number, -0.03),
+                                (0.02, 0.03, 0.04, 0.001, 0.002, -0.003)))
+        joints.append(Joint(f'j{number}', kind, parent, f'b{number}', (0.3, 0.1, -0.2),
+                            orientation=TURNED, actuated=number == 0,
+                            **keys.get(kind, {'axis': (0.0, 0.6, 0.8)})))
+        parent = f'b{number}'
+    return validate_mechanism(Mechanism('m', tuple(bodies), tuple(joints), tuple(cuts),
+                                        couplings=tuple(couplings)))
+
+
+def closing(kind, body):
+    """Return a cut joint of a type between a body and the ground."""
+    keys = {'revolute': {'axis_a': (0.6, 0.0, 0.8), 'axis_b': Z},
+            'cylindrical': {'axis_a': (0.6, 0.0, 0.8), 'axis_b': Z},
+            'planar': {'axis_a': (0.6, 0.0, 0.8), 'axis_b': Z},
+            'universal': {'axis_a': (0.6, 0.0, 0.8), 'axis_b': Z},
+            'prismatic': {'axis_b': (0.0, 0.6, 0.8), 'orientation': TURNED},
+            'fixed': {'orientation': TURNED}}
+    return CutJoint('cut', kind, body, 'ground', (0.1, 0.2, 0.0), (0.5, 0.2, 0.1),
+                    **keys.get(kind, {}))
+
+
+CHAIN = ('revolute', 'prismatic', 'revolute', 'revolute', 'revolute', 'prismatic', 'revolute',
+         'revolute')
+
+
+def accelerations(mechanism, q, qd):
+    """Return what gravity does to a mechanism, by a dense solution of all equations."""
+    numbers = Numbers(build_spatial_model(mechanism, (0.0, 0.0, -9.81)).model)
+    numbers.move(q, qd)
+    jac, bias = numbers.jacobian(), numbers.closures()[2]
+    inertia, nc = numbers.inertia(), len(bias)
+    whole = np.block([[inertia, jac.T], [jac, np.zeros((nc, nc))]])
+    right = np.concatenate([-numbers.bias_force(), -bias])
+    return np.linalg.lstsq(whole, right, rcond=1e-12)[0][:len(qd)]
+
+
+def same_motion(mechanism, again, in_order=True):
+    """Compare two mechanisms of the same coordinates in a closed state."""
+    loops, rng = Loops(mechanism, 1.0), np.random.default_rng(3)
+    q = loops.moved(loops.start(), 0.3 * rng.normal(size=loops.nv))
+    found = find_closed(mechanism, 1.0, q)
+    assert found.closed
+    jac = loops.residual(found.q)[1]
+    qd = rng.normal(size=loops.nv)
+    qd -= np.linalg.pinv(jac, rcond=1e-9) @ jac @ qd
+    assert again.coordinates.nv == loops.nv
+    np.testing.assert_allclose(accelerations(again, found.q, qd),
+                               accelerations(mechanism, found.q, qd), rtol=1e-10, atol=1e-10)
+
+
+def read_again(tmp_path, text, suffix):
+    path = tmp_path / f'again{suffix}'
+    path.write_text(text)
+    return read_model(path).mechanism
+
+
+@pytest.mark.parametrize('kind', ['spherical', 'revolute', 'fixed', 'cylindrical', 'planar',
+                                  'universal', 'prismatic'])
+def test_urdf_with_every_loop(tmp_path, kind):
+    mechanism = tree(*CHAIN, cuts=[closing(kind, 'b7')])
+    again = read_again(tmp_path, urdf_with_loops(mechanism), '.urdf')
+    assert again.actuated_joints == ('j0',)
+    same_motion(mechanism, again)
+
+
+@pytest.mark.parametrize('kind', ['spherical', 'revolute', 'fixed'])
+def test_mjcf_with_every_loop(tmp_path, kind):
+    pytest.importorskip('mujoco')
+    mechanism = tree(*CHAIN, cuts=[closing(kind, 'b7')])
+    again = read_again(tmp_path, mjcf(mechanism, GRAVITY), '.xml')
+    assert again.actuated_joints == ('j0',)
+    same_motion(mechanism, again)
+
+
+def test_mjcf_with_every_joint_and_couplings(tmp_path):
+    pytest.importorskip('mujoco')
+    mechanism = tree('free', 'revolute0', 'universal', 'fixed', 'cylindrical', 'planar',
+                     'spherical', 'prismatic', couplings=[Coupling('c', {'j1': 2.0, 'j7': -1.0},
+                                                                   0.3)])
+    same_motion(mechanism, read_again(tmp_path, mjcf(mechanism, GRAVITY), '.xml'))
+
+
+def test_urdf_with_joints_of_several_freedoms_and_couplings(tmp_path):
+    mechanism = tree('free', 'universal', 'cylindrical', 'fixed', 'prismatic')
+    same_motion(mechanism, read_again(tmp_path, urdf_with_loops(mechanism), '.urdf'))
+    mechanism = tree('revolute', 'prismatic', couplings=[Coupling('c', {'j0': 2.0, 'j1': 3.0},
+                                                                  0.3)])
+    again = read_again(tmp_path, urdf_with_loops(mechanism), '.urdf')
+    assert again.couplings[0].joints == {'j0': 1.0, 'j1': 1.5}
+    assert again.couplings[0].offset == 0.15
+
+
+def test_screws_become_two_joints(tmp_path):
+    mechanism = tree('revolute', 'helical', 'revolute')
+    again = read_again(tmp_path, urdf_with_loops(mechanism), '.urdf')
+    assert again.joint_names == ('j0', 'j1', 'j1_slide', 'j2')
+    rng = np.random.default_rng(4)
+    q, qd = rng.normal(size=3), rng.normal(size=3)
+    more = [np.array([a, b, 0.1 * b, c]) for a, b, c in (q, qd)]
+    np.testing.assert_allclose(accelerations(again, *more)[[0, 1, 3]],
+                               accelerations(mechanism, q, qd), rtol=1e-9)
+
+
+@pytest.mark.parametrize('name', ['three_rrr', 'four_bar', 'slider_crank', 'bricard'])
+def test_shipped_mechanisms(tmp_path, name):
+    mechanism = in_space(read_mechanism(shipped_path('mechanisms', name)))
+    same_motion(mechanism, read_again(tmp_path, urdf_with_loops(mechanism), '.urdf'))
+
+
+def test_scenes_are_exported_with_what_acts_on_joints(tmp_path, monkeypatch, capsys):
+    pytest.importorskip('mujoco')
+    monkeypatch.chdir(tmp_path)
+    assert main(['export', 'three_rrr', '--output', 'r.urdf']) == 0
+    assert 'r.urdf: 7 bodies, 7 joints, 2 that close loops\n' in capsys.readouterr().out
+    assert main(['export', 'three_rrr', '--output', 'r.urdf']) == 2
+    assert main(['export', 'three_rrr', '--output', 'r.step']) == 2
+    assert 'expected a name that ends with one of .mjcf, .xml, .urdf' in capsys.readouterr().err
+    effects = {**GRAVITY, 'a': {'type': 'joint_damping', 'joint': 'j0', 'coefficient': 0.5},
+               'b': {'type': 'joint_spring', 'joint': 'j1', 'stiffness': 3.0, 'rest': 0.2}}
+    (tmp_path / 'm.xml').write_text(mjcf(tree('revolute', 'prismatic'), effects))
+    found = read_model('m.xml').effects
+    assert found['damping_j0']['coefficient'] == 0.5
+    assert (found['stiffness_j1']['stiffness'], found['stiffness_j1']['rest']) == (3.0, 0.2)
+
+
+def test_what_formats_cannot_say_is_refused():
+    for write, mechanism, said in (
+            (mjcf, tree(*CHAIN, cuts=[closing('planar', 'b7')]),
+             'cut_joints.cut.type: expected spherical, revolute or fixed'),
+            (mjcf, tree('revolute', 'revolute0'), 'bodies.b1: expected a mass'),
+            (urdf_with_loops, tree('revolute', 'prismatic', 'revolute', couplings=[
+                Coupling('c', {'j0': 1.0, 'j1': 1.0, 'j2': 1.0})]),
+             'couplings.c: expected two joints')):
+        with pytest.raises(MechanismError, match=said):
+            write(mechanism)
