@@ -38,7 +38,7 @@ from typing import Optional, Tuple
 
 from . import curve
 from .effect import Effect, require_plane, require_point
-from .forces import place, push_at, velocity
+from .forces import elastic_force, in_contact, place, push_at, velocity
 from .table import (
     CIRCLE_CONTACT, CURVE_CONTACT, DISSIPATED, FIRST, ForceElement, LINE_CONTACT, SECOND, STATE,
     State, STORED)
@@ -224,7 +224,8 @@ class BodyContact(Effect):
             'curve': (CURVE_CONTACT, float(self.closed is not False), 0.0)}[self.shape]
         return ForceElement(kind, (a, b), (
             *place_a, *place_b, self.radius, one, self.stiffness, self.exponent, loss,
-            self.friction, self.slip_velocity, other), (State(DISSIPATED),), data=self._pieces)
+            self.friction, self.slip_velocity, other), (State(DISSIPATED),), touches=True,
+            data=self._pieces)
 
 
 @inlined
@@ -254,14 +255,14 @@ def _press(table, row, body, x, y, nx, ny, distance):
     a, b = table.index[row, FIRST], table.index[row, SECOND]
     for k in range(output.shape[1]):
         output[row, k] = 0.0
-    if gap < 0.0:
-        vx, vy = velocity(body, a, px, py)
-        ux, uy = velocity(body, b, px, py)
-        vx -= ux
-        vy -= uy
-        # Along the free side's boundary: (ny, -nx).
-        rate, slip = -(nx * vx + ny * vy), ny * vx - nx * vy
-        elastic = values[row, 6] * (-gap) ** values[row, 7]
+    vx, vy = velocity(body, a, px, py)
+    ux, uy = velocity(body, b, px, py)
+    vx -= ux
+    vy -= uy
+    # Along the free side's boundary: (ny, -nx).
+    rate, slip = -(nx * vx + ny * vy), ny * vx - nx * vy
+    if in_contact(table.contacts, row, gap, -rate):
+        elastic = elastic_force(values[row, 6], values[row, 7], gap)
         normal = elastic * max(0.0, 1.0 + values[row, 8] * rate)
         along = -values[row, 9] * normal * slip / math.sqrt(
             slip * slip + values[row, 10] * values[row, 10])

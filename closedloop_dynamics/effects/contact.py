@@ -37,7 +37,8 @@ import math
 from typing import Optional
 
 from .effect import Effect
-from .forces import offset, push, push_in_space, turned, velocity_in_space
+from .forces import (
+    elastic_force, in_contact, offset, push, push_in_space, turned, velocity_in_space)
 from .table import (
     CONTACT, DISSIPATED, FIRST, ForceElement, SPATIAL_CONTACT, STATE, State, STORED)
 from ..core.compiled import inlined
@@ -121,10 +122,11 @@ class Contact(Effect):
         states = (State(DISSIPATED),)
         if machine.mechanism.planar:
             return ForceElement(CONTACT, (row,), (
-                *place, *self.origin, math.cos(self.angle), math.sin(self.angle), *law), states)
+                *place, *self.origin, math.cos(self.angle), math.sin(self.angle), *law), states,
+                touches=True)
         height = sum(n * x for n, x in zip(self.normal, self.origin))
         return ForceElement(
-            SPATIAL_CONTACT, (row,), (*place, *self.normal, *law, height), states)
+            SPATIAL_CONTACT, (row,), (*place, *self.normal, *law, height), states, touches=True)
 
 
 @inlined
@@ -132,7 +134,7 @@ def _press(table, row, depth, rate, slip):
     """Return the forces out of the line or plane and along the sliding, and note them."""
     values, output = table.values, table.output
     sign = slip / math.sqrt(slip * slip + values[row, 10] * values[row, 10])
-    elastic = values[row, 6] * depth ** values[row, 7]
+    elastic = elastic_force(values[row, 6], values[row, 7], -depth)
     normal = elastic * max(0.0, 1.0 + values[row, 8] * rate)
     friction = values[row, 9] * normal * sign
     scraping = values[row, 11] * depth * sign
@@ -157,10 +159,10 @@ def apply(table, row, body):
              - ux * (body[i, PY] + ry - values[row, 3]))
     for k in range(output.shape[1]):
         output[row, k] = 0.0
-    if depth > 0.0:
-        vx = body[i, VX] - body[i, OMEGA] * ry
-        vy = body[i, VY] + body[i, OMEGA] * rx
-        rate = uy * vx - ux * vy
+    vx = body[i, VX] - body[i, OMEGA] * ry
+    vy = body[i, VY] + body[i, OMEGA] * rx
+    rate = uy * vx - ux * vy
+    if in_contact(table.contacts, row, -depth, -rate):
         slip = ux * vx + uy * vy
         normal, along = _press(table, row, depth, rate, slip)
         push(body, i, rx, ry, along * ux - normal * uy, along * uy + normal * ux)
@@ -177,9 +179,9 @@ def apply_in_space(table, row, body):
         + nz * (body[i, ORIGIN + 2] + rz))
     for k in range(output.shape[1]):
         output[row, k] = 0.0
-    if depth > 0.0:
-        vx, vy, vz = velocity_in_space(body, i, rx, ry, rz)
-        rate = -(nx * vx + ny * vy + nz * vz)
+    vx, vy, vz = velocity_in_space(body, i, rx, ry, rz)
+    rate = -(nx * vx + ny * vy + nz * vz)
+    if in_contact(table.contacts, row, -depth, -rate):
         # What is left of the velocity slides.
         vx += rate * nx
         vy += rate * ny

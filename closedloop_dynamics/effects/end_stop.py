@@ -30,6 +30,7 @@ import math
 from typing import Optional
 
 from .effect import Effect
+from .forces import in_contact
 from .table import DISSIPATED, END_STOP, FIRST, ForceElement, STATE, State, STORED
 from ..core.compiled import inlined
 from ..mechanism.checks import name, not_negative, number, positive
@@ -76,20 +77,22 @@ class EndStop(Effect):
         """Return the effect as a row of the table."""
         return ForceElement(END_STOP, (machine.joint(self.joint),), (
             self.stiffness, -math.inf if self.lower is None else self.lower,
-            math.inf if self.upper is None else self.upper, self.damping), (State(DISSIPATED),))
+            math.inf if self.upper is None else self.upper, self.damping), (State(DISSIPATED),),
+            touches=True)
 
 
 @inlined
 def apply(table, row, q, qd):
     """Add the torque; see ``dispatch.apply``."""
     values, joint, state = table.values, table.index[row, FIRST], table.index[row, STATE]
-    sign, depth = 0.0, 0.0
-    if q[joint] > values[row, 2]:
-        sign, depth = 1.0, q[joint] - values[row, 2]
-    elif q[joint] < values[row, 1]:
+    # Beyond the nearer stop; as a rule less than zero.
+    sign, depth = 1.0, q[joint] - values[row, 2]
+    if values[row, 1] - q[joint] > depth:
         sign, depth = -1.0, values[row, 1] - q[joint]
-    elastic = values[row, 0] * depth
     rate = sign * qd[joint]
+    if not in_contact(table.contacts, row, -depth, -rate):
+        depth = 0.0
+    elastic = values[row, 0] * depth
     push = elastic * max(0.0, 1.0 + values[row, 3] * rate)
     table.applied[joint] -= sign * push
     table.rates[state] = (push - elastic) * rate

@@ -16,6 +16,7 @@
 
 import math
 
+from .table import TOUCHING, UNDECIDED
 from ..core.compiled import inlined
 from ..core.straight_line.space import FORCE, FRAME, SPIN, VELOCITY
 from ..core.types import COS, FX, FY, FZ, OMEGA, PX, PY, SIN, VX, VY
@@ -59,6 +60,43 @@ def push(body, row, rx, ry, fx, fy):
     body[row, FZ] -= rx * fy - ry * fx
     body[row, FX] -= fx
     body[row, FY] -= fy
+
+
+@inlined
+def in_contact(contacts, row, gap, rate):
+    """
+    Note a gap; return whether there is contact.
+
+    Parameters
+    ----------
+    contacts : Contacts or None
+        Of the table; None where no effect is a contact.
+    row : int
+        Of the effect.
+    gap, rate : float
+        Negative where bodies touch [m; rad]; its rate.
+
+    """
+    if contacts is None:
+        return gap < 0.0
+    contacts.gap[row, 0] = gap
+    contacts.gap[row, 1] = rate
+    mode = contacts.mode[row]
+    return mode == TOUCHING or (mode == UNDECIDED and gap < 0.0)
+
+
+@inlined
+def elastic_force(stiffness, exponent, gap):
+    """
+    Return the elastic force of a contact, k d^n.
+
+    Beyond its end, within a step that is cut there then, a contact goes on as a pull: so the
+    motion is smooth there, and the end found to the last digits.
+
+    """
+    if gap > 0.0:
+        return -stiffness * gap ** exponent
+    return stiffness * (-gap) ** exponent
 
 
 @inlined

@@ -37,6 +37,9 @@ from ..core.joint_wrenches import COLUMNS
 # all effects, and how many entries they are.
 STATE, FIRST, SECOND, LOADED, DATA, ENTRIES = range(6)
 INDEX_COLUMNS = 6
+# Values of Contacts.mode: whether a contact is there while a step is made; undecided, its gap
+# tells.
+UNDECIDED, FREE, TOUCHING = range(3)
 VALUE_COLUMNS = 13
 # Last column of EffectTable.values where a law is LOADED: time constant of the reaction [s].
 LOAD_TIME = 11
@@ -66,6 +69,7 @@ class ForceElement(NamedTuple):
     states: Tuple[State, ...] = ()  # In the order the law reads and writes them
     loaded: bool = False  # Whether the law wants the reaction in its joint
     sticks: bool = False  # Whether the law may hold its joint at rest
+    touches: bool = False  # Whether the law is a contact, whose gap opens and closes
     # Of machine elements, the laws that only scenes with such compile: entries of numbers, such as
     # the pieces of a course or a curve, in the order the law reads them. None for other laws.
     data: Optional[Tuple[Tuple[float, ...], ...]] = None
@@ -94,6 +98,15 @@ class Sticking(NamedTuple):
     impulse: np.ndarray  # Shape (nf,)
 
 
+class Contacts(NamedTuple):
+    """Gaps between what may touch, and what is decided of them while a step is made."""
+
+    rows: np.ndarray  # Shape (nk,): of the effects that are contacts
+    # Shape (ne, 4): gap and its rate, written by the law; both at the start of a step [m, m/s].
+    gap: np.ndarray
+    mode: np.ndarray  # Shape (ne,): ``UNDECIDED``, ``FREE`` or ``TOUCHING``
+
+
 class EffectTable(NamedTuple):
     """The listed effects, as the kernels read them."""
 
@@ -118,6 +131,8 @@ class EffectTable(NamedTuple):
     # Shape (nd,): entries of all machine elements; None where there are none, so that their laws
     # are not even compiled.
     data: Optional[np.ndarray]
+    # None where no effect is a contact.
+    contacts: Optional[Contacts]
 
 
 def build_table(elements, tau, bodies, equations):
@@ -157,7 +172,11 @@ def build_table(elements, tau, bodies, equations):
             factor=np.zeros((most, most)), free=np.zeros(most, dtype=np.int64),
             share=np.zeros(most), impulse=np.zeros(most)),
         data=np.zeros(sum(map(size_of_data, elements))) if any(
-            element.data is not None for element in elements) else None)
+            element.data is not None for element in elements) else None,
+        contacts=Contacts(
+            rows=np.array([row for row, element in enumerate(elements) if element.touches]),
+            gap=np.zeros((count, 4)), mode=np.zeros(count, dtype=np.int64)) if any(
+                element.touches for element in elements) else None)
     first = begin = 0
     for row, element in enumerate(elements):
         table.index[row, [STATE, DATA]] = first, begin

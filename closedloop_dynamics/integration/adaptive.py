@@ -16,7 +16,7 @@
 
 import math
 
-from . import breaks, runge_kutta, stick_slip
+from . import breaks, impacts, runge_kutta, stick_slip
 from .advance import DONE, NOT_FINITE, OPEN_LOOP, STEP_TOO_SMALL, TOO_MUCH_WORK
 from .projection import all_finite, stabilised
 from .system import rate_of_change
@@ -264,6 +264,7 @@ def accepted_step(system, tableau, stabilisation, control, scale, scratch):
         scratch[FIRST_SLOPE:])
     count, stages = after.shape[0], tableau.b.shape[0]
     rate_of_change(system, after, slopes[0])
+    landed, sought = impacts.begin(system.effects), -1
     if control[STEP_SIZE] > 0.0:
         turned, moved = 0.0, 0.0
         for i in range(count):
@@ -273,6 +274,9 @@ def accepted_step(system, tableau, stabilisation, control, scale, scratch):
     size = control[NEXT_STEP]
     if size == 0.0:
         size = first_step(system, tableau, after, slopes, scale, stage, out)
+    elif landed:
+        # What was a good size before says little now.
+        size = min(size, first_step(system, tableau, after, slopes, scale, stage, out))
     wanted, rest = size, control[RESTARTED] + control[HOLD] - control[REACHED]
     if rest > LEAST * max(abs(control[REACHED]), 1e-3):
         # Two steps of a half rather than one and a crumb.
@@ -281,6 +285,7 @@ def accepted_step(system, tableau, stabilisation, control, scale, scratch):
     size = min(size, breaks.until_next(system.effects, system, after))
     while True:
         if not size > LEAST * max(abs(control[REACHED]), 1e-3):
+            impacts.end(system.effects)
             return (NOT_FINITE if not all_finite(slopes[0]) else
                     STEP_TOO_SMALL if closed else OPEN_LOOP)
         runge_kutta.step(system, tableau, after, size, slopes, stage, out)
@@ -296,11 +301,16 @@ def accepted_step(system, tableau, stabilisation, control, scale, scratch):
                 system.effects, system, after, out, size, max(
                     stick_slip.least(max(size, wanted), cuts), LEAST * abs(control[REACHED])))
             if part < size:
-                size, cuts = part, cuts + 1
+                size, cuts, sought = part, cuts + 1, -1
+                continue
+            part, sought = impacts.part(
+                system.effects, system, out, stage, size, sought, cuts)
+            if part != size:
+                size, cuts = part if sought >= -1 else size, cuts + 1
                 continue
             if stabilised(system, stabilisation, out):
                 break
-        rejected = True
+        rejected, sought = True, -1
         control[REJECTED] += 1.0
         # Loops that cannot be closed after a step can be after a shorter one.
         closed = not error <= 1.0
@@ -311,6 +321,7 @@ def accepted_step(system, tableau, stabilisation, control, scale, scratch):
     for i in range(count):
         before[i] = after[i]
         after[i] = out[i]
+    impacts.end(system.effects)
     stick_slip.rest(system.effects, system, after)
     breaks.pass_corners(system.effects, system, after)
     growth = LARGEST_GROWTH if error < 1e-10 else min(

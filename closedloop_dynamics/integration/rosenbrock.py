@@ -28,7 +28,7 @@ import math
 
 import numpy as np
 
-from . import breaks, stick_slip
+from . import breaks, impacts, stick_slip
 from .adaptive import (
     ACCEPTED, ERROR, is_before, LARGEST_ERROR, LEAST, NEXT_STEP, REACHED, REJECTED, SAFETY,
     STIFFNESS, WORK)
@@ -296,11 +296,13 @@ def accepted_step(system, stabilisation, state, limit, control, scale, matrix, p
     rate_of_change(system, state, slope)
     if not all_finite(slope):
         return NOT_FINITE
-    closed = True
+    impacts.begin(system.effects)
+    closed, sought = True, -1
     while True:
         whole = min(size, rest)
         last, used = size >= rest and not cut < whole, min(whole, cut)
         if not used > LEAST * max(abs(limit), 1e-3):
+            impacts.end(system.effects)
             return STEP_TOO_SMALL if closed else OPEN_LOOP
         rate = factor_jacobian(
             system, state, slope, used, matrix, pivots, direction, stage, moved)
@@ -318,12 +320,16 @@ def accepted_step(system, stabilisation, state, limit, control, scale, matrix, p
             part = stick_slip.part(system.effects, system, state, out, used, max(
                 stick_slip.least(whole, cuts), LEAST * max(abs(limit), 1e-3)))
             if not part < used:
-                break
+                part, sought = impacts.part(system.effects, system, out, stage, used, sought, cuts)
+                if part == used:
+                    break
+                part = part if sought >= -1 else used
             cut, cuts = part, cuts + 1
             continue
-        closed = not error <= 1.0
+        closed, sought = not error <= 1.0, -1
         control[REJECTED] += 1.0
         size = used * (min(factor, SAFETY) if closed else 0.5)
+    impacts.end(system.effects)
     stick_slip.rest(system.effects, system, out)
     breaks.pass_corners(system.effects, system, out)
     for i in range(n):

@@ -1,0 +1,115 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Impacts are found in time: a ball that bounces on a spring, against its closed form."""
+
+import math
+
+from closedloop_dynamics.effects.body_contact import BodyContact
+from closedloop_dynamics.effects.contact import Contact
+from closedloop_dynamics.effects.end_stop import EndStop
+from closedloop_dynamics.effects.gravity import Gravity
+from closedloop_dynamics.integration.adaptive import ACCEPTED, REJECTED
+from closedloop_dynamics.integration.impacts import CLOSED
+from closedloop_dynamics.mechanism.mechanism import Body, Joint, Mechanism, Point
+import numpy as np
+import pytest
+
+from ..effects.machines import assert_balanced, simulated
+
+BALL = Mechanism(
+    'ball', (Body('ball', 1.0, (0.0, 0.0), 0.1),),
+    (Joint('height', 'prismatic', 'ground', 'ball', (0.0, 0.0), math.pi / 2, True),), (),
+    (Point('south', 'ball', (0.0, 0.0)), Point('floor', 'ground', (0.0, 0.0))))
+G, START = 9.81, 0.5
+EARTH = Gravity((0.0, -G))
+FLOORS = {
+    'contact': lambda k: Contact('south', (0.0, 0.0), k),
+    'end_stop': lambda k: EndStop('height', k, lower=0.0, upper=10.0),
+    'body_contact': lambda k: BodyContact('south', 'floor', 'line', k)}
+
+
+def height(time, stiffness):
+    """Return the height of a ball of 1 kg that fell on a spring without damping."""
+    w, v = math.sqrt(stiffness), math.sqrt(2.0 * G * START)
+    rise, touch = v / G, 2.0 * (math.pi - math.atan(v * w / G)) / w
+    if time < rise:
+        return START - 0.5 * G * time ** 2
+    time = (time - rise) % (2.0 * rise + touch)
+    if time < touch:
+        return -G / w ** 2 * (1.0 - math.cos(w * time)) - v / w * math.sin(w * time)
+    time -= touch
+    return v * time - 0.5 * G * time ** 2
+
+
+@pytest.mark.parametrize('stiffness', [1e4, 1e8])
+@pytest.mark.parametrize('kind', FLOORS)
+def test_the_default_method_finds_nine_impacts(kind, stiffness):
+    simulation = simulated(BALL, {'gravity': EARTH, 'floor': FLOORS[kind](stiffness)}, [START],
+                           integrator='auto')
+    for _ in range(300):
+        simulation.step(duration=0.01)
+        # Three hundred times better than what is asked for: no corner within any step.
+        assert simulation.position[0] == pytest.approx(
+            height(simulation.time, stiffness), abs=3e-9)
+    control = simulation.monitor.driver.control
+    # Without finding them it took four to seven times as many.
+    assert control[ACCEPTED] + control[REJECTED] < 110
+    assert_balanced(simulation, 1e-8)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('integrator, error', [('dopri5', 2e-7), ('dop853', 2e-8),
+                                               ('rodas4', 1e-7)])
+def test_every_method_with_error_control_finds_them(integrator, error):
+    simulation = simulated(BALL, {'gravity': EARTH, 'floor': FLOORS['contact'](1e4)}, [START],
+                           integrator=integrator, tolerance=1e-8)
+    simulation.step(duration=3.0)
+    assert simulation.position[0] == pytest.approx(height(3.0, 1e4), abs=error)
+
+
+def test_steps_end_where_contact_begins_and_ends():
+    simulation = simulated(BALL, {'gravity': EARTH, 'floor': FLOORS['contact'](1e4)}, [START],
+                           integrator='auto', step_size=2e-5)
+    driver = simulation.monitor.driver
+    ends = set()
+    for _ in range(18000):
+        simulation.step()
+        ends.add(driver.control[0])
+    w, v = 100.0, math.sqrt(2.0 * G * START)
+    fall, touch = v / G, 2.0 * (math.pi - math.atan(v * w / G)) / w
+    for event in (fall, fall + touch):
+        assert min(abs(end - event) for end in ends) < 1e-9
+
+
+def test_a_ball_with_losses_comes_to_rest_and_stays():
+    floor = BodyContact('south', 'floor', 'line', 1e5, restitution=0.3, impact_velocity=1.0)
+    simulation = simulated(BALL, {'gravity': EARTH, 'floor': floor}, [START], integrator='auto')
+    simulation.step(duration=3.0)
+    assert simulation.position[0] == pytest.approx(-G / 1e5, abs=1e-6)
+    assert np.array_equal(simulation.system.effects.contacts.mode, np.zeros(1))
+    assert_balanced(simulation, 1e-7)
+
+
+def test_a_graze_is_not_missed():
+    # A ball thrown up against a ceiling that it dents by 0.2 um, within one long step.
+    top = START + 2.0 ** 2 / (2.0 * G)
+    ceiling = EndStop('height', 1e6, upper=top - 2e-7)
+    simulation = simulated(BALL, {'gravity': EARTH, 'ceiling': ceiling}, [START], [2.0],
+                           integrator='auto', step_size=0.1)
+    simulation.step(duration=0.4)
+    # It turns there a little earlier than it would have.
+    free = START + 2.0 * 0.4 - 0.5 * G * 0.16
+    assert simulation.position[0] < free - 100.0 * CLOSED
+    assert_balanced(simulation, 1e-9)
