@@ -182,6 +182,32 @@ def elements():
         for e in (1.0, 0.8, 0.5)})
 
 
+def machines():
+    """Draw the shipped machines that are made of elements."""
+    figure = matplotlib.figure.Figure((9.0, 5.2), layout='constrained')
+    for axes, (name, duration, joint, factor, label) in zip(figure.subplots(2, 2).flat, (
+            ('cam_follower', 0.5, 1, 1e3, "roller's height [mm]"),
+            ('rope_hoist', 0.5, None, 1e3, 'height [mm]'),
+            ('bistable_toggle', 2.0, 0, 1.0, 'angle of the lever [rad]'),
+            ('geneva_drive', 0.5, 1, 1.0, 'angle of the wheel [rad]'))):
+        simulation = Simulation.from_scene(name)
+        times, positions = [0.0], [simulation.position]
+        for _ in range(250):
+            simulation.step(duration=duration / 250)
+            times.append(simulation.time)
+            positions.append(simulation.position)
+        positions = factor * np.array(positions)
+        joints = range(positions.shape[1]) if joint is None else [joint]
+        for k, color in zip(joints, COLORS):
+            axes.plot(times, positions[:, k], color=color, linewidth=1.4,
+                      label=simulation.joint_names[k].removesuffix('_joint'))
+        if joint is None:
+            axes.legend(frameon=False, fontsize=8)
+        axes.set(title=name, xlabel='time [s]', ylabel=label)
+        axes.grid(alpha=0.3)
+    figure.savefig(DIRECTORY / 'machine_elements.png', dpi=110)
+
+
 def drives_and_sensors():
     """Draw what becomes of commands and of what is measured."""
     def effort(simulation):
@@ -222,4 +248,5 @@ if __name__ == '__main__':
     joints()
     points()
     elements()
+    machines()
     drives_and_sensors()

@@ -15,9 +15,9 @@
 """
 The instants at which bodies begin to touch and part again.
 
-Within a step a contact is there or not, whatever the sign of the gap, so that the motion is smooth
-and what a step finds of the gap is right to its last digits. A step on which a gap changes its sign
-is cut there: by a cubic through gap and rate at both ends, then by Newton's method. The
+Within a step a contact is there or not, whatever the sign of the gap, so that the motion is
+smooth and what a step finds of the gap is right to its last digits. A step on which a gap changes
+its sign is cut there: by a cubic through gap and rate at both ends, then by Newton's method. The
 next step begins at once with the size that suits the new motion.
 
 """
