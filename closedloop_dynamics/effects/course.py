@@ -39,7 +39,8 @@ SHAPES = {
     'sine': (('amplitude', 'frequency'), ('phase', 'offset')),
     'trapezoid': _RAMPS,
     'cycloid': _RAMPS,
-    'table': (('times', 'values'), ('interpolation', 'period'))}
+    'table': (('times', 'values'), ('interpolation', 'period')),
+    'expression': (('expression',), ())}
 INTERPOLATIONS = ('linear', 'cubic', 'step')
 # Times closer than this, relative to their size, are the same.
 SAME_TIME = 1e-12

@@ -28,15 +28,16 @@ from dataclasses import dataclass
 import math
 from typing import Optional, Tuple
 
-from . import course
+from . import course, expression
 from .effect import Effect, require_plane
 from .forces import offset, push
 from .table import (
     FIRST, ForceElement, OWN, PRESCRIBED_FORCE, PRESCRIBED_TORQUE, STATE, State, WORK)
 from ..core.compiled import inlined
 from ..core.types import COS, OMEGA, SIN, VX, VY
-from ..mechanism.checks import list_of, name, not_negative, number, one_of, positive, vector2
-from ..mechanism.fields import FieldError, shown
+from ..mechanism.checks import (
+    list_of, name, not_negative, number, one_of, positive, text, vector2)
+from ..mechanism.fields import at, FieldError, shown
 from ..mechanism.mechanism import Vector2
 
 
@@ -48,7 +49,7 @@ class PrescribedForce(Effect):
     Attributes
     ----------
     shape : str
-        ``constant``, ``sine``, ``trapezoid``, ``cycloid`` or ``table``.
+        ``constant``, ``sine``, ``trapezoid``, ``cycloid``, ``table`` or ``expression``.
     joint : str or None
         Where it acts: a joint, or
     point : str or None
@@ -81,6 +82,8 @@ class PrescribedForce(Effect):
         At these times [N m; N].
     interpolation : str or None
         Of a table: ``linear`` (when not given), ``cubic`` (a spline) or ``step``.
+    expression : str or None
+        Of the time ``t`` [s], such as ``2*sin(3*t)`` [N m; N].
 
     """
 
@@ -89,7 +92,8 @@ class PrescribedForce(Effect):
         'frame': one_of(('world', 'body')), 'amplitude': number, 'offset': number,
         'frequency': positive, 'phase': number, 'start': not_negative, 'rise': not_negative,
         'hold': not_negative, 'fall': not_negative, 'period': positive, 'times': list_of(number),
-        'values': list_of(number), 'interpolation': one_of(course.INTERPOLATIONS)}
+        'values': list_of(number), 'interpolation': one_of(course.INTERPOLATIONS),
+        'expression': text}
     FILES = {'file': ('times', 'values')}
     STIFFENS = False
     READINGS = ('force', 'power')
@@ -111,6 +115,7 @@ class PrescribedForce(Effect):
     times: Optional[Tuple[float, ...]] = None
     values: Optional[Tuple[float, ...]] = None
     interpolation: Optional[str] = None
+    expression: Optional[str] = None
 
     def __post_init__(self):
         """Refuse what acts nowhere or in two places, and courses that make no sense."""
@@ -127,7 +132,14 @@ class PrescribedForce(Effect):
         if self.frame is not None and self.point is None:
             raise FieldError('this key only beside point', shown(self.frame), path=('frame',))
         course.require_keys(self)
-        object.__setattr__(self, '_pieces', course.pieces(self))
+        object.__setattr__(self, '_data', self._course())
+
+    def _course(self):
+        """Return the entries of the table: pieces, or an expression."""
+        if self.shape != 'expression':
+            return course.pieces(self)
+        with at('expression'):
+            return (expression.program(self.expression),)
 
     def fit(self, mechanism):
         """Refuse a mechanism without the joint or point, and points in space."""
@@ -138,26 +150,36 @@ class PrescribedForce(Effect):
     @property
     def ENDS_STEPS(self):  # noqa: N802
         """Whether the course has corners."""
-        return len(self._pieces) > 1 or self.period is not None
+        return len(self._data) > 1 or self.period is not None
 
     def clock(self, time):
         """Return the time, and which piece of the course is the present one."""
-        return time, course.present(self._pieces, self.period, time)
+        return time, course.present(self._data, self.period, time)
 
     def element(self, machine):
         """Return the effect as a row of the table."""
+        written = float(self.shape == 'expression')
         states = State(OWN), State(OWN, 1.0, self.clock(0.0)[1]), State(WORK)
         if self.joint is not None:
             return ForceElement(
-                PRESCRIBED_TORQUE, (machine.joint(self.joint),), (self.period or 0.0,), states,
-                data=self._pieces)
+                PRESCRIBED_TORQUE, (machine.joint(self.joint),), (self.period or 0.0, written),
+                states, data=self._data)
         row, place = machine.point(self.point)
         x, y = self.direction
         length = math.hypot(x, y)
         return ForceElement(
             PRESCRIBED_FORCE, (row,),
-            (self.period or 0.0, *place, x / length, y / length, float(self.frame == 'body')),
-            states, data=self._pieces)
+            (self.period or 0.0, written, *place, x / length, y / length,
+             float(self.frame == 'body')),
+            states, data=self._data)
+
+
+@inlined
+def _value(table, row):
+    """Return the present value of the course."""
+    if table.values[row, 1] == 1.0:
+        return expression.value(table, row, table.states[table.index[row, STATE]])
+    return course.value(table, row, table.values[row, 0])
 
 
 @inlined
@@ -173,7 +195,7 @@ def _note(table, row, force, power):
 def apply(table, row, qd):
     """Add the torque; see ``dispatch.apply``."""
     joint = table.index[row, FIRST]
-    torque = course.value(table, row, table.values[row, 0])
+    torque = _value(table, row)
     table.applied[joint] += torque
     _note(table, row, torque, torque * qd[joint])
 
@@ -182,10 +204,10 @@ def apply(table, row, qd):
 def apply_at_point(table, row, body):
     """Apply the force at a point; see ``dispatch.apply``."""
     values, i = table.values, table.index[row, FIRST]
-    rx, ry = offset(body, i, values[row, 1], values[row, 2])
-    force = course.value(table, row, values[row, 0])
-    x, y = values[row, 3], values[row, 4]
-    if values[row, 5] == 1.0:
+    rx, ry = offset(body, i, values[row, 2], values[row, 3])
+    force = _value(table, row)
+    x, y = values[row, 4], values[row, 5]
+    if values[row, 6] == 1.0:
         x, y = body[i, COS] * x - body[i, SIN] * y, body[i, SIN] * x + body[i, COS] * y
     push(body, i, rx, ry, force * x, force * y)
     _note(table, row, force, force * (

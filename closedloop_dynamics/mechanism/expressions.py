@@ -152,7 +152,7 @@ class Parameters:
 
     def _number(self, text):
         """Return the value of an expression; the text itself where it is none."""
-        root = _parsed(text)
+        root = parsed(text)
         names = [node.id for node in ast.walk(root) if isinstance(node, ast.Name)] if root else []
         if root is None or not (names or any(
                 isinstance(node, ast.BinOp) for node in ast.walk(root))):
@@ -205,7 +205,7 @@ class Parameters:
                          nearest(name, known) or f'there are {among(known)}')
 
 
-def _parsed(text):
+def parsed(text):
     """Return the root of an expression's tree, None where the text cannot be one."""
     if len(text) > LONGEST or not _CHARACTERS.fullmatch(text):
         return None

@@ -211,6 +211,35 @@ def test_files_that_are_no_table_are_refused(tmp_path, text, message):
         load_scene(path)
 
 
+@pytest.mark.parametrize('text, law', [
+    ('2*sin(3*t) - t**2/4', lambda t: 2.0 * math.sin(3.0 * t) - t ** 2 / 4.0),
+    ('-max(abs(t - 0.3), min(t, 0.1))*exp(-t)', lambda t: -max(
+        abs(t - 0.3), min(t, 0.1)) * math.exp(-t)),
+    ('atan2(t, 1 + cos(2*pi*t)) + hypot(t, 3) - sqrt(t + 1)*log(t + 2)', lambda t: (
+        math.atan2(t, 1.0 + math.cos(2.0 * math.pi * t)) + math.hypot(t, 3.0)
+        - math.sqrt(t + 1.0) * math.log(t + 2.0))),
+    ('tan(t/2) + asin(t/4) - acos(t/4) + atan(t) + radians(t) + degrees(t)', lambda t: (
+        math.tan(t / 2.0) + math.asin(t / 4.0) - math.acos(t / 4.0) + math.atan(t)
+        + math.radians(t) + math.degrees(t)))])
+def test_an_expression_has_the_values_that_it_says(text, law):
+    simulation = simulated(block(1e3), {'push': PrescribedForce(
+        'expression', 'slide', expression=text)}, [0.0])
+    for _ in range(5):
+        simulation.step(duration=0.17)
+        assert simulation.effect_readings('push')['force'] == pytest.approx(
+            law(simulation.time), rel=1e-13, abs=1e-13)
+    assert_balanced(simulation, 1e-9)
+
+
+@pytest.mark.parametrize('text, message', [
+    ('2*x', "unknown name 'x'"), ('sine(t)', "did you mean 'sin'"), ('sin(t, t)', 'got the text'),
+    ('t.real', 'got the text'), ('__import__("os")', 'got the text'), ('t if t else 1', 'got')])
+def test_what_is_no_expression_in_the_time_is_refused(text, message):
+    with pytest.raises(FieldError, match=message) as refusal:
+        PrescribedForce('expression', 'slide', expression=text)
+    assert str(refusal.value).startswith('expression: expected an expression in t')
+
+
 TABLE = {'shape': 'table', 'joint': 'slide', 'times': (0.0, 1.0), 'values': (0.0, 1.0)}
 
 

@@ -1,0 +1,167 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Expressions in the time, as compiled code evaluates them: a list of operations on a stack.
+
+``2*sin(3*t)`` becomes 2, 3, t, *, sin, *. Names, functions and what may be written are those of
+``mechanism.expressions``, with ``t`` for the time; parameters of a file have no place here.
+
+"""
+
+import ast
+import math
+
+from .table import DATA
+from ..core.compiled import compiled
+from ..mechanism.expressions import CONSTANTS, FUNCTIONS, parsed
+from ..mechanism.fields import among, FieldError, nearest, shown
+
+# Operations: a number, the time, of one number, of two numbers.
+NUMBER, TIME = 0, 1
+ONE = ('neg', 'abs', 'sin', 'cos', 'tan', 'asin', 'acos', 'atan', 'sqrt', 'exp', 'log', 'radians',
+       'degrees')
+TWO = ('add', 'sub', 'mul', 'div', 'pow', 'atan2', 'hypot', 'min', 'max')
+_CODES = {name: code for code, name in enumerate((*ONE, *TWO), 2)}
+(NEG, ABS, SIN, COS, TAN, ASIN, ACOS, ATAN, SQRT, EXP, LOG, RADIANS, DEGREES,
+ ADD, SUB, MUL, DIV, POW, ATAN2, HYPOT, MIN, MAX) = range(2, 2 + len(_CODES))
+_OPERATORS = {ast.Add: ADD, ast.Sub: SUB, ast.Mult: MUL, ast.Div: DIV, ast.Pow: POW}
+EXPECTED = 'an expression in t of numbers, + - * / **, brackets and functions'
+
+
+def program(text):
+    """
+    Return an expression as one entry of the table: number of operations, these, room for a stack.
+
+    Raises
+    ------
+    FieldError
+
+    """
+    root, steps = parsed(text), []
+    if root is None:
+        raise FieldError(EXPECTED, shown(text))
+    deepest = _translate(root, text, steps)
+    return (float(len(steps)), *(float(x) for step in steps for x in step), *((0.0,) * deepest))
+
+
+def _translate(node, text, steps):
+    """Append the operations of a node; return how deep their stack becomes."""
+    if isinstance(node, ast.Constant) and type(node.value) in (int, float):
+        steps.append((NUMBER, node.value))
+        return 1
+    if isinstance(node, ast.Name):
+        if node.id != 't' and node.id not in CONSTANTS:
+            known = ('t', *CONSTANTS)
+            raise FieldError(EXPECTED, f'{shown(text)} with the unknown name {node.id!r}',
+                             nearest(node.id, known) or f'there are {among(known)}')
+        steps.append((TIME, 0.0) if node.id == 't' else (NUMBER, CONSTANTS[node.id]))
+        return 1
+    if isinstance(node, ast.UnaryOp) and isinstance(node.op, (ast.UAdd, ast.USub)):
+        depth = _translate(node.operand, text, steps)
+        if isinstance(node.op, ast.USub):
+            steps.append((NEG, 0.0))
+        return depth
+    if isinstance(node, ast.BinOp) and type(node.op) in _OPERATORS:
+        return _apply(_OPERATORS[type(node.op)], (node.left, node.right), text, steps)
+    if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and not node.keywords:
+        name = node.func.id
+        if name not in FUNCTIONS:
+            raise FieldError(EXPECTED, f'{shown(text)} with the unknown function {name!r}',
+                             nearest(name, FUNCTIONS) or f'there are {among(FUNCTIONS)}')
+        if len(node.args) == FUNCTIONS[name]:
+            return _apply(_CODES[name], node.args, text, steps)
+    raise FieldError(EXPECTED, shown(text), f'functions: {among(FUNCTIONS)}')
+
+
+def _apply(code, operands, text, steps):
+    """Append operands and the operation on them."""
+    deepest = max(place + _translate(one, text, steps) for place, one in enumerate(operands))
+    steps.append((code, 0.0))
+    return deepest
+
+
+@compiled
+def value(table, row, time):
+    """Return the value at a time of the expression that an effect's entry has."""
+    data, at = table.data, table.index[row, DATA]
+    count = int(data[at])
+    top = at + 2 * count
+    for k in range(count):
+        operation = int(data[at + 1 + 2 * k])
+        if operation <= TIME:
+            top += 1
+            data[top] = time if operation == TIME else data[at + 2 + 2 * k]
+        elif operation >= ADD:
+            top -= 1
+            data[top] = _of_two(operation, data[top], data[top + 1])
+        else:
+            data[top] = _of_one(operation, data[top])
+    return data[top]
+
+
+@compiled
+def _of_one(operation, x):
+    y = x
+    if operation == NEG:
+        y = -x
+    elif operation == ABS:
+        y = abs(x)
+    elif operation == SIN:
+        y = math.sin(x)
+    elif operation == COS:
+        y = math.cos(x)
+    elif operation == TAN:
+        y = math.tan(x)
+    elif operation == ASIN:
+        y = math.asin(x)
+    elif operation == ACOS:
+        y = math.acos(x)
+    elif operation == ATAN:
+        y = math.atan(x)
+    elif operation == SQRT:
+        y = math.sqrt(x)
+    elif operation == EXP:
+        y = math.exp(x)
+    elif operation == LOG:
+        y = math.log(x)
+    elif operation == RADIANS:
+        y = math.radians(x)
+    elif operation == DEGREES:
+        y = math.degrees(x)
+    return y
+
+
+@compiled
+def _of_two(operation, x, y):
+    z = x
+    if operation == ADD:
+        z = x + y
+    elif operation == SUB:
+        z = x - y
+    elif operation == MUL:
+        z = x * y
+    elif operation == DIV:
+        z = x / y
+    elif operation == POW:
+        z = x ** y
+    elif operation == ATAN2:
+        z = math.atan2(x, y)
+    elif operation == HYPOT:
+        z = math.hypot(x, y)
+    elif operation == MIN:
+        z = min(x, y)
+    elif operation == MAX:
+        z = max(x, y)
+    return z
