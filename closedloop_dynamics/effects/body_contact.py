@@ -44,12 +44,13 @@ from .table import (
     State, STORED)
 from ..core.compiled import inlined
 from ..core.types import COS, SIN
-from ..mechanism.checks import boolean, list_of, name, not_negative, number, one_of, positive
-from ..mechanism.fields import FieldError, shown
+from ..mechanism.checks import (
+    boolean, list_of, name, not_negative, number, one_of, positive, text)
+from ..mechanism.fields import at, FieldError, shown
 
 # Shape -> the keys that it needs, and those that it may have.
 SHAPES = {'line': ((), ('angle',)), 'circle': (('other_radius',), ('hollow',)),
-          'curve': ((), ('x', 'y', 'radii', 'closed', 'interpolation', 'hollow'))}
+          'curve': ((), ('x', 'y', 'radii', 'polar', 'closed', 'interpolation', 'hollow'))}
 
 
 def damping(restitution, rate):
@@ -105,6 +106,8 @@ class BodyContact(Effect):
         Points of a curve [m]; the first one of a closed curve is not repeated.
     radii : tuple of floats or None
         Or its distances from ``other`` at even angles, the first along x [m].
+    polar : str or None
+        Or an expression for them in the angle ``a`` [rad], such as ``0.04 + 0.01*cos(a)``.
     closed : bool or None
         Whether a curve closes, which it does when not given; an open one is free on its left.
     interpolation : str or None
@@ -129,7 +132,7 @@ class BodyContact(Effect):
     CHECKS = {
         'point': name, 'other': name, 'shape': one_of(tuple(SHAPES)), 'stiffness': positive,
         'radius': not_negative, 'angle': number, 'other_radius': positive, 'x': list_of(number),
-        'y': list_of(number), 'radii': list_of(positive), 'closed': boolean,
+        'y': list_of(number), 'radii': list_of(positive), 'polar': text, 'closed': boolean,
         'interpolation': one_of(('cubic', 'linear')), 'hollow': boolean, 'exponent': positive,
         'damping': not_negative, 'restitution': positive, 'impact_velocity': positive,
         'friction': not_negative, 'slip_velocity': positive}
@@ -146,6 +149,7 @@ class BodyContact(Effect):
     x: Optional[Tuple[float, ...]] = None
     y: Optional[Tuple[float, ...]] = None
     radii: Optional[Tuple[float, ...]] = None
+    polar: Optional[str] = None
     closed: Optional[bool] = None
     interpolation: Optional[str] = None
     hollow: Optional[bool] = None
@@ -193,12 +197,17 @@ class BodyContact(Effect):
         """Return the pieces of the curve."""
         if (self.x is None) != (self.y is None):
             raise FieldError('both x and y', 'one of them', path=('x',))
-        if (self.x is None) == (self.radii is None):
-            raise FieldError('x and y, or radii', 'neither' if self.x is None else 'both',
-                             path=('x',))
-        x, y = (self.x, self.y) if self.radii is None else curve.polar(self.radii)
-        if self.closed is False and self.radii is not None:
-            raise FieldError('a closed curve of radii', 'false', path=('closed',))
+        given = sum(one is not None for one in (self.x, self.radii, self.polar))
+        if given != 1:
+            raise FieldError('x and y, or radii, or polar',
+                             f'{given} of them' if given else 'none', path=('x',))
+        if self.closed is False and self.x is None:
+            raise FieldError('true for a curve about a point', 'false', path=('closed',))
+        radii = self.radii
+        if self.polar is not None:
+            with at('polar'):
+                radii = curve.radii_of(self.polar)
+        x, y = (self.x, self.y) if radii is None else curve.polar(radii)
         return curve.pieces(x, y, self.closed is not False, self.interpolation or 'cubic',
                             bool(self.hollow))
 

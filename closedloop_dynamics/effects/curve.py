@@ -26,10 +26,14 @@ import numpy as np
 
 from .table import DATA, ENTRIES
 from ..core.compiled import inlined
+from ..mechanism.checks import positive
+from ..mechanism.expressions import Parameters
 from ..mechanism.fields import FieldError
 
 # Numbers of a piece: x = c0 + u (c1 + u (c2 + u c3)), and y.
 COLUMNS = 8
+# Points of a curve that an expression tells: a spline is within some 1e-9 of it.
+POLAR_POINTS = 360
 # Points of a curve, at most; and how finely its splines are looked at for crossings.
 MOST_POINTS, FINENESS = 2000, 8
 # An area between places in one line, beside the square of how far they are apart.
@@ -81,6 +85,20 @@ def polar(radii):
     """Return the points of a closed curve from its radii at even angles, the first along x."""
     angles = 2.0 * np.pi * np.arange(len(radii)) / len(radii)
     return np.asarray(radii) * np.cos(angles), np.asarray(radii) * np.sin(angles)
+
+
+def radii_of(text):
+    """
+    Return the radii at POLAR_POINTS even angles of an expression in the angle ``a`` [rad].
+
+    Raises
+    ------
+    FieldError
+        Where it is none, or not positive everywhere.
+
+    """
+    return tuple(positive(Parameters({'a': angle}).evaluated(text))
+                 for angle in 2.0 * np.pi * np.arange(POLAR_POINTS) / POLAR_POINTS)
 
 
 def _checked_points(x, y, closed):

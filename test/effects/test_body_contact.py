@@ -120,6 +120,18 @@ def test_an_eccentric_lifts_its_follower_by_its_closed_form():
         assert found['depth'] == pytest.approx(1e-5 * math.sqrt(1.0 - tilt ** 2), abs=2e-8)
 
 
+def test_an_eccentric_is_an_expression_in_the_angle():
+    # A circle of radius 0.03 about a place 0.01 from the axle.
+    outline = '0.01*cos(a) + sqrt(0.03**2 - (0.01*sin(a))**2)'
+    touch = BodyContact('roller', 'axle', 'curve', 1e7, radius=0.008, polar=outline)
+    turn = 0.7
+    height = 0.01 * math.sin(turn) + math.sqrt(0.038 ** 2 - (0.01 * math.cos(turn)) ** 2)
+    found = simulated(cam(), {'touch': touch}, [turn, height - 1e-5], step_size=1e-4)
+    tilt = (0.01 * math.cos(turn)) / 0.038
+    assert found.effect_readings('touch')['depth'] == pytest.approx(
+        1e-5 * math.sqrt(1.0 - tilt ** 2), abs=1e-9)
+
+
 def test_a_roller_rides_on_the_curve_parallel_to_its_path():
     # Roller follower on the pitch curve's parallel: the roller's centre is at 0.05 + s(angle).
     angles = 2.0 * np.pi * np.arange(720) / 720
@@ -181,7 +193,10 @@ CURVE = {'shape': 'curve', 'x': (0.0, 1.0, 0.0), 'y': (0.0, 0.0, 1.0)}
     ({**CURVE, 'radii': (1.0, 1.0, 1.0)}, 'x'), ({'shape': 'curve'}, 'x'),
     ({**CURVE, 'x': (0.0, 0.0, 1.0), 'y': (0.0, 0.0, 1.0)}, 'x[0]'),
     ({**CURVE, 'other_radius': 1.0}, 'other_radius'),
-    ({'shape': 'curve', 'radii': (1.0, -1.0, 1.0)}, 'radii[1]')])
+    ({'shape': 'curve', 'radii': (1.0, -1.0, 1.0)}, 'radii[1]'),
+    ({'shape': 'curve', 'radii': (1.0, 1.0, 1.0), 'polar': '1.0 + 0.1*sin(a)'}, 'x'),
+    ({'shape': 'curve', 'polar': '1.0 + 2*sin(a)'}, 'polar'),
+    ({'shape': 'curve', 'polar': '1.0 + sin(b)'}, 'polar')])
 def test_impossible_contacts_are_refused(values, key):
     with pytest.raises(FieldError) as refusal:
         BodyContact('front', 'rear', **{'stiffness': 1.0, **values})
