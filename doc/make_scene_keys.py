@@ -106,7 +106,8 @@ def page():
                   *table(record_type, keys_of(record_type, leave_out=('name',)))]
     lines += ['', 'Of a body with `massless: true`, `mass`, `center_of_mass` and `inertia` may be '
               'left out. A body may have a `shape` in the place of `center_of_mass` and '
-              '`inertia`, and a `density` [kg/m^3] in the place of `mass`. A joint may have `between` (two bodies) and '
+              '`inertia`, and a `density` [kg/m^3] in the place of `mass`. A joint may have '
+              '`between` (two bodies) and '
               '`points` (its places in their frames) in the place of `parent`, `child` and '
               '`position`, and say `cut: true` or `false`. A shape is one of', '',
               *(f'- `{shape}`, with ' + ', '.join(f'`{key}`' for key in required)

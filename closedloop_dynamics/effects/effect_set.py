@@ -106,6 +106,10 @@ class EffectSet:
             self._table = build_table((), system.tau, 0, 0)
         return self._table
 
+    def move(self, system):
+        """Take a system that works on other equations; all that effects change is shared."""
+        self._system, self._model = system, system.model
+
     def _update(self):
         """Bring model constants, drives and instruments in line with the records."""
         model = self._model

@@ -288,6 +288,27 @@ def parts_of_state(system):
             end if system.manifold is None else end + 1)
 
 
+def with_equations(system, model):
+    """
+    Return a system that works on other closure equations, as many as before.
+
+    Parameters
+    ----------
+    system : System
+        As it was; its state, torques and effects are shared.
+    model : Model
+        Of the same mechanism in space with other equations kept; it shares all other arrays.
+
+    Returns
+    -------
+    System
+
+    """
+    work = allocate(model)
+    work.health[:] = system.work.health
+    return _linked(system._replace(model=model, work=work))
+
+
 def number_of_states(system):
     """Return ns: the length of the state vector."""
     return parts_of_state(system)[-1]

@@ -15,8 +15,8 @@
 """
 Joints between two bodies, of which the program chooses those that carry and those that are cut.
 
-A body's frame may lie anywhere in it; the records that come of it have it at the joint that carries
-the body, its axes as described.
+A body's frame may lie anywhere in it; the records that come of it have it at the joint that
+carries the body, its axes as described.
 
 """
 
@@ -26,7 +26,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from .checks import boolean, listed, one_of
-from .fields import among, at, FieldError, mapping, normalise, shown
+from .fields import at, FieldError, mapping, normalise, shown
 from .mechanism import (
     CUT_JOINT_EQUATIONS, CUT_WITH_AXIS_A, CUT_WITH_AXIS_B, CUT_WITH_ORIENTATION, CutJoint,
     CYLINDRICAL, FIXED, FREE, GROUND, HELICAL, Joint, JOINT_FREEDOMS, PLANAR, PRISMATIC, REVOLUTE,
@@ -174,7 +174,7 @@ def with_tree(mechanism, links, orders=None):
     for body, (index, turned) in chosen.carriers.items():
         joint, point = found[index]
         shifts[body] = np.array(joint.position if turned else point)
-    carried = {index: turned for index, turned in chosen.carriers.values()}
+    carried = dict(chosen.carriers.values())
     joints = [_joint(joint, point, carried[index], shifts)
               for index, (joint, point) in enumerate(found) if index in carried]
     cuts = [_cut(*found[index], shifts, spatial) for index in chosen.cut]

@@ -16,9 +16,9 @@
 Which joints carry the bodies, and which are cut, where a description leaves that open.
 
 The joints of a mechanism are the edges of a graph whose nodes are its bodies and the ground. Any
-spanning tree will do; they differ in the number of operations that an evaluation takes. What a tree
-takes is estimated from the graph, and trees are exchanged for better ones edge by edge. The search
-draws nothing by lot and looks at no clock: the same description gets the same tree.
+spanning tree will do; they differ in the number of operations that an evaluation takes. What a
+tree takes is estimated from the graph, and trees are exchanged for better ones edge by edge. The
+search draws nothing by lot and looks at no clock: the same description gets the same tree.
 
 """
 
@@ -165,7 +165,8 @@ class _Graph:
                 members.add(index)
             elif self.edges[index].cut is False:
                 raise FieldError(
-                    'a loop with a joint that may be cut', f'one closed by {self.edges[index].name}',
+                    'a loop with a joint that may be cut',
+                    f'one closed by {self.edges[index].name}',
                     'joints that are actuated or coupled, have parent and child, or say cut: '
                     'false, are kept', ('joints', self.edges[index].name))
         apart = [body for body in self.bodies if root(body) != root(GROUND)]

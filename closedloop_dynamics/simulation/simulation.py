@@ -48,11 +48,14 @@ from ..integration.drivers import build_driver
 from ..integration.fixed_step import joint_forces
 from ..integration.registry import INTEGRATORS, SCIPY
 from ..integration.system import (
-    BAUMGARTE_GAIN, build_system, CLOSURE_LIMIT, evaluate, parts_of_state, Probe)
+    BAUMGARTE_GAIN, build_system, CLOSURE_LIMIT, evaluate, parts_of_state, Probe, with_equations)
 from ..mechanism.decomposition import decompose
 from ..mechanism.fields import at, keys_of, mapping
 
 FORMULATIONS = {'subsystem': SUBSYSTEM, 'system': SYSTEM, 'augmented': AUGMENTED}
+# Closure errors of equations that were left out, of the size, and pivots from which on others are
+# looked for; and how much further from dependent these must be.
+REPEATED, POOR_CHOICE, BETTER = 1e-9, 0.02, 3.0
 # In a step, of a joint [rad, m]: error-controlled methods would divide it for minutes.
 LARGEST_MOTION = 1e3
 
@@ -128,6 +131,9 @@ class Simulation:
         self._inverse = InverseDynamics(
             self.mechanism, self.system, self._effects, self._table, self._on_demand)
         self._probe = Probe(self.system)
+        # How often the equations that the elimination works on were exchanged; slow evaluations
+        # when that was last looked at.
+        self.exchanges, self._careful_before = 0, 0.0
         self.reset()
 
     @classmethod
@@ -754,19 +760,54 @@ class Simulation:
             for guard in self._guards:
                 guard.look(self, portion)
             steps -= portion
+            if steps > 0 and (
+                    self.system.work.health[t.RANK_REVEALING_COUNT] > self._careful_before):
+                self._watch_repeated()
         self._watch_repeated()
 
     def _watch_repeated(self):
-        """Refuse to go on where equations that repeated others do so no longer."""
+        """
+        Work on other equations where those that repeat others are no longer the same.
+
+        Refuse to go on where the loops are open.
+
+        """
         if self._geometry is None or not self._geometry.leaves_out or (
                 self.scene.method.stabilisation not in CLOSING):
             return
-        error = self._closure_of_all()
+        error, careful = self._closure_of_all(), self.system.work.health[t.RANK_REVEALING_COUNT]
+        slow, self._careful_before = careful > self._careful_before, careful
+        if error <= self.system.settings[CLOSURE_LIMIT] and (
+                slow or self.system.work.health[t.SMALLEST_PIVOT] < POOR_CHOICE
+                or error > REPEATED * self._assembler.extent):
+            model = self._geometry.closed_anew(self._q, BETTER)
+            if model is not None:
+                self._exchange(model)
+                return
         if not error <= self.system.settings[CLOSURE_LIMIT]:
             raise ClosureError(
                 f'At t = {self.time:.9g} s the loops are open by {error:.3g} m or rad: equations '
                 'that repeated others at the start, and were left out, no longer do. Start from '
                 'a position on the way that the mechanism is to move.')
+
+    def _exchange(self, model):
+        """Go on with other closure equations, from the same state."""
+        method = self.scene.method
+        self.system = with_equations(self.system, model)
+        self._effects.move(self.system)
+        self._assembler = SpatialAssembler(self.mechanism, self._geometry)
+        self._on_demand = OnDemand(self.system)
+        self._inverse = InverseDynamics(
+            self.mechanism, self.system, self._effects, self._table, self._on_demand)
+        self._probe = Probe(self.system)
+        driver = build_driver(self.system, method)
+        if isinstance(self._driver, Monitor):
+            self._driver = Monitor(driver, self.system, method)
+        self._time_base, self._steps = self.time, 0
+        self._set_guards(StiffnessGuard(self.system, method, self._effects.own), method)
+        self._driver.restart()
+        self._jump()
+        self.exchanges += 1
 
     @property
     def fastest_rate(self):
@@ -854,6 +895,9 @@ class Simulation:
 
     def reset(self):
         """Return to the initial state, time zero and no torque."""
+        if self.exchanges:
+            self._exchange(self._geometry.as_at_first())
+        self.exchanges, self._careful_before = 0, 0.0
         self._q[:], self._qd[:] = self._initial
         self._own[:] = self._effects.initial
         self._driver.rewind()

@@ -30,8 +30,9 @@ from ..mechanism.mechanism import FIXED
 
 # Code for a whole mechanism grows with it: beyond so many freedoms it compiles for minutes.
 MOST_FREEDOMS = 40
-# Relative rounding errors of a Jacobian are below this.
-ROUNDING = 1e-12
+# Relative rounding errors of a Jacobian, and what closure errors make of entries that are zero in
+# a closed position, are below this.
+ROUNDING = 1e-10
 
 
 class SpatialGeometry:
@@ -64,6 +65,7 @@ class SpatialGeometry:
                 'yet.')
         self.mechanism = mechanism
         self._decomposition = decomposition or decompose(mechanism)
+        self.model = self._first = None
         self._build(None)
         self.rows = {name: one.row for name, one in self.placements.items()}
         self._bodies = self._frames([body.name for body in mechanism.bodies])
@@ -85,7 +87,12 @@ class SpatialGeometry:
         """Build the model, and what works on numbers."""
         built = build_spatial_model(
             self.mechanism, decomposition=self._decomposition, kept=kept)
-        self.model, self.placements = built.model, built.placements
+        model = built.model
+        if self.model is not None:
+            # Effects have changed these since.
+            model = model._replace(
+                tree=self.model.tree, body=self.model.body, gravity=self.model.gravity)
+        self.model, self.placements = model, built.placements
         self._numbers, self._state, self._rates = Numbers(self.model), None, None
 
     def leave_out_repeated(self, q):
@@ -100,9 +107,48 @@ class SpatialGeometry:
         """
         assembler = SpatialAssembler(self.mechanism, self)
         with suppress(AssemblyError):
-            kept = _independent(assembler.jacobian_of_largest_rank(assembler.positions(q)))
+            kept = independent(
+                assembler.jacobian_of_largest_rank(assembler.positions(q)), self.groups)
             if not kept.all():
+                self._first = kept
                 self._build(kept)
+
+    def as_at_first(self):
+        """Go back to the equations that were chosen first; return the model."""
+        self._build(self._first)
+        return self.model
+
+    def closed_anew(self, q, better):
+        """
+        Choose the equations that the elimination works on anew, where the present ones serve ill.
+
+        Parameters
+        ----------
+        q : ndarray, shape (nq,)
+            Nearly closing the loops.
+        better : float
+            How much further from dependent another choice must be.
+
+        Returns
+        -------
+        Model or None
+            Of the new choice, of as many equations; None where the present one is as good.
+
+        """
+        assembler = SpatialAssembler(self.mechanism, self)
+        jac = assembler.jacobian_of_largest_rank(q)
+        kept, present = independent(jac, self.groups), self._numbers.kept
+        if kept.sum() != present.sum() or not (
+                _distinct(jac, self.groups, kept)
+                > better * _distinct(jac, self.groups, present)):
+            return None
+        self._build(kept)
+        return self.model
+
+    @property
+    def groups(self):
+        """Return which equations are of one kind, as ``Numbers.groups``."""
+        return self._numbers.groups
 
     @property
     def leaves_out(self):
@@ -314,16 +360,48 @@ def _quaternions(matrices):
         np.linalg.norm(columns, axis=1), columns[:, 3])[:, np.newaxis]
 
 
-def _independent(jac):
-    """Choose rows of a Jacobian that do not depend on one another, by pivoting; return a mask."""
-    kept = np.zeros(len(jac), dtype=bool)
-    # Neither the unit of a coordinate nor that of an equation decides, and rounding errors of
-    # entries that are zero are not scaled up to equations.
+def scaled(jac, groups):
+    """
+    Scale a Jacobian so that neither units of coordinates nor those of equations decide.
+
+    Parameters
+    ----------
+    jac : ndarray, shape (nc, nv)
+        Of all equations. Rounding errors of entries that are zero are not scaled up.
+    groups : ndarray of int, shape (nc,)
+        Equations of one kind, which are scaled alike: one that hardly changes stays small.
+
+    Returns
+    -------
+    ndarray, shape (nc, nv)
+
+    """
     columns = np.abs(jac).max(axis=0, initial=0.0)
     moves = columns > ROUNDING * columns.max(initial=0.0)
-    left = np.where(moves, jac / np.where(moves, columns, 1.0), 0.0)
-    rows = np.linalg.norm(left, axis=1, keepdims=True)
-    left = np.where(rows > ROUNDING, left / np.maximum(rows, ROUNDING), 0.0)
+    found = np.where(moves, jac / np.where(moves, columns, 1.0), 0.0)
+    rows = np.zeros(groups.max(initial=-1) + 1)
+    np.maximum.at(rows, groups, np.linalg.norm(found, axis=1))
+    rows = rows[groups][:, np.newaxis]
+    return np.where(rows > ROUNDING, found / np.maximum(rows, ROUNDING), 0.0)
+
+
+def independent(jac, groups):
+    """
+    Choose rows of a Jacobian that do not depend on one another, by pivoting.
+
+    Parameters
+    ----------
+    jac : ndarray, shape (nc, nv)
+        Of all equations.
+    groups : ndarray of int, shape (nc,)
+        As for ``scaled``.
+
+    Returns
+    -------
+    ndarray of bool, shape (nc,)
+
+    """
+    kept, left = np.zeros(len(jac), dtype=bool), scaled(jac, groups)
     while not kept.all():
         length = np.where(kept, 0.0, np.linalg.norm(left, axis=1))
         best = int(np.argmax(length))
@@ -333,6 +411,11 @@ def _independent(jac):
         direction = left[best] / length[best]
         left = left - np.outer(left @ direction, direction)
     return kept
+
+
+def _distinct(jac, groups, kept):
+    """Return the smallest singular value of some equations, scaled."""
+    return np.linalg.svd(scaled(jac, groups)[kept], compute_uv=False).min(initial=1.0)
 
 
 def equations_left(mechanism):

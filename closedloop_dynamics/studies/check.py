@@ -28,6 +28,7 @@ from ..simulation.assembly import find_degrees_of_freedom
 from ..simulation.far_assembly import find_closed, Loops
 from ..simulation.model_scene import assembled
 from ..simulation.modeling import extent
+from ..simulation.redundancy import find_redundancy
 from ..simulation.space import equations_left
 from ..simulation.tree_choice import count_operations
 from ..visual.tables import text_table
@@ -129,7 +130,7 @@ def _mechanism(mechanism, simulation=None, parameters=True, found=None):
     if mechanism.points:
         parts.append(_table('Points', ('name', 'body', 'position [m]'), [
             (point.name, point.body, _value(point.position)) for point in mechanism.points]))
-    parts += _chosen(mechanism)
+    parts += [*_chosen(mechanism), *_repeated(mechanism, simulation, found)]
     return [*parts, _summary(mechanism, decomposition, simulation, found)]
 
 
@@ -194,12 +195,29 @@ def _chosen(mechanism):
         if set(tree.listed) != set(tree.cut):
             try:
                 listed = count_operations(with_cuts(mechanism, tree.listed))
-                told += (f'; {listed} with {", ".join(tree.listed)} cut, as the joints are listed: '
-                         f'{1.0 - count / listed:.0%} saved')
+                told += (f'; {listed} with {", ".join(tree.listed)} cut, as the joints are '
+                         f'listed: {1.0 - count / listed:.0%} saved')
             except (FieldError, MechanismError):
                 told += '; the order in which the joints are listed gives no tree'
         items.append(('operations', told))
     return [_lines('Tree, chosen by the program', items)]
+
+
+def _repeated(mechanism, simulation, found):
+    """Return the equations that repeat others, where there are any, and what they share."""
+    if mechanism.planar or not mechanism.closures:
+        return []
+    if simulation is None:
+        found = found or _closed(mechanism)
+        if not found.closed:
+            return []
+    told = find_redundancy(mechanism, found.q if simulation is None else simulation.position)
+    if not told.repeated:
+        return []
+    return [_table('Equations that repeat others', ('of', 'equation', 'repeats others'),
+                   told.repeated),
+            'Forces that are not unique, of which the least are told\n  ' + (
+                ', '.join(told.shared))]
 
 
 def _summary(mechanism, decomposition, simulation, found):

@@ -125,7 +125,8 @@ FAULTS = {
         'this key again, first given in line 3', 'rename or remove one'),
     'section_unknown': (
         'points:', 'point:', 12, 'point',
-        'one of the keys name, bodies, joints, cut_joints, points, description, couplings, parameters',
+        'one of the keys name, bodies, joints, cut_joints, points, description, couplings, '
+        'parameters',
         "the unknown key 'point'", "did you mean 'points'?"),
     'name_missing': (
         'name: four_bar\n', '', 1, 'name', 'this required key', 'none', ''),

@@ -17,6 +17,7 @@
 from dataclasses import replace
 
 from closedloop_dynamics.core.straight_line import available
+from closedloop_dynamics.effects.gravity import Gravity
 from closedloop_dynamics.mechanism.fields import FieldError
 from closedloop_dynamics.mechanism.mechanism import (
     Body, Coupling, CutJoint, Joint, Mechanism, MechanismError, Point)
@@ -27,7 +28,6 @@ from closedloop_dynamics.simulation.key_paths import changed, numbers
 from closedloop_dynamics.simulation.scene_records import Initial, Method, Scene
 from closedloop_dynamics.simulation.scene_text import read_scene_text, scene_text
 from closedloop_dynamics.simulation.simulation import Simulation
-from closedloop_dynamics.effects.gravity import Gravity
 from closedloop_dynamics.studies.check import describe
 import numpy as np
 import pytest
@@ -279,7 +279,7 @@ def test_what_is_no_coupling_or_cut_is_refused():
             Coupling('c', {'a': 1.0}),))
     with pytest.raises(MechanismError, match='couplings.c.joints: .*only a mechanism in space'):
         validate_mechanism(plane)
-    with pytest.raises(MechanismError, match="type: expected one of revolute, prismatic, fixed"):
+    with pytest.raises(MechanismError, match='type: expected one of revolute, prismatic, fixed'):
         validate_mechanism(replace(plane, couplings=(), cut_joints=(
             CutJoint('c', 'distance', 'a', 'ground', (0.0, 0.0), (1.0, 0.0)),)))
 

@@ -26,7 +26,7 @@ import numpy as np
 from . import space
 from .spatial import Recursion
 from .vectors import transpose
-from ..types import CUT_NUMBER, DOF, KEPT, PARENT, POSSIBLE
+from ..types import CUT_NUMBER, CUT_TYPE, DOF, KEPT, PARENT, POSSIBLE
 
 # Singular values of the scaled Jacobian below this times the largest belong to equations that
 # repeat others.
@@ -51,6 +51,8 @@ class Numbers:
         How many equations each cut joint has, in the mechanism's order.
     kept : ndarray of bool, shape (nc,)
         Which equations the elimination works on, too.
+    groups : ndarray of int, shape (nc,)
+        Numbers that the places, and the angles, that one cut joint holds have in common.
 
     """
 
@@ -62,6 +64,11 @@ class Numbers:
         self.counts = [len(some) for some in places]
         self.kept = np.array([kept >> n & 1 for some, (_, kept) in zip(places, cuts)
                               for n in some], dtype=bool)
+        kinds = model.cut[np.argsort(model.cut[:, CUT_NUMBER]), CUT_TYPE]
+        groups = [(a, space.group_of(kind, n))
+                  for a, (kind, some) in enumerate(zip(kinds, places)) for n in some]
+        order = {group: number for number, group in enumerate(dict.fromkeys(groups))}
+        self.groups = np.array([order[group] for group in groups], dtype=int)
         self.nv, self.nc = len(model.tree) - 1, sum(self.counts)
 
     def move(self, q, qd=None):

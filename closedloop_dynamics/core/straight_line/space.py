@@ -130,6 +130,50 @@ def inertia_matrix(inertia):
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
+_TURNS = {(Z, X): 'turning about y', (Z, Y): 'turning about x', (X, Y): 'turning about z',
+          (X, Z): 'angle of the axes'}
+
+
+def equation_names(kind):
+    """
+    Name the equations of a cut joint; x, y and z are the world's, or its own where it slides.
+
+    Parameters
+    ----------
+    kind : int
+        Its ``CUT_TYPE``.
+
+    Returns
+    -------
+    list of str
+
+    """
+    name, along, perpendicular = HELD[kind]
+    return [*(f'place along {"xyz"[axis]}' for axis in along),
+            *(_TURNS[pair] for pair in perpendicular),
+            *{'helical': ['thread'], 'distance': ['distance'], 'coupling': ['sum']}.get(name, [])]
+
+
+def group_of(kind, number):
+    """
+    Tell which equations of a cut joint are of one kind: of places, of angles, another one.
+
+    Parameters
+    ----------
+    kind : int
+        Its ``CUT_TYPE``.
+    number : int
+        Of the equation.
+
+    Returns
+    -------
+    int
+
+    """
+    _, along, perpendicular = HELD[kind]
+    return (number >= len(along)) + (number >= len(along) + len(perpendicular))
+
+
 def is_spatial(model):
     """
     Tell whether a model is one in space.

@@ -1,0 +1,122 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Which closure equations in space repeat others, why, and whose forces they share."""
+
+from dataclasses import replace
+from typing import NamedTuple, Tuple
+
+import numpy as np
+
+from .assembly import RANK_TOLERANCE
+from .errors import AssemblyError
+from .space import independent, scaled, SpatialAssembler, SpatialGeometry
+from ..core.straight_line.space import equation_names
+from ..core.types import CUT_NUMBER, CUT_TYPE, POSSIBLE
+from ..mechanism.mechanism import MechanismError
+
+# Why an equation repeats others.
+ANY_LENGTHS, THESE_LENGTHS = 'at any lengths', 'at these lengths only'
+# How far lengths are changed to see that.
+CHANGE = 1e-3
+# Shares in what equations have in common below this are rounding.
+NO_SHARE = 1e-6
+
+
+class Redundancy(NamedTuple):
+    """
+    What repeats others.
+
+    Attributes
+    ----------
+    repeated : tuple of (str, str, str)
+        Cut joint or coupling, its equation, and whether it repeats others at any lengths.
+    shared : tuple of str
+        Cut joints and couplings whose forces are not unique: the least are told.
+
+    """
+
+    repeated: Tuple[Tuple[str, str, str], ...]
+    shared: Tuple[str, ...]
+
+
+def find_redundancy(mechanism, q):
+    """
+    Find equations that repeat others at and near a position that closes the loops.
+
+    Parameters
+    ----------
+    mechanism : Mechanism
+        In space.
+    q : ndarray, shape (nq,)
+        Joint coordinates.
+
+    Returns
+    -------
+    Redundancy
+
+    """
+    geometry = SpatialGeometry(mechanism)
+    jac = SpatialAssembler(mechanism, geometry).jacobian_of_largest_rank(q)
+    groups = geometry.groups
+    kept = independent(jac, groups)
+    if kept.all():
+        return Redundancy((), ())
+    names = _names(mechanism, geometry)
+    changed = _with_other_lengths(mechanism, q)
+    repeated = []
+    for row in np.flatnonzero(~kept):
+        always = changed is not None and len(changed) == len(jac) and (
+            _rank(changed, groups, kept | (np.arange(len(jac)) == row))
+            == _rank(changed, groups, kept))
+        repeated.append((*names[row], ANY_LENGTHS if always else THESE_LENGTHS))
+    left, singular, _ = np.linalg.svd(scaled(jac, groups))
+    common = left[:, np.count_nonzero(singular > RANK_TOLERANCE * singular.max(initial=0.0)):]
+    sharing = np.abs(common).max(axis=1) > NO_SHARE
+    return Redundancy(tuple(repeated), tuple(dict.fromkeys(
+        name for (name, _), shares in zip(names, sharing) if shares)))
+
+
+def _names(mechanism, geometry):
+    """Return the cut joint or coupling and the name of each equation that may fail to hold."""
+    found = []
+    for cut in geometry.model.cut[np.argsort(geometry.model.cut[:, CUT_NUMBER])]:
+        equations = equation_names(cut[CUT_TYPE])
+        found += [(mechanism.closures[cut[CUT_NUMBER]].name, equation)
+                  for n, equation in enumerate(equations) if cut[POSSIBLE] >> n & 1]
+    return found
+
+
+def _with_other_lengths(mechanism, q):
+    """Return the Jacobian of the mechanism with slightly other lengths; None where it is stuck."""
+    rng = np.random.default_rng(0)
+
+    def stretched(record, *keys):
+        return replace(record, **{key: tuple(
+            (1.0 + CHANGE * rng.uniform(-1.0, 1.0)) * np.array(getattr(record, key)))
+            for key in keys})
+
+    other = replace(
+        mechanism, joints=tuple(stretched(joint, 'position') for joint in mechanism.joints),
+        cut_joints=tuple(stretched(cut, 'point_a', 'point_b') for cut in mechanism.cut_joints))
+    try:
+        assembler = SpatialAssembler(other, SpatialGeometry(other))
+        return assembler.jacobian_of_largest_rank(assembler.positions(q))
+    except (AssemblyError, MechanismError):
+        return None
+
+
+def _rank(jac, groups, some):
+    singular = np.linalg.svd(scaled(jac, groups)[some], compute_uv=False)
+    return int(np.sum(singular > RANK_TOLERANCE * singular.max(initial=0.0)))

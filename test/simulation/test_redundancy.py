@@ -1,0 +1,162 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Equations that repeat others: found, told why, free of charge, and exchanged where need be."""
+
+from dataclasses import replace
+
+from closedloop_dynamics.core.straight_line import available
+from closedloop_dynamics.core.types import RANK_REVEALING_COUNT
+from closedloop_dynamics.effects.gravity import Gravity
+from closedloop_dynamics.mechanism.mechanism import Body, CutJoint, Joint, Mechanism
+from closedloop_dynamics.simulation.redundancy import (
+    ANY_LENGTHS, find_redundancy, THESE_LENGTHS)
+from closedloop_dynamics.simulation.scene import load_scene
+from closedloop_dynamics.simulation.scene_records import Initial, Method, Scene
+from closedloop_dynamics.simulation.simulation import Simulation
+from closedloop_dynamics.simulation.space import SpatialAssembler, SpatialGeometry
+from closedloop_dynamics.studies.check import describe
+import numpy as np
+import pytest
+
+from .test_space import tilted_four_bar, TURN
+from ..reference import spatial_machines
+from ..reference.compare import assert_agree
+
+pytestmark = pytest.mark.skipif(not available(), reason='nothing moves in space uncompiled')
+if available():
+    from closedloop_dynamics.core.straight_line.routines import operations
+
+Y, Z = (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
+NOWHERE = (0.0, 0.0, 0.0)
+
+
+def closed(mechanism, guess):
+    """Return the geometry with repeated equations left out, and a position that closes."""
+    geometry = SpatialGeometry(mechanism)
+    geometry.leave_out_repeated(np.array(guess, dtype=float))
+    return geometry, SpatialAssembler(mechanism, geometry).positions(np.array(guess, dtype=float))
+
+
+def linkages():
+    """Return mechanisms with positions, and how many equations are left of how many."""
+    planar, tilted, _ = tilted_four_bar(TURN)
+    bricard, _ = spatial_machines.bricard()
+    bennett = load_scene('bennett', in_space=True)
+    return {'bricard': (bricard, np.zeros(5), 4, 5),
+            'bennett': (bennett.mechanism, bennett.initial.position, 2, 5),
+            'four_bar': (tilted, planar.initial.position, 2, 5)}
+
+
+@pytest.mark.parametrize('name', ['bricard', 'bennett', 'four_bar'])
+def test_it_is_told_why_equations_repeat_others(name):
+    mechanism, guess, left, count = linkages()[name]
+    _, q = closed(mechanism, guess)
+    found = find_redundancy(mechanism, q)
+    # Bricard's and Bennett's linkages move for their lengths; pins of a plane repeat anyway.
+    why = ANY_LENGTHS if name == 'four_bar' else THESE_LENGTHS
+    cut, = mechanism.cut_joints
+    assert [(joint, reason) for joint, _, reason in found.repeated] == [
+        (cut.name, why)] * (count - left)
+    assert found.shared == (cut.name,)
+
+
+def test_independent_equations_are_not_said_to_repeat():
+    mechanism, _ = spatial_machines.rssr_four_bar()
+    geometry = SpatialGeometry(spatial_machines.with_single_freedoms(mechanism))
+    q = np.zeros(len(geometry.mechanism.joints))
+    assert find_redundancy(geometry.mechanism, q) == ((), ())
+
+
+def test_check_tells_what_repeats_and_whose_forces_are_shared():
+    scene = load_scene('bricard', in_space=True)
+    told = describe(scene, Simulation(scene))
+    assert 'Equations that repeat others: 1\n' in told and THESE_LENGTHS in told
+    assert 'Forces that are not unique, of which the least are told\n  joint_6' in told
+
+
+# As many equations as are left, none of which repeats others: those of another joint.
+STANDING_IN = {'bricard': 'universal', 'bennett': 'point_on_line', 'four_bar': 'point_on_line'}
+
+
+@pytest.mark.parametrize('name', STANDING_IN)
+def test_repeated_equations_cost_no_more_than_independent_ones(name):
+    mechanism, guess, left, _ = linkages()[name]
+    geometry, _ = closed(mechanism, guess)
+    assert len(geometry.model.column) - 1 == left
+    cut, = mechanism.cut_joints
+    axes = {'axis_a': tuple(np.roll(cut.axis_b, 1))} if name == 'bricard' else {'axis_a': None}
+    other = replace(mechanism, cut_joints=(
+        replace(cut, type=STANDING_IN[name], **axes),))
+    independent = SpatialGeometry(other).model
+    assert len(independent.column) - 1 == left
+    assert operations(geometry.model) <= 1.5 * operations(independent)
+
+
+def test_a_delta_robot_with_rods_between_balls_costs_what_its_rows_do():
+    # Its six rods may spin; no equation repeats others, and the platform turns nowhere.
+    mechanism = spatial_machines.with_single_freedoms(spatial_machines.delta_robot()[0])
+    geometry, _ = closed(mechanism, np.zeros(len(mechanism.joints)))
+    whole = SpatialGeometry(mechanism).model
+    assert operations(geometry.model) == operations(whole)
+
+
+def turntable(kind, **axes):
+    """Return a four-bar in an upright plane on a table that turns, closed by a pin of a kind."""
+    def bar(name, mass, length):
+        across = mass * length ** 2 / 12.0
+        return Body(name, mass, (0.5 * length, 0.0, 0.0), (0.01 * across, across, across))
+
+    bodies = (Body('table', 5.0, NOWHERE, (0.2, 0.2, 0.4)), bar('crank', 0.5, 0.1),
+              bar('coupler', 1.0, 0.35), bar('rocker', 0.8, 0.25))
+    joints = (Joint('table', 'revolute', 'ground', 'table', NOWHERE, axis=Z, actuated=True),
+              Joint('crank', 'revolute', 'table', 'crank', NOWHERE, axis=Y),
+              Joint('coupler', 'revolute', 'crank', 'coupler', (0.1, 0.0, 0.0), axis=Y),
+              Joint('rocker', 'revolute', 'table', 'rocker', (0.4, 0.0, 0.0), axis=Y))
+    cut = CutJoint('pin', kind, 'coupler', 'rocker', (0.35, 0.0, 0.0), (0.25, 0.0, 0.0),
+                   axis_b=Y, **axes)
+    return Scene('turntable', None, '', Mechanism('turntable', bodies, joints, (cut,)),
+                 Initial((0.0, -1.0, 0.5, -1.7), (3.0, 1.0, 0.0, 0.0)),
+                 {'gravity': Gravity((0.0, 0.0, -9.81))},
+                 Method(integrator='dop853', tolerance=1e-11))
+
+
+def test_equations_are_exchanged_where_they_no_longer_serve():
+    # The world's axes lie in the plane by turns; the axes of the rocker always do.
+    one = Simulation(turntable('revolute', axis_a=Y))
+    other = Simulation(replace(turntable('point_on_line'), initial=Initial(
+        tuple(one.position), tuple(one.velocity))))
+    assert len(one.multipliers) == len(other.multipliers) == 2
+    start, states = one.energy, []
+    for _ in range(30):
+        one.step(None, 0.05)
+        other.step(None, 0.05)
+        assert_agree(one.position, other.position, 1e-8)
+        assert one.closure < 1e-9
+        states.append(one.state)
+    assert one.position[0] > np.pi / 2.0
+    assert one.exchanges > 0
+    assert_agree(one.energy, start, 1e-8)
+    # The least forces of the pin are those of the point.
+    assert_agree(one.constraint_forces[0, 3:], other.constraint_forces[0, 3:], 1e-6)
+    # From there on it is quick again.
+    slow = one.system.work.health[RANK_REVEALING_COUNT]
+    one.step(None, 0.01)
+    assert one.system.work.health[RANK_REVEALING_COUNT] == slow
+    # The same again after a reset, to the last digit.
+    one.reset()
+    assert one.exchanges == 0
+    for state in states:
+        one.step(None, 0.05)
+        assert np.array_equal(one.state, state)
