@@ -111,24 +111,25 @@ def rates_begin(manifold, nv):
 
 
 @compiled
-def _rates(manifold, state, nv, out):
-    """Do as ``rates_of_coordinates`` does, where there are quaternions."""
+def _rates(manifold, state, nv, out, lanes, lane):
+    """Do as ``rates_of_coordinates`` does, where there are quaternions, in one lane."""
     nq = nv + manifold.balls.shape[0]
     for i in range(nv):
         if manifold.place[i] >= 0:
-            out[manifold.place[i]] = state[nq + i]
+            out[lanes * manifold.place[i] + lane] = state[lanes * (nq + i) + lane]
     for ball in range(manifold.balls.shape[0]):
-        a, b = manifold.balls[ball, QUATERNION], nq + manifold.balls[ball, TURN]
-        x, y, z, w = state[a], state[a + 1], state[a + 2], state[a + 3]
-        p, q, r = HALF * state[b], HALF * state[b + 1], HALF * state[b + 2]
+        a = lanes * manifold.balls[ball, QUATERNION] + lane
+        b = lanes * (nq + manifold.balls[ball, TURN]) + lane
+        x, y, z, w = state[a], state[a + lanes], state[a + 2 * lanes], state[a + 3 * lanes]
+        p, q, r = HALF * state[b], HALF * state[b + lanes], HALF * state[b + 2 * lanes]
         out[a] = w * p + y * r - z * q
-        out[a + 1] = w * q + z * p - x * r
-        out[a + 2] = w * r + x * q - y * p
-        out[a + 3] = -(x * p + y * q + z * r)
+        out[a + lanes] = w * q + z * p - x * r
+        out[a + 2 * lanes] = w * r + x * q - y * p
+        out[a + 3 * lanes] = -(x * p + y * q + z * r)
 
 
 @inlined
-def rates_of_coordinates(manifold, state, nv, out):
+def rates_of_coordinates(manifold, state, nv, out, lanes):
     """
     Compute the derivatives of the coordinates.
 
@@ -136,45 +137,126 @@ def rates_of_coordinates(manifold, state, nv, out):
     ----------
     manifold : Manifold or None
         Of the mechanism.
-    state : ndarray, shape (ns,)
+    state : ndarray, shape (lanes * ns,)
         Coordinates, rates, others.
     nv : int
         Number of rates.
-    out : ndarray, shape (ns,)
-        The first nq are written.
+    out : ndarray, shape (lanes * ns,)
+        The first lanes * nq are written.
+    lanes : int
+        So many states are stored side by side: number k of lane n at ``lanes * k + n``.
 
     """
     if manifold is None:
-        for i in range(nv):
-            out[i] = state[nv + i]
+        for i in range(lanes * nv):
+            out[i] = state[lanes * nv + i]
     else:
-        _rates(manifold, state, nv, out)
+        for lane in range(lanes):
+            _rates(manifold, state, nv, out, lanes, lane)
 
 
 @compiled
-def _move(manifold, q, change, share):
-    """Do as ``move`` does, where there are quaternions."""
-    for i in range(manifold.place.shape[0]):
-        if manifold.place[i] >= 0:
-            q[manifold.place[i]] += share * change[i]
+def _power(manifold, tau, state, nv, out, lanes, lane):
+    """Do as ``power_of_turns`` does, where there are quaternions, in one lane."""
+    power, nq = 0.0, nv + manifold.balls.shape[0]
     for ball in range(manifold.balls.shape[0]):
-        a, b = manifold.balls[ball, QUATERNION], manifold.balls[ball, TURN]
-        half = HALF * share
-        p, q_, r = half * change[b], half * change[b + 1], half * change[b + 2]
-        angle = math.sqrt(p * p + q_ * q_ + r * r)
-        # Beyond the last digit the sine is the angle.
-        sine = math.sin(angle) / angle if angle > 1e-9 else 1.0
-        p, q_, r, s = sine * p, sine * q_, sine * r, math.cos(angle)
-        x, y, z, w = q[a], q[a + 1], q[a + 2], q[a + 3]
-        q[a] = w * p + x * s + y * r - z * q_
-        q[a + 1] = w * q_ + y * s + z * p - x * r
-        q[a + 2] = w * r + z * s + x * q_ - y * p
-        q[a + 3] = w * s - x * p - y * q_ - z * r
-    _normalise(manifold, q)
+        rate = manifold.balls[ball, TURN]
+        for k in range(rate, rate + 3):
+            power += tau[lanes * k + lane] * state[lanes * (nq + k) + lane]
+    out[out.shape[0] - lanes + lane] = power
 
 
 @inlined
-def move(manifold, q, change, share):
+def power_of_turns(manifold, tau, state, nv, out, lanes):
+    """
+    Write the power of torques on rotations, where there are such, as the last of a derivative.
+
+    Parameters
+    ----------
+    manifold, state, nv, out, lanes
+        As for ``rates_of_coordinates``.
+    tau : ndarray, shape (lanes * nv,)
+        [N m, N].
+
+    """
+    if manifold is not None:
+        for lane in range(lanes):
+            _power(manifold, tau, state, nv, out, lanes, lane)
+
+
+@compiled
+def _work(manifold, tau, since, state, lanes, lane):
+    """Return the work of torques since a state, where there are quaternions, in one lane."""
+    work = state[state.shape[0] - lanes + lane] - since[since.shape[0] - lanes + lane]
+    for i in range(manifold.place.shape[0]):
+        if manifold.place[i] >= 0:
+            place = lanes * manifold.place[i] + lane
+            work += tau[lanes * i + lane] * (state[place] - since[place])
+    return work
+
+
+@inlined
+def add_work(manifold, tau, since, state, lanes, work):
+    """
+    Add the work of torques that were held since a state.
+
+    Parameters
+    ----------
+    manifold : Manifold or None
+        Of the mechanism.
+    tau : ndarray, shape (lanes * nv,)
+        [N m, N].
+    since, state : ndarray, shape (lanes * ns,)
+        Then and now.
+    lanes : int
+        As for ``rates_of_coordinates``.
+    work : ndarray, shape (lanes,)
+        Added to [J].
+
+    """
+    if manifold is None:
+        for i in range(tau.shape[0]):
+            work[i % lanes] += tau[i] * (state[i] - since[i])
+    else:
+        for lane in range(lanes):
+            work[lane] += _work(manifold, tau, since, state, lanes, lane)
+
+
+@compiled
+def move_lane(manifold, q, change, share, lanes, lane):
+    """
+    Do as ``move`` does, where there are quaternions, in one lane.
+
+    Parameters
+    ----------
+    manifold, q, change, share, lanes
+        As for ``move``.
+    lane : int
+        Which.
+
+    """
+    for i in range(manifold.place.shape[0]):
+        if manifold.place[i] >= 0:
+            q[lanes * manifold.place[i] + lane] += share * change[lanes * i + lane]
+    for ball in range(manifold.balls.shape[0]):
+        a = lanes * manifold.balls[ball, QUATERNION] + lane
+        b = lanes * manifold.balls[ball, TURN] + lane
+        half = HALF * share
+        i, j, k = half * change[b], half * change[b + lanes], half * change[b + 2 * lanes]
+        angle = math.sqrt(i * i + j * j + k * k)
+        # Beyond the last digit the sine is the angle.
+        sine = math.sin(angle) / angle if angle > 1e-9 else 1.0
+        i, j, k, s = sine * i, sine * j, sine * k, math.cos(angle)
+        x, y, z, w = q[a], q[a + lanes], q[a + 2 * lanes], q[a + 3 * lanes]
+        q[a] = w * i + x * s + y * k - z * j
+        q[a + lanes] = w * j + y * s + z * i - x * k
+        q[a + 2 * lanes] = w * k + z * s + x * j - y * i
+        q[a + 3 * lanes] = w * s - x * i - y * j - z * k
+    _normalise(manifold, q, lanes, lane)
+
+
+@inlined
+def move(manifold, q, change, share, lanes):
     """
     Change coordinates, in place.
 
@@ -182,34 +264,39 @@ def move(manifold, q, change, share):
     ----------
     manifold : Manifold or None
         Of the mechanism.
-    q : ndarray, shape (nq,)
+    q : ndarray, shape (lanes * nq,)
         Coordinates.
-    change : ndarray, shape (nv,)
+    change : ndarray, shape (lanes * nv,)
         As rates are.
     share : float
         How much of it is made; a step size, where the change is a rate.
+    lanes : int
+        As for ``rates_of_coordinates``.
 
     """
     if manifold is None:
         for i in range(q.shape[0]):
             q[i] += share * change[i]
     else:
-        _move(manifold, q, change, share)
+        for lane in range(lanes):
+            move_lane(manifold, q, change, share, lanes, lane)
 
 
 @compiled
-def _normalise(manifold, q):
-    """Do as ``normalise`` does, where there are quaternions."""
+def _normalise(manifold, q, lanes, lane):
+    """Do as ``normalise`` does, where there are quaternions, in one lane."""
     for ball in range(manifold.balls.shape[0]):
-        a = manifold.balls[ball, QUATERNION]
-        scale = 1.0 / math.sqrt(
-            q[a] * q[a] + q[a + 1] * q[a + 1] + q[a + 2] * q[a + 2] + q[a + 3] * q[a + 3])
-        for k in range(4):
-            q[a + k] *= scale
+        a = lanes * manifold.balls[ball, QUATERNION] + lane
+        b, c, d = a + lanes, a + 2 * lanes, a + 3 * lanes
+        scale = 1.0 / math.sqrt(q[a] * q[a] + q[b] * q[b] + q[c] * q[c] + q[d] * q[d])
+        q[a] *= scale
+        q[b] *= scale
+        q[c] *= scale
+        q[d] *= scale
 
 
 @inlined
-def normalise(manifold, q):
+def normalise(manifold, q, lanes):
     """
     Give the quaternions norm 1, in place.
 
@@ -217,12 +304,15 @@ def normalise(manifold, q):
     ----------
     manifold : Manifold or None
         Of the mechanism.
-    q : ndarray, shape (>= nq,)
+    q : ndarray, shape (>= lanes * nq,)
         Coordinates, others behind them.
+    lanes : int
+        As for ``rates_of_coordinates``.
 
     """
     if manifold is not None:
-        _normalise(manifold, q)
+        for lane in range(lanes):
+            _normalise(manifold, q, lanes, lane)
 
 
 @compiled

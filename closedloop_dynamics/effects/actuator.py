@@ -33,7 +33,7 @@ from typing import Optional
 from .effect import Effect, require_joint
 from .table import ACTUATOR, FIRST, ForceElement, OWN, STATE, State, WORK
 from ..core.compiled import inlined
-from ..mechanism.checks import name, not_negative, positive
+from ..mechanism.checks import freedom, not_negative, positive
 
 # Share of the speed limit over which the driving torque fades.
 FADING = 0.1
@@ -59,7 +59,7 @@ class Actuator(Effect):
 
     """
 
-    CHECKS = {'joint': name, 'lag': not_negative, 'delay': not_negative, 'max_torque': positive,
+    CHECKS = {'joint': freedom, 'lag': not_negative, 'delay': not_negative, 'max_torque': positive,
               'max_speed': positive}
     READINGS = ('torque',)
 

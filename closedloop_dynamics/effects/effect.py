@@ -40,7 +40,7 @@ class Machine:
         self._points = {point.name: point for point in mechanism.points}
 
     def joint(self, name):
-        """Return the place of a joint of one freedom in qd."""
+        """Return the place of a joint, or of a number of one, in qd."""
         return self.mechanism.coordinates.index[name]
 
     def description(self, name):
@@ -49,7 +49,7 @@ class Machine:
 
     def joint_row(self, name):
         """Return the row of the body that a joint carries."""
-        return self._rows[self._joints[name].child]
+        return self._rows[self._joints[self.mechanism.coordinates.joint_of(name)].child]
 
     def body(self, name):
         """Return the row of a body."""
@@ -86,9 +86,11 @@ def require_joint(mechanism, key, name, actuated=False):
     """
     with at(key):
         if actuated:
-            one_of(mechanism.actuated_joints, 'one of the actuated joints')(name)
+            single = [one for one in mechanism.coordinates.single_names
+                      if one in mechanism.actuated_joints]
+            one_of(single, 'one of the actuated joints')(name)
         else:
-            one_of(mechanism.coordinates.of_one_freedom, 'one of the joints')(name)
+            one_of(mechanism.coordinates.single_names, 'one of the joints')(name)
 
 
 def require_body(mechanism, key, name):

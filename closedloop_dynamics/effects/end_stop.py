@@ -33,7 +33,7 @@ from .effect import Effect
 from .forces import in_contact
 from .table import DISSIPATED, END_STOP, FIRST, ForceElement, STATE, State, STORED
 from ..core.compiled import inlined
-from ..mechanism.checks import name, not_negative, number, positive
+from ..mechanism.checks import freedom, not_negative, number, positive
 from ..mechanism.fields import FieldError
 
 
@@ -54,7 +54,7 @@ class EndStop(Effect):
 
     """
 
-    CHECKS = {'joint': name, 'stiffness': positive, 'damping': not_negative, 'lower': number,
+    CHECKS = {'joint': freedom, 'stiffness': positive, 'damping': not_negative, 'lower': number,
               'upper': number}
     READINGS = ('torque', 'depth')
 

@@ -36,7 +36,7 @@ from .table import (
     DATA, DISSIPATED, ENTRIES, FIRST, ForceElement, JOINT_FORCE_TABLE, POINT_FORCE_TABLE, SECOND,
     STATE, State, STORED)
 from ..core.compiled import inlined
-from ..mechanism.checks import list_of, name, not_negative, number, one_of, vector2
+from ..mechanism.checks import freedom, list_of, name, not_negative, number, one_of, vector2
 from ..mechanism.fields import FieldError, shown
 from ..mechanism.mechanism import Vector2
 
@@ -70,7 +70,7 @@ class ForceTable(Effect):
 
     """
 
-    CHECKS = {'strokes': list_of(number), 'forces': list_of(number), 'joint': name,
+    CHECKS = {'strokes': list_of(number), 'forces': list_of(number), 'joint': freedom,
               'point_a': name, 'point_b': name, 'anchor': vector2,
               'interpolation': one_of(('linear', 'cubic')), 'damping': not_negative}
     FILES = {'file': ('strokes', 'forces')}

@@ -27,7 +27,7 @@ from dataclasses import dataclass
 from .effect import Effect
 from .table import DISSIPATED, FIRST, ForceElement, JOINT_DAMPING, STATE, State
 from ..core.compiled import inlined
-from ..mechanism.checks import name, not_negative
+from ..mechanism.checks import freedom, not_negative
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class JointDamping(Effect):
 
     """
 
-    CHECKS = {'joint': name, 'coefficient': not_negative}
+    CHECKS = {'joint': freedom, 'coefficient': not_negative}
     READINGS = ('torque',)
 
     joint: str

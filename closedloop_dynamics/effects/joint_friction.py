@@ -41,7 +41,7 @@ from .effect import Effect
 from .sticking import REST
 from .table import DISSIPATED, FIRST, ForceElement, JOINT_FRICTION, LOAD_TIME, OWN, STATE, State
 from ..core.compiled import inlined
-from ..mechanism.checks import name, not_negative, positive
+from ..mechanism.checks import freedom, not_negative, positive
 from ..mechanism.fields import FieldError
 
 
@@ -68,7 +68,7 @@ class JointFriction(Effect):
 
     """
 
-    CHECKS = {'joint': name, 'coulomb': not_negative, 'static_ratio': positive,
+    CHECKS = {'joint': freedom, 'coulomb': not_negative, 'static_ratio': positive,
               'stribeck_velocity': positive, 'friction_coefficient': not_negative,
               'radius': positive, 'load_time': positive}
     READINGS = ('torque', 'reaction', 'limit')

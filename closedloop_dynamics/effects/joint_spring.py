@@ -27,7 +27,7 @@ from dataclasses import dataclass
 from .effect import Effect
 from .table import FIRST, ForceElement, JOINT_SPRING, STORED
 from ..core.compiled import inlined
-from ..mechanism.checks import name, not_negative, number
+from ..mechanism.checks import freedom, not_negative, number
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class JointSpring(Effect):
 
     """
 
-    CHECKS = {'joint': name, 'stiffness': not_negative, 'rest': number}
+    CHECKS = {'joint': freedom, 'stiffness': not_negative, 'rest': number}
     READINGS = ('torque',)
 
     joint: str

@@ -36,7 +36,7 @@ from .table import (
 from ..core.compiled import inlined
 from ..core.types import COS, OMEGA, SIN, VX, VY
 from ..mechanism.checks import (
-    list_of, name, not_negative, number, one_of, positive, text, vector2)
+    freedom, list_of, name, not_negative, number, one_of, positive, text, vector2)
 from ..mechanism.fields import at, FieldError, shown
 from ..mechanism.mechanism import Vector2
 
@@ -88,7 +88,8 @@ class PrescribedForce(Effect):
     """
 
     CHECKS = {
-        'joint': name, 'point': name, 'direction': vector2, 'shape': one_of(tuple(course.SHAPES)),
+        'joint': freedom, 'point': name, 'direction': vector2,
+        'shape': one_of(tuple(course.SHAPES)),
         'frame': one_of(('world', 'body')), 'amplitude': number, 'offset': number,
         'frequency': positive, 'phase': number, 'start': not_negative, 'rise': not_negative,
         'hold': not_negative, 'fall': not_negative, 'period': positive, 'times': list_of(number),

@@ -236,7 +236,7 @@ def interpolate(system, tableau, time, control, scratch, out):
         control[EXTENDED] = 1.0
     share = (time - control[STEP_START]) / control[STEP_SIZE]
     runge_kutta.interpolate(tableau, scratch[BEFORE], control[STEP_SIZE], slopes, share, out)
-    normalise(system.manifold, out)
+    normalise(system.manifold, out, 1)
 
 
 @compiled

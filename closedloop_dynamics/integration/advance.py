@@ -65,7 +65,7 @@ def advance(system, tableau, stabilisation, state, step_size, steps, scratch):
             derivative(system, state, slopes[0])
             if tableau.b.shape[0] == 0:
                 semi_implicit_euler.step(
-                    system.manifold, state, system.qdd.shape[0], size, slopes[0], out)
+                    system.manifold, state, system.qdd.shape[0], size, slopes[0], out, 1)
             else:
                 runge_kutta.step(system, tableau, state, size, slopes, stage, out)
             closed = stabilise(system, stabilisation, out)

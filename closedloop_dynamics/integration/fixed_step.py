@@ -25,6 +25,7 @@ from ..core.compiled import compiled, inlined, released
 from ..core.energy import kinetic_energy, potential_energy
 from ..core.joint_wrenches import bias_forces, COLUMNS, cut_wrenches, joint_wrenches
 from ..core.loop_closure import largest
+from ..core.manifold import add_work
 from ..core.types import DOF
 from ..effects.table import STORED
 
@@ -59,7 +60,7 @@ def allocate_buffer(system, instants, evaluated, body, point):
     instants : int
         How many there will be.
     evaluated : bool
-        Whether more than the state is wanted.
+        Whether more than the state is wanted; of planar mechanisms.
     body : ndarray of int, shape (n,)
         Of the named points.
     point : ndarray, shape (n, 2)
@@ -98,6 +99,7 @@ def _note(system, state, buffer, instant):
     """Write one instant."""
     nv, work = system.qdd.shape[0], system.work
     _copy(state, buffer.state[instant])
+    # Of mechanisms in space the states alone are kept.
     if buffer.qdd.shape[0] == 0:
         return
     take_states(system.effects, state, 2 * nv)
@@ -220,7 +222,7 @@ def run(system, tableau, stabilisation, state, step_size, torque, zero_order_hol
     done = 0
     while done < steps:
         if done % zero_order_hold == 0:
-            _work(system.tau, state, buffer)
+            _work(system.manifold, system.tau, state, buffer)
             _copy(torque[done // zero_order_hold], system.tau)
         portion = min(zero_order_hold - done % zero_order_hold, decimation - done % decimation)
         status, made = advance(
@@ -230,15 +232,14 @@ def run(system, tableau, stabilisation, state, step_size, torque, zero_order_hol
             return status, done
         if done % decimation == 0:
             _note(system, state, buffer, done // decimation)
-    _work(system.tau, state, buffer)
+    _work(system.manifold, system.tau, state, buffer)
     return DONE, done
 
 
 @inlined
-def _work(tau, state, buffer):
+def _work(manifold, tau, state, buffer):
     """Add the work of the torques held since the last call."""
-    for i in range(tau.shape[0]):
-        buffer.work[0] += tau[i] * (state[i] - buffer.since[i])
+    add_work(manifold, tau, buffer.since, state, 1, buffer.work)
     _copy(state, buffer.since)
 
 

@@ -164,7 +164,7 @@ def project(system, q, qd, positions):
     while positions and corrections < MOST_CORRECTIONS and error > settings[CLOSURE_TOLERANCE] * (
             1.0 if independent else SHARPER):
         correction(system, independent, rank_revealing.POSITION, q, qd, out)
-        move(system.manifold, q, out, 1.0)
+        move(system.manifold, q, out, 1.0, 1)
         corrections += 1
         independent = factor_configuration(system, q, qd)
         before, error = error, loop_closure.largest(work.closure)
@@ -207,7 +207,7 @@ def stabilise(system, stabilisation, state):
     nv = system.qdd.shape[0]
     nq = rates_begin(system.manifold, nv)
     # A step leaves the unit sphere by its error.
-    normalise(system.manifold, state)
+    normalise(system.manifold, state, 1)
     if stabilisation < VELOCITY:
         return True
     if stabilisation == INDEPENDENT:

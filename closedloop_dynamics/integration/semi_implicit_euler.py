@@ -19,7 +19,7 @@ from ..core.manifold import move, rates_begin
 
 
 @compiled
-def step(manifold, state, nv, step_size, slope, out):
+def step(manifold, state, nv, step_size, slope, out, lanes):
     """
     Advance a state by one step: rates first, then coordinates with the new rates.
 
@@ -27,21 +27,23 @@ def step(manifold, state, nv, step_size, slope, out):
     ----------
     manifold : Manifold or None
         Of the mechanism; rotations go on by what the new angular velocity turns in a step.
-    state : ndarray, shape (ns,)
+    state : ndarray, shape (lanes * ns,)
         Coordinates, rates, and what effects add.
     nv : int
         Number of rates.
     step_size : float
         [s].
-    slope : ndarray, shape (ns,)
+    slope : ndarray, shape (lanes * ns,)
         At ``state``.
-    out : ndarray, shape (ns,)
+    out : ndarray, shape (lanes * ns,)
         Written in place.
+    lanes : int
+        So many states are stored side by side (``core.manifold``).
 
     """
-    nq = rates_begin(manifold, nv)
-    for i in range(nq):
+    first = lanes * rates_begin(manifold, nv)
+    for i in range(first):
         out[i] = state[i]
-    for k in range(nq, state.shape[0]):
+    for k in range(first, state.shape[0]):
         out[k] = state[k] + step_size * slope[k]
-    move(manifold, out[:nq], out[nq:nq + nv], step_size)
+    move(manifold, out[:first], out[first:], step_size, lanes)

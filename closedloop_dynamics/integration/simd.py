@@ -21,7 +21,7 @@ mechanisms are then run one by one.
 
 """
 
-from typing import NamedTuple
+from typing import NamedTuple, Optional
 
 import numpy as np
 
@@ -31,7 +31,9 @@ from .projection import all_finite, MOST_CORRECTIONS
 from .registry import INDEPENDENT, PROJECTION, VELOCITY
 from .runge_kutta import combine
 from .system import BAUMGARTE_GAIN, CLOSURE_LIMIT, CLOSURE_TOLERANCE
-from ..core.compiled import inlined, released
+from ..core.compiled import compiled, inlined, released
+from ..core.manifold import (
+    add_work, Manifold, move_lane, normalise, power_of_turns, rates_begin, rates_of_coordinates)
 from ..core.straight_line import lanes, linkage as links
 from ..core.straight_line.lanes import LANES
 
@@ -53,6 +55,7 @@ class Pack(NamedTuple):
     limit: np.ndarray
     error: np.ndarray  # Shape (LANES,): largest closure error of each
     moving: np.ndarray  # Shape (LANES,): whose coordinates are still corrected
+    manifold: Optional[Manifold]  # Of all of them
     kept: tuple  # Tuple of ndarrays: what only the routines read and write
 
 
@@ -98,6 +101,7 @@ def build_pack(systems):
         corrections=arrays[links.CORRECTIONS].reshape(2, -1),
         tolerance=settings[:, CLOSURE_TOLERANCE].copy(), limit=settings[:, CLOSURE_LIMIT].copy(),
         error=np.zeros(LANES), moving=np.zeros(LANES, dtype=np.bool_),
+        manifold=first.manifold,
         kept=tuple(arrays.values()))
 
 
@@ -107,28 +111,31 @@ def filled(items):
 
 
 @inlined
-def _derivative(linkage, qdd, state, out):
+def _derivative(manifold, linkage, tau, qdd, state, out):
     """Compute the time derivatives of all lanes; return whether the results are good."""
-    n = qdd.shape[0]
-    good = links.call(linkage, links.EVALUATION, state[:n], state[n:2 * n])
+    n, nv = qdd.shape[0], qdd.shape[0] // LANES
+    first = LANES * rates_begin(manifold, nv)
+    good = links.call(linkage, links.EVALUATION, state[:first], state[first:first + n])
+    rates_of_coordinates(manifold, state, nv, out, LANES)
     for i in range(n):
-        out[i] = state[n + i]
-        out[n + i] = qdd[i]
+        out[first + i] = qdd[i]
+    power_of_turns(manifold, tau, state, nv, out, LANES)
     return good != 0
 
 
 @inlined
-def _step(linkage, qdd, tableau, state, step_size, slopes, stage, out):
+def _step(manifold, linkage, tau, qdd, tableau, state, step_size, slopes, stage, out):
     """Make one step; return whether all evaluations were good."""
-    if not _derivative(linkage, qdd, state, slopes[0]):
+    if not _derivative(manifold, linkage, tau, qdd, state, slopes[0]):
         return False
     stages = tableau.b.shape[0]
     if stages == 0:
-        semi_implicit_euler.step(None, state, qdd.shape[0], step_size, slopes[0], out)
+        semi_implicit_euler.step(
+            manifold, state, qdd.shape[0] // LANES, step_size, slopes[0], out, LANES)
         return True
     for k in range(1, stages):
         combine(tableau.a[k], k, state, step_size, slopes, stage)
-        if not _derivative(linkage, qdd, stage, slopes[k]):
+        if not _derivative(manifold, linkage, tau, qdd, stage, slopes[k]):
             return False
     combine(tableau.b, stages, state, step_size, slopes, out)
     return True
@@ -159,10 +166,7 @@ def _project(pack, q, qd, positions):
     for _ in range(MOST_CORRECTIONS):
         if not busy:
             break
-        for k in range(n // LANES):
-            for lane in range(LANES):
-                i = LANES * k + lane
-                q[i] = q[i] + pack.corrections[0, i] if moving[lane] else q[i]
+        _correct(pack.manifold, q, pack.corrections[0], moving)
         if links.call(pack.linkage, links.CORRECTION, q, qd) == 0:
             return SINGULAR
         busy = _go_on(pack.closure, error, moving, tolerance)
@@ -172,6 +176,26 @@ def _project(pack, q, qd, positions):
         if positions and not error[lane] <= pack.limit[lane]:
             return OPEN_LOOP
     return DONE
+
+
+@inlined
+def _correct(manifold, q, change, moving):
+    """Correct the coordinates of the lanes that want it."""
+    if manifold is None:
+        for k in range(q.shape[0] // LANES):
+            for lane in range(LANES):
+                i = LANES * k + lane
+                q[i] = q[i] + change[i] if moving[lane] else q[i]
+    else:
+        for lane in range(LANES):
+            if moving[lane]:
+                _move_lane(manifold, q, change, lane)
+
+
+@compiled
+def _move_lane(manifold, q, change, lane):
+    """Change the coordinates of one lane."""
+    move_lane(manifold, q, change, 1.0, LANES, lane)
 
 
 @inlined
@@ -191,11 +215,12 @@ def _go_on(closure, error, moving, tolerance):
 @inlined
 def _note(state, position, velocity, instant):
     """Write one instant."""
-    nv = position.shape[2]
+    nq = position.shape[2]
     for lane in range(LANES):
-        for k in range(nv):
+        for k in range(nq):
             position[lane, instant, k] = state[LANES * k + lane]
-            velocity[lane, instant, k] = state[LANES * (nv + k) + lane]
+        for k in range(velocity.shape[2]):
+            velocity[lane, instant, k] = state[LANES * (nq + k) + lane]
 
 
 @released
@@ -216,8 +241,10 @@ def run(pack, tableau, stabilisation, state, step_size, torque, zero_order_hold,
         Joint torques, one row after the other.
     scratch : ndarray, shape (stages + 3, LANES * ns)
         Scratch.
-    position, velocity : ndarray, shape (LANES, instants, nv)
+    position : ndarray, shape (LANES, instants, nq)
         Written in place, for each mechanism apart.
+    velocity : ndarray, shape (LANES, instants, nv)
+        Likewise.
     work : ndarray, shape (LANES,)
         Written in place: of the torques [J].
 
@@ -228,21 +255,25 @@ def run(pack, tableau, stabilisation, state, step_size, torque, zero_order_hold,
 
     """
     slopes, stage, out, since = scratch[3:], scratch[0], scratch[1], scratch[2]
-    n = pack.qdd.shape[0]
+    n, manifold = pack.qdd.shape[0], pack.manifold
+    first = LANES * rates_begin(manifold, n // LANES)
     _note(state, position, velocity, 0)
     for lane in range(LANES):
         work[lane] = 0.0
-    for i in range(n):
+    for i in range(state.shape[0]):
         since[i] = state[i]
     for done in range(steps):
         if done % zero_order_hold == 0:
-            _work(pack.tau, state, since, work)
+            _work(manifold, pack.tau, state, since, work)
             for i in range(n):
                 pack.tau[i] = torque[done // zero_order_hold, i]
-        if not _step(pack.linkage, pack.qdd, tableau, state, step_size, slopes, stage, out):
+        if not _step(manifold, pack.linkage, pack.tau, pack.qdd, tableau, state, step_size,
+                     slopes, stage, out):
             return SINGULAR
+        normalise(manifold, out, LANES)
         if stabilisation >= VELOCITY:
-            status = _project(pack, out[:n], out[n:], stabilisation == PROJECTION)
+            status = _project(
+                pack, out[:first], out[first:first + n], stabilisation == PROJECTION)
             if status != DONE:
                 return status
         if not all_finite(out):
@@ -251,13 +282,13 @@ def run(pack, tableau, stabilisation, state, step_size, torque, zero_order_hold,
             state[i] = out[i]
         if (done + 1) % decimation == 0:
             _note(state, position, velocity, (done + 1) // decimation)
-    _work(pack.tau, state, since, work)
+    _work(manifold, pack.tau, state, since, work)
     return DONE
 
 
 @inlined
-def _work(tau, state, since, work):
+def _work(manifold, tau, state, since, work):
     """Add the work of the torques held since the last call."""
-    for i in range(tau.shape[0]):
-        work[i % LANES] += tau[i] * (state[i] - since[i])
+    add_work(manifold, tau, since, state, LANES, work)
+    for i in range(state.shape[0]):
         since[i] = state[i]

@@ -28,8 +28,8 @@ from ..core.formulations import accelerate_dense, allocate_dense, DenseWorkspace
 from ..core.independent import allocate_partition, close, Partition
 from ..core.joint_wrenches import bias_forces
 from ..core.manifold import (
-    fill_numbers, Manifold, manifold_of, number_of_coordinates, rates_begin, rates_of_coordinates,
-    TURN)
+    fill_numbers, Manifold, manifold_of, number_of_coordinates, power_of_turns, rates_begin,
+    rates_of_coordinates)
 from ..core.straight_line import linkage as links, on_demand, space
 from ..core.straight_line.numbers import Numbers
 from ..core.types import allocate, Model, RANK, RANK_REVEALING_COUNT, Workspace
@@ -402,18 +402,6 @@ def _give_rates(effects, first, out):
             out[first + k] = effects.rates[k]
 
 
-@inlined
-def _give_power(manifold, tau, state, nv, out):
-    """Write the power of torques on rotations, where there are such, into a derivative."""
-    if manifold is not None:
-        power, nq = 0.0, nv + manifold.balls.shape[0]
-        for ball in range(manifold.balls.shape[0]):
-            rate = manifold.balls[ball, TURN]
-            for k in range(rate, rate + 3):
-                power += tau[k] * state[nq + k]
-        out[out.shape[0] - 1] = power
-
-
 @allocating
 def careful_acceleration(model, work, effects, settings, tau, applied, q, qd, qdd, lam):
     """
@@ -643,11 +631,11 @@ def derivative(system, state, out):
            system.settings[CLOSURE_TOLERANCE])
     take_states(system.effects, state, nq + nv)
     evaluate_only(system, state[:nq], state[nq:nq + nv])
-    rates_of_coordinates(system.manifold, state, nv, out)
+    rates_of_coordinates(system.manifold, state, nv, out, 1)
     for i in range(nv):
         out[nq + i] = system.qdd[i]
     _give_rates(system.effects, nq + nv, out)
-    _give_power(system.manifold, system.tau, state, nv, out)
+    power_of_turns(system.manifold, system.tau, state, nv, out, 1)
 
 
 @compiled

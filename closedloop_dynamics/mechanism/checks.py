@@ -178,6 +178,12 @@ def name(value):
     return value
 
 
+def freedom(value):
+    """Return ``value`` if it can be the name of a joint, or of a number of one: ``hip.1``."""
+    name(value.partition('.')[0] if isinstance(value, str) else value)
+    return value
+
+
 def one_of(choices, kind='one of'):
     """Return the check for a value among ``choices``, which are texts."""
     def check(value):

@@ -25,6 +25,7 @@ y, z along the axes of the joint's frame before. So nq = nv + the number of quat
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -56,6 +57,34 @@ OF_ROTATIONS = {'position': 'orientation', 'velocity': 'angular_velocity',
                 'acceleration': 'angular_acceleration', 'effort': 'torque'}
 # The part of a quantity of a free joint that is no rotation has the quantity's own name.
 _CHECKS = {'position': orientation, 'velocity': vector3}
+
+
+class Group(NamedTuple):
+    """
+    Numbers of a joint that belong together: one number, a place, or an orientation.
+
+    Attributes
+    ----------
+    name : str
+        ``crank``, ``hip.1``, ``platform.position``, ``ball.orientation``.
+    joint : mechanism.Joint
+    coordinates, rates : list of int
+        Their places.
+    length : bool
+        Whether they are lengths.
+
+    """
+
+    name: str
+    joint: object
+    coordinates: list
+    rates: list
+    length: bool
+
+    @property
+    def turned(self):
+        """Whether this is an orientation."""
+        return len(self.coordinates) == 4
 
 
 class Coordinates:
@@ -139,9 +168,14 @@ class Coordinates:
             for where, count in ((self.coordinates, 7), (self.rates, 6)))
 
     @property
-    def of_one_freedom(self):
-        """Return the names of the joints that have one freedom."""
-        return tuple(name for name in self._joints if name in self.index)
+    def single_names(self):
+        """Return the names of ``single``."""
+        return tuple(self.names[place] for place in self.single)
+
+    @property
+    def can_be_held(self):
+        """Return the names of all joints, and of the numbers of those that have several."""
+        return tuple(dict.fromkeys((*self._joints, *self.single_names)))
 
     def joint_of(self, name):
         """Return the name of the joint that a freedom belongs to."""
@@ -196,6 +230,22 @@ class Coordinates:
                 place += len(_NUMBERS[joint.type])
                 found.update(((name, OF_ROTATIONS[quantity], str(k)), place + k)
                              for k in range(3))
+        return found
+
+    @property
+    def groups(self):
+        """Return the numbers of all joints, those together that belong together."""
+        found = []
+        for name, joint in self._joints.items():
+            places = list(range(self.coordinates[name].start, self.coordinates[name].stop))
+            rates = list(range(self.rates[name].start, self.rates[name].stop))
+            if joint.type not in WITH_ORIENTATION:
+                found += [Group(self.names[rate], joint, [place], [rate], self.lengths[rate])
+                          for place, rate in zip(places, rates)]
+                continue
+            if joint.type == FREE:
+                found.append(Group(f'{name}.position', joint, places[:3], rates[:3], True))
+            found.append(Group(f'{name}.orientation', joint, places[-4:], rates[-3:], False))
         return found
 
     def start(self):

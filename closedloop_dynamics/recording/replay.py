@@ -317,9 +317,11 @@ def table(result):
     """Return the deviations as a table."""
     motion = result.recorded
     rows = []
-    for k, joint in enumerate(motion.mechanism.joints):
-        rows.append((joint.name, *(_deviations(result.deviation(quantity)[:, k])
-                                   for quantity in ('position', 'velocity', 'effort'))))
+    for group in motion.mechanism.coordinates.groups:
+        rows.append((group.name, *(
+            _deviations(result.deviation(quantity)[:, places])
+            for quantity, places in (('position', group.coordinates), ('velocity', group.rates),
+                                     ('effort', group.rates)))))
     forces = result.deviation('forces')
     for k, cut in enumerate(motion.mechanism.cut_joints):
         rows.append((f'{cut.name} (force)', '', '', _deviations(magnitudes(forces[:, k]))))

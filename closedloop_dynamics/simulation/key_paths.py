@@ -101,11 +101,9 @@ def changed(scene, values):
 def _tree(scene):
     """Return the numbers of a scene as nested dicts by their keys."""
     mechanism, initial = scene.mechanism, scene.initial
-    start = {key: _by_path(mechanism, key, getattr(initial, key))
-             for key in ('position', 'velocity')}
-    if initial.hold:
-        # The others follow from the loops, whatever is given.
-        start['velocity'] = {joint: start['velocity'][joint] for joint in initial.hold}
+    # Other velocities than those held follow from the loops, whatever is given.
+    start = {'position': _by_path(mechanism, 'position', initial.position),
+             'velocity': _by_path(mechanism, 'velocity', initial.velocity, initial.hold)}
     whole = {
         'mechanism': {key: {record.name: _of_the_plane(_below(record))
                             for record in getattr(mechanism, key)} for key in SECTIONS},
@@ -185,10 +183,12 @@ def _initial(scene, below):
     return replace(scene.initial, **new)
 
 
-def _by_path(mechanism, key, values):
-    """Return the numbers of joints as nested dicts by their keys."""
+def _by_path(mechanism, key, values, of=()):
+    """Return the numbers of joints, or of some of them, as nested dicts by their keys."""
     found = {}
     for path, place in mechanism.coordinates.paths(key).items():
+        if of and not {path[0], '.'.join(path)} & set(of):
+            continue
         here = found
         for word in path[:-1]:
             here = here.setdefault(word, {})

@@ -38,17 +38,19 @@ class Rollout:
     ----------
     time : ndarray, shape (instants,)
         [s]; the first instant is the start.
-    position, velocity : ndarray, shape (samples, instants, nv)
-        Joint coordinates [rad or m] and rates [rad/s or m/s].
+    position : ndarray, shape (samples, instants, nq)
+        Joint coordinates [rad or m].
+    velocity : ndarray, shape (samples, instants, nv)
+        Joint rates [rad/s or m/s].
     acceleration : ndarray, shape (samples, instants, nv)
         [rad/s^2 or m/s^2], under the torques acting up to the instant.
     effort : ndarray, shape (samples, instants, nv)
         Joint torques, behind the drives [N m or N].
-    constraint_forces : ndarray, shape (samples, instants, number of cuts, 3)
+    constraint_forces : ndarray, shape (samples, instants, number of cuts, 3), in space 6
         As ``Simulation.constraint_forces`` [N m, N].
-    joint_forces : ndarray, shape (samples, instants, nv, 3)
+    joint_forces : ndarray, shape (samples, instants, number of joints, 3), in space 6
         As ``Simulation.joint_forces`` [N m, N].
-    points : ndarray, shape (samples, instants, number of points, 2)
+    points : ndarray, shape (samples, instants, number of points, 2), in space 3
         Places of the named points [m].
     closure : ndarray, shape (samples, instants)
         Largest closure error [m or rad].
@@ -229,7 +231,8 @@ class RolloutArguments:
     Attributes
     ----------
     torques : ndarray, shape (rows, na) or (samples, rows, na)
-    position, velocity : ndarray, shape (nv,) or (samples, nv); or None
+    position : ndarray, shape (nq,) or (samples, nq); or None
+    velocity : ndarray, shape (nv,) or (samples, nv); or None
     parameters : dict of tuple of str to ndarray, shape () or (samples,)
     rows, samples : int
 
@@ -241,15 +244,16 @@ class RolloutArguments:
 
     def __init__(self, simulation, torques, position, velocity, parameters):
         """Check shapes and names."""
-        nv, na = len(simulation.joint_names), len(simulation.actuated_joints)
+        names, na = simulation.coordinates, len(simulation.actuated_joints)
         torques = np.zeros((1, na)) if torques is None else _numbers('torques', torques)
         if torques.ndim == 1:
             torques = torques[np.newaxis]
         self.torques = _shaped('torques', torques, (None, na), 'actuated joints')
         self.position = None if position is None else _shaped(
-            'initial_position', _numbers('initial_position', position), (nv,), 'joints')
+            'initial_position', _numbers('initial_position', position), (names.nq,),
+            'coordinates')
         self.velocity = None if velocity is None else _shaped(
-            'initial_velocity', _numbers('initial_velocity', velocity), (nv,), 'joints')
+            'initial_velocity', _numbers('initial_velocity', velocity), (names.nv,), 'joints')
         self.parameters = {
             resolve(simulation.scene, key): np.asarray(values, dtype=float)
             for key, values in (parameters or {}).items()}

@@ -76,9 +76,10 @@ class Record:
     """What is kept of one run; NaN from a failure on."""
 
     # Dict of str to ndarray: by the names of ``QUANTITIES``, those that were asked for:
-    # position, velocity, acceleration, effort (instants, nv), constraint_forces (instants,
-    # number of cuts, 3), joint_forces (instants, nv, 3), points (instants, number of points,
-    # 2), closure, energy (instants,). SI units.
+    # position (instants, nq), velocity, acceleration, effort (instants, nv), constraint_forces
+    # (instants, number of cuts, 3; in space 6), joint_forces (instants, nv, 3; in space number
+    # of joints, 6), points (instants, number of points, 2; in space 3), closure, energy
+    # (instants,). SI units.
     values: dict
     # Why the run ended early; or, where all values are there, by how much its energy balance
     # is off.
@@ -87,10 +88,12 @@ class Record:
 
 def shape_of(quantity, mechanism):
     """Return the shape that a quantity has at one instant."""
-    shapes = {'constraint_forces': (len(mechanism.cut_joints), 3),
-              'joint_forces': (len(mechanism.joints), 3), 'points': (len(mechanism.points), 2),
-              'closure': (), 'energy': ()}
-    return shapes.get(quantity, (len(mechanism.joints),))
+    names, plane = mechanism.coordinates, mechanism.planar
+    shapes = {'constraint_forces': (len(mechanism.cut_joints), 3 if plane else 6),
+              'joint_forces': (len(mechanism.joints), 3 if plane else 6),
+              'points': (len(mechanism.points), 2 if plane else 3), 'closure': (), 'energy': (),
+              'position': (names.nq,)}
+    return shapes.get(quantity, (names.nv,))
 
 
 def nothing(quantities, mechanism, instants):
@@ -114,11 +117,12 @@ def is_plain(simulation):
     -------
     bool
         False for error-controlled and stiff methods, independent coordinates, scenes that are
-        watched for stiffness, commands that arrive late, and sensors that remember.
+        watched for stiffness, commands that arrive late, sensors that remember, and equations
+        that were left out, which are watched.
 
     """
     effects = simulation.effect_set
-    return (isinstance(simulation.monitor.driver, FixedSteps)
+    return (isinstance(simulation.monitor.driver, FixedSteps) and not simulation.leaves_out
             and simulation.system.partition is None and not simulation.energy_guard.among_laws
             and not any(effects.drives.values()) and not effects.remembers)
 
@@ -161,10 +165,11 @@ def all_torques(simulation, torques):
 
 
 def buffer_for(simulation, schedule, quantities):
-    """Return a buffer for all that is to be kept of a run."""
-    points = simulation.mechanism.points
+    """Return a buffer for all that is to be kept of a run; in space for its states."""
+    points = simulation.mechanism.points if simulation.mechanism.planar else ()
     return allocate_buffer(
-        simulation.system, schedule.instants, any(name not in STATE for name in quantities),
+        simulation.system, schedule.instants, simulation.mechanism.planar and any(
+            name not in STATE for name in quantities),
         np.array([simulation.body_row(point.body) for point in points], dtype=np.int64),
         np.array([point.position for point in points]).reshape(-1, 2))
 
@@ -194,7 +199,7 @@ def verdict(simulation, states, last, work, schedule):
     ----------
     simulation : Simulation
         That made it; left somewhere else.
-    states : ndarray, shape (instants, ns)
+    states : ndarray, shape (instants, >= nq + nv)
         Of the run.
     last : ndarray, shape (ns,)
         At its end.
@@ -212,9 +217,13 @@ def verdict(simulation, states, last, work, schedule):
 
     """
     some = np.unique(np.linspace(0, len(states) - 1, MOST_LOOKS).round().astype(int))
-    looked = np.vstack((states[some], last))
+    looked = np.vstack((states[some], last[:states.shape[1]]))
     out = np.empty((len(looked), 2))
-    energies(simulation.system, looked, out)
+    if simulation.mechanism.planar:
+        energies(simulation.system, looked, out)
+    else:
+        for state, place in zip(looked, out):
+            place[:] = simulation.energies_of(state)
     kinetic, stored = out.T
     moved = (kinetic + np.abs(stored - stored[0])).max() + abs(work)
     lost = abs(out[-1].sum() - out[0].sum() - work)
@@ -227,10 +236,12 @@ def verdict(simulation, states, last, work, schedule):
 
 def values_of(simulation, buffer, tau, schedule, quantities):
     """Return what a run keeps by quantity, from its buffer."""
-    nv = tau.shape[1]
+    nq, nv = simulation.coordinates.nq, simulation.coordinates.nv
+    if not simulation.mechanism.planar:
+        return _values_in_space(simulation, buffer, tau, schedule, quantities)
     take = {
-        'position': lambda: buffer.state[:, :nv].copy(),
-        'velocity': lambda: buffer.state[:, nv:2 * nv].copy(),
+        'position': lambda: buffer.state[:, :nq].copy(),
+        'velocity': lambda: buffer.state[:, nq:nq + nv].copy(),
         'acceleration': lambda: buffer.qdd,
         'effort': lambda: _efforts(simulation, buffer, tau, schedule),
         'constraint_forces': lambda: buffer.wrench,
@@ -243,6 +254,24 @@ def values_of(simulation, buffer, tau, schedule, quantities):
             buffer.scalars[:, 2] + buffer.output[:, :, 0].sum(axis=1)),
     }
     return {name: take[name]() for name in quantities}
+
+
+def _values_in_space(simulation, buffer, tau, schedule, quantities):
+    """Return what a run in space keeps: the simulation is asked at every instant."""
+    nq, nv = simulation.coordinates.nq, simulation.coordinates.nv
+    values = nothing(quantities, simulation.mechanism, schedule.instants)
+    for name, columns in (('position', slice(nq)), ('velocity', slice(nq, nq + nv))):
+        if name in values:
+            values[name][:] = buffer.state[:, columns]
+    others = {name: rows for name, rows in values.items() if name not in STATE}
+    ends = np.arange(schedule.instants) * schedule.decimation
+    rows = np.maximum(ends - 1, 0) // schedule.zero_order_hold
+    for instant in range(schedule.instants if others else 0):
+        simulation.integrated[:] = buffer.state[instant]
+        simulation.system.tau[:] = tau[rows[instant]]
+        simulation.touch()
+        _note(simulation, others, instant)
+    return values
 
 
 def _efforts(simulation, buffer, tau, schedule):
@@ -320,7 +349,7 @@ class SimdRuns:
         ----------
         starts : sequence of Start
             Of simulations that may go together, up to MOST of them.
-        room : tuple of 2 ndarrays, shape (MOST, instants, nv), optional
+        room : tuple of 2 ndarrays, shapes (MOST, instants, nq), (MOST, instants, nv), optional
             Where positions and velocities go, so that they need not be copied.
 
         Returns
@@ -342,8 +371,9 @@ class SimdRuns:
         spread = np.stack(simd.filled(torques), axis=-1).reshape(len(torques[0]), -1)
         state = simd.lanes.spread(simd.filled([start.state for start in starts]))
         if room is None:
-            shape = simd.LANES, schedule.instants, torques[0].shape[1]
-            room = np.empty(shape), np.empty(shape)
+            names = first.coordinates
+            room = tuple(np.empty((simd.LANES, schedule.instants, count))
+                         for count in (names.nq, names.nv))
         work = np.zeros(simd.LANES)
         status = simd.run(
             pack, driver.tableau, driver.stabilisation, state, first.step_size, spread,
@@ -373,7 +403,9 @@ def _values_of_motion(simulation, tau, schedule, steps, quantities, position, ve
         both = {'position': position, 'velocity': velocity}
         return {name: both[name] for name in quantities}
     buffer = buffer_for(simulation, schedule, quantities)
-    buffer.state[:] = np.hstack((position, velocity))
+    buffer.state[:, :position.shape[1] + velocity.shape[1]] = np.hstack((position, velocity))
+    if not simulation.mechanism.planar:
+        return values_of(simulation, buffer, tau, schedule, quantities)
     annotate(simulation.system, tau, *schedule.in_steps(steps)[:2], buffer)
     simulation.touch()
     return values_of(simulation, buffer, tau, schedule, quantities)

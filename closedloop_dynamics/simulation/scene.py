@@ -272,7 +272,7 @@ def _model(data, directory):
 def _initial(value, mechanism, names):
     """Return the initial state of a mechanism."""
     mapping(value, *INITIAL_KEYS)
-    coordinates, joints = mechanism.coordinates, mechanism.joint_names
+    coordinates = mechanism.coordinates
     with at('position'):
         cut = () if mechanism.tree is None else mechanism.tree.cut
         given = names.evaluated(mapping(value['position'], coordinates.keys, [
@@ -281,12 +281,13 @@ def _initial(value, mechanism, names):
         given = {key: one for key, one in given.items() if key.partition('.')[0] not in cut}
         position = coordinates.filled('position', given, coordinates.start())
     with at('hold'):
-        hold = list_of(one_of(joints, 'one of the joints'))(value.get('hold', ()))
+        hold = list_of(one_of(coordinates.can_be_held, 'one of the joints'))(
+            value.get('hold', ()))
     with at('velocity'):
         given = names.evaluated(_section(value, 'velocity'))
         velocity = coordinates.filled('velocity', given, np.zeros(coordinates.nv))
         for joint in given:
-            if hold and coordinates.joint_of(joint) not in hold:
+            if hold and not {joint, coordinates.joint_of(joint)} & set(hold):
                 raise FieldError(f'velocities of held joints only ({among(hold)})',
                                  f'one of {joint!r}', 'the others follow from the loops; '
                                  'add the joint to hold, or remove its velocity', (joint,))

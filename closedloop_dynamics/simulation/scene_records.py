@@ -21,7 +21,7 @@ from typing import Optional, Tuple
 from ..effects.effect_set import require_one_drive_each
 from ..effects.registry import EFFECTS
 from ..integration.registry import ADAPTIVE, AUTO, BAUMGARTE, INTEGRATORS, STABILISATIONS
-from ..mechanism.checks import list_of, name, number, one_of, positive, text
+from ..mechanism.checks import freedom, list_of, name, number, one_of, positive, text
 from ..mechanism.fields import at, FieldError, mapping, normalise, shown
 from ..mechanism.mechanism import Mechanism
 from ..mechanism.validation import validate_mechanism
@@ -53,7 +53,7 @@ class Initial:
 
     def __post_init__(self):
         """Refuse what is no list of finite numbers, and joints held twice."""
-        normalise(self, position=list_of(number), velocity=list_of(number), hold=list_of(name))
+        normalise(self, position=list_of(number), velocity=list_of(number), hold=list_of(freedom))
         for index, joint in enumerate(self.hold):
             if joint in self.hold[:index]:
                 raise FieldError('every joint once', f'{joint!r} again', path=('hold', index))
@@ -162,7 +162,7 @@ class Scene:
     def __post_init__(self):
         """Refuse an initial state or an effect that does not fit the mechanism."""
         normalise(self, description=text, mechanism=validate_mechanism, effects=mapping)
-        joints, coordinates = self.mechanism.joint_names, self.mechanism.coordinates
+        coordinates = self.mechanism.coordinates
         with at('initial'):
             coordinates.require_lengths(self.initial.position, self.initial.velocity)
         if len(coordinates.balls):
@@ -171,7 +171,7 @@ class Scene:
             object.__setattr__(self, 'initial', replace(self.initial, position=position))
         for index, joint in enumerate(self.initial.hold):
             with at('initial', 'hold', index):
-                one_of(joints, 'one of the joints')(joint)
+                one_of(coordinates.can_be_held, 'one of the joints')(joint)
         for key, effect in self.effects.items():
             with at('effects', key):
                 name(key)

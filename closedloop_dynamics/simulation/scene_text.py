@@ -62,7 +62,8 @@ def scene_text(scene, effects=None, disabled=(), **facts):
                 'velocity': {
                     name: value for name, value
                     in coordinates.told('velocity', initial.velocity).items()
-                    if not initial.hold or coordinates.joint_of(name) in initial.hold}},
+                    if not initial.hold
+                    or {name, coordinates.joint_of(name)} & set(initial.hold)}},
             'effects': {name: {'type': effect_type(record), **_values(record)}
                         for name, record in effects.items()},
             'method': {key: value for key, value in _values(scene.method).items()

@@ -260,6 +260,29 @@ class Simulation:
         self._fresh = False
 
     @property
+    def leaves_out(self):
+        """Whether equations that repeat others are left out, and watched."""
+        return self._geometry is not None and self._geometry.leaves_out
+
+    def energies_of(self, state):
+        """
+        Return kinetic and stored energy of a state in space [J].
+
+        Parameters
+        ----------
+        state : ndarray, shape (>= nq + nv,)
+            Coordinates and rates; of effects, none store energy.
+
+        Returns
+        -------
+        tuple of 2 floats
+
+        """
+        places, rates, _ = self._parts
+        return self._on_demand.energies(
+            np.ascontiguousarray(state[places]), np.ascontiguousarray(state[rates]))
+
+    @property
     def effect_set(self):
         """Return the effects as the kernels have them, an ``effects.effect_set.EffectSet``."""
         return self._effects
@@ -639,7 +662,8 @@ class Simulation:
         if not available():
             self._require_planar('motion without numba')
         for key, only in (('formulation', ('subsystem',)),
-                          ('stabilisation', ('projection', 'velocity', 'baumgarte', 'none'))):
+                          ('stabilisation', (
+                              'projection', 'velocity_projection', 'baumgarte', 'none'))):
             if getattr(method, key) not in only:
                 self._require_planar(f'{key}: {getattr(method, key)}')
 
@@ -1167,8 +1191,10 @@ class Simulation:
             Torques of the actuated joints [N m or N], one row after the other, each for the
             same number of steps. Without the first axis for all samples; a single row stays
             for the whole run; none when not given.
-        initial_position, initial_velocity : array_like, shape (samples, nv) or (nv,)
+        initial_position : array_like, shape (samples, nq) or (nq,)
             To start from instead of the scene's start, as for ``set_state``.
+        initial_velocity : array_like, shape (samples, nv) or (nv,)
+            Likewise.
         hold : sequence of str, optional
             As for ``set_state``; those of the scene where only velocities are given.
         duration, steps : float, int
@@ -1196,7 +1222,6 @@ class Simulation:
             For arguments that make no sense, whatever the sample.
 
         """
-        self._require_planar('rollouts')
         return rollout(
             self, torques, initial_position, initial_velocity, hold=hold, duration=duration,
             steps=steps, every=every, parameters=parameters, quantities=quantities,

@@ -280,7 +280,7 @@ def _initial(mechanism, initial, simulation):
         for position, velocity, write in states:
             for quantity, values in (('position', position), ('velocity', velocity)):
                 row.append(_told(names.told(quantity, values)[key], write))
-        row.insert(3, 'held' if joint in initial.hold else 'free')
+        row.insert(3, 'held' if {key, joint} & set(initial.hold) else 'free')
         rows.append(tuple(row))
     if simulation is None:
         return _table('Joints at the start, before the loops are closed', header, rows)

@@ -23,13 +23,12 @@ from .plan import TORQUE
 from ..simulation.errors import SimulationError
 from ..simulation.key_paths import changed
 from ..simulation.rollout_run import (
-    FEWEST, fits_simd, is_plain, MOST, nothing, QUANTITIES, Record, record, Schedule, SimdRuns,
-    Start)
+    FEWEST, fits_simd, is_plain, MOST, nothing, Record, record, Schedule, SimdRuns, Start, STATE)
 from ..simulation.scene_records import Scene
 from ..simulation.simulation import Simulation
 
 # What the summary of a sample is made of.
-SUMMARISED = tuple(name for name in QUANTITIES if name != 'acceleration')
+SUMMARISED = (*STATE, 'effort', 'constraint_forces', 'closure', 'energy')
 SAMPLE_DONE, SAMPLE_FAILED = 1, 2
 
 
@@ -144,12 +143,16 @@ def summary(job, values):
 
     """
     wrenches = values['constraint_forces']
-    forces = np.hypot(wrenches[:, :, 1], wrenches[:, :, 2])
+    moments = wrenches.shape[-1] // 2
+    forces = (np.hypot(wrenches[:, :, 1], wrenches[:, :, 2]) if moments == 1
+              else np.linalg.norm(wrenches[:, :, moments:], axis=-1))
+    moment = (np.abs(wrenches[:, :, 0]) if moments == 1
+              else np.linalg.norm(wrenches[:, :, :moments], axis=-1))
     return {
         **{name: values[name] for name in job.keep},
         'final_position': values['position'][-1], 'final_velocity': values['velocity'][-1],
         'initial_energy': values['energy'][0], 'final_energy': values['energy'][-1],
-        'peak_force': _peak(forces), 'peak_moment': _peak(np.abs(wrenches[:, :, 0])),
+        'peak_force': _peak(forces), 'peak_moment': _peak(moment),
         'peak_effort': _peak(np.abs(values['effort'])), 'peak_closure': _peak(values['closure'])}
 
 

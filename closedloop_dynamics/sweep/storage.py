@@ -38,7 +38,10 @@ from ..mechanism.fields import among, FieldError, shown
 
 SAMPLE, TIME, JOINT, CUT, COMPONENT = 'sample', 'time', 'joint', 'cut_joint', 'component'
 POINT, AXIS = 'point', 'axis'
-COMPONENTS, AXES = ('moment', 'x', 'y'), ('x', 'y')
+# In place of the joint, of positions, where there are orientations.
+COORDINATE = 'coordinate'
+# In place of the joint, of forces in joints, where joints have several numbers or none.
+TREE_JOINT = 'tree_joint'
 STATUS, REASON, LONGEST_REASON = 'status', 'reason', 400
 JOINTWISE = 'rad or m'
 
@@ -106,14 +109,27 @@ class Layout:
         mechanism = plan.scene.mechanism
         self.plan, self.batch, self.identity = plan, batch, plan.identity()
         self.samples = plan.samples
-        names = {JOINT: mechanism.joint_names,
-                 CUT: tuple(cut.name for cut in mechanism.cut_joints), COMPONENT: COMPONENTS}
+        coordinates, planar = mechanism.coordinates, mechanism.planar
+        axes = 'xyz'[:2 if planar else 3]
+        names = {JOINT: coordinates.names,
+                 CUT: tuple(cut.name for cut in mechanism.cut_joints),
+                 COMPONENT: ('moment', 'x', 'y') if planar else (
+                     *(f'moment_{axis}' for axis in axes), *axes)}
+        if coordinates.with_orientation:
+            names |= {COORDINATE: tuple(coordinates.columns('position'))}
+        if 'joint_forces' in plan.keep and coordinates.names != mechanism.joint_names:
+            names |= {TREE_JOINT: mechanism.joint_names}
         if 'points' in plan.keep:
-            names |= {POINT: tuple(point.name for point in mechanism.points), AXIS: AXES}
+            names |= {POINT: tuple(point.name for point in mechanism.points), AXIS: tuple(axes)}
         self.sizes = {TIME: plan.schedule.instants,
                       **{name: len(places) for name, places in names.items()}}
         longest = max((len(word) for words in names.values() for word in words), default=1)
         kept = {**{name: MOTION[name] for name in plan.keep}, **SUMMARY}
+        for name, other in (('position', COORDINATE), ('final_position', COORDINATE),
+                            ('joint_forces', TREE_JOINT)):
+            if name in kept and other in names:
+                dimensions, *told = kept[name]
+                kept[name] = tuple(other if each == JOINT else each for each in dimensions), *told
         self._keys, self.results = tuple(each.key for each in plan.variations), tuple(kept)
         self.variables = (
             Variable(TIME, (TIME,), {'units': 's', 'long_name': 'time since the start'},

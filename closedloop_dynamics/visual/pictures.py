@@ -22,7 +22,7 @@ import numpy as np
 from .drawing import all_places, MechanismArtist
 from .motion import body_poses, magnitudes
 from .views import FRONT, perspective, PLANE, SIDE, TOP
-from ..mechanism.mechanism import CUT_WITHOUT_MOMENT, PRISMATIC, REVOLUTE
+from ..mechanism.mechanism import CUT_WITHOUT_MOMENT, REVOLUTE
 
 # Okabe and Ito's palette, its yellow darkened; with the dashes, 21 lines can be told apart.
 COLORS = ('#0072B2', '#D55E00', '#009E73', '#CC79A7', '#56B4E9', '#B8A200', '#333333')
@@ -40,39 +40,44 @@ def joint_motion(motion, title, wanted=None):
     """
     Draw positions, velocities and the efforts of the driven joints over time, a row a joint.
 
+    Orientations are drawn as the components of their quaternions.
+
     Parameters
     ----------
     motion : Motion
         Recorded or simulated states.
     title : str
         Title of the figure.
-    wanted : tuple of 2 ndarrays, shape (n, nv), optional
+    wanted : tuple of 2 ndarrays, shapes (n, nq), (n, nv), optional
         Positions and velocities that the joints were to have; NaN where nothing was wanted.
 
     """
-    joints = motion.mechanism.joints
+    groups = motion.mechanism.coordinates.groups
     wanted_position, wanted_velocity = wanted or (None, None)
     columns = [('position', motion.position, wanted_position, ('rad', 'm')),
                ('velocity', motion.velocity, wanted_velocity, ('rad/s', 'm/s'))]
-    if any(joint.actuated for joint in joints):
+    if any(group.joint.actuated for group in groups):
         columns.append(('effort', motion.effort, None, ('N m', 'N')))
     figure = matplotlib.figure.Figure(
-        figsize=(10.0, 1.4 + 1.15 * len(joints)), layout='constrained', dpi=DOTS_PER_INCH)
-    panels = figure.subplots(len(joints), len(columns), sharex=True, squeeze=False)
+        figsize=(10.0, 1.4 + 1.15 * len(groups)), layout='constrained', dpi=DOTS_PER_INCH)
+    panels = figure.subplots(len(groups), len(columns), sharex=True, squeeze=False)
     figure.suptitle(title, fontweight='bold', x=0.02, ha='left')
-    for k, (joint, row) in enumerate(zip(joints, panels)):
+    for group, row in zip(groups, panels):
         for axes, (quantity, values, goals, units) in zip(row, columns):
-            if quantity == 'effort' and not joint.actuated:
+            if quantity == 'effort' and not group.joint.actuated:
                 axes.axis('off')
                 continue
-            turning = (quantity == 'position' and joint.type == REVOLUTE
-                       and np.ptp(values[:, k]) > TURN)
+            places = group.coordinates if quantity == 'position' else group.rates
+            turning = (quantity == 'position' and group.joint.type == REVOLUTE
+                       and np.ptp(values[:, places]) > TURN)
             shown = _wrapped if turning else np.asarray
-            axes.plot(motion.time, shown(values[:, k]), color=COLORS[0], linewidth=1.3)
-            if goals is not None and np.isfinite(goals[:, k]).any():
-                axes.plot(motion.time, shown(goals[:, k]), label='wanted', **WANTED)
-            unit = units[joint.type == PRISMATIC]
-            name = f'{joint.name}\n' if quantity == 'position' else ''
+            for place, color in zip(places, COLORS):
+                axes.plot(motion.time, shown(values[:, place]), color=color, linewidth=1.3)
+                if goals is not None and np.isfinite(goals[:, place]).any():
+                    axes.plot(motion.time, shown(goals[:, place]), label='wanted', **WANTED)
+            unit = units[int(group.length)]
+            name = f'{group.name}\n' if quantity == 'position' else ''
+            unit = 'x, y, z, w' if group.turned and quantity == 'position' else unit
             axes.set_ylabel(f'{name}[{unit}]', fontsize=9)
             if turning:
                 axes.set_title('within a turn', fontsize=8, color='0.35', loc='right', pad=2)
@@ -207,9 +212,12 @@ def deviations(result, title):
     """Draw how far recorded states are from those simulated again, over time."""
     motion = result.recorded
     forces = result.deviation('forces')
-    panels = [(f'{quantity} [{unit}]', np.abs(result.deviation(quantity)),
-               [joint.name for joint in motion.mechanism.joints])
-              for quantity, unit in (('position', 'rad, m'), ('velocity', 'rad/s, m/s'))]
+    groups = motion.mechanism.coordinates.groups
+    panels = [(f'{quantity} [{unit}]', np.stack([
+        np.abs(result.deviation(quantity)[:, getattr(group, places)]).max(axis=1)
+        for group in groups], axis=1), [group.name for group in groups])
+              for quantity, places, unit in (('position', 'coordinates', 'rad, m'),
+                                             ('velocity', 'rates', 'rad/s, m/s'))]
     if motion.mechanism.cut_joints:
         panels.append(('force [N]', magnitudes(forces),
                        [cut.name for cut in motion.mechanism.cut_joints]))

@@ -18,7 +18,11 @@ from dataclasses import replace
 
 from closedloop_dynamics.core.manifold import move
 from closedloop_dynamics.core.straight_line import available
+from closedloop_dynamics.effects.actuator import Actuator
 from closedloop_dynamics.effects.gravity import Gravity
+from closedloop_dynamics.effects.joint_damping import JointDamping
+from closedloop_dynamics.effects.joint_spring import JointSpring
+from closedloop_dynamics.effects.sensor import Sensor
 from closedloop_dynamics.integration.registry import FIXED, INTEGRATORS
 from closedloop_dynamics.integration.system import derivative, parts_of_state
 from closedloop_dynamics.mechanism.fields import FieldError
@@ -332,8 +336,8 @@ def test_rates_of_coordinates_are_what_changes_make_of_them(chain):
     state, rates = chain.integrated.copy(), np.zeros(states)
     derivative(system, state.copy(), rates)
     before, after = state.copy(), state.copy()
-    move(system.manifold, before[q], state[qd], -1e-6)
-    move(system.manifold, after[q], state[qd], 1e-6)
+    move(system.manifold, before[q], state[qd], -1e-6, 1)
+    move(system.manifold, after[q], state[qd], 1e-6, 1)
     assert_agree(rates[q], (after[q] - before[q]) / 2e-6, 1e-9)
     # What is compiled does what is not.
     assert_agree(after[q], names.moved(state[q], 1e-6 * state[qd]), 1e-15)
@@ -544,3 +548,28 @@ def test_numbers_of_joints_are_reached_by_key_paths(chain):
         after = numbers(changed(made, {resolve(made, key): 0.25}))
         assert after.pop(key) == 0.25
         assert after == {other: before[other] for other in before if other != key}
+
+
+def test_effects_act_on_single_numbers_of_joints_behind_orientations():
+    mechanism, held = arm(), ('hip.1', 'last')
+    effects = {'spring': JointSpring('last', 3.0, 0.1), 'twist': JointSpring('hip.2', 2.0),
+               'oil': JointDamping('knee.2', 0.5), 'drive': Actuator('table.x', max_torque=0.4)}
+    joints = tuple(replace(joint, actuated=True) if joint.name == 'table' else joint
+                   for joint in mechanism.joints)
+    mechanism = replace(mechanism, joints=joints)
+    made = scene(mechanism, {'hip.2': 0.3, 'last': 0.5}, {'knee.2': 1.0}, **TIGHT)
+    one = Simulation(replace(made, effects={**made.effects, **effects},
+                             initial=replace(made.initial, hold=held)))
+    assert one.scene.initial.hold == held
+    assert one.effect_readings('spring')['stored_energy'] == 0.5 * 3.0 * 0.4 ** 2
+    assert one.effect_readings('twist')['torque'] == -2.0 * 0.3
+    assert_agree(one.effect_readings('oil')['dissipated_power'], 0.5, 1e-15)
+    one.step({'table.x': 1.0, 'ball.rz': 0.2}, 0.1)
+    assert one.effort[one.coordinates.index['table.x']] == 0.4
+    balance = one.energy_balance
+    assert balance.dissipated > 1e-3 and abs(balance.work) > 1e-6
+    assert_agree(balance.residual, 0.0, 1e-9, smallest=balance.kinetic)
+    for name, effect in (('hip', JointSpring('hip', 1.0)), ('ball', JointDamping('ball.rx', 1.0)),
+                         ('table.y', Sensor())):
+        with pytest.raises(FieldError):
+            Simulation(replace(made, effects={name.partition('.')[0]: effect}))
