@@ -33,6 +33,9 @@ from ..simulation.space import equations_left
 from ..simulation.tree_choice import count_operations
 from ..visual.tables import text_table
 
+# Numbers of a table or curve that are written one by one.
+MOST_LISTED = 12
+
 
 def describe(scene_or_mechanism, simulation=None):
     """
@@ -302,8 +305,16 @@ def _told(value, write):
 def _effects(effects):
     return _table('Effects', ('name', 'type', 'parameters'), [
         (name, effect_type(effect),
-         ', '.join(f'{key} = {_value(value)}' for key, value in asdict(effect).items()))
+         ', '.join(f'{key} = {_listed(value)}' for key, value in asdict(effect).items()
+                   if value is not None))
         for name, effect in effects.items()])
+
+
+def _listed(value):
+    """Write a value, of a long list its ends."""
+    if isinstance(value, tuple) and len(value) > MOST_LISTED:
+        return f'{len(value)} from {_value(value[0])} to {_value(value[-1])}'
+    return _value(value)
 
 
 def _method(method):
