@@ -180,6 +180,9 @@ def _summary(simulation, report, arguments, estimate):
     if math.isfinite(told.local_error):
         lines.insert(2, f'  steps     local error {told.local_error:.2g} rad or m in the worst '
                         f'step looked at')
+    if simulation.shared_forces:
+        lines.append(f'  forces    of {", ".join(simulation.shared_forces)} are not unique, as '
+                     'equations repeat others: the least are written')
     lines += [f'  WARNING   {finding}' for finding in told.findings]
     if arguments.output not in (None, STANDARD_OUTPUT):
         lines.append(f'  output    {arguments.output}: {report.rows} '

@@ -27,6 +27,7 @@ from .health import health_of
 from .inverse_dynamics import InverseDynamics
 from .modeling import body_rows, build_model, extent
 from .monitor import Monitor
+from .redundancy import find_redundancy
 from .rollout import rollout
 from .scene import load_scene
 from .scene_records import Method, Scene
@@ -339,6 +340,13 @@ class Simulation:
         model = self.system.model
         cut_wrenches(model.cut, model.cut_point, self.system.work.body, self.system.lam, out)
         return out
+
+    @property
+    def shared_forces(self):
+        """Names of cut joints and couplings whose forces are not unique: the least are told."""
+        if self._geometry is None or not self._geometry.leaves_out:
+            return ()
+        return find_redundancy(self.mechanism, self._q).shared
 
     @property
     def coupling_forces(self):

@@ -16,6 +16,7 @@
 
 from dataclasses import replace
 
+from closedloop_dynamics.cli import main
 from closedloop_dynamics.core.straight_line import available
 from closedloop_dynamics.core.types import RANK_REVEALING_COUNT
 from closedloop_dynamics.effects.gravity import Gravity
@@ -84,6 +85,11 @@ def test_check_tells_what_repeats_and_whose_forces_are_shared():
     told = describe(scene, Simulation(scene))
     assert 'Equations that repeat others: 1\n' in told and THESE_LENGTHS in told
     assert 'Forces that are not unique, of which the least are told\n  joint_6' in told
+
+
+def test_simulate_tells_whose_forces_are_shared(capsys):
+    assert main(['simulate', 'bricard', '--duration', '0.1']) == 0
+    assert 'forces    of joint_6 are not unique' in capsys.readouterr().out
 
 
 # As many equations as are left, none of which repeats others: those of another joint.
