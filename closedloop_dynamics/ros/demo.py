@@ -35,7 +35,7 @@ from closedloop_dynamics.mechanism.mechanism import MechanismError
 from closedloop_dynamics.recording.reading import BagReadError
 from closedloop_dynamics.recording.recording import RecordingError
 from closedloop_dynamics.ros.demo_drive import (
-    aim_of, drive_for, RECORDER, shipped_drives, SIMULATOR, TORQUE_SOURCE)
+    aim_of, drive_for, RECORDER, SIMULATOR, TORQUE_SOURCE)
 from closedloop_dynamics.ros.demo_report import (
     compared, draw, not_representative, read_run, summary)
 from closedloop_dynamics.ros.programs import LOOK, ProgramError, Programs, READY
@@ -44,6 +44,8 @@ from closedloop_dynamics.simulation.signals import Interrupted, SignalWatch
 from closedloop_dynamics.visual.progress import progress_bar
 
 DEFAULT_OUTPUT = 'demo_output'
+# The machines of the package's name, where no other is asked for.
+SHOWN = ('carpet_scraper', 'three_rrr')
 EXIT_CODES = ('Exit codes: 0 done; 1 a node failed, or a machine did not do what was wanted; '
               '2 a wrong option or scene; 130 interrupted.')
 # For compiling, for nodes to find each other, and to end [s].
@@ -60,7 +62,7 @@ Simulate scenes live with real ROS 2 nodes, drive them by torques from another
 process, record joint states and constraint forces in a rosbag2 bag, and show
 what happened. Ends by itself.
 
-Without SCENE: {' and '.join(shipped_drives())}, one after the other.
+Without SCENE: {' and '.join(SHOWN)}, one after the other.
 """, epilog=EXIT_CODES)
     parser.add_argument('scene', metavar='SCENE', nargs='?',
                         help='a shipped scene by its name, or a YAML file')
@@ -86,7 +88,7 @@ def main(argv=None):
     parser, arguments = arguments_of(argv)
     try:
         scenes = [load_scene(name, in_space=True)
-                  for name in ([arguments.scene] if arguments.scene else shipped_drives())]
+                  for name in ([arguments.scene] if arguments.scene else SHOWN)]
         output = _output(arguments.output)
     except (SceneError, MechanismError, OSError) as error:
         parser.error(str(error))

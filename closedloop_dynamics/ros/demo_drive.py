@@ -64,17 +64,20 @@ class Aim:
 
     Attributes
     ----------
-    reference : torque_laws.Reference or studies.circle.Circle
+    reference : references.Reference, references.Circle or references.Ways
     led : ndarray of bool, shape (n,)
         Whose position is controlled; of the others, their speed is.
     circle : tuple of (str, ndarray, float), or None
         Point, centre and radius of a circle [m].
+    places : tuple of (str, ndarray, float), or None
+        Point, places that it is to reach, and the time of the first round [m, s].
 
     """
 
     reference: object
     led: np.ndarray
     circle: Optional[tuple] = None
+    places: Optional[tuple] = None
 
 
 def shipped_drives():
@@ -128,7 +131,9 @@ def aim_of(drive, scene):
     values.update(drive.parameters)
     joints = scene.mechanism.actuated_joints
     found = reference(values, joints, Simulation(scene))
-    circle = None
+    circle = places = None
     if values['circle_point']:
         circle = values['circle_point'], found.center, values['circle_radius']
-    return Aim(found, np.array(per_joint('kp', values['kp'], joints)) != 0.0, circle)
+    if values['path_point']:
+        places = values['path_point'], found.places, found.period
+    return Aim(found, np.array(per_joint('kp', values['kp'], joints)) != 0.0, circle, places)

@@ -29,6 +29,8 @@ HEADSTARTS = np.arange(0.0, 1.0, 0.005)
 # What is as wanted. Mean speed and its ripple (rms), distance from a circle (largest): as shares
 # of the speed and the radius; positions (rms) [rad or m]; closure [m or rad].
 MEAN_SPEED, RIPPLE, OFF_CIRCLE, OFF_POSITION, OPEN = 0.01, 0.05, 0.05, 0.02, 1e-6
+# How near a place is reached, as a share of the distance between places.
+OFF_PLACE = 0.01
 # What is representative: time dropped and states missing, states answered, as shares; the longest
 # time without a command, in periods.
 LOST, ANSWERED, SILENCE = 0.01, 0.9, 5.0
@@ -94,11 +96,12 @@ def wanted_motion(motion, aim):
     behind is not made to look better.
 
     """
-    position, velocity = (np.full_like(motion.position, np.nan) for _ in range(2))
+    position, velocity = (np.full_like(motion.velocity, np.nan) for _ in range(2))
     if aim is None:
         return position, velocity, 0.0
     actuated = np.array(_actuated(motion.mechanism))
-    start = motion.position[0, actuated]
+    found = by_freedom(motion)[:, actuated]
+    start = found[0]
     instants = np.arange(0.0, motion.time[-1] + HEADSTARTS[-1] + 0.01, 0.005)
     table = np.array([np.concatenate(aim.reference.at(time, start)) for time in instants])
 
@@ -107,7 +110,7 @@ def wanted_motion(motion, aim):
         return np.split(np.array(values).T, 2, axis=1)
 
     candidates = HEADSTARTS if aim.led.any() else HEADSTARTS[:1]
-    misses = [np.linalg.norm((wanted(shift)[0] - motion.position[:, actuated])[:, aim.led])
+    misses = [np.linalg.norm((wanted(shift)[0] - found)[:, aim.led])
               for shift in candidates]
     headstart = float(candidates[int(np.argmin(misses))])
     places, velocity[:, actuated] = wanted(headstart)
@@ -155,6 +158,8 @@ def compared(motion, aim):
             lines.append(_positions(motion, wanted, settled, led, headstart))
         if aim.circle:
             lines.append(_circle(motion, settled, *aim.circle))
+        if aim.places:
+            lines.append(_reached(motion, *aim.places))
     if not _closure(motion) < OPEN:
         lines.append(('', f'the loops were open by {_closure(motion):.1e} m or rad'))
     return lines
@@ -164,13 +169,13 @@ def _speed(motion, settled, joint, wanted):
     """Compare the speed of a joint, over whole turns if there are any."""
     time, angle, speed = (
         values[settled] for values in
-        (motion.time, motion.position[:, joint], motion.velocity[:, joint]))
+        (motion.time, by_freedom(motion)[:, joint], motion.velocity[:, joint]))
     travelled = np.abs(angle - angle[0])
     turns = int(travelled[-1] / TURN)
     end = np.interp(turns * TURN, travelled, time) if turns else time[-1]
     mean = (np.interp(end, time, angle) - angle[0]) / (end - time[0])
     ripple = np.sqrt(np.mean((speed - wanted) ** 2))
-    name = motion.mechanism.joint_names[joint]
+    name = motion.mechanism.coordinates.names[joint]
     failure = None
     if mean * wanted < 0.0:
         failure = f'{name} turned backwards, at {mean:.4g} rad/s instead of {wanted:.4g} rad/s'
@@ -186,9 +191,9 @@ def _speed(motion, settled, joint, wanted):
 
 def _positions(motion, wanted, settled, led, headstart):
     """Compare the positions of joints with a reference that moves."""
-    error = (motion.position - wanted)[np.ix_(settled, led)]
+    error = (by_freedom(motion) - wanted)[np.ix_(settled, led)]
     rms, names = np.sqrt(np.mean(error ** 2)), ', '.join(
-        motion.mechanism.joint_names[joint] for joint in led)
+        motion.mechanism.coordinates.names[joint] for joint in led)
     ahead = f' (it began {headstart:.2f} s before them)' if headstart else ''
     failure = None
     if not rms <= OFF_POSITION:
@@ -200,12 +205,33 @@ def _positions(motion, wanted, settled, led, headstart):
 def _circle(motion, settled, point, center, radius):
     """Compare the path of a point with a circle."""
     places = named_point(motion.mechanism, body_poses(motion.mechanism, motion.position), point)
-    off = np.abs(np.hypot(*(places - center).T) - radius)[settled].max()
+    x, y, *height = (places - center).T
+    off = np.abs(np.hypot(x, y) - radius)
+    # In space the circle is a horizontal one.
+    off = np.max(np.hypot(off, height[0] if height else 0.0)[settled])
     failure = None
     if not off <= OFF_CIRCLE * radius:
         failure = f'{point} was {1e3 * off:.2g} mm away from its circle of {radius:g} m radius'
     return (f'{point} stays within {1e3 * off:.2g} mm of a circle of {radius:g} m radius, once '
             'settled', failure)
+
+
+def _reached(motion, point, places, period):
+    """Compare the path of a point with the places that it is to reach."""
+    path = named_point(motion.mechanism, body_poses(motion.mechanism, motion.position), point)
+    miss = max(np.linalg.norm(path - place, axis=1).min() for place in places)
+    extent, failure = np.linalg.norm(np.ptp(places, axis=0)), None
+    if motion.time[-1] < period:
+        return f'{point} had not the time for all its {len(places)} places', None
+    if not miss <= OFF_PLACE * extent:
+        failure = f'{point} came no nearer than {1e3 * miss:.2g} mm to one of its places'
+    return f'{point} comes within {1e3 * miss:.2g} mm of each of its {len(places)} places', failure
+
+
+def by_freedom(motion):
+    """Return the positions of joints as velocities have them, shape (n, nv); 0 of rotations."""
+    places = motion.mechanism.coordinates.place
+    return np.where(places >= 0, motion.position[:, places], 0.0)
 
 
 def not_representative(run, duration):
@@ -255,4 +281,4 @@ def draw(motion, aim, scene, directory):
 
 
 def _actuated(mechanism):
-    return [index for index, joint in enumerate(mechanism.joints) if joint.actuated]
+    return list(mechanism.coordinates.actuated)

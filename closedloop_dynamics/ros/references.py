@@ -14,17 +14,18 @@
 
 
 """
-Where joints are to be, by time: waves about a motion, trajectories from messages, circles.
+Where joints are to be, by time: waves about a motion, trajectories from messages, paths.
 
-Every quantity is an array over the joints driven, in one order. A circle is that of a point of a
-mechanism: smooth, periodic, from rest.
+Every quantity is an array over the joints driven, in one order. A path is that of a point of a
+mechanism, a circle or straight ways from place to place: smooth, periodic, from rest.
 
 """
 
 from dataclasses import dataclass
 import math
 
-from closedloop_dynamics.visual.motion import body_poses, closure_errors, named_point, pose_of
+from closedloop_dynamics.visual.motion import (
+    body_poses, closure_errors, composed, coupling_errors, named_point, pose_of)
 import numpy as np
 from scipy.interpolate import BPoly
 from scipy.interpolate import CubicSpline
@@ -37,6 +38,8 @@ POSITIONS = 128
 # Newton steps for each of them, and what must be left at most [m or rad].
 ITERATIONS, TOLERANCE = 12, 1e-11
 DIFFERENCE = 1e-6
+# Of a straight way between two places, which a spline goes through.
+STRETCHES = 24
 
 
 @dataclass(frozen=True)
@@ -222,11 +225,11 @@ class Trajectory:
         return self._acceleration(time)
 
 
-class CircleError(ValueError):
-    """A circle that the mechanism cannot follow; the message says why."""
+class PathError(ValueError):
+    """A path that the mechanism cannot follow; the message says why."""
 
 
-def residual(mechanism, position, point, place, angle):
+def residual(mechanism, position, point, place, turn):
     """
     Return by how much loops are open and a point is away from a place.
 
@@ -234,14 +237,14 @@ def residual(mechanism, position, point, place, angle):
     ----------
     mechanism : mechanism.mechanism.Mechanism
         Which is placed.
-    position : ndarray, shape (..., nv)
+    position : ndarray, shape (..., nq)
         Joint coordinates [rad or m].
     point : mechanism.mechanism.Point
         That is to be in a place.
-    place : ndarray, shape (2,)
+    place : ndarray, shape (2,), in space (3,)
         World [m].
-    angle : float or None
-        That its body is to have [rad]; None: any.
+    turn : float, in space ndarray of shape (4,), or None
+        Angle [rad] or unit quaternion x, y, z, w that its body is to have; None: any.
 
     Returns
     -------
@@ -249,39 +252,76 @@ def residual(mechanism, position, point, place, angle):
 
     """
     poses = body_poses(mechanism, position)
-    parts = closure_errors(mechanism, poses)
+    parts = closure_errors(mechanism, poses) + coupling_errors(mechanism, position)
     miss = named_point(mechanism, poses, point.name) - place
-    parts += [miss[..., 0], miss[..., 1]]
-    if angle is not None:
-        parts.append(pose_of(mechanism, poses, point.body)[..., 2] - angle)
+    parts += [miss[..., k] for k in range(len(place))]
+    if turn is not None:
+        pose = pose_of(mechanism, poses, point.body)
+        if mechanism.planar:
+            parts.append(pose[..., 2] - turn)
+        else:
+            left = composed(pose[..., 3:], turn * np.array([-1.0, -1.0, -1.0, 1.0]))
+            parts += [2.0 * left[..., 3] * left[..., k] for k in range(3)]
     return np.stack(parts, axis=-1)
 
 
-def solve(mechanism, position, point, place, angle):
+def solve(mechanism, position, point, place, turn):
     """
-    Return the joint positions, shape (nv,), that close the loops and bring a point to a place.
+    Return the joint positions, shape (nq,), that close the loops and bring a point to a place.
 
-    ``position`` is nearby; the rest is as for ``residual``. Raises CircleError where there are
+    ``position`` is nearby; the rest is as for ``residual``. Raises PathError where there are
     none nearby, or many.
 
     """
     position = np.array(position, dtype=float)
-    steps = DIFFERENCE * np.eye(len(position))
+    coordinates = mechanism.coordinates
+    steps = DIFFERENCE * np.eye(coordinates.nv)
     for _ in range(ITERATIONS):
-        left, *shifted = residual(
-            mechanism, np.vstack([position, position + steps, position - steps]), point, place,
-            angle)
+        shifted = [coordinates.moved(position, step) for step in (*steps, *-steps)]
+        left, *errors = residual(mechanism, np.array([position, *shifted]), point, place, turn)
         if np.abs(left).max() < TOLERANCE:
             return position
-        count = len(position)
-        jacobian = (np.array(shifted[:count]) - shifted[count:]).T / (2.0 * DIFFERENCE)
+        count = len(steps)
+        jacobian = (np.array(errors[:count]) - errors[count:]).T / (2.0 * DIFFERENCE)
         move, _, rank, _ = np.linalg.lstsq(jacobian, -left, rcond=1e-9)
         if rank < count:
             break
-        position = position + move
-    raise CircleError(
-        f"the mechanism cannot bring '{point.name}' to ({place[0]:.4g}, {place[1]:.4g}), or is "
-        'singular there')
+        position = coordinates.moved(position, move)
+    where = ', '.join(f'{part:.4g}' for part in place)
+    raise PathError(
+        f"the mechanism cannot bring '{point.name}' to ({where}), or is singular there")
+
+
+def freedoms_of(mechanism, position):
+    """Return how many degrees of freedom a mechanism has in a position, shape (nq,)."""
+    coordinates = mechanism.coordinates
+    steps = DIFFERENCE * np.eye(coordinates.nv)
+    shifted = np.array([coordinates.moved(position, step) for step in (*steps, *-steps)])
+    errors = np.array([np.zeros(len(shifted)),
+                       *closure_errors(mechanism, body_poses(mechanism, shifted)),
+                       *coupling_errors(mechanism, shifted)])
+    count = len(steps)
+    slopes = (errors[:, :count] - errors[:, count:]) / (2.0 * DIFFERENCE)
+    return count - int(np.linalg.matrix_rank(slopes, 1e-7 * np.abs(slopes).max(initial=1.0)))
+
+
+def _point_and_turn(mechanism, start, name):
+    """Return a named point, its place at the start and how its body is turned, if that is free."""
+    point = next((point for point in mechanism.points if point.name == name), None)
+    if point is None:
+        raise PathError(
+            f'expected one of the points of {mechanism.name} '
+            f"({', '.join(each.name for each in mechanism.points)}), got '{name}'")
+    freedoms, size = freedoms_of(mechanism, start), 2 if mechanism.planar else 3
+    whole = 3 if mechanism.planar else 6
+    if freedoms not in (size, whole):
+        raise PathError(
+            f'{mechanism.name} has {freedoms} degrees of freedom; the path of a point needs '
+            f'{size}, or {whole} where its body keeps how it is turned, too')
+    poses = body_poses(mechanism, np.array(start))
+    pose = pose_of(mechanism, poses, point.body)
+    turn = None if freedoms == size else pose[2] if mechanism.planar else pose[3:]
+    return point, named_point(mechanism, poses, name), turn
 
 
 class Circle:
@@ -289,13 +329,14 @@ class Circle:
     Positions, velocities and accelerations of joints while a point goes round.
 
     It begins at rest in the position given, on the circle, gains its speed within the first
-    turn, and keeps the angle of the point's body where the mechanism has the freedom to.
+    turn, and keeps how the point's body is turned where the mechanism has the freedom to. In
+    space the circle is horizontal.
 
     Parameters
     ----------
     mechanism : mechanism.mechanism.Mechanism
-        With two or three degrees of freedom.
-    start : ndarray, shape (nv,)
+        With two or three degrees of freedom, in space with three or six.
+    start : ndarray, shape (nq,)
         Where the joints begin, loops closed [rad or m].
     name : str
         Of the point.
@@ -307,38 +348,37 @@ class Circle:
         Angle at which it begins, seen from the centre [rad].
     joints : sequence of str
         Whose motion is asked for.
+    tilt : float
+        Angle of the cone that the body's axes go round with the point, from where they begin
+        [rad]; in space, with six degrees of freedom.
 
     Raises
     ------
-    CircleError
+    PathError
         Where the mechanism cannot follow it.
 
     """
 
-    def __init__(self, mechanism, start, name, radius, frequency, phase, joints):
+    def __init__(self, mechanism, start, name, radius, frequency, phase, joints, tilt=0.0):
         self.frequency = frequency
-        freedoms = len(mechanism.joints) - mechanism.number_of_equations
-        point = next((point for point in mechanism.points if point.name == name), None)
-        if point is None:
-            raise CircleError(
-                f'expected one of the points of {mechanism.name} '
-                f"({', '.join(each.name for each in mechanism.points)}), got '{name}'")
-        if freedoms not in (2, 3):
-            raise CircleError(
-                f'{mechanism.name} has {freedoms} degrees of freedom by its equations; a circle '
-                'of a point needs two, or three where the angle of its body is kept, too')
-        poses = body_poses(mechanism, np.array(start))
-        angle = pose_of(mechanism, poses, point.body)[2] if freedoms == 3 else None
+        point, place, turned = _point_and_turn(mechanism, start, name)
+        if tilt and (mechanism.planar or turned is None):
+            raise PathError(f'{mechanism.name} cannot lean by an angle of its own: that takes six '
+                            'degrees of freedom')
         turn = np.linspace(0.0, 2.0 * math.pi, POSITIONS, endpoint=False)
-        ways = radius * np.stack([np.cos(turn + phase), np.sin(turn + phase)], axis=1)
-        self.center = named_point(mechanism, poses, name) - ways[0]
+        ways = np.zeros((POSITIONS, len(place)))
+        ways[:, :2] = radius * np.stack([np.cos(turn + phase), np.sin(turn + phase)], axis=1)
+        self.center = place - ways[0]
+        leaning = [_leaning(tilt, angle + phase) for angle in turn] if tilt else None
         table = [np.array(start, dtype=float)]
-        for way in [*ways, ways[0]]:
-            table.append(solve(mechanism, table[-1], point, self.center + way, angle))
-        if np.abs(table[-1] - table[1]).max() > 1e-6:
-            raise CircleError('the joints do not come back to where they began: the circle goes '
-                              'round a singular configuration; choose a smaller one')
-        chosen = [mechanism.joint_names.index(joint) for joint in joints]
+        for k in [*range(POSITIONS), 0]:
+            wanted = turned if leaning is None else composed(
+                composed(leaning[k], leaning[0] * (-1.0, -1.0, -1.0, 1.0)), turned)
+            table.append(solve(mechanism, table[-1], point, self.center + ways[k], wanted))
+        if np.abs(mechanism.coordinates.apart(table[-1], table[1])).max() > 1e-6:
+            raise PathError('the joints do not come back to where they began: the circle goes '
+                            'round a singular configuration; choose a smaller one')
+        chosen = _places(mechanism, joints)
         self._harmonics = np.fft.rfft(np.array(table[1:-1])[:, chosen], axis=0) / POSITIONS
         self._harmonics[1:] *= 2.0
         self._orders = 1j * np.arange(len(self._harmonics))[:, np.newaxis]
@@ -373,3 +413,86 @@ class Circle:
         return (speed * ramp * (share ** 3 - share ** 4 / 2.0),
                 speed * (3.0 * share ** 2 - 2.0 * share ** 3),
                 speed * 6.0 * share * (1.0 - share) / ramp)
+
+
+def _places(mechanism, joints):
+    """Return where in q the coordinates of joints of one freedom are."""
+    return [mechanism.coordinates.coordinates[joint].start for joint in joints]
+
+
+def _leaning(tilt, angle):
+    """Return the quaternion of a lean outward at an angle round a circle [rad]."""
+    half = math.sin(0.5 * tilt)
+    return np.array([-half * math.sin(angle), half * math.cos(angle), 0.0, math.cos(0.5 * tilt)])
+
+
+class Ways:
+    """
+    Positions, velocities and accelerations of joints while a point goes from place to place.
+
+    Straight, from rest to rest, through all of them and back to where it began; again and again.
+    The body of the point keeps how it is turned where the mechanism has the freedom to.
+
+    Parameters
+    ----------
+    mechanism, start, name, joints
+        As of a ``Circle``.
+    places : ndarray, shape (n, 2), in space (n, 3)
+        From where it begins [m].
+    durations : ndarray, shape (n + 1,)
+        Of the way to each of them, and back [s].
+
+    Attributes
+    ----------
+    places : ndarray, shape (n + 1, 2), in space (n + 1, 3)
+        World [m]; the last one is where it begins.
+    period : float
+        [s].
+
+    Raises
+    ------
+    PathError
+        Where the mechanism cannot follow it.
+
+    """
+
+    def __init__(self, mechanism, start, name, places, durations, joints):
+        point, origin, turned = _point_and_turn(mechanism, start, name)
+        self.places = origin + np.vstack([places, np.zeros(len(origin))])
+        self._ends = np.cumsum(durations)
+        self._durations, self.period = np.array(durations), float(self._ends[-1])
+        share = np.linspace(0.0, 1.0, STRETCHES + 1)
+        chosen = _places(mechanism, joints)
+        position, begin, self._ways = np.array(start, dtype=float), origin, []
+        for place in self.places:
+            table = []
+            for each in share:
+                position = solve(
+                    mechanism, position, point, begin + each * (place - begin), turned)
+                table.append(position[chosen])
+            way = CubicSpline(share, np.array(table))
+            self._ways.append((way, way.derivative(), way.derivative(2)))
+            begin = place
+        if np.abs(mechanism.coordinates.apart(position, np.array(start))).max() > 1e-6:
+            raise PathError('the joints do not come back to where they began: the way goes round '
+                            'a singular configuration; choose a shorter one')
+
+    def at(self, time, start=None):
+        """Return position and velocity at a time [s]; ``start`` is not looked at."""
+        (way, slope, _), share, rate, _ = self._stretch(time)
+        return way(share), slope(share) * rate
+
+    def acceleration(self, time):
+        """Return the accelerations at a time [rad/s^2 or m/s^2]."""
+        (_, slope, curvature), share, rate, acceleration = self._stretch(time)
+        return curvature(share) * rate ** 2 + slope(share) * acceleration
+
+    def _stretch(self, time):
+        """Return the way that it is on, the share of it behind, and that by time, twice."""
+        time = max(0.0, time) % self.period
+        k = min(int(np.searchsorted(self._ends, time, side='right')), len(self._ways) - 1)
+        duration = self._durations[k]
+        x = (time - self._ends[k] + duration) / duration
+        return (self._ways[k], x ** 3 * (10.0 - 15.0 * x + 6.0 * x * x),
+                30.0 * (x * (1.0 - x)) ** 2 / duration,
+                60.0 * x * (1.0 - x) * (1.0 - 2.0 * x) / duration ** 2)

@@ -132,6 +132,7 @@ class ComputedTorque:
         self._feedforward = feedforward
         self._limit = limit
         self._actuated = simulation.actuated
+        self._coordinates = simulation.coordinates
         self._torque = np.zeros(len(self._actuated))
         self._last = None
 
@@ -151,21 +152,27 @@ class ComputedTorque:
         """
         Follow ``references.Points`` from the present state, in place of the reference there was.
 
-        Time [s], position and velocity, shape (nv,), are those of the state. Raises
+        Time [s], position, shape (nq,), and velocity, shape (nv,), are those of the state. Raises
         TrajectoryError if the trajectory is over.
 
         """
+        position = self._coordinates.by_freedom(position)
         self._controller.follow(Trajectory(
             points, time, position[self._actuated], velocity[self._actuated]), time)
 
     def torque(self, time, position, velocity):
-        """Return the torques, shape (n,), for a state, shape (nv,), at a time [s]."""
+        """Return the torques, shape (n,), for a state, shapes (nq,), (nv,), at a time [s]."""
         lead = self._lead(time)
         acceleration, _ = self._simulation.forward_dynamics(position, velocity, self._torque)
-        position = position + lead * velocity + 0.5 * lead ** 2 * acceleration
+        if len(self._coordinates.balls):
+            position = self._coordinates.moved(
+                position, lead * velocity + 0.5 * lead ** 2 * acceleration)
+        else:
+            position = position + lead * velocity + 0.5 * lead ** 2 * acceleration
         velocity = velocity + lead * acceleration
         wanted = self._controller.torque(
-            time + lead, position[self._actuated], velocity[self._actuated])
+            time + lead, self._coordinates.by_freedom(position)[self._actuated],
+            velocity[self._actuated])
         torque = self._torque_for(wanted, position, velocity) + self._feedforward
         if np.isfinite(torque).all():
             self._torque = np.clip(torque, -self._limit, self._limit)

@@ -19,6 +19,7 @@ from itertools import chain
 from math import isfinite
 import time
 
+from closedloop_dynamics.ros.commands import CommandError, poses_of
 from closedloop_dynamics.ros.loading import load_simulation
 from closedloop_dynamics.ros.pacing import Throttle
 from closedloop_dynamics.ros.parameters import accept_whole_numbers, declare, usage
@@ -35,6 +36,7 @@ from rclpy.clock import ClockType
 from rclpy.node import Node
 from rclpy.time import Time
 from sensor_msgs.msg import JointState
+from sensor_msgs.msg import MultiDOFJointState
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
@@ -107,6 +109,50 @@ class JointQuestion:
             self.answer = tuple(values[0].string_array_value)
 
 
+class Orientations:
+    """
+    The part of a state that comes in a message of its own: joints with an orientation.
+
+    Both parts have the same stamp, and may come in any order.
+
+    Parameters
+    ----------
+    coordinates : mechanism.coordinates.Coordinates
+        Of the mechanism.
+
+    """
+
+    def __init__(self, coordinates):
+        self._coordinates = coordinates
+        self._stamp = self._state = self._waiting = None
+
+    def take(self, message):
+        """Keep a MultiDOFJointState; return the JointState that waited for it, or None."""
+        position, velocity, _ = poses_of(
+            message, self._coordinates, self._coordinates.start())
+        if not len(message.twist) or len(message.joint_names) < len(
+                self._coordinates.with_orientation):
+            raise CommandError('expected the twists of all of '
+                               + ', '.join(self._coordinates.with_orientation))
+        self._state, self._stamp = (position, velocity), message.header.stamp
+        waiting, self._waiting = self._waiting, None
+        return waiting if waiting is not None and waiting.header.stamp == self._stamp else None
+
+    def complete(self, message):
+        """Return whether the orientations of a JointState are there; if not, it waits."""
+        if self._stamp == message.header.stamp:
+            return True
+        self._waiting = message
+        return False
+
+    def whole(self, position, velocity):
+        """Return coordinates, shape (nq,), and rates, shape (nv,), of numbers by freedom."""
+        q, qd = (values.copy() for values in self._state)
+        single = self._coordinates.single
+        q[self._coordinates.place[single]], qd[single] = position, velocity
+        return q, qd
+
+
 class TorqueSourceNode(Node):
     """
     Publish torques for the actuated joints of a simulator.
@@ -136,7 +182,7 @@ class TorqueSourceNode(Node):
         self._sent, self._sent_for, self._skipped = None, None, 0
         self._has_acted, self._points = False, None
         self._read_names = self._read_indices = None
-        self._timer = self._simulation = self._law = None
+        self._timer = self._simulation = self._law = self._orientations = None
         self.add_on_set_parameters_callback(self._check_change)
         self.add_post_set_parameters_callback(self._change)
         joints = tuple(name for name in self._values['joints'] if name)
@@ -154,7 +200,9 @@ class TorqueSourceNode(Node):
             self._every(QUESTION_PERIOD, self._ask)
 
     def on_joint_states(self, message):
-        """Answer a state with a command."""
+        """Answer a state with a command, when all of it has come."""
+        if self._orientations is not None and not self._orientations.complete(message):
+            return
         if not self._is_heard() or self._is_answered(message.header.stamp):
             return
         problem = self._read(message)
@@ -164,6 +212,8 @@ class TorqueSourceNode(Node):
             return
         state = [np.array(values)[self._read_indices]
                  for values in (message.position, message.velocity)]
+        if self._orientations is not None:
+            state = self._orientations.whole(*state)
         time_of_state = Time.from_msg(message.header.stamp).nanoseconds * 1e-9
         if self._is_on_its_way(time_of_state, message.effort):
             return
@@ -172,6 +222,17 @@ class TorqueSourceNode(Node):
         self._sent, self._sent_for, self._skipped = torque, time_of_state, 0
         if self._points is not None:
             self._follow(time_of_state, *state)
+
+    def on_orientations(self, message):
+        """Take the orientations of a state; answer it if the rest of it waits for them."""
+        try:
+            waiting = self._orientations.take(message)
+        except CommandError as error:
+            if self._complaint.ready():
+                self.get_logger().warning(f'multi_dof_joint_states not usable: {error}')
+            return
+        if waiting is not None:
+            self.on_joint_states(waiting)
 
     def _is_on_its_way(self, time_of_state, effort):
         """Return whether a state knows nothing of the last command yet: too early to correct."""
@@ -254,8 +315,15 @@ class TorqueSourceNode(Node):
         if isinstance(self._command, JointState):
             self._command.name = list(joints)
         if self._values['mode'] in FEEDBACK_MODES:
-            self._joints_read = joints if self._simulation is None else (
-                self._simulation.joint_names)
+            self._joints_read = joints
+            if self._simulation is not None:
+                coordinates = self._simulation.coordinates
+                self._joints_read = tuple(coordinates.names[k] for k in coordinates.single)
+                if len(coordinates.balls):
+                    self._orientations = Orientations(coordinates)
+                    self.create_subscription(
+                        MultiDOFJointState, 'multi_dof_joint_states', self.on_orientations,
+                        STATE_DEPTH)
             self.create_subscription(
                 JointState, 'joint_states', self.on_joint_states, STATE_DEPTH)
             if self._simulation is not None:
@@ -273,14 +341,7 @@ class TorqueSourceNode(Node):
         if joints:
             raise StartError("mode 'computed_torque' drives all actuated joints of its scene: "
                              "leave parameter 'joints' out")
-        simulation, _ = load_simulation(self._values['scene'], self.get_logger())
-        turning = simulation.coordinates.with_orientation
-        if turning:
-            raise StartError(
-                "mode 'computed_torque' reads joint_states, which have no orientations: expected "
-                'a scene whose spherical and free joints are cut joints, got '
-                f"{', '.join(turning)} in the tree")
-        return simulation
+        return load_simulation(self._values['scene'], self.get_logger())[0]
 
     def _create_command(self, by_name):
         if by_name:

@@ -17,7 +17,7 @@
 from closedloop_dynamics.effects.actuator import Actuator
 from closedloop_dynamics.ros.parameters import Parameter, per_joint
 from closedloop_dynamics.ros.process import StartError
-from closedloop_dynamics.ros.references import Circle, CircleError, Reference, Wave
+from closedloop_dynamics.ros.references import Circle, PathError, Reference, Wave, Ways
 from closedloop_dynamics.ros.torque_laws import ComputedTorque, ProportionalDerivative
 import numpy as np
 
@@ -74,12 +74,21 @@ TORQUE_SOURCE_PARAMETERS = (
               f'target_position whatever the phase. {_PER_JOINT}'),
     Parameter('circle_point', '', 'computed_torque: named point that goes round a circle, from '
               'rest where the scene begins, its body keeping its angle; in place of target_* and '
-              'move_*. The mechanism needs two or three degrees of freedom.'),
+              'move_*. The mechanism needs two or three degrees of freedom, in space three or six.'),
     Parameter('circle_radius', 0.1, 'Radius of the circle [m].', (1e-6, 1e3)),
     Parameter('circle_frequency', 0.25, 'Turns per second, after the first one [Hz].',
               (1e-6, 1e3)),
     Parameter('circle_phase', 0.0, 'Where on the circle the point begins, seen from its centre '
               '[rad].', (-10.0, 10.0)),
+    Parameter('circle_tilt', 0.0, 'Angle of the cone that the axes of the body go round with the '
+              'point, from where they begin [rad]; in space, with six degrees of freedom.',
+              (-1.0, 1.0)),
+    Parameter('path_point', '', 'computed_torque: named point that goes straight from place to '
+              'place, from rest to rest, and back to where the scene begins, again and again; in '
+              'place of target_*, move_* and circle_*.'),
+    Parameter('path_places', [0.0], 'The places, one after the other, seen from where it begins '
+              '[m]: x, y, in space x, y, z of each.'),
+    Parameter('path_durations', [1.0], 'Of the way to each place, and back [s].'),
     Parameter('feedforward', [0.0],
               f'pd, computed_torque: torque added always [N m or N]. {_PER_JOINT}',
               read_only=False),
@@ -130,25 +139,43 @@ def gains(values, joints, simulation=None):
 
 
 def reference(values, joints, simulation=None):
-    """Return where the joints are to be, by time: a Reference or a Circle."""
-    if not values['circle_point']:
+    """Return where the joints are to be, by time: a Reference, a Circle or Ways."""
+    kinds = [kind for kind in ('circle', 'path') if values[f'{kind}_point']]
+    if not kinds:
         return Reference(
             _spread(values, 'target_position', joints, nan_allowed=True),
             _spread(values, 'target_velocity', joints),
             _wave(values, 'move_', joints))
+    if len(kinds) > 1:
+        raise StartError("parameters 'circle_point', 'path_point': expected one of them, got both")
+    kind, = kinds
     if simulation is None:
-        raise StartError("parameter 'circle_point': a circle needs mode 'computed_torque', which "
+        raise StartError(f"parameter '{kind}_point': a path needs mode 'computed_torque', which "
                          f"knows the mechanism; got mode '{values['mode']}'")
-    if not simulation.mechanism.planar:
-        raise StartError("parameter 'circle_point': expected the scene of a planar mechanism, got "
-                         f'one in space, {simulation.mechanism.name}; lead the joints by a '
-                         'trajectory on joint_trajectory')
     try:
-        return Circle(
-            simulation.mechanism, simulation.position, values['circle_point'],
-            *(values[f'circle_{key}'] for key in ('radius', 'frequency', 'phase')), joints)
-    except CircleError as error:
-        raise StartError(f"parameters 'circle_*': {error}") from None
+        mechanism, start = simulation.mechanism, simulation.position
+        if kind == 'path':
+            return Ways(mechanism, start, values['path_point'], *_ways(values, mechanism), joints)
+        return Circle(mechanism, start, values['circle_point'], *(
+            values[f'circle_{key}'] for key in ('radius', 'frequency', 'phase')), joints,
+            values['circle_tilt'])
+    except PathError as error:
+        raise StartError(f"parameters '{kind}_*': {error}") from None
+
+
+def _ways(values, mechanism):
+    """Return places, shape (n, 2) or (n, 3), and durations of the ways to them and back."""
+    size = 2 if mechanism.planar else 3
+    places, durations = (np.array(values[f'path_{key}'], dtype=float)
+                         for key in ('places', 'durations'))
+    if not len(places) or len(places) % size or not np.isfinite(places).all():
+        raise PathError(f'path_places: expected {size} finite numbers for each place, got '
+                        f'{len(places)} numbers')
+    if len(durations) != len(places) // size + 1 or not np.all(durations > 0.0) or (
+            not np.isfinite(durations).all()):
+        raise PathError(f'path_durations: expected {len(places) // size + 1} positive numbers, '
+                        f'for the way to each place and back, got {durations.tolist()}')
+    return places.reshape(-1, size), durations
 
 
 def _spread(values, name, joints, nan_allowed=False):

@@ -14,7 +14,7 @@
 
 """The joints lead the point round the circle, and their rates are those of their positions."""
 
-from closedloop_dynamics.ros.references import Circle, CircleError
+from closedloop_dynamics.ros.references import Circle, PathError
 from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.visual.motion import body_poses, named_point, pose_of
 import numpy as np
@@ -82,5 +82,5 @@ def test_joints_are_in_the_order_asked_for(simulation):
     ('three_rrr', {'name': 'nose'}, 'expected one of the points'),
     ('carpet_scraper', {'name': 'tool'}, '1 degrees of freedom')])
 def test_what_cannot_be_followed_is_said(scene, options, problem):
-    with pytest.raises(CircleError, match=problem):
+    with pytest.raises(PathError, match=problem):
         circle_of(Simulation.from_scene(scene), **options)

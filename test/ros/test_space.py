@@ -27,7 +27,6 @@ from closedloop_dynamics.core.straight_line import available
 from closedloop_dynamics.mechanism.mechanism import Point
 from closedloop_dynamics.recording.recording import read_recording
 from closedloop_dynamics.ros.auxiliary_publishers import LATCHED_QOS
-from closedloop_dynamics.ros.process import StartError
 from closedloop_dynamics.ros.simulator_node import SimulatorNode
 from closedloop_dynamics.ros.torque_source_node import TorqueSourceNode
 from closedloop_dynamics.simulation.scene import load_scene
@@ -240,7 +239,7 @@ def test_frames_are_where_cut_points_and_links_are(broadcast, tmp_path, name):  
         np.testing.assert_allclose(matrix((turn.x, turn.y, turn.z, turn.w)), axes, atol=1e-14)
 
 
-def test_computed_torque_leads_a_machine_in_space_and_no_point_round_a_circle(make_node, tmp_path):
+def test_computed_torque_leads_a_machine_in_space(make_node, tmp_path):
     path = file_of(made('rssr_four_bar'), tmp_path)
     values = {'mode': 'computed_torque', 'scene': path, 'kp': [100.0], 'kd': [20.0],
               'wait_for_subscribers': 0}
@@ -254,8 +253,6 @@ def test_computed_torque_leads_a_machine_in_space_and_no_point_round_a_circle(ma
     # From rest: kp times the distance.
     acceleration, _ = one.forward_dynamics(one.position, one.velocity, sent[-1].data)
     np.testing.assert_allclose(acceleration[0], 100.0 * 0.2, rtol=1e-9)
-    with pytest.raises(StartError, match="'circle_point': .*planar .*in space, rssr_four_bar"):
-        make_node(TorqueSourceNode, **values, circle_point='cut_point')
 
 
 def test_a_recorded_run_is_met_exactly(processes, listener, tmp_path, capsys):
