@@ -74,7 +74,8 @@ TORQUE_SOURCE_PARAMETERS = (
               f'target_position whatever the phase. {_PER_JOINT}'),
     Parameter('circle_point', '', 'computed_torque: named point that goes round a circle, from '
               'rest where the scene begins, its body keeping its angle; in place of target_* and '
-              'move_*. The mechanism needs two or three degrees of freedom, in space three or six.'),
+              'move_*. The mechanism needs two or three degrees of freedom, in space three or '
+              'six.'),
     Parameter('circle_radius', 0.1, 'Radius of the circle [m].', (1e-6, 1e3)),
     Parameter('circle_frequency', 0.25, 'Turns per second, after the first one [Hz].',
               (1e-6, 1e3)),
