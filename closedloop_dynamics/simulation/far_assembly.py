@@ -365,7 +365,7 @@ def find_closed(mechanism, size, start, hold=(), limits=None, starts=STARTS_EACH
     limits : dict of str to tuple of 2, optional
         Least and largest coordinate of joints of one freedom.
     starts : int
-        How many others are tried at each distance from the first.
+        How many others are tried at each distance from the first; 0: nothing but the first.
 
     Returns
     -------
@@ -378,13 +378,13 @@ def find_closed(mechanism, size, start, hold=(), limits=None, starts=STARTS_EACH
     held = [k for name in hold for k in range(loops.nv)[loops.coordinates.rates[name]]]
     free = np.setdiff1d(np.arange(loops.nv), held)
     best, how = _least_squares(loops, start, free), 'from the start'
-    if not loops.is_closed(best):
+    if starts and not loops.is_closed(best):
         found = _homotopy(loops, start, free)
         if _openness(loops, found) < _openness(loops, best):
             best, how = found, 'closing the gaps little by little'
     rng = np.random.default_rng(0)
     for amplitude in AMPLITUDES:
-        if loops.is_closed(best):
+        if loops.is_closed(best) or not starts:
             break
         found = []
         for _ in range(starts):

@@ -35,6 +35,7 @@ from ..mechanism.mechanism import MechanismError
 
 # So many of the joints that moved the furthest are told.
 MOST_TOLD = 3
+HELD = 'the drives held'
 # Shorter ways are not told [rad or m].
 FAR = 0.05
 
@@ -135,9 +136,11 @@ def assembled(imported):
     start = Loops(mechanism, size).start(imported.position)
     if not (mechanism.cut_joints or mechanism.couplings):
         return find_closed(mechanism, size, start), []
-    attempts = [((), imported.limits, '', STARTS_EACH)]
-    if mechanism.actuated_joints:
-        attempts.insert(0, (mechanism.actuated_joints, imported.limits, 'the drives held', 1))
+    drives, limits = mechanism.actuated_joints, imported.limits
+    # What is quick comes first.
+    attempts = [((), limits, '', 0), ((), limits, '', STARTS_EACH)]
+    if drives:
+        attempts = [(drives, limits, HELD, 0), attempts[0], (drives, limits, HELD, 1), attempts[1]]
     if imported.limits:
         attempts.append(((), {}, '', STARTS_EACH))
     tried = []
