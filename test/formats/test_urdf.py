@@ -16,6 +16,7 @@
 
 from dataclasses import replace
 import re
+import sys
 
 from closedloop_dynamics.formats.registry import read_model
 from closedloop_dynamics.formats.yaml_text import mechanism_text
@@ -249,6 +250,28 @@ def test_faults_name_file_line_and_element(tmp_path, fault):
     with pytest.raises(MechanismError, match=said) as caught:
         read_model(path)
     assert re.match(rf'{path}:\d+: ', str(caught.value))
+
+
+def test_xacro_is_expanded(tmp_path):
+    pytest.importorskip('xacro')
+    text = four_bar().replace('<robot ', '<robot xmlns:xacro="http://www.ros.org/wiki/xacro" ')
+    text = text.replace('<link name="base"/>', '<link name="base"/>\n'
+                        '<xacro:property name="l" value="0.1"/>', 1).replace(
+        'origin xyz="0.1 0 0"', 'origin xyz="${l} 0 0"')
+    assert '${l}' in text
+    mechanism = read_model(written(tmp_path, text, 'robot.urdf.xacro')).mechanism
+    plain = read(tmp_path, four_bar()).mechanism
+    assert replace(mechanism, description='') == replace(plain, description='')
+    with pytest.raises(MechanismError, match='expected what xacro can expand, got: name .k. is'):
+        read_model(written(tmp_path, text.replace('${l}', '${k}'), 'robot.xacro'))
+
+
+@pytest.mark.parametrize('name, text, missing', [
+    ('robot.xacro', '<robot/>', 'xacro'), ('robot.mjcf', '<mujoco/>', 'mujoco')])
+def test_what_is_not_installed_is_named(tmp_path, monkeypatch, name, text, missing):
+    monkeypatch.setitem(sys.modules, missing, None)
+    with pytest.raises(MechanismError, match=f'{name}: .* needs .*: pip install {missing}'):
+        read_model(written(tmp_path, text, name))
 
 
 def test_too_large_a_file_is_refused(tmp_path):
