@@ -26,7 +26,7 @@ from .table import (
     ACTUATOR, BUSHING, CABLE, CIRCLE_CONTACT, CONTACT, CURVE_CONTACT, END_STOP, EXTERNAL_FORCE,
     JOINT_DAMPING, JOINT_FORCE_TABLE, JOINT_FRICTION, JOINT_SPRING, LINE_CONTACT,
     POINT_FORCE_TABLE, POINT_SPRING, PRESCRIBED_FORCE, PRESCRIBED_TORQUE, SPATIAL_CONTACT,
-    SPATIAL_FORCE, SPATIAL_POINT_SPRING)
+    SPATIAL_FORCE, SPATIAL_POINT_SPRING, SPATIAL_PRESCRIBED_FORCE)
 from ..core.compiled import compiled
 
 
@@ -107,3 +107,5 @@ def _apply_element(data, table, row, body, q, qd):
             body_contact.apply_on_circle(table, row, body)
         elif kind == CURVE_CONTACT:
             body_contact.apply_on_curve(table, row, body)
+        elif kind == SPATIAL_PRESCRIBED_FORCE:
+            prescribed_force.apply_in_space(table, row, body)

@@ -29,16 +29,18 @@ import math
 from typing import Optional, Tuple
 
 from . import course, expression
-from .effect import Effect, require_plane
-from .forces import offset, push
+from .effect import Effect
+from .external_force import BODY, WORLD
+from .forces import offset, push, push_in_space, turned, velocity_in_space
 from .table import (
-    FIRST, ForceElement, OWN, PRESCRIBED_FORCE, PRESCRIBED_TORQUE, STATE, State, WORK)
+    FIRST, ForceElement, OWN, PRESCRIBED_FORCE, PRESCRIBED_TORQUE, SPATIAL_PRESCRIBED_FORCE, STATE,
+    State, WORK)
 from ..core.compiled import inlined
 from ..core.types import COS, OMEGA, SIN, VX, VY
 from ..mechanism.checks import (
-    freedom, list_of, name, not_negative, number, one_of, positive, text, vector2)
+    freedom, list_of, name, not_negative, number, one_of, positive, text, vector)
 from ..mechanism.fields import at, FieldError, shown
-from ..mechanism.mechanism import Vector2
+from ..mechanism.mechanism import Vector
 
 
 @dataclass(frozen=True)
@@ -54,10 +56,10 @@ class PrescribedForce(Effect):
         Where it acts: a joint, or
     point : str or None
         a named point.
-    direction : tuple of 2 floats or None
+    direction : tuple of 2 floats, or 3 in space, or None
         Of the force at a point; its length does not matter.
-    frame : str or None
-        Axes of the direction: ``world`` (when not given) or ``body``.
+    axes : str or None
+        Of the direction: ``world`` (when not given) or ``body``.
     amplitude : float or None
         Value of a constant, height of a sine, of a trapezoid or of a cycloid [N m; N].
     offset : float or None
@@ -88,22 +90,23 @@ class PrescribedForce(Effect):
     """
 
     CHECKS = {
-        'joint': freedom, 'point': name, 'direction': vector2,
+        'joint': freedom, 'point': name, 'direction': vector,
         'shape': one_of(tuple(course.SHAPES)),
-        'frame': one_of(('world', 'body')), 'amplitude': number, 'offset': number,
+        'axes': one_of((WORLD, BODY)), 'amplitude': number, 'offset': number,
         'frequency': positive, 'phase': number, 'start': not_negative, 'rise': not_negative,
         'hold': not_negative, 'fall': not_negative, 'period': positive, 'times': list_of(number),
         'values': list_of(number), 'interpolation': one_of(course.INTERPOLATIONS),
         'expression': text}
     FILES = {'file': ('times', 'values')}
+    VECTORS = ('direction',)
     STIFFENS = False
     READINGS = ('force', 'power')
 
     shape: str
     joint: Optional[str] = None
     point: Optional[str] = None
-    direction: Optional[Vector2] = None
-    frame: Optional[str] = None
+    direction: Optional[Vector] = None
+    axes: Optional[str] = None
     amplitude: Optional[float] = None
     offset: Optional[float] = None
     frequency: Optional[float] = None
@@ -130,8 +133,8 @@ class PrescribedForce(Effect):
         if self.direction is not None and not math.hypot(*self.direction) > 0.0:
             raise FieldError('a direction that is not zero', shown(self.direction),
                              path=('direction',))
-        if self.frame is not None and self.point is None:
-            raise FieldError('this key only beside point', shown(self.frame), path=('frame',))
+        if self.axes is not None and self.point is None:
+            raise FieldError('this key only beside point', shown(self.axes), path=('axes',))
         course.require_keys(self)
         object.__setattr__(self, '_data', self._course())
 
@@ -141,12 +144,6 @@ class PrescribedForce(Effect):
             return course.pieces(self)
         with at('expression'):
             return (expression.program(self.expression),)
-
-    def fit(self, mechanism):
-        """Refuse a mechanism without the joint or point, and points in space."""
-        super().fit(mechanism)
-        if self.point is not None:
-            require_plane(mechanism, 'point')
 
     @property
     def ENDS_STEPS(self):  # noqa: N802
@@ -166,13 +163,15 @@ class PrescribedForce(Effect):
                 PRESCRIBED_TORQUE, (machine.joint(self.joint),), (self.period or 0.0, written),
                 states, data=self._data)
         row, place = machine.point(self.point)
-        x, y = self.direction
-        length = math.hypot(x, y)
+        length, turns = math.hypot(*self.direction), float(self.axes == BODY)
+        direction, kind = tuple(one / length for one in self.direction), PRESCRIBED_FORCE
+        if not machine.mechanism.planar:
+            kind = SPATIAL_PRESCRIBED_FORCE
+            if turns:
+                direction = machine.placement(machine.carrier(self.point)).axes @ direction
         return ForceElement(
-            PRESCRIBED_FORCE, (row,),
-            (self.period or 0.0, written, *place, x / length, y / length,
-             float(self.frame == 'body')),
-            states, data=self._data)
+            kind, (row,), (self.period or 0.0, written, *place, *direction, turns), states,
+            data=self._data)
 
 
 @inlined
@@ -213,3 +212,17 @@ def apply_at_point(table, row, body):
     push(body, i, rx, ry, force * x, force * y)
     _note(table, row, force, force * (
         x * (body[i, VX] - body[i, OMEGA] * ry) + y * (body[i, VY] + body[i, OMEGA] * rx)))
+
+
+@inlined
+def apply_in_space(table, row, body):
+    """Apply the force at a point in space; see ``dispatch.apply``."""
+    values, i = table.values, table.index[row, FIRST]
+    rx, ry, rz = turned(body, i, values[row, 2], values[row, 3], values[row, 4])
+    force = _value(table, row)
+    x, y, z = values[row, 5], values[row, 6], values[row, 7]
+    if values[row, 8] == 1.0:
+        x, y, z = turned(body, i, x, y, z)
+    push_in_space(body, i, rx, ry, rz, force * x, force * y, force * z)
+    vx, vy, vz = velocity_in_space(body, i, rx, ry, rz)
+    _note(table, row, force, force * (x * vx + y * vy + z * vz))

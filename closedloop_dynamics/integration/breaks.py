@@ -25,7 +25,8 @@ import math
 from ..core.compiled import compiled, inlined
 from ..core.manifold import rates_begin
 from ..effects.course import end_of_piece, SAME_TIME
-from ..effects.table import PRESCRIBED_FORCE, PRESCRIBED_TORQUE, STATE
+from ..effects.table import (
+    PRESCRIBED_FORCE, PRESCRIBED_TORQUE, SPATIAL_PRESCRIBED_FORCE, STATE)
 
 
 @inlined
@@ -38,8 +39,10 @@ def _own(system):
 @inlined
 def _of_time(effects, row):
     """Return whether an effect follows the time."""
+    kind = effects.kind[row]
     return effects.enabled[row] == 1 and (
-        effects.kind[row] == PRESCRIBED_TORQUE or effects.kind[row] == PRESCRIBED_FORCE)
+        kind == PRESCRIBED_TORQUE or kind == PRESCRIBED_FORCE
+        or kind == SPATIAL_PRESCRIBED_FORCE)
 
 
 # As in ``system``: numba drops the branches below for data that are None.

@@ -95,7 +95,7 @@ def every_element(rng, mechanism, q):
     return {
         'cutter': PrescribedForce(
             'cycloid', joint(), amplitude=2.0, start=0.0301, rise=0.02, hold=0.04, fall=0.01),
-        'shaker': PrescribedForce('sine', point=point(), direction=place, frame='body',
+        'shaker': PrescribedForce('sine', point=point(), direction=place, axes='body',
                                   amplitude=3.0, frequency=10.0),
         'gas': ForceTable(tuple(q[stretched] + [-0.1, 0.0, 0.1]), (2.0, 1.0, -1.0),
                           mechanism.joint_names[stretched], damping=0.1),

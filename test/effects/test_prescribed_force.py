@@ -138,12 +138,12 @@ def test_a_cubic_table_is_a_spline():
     assert simulation.position[0] == pytest.approx(twice(0.5), abs=1e-12)
 
 
-@pytest.mark.parametrize('frame', ['world', 'body'])
-def test_a_force_at_a_point_turns_and_moves_the_body(frame):
-    force = PrescribedForce('constant', point='rim', direction=(3.0, 0.0), frame=frame,
+@pytest.mark.parametrize('axes', ['world', 'body'])
+def test_a_force_at_a_point_turns_and_moves_the_body(axes):
+    force = PrescribedForce('constant', point='rim', direction=(3.0, 0.0), axes=axes,
                             amplitude=2.0)
     simulation = simulated(flyer(), {'push': force}, [0.0, 0.0, 0.5], [0.0, 0.0, 1.0])
-    x, y = (2.0, 0.0) if frame == 'world' else (2.0 * math.cos(0.5), 2.0 * math.sin(0.5))
+    x, y = (2.0, 0.0) if axes == 'world' else (2.0 * math.cos(0.5), 2.0 * math.sin(0.5))
     arm = 0.2 * math.sin(0.5), -0.2 * math.cos(0.5)
     assert np.allclose(simulation.acceleration, [
         x / 1.5, y / 1.25, (arm[0] * y - arm[1] * x) / 0.5], atol=1e-13)

@@ -29,6 +29,7 @@ from closedloop_dynamics.effects.gravity import Gravity
 from closedloop_dynamics.effects.joint_damping import JointDamping
 from closedloop_dynamics.effects.payload import Payload
 from closedloop_dynamics.effects.point_spring import PointSpring
+from closedloop_dynamics.effects.prescribed_force import PrescribedForce
 from closedloop_dynamics.effects.rotor import Rotor
 from closedloop_dynamics.effects.table import build_table
 from closedloop_dynamics.mechanism.fields import FieldError
@@ -143,6 +144,23 @@ def test_forces_and_torques_push_as_in_maximal_coordinates(seed):
     assert_agree(table.rates, [
         f @ point[2] + t @ motions[body].spin
         for (body, _, f, t), point in zip(pushes, points)], 1e-11, smallest=1.0)
+
+
+@pytest.mark.parametrize('seed', range(4))
+def test_forces_over_time_push_as_in_maximal_coordinates(seed):
+    rng, mechanism, q, qd, bodies, points, motions = drawn(150 + seed)
+    one, other = rng.normal(size=(2, 3))
+    axes = motions[bodies[1]].axes
+    # At time 0: the first is an expression, the second a sine.
+    pushes = [(bodies[0], points[0][0], 3.0 * one / np.linalg.norm(one), 0.0),
+              (bodies[1], points[1][0], axes @ (2.0 * other / np.linalg.norm(other)), 0.0)]
+    table = assert_moves(mechanism, q, qd, {
+        'push': PrescribedForce('expression', point='p0', direction=tuple(one),
+                                expression='2 + cos(5*t)'),
+        'thruster': PrescribedForce('sine', point='p1', direction=tuple(other), axes='body',
+                                    amplitude=2.0, frequency=3.0, phase=0.5 * np.pi)}, pushes)
+    assert_agree(table.output[:, 2], [force @ point[2] for (_, _, force, _), point in zip(
+        pushes, points)], 1e-11, smallest=1.0)
 
 
 @pytest.mark.parametrize('seed', range(8))
