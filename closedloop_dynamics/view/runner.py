@@ -49,6 +49,8 @@ REACH = {False: 60.0, True: 20.0}
 # The spring that a hand pulls with: its stretch under the machine's weight, as a share of its
 # size, and its damping.
 GIVE, DAMPING, EARTH = 0.05, 0.5, 9.81
+# How far away it can pull to, in sizes of the machine.
+FARTHEST = 1e3
 METHOD_KEYS = ('integrator', 'accuracy', 'tolerance', 'step_size', 'stabilisation')
 
 
@@ -140,7 +142,8 @@ class Runner:
 
     def __init__(self, scene, clock=time.monotonic):
         """Build the simulation, compiled, standing still at its start."""
-        self._hand = Hand(scene, extent(scene.mechanism))
+        self._size = extent(scene.mechanism)
+        self._hand = Hand(scene, self._size)
         self.simulation = simulation = Simulation(self._hand.scene)
         for name in self._hand.off:
             simulation.set_effect(name, enabled=False)
@@ -413,7 +416,14 @@ class Runner:
             if running:
                 self._pacer.start()
 
+    def _require_near(self, at):
+        """Refuse a place so far away that the spring would have energy beyond all bounds."""
+        if max(map(abs, at)) > FARTHEST * self._size:
+            raise FieldError(f'a place within {FARTHEST:g} sizes of the mechanism',
+                             shown(list(at)), path=('at',))
+
     def _do_grab(self, page, body, place, at):
+        self._require_near(at)
         name = self._hand.point(body, place)
         if self._kinematic:
             self._holder, self._grabbed = page, [body, place]
@@ -425,6 +435,7 @@ class Runner:
     def _do_pull(self, page, at):
         if self._holder is not page:
             return
+        self._require_near(at)
         if self._kinematic:
             self._pose_to(at)
         else:

@@ -209,6 +209,7 @@ def test_loops_stay_closed_while_it_is_posed(shown):
     {'do': 'method', 'values': {'formulation': 'system'}},
     {'do': 'method', 'values': {'step_size': -1.0}},
     {'do': 'grab', 'body': 99, 'place': 0, 'at': [0.0, 0.0, 0.0]},
+    {'do': 'grab', 'body': 0, 'place': 0, 'at': [1e300, 0.0, 0.0]},
     {'do': 'pose', 'joint': 'theta_1', 'value': 1.0},
 ])
 def test_what_makes_no_sense_is_refused_and_changes_nothing(shown, asked):
