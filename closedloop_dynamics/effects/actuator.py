@@ -30,7 +30,7 @@ from dataclasses import dataclass
 import math
 from typing import Optional
 
-from .effect import Effect, require_joint
+from .effect import Effect
 from .table import ACTUATOR, FIRST, ForceElement, OWN, STATE, State, WORK
 from ..core.compiled import inlined
 from ..mechanism.checks import freedom, not_negative, positive
@@ -62,6 +62,7 @@ class Actuator(Effect):
     CHECKS = {'joint': freedom, 'lag': not_negative, 'delay': not_negative, 'max_torque': positive,
               'max_speed': positive}
     READINGS = ('torque',)
+    JOINTS = 'one of the actuated joints'
 
     joint: str
     max_torque: Optional[float] = None
@@ -69,9 +70,10 @@ class Actuator(Effect):
     lag: float = 0.0
     delay: float = 0.0
 
-    def fit(self, mechanism):
-        """Refuse a joint that the mechanism does not have, or does not drive."""
-        require_joint(mechanism, 'joint', self.joint, actuated=True)
+    def joints(self, mechanism):
+        """Return the names that ``joint`` may be: of actuated freedoms, but of balls."""
+        single = mechanism.coordinates.single_names
+        return tuple(name for name in mechanism.actuated_joints if name in single)
 
     def element(self, machine):
         """Return the effect as a row of the table."""

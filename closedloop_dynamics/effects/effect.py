@@ -75,9 +75,9 @@ class Machine:
         return values if self.mechanism.planar or len(values) == 3 else (0.0, 0.0, 0.0)
 
 
-def require_joint(mechanism, key, name, actuated=False):
+def require_body(mechanism, key, name):
     """
-    Refuse the name of no joint, or of one that is not driven where it should be.
+    Refuse the name of no body.
 
     Raises
     ------
@@ -85,22 +85,11 @@ def require_joint(mechanism, key, name, actuated=False):
 
     """
     with at(key):
-        if actuated:
-            single = [one for one in mechanism.coordinates.single_names
-                      if one in mechanism.actuated_joints]
-            one_of(single, 'one of the actuated joints')(name)
-        else:
-            one_of(mechanism.coordinates.single_names, 'one of the joints')(name)
-
-
-def require_body(mechanism, key, name):
-    """Refuse the name of no body; see ``require_joint``."""
-    with at(key):
         one_of(tuple(body.name for body in mechanism.bodies), 'one of the bodies')(name)
 
 
 def require_point(mechanism, key, name):
-    """Refuse the name of no point; see ``require_joint``."""
+    """Refuse the name of no point; see ``require_body``."""
     with at(key):
         if not mechanism.points:
             raise FieldError('a named point', repr(name),
@@ -116,7 +105,7 @@ def require_plane(mechanism, key):
 
 
 # Field -> refuses a name that the mechanism does not have.
-REQUIRE = {'joint': require_joint, 'body': require_body, 'point': require_point,
+REQUIRE = {'body': require_body, 'point': require_point,
            'point_a': require_point, 'point_b': require_point}
 
 
@@ -135,6 +124,8 @@ class Effect:
     READINGS = ()
     # Whether a change of parameters can make the scene too stiff for its steps.
     STIFFENS = True
+    # What errors call what ``joint`` names.
+    JOINTS = 'one of the joints'
     # Fields that are vectors: of two numbers in the plane, of three in space.
     VECTORS = ()
     # Whether steps must end where the effect's joint comes to rest, its first own state being the
@@ -166,9 +157,16 @@ class Effect:
             if getattr(self, key) != getattr(type(self), key, None):
                 with at(key):
                     (vector2 if mechanism.planar else vector3)(getattr(self, key))
+        if getattr(self, 'joint', None) is not None:
+            with at('joint'):
+                one_of(self.joints(mechanism), self.JOINTS)(self.joint)
         for key, require in REQUIRE.items():
             if getattr(self, key, None) is not None:
                 require(mechanism, key, getattr(self, key))
+
+    def joints(self, mechanism):
+        """Return the names that ``joint`` may be: but of spherical and free joints."""
+        return mechanism.coordinates.single_names
 
     def change(self, model, machine):
         """Change the constants of the model."""

@@ -49,6 +49,10 @@ class JointDamping(Effect):
     joint: str
     coefficient: float
 
+    def joints(self, mechanism):
+        """Return the names that ``joint`` may be: of any freedom."""
+        return mechanism.coordinates.names
+
     def element(self, machine):
         """Return the effect as a row of the table."""
         return ForceElement(JOINT_DAMPING, (machine.joint(self.joint),), (self.coefficient,),

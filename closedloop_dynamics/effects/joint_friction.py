@@ -89,6 +89,10 @@ class JointFriction(Effect):
             raise FieldError('a number that is one or more', f'{self.static_ratio:g}',
                              path=('static_ratio',))
 
+    def joints(self, mechanism):
+        """Return the names that ``joint`` may be: of any freedom."""
+        return mechanism.coordinates.names
+
     def element(self, machine):
         """Return the effect as a row of the table."""
         lever = self.friction_coefficient * self.radius

@@ -45,7 +45,7 @@ from ..core.straight_line.spatial import rotation
 from ..core.types import ARMATURE, PARENT, REVOLUTE, REVOLUTE_ARMATURE, TYPE
 from ..mechanism.checks import direction, name, not_negative, number
 from ..mechanism.fields import FieldError, shown
-from ..mechanism.mechanism import Vector3
+from ..mechanism.mechanism import JOINT_FREEDOMS, Vector3
 
 
 @dataclass(frozen=True)
@@ -79,6 +79,10 @@ class Rotor(Effect):
         super().__post_init__()
         if self.gear_ratio == 0.0:
             raise FieldError('a number that is not zero', '0', path=('gear_ratio',))
+
+    def joints(self, mechanism):
+        """Return the names that ``joint`` may be: of joints of one freedom."""
+        return tuple(joint.name for joint in mechanism.joints if JOINT_FREEDOMS[joint.type] == 1)
 
     def fit(self, mechanism):
         """Refuse an axis in the plane."""

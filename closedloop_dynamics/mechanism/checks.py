@@ -179,9 +179,11 @@ def name(value):
 
 
 def freedom(value):
-    """Return ``value`` if it can be the name of a joint, or of a number of one: ``hip.1``."""
-    name(value.partition('.')[0] if isinstance(value, str) else value)
-    return value
+    """Return ``value`` if it can name a joint, or one of its freedoms, as ``hip.1``."""
+    if not isinstance(value, str):
+        return name(value)
+    joint, _, own = value.partition('.')
+    return value if own.isalnum() and name(joint) else name(value)
 
 
 def one_of(choices, kind='one of'):

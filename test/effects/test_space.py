@@ -21,12 +21,15 @@ from closedloop_dynamics.core.straight_line import available, space
 from closedloop_dynamics.core.straight_line.numbers import Numbers
 from closedloop_dynamics.core.types import WORK_COLUMNS
 from closedloop_dynamics.effects import dispatch
+from closedloop_dynamics.effects.actuator import Actuator
 from closedloop_dynamics.effects.contact import Contact
 from closedloop_dynamics.effects.effect import Machine
 from closedloop_dynamics.effects.effect_set import EffectSet
+from closedloop_dynamics.effects.end_stop import EndStop
 from closedloop_dynamics.effects.external_force import ExternalForce
 from closedloop_dynamics.effects.gravity import Gravity
 from closedloop_dynamics.effects.joint_damping import JointDamping
+from closedloop_dynamics.effects.joint_spring import JointSpring
 from closedloop_dynamics.effects.payload import Payload
 from closedloop_dynamics.effects.point_spring import PointSpring
 from closedloop_dynamics.effects.prescribed_force import PrescribedForce
@@ -392,3 +395,43 @@ def test_values_of_the_plane_are_refused_in_space(record, expected):
 def test_values_of_space_are_refused_in_the_plane(record, expected):
     with pytest.raises(FieldError, match=expected):
         simulated(block(), {'effect': record}, (0.0,))
+
+
+def two_wheels():
+    """Return a sphere on a ball joint and a body on a universal joint, at their centres."""
+    x, y = np.eye(3)[:2]
+    return Mechanism(
+        'wheels', (Body('sphere', 1.0, (0.0, 0.0, 0.0), (0.2, 0.2, 0.2)),
+                   Body('cross', 1.0, (0.0, 0.0, 0.0), (0.3, 0.2, 0.4))),
+        (Joint('ball', 'spherical', GROUND, 'sphere', (0.0, 0.0, 0.0)),
+         Joint('hip', 'universal', GROUND, 'cross', (1.0, 0.0, 0.0), axis=tuple(x),
+               second_axis=tuple(y), actuated=True)))
+
+
+@needs_compiler
+def test_effects_act_on_single_freedoms_of_joints():
+    effects = {f'oil_{axis}': JointDamping(f'ball.r{axis}', 0.1) for axis in 'xyz'}
+    effects['spring'] = JointSpring('hip.2', 5.0, 0.1)
+    effects['drive'] = Actuator('hip.1', max_torque=0.0001)
+    spin = np.array([1.0, -2.0, 3.0])
+    one = simulated(two_wheels(), effects, (0.0, 0.0, 0.0, 1.0, 0.0, 0.3),
+                    (*spin, 0.0, 0.0), step_size=1e-3)
+    one.step(duration=1.3)
+    # All axes of a sphere are alike.
+    assert_agree(one.velocity[:3], spin * np.exp(-0.1 / 0.2 * 1.3), 1e-9)
+    assert_agree(one.position[5], 0.1 + 0.2 * np.cos(5.0 * 1.3), 1e-9)
+    assert_balanced(one, 1e-9)
+
+
+@pytest.mark.parametrize('record', [
+    JointSpring('ball.rx', 1.0), EndStop('ball.rz', 1.0, 0.0), Actuator('ball.rx'),
+    JointDamping('hip', 1.0), JointDamping('hip.3', 1.0), Rotor('ball', 1.0)])
+def test_freedoms_that_an_effect_cannot_act_on_are_refused(record):
+    with pytest.raises(FieldError, match='effect.joint: expected one of the'):
+        simulated(two_wheels(), {'effect': record}, (0.0, 0.0, 0.0, 1.0, 0.0, 0.0), 5 * [0.0])
+
+
+def test_names_of_freedoms_are_names():
+    for text in ('hip.', 'hip.1.2', '.x', 'a b', '1.x'):
+        with pytest.raises(FieldError, match='a name of letters'):
+            JointDamping(text, 1.0)
