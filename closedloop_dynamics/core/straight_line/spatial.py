@@ -243,7 +243,7 @@ class Recursion:
             2 * ZERO)
         self.motion, self.inertia, self.force = [], [], []
         self.rotor = len(bodies) * [ZERO]
-        self._factors, self._acceleration = {}, {}
+        self.factors, self.acceleration = {}, {}
         self._coordinates = {}
 
     def outward(self, model, q, qd, work):
@@ -252,9 +252,9 @@ class Recursion:
         for i in range(1, len(self.bodies)):
             p, first, dof = (model.tree[i, column] for column in (PARENT, COORDINATE, DOF))
             self._coordinates[i] = q[first], qd[dof]
-            motion = (self._rolled(i, p, q[first:first + 4], qd[dof - 2:dof + 1])
-                      if self.bodies[i].ball else self._moved(i, p, q[first], qd[dof]))
-            inertia, force = _rigid(self.bodies[i], motion)
+            motion = (self.rolled(i, p, q[first:first + 4], qd[dof - 2:dof + 1])
+                      if self.bodies[i].ball else self.moved(i, p, q[first], qd[dof]))
+            inertia, force = rigid(self.bodies[i], motion)
             self.motion.append(motion)
             self.inertia.append(inertia)
             self.force.append(force)
@@ -265,7 +265,7 @@ class Recursion:
                 turning = scale(cross(self.motion[p].spin, rotor), qd[dof])
                 self.force[p] = add(self.force[p], turning + ZERO)
 
-    def _moved(self, i, p, coordinate, rate):
+    def moved(self, i, p, coordinate, rate):
         """Return the motion of a body on its parent."""
         body, parent = self.bodies[i], self.motion[p]
         base, carrier, joined, angle = parent.base, parent.carrier, parent.joined, parent.angle
@@ -290,7 +290,7 @@ class Recursion:
                 parent.carried(offset)),
             turn + slide)
 
-    def _rolled(self, i, p, quaternion, rates):
+    def rolled(self, i, p, quaternion, rates):
         """Return the motion of a row of a spherical joint on the row before it."""
         body, parent = self.bodies[i], self.motion[p]
         axis = IDENTITY[body.axis] + ZERO
@@ -315,60 +315,97 @@ class Recursion:
         self.inertia, self.force = list(self.inertia), list(self.force)
         tau = self._about_world(model, tau)
         for i in range(len(self.bodies) - 1, 0, -1):
-            parent, dof = model.tree[i, PARENT], model.tree[i, DOF]
-            inertia, force, axis = self.inertia[i], self.force[i], self.motion[i].axis
-            alone, armature = _aligned(axis), self.bodies[i].armature
-            share = times(inertia, axis)
-            pivot = dot(axis, share)
-            if armature is not None:
-                pivot, alone = pivot + armature, None
-            inverse = _inverse(pivot, massless)
-            right = tau[dof] - dot(axis, force)
-            if not is_zero(self.rotor[i]):
-                share, alone = add(share, self.rotor[i] + ZERO), None
-                right = right - dot(self.rotor[i], self.motion[parent].spin_rate)
-            work.body[i, DINV], work.body[i, RHS] = inverse, right
-            self._factors[i] = share, alone
-            if parent == 0:
-                continue
+            work.body[i, DINV], work.body[i, RHS] = self.eliminate(
+                i, model.tree[i, PARENT], tau[model.tree[i, DOF]], massless)
+
+    def eliminate(self, i, parent, torque, massless=False):
+        """
+        Eliminate a joint from the inertia and force of its body, and hand over what is left.
+
+        Parameters
+        ----------
+        i, parent : int
+            The body and its parent; the ground takes nothing.
+        torque : number
+            In the joint [N m, N].
+        massless : bool
+            Whether joints may carry no inertia.
+
+        Returns
+        -------
+        inverse, right : number
+            One over the joint's pivot D, and D times its own share of I^-1 phi.
+
+        """
+        inertia, force, axis = self.inertia[i], self.force[i], self.motion[i].axis
+        alone, armature = _aligned(axis), self.bodies[i].armature
+        share = times(inertia, axis)
+        pivot = dot(axis, share)
+        if armature is not None:
+            pivot, alone = pivot + armature, None
+        inverse = _inverse(pivot, massless)
+        right = torque - dot(axis, force)
+        if not is_zero(self.rotor[i]):
+            share, alone = add(share, self.rotor[i] + ZERO), None
+            right = right - dot(self.rotor[i], self.motion[parent].spin_rate)
+        self.factors[i] = share, alone
+        if parent > 0:
             scaled = scale(share, inverse)
             # An axis of the world's takes its whole row and column: what is left is exactly zero.
             left = symmetric(
                 lambda m, n: (0.0 if alone in (m, n) else inertia[m][n] - share[m] * scaled[n]),
                 size=6)
             force = tuple(
-                tau[dof] if alone == n else force[n] + scaled[n] * right for n in range(6))
+                torque if alone == n else force[n] + scaled[n] * right for n in range(6))
             offset = self.motion[i].offset
             self.inertia[parent] = tuple(
-                map(add, self.inertia[parent], _shifted(left, offset)))
-            self.force[parent] = add(self.force[parent], _at_parent(force, offset))
+                map(add, self.inertia[parent], shifted(left, offset)))
+            self.force[parent] = add(self.force[parent], at_parent(force, offset))
+        return inverse, right
 
     def outward_acceleration(self, model, work, qdd):
         """Do as ``articulated_inertia.outward_acceleration`` does."""
-        self._acceleration = {0: 2 * ZERO}
+        self.acceleration = {0: 2 * ZERO}
         for i in range(1, len(self.bodies)):
-            dof, motion = model.tree[i, DOF], self.motion[i]
-            before = self._acceleration[model.tree[i, PARENT]]
-            before = before[:3] + add(before[3:], cross(before[:3], motion.offset))
-            share, alone = self._factors[i]
-            right = work.body[i, RHS]
-            for n in range(6):
-                if n != alone:
-                    right = right - share[n] * before[n]
-            change = right * work.body[i, DINV]
-            if alone is None:
-                qdd[dof] = change
-                after = add(before, scale(motion.axis, change))
-            else:
-                # What the joint's own coordinate and all before it add up to.
-                qdd[dof] = change - before[alone]
-                after = before[:alone] + (change,) + before[alone + 1:]
-            self._acceleration[i] = after
-            work.body[i, DZ] = qdd[dof]
+            dof = model.tree[i, DOF]
+            qdd[dof] = work.body[i, DZ] = self.accelerate(
+                i, model.tree[i, PARENT], work.body[i, DINV], work.body[i, RHS])
             if self._counts_angles(i):
-                since, turn = self._acceleration[motion.carrier], motion.axis[:3]
-                work.body[i, DZ] = dot(turn, after[:3]) - dot(turn, since[:3])
+                motion = self.motion[i]
+                since, turn = self.acceleration[motion.carrier], motion.axis[:3]
+                work.body[i, DZ] = dot(turn, self.acceleration[i][:3]) - dot(turn, since[:3])
         self._about_own(model, qdd)
+
+    def accelerate(self, i, parent, inverse, right):
+        """
+        Complete the acceleration of a body.
+
+        Parameters
+        ----------
+        i, parent : int
+            The body and its parent.
+        inverse, right : number
+            As ``eliminate`` returns them, ``right`` with the share of the cut forces.
+
+        Returns
+        -------
+        number
+            The joint's own acceleration.
+
+        """
+        before, motion = self.acceleration[parent], self.motion[i]
+        before = before[:3] + add(before[3:], cross(before[:3], motion.offset))
+        share, alone = self.factors[i]
+        for n in range(6):
+            if n != alone:
+                right = right - share[n] * before[n]
+        change = right * inverse
+        if alone is None:
+            self.acceleration[i] = add(before, scale(motion.axis, change))
+            return change
+        # What the joint's own coordinate and all before it add up to.
+        self.acceleration[i] = before[:alone] + (change,) + before[alone + 1:]
+        return change - before[alone]
 
     def balls(self, model):
         """Yield frames and places in qd of the bodies on spherical joints."""
@@ -590,21 +627,70 @@ class Recursion:
         """Carry a wrench inward along slots; return what arrives at the last one's parent."""
         for slot in range(begin, end):
             i = model.slot_body[slot]
-            motion = self.motion[i]
-            force = dot(motion.axis, wrench)
-            work.response[slot, row] = force
             if responses == LEVERS:
                 work.response_scaled[slot, row] = 0.0
-                if self._counts_angles(i) and self._joined_before(model, i):
-                    wrench = _beyond(wrench, motion.axis, force)
+                work.response[slot, row], wrench = self.carry(
+                    i, wrench, self._counts_angles(i) and self._joined_before(model, i))
             else:
-                share, alone = self._factors[i]
-                scaled = force * work.body[i, DINV]
-                work.response_scaled[slot, row] = scaled
-                wrench = tuple(0.0 if n == alone else wrench[n] - share[n] * scaled
-                               for n in range(6))
-            wrench = _at_parent(wrench, motion.offset)
+                work.response[slot, row], work.response_scaled[slot, row], wrench = self.reduce(
+                    i, work.body[i, DINV], wrench)
         return wrench
+
+    def carry(self, i, wrench, beyond=False):
+        """
+        Carry a wrench on a body to its parent.
+
+        Parameters
+        ----------
+        i : int
+            The body.
+        wrench : tuple of 6
+            At its origin.
+        beyond : bool
+            Whether the joint's angle counts from the frame that its parent's does, too: no other
+            angle turns the bodies beyond.
+
+        Returns
+        -------
+        force : number
+            Its share in the joint.
+        wrench : tuple of 6
+            At the parent's origin.
+
+        """
+        motion = self.motion[i]
+        force = dot(motion.axis, wrench)
+        if beyond:
+            wrench = _beyond(wrench, motion.axis, force)
+        return force, at_parent(wrench, motion.offset)
+
+    def reduce(self, i, inverse, wrench):
+        """
+        Carry a wrench on a body to its parent, less what the joint gives way to.
+
+        Parameters
+        ----------
+        i : int
+            The body.
+        inverse : number
+            One over the joint's pivot.
+        wrench : tuple of 6
+            At its origin.
+
+        Returns
+        -------
+        force, scaled : number
+            Its share in the joint, and that times ``inverse``.
+        wrench : tuple of 6
+            At the parent's origin.
+
+        """
+        motion = self.motion[i]
+        share, alone = self.factors[i]
+        force = dot(motion.axis, wrench)
+        scaled = force * inverse
+        wrench = tuple(0.0 if n == alone else wrench[n] - share[n] * scaled for n in range(6))
+        return force, scaled, at_parent(wrench, motion.offset)
 
 
 def _turned(base, angle):
@@ -617,7 +703,7 @@ def _turned(base, angle):
                       subtract(scale(y, cos), scale(x, sin)), z))
 
 
-def _rigid(body, motion):
+def rigid(body, motion):
     """Return a body's inertia and the force that its acceleration takes, at its origin."""
     moment = times(motion.frame, body.moment)
     about = _turned_inertia(motion.frame, body.inertia)
@@ -701,12 +787,12 @@ def _inverse(pivot, massless):
     return 1.0 / pivot
 
 
-def _at_parent(wrench, offset):
+def at_parent(wrench, offset):
     """Return a wrench at the parent's origin."""
     return add(wrench[:3], cross(offset, wrench[3:])) + wrench[3:]
 
 
-def _shifted(inertia, offset):
+def shifted(inertia, offset):
     """Return an inertia at the parent's origin."""
     coupling = [row[3:] for row in inertia[:3]]
     mass = [row[3:] for row in inertia[3:]]
