@@ -42,7 +42,7 @@ sys.path.insert(0, str(ROOT))
 from closedloop_dynamics.core import (  # noqa: E402,I100
     forward_dynamics as dynamics, kinematics, loop_closure)
 from closedloop_dynamics.core.compiled import compiled  # noqa: E402
-from closedloop_dynamics.core.types import allocate  # noqa: E402
+from closedloop_dynamics.core.workspace import allocate  # noqa: E402
 from closedloop_dynamics.simulation.modeling import build_model  # noqa: E402
 from closedloop_dynamics.simulation.scene import (  # noqa: E402
     config_directory, load_scene, scene_names)

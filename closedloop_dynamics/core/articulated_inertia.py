@@ -21,18 +21,40 @@ per evaluation and serve the applied forces and every cut force alike.
 
 """
 
-from .compiled import choose, inlined
-from .types import (
-    ARMATURE, DINV, DOF, DX, DY, DZ, FX, FY, FZ, HX, HY, IZZ, MXX, MXY, MYY, PARENT, PRISMATIC,
-    REVOLUTE, RHS, RX, RY, SX, SY, TYPE, UX, UY, UZ)
+from .compiled import inlined
+from .straight_line.linkage import run_piece
+from .straight_line.space import FRAME
+from .types import ACCELERATE, AXIS, BALL, DOF, ELIMINATE, ELIMINATE_MASSLESS, PARENT, TYPE
+
+Z = 2
 
 
 @inlined
-def _inverse(pivot, massless):
-    """Return one over a pivot, 0 for none where there may be none."""
-    if massless:
-        return choose(pivot > 0.0, 1.0 / choose(pivot > 0.0, pivot, 1.0), 0.0)
-    return 1.0 / pivot
+def turn_spherical(tree, body, values, outward):
+    """
+    Turn values for spherical joints from the bodies' own axes to the world's, or back.
+
+    Parameters
+    ----------
+    tree : ndarray
+        Of the ``Model``.
+    body : ndarray
+        Of the ``Workspace``, after ``kinematics.outward``.
+    values : ndarray, shape (nv,)
+        Rates, accelerations or torques; changed in place.
+    outward : bool
+        Whether to the world's axes.
+
+    """
+    for i in range(1, tree.shape[0]):
+        if tree[i, TYPE] == BALL and tree[i, AXIS] == Z:
+            k = tree[i, DOF] - 2
+            x, y, z = values[k], values[k + 1], values[k + 2]
+            for n in range(3):
+                row = FRAME + 3 * n if outward else FRAME + n
+                step = 1 if outward else 3
+                values[k + n] = (body[i, row] * x + body[i, row + step] * y
+                                 + body[i, row + 2 * step] * z)
 
 
 @inlined
@@ -47,79 +69,20 @@ def inward(model, tau, work, massless=False):
     tau : ndarray, shape (nv,)
         Joint torques [N m] and forces [N].
     work : Workspace
-        After ``kinematics.outward``; FZ, FX, FY may have been reduced by applied forces. The
+        After ``kinematics.outward``; the bias forces may have been reduced by applied forces. The
         factors and RHS are written: RHS = D times the joint's own share of I^-1 phi.
     massless : bool
         Whether joints may carry no inertia; DINV is 0 there.
 
     """
-    tree, constant, body = model.tree, model.body, work.body
+    tree, body, piece, torque = model.tree, work.body, work.piece, work.torque
+    for i in range(tau.shape[0]):
+        torque[i] = tau[i]
+    turn_spherical(tree, body, torque, True)
+    stage = ELIMINATE_MASSLESS if massless else ELIMINATE
     for i in range(tree.shape[0] - 1, 0, -1):
-        p = tree[i, PARENT]
-        rx, ry = body[i, RX], body[i, RY]
-        hx, hy = body[i, HX], body[i, HY]
-        mxx, mxy, myy = body[i, MXX], body[i, MXY], body[i, MYY]
-        fz, fx, fy = body[i, FZ], body[i, FX], body[i, FY]
-        torque = tau[tree[i, DOF]]
-        kind = tree[i, TYPE]
-        if kind == REVOLUTE:
-            # The joint takes the whole first row and column: what is left is a 2 x 2 mass.
-            inverse = _inverse(body[i, IZZ], massless)
-            right = torque - fz
-            gx, gy = hx * inverse, hy * inverse
-            body[i, DINV] = inverse
-            body[i, RHS] = right
-            mxx -= hx * gx
-            mxy -= hx * gy
-            myy -= hy * gy
-            fx += gx * right
-            fy += gy * right
-            hx = rx * mxy - ry * mxx
-            hy = rx * myy - ry * mxy
-            izz = rx * hy - ry * hx
-            fz = torque
-        else:
-            izz = body[i, IZZ]
-            if kind == PRISMATIC:
-                sx, sy = body[i, SX], body[i, SY]
-                uz = hx * sx + hy * sy
-                ux = mxx * sx + mxy * sy
-                uy = mxy * sx + myy * sy
-                inverse = _inverse(sx * ux + sy * uy + constant[i, ARMATURE], massless)
-                right = torque - sx * fx - sy * fy
-            else:
-                uz, ux, uy = izz, hx, hy
-                inverse = _inverse(izz + constant[i, ARMATURE], massless)
-                right = torque - fz
-            body[i, DINV] = inverse
-            body[i, UZ] = uz
-            body[i, UX] = ux
-            body[i, UY] = uy
-            body[i, RHS] = right
-            izz -= uz * uz * inverse
-            hx -= uz * ux * inverse
-            hy -= uz * uy * inverse
-            mxx -= ux * ux * inverse
-            mxy -= ux * uy * inverse
-            myy -= uy * uy * inverse
-            share = inverse * right
-            fz += uz * share
-            fx += ux * share
-            fy += uy * share
-            # Shift to the parent's origin.
-            izz += 2.0 * (rx * hy - ry * hx) + rx * (rx * myy - ry * mxy) - ry * (
-                rx * mxy - ry * mxx)
-            hx += rx * mxy - ry * mxx
-            hy += rx * myy - ry * mxy
-        body[p, IZZ] += izz
-        body[p, HX] += hx
-        body[p, HY] += hy
-        body[p, MXX] += mxx
-        body[p, MXY] += mxy
-        body[p, MYY] += myy
-        body[p, FZ] += fz + rx * fy - ry * fx
-        body[p, FX] += fx
-        body[p, FY] += fy
+        run_piece(piece[i, stage], model.body, i, body, i, body, tree[i, PARENT],
+                  torque, tree[i, DOF], torque, 0)
 
 
 @inlined
@@ -137,26 +100,8 @@ def outward_acceleration(model, work, qdd):
         Written in place.
 
     """
-    tree, body = model.tree, work.body
+    tree, body, piece = model.tree, work.body, work.piece
     for i in range(1, tree.shape[0]):
-        p = tree[i, PARENT]
-        dz = body[p, DZ]
-        dx = body[p, DX] - dz * body[i, RY]
-        dy = body[p, DY] + dz * body[i, RX]
-        kind = tree[i, TYPE]
-        if kind == REVOLUTE:
-            turn = (body[i, RHS] - body[i, HX] * dx - body[i, HY] * dy) * body[i, DINV]
-            qdd[tree[i, DOF]] = turn - dz
-            dz = turn
-        else:
-            acceleration = (body[i, RHS] - body[i, UZ] * dz - body[i, UX] * dx
-                            - body[i, UY] * dy) * body[i, DINV]
-            qdd[tree[i, DOF]] = acceleration
-            if kind == PRISMATIC:
-                dx += body[i, SX] * acceleration
-                dy += body[i, SY] * acceleration
-            else:
-                dz += acceleration
-        body[i, DZ] = dz
-        body[i, DX] = dx
-        body[i, DY] = dy
+        run_piece(piece[i, ACCELERATE], model.body, i, body, i, body, tree[i, PARENT],
+                  qdd, tree[i, DOF], qdd, 0)
+    turn_spherical(tree, body, qdd, False)

@@ -15,14 +15,14 @@
 """Kinetic energy, and potential energy in gravity."""
 
 from .compiled import compiled
-from .types import (
-    ARMATURE, COS, DOF, INERTIA, MASS, MASS_X, MASS_Y, OMEGA, PX, PY, SIN, VX, VY)
+from .straight_line.linkage import run_piece
+from .types import DOF, MEASURE
 
 
 @compiled
-def kinetic_energy(model, work, qd):
+def energies(model, work, qd, out):
     """
-    Compute the kinetic energy of all bodies and rotors.
+    Compute the kinetic energy of all bodies and rotors, and the potential energy in gravity.
 
     Parameters
     ----------
@@ -32,50 +32,16 @@ def kinetic_energy(model, work, qd):
         After ``kinematics.outward``.
     qd : ndarray, shape (nv,)
         Joint rates, for the rotors.
-
-    Returns
-    -------
-    float
-        [J].
+    out : ndarray, shape (2,)
+        Written in place: kinetic, and potential, which is zero with all masses at the world's
+        origin [J].
 
     """
-    constant, body = model.body, work.body
-    total = 0.0
-    for i in range(1, constant.shape[0]):
-        hx = -(body[i, SIN] * constant[i, MASS_X] + body[i, COS] * constant[i, MASS_Y])
-        hy = body[i, COS] * constant[i, MASS_X] - body[i, SIN] * constant[i, MASS_Y]
-        vx, vy, omega = body[i, VX], body[i, VY], body[i, OMEGA]
-        rate = qd[model.tree[i, DOF]]
-        total += (constant[i, INERTIA] * omega * omega + constant[i, MASS] * (vx * vx + vy * vy)
-                  + 2.0 * omega * (hx * vx + hy * vy) + constant[i, ARMATURE] * rate * rate)
-    return 0.5 * total
-
-
-@compiled
-def potential_energy(model, work):
-    """
-    Compute the potential energy in gravity, zero with all masses at the world's origin.
-
-    Parameters
-    ----------
-    model : Model
-        Constant arrays of the mechanism.
-    work : Workspace
-        After ``kinematics.outward``.
-
-    Returns
-    -------
-    float
-        [J].
-
-    """
-    constant, body, gravity = model.body, work.body, model.gravity
-    total = 0.0
-    for i in range(1, constant.shape[0]):
-        mass = constant[i, MASS]
-        x = mass * body[i, PX] + (
-            body[i, COS] * constant[i, MASS_X] - body[i, SIN] * constant[i, MASS_Y])
-        y = mass * body[i, PY] + (
-            body[i, SIN] * constant[i, MASS_X] + body[i, COS] * constant[i, MASS_Y])
-        total -= gravity[0] * x + gravity[1] * y
-    return total
+    moment, gravity = work.equation, model.gravity
+    out[0] = out[1] = 0.0
+    for i in range(1, model.tree.shape[0]):
+        run_piece(work.piece[i, MEASURE], model.body, i, work.body, i, work.body, i,
+                  moment, 0, qd, model.tree[i, DOF])
+        out[0] += 0.5 * moment[0]
+        for k in range(gravity.shape[0]):
+            out[1] -= gravity[k] * moment[1 + k]

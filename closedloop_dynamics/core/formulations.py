@@ -27,8 +27,8 @@ import numpy as np
 from .compiled import compiled
 from .elimination import note, POOR_PIVOT
 from .forward_dynamics import constraint_right_side, to_user_order
-from .inverse_dynamics import tree_torque
 from .jacobian import constraint_jacobian, generalized_inertia_matrix
+from .joint_wrenches import tree_torque
 from .loop_closure import NO_RESPONSES, update
 from .types import EVALUATIONS
 

@@ -14,35 +14,11 @@
 
 """Dense matrices of the mechanism: constraint Jacobian and generalized inertia matrix."""
 
-import math
-
+from .articulated_inertia import turn_spherical
 from .compiled import compiled
-from .types import (
-    A_X, A_Y, ALPHA, ARMATURE, B_X, B_Y, BODY_A, BODY_B, COS, CUT_ANGLE, CUT_PRISMATIC,
-    CUT_REVOLUTE, CUT_ROW, CUT_TYPE, DOF, HX, HY, IZZ, MXX, MXY, MYY, PARENT,
-    PRISMATIC, PX, PY, ROWS, RX, RY, SIN, SLOT_A, SLOT_B, SLOT_COMMON, SLOT_END, SX, SY, TYPE)
-
-
-@compiled
-def _row(model, work, a, row, z, x, y, px, py, qx, qy, jac):
-    """Write one row: moment z and force x, y act on body A at p, the opposite on B at q."""
-    cut, tree, body = model.cut, model.tree, work.body
-    for slot in range(cut[a, SLOT_A], cut[a, SLOT_END]):
-        i = model.slot_body[slot]
-        on_a = slot < cut[a, SLOT_B] or slot >= cut[a, SLOT_COMMON]
-        on_b = slot >= cut[a, SLOT_B]
-        total = 0.0
-        if tree[i, TYPE] == PRISMATIC:
-            if on_a != on_b:
-                total = body[i, SX] * x + body[i, SY] * y
-                if on_b:
-                    total = -total
-        else:
-            if on_a:
-                total += z + (px - body[i, PX]) * y - (py - body[i, PY]) * x
-            if on_b:
-                total -= z + (qx - body[i, PX]) * y - (qy - body[i, PY]) * x
-        jac[row, tree[i, DOF]] = total
+from .loop_closure import measure, respond
+from .straight_line.linkage import run_piece
+from .types import CARRY, COMPOSE, CUT_ROW, DOF, PARENT, ROWS, SLOT_A, SLOT_END
 
 
 @compiled
@@ -65,22 +41,16 @@ def constraint_jacobian(model, work, jac):
     their misprints.
 
     """
-    body, cut, point = work.body, model.cut, model.cut_point
+    cut = model.cut
     jac[:, :] = 0.0
     for a in range(cut.shape[0]):
-        i, j, row, kind = cut[a, BODY_A], cut[a, BODY_B], cut[a, CUT_ROW], cut[a, CUT_TYPE]
-        px = body[i, PX] + body[i, COS] * point[a, A_X] - body[i, SIN] * point[a, A_Y]
-        py = body[i, PY] + body[i, SIN] * point[a, A_X] + body[i, COS] * point[a, A_Y]
-        qx = body[j, PX] + body[j, COS] * point[a, B_X] - body[j, SIN] * point[a, B_Y]
-        qy = body[j, PY] + body[j, SIN] * point[a, B_X] + body[j, COS] * point[a, B_Y]
-        if kind == CUT_PRISMATIC:
-            angle = body[j, ALPHA] + point[a, CUT_ANGLE]
-            _row(model, work, a, row, 0.0, -math.sin(angle), math.cos(angle), px, py, px, py, jac)
-        else:
-            _row(model, work, a, row, 0.0, 1.0, 0.0, px, py, qx, qy, jac)
-            _row(model, work, a, row + 1, 0.0, 0.0, 1.0, px, py, qx, qy, jac)
-        if kind != CUT_REVOLUTE:
-            _row(model, work, a, row + cut[a, ROWS] - 1, 1.0, 0.0, 0.0, px, py, qx, qy, jac)
+        measure(model, work, a)
+        for k in range(cut[a, ROWS]):
+            respond(model, work, CARRY, a, k)
+            for slot in range(cut[a, SLOT_A], cut[a, SLOT_END]):
+                i = model.slot_body[slot]
+                jac[cut[a, CUT_ROW] + k, model.tree[i, DOF]] = work.response[slot, k]
+            turn_spherical(model.tree, work.body, jac[cut[a, CUT_ROW] + k], False)
 
 
 @compiled
@@ -98,34 +68,21 @@ def generalized_inertia_matrix(model, work, gim):
         Written in place [kg m^2, kg m, kg].
 
     """
-    tree, constant, body = model.tree, model.body, work.body
+    tree, body, piece, share = model.tree, work.body, work.piece, work.share
     gim[:, :] = 0.0
     for i in range(tree.shape[0] - 1, 0, -1):
-        izz, hx, hy = body[i, IZZ], body[i, HX], body[i, HY]
-        mxx, mxy, myy = body[i, MXX], body[i, MXY], body[i, MYY]
         # Force of the composite body for a unit acceleration of its joint, then inward.
-        if tree[i, TYPE] == PRISMATIC:
-            sx, sy = body[i, SX], body[i, SY]
-            z, x, y = hx * sx + hy * sy, mxx * sx + mxy * sy, mxy * sx + myy * sy
-        else:
-            z, x, y = izz, hx, hy
-        row = tree[i, DOF]
+        run_piece(piece[i, COMPOSE], model.body, i, body, i, body, tree[i, PARENT],
+                  work.wrench, 0, share, 0)
+        row, armature = tree[i, DOF], share[0]
         k = i
         while k > 0:
-            if tree[k, TYPE] == PRISMATIC:
-                value = body[k, SX] * x + body[k, SY] * y
-            else:
-                value = z
-            gim[row, tree[k, DOF]] = value
-            gim[tree[k, DOF], row] = value
-            z += body[k, RX] * y - body[k, RY] * x
+            run_piece(piece[k, CARRY], model.body, k, body, k, body, k, work.wrench, 0, share, 0)
+            gim[row, tree[k, DOF]] = share[0]
+            gim[tree[k, DOF], row] = share[0]
             k = tree[k, PARENT]
-        gim[row, row] += constant[i, ARMATURE]
-        p, rx, ry = tree[i, PARENT], body[i, RX], body[i, RY]
-        body[p, IZZ] += izz + 2.0 * (rx * hy - ry * hx) + rx * (rx * myy - ry * mxy) - ry * (
-            rx * mxy - ry * mxx)
-        body[p, HX] += hx + rx * mxy - ry * mxx
-        body[p, HY] += hy + rx * myy - ry * mxy
-        body[p, MXX] += mxx
-        body[p, MXY] += mxy
-        body[p, MYY] += myy
+        gim[row, row] += armature
+    for i in range(gim.shape[0]):
+        turn_spherical(tree, body, gim[i], False)
+    for i in range(gim.shape[0]):
+        turn_spherical(tree, body, gim[:, i], False)

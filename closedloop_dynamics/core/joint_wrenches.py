@@ -13,41 +13,28 @@
 # limitations under the License.
 
 """
-The wrenches in all joints, those of the trees and those that close the loops.
+The wrenches in all joints, those of the trees and those that close the loops; inverse dynamics.
 
-A wrench is ordered (moment, force x, force y), in world axes. In a cut joint it is what body B
-exerts on body A, at the cut point of A. In a joint of a tree it is what the parent exerts on the
-child, at the child's origin: the reaction, and along the joint's own freedom what its drive,
-springs, dampers and friction hand over.
+A wrench is ordered moment, force, in world axes: (moment, force x, force y) in the plane, six
+numbers in space. In a cut joint it is what body B exerts on body A, at the cut point of A. In a
+joint of a tree it is what the parent exerts on the child, at the child's origin: the reaction, and
+along the joint's own freedom what its drive, springs, dampers and friction hand over.
 
 """
 
-import math
-
 from .compiled import compiled, inlined
+from .articulated_inertia import turn_spherical
+from .straight_line.linkage import run_piece
+from .straight_line.space import FORCE
 from .types import (
-    A_X, A_Y, ALPHA, BODY_A, BODY_B, COS, CUT_ANGLE, CUT_FIXED, CUT_NUMBER, CUT_PRISMATIC,
-    CUT_ROW, CUT_TYPE, DOF, FX, FY, FZ, INERTIA, MASS, MASS_X, MASS_Y, PARENT, PRISMATIC, PX, PY,
-    RX, RY, SIN, SX, SY, TYPE)
+    BODY_A, BODY_B, CUT_NUMBER, CUT_ROW, DOF, FZ, NEWTON, PARENT, SHIFT, TORQUE, WRENCH)
 
-# Columns of the recursion: a body's bias force, then the wrench in its joint; its acceleration
-# beyond the velocity-product one.
-MOMENT, FORCE_X, FORCE_Y, TURN, ALONG_X, ALONG_Y = range(6)
-COLUMNS = 6
-
-
-@inlined
-def _cut_wrench(cut, cut_point, body, a, lam):
-    """Return moment and force at one cut joint, of its multipliers."""
-    kind, first = cut[a, CUT_TYPE], cut[a, CUT_ROW]
-    if kind == CUT_PRISMATIC:
-        angle = body[cut[a, BODY_B], ALPHA] + cut_point[a, CUT_ANGLE]
-        return lam[first + 1], -math.sin(angle) * lam[first], math.cos(angle) * lam[first]
-    return lam[first + 2] if kind == CUT_FIXED else 0.0, lam[first], lam[first + 1]
+# Places in a planar wrench.
+MOMENT, FORCE_X, FORCE_Y = range(3)
 
 
 @compiled
-def cut_wrenches(cut, cut_point, body, lam, out):
+def cut_wrenches(cut, cut_point, cut_piece, body, lam, share, out):
     """
     Compute the wrenches at the cut joints.
 
@@ -55,39 +42,57 @@ def cut_wrenches(cut, cut_point, body, lam, out):
     ----------
     cut, cut_point : ndarray
         Of the ``Model``. The arrays alone: from Python, unpacking whole records takes longer.
-    body : ndarray, shape (nb + 1, WORK_COLUMNS)
-        After an evaluation; only poses are read.
+    cut_piece, body, share : ndarray
+        Of the ``Workspace``, after an evaluation; only poses are read.
     lam : ndarray, shape (nc,)
         Multipliers.
-    out : ndarray, shape (number of cuts, 3)
+    out : ndarray, shape (number of cuts, 3 or 6)
         Written in place, in the user's order [N m, N].
 
     """
     for a in range(out.shape[0]):
-        moment, fx, fy = _cut_wrench(cut, cut_point, body, a, lam)
-        k = cut[a, CUT_NUMBER]
-        out[k, 0] = moment
-        out[k, 1] = fx
-        out[k, 2] = fy
+        _wrenches_of_cut(cut, cut_point, cut_piece, body, lam, share, a)
+        for n in range(out.shape[1]):
+            out[cut[a, CUT_NUMBER], n] = share[n]
+
+
+@inlined
+def _wrenches_of_cut(cut, cut_point, cut_piece, body, lam, share, a):
+    """Write the wrenches of a cut joint: at its point, at the origins of bodies A and B."""
+    run_piece(cut_piece[a, WRENCH], cut_point, a, body, cut[a, BODY_A], body, cut[a, BODY_B],
+              lam, cut[a, CUT_ROW], share, 0)
 
 
 @compiled
-def bias_forces(body, out):
+def bias_forces(work, out):
     """
     Keep the bodies' bias forces, which an evaluation overwrites.
 
     Parameters
     ----------
-    body : ndarray, shape (nb + 1, WORK_COLUMNS)
+    work : Workspace
         After ``kinematics.outward``, and after the effects that act on points.
-    out : ndarray, shape (nb + 1, COLUMNS)
-        MOMENT to FORCE_Y are written.
+    out : ndarray, shape (nb + 1, 6 or 12)
+        The first half of each row is written.
 
     """
-    for i in range(body.shape[0]):
-        out[i, MOMENT] = body[i, FZ]
-        out[i, FORCE_X] = body[i, FX]
-        out[i, FORCE_Y] = body[i, FY]
+    size = work.wrench.shape[1]
+    first = FZ if size == 3 else FORCE
+    for i in range(out.shape[0]):
+        for n in range(size):
+            out[i, n] = work.body[i, first + n]
+
+
+@inlined
+def _newton(model, work, qdd, wrench):
+    """Add what accelerations take to the bias forces: Newton and Euler, outward."""
+    tree, body, piece = model.tree, work.body, work.piece
+    for i in range(qdd.shape[0]):
+        work.torque[i] = qdd[i]
+    turn_spherical(tree, body, work.torque, True)
+    for i in range(1, tree.shape[0]):
+        run_piece(piece[i, NEWTON], model.body, i, body, i, wrench, tree[i, PARENT], wrench, i,
+                  work.torque, tree[i, DOF])
 
 
 @compiled
@@ -105,45 +110,51 @@ def joint_wrenches(model, work, qdd, lam, wrench):
         Joint accelerations.
     lam : ndarray, shape (nc,)
         Multipliers.
-    wrench : ndarray, shape (nb + 1, COLUMNS)
-        After ``bias_forces``. MOMENT to FORCE_Y become the wrench in each body's joint.
+    wrench : ndarray, shape (nb + 1, 6 or 12)
+        After ``bias_forces``. The first half of each row becomes the wrench in the body's joint,
+        the second its acceleration beyond the velocity-product one.
 
     """
-    tree, constant, body = model.tree, model.body, work.body
-    for i in range(1, tree.shape[0]):
-        p = tree[i, PARENT]
-        turn = wrench[p, TURN] if p > 0 else 0.0
-        x = (wrench[p, ALONG_X] if p > 0 else 0.0) - turn * body[i, RY]
-        y = (wrench[p, ALONG_Y] if p > 0 else 0.0) + turn * body[i, RX]
-        if tree[i, TYPE] == PRISMATIC:
-            x += body[i, SX] * qdd[tree[i, DOF]]
-            y += body[i, SY] * qdd[tree[i, DOF]]
-        else:
-            turn += qdd[tree[i, DOF]]
-        wrench[i, TURN] = turn
-        wrench[i, ALONG_X] = x
-        wrench[i, ALONG_Y] = y
-        hx = -(body[i, SIN] * constant[i, MASS_X] + body[i, COS] * constant[i, MASS_Y])
-        hy = body[i, COS] * constant[i, MASS_X] - body[i, SIN] * constant[i, MASS_Y]
-        wrench[i, MOMENT] += constant[i, INERTIA] * turn + hx * x + hy * y
-        wrench[i, FORCE_X] += constant[i, MASS] * x + hx * turn
-        wrench[i, FORCE_Y] += constant[i, MASS] * y + hy * turn
-    for a in range(model.cut.shape[0]):
-        i, j = model.cut[a, BODY_A], model.cut[a, BODY_B]
-        moment, fx, fy = _cut_wrench(model.cut, model.cut_point, body, a, lam)
-        x = body[i, COS] * model.cut_point[a, A_X] - body[i, SIN] * model.cut_point[a, A_Y]
-        y = body[i, SIN] * model.cut_point[a, A_X] + body[i, COS] * model.cut_point[a, A_Y]
-        wrench[i, MOMENT] -= moment + x * fy - y * fx
-        wrench[i, FORCE_X] -= fx
-        wrench[i, FORCE_Y] -= fy
-        x += body[i, PX] - body[j, PX]
-        y += body[i, PY] - body[j, PY]
-        wrench[j, MOMENT] += moment + x * fy - y * fx
-        wrench[j, FORCE_X] += fx
-        wrench[j, FORCE_Y] += fy
+    tree, cut, body, piece, share = model.tree, model.cut, work.body, work.piece, work.share
+    size = work.wrench.shape[1]
+    _newton(model, work, qdd, wrench)
+    for a in range(cut.shape[0]):
+        _wrenches_of_cut(cut, model.cut_point, work.cut_piece, body, lam, share, a)
+        for n in range(size):
+            wrench[cut[a, BODY_A], n] -= share[size + n]
+            wrench[cut[a, BODY_B], n] -= share[2 * size + n]
     for i in range(tree.shape[0] - 1, 0, -1):
-        p = tree[i, PARENT]
-        wrench[p, MOMENT] += (wrench[i, MOMENT] + body[i, RX] * wrench[i, FORCE_Y]
-                              - body[i, RY] * wrench[i, FORCE_X])
-        wrench[p, FORCE_X] += wrench[i, FORCE_X]
-        wrench[p, FORCE_Y] += wrench[i, FORCE_Y]
+        run_piece(piece[i, SHIFT], model.body, i, body, i, wrench, tree[i, PARENT], wrench, i,
+                  share, 0)
+
+
+@compiled
+def tree_torque(model, work, qdd, out):
+    """
+    Compute I qdd + c, the torques that the trees need for a motion, as if no loop were closed.
+
+    Parameters
+    ----------
+    model : Model
+        Constant arrays of the mechanism.
+    work : Workspace
+        After ``kinematics.outward``.
+    qdd : ndarray, shape (nv,)
+        Joint accelerations.
+    out : ndarray, shape (nv,)
+        Written in place [N m, N].
+
+    Notes
+    -----
+    With qdd = 0 this is the bias force c of I qdd + c = tau + J^T lambda.
+
+    """
+    tree, body, piece, wrench = model.tree, work.body, work.piece, work.force
+    bias_forces(work, wrench)
+    _newton(model, work, qdd, wrench)
+    for i in range(tree.shape[0] - 1, 0, -1):
+        run_piece(piece[i, TORQUE], model.body, i, body, i, qdd, tree[i, DOF], wrench, i,
+                  out, tree[i, DOF])
+        run_piece(piece[i, SHIFT], model.body, i, body, i, wrench, tree[i, PARENT], wrench, i,
+                  work.share, 0)
+    turn_spherical(tree, body, out, False)

@@ -14,13 +14,10 @@
 
 """Outward recursion: poses, velocities, velocity-product accelerations, rigid-body inertias."""
 
-import math
-
 from .compiled import inlined
-from .types import (
-    ALPHA, ANGLE, AX, AY, COS, DOF, FX, FY, FZ, HX, HY, INERTIA, IZZ, JOINT_X, JOINT_Y, MASS,
-    MASS_X, MASS_Y, MXX, MXY, MYY, OMEGA, PARENT, PRISMATIC, PX, PY, RX, RY, SIN, SX, SY, TYPE,
-    VX, VY)
+from .straight_line.linkage import run_piece
+from .types import AX, COORDINATE, COS, DOF, MOVE, OMEGA, PARENT, PX, PY, SIN, VX, VY
+from .straight_line.space import ACCELERATION
 
 
 @inlined
@@ -32,78 +29,29 @@ def outward(model, q, qd, work):
     ----------
     model : Model
         Constant topology and geometry.
-    q, qd : ndarray, shape (nv,)
-        Joint coordinates [rad, m] and rates.
+    q : ndarray, shape (nq,)
+        Joint coordinates [rad, m].
+    qd : ndarray, shape (nv,)
+        Their rates.
     work : Workspace
-        ``work.body`` is written, columns ALPHA to FY, SX and SY.
+        ``work.body`` is written, but for what the later stages write.
 
     Notes
     -----
     World axes throughout, each body at its own origin: then neither inertias nor forces are
-    ever rotated, only shifted, and a revolute joint's axis is (1, 0, 0). The acceleration is
-    the one that q, qd and gravity leave when qdd = 0; a ground that accelerates by -g stands
-    for gravity. The bias force is what a body needs for that acceleration.
+    ever rotated, only shifted. The acceleration is the one that q, qd and gravity leave when
+    qdd = 0; a ground that accelerates by -g stands for gravity. The bias force is what a body
+    needs for that acceleration. The arithmetic is that of ``straight_line.spatial``.
 
     """
-    tree, constant, body = model.tree, model.body, work.body
-    body[0, COS] = 1.0
-    body[0, AX] = -model.gravity[0]
-    body[0, AY] = -model.gravity[1]
+    tree, body, piece = model.tree, work.body, work.piece
+    dimensions = model.gravity.shape[0]
+    first = AX if dimensions == 2 else ACCELERATION
+    for k in range(dimensions):
+        body[0, first + k] = -model.gravity[k]
     for i in range(1, tree.shape[0]):
-        p = tree[i, PARENT]
-        rate = qd[tree[i, DOF]]
-        cos_p, sin_p, omega_p = body[p, COS], body[p, SIN], body[p, OMEGA]
-        rx = cos_p * constant[i, JOINT_X] - sin_p * constant[i, JOINT_Y]
-        ry = sin_p * constant[i, JOINT_X] + cos_p * constant[i, JOINT_Y]
-        angle = body[p, ALPHA] + constant[i, ANGLE]
-        vx, vy = body[p, VX], body[p, VY]
-        ax, ay = body[p, AX], body[p, AY]
-        omega = omega_p
-        if tree[i, TYPE] == PRISMATIC:
-            cos, sin = math.cos(angle), math.sin(angle)
-            slide = q[tree[i, DOF]]
-            rx += slide * cos
-            ry += slide * sin
-            vx += rate * cos
-            vy += rate * sin
-            # Coriolis acceleration of sliding along a turning axis.
-            ax -= 2.0 * omega_p * rate * sin
-            ay += 2.0 * omega_p * rate * cos
-            body[i, SX] = cos
-            body[i, SY] = sin
-        else:
-            angle += q[tree[i, DOF]]
-            omega += rate
-            cos, sin = math.cos(angle), math.sin(angle)
-        body[i, ALPHA] = angle
-        body[i, COS] = cos
-        body[i, SIN] = sin
-        body[i, RX] = rx
-        body[i, RY] = ry
-        body[i, PX] = body[p, PX] + rx
-        body[i, PY] = body[p, PY] + ry
-        body[i, OMEGA] = omega
-        body[i, VX] = vx - omega_p * ry
-        body[i, VY] = vy + omega_p * rx
-        square = omega_p * omega_p
-        ax -= square * rx
-        ay -= square * ry
-        body[i, AX] = ax
-        body[i, AY] = ay
-        mass = constant[i, MASS]
-        hx = -(sin * constant[i, MASS_X] + cos * constant[i, MASS_Y])
-        hy = cos * constant[i, MASS_X] - sin * constant[i, MASS_Y]
-        body[i, IZZ] = constant[i, INERTIA]
-        body[i, HX] = hx
-        body[i, HY] = hy
-        body[i, MXX] = mass
-        body[i, MXY] = 0.0
-        body[i, MYY] = mass
-        # Force at the centre of mass: mass times (a - omega^2 c), c = (hy, -hx) / mass.
-        square = omega * omega
-        body[i, FZ] = hx * ax + hy * ay
-        body[i, FX] = mass * ax - square * hy
-        body[i, FY] = mass * ay + square * hx
+        run_piece(piece[i, MOVE], model.body, i, body, i, body, tree[i, PARENT],
+                  q, tree[i, COORDINATE], qd, tree[i, DOF])
 
 
 @inlined

@@ -14,13 +14,11 @@
 
 """Cut joints: closure error, its rates, and the response of the trees to unit cut forces."""
 
-import math
-
 from .compiled import inlined
+from .straight_line.linkage import run_piece
 from .types import (
-    A_X, A_Y, ALPHA, AX, AY, B_X, B_Y, BODY_A, BODY_B, COS, CUT_ANGLE, CUT_PRISMATIC,
-    CUT_REVOLUTE, CUT_TYPE, DINV, HX, HY, OMEGA, PRISMATIC, PX, PY, REVOLUTE, RHS, ROW, ROWS, RX,
-    RY, SIN, SLOT_A, SLOT_B, SLOT_COMMON, SLOT_END, SX, SY, TYPE, UX, UY, UZ, VX, VY)
+    BODY_A, BODY_B, EQUATIONS, LEVER, REDUCE, RHS, ROW, ROWS, SLOT_A, SLOT_B, SLOT_COMMON,
+    SLOT_END)
 
 # What ``update`` computes of the unit cut forces: nothing, their shares at the joints of trees
 # that give way, or their levers on the bodies' angles and on the slides (J^T for these).
@@ -28,60 +26,86 @@ NO_RESPONSES, REDUCED, LEVERS = range(3)
 
 
 @inlined
-def _reduce(model, work, responses, first, last, row, z, x, y):
+def carry(model, work, stage, first, last, wrench, row):
     """
-    Carry a unit force inward along slots ``first`` to ``last`` and keep its share at each joint.
+    Carry a unit force inward along slots and keep its share at each joint.
 
-    Returns what arrives at the origin of the parent of the last body: moment, force.
+    Parameters
+    ----------
+    model : Model
+        Constant topology and geometry.
+    work : Workspace
+        ``response`` and ``response_scaled`` are written.
+    stage : int
+        ``REDUCE``, ``LEVER`` or ``CARRY``.
+    first, last : int
+        Slots.
+    wrench : int
+        Row of ``work.wrench``: at the origin of the first body, then at that of the last one's
+        parent.
+    row : int
+        Of the cut joint.
 
     """
-    tree, slot_body = model.tree, model.slot_body
-    body, response, scaled = work.body, work.response, work.response_scaled
+    body, piece, share = work.body, work.piece, work.share
     for slot in range(first, last):
-        i = slot_body[slot]
-        kind = tree[i, TYPE]
-        if responses == LEVERS:
-            g = 0.0
-            if kind == PRISMATIC:
-                u = body[i, SX] * x + body[i, SY] * y
-            else:
-                u, z = z, 0.0
-        elif kind == REVOLUTE:
-            u = z
-            g = u * body[i, DINV]
-            x -= body[i, HX] * g
-            y -= body[i, HY] * g
-            z = 0.0
-        else:
-            u = body[i, SX] * x + body[i, SY] * y if kind == PRISMATIC else z
-            g = u * body[i, DINV]
-            z -= body[i, UZ] * g
-            x -= body[i, UX] * g
-            y -= body[i, UY] * g
-        response[slot, row] = u
-        scaled[slot, row] = g
-        z += body[i, RX] * y - body[i, RY] * x
-    return z, x, y
+        i = model.slot_body[slot]
+        run_piece(piece[i, stage], model.body, i, body, i, body, i, work.wrench, wrench, share, 0)
+        work.response[slot, row] = share[0]
+        work.response_scaled[slot, row] = share[1]
 
 
 @inlined
-def _respond(model, work, responses, a, row, z, x, y, ax, ay, bx, by):
+def respond(model, work, stage, a, row):
     """
-    Compute the response to the unit force of one closure equation of cut joint ``a``.
+    Compute the response to the unit force of one equation of a cut joint.
 
-    Moment ``z`` and force ``x``, ``y`` act on body A at offset ``ax``, ``ay`` from its
-    origin, and with the opposite sign on body B at offset ``bx``, ``by``.
+    Parameters
+    ----------
+    model : Model
+        Constant topology and geometry.
+    work : Workspace
+        After ``measure``; ``response`` and ``response_scaled`` are written.
+    stage : int
+        ``REDUCE``, ``LEVER`` or ``CARRY``.
+    a, row : int
+        Cut joint, and its equation.
 
     """
-    cut = model.cut
+    cut, wrench, size = model.cut, work.wrench, work.wrench.shape[1]
+    place = row * (3 + 2 * size) + 3
+    for n in range(size):
+        wrench[0, n] = work.equation[place + n]
+        wrench[1, n] = work.equation[place + size + n]
     middle, common, end = cut[a, SLOT_B], cut[a, SLOT_COMMON], cut[a, SLOT_END]
-    za, xa, ya = _reduce(
-        model, work, responses, cut[a, SLOT_A], middle, row, z + ax * y - ay * x, x, y)
+    carry(model, work, stage, cut[a, SLOT_A], middle, 0, row)
     if middle < end:
-        zb, xb, yb = _reduce(
-            model, work, responses, middle, common, row, -z - bx * y + by * x, -x, -y)
+        carry(model, work, stage, middle, common, 1, row)
         if common < end:
-            _reduce(model, work, responses, common, end, row, za + zb, xa + xb, ya + yb)
+            for n in range(size):
+                wrench[0, n] += wrench[1, n]
+            carry(model, work, stage, common, end, 0, row)
+
+
+@inlined
+def measure(model, work, a):
+    """
+    Compute what the equations of one cut joint say.
+
+    Parameters
+    ----------
+    model : Model
+        Constant topology and geometry.
+    work : Workspace
+        After ``kinematics.outward``. ``equation`` is written: for each equation psi, J qd,
+        Jdot qd, and the wrenches of a unit multiplier on bodies A and B.
+    a : int
+        The cut joint.
+
+    """
+    cut, body = model.cut, work.body
+    run_piece(work.cut_piece[a, EQUATIONS], model.cut_point, a, body, cut[a, BODY_A],
+              body, cut[a, BODY_B], work.equation, 0, work.share, 0)
 
 
 @inlined
@@ -103,53 +127,19 @@ def update(model, work, responses):
     Notes
     -----
     psi = p_A - p_B (doc/theory.md section 1). The multiplier acts on body A, its
-    opposite on body B. For a prismatic cut joint the first equation is n . (p_A - p_B), n normal
-    to the axis that turns with body B; its gradient is the force n on A and -n on B,
-    both at p_A.
+    opposite on body B.
 
     """
-    body, cut, point = work.body, model.cut, model.cut_point
-    psi, rate, bias = work.closure, work.closure_rate, work.bias
+    cut, equation, size = model.cut, work.equation, 3 + 2 * work.wrench.shape[1]
     for a in range(cut.shape[0]):
-        i, j, r, kind = cut[a, BODY_A], cut[a, BODY_B], cut[a, ROW], cut[a, CUT_TYPE]
-        cos, sin, omega = body[i, COS], body[i, SIN], body[i, OMEGA]
-        ax = cos * point[a, A_X] - sin * point[a, A_Y]
-        ay = sin * point[a, A_X] + cos * point[a, A_Y]
-        cos, sin, omega_b = body[j, COS], body[j, SIN], body[j, OMEGA]
-        bx = cos * point[a, B_X] - sin * point[a, B_Y]
-        by = sin * point[a, B_X] + cos * point[a, B_Y]
-        x = body[i, PX] - body[j, PX] + ax - bx
-        y = body[i, PY] - body[j, PY] + ay - by
-        vx = body[i, VX] - body[j, VX] - omega * ay + omega_b * by
-        vy = body[i, VY] - body[j, VY] + omega * ax - omega_b * bx
-        square, square_b = omega * omega, omega_b * omega_b
-        acx = body[i, AX] - body[j, AX] - square * ax + square_b * bx
-        acy = body[i, AY] - body[j, AY] - square * ay + square_b * by
-        if kind == CUT_PRISMATIC:
-            angle = body[j, ALPHA] + point[a, CUT_ANGLE]
-            nx, ny = -math.sin(angle), math.cos(angle)
-            psi[r] = nx * x + ny * y
-            # n turns with body B: its rate is -omega_b times the axis (ny, -nx).
-            along, along_rate = ny * x - nx * y, ny * vx - nx * vy
-            rate[r] = nx * vx + ny * vy - omega_b * along
-            bias[r] = (nx * acx + ny * acy - 2.0 * omega_b * along_rate
-                       - square_b * psi[r])
+        measure(model, work, a)
+        for k in range(cut[a, ROWS]):
+            row = cut[a, ROW] + k
+            work.closure[row] = equation[k * size]
+            work.closure_rate[row] = equation[k * size + 1]
+            work.bias[row] = equation[k * size + 2]
             if responses != NO_RESPONSES:
-                _respond(model, work, responses, a, 0, 0.0, nx, ny, ax, ay, x + bx, y + by)
-        else:
-            psi[r], psi[r + 1] = x, y
-            rate[r], rate[r + 1] = vx, vy
-            bias[r], bias[r + 1] = acx, acy
-            if responses != NO_RESPONSES:
-                _respond(model, work, responses, a, 0, 0.0, 1.0, 0.0, ax, ay, bx, by)
-                _respond(model, work, responses, a, 1, 0.0, 0.0, 1.0, ax, ay, bx, by)
-        if kind != CUT_REVOLUTE:
-            last = cut[a, ROWS] - 1
-            psi[r + last] = body[i, ALPHA] - body[j, ALPHA] - point[a, CUT_ANGLE]
-            rate[r + last] = omega - omega_b
-            bias[r + last] = 0.0
-            if responses != NO_RESPONSES:
-                _respond(model, work, responses, a, last, 1.0, 0.0, 0.0, ax, ay, bx, by)
+                respond(model, work, REDUCE if responses == REDUCED else LEVER, a, k)
 
 
 @inlined

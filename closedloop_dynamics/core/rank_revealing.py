@@ -34,12 +34,13 @@ import numpy as np
 from . import kinematics
 from .compiled import allocating, merged
 from .forward_dynamics import constraint_right_side, to_user_order
-from .inverse_dynamics import tree_torque
 from .jacobian import constraint_jacobian, generalized_inertia_matrix
+from .joint_wrenches import bias_forces, tree_torque
 from .loop_closure import largest, NO_RESPONSES, update
 from .null_space import ACCELERATION, POSITION, ROUNDING, solve, VELOCITY, WEAK
+from .straight_line.space import FORCE, SPIN
 from .types import (
-    FX, FY, FZ, LOOKED_BESIDE, MOST_DISTINCT, OMEGA, RANK, RANK_REVEALING_COUNT, SINGULAR_COUNT)
+    FZ, LOOKED_BESIDE, MOST_DISTINCT, OMEGA, RANK, RANK_REVEALING_COUNT, SINGULAR_COUNT)
 
 # Corrections that bring a stage onto its branch: beside it by 1e-4, two leave rounding.
 MOST_CORRECTIONS = 4
@@ -59,7 +60,11 @@ def _fastest(work):
     """Return the largest angular velocity of any body [rad/s]."""
     most = 0.0
     for i in range(1, work.body.shape[0]):
-        most = max(most, abs(work.body[i, OMEGA]))
+        if work.wrench.shape[1] == 3:
+            most = max(most, abs(work.body[i, OMEGA]))
+        else:
+            x, y, z = work.body[i, SPIN], work.body[i, SPIN + 1], work.body[i, SPIN + 2]
+            most = max(most, np.sqrt(x * x + y * y + z * z))
     return most
 
 
@@ -171,17 +176,17 @@ def accelerate(model, work, tau, baumgarte, aside, q, qd, qdd, lam):
 
     """
     nv, nc = qdd.shape[0], lam.shape[0]
-    bodies = work.body.shape[0]
-    beside, applied = np.zeros(nc), np.empty((bodies, 3))
+    size_of_force = work.wrench.shape[1]
+    first = FZ if size_of_force == 3 else FORCE
+    last = first + size_of_force
+    beside = np.zeros(nc)
     near, near_rate, total = np.empty(nv), np.empty(nv), np.zeros(nv)
     found, forces = np.empty(nv), np.empty(nc)
     update(model, work, NO_RESPONSES)
     for k in range(nc):
         work.right[k] = -baumgarte * (2.0 * work.closure_rate[k] + baumgarte * work.closure[k])
     to_user_order(model, work.right, beside)
-    for i in range(bodies):
-        applied[i, 0], applied[i, 1], applied[i, 2] = (
-            work.body[i, FZ], work.body[i, FX], work.body[i, FY])
+    applied = work.body[:, first:last].copy()
     health = work.health
     health[RANK_REVEALING_COUNT] += 1.0
     speed, size, error, here, close = _fastest(work), 0.0, 0.0, 0, False
@@ -194,10 +199,7 @@ def accelerate(model, work, tau, baumgarte, aside, q, qd, qdd, lam):
                 near[i], near_rate[i] = q[i] + ahead * qd[i], qd[i]
             error = _settle(model, work, near, near_rate, size)
             kinematics.outward(model, near, near_rate, work)
-            for i in range(bodies):
-                work.body[i, FZ] += applied[i, 0]
-                work.body[i, FX] += applied[i, 1]
-                work.body[i, FY] += applied[i, 2]
+            work.body[:, first:last] += applied
         rank, weakest, distinct, levers = _solve_here(model, work, tau, beside, found, forces)
         if attempt == 0:
             size, here = levers, distinct
@@ -219,10 +221,7 @@ def accelerate(model, work, tau, baumgarte, aside, q, qd, qdd, lam):
             if not ((close or (here < nc and health[LOOKED_BESIDE] == 0.0)) and speed > 0.0):
                 return
             kinematics.outward(model, q, qd, work)
-            for i in range(bodies):
-                applied[i, 0] -= work.body[i, FZ]
-                applied[i, 1] -= work.body[i, FX]
-                applied[i, 2] -= work.body[i, FY]
+            applied -= work.body[:, first:last]
         elif attempt == 1:
             # Baumgarte's terms are divided by s as well: around here by another one.
             for k in range(nc):

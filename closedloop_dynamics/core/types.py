@@ -48,20 +48,31 @@ REVOLUTE, PRISMATIC, REVOLUTE_ARMATURE, HELICAL, BALL = range(5)
 MASS, MASS_X, MASS_Y, INERTIA, JOINT_X, JOINT_Y, ANGLE, ARMATURE = range(8)
 BODY_COLUMNS = 8
 
-# Workspace.body, one row a body.
-# Set by kinematics.outward: absolute angle, its cosine and sine, origin,
+# Workspace.body, one row a body. Common to the plane and space:
+# the factor 1/D, the reduced right-hand side, and how fast the angle that refinement counts by (of
+# the body in the plane, of the joint in space, the slide of a prismatic joint) accelerates.
+DINV, RHS, DZ = range(3)
+# In the plane. Set by kinematics.outward: absolute angle, its cosine and sine, origin,
 # offset from the parent's origin, velocity, velocity-product acceleration of
 # the origin (its angular part is zero in the plane).
-ALPHA, COS, SIN, PX, PY, RX, RY, OMEGA, VX, VY, AX, AY = range(12)
+ALPHA, COS, SIN, PX, PY, RX, RY, OMEGA, VX, VY, AX, AY = range(3, 15)
 # Articulated-body inertia [[IZZ, HX, HY], [HX, MXX, MXY], [HY, MXY, MYY]] and bias force:
 # set to the rigid body's own by kinematics.outward, completed by articulated_inertia.inward.
-IZZ, HX, HY, MXX, MXY, MYY, FZ, FX, FY = range(12, 21)
-# Factors: inverse pivot 1/D, U = IA S, joint axis S (x and y; its angular part is
-# 1 for a revolute joint, 0 for a prismatic one), the reduced right-hand side.
-DINV, UZ, UX, UY, SX, SY, RHS = range(21, 28)
-# Acceleration beyond the velocity-product one.
-DZ, DX, DY = range(28, 31)
-WORK_COLUMNS = 32
+IZZ, HX, HY, MXX, MXY, MYY, FZ, FX, FY = range(15, 24)
+# U = IA S; joint axis S (x and y; its angular part is 1 for a revolute joint, 0 for a prismatic
+# one); with DZ the acceleration beyond the velocity-product one.
+UZ, UX, UY, SX, SY, DX, DY = range(24, 31)
+WORK_COLUMNS = 31
+
+# Workspace.piece, one row a body: addresses of what the loops call (``straight_line.pieces``).
+# Motion and rigid body; elimination of the joint, and where joints may carry no inertia;
+# acceleration; a wrench carried inward, less what joints give way to, by levers, or as it is;
+# inertia of the composite body; energy; Newton's and Euler's equations, inward, joint torque.
+(MOVE, ELIMINATE, ELIMINATE_MASSLESS, ACCELERATE, REDUCE, LEVER, CARRY, COMPOSE, MEASURE, NEWTON,
+ SHIFT, TORQUE) = range(12)
+BODY_STAGES = 12
+# Workspace.cut_piece, one row a cut joint: its equations; the wrenches of its multipliers.
+EQUATIONS, WRENCH = range(2)
 
 # Workspace.joint, one row a body: square of the lever that its joint is compared by (1 for a
 # slide), the inertia that stands in for none, and the acceleration: of the slide, or of the body's
@@ -171,6 +182,18 @@ class Workspace(NamedTuple):
     scatter : ndarray, shape (nc,)
     closure, closure_rate, bias : ndarray, shape (nc,)
         psi, J qd and Jdot qd, in elimination order.
+    equation : ndarray
+        Of one cut joint, as ``loop_closure.measure`` leaves it.
+    wrench : ndarray, shape (2, 3 or 6)
+        On their way inward.
+    share : ndarray, shape (9 or 18,)
+        What a piece leaves.
+    torque : ndarray, shape (nv,)
+        In the world's axes.
+    force : ndarray, shape (nb + 1, 6 or 12)
+        Wrenches, and accelerations, of inverse dynamics.
+    piece : ndarray of int, shape (nb + 1, BODY_STAGES)
+    cut_piece : ndarray of int, shape (number of cuts, 2)
     health : ndarray, shape (HEALTH_COLUMNS,)
 
     """
@@ -189,6 +212,13 @@ class Workspace(NamedTuple):
     closure: np.ndarray
     closure_rate: np.ndarray
     bias: np.ndarray
+    equation: np.ndarray
+    wrench: np.ndarray
+    share: np.ndarray
+    torque: np.ndarray
+    force: np.ndarray
+    piece: np.ndarray
+    cut_piece: np.ndarray
     health: np.ndarray
 
 
@@ -207,38 +237,3 @@ def number_of_coordinates(model):
 
     """
     return len(model.tree) - 1 + int(np.count_nonzero(model.tree[:, TYPE] == BALL)) // 3
-
-
-def allocate(model):
-    """
-    Allocate the workspace of one model.
-
-    Parameters
-    ----------
-    model : Model
-        Constant arrays of the mechanism.
-
-    Returns
-    -------
-    Workspace
-
-    """
-    slots = len(model.slot_body)
-    rows = len(model.column) - 1
-    most = max(3, model.cut[:, ROWS].max(initial=0))
-    return Workspace(
-        body=np.zeros((len(model.tree), WORK_COLUMNS)),
-        response=np.zeros((slots, most)),
-        response_scaled=np.zeros((slots, most)),
-        factor=np.zeros(len(model.row)),
-        scale=np.zeros(rows),
-        lever=np.zeros((slots, most)),
-        joint=np.zeros((len(model.tree), JOINT_COLUMNS)),
-        change=np.zeros(len(model.tree) - 1),
-        pivot_inverse=np.zeros(rows),
-        right=np.zeros(rows),
-        scatter=np.zeros(rows),
-        closure=np.zeros(rows),
-        closure_rate=np.zeros(rows),
-        bias=np.zeros(rows),
-        health=np.zeros(HEALTH_COLUMNS))

@@ -24,7 +24,6 @@ from typing import NamedTuple, Optional, Tuple
 
 import numpy as np
 
-from ..core.joint_wrenches import COLUMNS
 
 # Which law a row of the table obeys.
 (JOINT_DAMPING, JOINT_SPRING, END_STOP, JOINT_FRICTION, POINT_SPRING, EXTERNAL_FORCE, CONTACT,
@@ -124,7 +123,7 @@ class EffectTable(NamedTuple):
     # Shape (nv,): joint torques: commands and effects. The commands' own array where no
     # effect is listed.
     applied: np.ndarray
-    # Shape (nb + 1, joint_wrenches.COLUMNS): scratch of ``joint_reaction``; of no length
+    # Shape (nb + 1, 6 or 12): scratch of ``joint_reaction``; of no length
     # where no effect is listed.
     reaction: np.ndarray
     sticking: Sticking
@@ -164,7 +163,7 @@ def build_table(elements, tau, bodies, equations):
         scale=np.array([state.scale for state in states], dtype=float),
         loaded=np.zeros(1, dtype=np.int64),
         applied=tau.copy() if count else tau,
-        reaction=np.zeros((bodies + 1 if count else 0, COLUMNS)),
+        reaction=np.zeros((bodies + 1 if count else 0, 6)),
         sticking=Sticking(
             rows=np.zeros(most + 1, dtype=np.int64), hold=np.zeros(count),
             response=np.zeros((most + 1, len(tau) + equations)), matrix=np.zeros((most, most)),

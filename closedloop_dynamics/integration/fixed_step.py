@@ -22,8 +22,8 @@ from .advance import advance, DONE
 from .system import apply_effects, evaluate, number_of_states, take_states
 from ..core import kinematics
 from ..core.compiled import compiled, inlined, released
-from ..core.energy import kinetic_energy, potential_energy
-from ..core.joint_wrenches import bias_forces, COLUMNS, cut_wrenches, joint_wrenches
+from ..core.energy import energies
+from ..core.joint_wrenches import bias_forces, cut_wrenches, joint_wrenches
 from ..core.loop_closure import largest
 from ..core.manifold import add_work
 from ..core.types import DOF
@@ -107,10 +107,9 @@ def _note(system, state, buffer, instant):
     _copy(system.qdd, buffer.qdd[instant])
     _copy(system.lam, buffer.lam[instant])
     buffer.scalars[instant, 0] = largest(work.closure)
-    buffer.scalars[instant, 1] = kinetic_energy(system.model, work, state[nv:2 * nv])
-    buffer.scalars[instant, 2] = potential_energy(system.model, work)
+    energies(system.model, work, state[nv:2 * nv], buffer.scalars[instant, 1:3])
     _take_output(system.effects, buffer.output[instant])
-    cut_wrenches(system.model.cut, system.model.cut_point, work.body, system.lam,
+    cut_wrenches(system.model.cut, system.model.cut_point, work.cut_piece, work.body, system.lam, work.share,
                  buffer.wrench[instant])
     for k in range(buffer.body.shape[0]):
         kinematics.point_position(
@@ -150,7 +149,7 @@ def joint_forces(system, torque, zero_order_hold, decimation, state, qdd, lam):
     """
     out = np.empty((*qdd.shape, 3))
     fill_joint_forces(system, torque, zero_order_hold, decimation, state, qdd, lam,
-                      np.zeros((len(system.model.tree), COLUMNS)), out)
+                      np.zeros_like(system.work.force), out)
     return out
 
 
@@ -163,7 +162,7 @@ def fill_joint_forces(system, torque, zero_order_hold, decimation, state, qdd, l
     ----------
     system, torque, zero_order_hold, decimation, state, qdd, lam
         As for ``joint_forces``.
-    scratch : ndarray, shape (nb + 1, joint_wrenches.COLUMNS)
+    scratch : ndarray, shape (nb + 1, 6)
         Overwritten.
     out : ndarray, shape (instants, nv, 3)
         Written in place.
@@ -176,7 +175,7 @@ def fill_joint_forces(system, torque, zero_order_hold, decimation, state, qdd, l
         kinematics.outward(model, q, qd, work)
         row = max(instant * decimation - 1, 0) // zero_order_hold
         apply_effects(system.effects, system.manifold, work, q, qd, torque[row])
-        bias_forces(work.body, scratch)
+        bias_forces(work, scratch)
         joint_wrenches(model, work, qdd[instant], lam[instant], scratch)
         for i in range(1, tree.shape[0]):
             _copy(scratch[i], out[instant, tree[i, DOF]])
@@ -261,5 +260,4 @@ def energies(system, state, out):
     nv = system.qdd.shape[0]
     for k in range(state.shape[0]):
         evaluate(system, state[k, :nv], state[k, nv:2 * nv])
-        out[k, 0] = kinetic_energy(system.model, system.work, state[k, nv:2 * nv])
-        out[k, 1] = potential_energy(system.model, system.work)
+        energies(system.model, system.work, state[k, nv:2 * nv], out[k])

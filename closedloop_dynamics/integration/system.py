@@ -30,9 +30,10 @@ from ..core.joint_wrenches import bias_forces
 from ..core.manifold import (
     fill_numbers, Manifold, manifold_of, number_of_coordinates, power_of_turns, rates_begin,
     rates_of_coordinates)
-from ..core.straight_line import linkage as links, on_demand, space
+from ..core.straight_line import linkage as links, on_demand, pieces, space
 from ..core.straight_line.numbers import Numbers
-from ..core.types import allocate, Model, RANK, RANK_REVEALING_COUNT, Workspace
+from ..core.types import Model, RANK, RANK_REVEALING_COUNT, Workspace
+from ..core.workspace import allocate
 from ..effects import dispatch, joint_reaction, sticking
 from ..effects.table import build_table, EffectTable
 
@@ -160,6 +161,7 @@ def build_system(model, formulation=SUBSYSTEM, baumgarte=0.0, extent=1.0, indepe
 def _linked(system):
     """Return a system with the addresses of its own arrays and routines."""
     model, work = system.model, system.work
+    pieces.connect(model, work.piece, work.cut_piece)
     results = {} if not space.is_spatial(model) else on_demand.arrays(
         model, None if system.effects is None else system.effects.reaction)
     linkage = links.connect(
@@ -359,7 +361,7 @@ def apply_effects(effects, manifold, work, q, qd, tau):
             dispatch.apply(work.body, effects, manifold.number, qd, tau)
         if effects.loaded[0] > 0:
             # Written anew in space.
-            bias_forces(work.body, effects.reaction)
+            bias_forces(work, effects.reaction)
 
 
 @inlined

@@ -30,7 +30,8 @@ from .errors import AssemblyError
 from .modeling import build_model, extent
 from ..core import jacobian, kinematics, loop_closure
 from ..core.forward_dynamics import to_user_order
-from ..core.types import allocate, CUT_NUMBER, ROWS
+from ..core.types import CUT_NUMBER, ROWS
+from ..core.workspace import allocate
 
 # Closed means this, relative to the mechanism's size (or 1, for a rate or an angle).
 TOLERANCE = 1e-12

@@ -19,8 +19,7 @@ import numpy as np
 from .errors import SimulationError
 from ..core import jacobian, kinematics, loop_closure, types as t
 from ..core.forward_dynamics import to_user_order
-from ..core.inverse_dynamics import tree_torque
-from ..core.joint_wrenches import bias_forces
+from ..core.joint_wrenches import bias_forces, tree_torque
 from ..core.straight_line import space
 from ..effects import dispatch, joint_reaction
 
@@ -133,7 +132,7 @@ class InverseDynamics:
             self._effects.unsteady()
         if self._on_demand is None:
             if len(table.kind):
-                bias_forces(work.body, table.reaction)
+                bias_forces(work, table.reaction)
             tree_torque(self._system.model, work, qdd, need)
         else:
             need = self._on_demand.tree_forces(q, qd, qdd)

@@ -338,7 +338,9 @@ class Simulation:
                 self._q, self._qd, self.system.lam)[:len(self.cut_joints)]
         out = np.empty((len(self.cut_joints), 3))
         model = self.system.model
-        cut_wrenches(model.cut, model.cut_point, self.system.work.body, self.system.lam, out)
+        work = self.system.work
+        cut_wrenches(model.cut, model.cut_point, work.cut_piece, work.body, self.system.lam,
+                     work.share, out)
         return out
 
     @property
@@ -477,8 +479,9 @@ class Simulation:
             kinetic, potential = self._on_demand.energies(self._q, self._qd)
             return kinetic, potential + self._effects.stored()
         model, work = self.system.model, self.system.work
-        return (energy.kinetic_energy(model, work, self._qd),
-                energy.potential_energy(model, work) + self._effects.stored())
+        out = np.empty(2)
+        energy.energies(model, work, self._qd, out)
+        return float(out[0]), float(out[1]) + self._effects.stored()
 
     @property
     def body_poses(self):

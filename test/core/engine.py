@@ -15,7 +15,7 @@
 """The compiled kernels on one mechanism, called one by one; what they write is copied out."""
 
 from closedloop_dynamics.core import (
-    articulated_inertia, elimination, energy, forward_dynamics, inverse_dynamics, jacobian,
+    articulated_inertia, elimination, energy, forward_dynamics, jacobian, joint_wrenches,
     kinematics, loop_closure)
 from closedloop_dynamics.core.formulations import SUBSYSTEM
 from closedloop_dynamics.core.types import ALPHA, PX, PY
@@ -106,14 +106,15 @@ class Engine:
         """Return I qdd + c."""
         self.move(q, qd)
         out = np.full(self.nv, np.nan)
-        inverse_dynamics.tree_torque(self.model, self.work, qdd, out)
+        joint_wrenches.tree_torque(self.model, self.work, qdd, out)
         return out
 
     def energies(self, q, qd):
         """Return (kinetic, potential) energy."""
         self.move(q, qd)
-        return (energy.kinetic_energy(self.model, self.work, qd),
-                energy.potential_energy(self.model, self.work))
+        out = np.empty(2)
+        energy.energies(self.model, self.work, qd, out)
+        return tuple(out.tolist())
 
     def constraint_matrix(self, q):
         """Return (J I^-1 J^T as assembled, its factor L D, 1/D), dense, in elimination order."""

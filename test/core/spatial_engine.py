@@ -143,7 +143,7 @@ class SpatialEngine:
         inputs = _inputs(self.model, q, qd, tau)
         outputs, _ = interpret(routines.Unrolling(self.model).routine(links.OUTWARD), inputs)
         inputs[links.WORK_BODY] = _array(
-            outputs, links.WORK_BODY, len(self.model.tree) * t.WORK_COLUMNS)
+            outputs, links.WORK_BODY, len(self.model.tree) * space.WORK_COLUMNS)
         outputs, good = interpret(routines.Unrolling(self.model).routine(which), inputs)
         return _array(outputs, links.QDD, self.nv), good
 

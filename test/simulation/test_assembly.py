@@ -16,7 +16,7 @@
 
 from dataclasses import replace
 
-from closedloop_dynamics.core.types import allocate
+from closedloop_dynamics.core.workspace import allocate
 from closedloop_dynamics.simulation.assembly import (
     angle_notes, Assembler, find_degrees_of_freedom, TOLERANCE)
 from closedloop_dynamics.simulation.errors import AssemblyError

@@ -20,8 +20,8 @@ from llvmlite import binding, ir
 
 from . import sincos
 from .tape import (
-    ADD, BOTH, CHOOSE, COSINE, DIVIDE, GREATER_EQUAL, LESS, LOAD, MULTIPLY, NEGATE, SINE,
-    SUBTRACT)
+    ADD, BOTH, CHOOSE, COSINE, DIVIDE, GREATER_EQUAL, LESS, LOAD, MULTIPLY, needed_for, NEGATE,
+    SINE, SUBTRACT)
 from .. import cache
 
 _DOUBLE, _WORD = ir.DoubleType(), ir.IntType(64)
@@ -29,43 +29,6 @@ _FUNCTION = ir.FunctionType(_WORD, [_WORD.as_pointer()] + 2 * [_DOUBLE.as_pointe
 # A multiplication and an addition may become one instruction that rounds once.
 _FLAGS = ('contract',)
 _ARITHMETIC = {ADD: 'fadd', SUBTRACT: 'fsub', MULTIPLY: 'fmul', DIVIDE: 'fdiv'}
-
-
-class Routine:
-    """
-    Arithmetic with its inputs and outputs.
-
-    Parameters
-    ----------
-    name : str
-        Of the machine code's symbol.
-    tape : Tape
-        The arithmetic.
-    outputs : sequence of (input, place, value)
-        What is stored where.
-
-    Notes
-    -----
-    An input is the place of an array's address in the linkage, or Q or QD: the arguments.
-
-    """
-
-    def __init__(self, name, tape, outputs):
-        """Keep what is needed for the outputs."""
-        self.name, self.tape, self.outputs = name, tape, outputs
-
-    def needed(self):
-        """
-        Return which operations the outputs and the guard depend on.
-
-        Returns
-        -------
-        set of int
-
-        """
-        values = [value for _, _, value in self.outputs] + [self.tape.guard]
-        return _needed_for(
-            self.tape.operations, [value.place for value in values if hasattr(value, 'place')])
 
 
 Q, QD = -1, -2
@@ -84,10 +47,12 @@ class Writer:
 
     """
 
+    TYPE = _FUNCTION
+
     def __init__(self, module, routine):
         """Begin the function."""
         self.routine = routine
-        self.function = ir.Function(module, _FUNCTION, routine.name)
+        self.function = ir.Function(module, self.TYPE, routine.name)
         self.builder = ir.IRBuilder(self.function.append_basic_block())
         self.values, self.pointers = {}, {}
 
@@ -114,7 +79,7 @@ class Writer:
         operations, use = self.routine.tape.operations, self.routine.needed()
         angles = sorted({operation[1] for place, operation in enumerate(operations)
                          if place in use and operation[0] in (SINE, COSINE)})
-        for place in sorted(_needed_for(operations, angles)):
+        for place in sorted(needed_for(operations, angles)):
             self.values[place] = self.operation(*operations[place])
         self.turn(operations, angles)
         for place, operation in enumerate(operations):
@@ -159,16 +124,14 @@ class Writer:
         return builder.select(*numbers)
 
 
-def _needed_for(operations, places):
-    """Return all places that some depend on, themselves included."""
-    found, rest = set(), list(places)
-    while rest:
-        place = rest.pop()
-        if place not in found:
-            found.add(place)
-            if operations[place][0] != LOAD:
-                rest.extend(o for o in operations[place][1:] if isinstance(o, int))
-    return found
+class PieceWriter(Writer):
+    """Writes a piece of the loops: a function of the rows that it reads and writes."""
+
+    TYPE = ir.FunctionType(_WORD, 5 * [_DOUBLE.as_pointer()])
+
+    def address(self, source, place):
+        """Return the address of a number of a row."""
+        return self.builder.gep(self.function.args[source], [_WORD(place)])
 
 
 # Machine code in use: it must stay where it is as long as the process lives.
@@ -186,7 +149,7 @@ def machine_code(key, routines, writer=Writer):
     routines : callable
         Returns the list of Routine; called only where nothing is cached.
     writer : type
-        ``Writer`` or ``LaneWriter``.
+        ``Writer``, ``PieceWriter`` or ``LaneWriter``.
 
     Returns
     -------

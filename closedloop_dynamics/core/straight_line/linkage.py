@@ -105,7 +105,47 @@ if available():
             return builder.call(builder.inttoptr(address, function.as_pointer()), arrays)
 
         return signature, generate
+    @intrinsic
+    def run_piece(typingctx, piece, constant, c, own, i, other, j, first, m, second, n):
+        """
+        Call a piece of the loops (``pieces``).
+
+        Parameters
+        ----------
+        typingctx
+            Of numba.
+        piece : int
+            Its address.
+        constant, own, other, first, second : ndarray
+            What it reads and writes.
+        c, i, j, m, n : int
+            Row of each, of arrays of one dimension the place.
+
+        Returns
+        -------
+        int
+
+        """
+        arrays = constant, own, other, first, second
+        signature = types.int64(piece, *(
+            kind for array in arrays for kind in (array, types.intp)))
+
+        def generate(context, builder, signature, arguments):
+            word, number = ir.IntType(64), ir.DoubleType().as_pointer()
+            rows = []
+            for n in range(1, len(arguments), 2):
+                array = context.make_array(signature.args[n])(context, builder, arguments[n])
+                first = builder.ptrtoint(array.data, word)
+                step = builder.extract_value(array.strides, 0)
+                rows.append(builder.inttoptr(
+                    builder.add(first, builder.mul(step, arguments[n + 1])), number))
+            function = ir.FunctionType(word, 5 * [number])
+            return builder.call(builder.inttoptr(arguments[0], function.as_pointer()), rows)
+
+        return signature, generate
 else:
+    from .interpreted import run as run_piece
+
     def call(linkage, which, q, qd):
         """Call a routine of a linkage; without a compiler that is a function of Python's."""
         return run(linkage, which, q, qd)

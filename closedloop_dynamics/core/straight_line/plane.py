@@ -15,13 +15,19 @@
 """A planar mechanism as one in space: positions in the x-y plane, axes along z."""
 
 from .spatial import Body, Cut, X, Y, Z
-from .vectors import IDENTITY, skew, transpose, ZERO
+from .vectors import IDENTITY, ZERO
 from ..types import (
     A_X, A_Y, ALPHA, ANGLE, ARMATURE, AX, AY, B_X, B_Y, COS, CUT_ANGLE, CUT_FIXED, CUT_PRISMATIC,
-    CUT_REVOLUTE, CUT_TYPE, FX, FY, FZ, HX, HY, INERTIA, IZZ, JOINT_X, JOINT_Y, MASS, MASS_X,
-    MASS_Y, MXX, MXY, MYY, OMEGA, PRISMATIC, PX, PY, REVOLUTE_ARMATURE, RX, RY, SIN, SX, SY, TYPE,
-    VX, VY)
+    CUT_REVOLUTE, CUT_TYPE, DX, DY, DZ, FX, FY, FZ, HX, HY, INERTIA, IZZ, JOINT_X, JOINT_Y, MASS,
+    MASS_X, MASS_Y, MXX, MXY, MYY, OMEGA, PRISMATIC, PX, PY, REVOLUTE_ARMATURE, RX, RY, SIN, SX,
+    SY, TYPE, UX, UY, UZ, VX, VY, WORK_COLUMNS)
 
+# Where the components of a wrench, of a motion and of an inertia are in Workspace.body, the angular
+# part first: of the bias force, of U = IA S, of the acceleration, of the inertia.
+FORCES = {2: FZ, 3: FX, 4: FY}
+SHARES = {2: UZ, 3: UX, 4: UY}
+CHANGES = {2: DZ, 3: DX, 4: DY}
+INERTIAS = {(2, 2): IZZ, (2, 3): HX, (2, 4): HY, (3, 3): MXX, (3, 4): MXY, (4, 4): MYY}
 # What the cut joints hold: axes of body B, and pairs of axes that stay perpendicular.
 _TURNING = (Z, X), (Z, Y)
 _HELD = {CUT_REVOLUTE: ((X, Y, Z), _TURNING), CUT_PRISMATIC: ((Y, Z), (*_TURNING, (X, Y))),
@@ -78,61 +84,51 @@ def cuts(model, symbols):
             for one, row in zip(model.cut, symbols)]
 
 
-def write(recursion, body):
+def motion_of(row, body, ground):
     """
-    Write the motion, inertias and forces into the columns of ``Workspace.body``.
+    Return the motion that a row of ``Workspace.body`` tells.
 
     Parameters
     ----------
-    recursion : Recursion
-        After ``outward``.
-    body : ndarray, shape (nb + 1, WORK_COLUMNS)
-        Columns ALPHA to FY, SX and SY are written.
-
-    """
-    for i, motion in enumerate(recursion.motion):
-        row = body[i]
-        row[ALPHA], row[COS], row[SIN] = motion.angle, motion.frame[0][0], motion.frame[1][0]
-        for columns, vector in (((PX, PY), motion.origin), ((RX, RY), motion.offset),
-                                ((VX, VY), motion.velocity), ((AX, AY), motion.acceleration),
-                                ((SX, SY), motion.axis[3:])):
-            row[list(columns)] = vector[:2]
-        row[OMEGA] = motion.spin[2]
-        if i > 0:
-            inertia, force = recursion.inertia[i], recursion.force[i]
-            row[[IZZ, HX, HY]] = inertia[2][2:5]
-            row[[MXX, MXY, MYY]] = inertia[3][3], inertia[3][4], inertia[4][4]
-            row[[FZ, FX, FY]] = force[2:5]
-
-
-def read(recursion, body):
-    """
-    Take the motion, inertias and forces from these columns, as effects have left them.
-
-    Parameters
-    ----------
-    recursion : Recursion
-        Continues after ``outward``.
-    body : ndarray, shape (nb + 1, WORK_COLUMNS)
+    row : ndarray, shape (WORK_COLUMNS,)
         Of symbols.
+    body : Body
+        Of this row.
+    ground : Motion
+        Of the ground.
+
+    Returns
+    -------
+    Motion
 
     """
-    ground = recursion.ground
-    recursion.ground = ground._replace(acceleration=(*body[0, [AX, AY]], 0.0))
-    recursion.motion, recursion.inertia, recursion.force = [recursion.ground], [None], [None]
-    for row, one in zip(body[1:], recursion.bodies[1:]):
-        cos, sin = row[COS], row[SIN]
-        motion = ground._replace(
-            angle=row[ALPHA], frame=((cos, 0.0 - sin, 0.0), (sin, cos, 0.0), IDENTITY[2]),
-            origin=(*row[[PX, PY]], 0.0), offset=(*row[[RX, RY]], 0.0),
-            spin=(0.0, 0.0, row[OMEGA]), velocity=(*row[[VX, VY]], 0.0),
-            acceleration=(*row[[AX, AY]], 0.0),
-            axis=(0.0, 0.0, one.turns) + ((0.0,) * 3 if one.turns else (*row[[SX, SY]], 0.0)))
-        coupling = skew((row[HY], 0.0 - row[HX], 0.0))
-        mass = ((row[MXX], row[MXY], 0.0), (row[MXY], row[MYY], 0.0), (0.0, 0.0, row[MXX]))
-        about = (ZERO, ZERO, (0.0, 0.0, row[IZZ]))
-        recursion.motion.append(motion)
-        recursion.inertia.append(
-            tuple(a + b for a, b in zip(about, coupling))
-            + tuple(a + b for a, b in zip(transpose(coupling), mass)))
-        recursion.force.append((0.0, 0.0, row[FZ], row[FX], row[FY], 0.0))
+    cos, sin = row[COS], row[SIN]
+    return ground._replace(
+        angle=row[ALPHA], frame=((cos, 0.0 - sin, 0.0), (sin, cos, 0.0), IDENTITY[2]),
+        origin=(*row[[PX, PY]], 0.0), offset=(*row[[RX, RY]], 0.0),
+        spin=(0.0, 0.0, row[OMEGA]), velocity=(*row[[VX, VY]], 0.0),
+        acceleration=(*row[[AX, AY]], 0.0),
+        axis=(0.0, 0.0, body.turns) + ((0.0,) * 3 if body.turns else (*row[[SX, SY]], 0.0)))
+
+
+def columns_of(motion):
+    """
+    Return what ``motion_of`` reads, by column.
+
+    Parameters
+    ----------
+    motion : Motion
+        Of a body.
+
+    Returns
+    -------
+    dict of int to number
+
+    """
+    columns = {ALPHA: motion.angle, COS: motion.frame[0][0], SIN: motion.frame[1][0],
+               OMEGA: motion.spin[2]}
+    for places, vector in (((PX, PY), motion.origin), ((RX, RY), motion.offset),
+                           ((VX, VY), motion.velocity), ((AX, AY), motion.acceleration),
+                           ((SX, SY), motion.axis[3:])):
+        columns.update(zip(places, vector))
+    return columns

@@ -16,18 +16,20 @@
 
 import numpy as np
 
-from . import emit, plane, space
+from . import emit, plane, rows, space
 from .linkage import (
     ACCELERATION, ALL_CLOSURES, ALL_JACOBIAN, ALL_LAM, BAUMGARTE, BODY, CLOSURE, CLOSURE_RATE,
     CLOSURES, CORRECTION, CORRECTIONS, CUT_POINT, CUT_WRENCH, CUT_WRENCHES, ENERGIES, ENERGY,
     EVALUATION, GRAVITY, HEALTH, JACOBIAN, JOINT_WRENCH, JOINT_WRENCHES, LAM, OUTWARD, QDD,
     REFINED_ACCELERATION, REFINED_CORRECTION, TAU, TREE_FORCE, TREE_FORCES, WORK_BODY)
 from .spatial import Recursion
-from .tape import ADD, DIVIDE, LOAD, MULTIPLY, NEGATE, SUBTRACT, Tape, unrolled
+from .tape import (
+    ADD, DIVIDE, LOAD, MULTIPLY, NEGATE, Routine, SUBTRACT, Tape, unrolled)
 from .. import (
     articulated_inertia, elimination, forward_dynamics, kinematics, loop_closure, refinement)
 from ..types import (
-    allocate, CUT_NUMBER, KEPT, number_of_coordinates, POSSIBLE, RHS, TYPE, Workspace)
+    CUT_NUMBER, KEPT, number_of_coordinates, POSSIBLE, RHS, TYPE, Workspace)
+from ..workspace import unconnected
 
 NAMES = {EVALUATION: 'evaluation', OUTWARD: 'outward', ACCELERATION: 'acceleration',
          CORRECTION: 'correction', REFINED_ACCELERATION: 'refined_acceleration',
@@ -126,7 +128,7 @@ class Unrolling:
             body=self.symbols(BODY, model.body.shape),
             gravity=self.symbols(GRAVITY, model.gravity.shape),
             cut_point=self.symbols(CUT_POINT, model.cut_point.shape))
-        work = Workspace(*(_zeros(*array.shape) for array in allocate(model)))
+        work = Workspace(*(_zeros(*array.shape) for array in unconnected(model)))
         self.work = work._replace(health=self.symbols(HEALTH, work.health.shape))
         self.q = self.symbols(emit.Q, (number_of_coordinates(model),))
         self.qd = self.symbols(emit.QD, (self.nv,))
@@ -165,7 +167,7 @@ class Unrolling:
     def routine(self, which):
         """Return one of the routines; an unrolling serves for one."""
         getattr(self, NAMES[which])()
-        return emit.Routine(NAMES[which], self.tape, self.outputs)
+        return Routine(NAMES[which], self.tape, self.outputs)
 
     def evaluation(self):
         """Accelerations and multipliers of a state where nothing but gravity and torques acts."""
@@ -175,14 +177,41 @@ class Unrolling:
     def outward(self):
         """Poses, velocities and forces of inertia: what effects work on."""
         self.recursion.outward(self.model, self.q, self.qd, self.work)
-        self.arrays.write(self.recursion, self.work.body)
+        self.write()
         self.store(WORK_BODY, self.work.body)
+
+    def write(self):
+        """Write motion and forces, in the plane inertias, too, into the rows of the bodies."""
+        one, arrays = self.recursion, self.arrays
+        for row, motion, inertia, force in zip(
+                self.work.body, one.motion, one.inertia, one.force):
+            columns = arrays.columns_of(motion)
+            if force is not None:
+                columns.update(rows.by_column(force, arrays.FORCES))
+            if arrays is plane and inertia is not None:
+                columns.update(rows.by_column(inertia, arrays.INERTIAS))
+            for place, value in columns.items():
+                if arrays is plane or place < space.OFFSET:
+                    row[place] = value
+
+    def read(self):
+        """Take what ``write`` has written, as effects have left it."""
+        one, arrays, body = self.recursion, self.arrays, self.symbols(
+            WORK_BODY, self.work.body.shape)
+        if arrays is space:
+            # Less is read than is computed again.
+            one.outward(self.model, self.q, self.qd, self.work)
+        else:
+            one.ground = one.ground._replace(
+                acceleration=plane.motion_of(body[0], one.bodies[0], one.ground).acceleration)
+            one.motion = [one.ground, *(arrays.motion_of(row, each, one.ground)
+                                        for row, each in zip(body[1:], one.bodies[1:]))]
+            one.inertia = [None, *(rows.matrix(row, arrays.INERTIAS) for row in body[1:])]
+        one.force = [None, *(rows.six(row, arrays.FORCES) for row in body[1:])]
 
     def acceleration(self, by=forward_dynamics):
         """Accelerations and multipliers after ``outward`` and the effects."""
-        if self.arrays is space:
-            self.recursion.outward(self.model, self.q, self.qd, self.work)
-        self.arrays.read(self.recursion, self.symbols(WORK_BODY, self.work.body.shape))
+        self.read()
         self.accelerate(by)
         self.store(CLOSURE, self.work.closure)
         self.store(CLOSURE_RATE, self.work.closure_rate)

@@ -24,7 +24,7 @@ them go the terms that they multiply.
 import numpy as np
 
 from .spatial import Body, Cut, X, Y, Z
-from .vectors import is_zero
+from .vectors import IDENTITY, is_zero, ZERO
 from ..types import (
     AXIS, BALL, CUT_NUMBER, CUT_TYPE, HELICAL, KEPT, PARENT, POSSIBLE, PRISMATIC, SLOT_A, SLOT_END,
     TYPE)
@@ -42,9 +42,18 @@ BODY_COLUMNS = 28
 POINT_A, POINT_B, TURNED_A, TURNED_B, LENGTH = 0, 3, 6, 15, 24
 CUT_POINT_COLUMNS = 25
 HELD_SUM, FACTORS = 0, 1
-# Columns of Workspace.body, one row a body: origin, axes row by row, angular velocity, velocity of
-# the origin; the force that the body's acceleration takes, moment first.
-ORIGIN, FRAME, SPIN, VELOCITY, FORCE = 0, 3, 12, 15, 18
+# Columns of Workspace.body, one row a body, after those that the plane has, too: origin, axes row
+# by row, angular velocity, velocity of the origin; the force that the body's acceleration takes,
+# moment first; from the parent's origin; what q, qd and gravity leave of the accelerations; the
+# joint's axis; its inertia, U = IA S and the acceleration beyond; the joint's coordinate and rate.
+ORIGIN, FRAME, SPIN, VELOCITY, FORCE, OFFSET, SPIN_RATE, ACCELERATION, JOINT_AXIS = (
+    3, 6, 15, 18, 21, 27, 30, 33, 36)
+WORK_INERTIA, SHARE, CHANGE, JOINT_POSITION, JOINT_RATE, WORK_COLUMNS = 42, 63, 69, 75, 76, 77
+# Where the components of a wrench, of a motion and of an inertia are, as in ``plane``.
+FORCES, SHARES, CHANGES = (
+    {n: first + n for n in range(6)} for first in (FORCE, SHARE, CHANGE))
+INERTIAS = {pair: WORK_INERTIA + n for n, pair in enumerate(
+    (m, n) for m in range(6) for n in range(m, 6))}
 
 # Cut joints by CUT_TYPE, after the planar ones: along which axes of body B they hold, and which
 # axes of A and B stay perpendicular. Joints that turn do so about Z of B; a universal joint's
@@ -326,38 +335,61 @@ def _matrix(row):
     return tuple(tuple(row[first:first + 3]) for first in (0, 3, 6))
 
 
-def write(recursion, body):
+def motion_of(row, body, ground):
     """
-    Write motion and forces into the columns of ``Workspace.body``.
+    Return the motion that a row of ``Workspace.body`` tells.
 
     Parameters
     ----------
-    recursion : Recursion
-        After ``outward``.
-    body : ndarray, shape (nb + 1, WORK_COLUMNS)
-        Columns from ORIGIN to FORCE are written.
-
-    """
-    for i, motion in enumerate(recursion.motion):
-        values = (*motion.origin, *sum(motion.frame, ()), *motion.spin, *motion.velocity)
-        body[i, :FORCE] = values
-        if i > 0:
-            body[i, FORCE:FORCE + 6] = recursion.force[i]
-
-
-def read(recursion, body):
-    """
-    Take the forces from these columns, as effects have left them.
-
-    Parameters
-    ----------
-    recursion : Recursion
-        After ``outward``.
-    body : ndarray, shape (nb + 1, WORK_COLUMNS)
+    row : ndarray, shape (WORK_COLUMNS,)
         Of symbols.
+    body : Body
+        Of this row.
+    ground : Motion
+        Of the ground.
+
+    Returns
+    -------
+    Motion
 
     """
-    recursion.force[1:] = [tuple(row[FORCE:FORCE + 6]) for row in body[1:]]
+    frame = _matrix(row[FRAME:])
+    origin, spin, velocity, offset, spin_rate, acceleration = (
+        tuple(row[first:first + 3])
+        for first in (ORIGIN, SPIN, VELOCITY, OFFSET, SPIN_RATE, ACCELERATION))
+    return ground._replace(
+        base=frame, frame=frame, origin=origin, offset=offset, spin=spin, velocity=velocity,
+        spin_rate=spin_rate, acceleration=acceleration,
+        axis=_axis(body, row[JOINT_AXIS:JOINT_AXIS + 6]))
+
+
+def _axis(body, symbols):
+    """Return the axis of a joint, zeros where a kind of joint has them."""
+    turn, slide = symbols[:3] if body.turns else ZERO, symbols[3:] if body.slides else ZERO
+    return IDENTITY[body.axis] + ZERO if body.ball else (*turn, *slide)
+
+
+def columns_of(motion):
+    """
+    Return what ``motion_of`` reads, by column.
+
+    Parameters
+    ----------
+    motion : Motion
+        Of a body.
+
+    Returns
+    -------
+    dict of int to number
+
+    """
+    columns = {}
+    for first, values in ((ORIGIN, motion.origin), (FRAME, sum(motion.frame, ())),
+                          (SPIN, motion.spin), (VELOCITY, motion.velocity),
+                          (OFFSET, motion.offset), (SPIN_RATE, motion.spin_rate),
+                          (ACCELERATION, motion.acceleration), (JOINT_AXIS, motion.axis)):
+        columns.update(enumerate(values, start=first))
+    return columns
 
 
 def first_equations(model):

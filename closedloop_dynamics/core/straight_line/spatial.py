@@ -129,6 +129,24 @@ class Cut(NamedTuple):
     lead: object = None
     coupling: tuple = None
 
+    def left(self, equations):
+        """Return which of all equations are left, those apart that always hold."""
+        if self.kept is None:
+            return [one for one in equations if not is_zero((one.value,))]
+        return [equations[n] for n in self.kept]
+
+    def equations(self, first, second):
+        """Return all equations, of the motion of both bodies."""
+        at_a = times(first.frame, self.point_a)
+        at_b = times(second.frame, self.point_b)
+        found = [*_translations(self, first, second, at_a, at_b),
+                 *_rotations(self, first, second)]
+        if self.length is not None:
+            found.append(_distance(self, first, second, at_a, at_b))
+        if self.lead is not None:
+            found.append(_screw(self, first, second, at_a, at_b))
+        return found
+
 
 class Motion(NamedTuple):
     """
@@ -338,11 +356,11 @@ class Recursion:
 
         """
         inertia, force, axis = self.inertia[i], self.force[i], self.motion[i].axis
-        alone, armature = _aligned(axis), self.bodies[i].armature
+        alone, armature = self.alone(i), self.bodies[i].armature
         share = times(inertia, axis)
         pivot = dot(axis, share)
         if armature is not None:
-            pivot, alone = pivot + armature, None
+            pivot = pivot + armature
         inverse = _inverse(pivot, massless)
         right = torque - dot(axis, force)
         if not is_zero(self.rotor[i]):
@@ -362,6 +380,32 @@ class Recursion:
                 map(add, self.inertia[parent], shifted(left, offset)))
             self.force[parent] = add(self.force[parent], at_parent(force, offset))
         return inverse, right
+
+    def alone(self, i):
+        """Return which coordinate of motion a joint takes all of, None where there is none."""
+        return None if self.bodies[i].armature is not None else _aligned(self.motion[i].axis)
+
+    def follow(self, i, before, qdd):
+        """
+        Return the acceleration of a body, of that of its parent and of its joint.
+
+        Parameters
+        ----------
+        i : int
+            The body.
+        before : tuple of 6
+            At the parent's origin.
+        qdd : number
+            Of the joint.
+
+        Returns
+        -------
+        tuple of 6
+
+        """
+        motion = self.motion[i]
+        before = before[:3] + add(before[3:], cross(before[:3], motion.offset))
+        return add(before, scale(motion.axis, qdd))
 
     def outward_acceleration(self, model, work, qdd):
         """Do as ``articulated_inertia.outward_acceleration`` does."""
@@ -451,25 +495,14 @@ class Recursion:
 
     def closures(self, model, a):
         """Return the equations of a cut joint, but for those that always hold."""
-        kept, found = self.cuts[a].kept, self.equations(model, a)
-        if kept is None:
-            return [one for one in found if not is_zero((one.value,))]
-        return [found[n] for n in kept]
+        return self.cuts[a].left(self.equations(model, a))
 
     def equations(self, model, a):
         """Return all equations of a cut joint."""
         cut = self.cuts[a]
         if cut.coupling is not None:
             return [self._coupled(cut)]
-        first, second = self.motion[model.cut[a, BODY_A]], self.motion[model.cut[a, BODY_B]]
-        at_a = times(first.frame, cut.point_a)
-        at_b = times(second.frame, cut.point_b)
-        found = [*_translations(cut, first, second, at_a, at_b), *_rotations(cut, first, second)]
-        if cut.length is not None:
-            found.append(_distance(cut, first, second, at_a, at_b))
-        if cut.lead is not None:
-            found.append(_screw(cut, first, second, at_a, at_b))
-        return found
+        return cut.equations(*(self.motion[model.cut[a, body]] for body in (BODY_A, BODY_B)))
 
     def _coupled(self, cut):
         """Return the equation that holds a sum of joint coordinates."""

@@ -58,6 +58,69 @@ class Tape:
         return Symbol(self, place)
 
 
+class Routine:
+    """
+    Arithmetic with its inputs and outputs.
+
+    Parameters
+    ----------
+    name : str
+        Of the machine code's symbol.
+    tape : Tape
+        The arithmetic.
+    outputs : sequence of (input, place, value)
+        What is stored where.
+
+    Notes
+    -----
+    An input is the place of an array's address in the linkage, Q or QD, or a row of a piece.
+
+    """
+
+    def __init__(self, name, tape, outputs):
+        """Keep what is needed for the outputs."""
+        self.name, self.tape, self.outputs = name, tape, outputs
+
+    def needed(self):
+        """
+        Return which operations the outputs and the guard depend on.
+
+        Returns
+        -------
+        set of int
+
+        """
+        values = [value for _, _, value in self.outputs] + [self.tape.guard]
+        return needed_for(
+            self.tape.operations, [value.place for value in values if hasattr(value, 'place')])
+
+
+def needed_for(operations, places):
+    """
+    Return all places that some depend on, themselves included.
+
+    Parameters
+    ----------
+    operations : list of tuple
+        Of a tape.
+    places : iterable of int
+        Of operations.
+
+    Returns
+    -------
+    set of int
+
+    """
+    found, rest = set(), list(places)
+    while rest:
+        place = rest.pop()
+        if place not in found:
+            found.add(place)
+            if operations[place][0] != LOAD:
+                rest.extend(o for o in operations[place][1:] if isinstance(o, int))
+    return found
+
+
 def _operand(value):
     return value.place if isinstance(value, Symbol) else float(value)
 

@@ -1,0 +1,344 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Code for one body, and for one cut joint, of each kind: what the loops over a mechanism call.
+
+A piece is a stage of the recursions (``spatial``) for one body, of which rows of
+``Workspace.body`` tell the motion. Bodies of one kind (joint type, structure of the constants,
+whether the parent is the ground) share it, whatever their number, their masses and their lengths.
+
+"""
+
+import numpy as np
+
+from . import plane, space
+from .interpreted import Interpreted
+from .linkage import available
+from .rows import by_column, matrix, six
+from .spatial import at_parent, Body, Recursion, rigid, shifted, Z
+from .tape import LOAD, Routine, Tape
+from .vectors import add, dot, times
+from ..types import (
+    ACCELERATE, AXIS, BODY_STAGES, CARRY, COMPOSE, CUT_TYPE, DINV, DZ, ELIMINATE,
+    ELIMINATE_MASSLESS, KEPT, LEVER, MEASURE, MOVE, NEWTON, PARENT, REDUCE, RHS, SHIFT, TORQUE,
+    TYPE)
+
+# Rows that a piece reads and writes: constants, the body, its parent (or body B of a cut joint),
+# and two more.
+CONSTANT, OWN, OTHER, FIRST, SECOND = range(5)
+# Bodies of a recursion of one body: the ground, the parent, the body itself.
+_PARENT, _BODY = 1, 2
+_NO_JOINT = Body(0.0, 0.0, Z, False, None, None, 0.0, None, None, None, None)
+
+
+def arrays_of(model):
+    """Return the module that knows what the arrays of a model hold."""
+    return space if space.is_spatial(model) else plane
+
+
+def connect(model, piece, cut_piece):
+    """
+    Fill in the addresses of the pieces of a mechanism.
+
+    Parameters
+    ----------
+    model : Model
+        Constant arrays of the mechanism.
+    piece : ndarray of int, shape (nb + 1, BODY_STAGES)
+        Written in place; row 0 is not used.
+    cut_piece : ndarray of int, shape (number of cuts, 2)
+        Written in place.
+
+    """
+    arrays = arrays_of(model)
+    structures = [space.structure(model)[n] if arrays is space else None for n in range(2)]
+    for which, rows, out, make in (
+            (0, range(1, len(model.tree)), piece, _Body), (1, range(len(model.cut)), cut_piece, _Cut)):
+        for row in rows:
+            structure = structures[which]
+            kind = make.kind(model, row), b'' if structure is None else structure[row].tobytes()
+            out[row] = _addresses(arrays, make, kind, model, row)
+
+
+_known = {}
+
+
+def _addresses(arrays, make, kind, model, row):
+    """Return the addresses of the pieces of a kind, of which a row of a model is one."""
+    key = arrays.__name__.rpartition('.')[2], make.__name__, kind
+    if key not in _known:
+        if available():
+            # Here, as there may be no compiler.
+            from .emit import machine_code, PieceWriter
+            find = machine_code(key, lambda: make(arrays, model, row).pieces(), PieceWriter)
+            _known[key] = [find(name) for name in make.NAMES]
+        else:
+            _known[key] = [Interpreted(one).number for one in make(arrays, model, row).pieces()]
+    return _known[key]
+
+
+class _Sketch:
+    """Symbols of what one piece reads; what it stores where."""
+
+    def __init__(self, arrays, constants, columns):
+        self.tape, self.arrays, self.outputs = Tape(), arrays, []
+        self.constant = self.row(CONSTANT, constants)
+        self.own, self.other = self.row(OWN, columns), self.row(OTHER, columns)
+
+    def row(self, source, size):
+        found = np.empty(size, dtype=object)
+        found[:] = [self.tape.put(LOAD, source, place) for place in range(size)]
+        return found
+
+    def store(self, source, by_place):
+        self.outputs += [(source, place, value) for place, value in by_place.items()]
+
+    def piece(self, name):
+        return Routine(name, self.tape, self.outputs)
+
+
+class _Body:
+    """
+    The pieces of one kind of body.
+
+    Parameters
+    ----------
+    arrays : module
+        ``plane`` or ``space``.
+    model : Model
+        Of which a row is of this kind.
+    row : int
+        That row.
+
+    """
+
+    NAMES = tuple(f'piece_{n}' for n in range(BODY_STAGES))
+
+    def __init__(self, arrays, model, row):
+        self.arrays, self.on_ground = arrays, model.tree[row, PARENT] == 0
+        self.model = model._replace(tree=model.tree[[0, row]], body=model.body[[0, row]])
+
+    @staticmethod
+    def kind(model, row):
+        """Return what the code depends on, beside the structure of the constants."""
+        tree = model.tree[row]
+        return int(tree[TYPE]), int(tree[AXIS]), bool(tree[PARENT] == 0)
+
+    def pieces(self):
+        """Return the pieces, in the order of the stages."""
+        return [self._piece(name, stage) for name, stage in zip(self.NAMES, self._stages())]
+
+    def _stages(self):
+        by_stage = {
+            MOVE: self.move, ELIMINATE: self.eliminate,
+            ELIMINATE_MASSLESS: lambda sketch, one: self.eliminate(sketch, one, True),
+            ACCELERATE: self.accelerate, REDUCE: self.reduce,
+            LEVER: lambda sketch, one: self.carry(sketch, one, self.arrays is plane),
+            CARRY: self.carry, COMPOSE: self.compose, MEASURE: self.measure,
+            NEWTON: self.newton, SHIFT: self.shift, TORQUE: self.torque}
+        return [by_stage[stage] for stage in range(BODY_STAGES)]
+
+    def _piece(self, name, stage):
+        arrays = self.arrays
+        sketch = _Sketch(arrays, self.model.body.shape[1], arrays.WORK_COLUMNS)
+        constants = np.stack([sketch.constant, sketch.constant])
+        body = arrays.bodies(self.model, constants)[1]
+        gravity = 3 * (0.0,)
+        one = Recursion([body, body, body], [], gravity)
+        parent = one.ground
+        if self.on_ground:
+            parent = arrays.motion_of(sketch.other, body, parent)
+            parent = one.ground._replace(acceleration=parent.acceleration)
+        else:
+            parent = arrays.motion_of(sketch.other, body, parent)
+        one.motion = [one.ground, parent, arrays.motion_of(sketch.own, body, one.ground)]
+        one.inertia = [None, matrix(sketch.other, arrays.INERTIAS),
+                       matrix(sketch.own, arrays.INERTIAS)]
+        one.force = [None, six(sketch.other, arrays.FORCES), six(sketch.own, arrays.FORCES)]
+        stage(sketch, one)
+        return sketch.piece(name)
+
+    def move(self, sketch, one):
+        """Motion, inertia and force of the rigid body; of q and qd."""
+        body = one.bodies[_BODY]
+        first, second = sketch.row(FIRST, 4), [
+            sketch.tape.put(LOAD, SECOND, place) for place in (-2, -1, 0)]
+        one.motion[_BODY] = motion = (
+            one.rolled(_BODY, _PARENT, first, second) if body.ball
+            else one.moved(_BODY, _PARENT, first[0], second[2]))
+        inertia, force = rigid(body, motion)
+        sketch.store(OWN, {**self.arrays.columns_of(motion),
+                           **by_column(inertia, self.arrays.INERTIAS),
+                           **by_column(force, self.arrays.FORCES)})
+
+    def eliminate(self, sketch, one, massless=False):
+        """The joint's factors, and what is left for the parent; of tau."""
+        torque = sketch.row(FIRST, 1)[0]
+        inverse, right = one.eliminate(
+            _BODY, 0 if self.on_ground else _PARENT, torque, massless)
+        share, _ = one.factors[_BODY]
+        sketch.store(OWN, {DINV: inverse, RHS: right, **by_column(share, self.arrays.SHARES)})
+        if not self.on_ground:
+            self._add_to_parent(sketch, one)
+
+    def _add_to_parent(self, sketch, one):
+        sketch.store(OTHER, {**by_column(one.inertia[_PARENT], self.arrays.INERTIAS),
+                             **by_column(one.force[_PARENT], self.arrays.FORCES)})
+
+    def _factored(self, sketch, one):
+        """Let a recursion know the factors of the joint."""
+        one.factors[_BODY] = (six(sketch.own, self.arrays.SHARES),
+                              one.alone(_BODY))
+
+    def accelerate(self, sketch, one):
+        """Accelerations; qdd is written."""
+        self._factored(sketch, one)
+        one.acceleration = {_PARENT: self._change_of_parent(sketch)}
+        qdd = one.accelerate(_BODY, _PARENT, sketch.own[DINV], sketch.own[RHS])
+        sketch.store(FIRST, {0: qdd})
+        sketch.store(OWN, {DZ: qdd, **by_column(one.acceleration[_BODY], self.arrays.CHANGES)})
+
+    def _change_of_parent(self, sketch):
+        return 6 * (0.0,) if self.on_ground else six(sketch.other, self.arrays.CHANGES)
+
+    def _wrench(self, sketch, source):
+        """Return a wrench in a row of its own."""
+        return six(sketch.row(source, len(self.arrays.FORCES)), self._packed)
+
+    @property
+    def _packed(self):
+        return {at: n for n, at in enumerate(self.arrays.FORCES)}
+
+    def reduce(self, sketch, one):
+        """A wrench less what the joint gives way to, at the parent, and its shares."""
+        self._factored(sketch, one)
+        force, scaled, wrench = one.reduce(
+            _BODY, sketch.own[DINV], self._wrench(sketch, FIRST))
+        sketch.store(FIRST, by_column(wrench, self._packed))
+        sketch.store(SECOND, {0: force, 1: scaled})
+
+    def carry(self, sketch, one, beyond=False):
+        """A wrench at the parent, and its share in the joint."""
+        beyond = beyond and bool(one.bodies[_BODY].turns)
+        force, wrench = one.carry(_BODY, self._wrench(sketch, FIRST), beyond)
+        sketch.store(FIRST, by_column(wrench, self._packed))
+        sketch.store(SECOND, {0: force, 1: 0.0})
+
+    def compose(self, sketch, one):
+        """The wrench of the composite body for a unit acceleration; its inertia at the parent."""
+        body, inertia = one.bodies[_BODY], one.inertia[_BODY]
+        sketch.store(FIRST, by_column(times(inertia, one.motion[_BODY].axis), self._packed))
+        sketch.store(SECOND, {0: 0.0 if body.armature is None else body.armature})
+        if not self.on_ground:
+            left = shifted(inertia, one.motion[_BODY].offset)
+            one.inertia[_PARENT] = tuple(map(add, one.inertia[_PARENT], left))
+            sketch.store(OTHER, by_column(one.inertia[_PARENT], self.arrays.INERTIAS))
+
+    def measure(self, sketch, one):
+        """Twice the kinetic energy, and the first moments in the world; of qd."""
+        body, motion = one.bodies[_BODY], one.motion[_BODY]
+        inertia, _ = rigid(body, motion)
+        rates = motion.spin + motion.velocity
+        energy = dot(rates, times(inertia, rates))
+        if body.armature is not None:
+            rate = sketch.row(SECOND, 1)[0]
+            energy = energy + body.armature * rate * rate
+        moment = tuple(body.mass * x for x in motion.origin)
+        moment = add(moment, times(motion.frame, body.moment))
+        sketch.store(FIRST, {0: energy, **{1 + n: x for n, x in enumerate(moment)}})
+
+    def newton(self, sketch, one):
+        """
+        Accelerations of given qdd, and the force that they take beside the bias force.
+
+        Rows of wrenches, then accelerations, in the place of those of the workspace.
+
+        """
+        size, motion = len(self.arrays.FORCES), one.motion[_BODY]
+        other, first = sketch.row(OTHER, 2 * size), sketch.row(FIRST, 2 * size)
+        before = 6 * (0.0,) if self.on_ground else six(other[size:], self._packed)
+        qdd = sketch.row(SECOND, 1)[0]
+        after = one.follow(_BODY, before, qdd)
+        inertia, _ = rigid(one.bodies[_BODY], motion)
+        force = add(six(first, self._packed), times(inertia, after))
+        sketch.store(FIRST, {
+            **by_column(force, self._packed),
+            **{size + n: x for n, x in by_column(after, self._packed).items()}})
+
+    def shift(self, sketch, one):
+        """Add a row of wrenches to the parent's."""
+        total = add(self._wrench(sketch, OTHER),
+                    at_parent(self._wrench(sketch, FIRST), one.motion[_BODY].offset))
+        sketch.store(OTHER, by_column(total, self._packed))
+
+    def torque(self, sketch, one):
+        """A wrench's share in the joint, and what a rotor takes there of qdd."""
+        body, torque = one.bodies[_BODY], dot(
+            one.motion[_BODY].axis, self._wrench(sketch, FIRST))
+        if body.armature is not None:
+            torque = torque + body.armature * sketch.row(OTHER, 1)[0]
+        sketch.store(SECOND, {0: torque})
+
+
+class _Cut:
+    """The pieces of one kind of cut joint; as for ``_Body``."""
+
+    NAMES = ('equations', 'wrench')
+
+    def __init__(self, arrays, model, row):
+        self.arrays = arrays
+        self.model = model._replace(cut=model.cut[[row]], cut_point=model.cut_point[[row]])
+
+    @staticmethod
+    def kind(model, row):
+        """Return what the code depends on, beside the structure of the constants."""
+        return tuple(model.cut[row, [CUT_TYPE, KEPT]].tolist())
+
+    def pieces(self):
+        """Return the pieces, in the order of the stages."""
+        return [self._piece(name, stage)
+                for name, stage in zip(self.NAMES, (self.equations, self.wrench))]
+
+    def _piece(self, name, stage):
+        arrays = self.arrays
+        sketch = _Sketch(arrays, self.model.cut_point.shape[1], arrays.WORK_COLUMNS)
+        cut, = arrays.cuts(self.model, sketch.constant[np.newaxis])
+        one = Recursion([], [], 3 * (0.0,))
+        one.motion = [arrays.motion_of(row, _NO_JOINT, one.ground)
+                      for row in (sketch.own, sketch.other)]
+        stage(sketch, one, cut, cut.left(cut.equations(*one.motion)))
+        return sketch.piece(name)
+
+    def equations(self, sketch, one, cut, closures):
+        """Value, rate, bias of each equation, and the wrenches of a unit multiplier."""
+        place = 0
+        for closure in closures:
+            values = [closure.value, closure.rate, closure.bias, *(
+                wrench[n] for wrench in (closure.on_a, closure.on_b)
+                for n in self.arrays.FORCES)]
+            sketch.store(FIRST, dict(enumerate(values, start=place)))
+            place += len(values)
+
+    def wrench(self, sketch, one, cut, closures):
+        """Wrenches of multipliers: at the cut point of A, at the origins of A and of B."""
+        lam = sketch.row(FIRST, len(closures))
+        on_a, on_b = 6 * (0.0,), 6 * (0.0,)
+        for value, closure in zip(lam, closures):
+            on_a = add(on_a, tuple(x * value for x in closure.on_a))
+            on_b = add(on_b, tuple(x * value for x in closure.on_b))
+        lever = times(one.motion[0].frame, cut.point_a)
+        at_cut = at_parent(on_a, tuple(0.0 - x for x in lever))
+        values = [wrench[n] for wrench in (at_cut, on_a, on_b) for n in self.arrays.FORCES]
+        sketch.store(SECOND, dict(enumerate(values)))

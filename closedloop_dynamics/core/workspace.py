@@ -1,0 +1,74 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Allocate what one evaluation writes, and let it know the code of its mechanism."""
+
+import numpy as np
+
+from .straight_line import pieces
+from .types import (
+    BODY_STAGES, COS, HEALTH_COLUMNS, JOINT_COLUMNS, ROWS, WORK_COLUMNS, Workspace)
+from .straight_line import space
+
+
+def allocate(model):
+    """
+    Allocate the workspace of one model.
+
+    Parameters
+    ----------
+    model : Model
+        Constant arrays of the mechanism.
+
+    Returns
+    -------
+    Workspace
+
+    """
+    work = unconnected(model)
+    pieces.connect(model, work.piece, work.cut_piece)
+    return work
+
+
+def unconnected(model):
+    """
+    Allocate a workspace that the loops cannot be run on.
+
+    Parameters
+    ----------
+    model : Model
+        Constant arrays of the mechanism.
+
+    Returns
+    -------
+    Workspace
+
+    """
+    slots, bodies, rows = len(model.slot_body), len(model.tree), len(model.column) - 1
+    most = max(3, model.cut[:, ROWS].max(initial=0))
+    spatial = space.is_spatial(model)
+    body = np.zeros((bodies, space.WORK_COLUMNS if spatial else WORK_COLUMNS))
+    size = 6 if spatial else 3
+    # The ground's axes.
+    body[0, [space.FRAME, space.FRAME + 4, space.FRAME + 8] if spatial else COS] = 1.0
+    return Workspace(
+        body=body, response=np.zeros((slots, most)), response_scaled=np.zeros((slots, most)),
+        factor=np.zeros(len(model.row)), scale=np.zeros(rows), lever=np.zeros((slots, most)),
+        joint=np.zeros((bodies, JOINT_COLUMNS)), change=np.zeros(bodies - 1),
+        pivot_inverse=np.zeros(rows), right=np.zeros(rows), scatter=np.zeros(rows),
+        closure=np.zeros(rows), closure_rate=np.zeros(rows), bias=np.zeros(rows),
+        equation=np.zeros(most * (3 + 2 * size)), wrench=np.zeros((2, size)),
+        share=np.zeros(3 * size), torque=np.zeros(bodies - 1), force=np.zeros((bodies, 2 * size)),
+        piece=np.zeros((bodies, BODY_STAGES), dtype=np.int64),
+        cut_piece=np.zeros((len(model.cut), 2), dtype=np.int64), health=np.zeros(HEALTH_COLUMNS))
