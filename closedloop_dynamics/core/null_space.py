@@ -27,7 +27,7 @@ the motions that the loops allow carry inertia. Dense, O(n^3).
 import numpy as np
 
 from .compiled import allocating
-from .types import CUT_PRISMATIC, CUT_ROW, CUT_TYPE, DOF, PRISMATIC, ROWS, TYPE
+from .types import CUT_ROW, DOF, LENGTHS, PRISMATIC, ROWS, TYPE
 
 # What is asked for: a change of positions, of rates, or accelerations.
 POSITION, VELOCITY, ACCELERATION = range(3)
@@ -55,7 +55,7 @@ def scales(model, jac, row_scale, column_scale):
 
     Turns are scaled by the longest lever of any turn in the same loops, slides are not; then
     each cut joint by its largest entry. The lever of the turn itself would hide that it vanishes
-    in a singular configuration. The two equations of a cut point share their scale, so
+    in a singular configuration. The equations of a cut point share their scale, so
     that the direction of the world's axes makes no difference.
 
     Parameters
@@ -75,7 +75,7 @@ def scales(model, jac, row_scale, column_scale):
     longest = 0.0
     for a in range(cut.shape[0]):
         first = cut[a, CUT_ROW]
-        last = first + (1 if cut[a, CUT_TYPE] == CUT_PRISMATIC else 2)
+        last = first + cut[a, LENGTHS]
         here = 0.0
         for body in range(1, tree.shape[0]):
             if tree[body, TYPE] != PRISMATIC:
@@ -95,7 +95,7 @@ def scales(model, jac, row_scale, column_scale):
         column_scale[j] = 1.0 / lever[j]
     for a in range(cut.shape[0]):
         first, rows = cut[a, CUT_ROW], cut[a, ROWS]
-        together = 1 if cut[a, CUT_TYPE] == CUT_PRISMATIC else 2
+        together = cut[a, LENGTHS]
         for begin, end in ((first, first + together), (first + together, first + rows)):
             most = 0.0
             for i in range(begin, end):

@@ -85,10 +85,11 @@ JOINT_COLUMNS = 3
 # from body A inward, SLOT_B..SLOT_COMMON-1 those from body B, SLOT_COMMON..SLOT_END-1
 # the ones that both paths share; CUT_NUMBER: its place in the user's order. In
 # space, POSSIBLE: the bits of the equations of its type that do not always hold; KEPT: of those
-# among them that the elimination works on, as others repeat them.
+# among them that the elimination works on, as others repeat them. LENGTHS: how many of the first
+# equations hold points, in metres; one at least.
 (CUT_TYPE, BODY_A, BODY_B, ROWS, CUT_ROW, ROW, SLOT_A, SLOT_B, SLOT_COMMON, SLOT_END,
- CUT_NUMBER, KEPT, POSSIBLE) = range(13)
-CUT_COLUMNS = 13
+ CUT_NUMBER, KEPT, POSSIBLE, LENGTHS) = range(14)
+CUT_COLUMNS = 14
 # Values of CUT_TYPE.
 CUT_REVOLUTE, CUT_PRISMATIC, CUT_FIXED = range(3)
 # Model.cut_point, one row a cut joint: the cut point in both bodies' frames, the angle.

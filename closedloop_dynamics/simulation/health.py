@@ -22,7 +22,7 @@ import numpy as np
 from ..core import kinematics
 from ..core.jacobian import constraint_jacobian, generalized_inertia_matrix
 from ..core.types import (
-    CLOSURE, CUT_PRISMATIC, CUT_ROW, CUT_TYPE, DOF, EVALUATIONS, PARENT, PRISMATIC,
+    CLOSURE, CUT_ROW, DOF, EVALUATIONS, LENGTHS, PARENT, PRISMATIC,
     PROJECTION_ITERATIONS, RANK, RANK_REVEALING_COUNT, ROW, ROWS, SINGULAR_COUNT,
     SMALLEST_PIVOT, SMALLEST_PIVOT_EVER, TYPE)
 
@@ -198,7 +198,7 @@ def drive_sine(model, jac, passive):
             joints[tree[i, DOF], tree[parent, DOF]] = -1.0
     places, angles = [], []
     for cut in model.cut:
-        points = 1 if cut[CUT_TYPE] == CUT_PRISMATIC else 2
+        points = cut[LENGTHS]
         places.append(slice(cut[CUT_ROW], cut[CUT_ROW] + points))
         angles += range(cut[CUT_ROW] + points, cut[CUT_ROW] + cut[ROWS])
     by_angles = jac @ joints

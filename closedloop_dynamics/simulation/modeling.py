@@ -97,7 +97,8 @@ def _cut_arrays(mechanism, decomposition, tree, body_row):
         middle = start + len(own_a)
         rows = CUT_JOINT_EQUATIONS[joint.type]
         cut[k] = (_CUT_TYPES[joint.type], a, b, rows, user_first[index], first, start, middle,
-                  middle + len(own_b), len(slots), index, 0, 0)
+                  middle + len(own_b), len(slots), index, 0, 0,
+                  1 if joint.type == PRISMATIC else 2)
         point[k] = (*joint.point_a, *joint.point_b, joint.angle)
         first += rows
     return cut, point, np.array(slots, dtype=np.int64)
