@@ -13,14 +13,13 @@
 # limitations under the License.
 
 """
-Kernels unrolled for the topology of one mechanism.
+Code generated for one mechanism.
 
-The loops of ``core`` serve every planar mechanism; one of a few bodies spends most of its time
-in them on indices. Here an evaluation is run once on symbols (``tape``): the recursions over the
-bodies are those in space (``spatial``), which a mechanism in the plane reduces to its own
-(``plane``); the elimination is that of the loops. The arithmetic that is left behind is compiled
-(``emit``) to routines that compiled code calls by their address (``linkage``): one more second at
-the first start, a third of the time ever after.
+The recursions over the bodies are written once, in space (``spatial``), and run on symbols
+(``tape``); a mechanism in the plane (``plane``) reduces them to its own. The arithmetic that is
+left is compiled (``emit``) to routines that compiled code calls by their address (``linkage``):
+a whole evaluation of a mechanism of a few bodies (``routines``), or its stages for each kind of
+body, which the loops over bodies in ``core`` call (``pieces``).
 
 """
 

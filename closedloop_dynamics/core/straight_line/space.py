@@ -365,7 +365,8 @@ def motion_of(row, body, ground):
 
 def _axis(body, symbols):
     """Return the axis of a joint, zeros where a kind of joint has them."""
-    turn, slide = symbols[:3] if body.turns else ZERO, symbols[3:] if body.slides else ZERO
+    turn, slide = (symbols[first:first + 3] if not is_zero((rate,)) else ZERO
+                   for first, rate in ((0, body.turns), (3, body.slides)))
     return IDENTITY[body.axis] + ZERO if body.ball else (*turn, *slide)
 
 
