@@ -16,7 +16,7 @@
 
 from .compiled import compiled
 from .straight_line.linkage import run_piece
-from .types import DOF, MEASURE
+from .types import DOF, MEASURE, PARENT
 
 
 @compiled
@@ -40,8 +40,8 @@ def energies(model, work, qd, out):
     moment, gravity = work.equation, model.gravity
     out[0] = out[1] = 0.0
     for i in range(1, model.tree.shape[0]):
-        run_piece(work.piece[i, MEASURE], model.body, i, work.body, i, work.body, i,
-                  moment, 0, qd, model.tree[i, DOF])
+        run_piece(work.piece[i, MEASURE], model.body, i, work.body, i, work.body,
+                  model.tree[i, PARENT], moment, 0, qd, model.tree[i, DOF])
         out[0] += 0.5 * moment[0]
         for k in range(gravity.shape[0]):
             out[1] -= gravity[k] * moment[1 + k]

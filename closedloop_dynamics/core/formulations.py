@@ -29,8 +29,8 @@ from .elimination import note, POOR_PIVOT
 from .forward_dynamics import constraint_right_side, to_user_order
 from .jacobian import constraint_jacobian, generalized_inertia_matrix
 from .joint_wrenches import tree_torque
-from .loop_closure import NO_RESPONSES, update
-from .types import EVALUATIONS
+from .loop_closure import update
+from .types import EVALUATIONS, NO_RESPONSES
 
 # Which formulation an evaluation uses.
 SUBSYSTEM, SYSTEM, AUGMENTED = range(3)

@@ -16,7 +16,7 @@
 
 from . import articulated_inertia, elimination, kinematics, loop_closure
 from .compiled import compiled, inlined
-from .types import CUT_ROW, EVALUATIONS, ROW, ROWS
+from .types import CUT_ROW, EVALUATIONS, REDUCED, ROW, ROWS
 
 
 @inlined
@@ -40,7 +40,7 @@ def prepare(model, tau, work):
 
     """
     articulated_inertia.inward(model, tau, work)
-    loop_closure.update(model, work, loop_closure.REDUCED)
+    loop_closure.update(model, work, REDUCED)
     elimination.assemble(model, work)
     return elimination.factorize_well(model, work)
 

@@ -22,6 +22,7 @@ from . import kinematics, loop_closure, lu
 from .compiled import compiled
 from .forward_dynamics import to_user_order
 from .jacobian import constraint_jacobian
+from .types import NO_RESPONSES
 
 # Partition.record: the pivot ratio when the set was chosen (0: none chosen yet), the latest
 # one, how often the set was changed.
@@ -164,7 +165,7 @@ def close(model, work, partition, q, qd, tolerance):
     closed = False
     for _ in range(MOST_ITERATIONS):
         kinematics.outward(model, q, qd, work)
-        loop_closure.update(model, work, loop_closure.NO_RESPONSES)
+        loop_closure.update(model, work, NO_RESPONSES)
         to_user_order(model, work.closure, right)
         constraint_jacobian(model, work, partition.jac)
         if partition.record[CHOSEN_RATIO] == 0.0:

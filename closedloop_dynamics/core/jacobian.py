@@ -74,14 +74,13 @@ def generalized_inertia_matrix(model, work, gim):
         # Force of the composite body for a unit acceleration of its joint, then inward.
         run_piece(piece[i, COMPOSE], model.body, i, body, i, body, tree[i, PARENT],
                   work.wrench, 0, share, 0)
-        row, armature = tree[i, DOF], share[0]
-        k = i
+        row, k = tree[i, DOF], tree[i, PARENT]
+        gim[row, row] = share[0]
         while k > 0:
             run_piece(piece[k, CARRY], model.body, k, body, k, body, k, work.wrench, 0, share, 0)
             gim[row, tree[k, DOF]] = share[0]
             gim[tree[k, DOF], row] = share[0]
             k = tree[k, PARENT]
-        gim[row, row] += armature
     for i in range(gim.shape[0]):
         turn_spherical(tree, body, gim[i], False)
     for i in range(gim.shape[0]):

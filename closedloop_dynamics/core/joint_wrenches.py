@@ -153,7 +153,7 @@ def tree_torque(model, work, qdd, out):
     bias_forces(work, wrench)
     _newton(model, work, qdd, wrench)
     for i in range(tree.shape[0] - 1, 0, -1):
-        run_piece(piece[i, TORQUE], model.body, i, body, i, qdd, tree[i, DOF], wrench, i,
+        run_piece(piece[i, TORQUE], model.body, i, body, i, body, i, wrench, i,
                   out, tree[i, DOF])
         run_piece(piece[i, SHIFT], model.body, i, body, i, wrench, tree[i, PARENT], wrench, i,
                   work.share, 0)

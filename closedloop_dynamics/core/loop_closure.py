@@ -16,13 +16,10 @@
 
 from .compiled import inlined
 from .straight_line.linkage import run_piece
+from .straight_line.space import COUPLING, FACTORS, HELD_SUM, JOINT_POSITION, JOINT_RATE
 from .types import (
-    BODY_A, BODY_B, EQUATIONS, LEVER, REDUCE, RHS, ROW, ROWS, SLOT_A, SLOT_B, SLOT_COMMON,
-    SLOT_END)
-
-# What ``update`` computes of the unit cut forces: nothing, their shares at the joints of trees
-# that give way, or their levers on the bodies' angles and on the slides (J^T for these).
-NO_RESPONSES, REDUCED, LEVERS = range(3)
+    BODY_A, BODY_B, CUT_TYPE, EQUATIONS, LEVER, NO_RESPONSES, PARENT, REDUCE, REDUCE_COUPLED,
+    REDUCED, RHS, ROW, ROWS, SLOT_A, SLOT_B, SLOT_COMMON, SLOT_END)
 
 
 @inlined
@@ -73,6 +70,9 @@ def respond(model, work, stage, a, row):
 
     """
     cut, wrench, size = model.cut, work.wrench, work.wrench.shape[1]
+    if cut[a, CUT_TYPE] == COUPLING:
+        _respond_in_joints(model, work, stage, a, row)
+        return
     place = row * (3 + 2 * size) + 3
     for n in range(size):
         wrench[0, n] = work.equation[place + n]
@@ -85,6 +85,27 @@ def respond(model, work, stage, a, row):
             for n in range(size):
                 wrench[0, n] += wrench[1, n]
             carry(model, work, stage, common, end, 0, row)
+
+
+@inlined
+def _respond_in_joints(model, work, stage, a, row):
+    """Do as ``respond`` does for a coupling; a slot's body comes before its parent."""
+    cut, arrived, share = model.cut, work.force, work.share
+    first, last = cut[a, SLOT_A], cut[a, SLOT_END]
+    for slot in range(first, last):
+        i = model.slot_body[slot]
+        for n in range(6):
+            arrived[i, n] = arrived[model.tree[i, PARENT], n] = 0.0
+    for slot in range(first, last):
+        i = model.slot_body[slot]
+        share[0], share[1] = model.cut_point[a, FACTORS + slot - first], 0.0
+        if stage == REDUCE:
+            run_piece(work.piece[i, REDUCE_COUPLED], model.body, i, work.body, i, work.body, i,
+                      arrived, i, share, 0)
+            for n in range(6):
+                arrived[model.tree[i, PARENT], n] += arrived[i, n]
+        work.response[slot, row] = share[0]
+        work.response_scaled[slot, row] = share[1]
 
 
 @inlined
@@ -104,6 +125,14 @@ def measure(model, work, a):
 
     """
     cut, body = model.cut, work.body
+    if cut[a, CUT_TYPE] == COUPLING:
+        value, rate = -model.cut_point[a, HELD_SUM], 0.0
+        for slot in range(cut[a, SLOT_A], cut[a, SLOT_END]):
+            factor = model.cut_point[a, FACTORS + slot - cut[a, SLOT_A]]
+            value += factor * body[model.slot_body[slot], JOINT_POSITION]
+            rate += factor * body[model.slot_body[slot], JOINT_RATE]
+        work.equation[0], work.equation[1], work.equation[2] = value, rate, 0.0
+        return
     run_piece(work.cut_piece[a, EQUATIONS], model.cut_point, a, body, cut[a, BODY_A],
               body, cut[a, BODY_B], work.equation, 0, work.share, 0)
 

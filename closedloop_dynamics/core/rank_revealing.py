@@ -36,11 +36,12 @@ from .compiled import allocating, merged
 from .forward_dynamics import constraint_right_side, to_user_order
 from .jacobian import constraint_jacobian, generalized_inertia_matrix
 from .joint_wrenches import bias_forces, tree_torque
-from .loop_closure import largest, NO_RESPONSES, update
+from .loop_closure import largest, update
 from .null_space import ACCELERATION, POSITION, ROUNDING, solve, VELOCITY, WEAK
 from .straight_line.space import FORCE, SPIN
 from .types import (
-    FZ, LOOKED_BESIDE, MOST_DISTINCT, OMEGA, RANK, RANK_REVEALING_COUNT, SINGULAR_COUNT)
+    FZ, LOOKED_BESIDE, MOST_DISTINCT, NO_RESPONSES, OMEGA, RANK, RANK_REVEALING_COUNT,
+    SINGULAR_COUNT)
 
 # Corrections that bring a stage onto its branch: beside it by 1e-4, two leave rounding.
 MOST_CORRECTIONS = 4

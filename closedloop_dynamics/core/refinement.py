@@ -31,7 +31,7 @@ from . import articulated_inertia, elimination, loop_closure
 from .compiled import choose, inlined
 from .forward_dynamics import constraint_right_side
 from .types import (
-    CUT_ROW, DINV, DOF, DZ, LENGTHS, PRISMATIC, RHS, ROW, ROWS, SLOT_A, SLOT_END,
+    CUT_ROW, DINV, DOF, DZ, LENGTHS, LEVERS, PRISMATIC, REDUCED, RHS, ROW, ROWS, SLOT_A, SLOT_END,
     SQUARE, STAND_IN, TOTAL, TYPE)
 
 # The error shrinks each time by the rounding of the smallest pivot: twice is enough for masses
@@ -58,7 +58,7 @@ def _geometry(model, work):
     tree, cut, slot_body = model.tree, model.cut, model.slot_body
     response, scaled, lever, joint = (
         work.response, work.response_scaled, work.lever, work.joint)
-    loop_closure.update(model, work, loop_closure.LEVERS)
+    loop_closure.update(model, work, LEVERS)
     for i in range(tree.shape[0]):
         joint[i, SQUARE] = 0.0
     for a in range(cut.shape[0]):
@@ -132,7 +132,7 @@ def prepare(model, tau, work):
     articulated_inertia.inward(model, tau, work, True)
     if not _stand_in(model, work):
         return False
-    loop_closure.update(model, work, loop_closure.REDUCED)
+    loop_closure.update(model, work, REDUCED)
     elimination.assemble(model, work)
     return elimination.factorize(model, work) > 0.0
 

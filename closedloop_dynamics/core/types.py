@@ -67,12 +67,17 @@ WORK_COLUMNS = 31
 # Workspace.piece, one row a body: addresses of what the loops call (``straight_line.pieces``).
 # Motion and rigid body; elimination of the joint, and where joints may carry no inertia;
 # acceleration; a wrench carried inward, less what joints give way to, by levers, or as it is;
-# inertia of the composite body; energy; Newton's and Euler's equations, inward, joint torque.
+# inertia of the composite body; energy; Newton's and Euler's equations, inward, joint torque; the
+# first of the wrenches where a force acts in the joint itself.
 (MOVE, ELIMINATE, ELIMINATE_MASSLESS, ACCELERATE, REDUCE, LEVER, CARRY, COMPOSE, MEASURE, NEWTON,
- SHIFT, TORQUE) = range(12)
-BODY_STAGES = 12
+ SHIFT, TORQUE, REDUCE_COUPLED) = range(13)
+BODY_STAGES = 13
 # Workspace.cut_piece, one row a cut joint: its equations; the wrenches of its multipliers.
 EQUATIONS, WRENCH = range(2)
+
+# What ``loop_closure.update`` computes of the unit cut forces: nothing, their shares at the joints
+# of trees that give way, or their levers on the bodies' angles and on the slides (J^T for these).
+NO_RESPONSES, REDUCED, LEVERS = range(3)
 
 # Workspace.joint, one row a body: square of the lever that its joint is compared by (1 for a
 # slide), the inertia that stands in for none, and the acceleration: of the slide, or of the body's

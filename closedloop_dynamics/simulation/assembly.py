@@ -30,7 +30,7 @@ from .errors import AssemblyError
 from .modeling import build_model, extent
 from ..core import jacobian, kinematics, loop_closure
 from ..core.forward_dynamics import to_user_order
-from ..core.types import CUT_NUMBER, ROWS
+from ..core.types import CUT_NUMBER, NO_RESPONSES, ROWS
 from ..core.workspace import allocate
 
 # Closed means this, relative to the mechanism's size (or 1, for a rate or an angle).
@@ -79,7 +79,7 @@ class Assembler:
     def closure(self, q):
         """Return psi, shape (nc,), in the mechanism's order [m, rad]."""
         kinematics.outward(self.model, q, self._still, self.work)
-        loop_closure.update(self.model, self.work, loop_closure.NO_RESPONSES)
+        loop_closure.update(self.model, self.work, NO_RESPONSES)
         psi = np.zeros(self.nc)
         to_user_order(self.model, self.work.closure, psi)
         return psi

@@ -96,7 +96,7 @@ class InverseDynamics:
         bias = np.zeros(len(jac))
         kinematics.outward(model, q, qd, work)
         jacobian.constraint_jacobian(model, work, jac)
-        loop_closure.update(model, work, loop_closure.NO_RESPONSES)
+        loop_closure.update(model, work, t.NO_RESPONSES)
         to_user_order(model, work.bias, bias)
         return jac, bias, np.abs(work.body[:, [t.AX, t.AY]]).max()
 

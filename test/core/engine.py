@@ -18,7 +18,7 @@ from closedloop_dynamics.core import (
     articulated_inertia, elimination, energy, forward_dynamics, jacobian, joint_wrenches,
     kinematics, loop_closure)
 from closedloop_dynamics.core.formulations import SUBSYSTEM
-from closedloop_dynamics.core.types import ALPHA, PX, PY
+from closedloop_dynamics.core.types import ALPHA, NO_RESPONSES, PX, PY, REDUCED
 from closedloop_dynamics.integration.system import build_system, evaluate
 from closedloop_dynamics.mechanism.decomposition import decompose
 from closedloop_dynamics.simulation.modeling import body_rows, build_model
@@ -78,7 +78,7 @@ class Engine:
     def closure(self, q, qd):
         """Return psi, J qd, Jdot qd."""
         self.move(q, qd)
-        loop_closure.update(self.model, self.work, loop_closure.NO_RESPONSES)
+        loop_closure.update(self.model, self.work, NO_RESPONSES)
         return [self.in_user_order(values) for values in (
             self.work.closure, self.work.closure_rate, self.work.bias)]
 
@@ -120,7 +120,7 @@ class Engine:
         """Return (J I^-1 J^T as assembled, its factor L D, 1/D), dense, in elimination order."""
         self.move(q)
         articulated_inertia.inward(self.model, np.zeros(self.nv), self.work)
-        loop_closure.update(self.model, self.work, loop_closure.REDUCED)
+        loop_closure.update(self.model, self.work, REDUCED)
         elimination.assemble(self.model, self.work)
         matrix = self.lower_triangle()
         elimination.factorize(self.model, self.work)

@@ -29,11 +29,11 @@ from .linkage import available
 from .rows import by_column, matrix, six
 from .spatial import at_parent, Body, Recursion, rigid, shifted, Z
 from .tape import LOAD, Routine, Tape
-from .vectors import add, dot, times
+from .vectors import add, cross, dot, is_zero, times, ZERO
 from ..types import (
     ACCELERATE, AXIS, BODY_STAGES, CARRY, COMPOSE, CUT_TYPE, DINV, DZ, ELIMINATE,
-    ELIMINATE_MASSLESS, KEPT, LEVER, MEASURE, MOVE, NEWTON, PARENT, REDUCE, RHS, SHIFT, TORQUE,
-    TYPE)
+    ELIMINATE_MASSLESS, KEPT, LEVER, MEASURE, MOVE, NEWTON, PARENT, REDUCE, REDUCE_COUPLED, RHS,
+    SHIFT, TORQUE, TYPE)
 
 # Rows that a piece reads and writes: constants, the body, its parent (or body B of a cut joint),
 # and two more.
@@ -147,7 +147,8 @@ class _Body:
             ACCELERATE: self.accelerate, REDUCE: self.reduce,
             LEVER: lambda sketch, one: self.carry(sketch, one, self.arrays is plane),
             CARRY: self.carry, COMPOSE: self.compose, MEASURE: self.measure,
-            NEWTON: self.newton, SHIFT: self.shift, TORQUE: self.torque}
+            NEWTON: self.newton, SHIFT: self.shift, TORQUE: self.torque,
+            REDUCE_COUPLED: lambda sketch, one: self.reduce(sketch, one, True)}
         return [by_stage[stage] for stage in range(BODY_STAGES)]
 
     def _piece(self, name, stage):
@@ -167,6 +168,8 @@ class _Body:
         one.inertia = [None, matrix(sketch.other, arrays.INERTIAS),
                        matrix(sketch.own, arrays.INERTIAS)]
         one.force = [None, six(sketch.other, arrays.FORCES), six(sketch.own, arrays.FORCES)]
+        if not is_zero(body.rotor):
+            one.rotor[_BODY] = tuple(sketch.own[space.WORK_ROTOR:space.WORK_ROTOR + 3])
         stage(sketch, one)
         return sketch.piece(name)
 
@@ -182,6 +185,18 @@ class _Body:
         sketch.store(OWN, {**self.arrays.columns_of(motion),
                            **by_column(inertia, self.arrays.INERTIAS),
                            **by_column(force, self.arrays.FORCES)})
+        if self.arrays is space:
+            sketch.store(OWN, {space.JOINT_POSITION: first[0], space.JOINT_RATE: second[2]})
+        if not is_zero(body.rotor):
+            parent = one.motion[_PARENT]
+            rotor = times(parent.frame, body.rotor)
+            turning = tuple(x * second[2] for x in cross(parent.spin, rotor))
+            one.force[_PARENT] = add(one.force[_PARENT], turning + ZERO)
+            sketch.store(OWN, {
+                space.ROTOR_BIAS: dot(rotor, parent.spin_rate),
+                **dict(enumerate(rotor, start=space.WORK_ROTOR))})
+            if not self.on_ground:
+                sketch.store(OTHER, by_column(one.force[_PARENT], self.arrays.FORCES))
 
     def eliminate(self, sketch, one, massless=False):
         """The joint's factors, and what is left for the parent; of tau."""
@@ -221,11 +236,12 @@ class _Body:
     def _packed(self):
         return {at: n for n, at in enumerate(self.arrays.FORCES)}
 
-    def reduce(self, sketch, one):
+    def reduce(self, sketch, one, coupled=False):
         """A wrench less what the joint gives way to, at the parent, and its shares."""
         self._factored(sketch, one)
+        own = sketch.row(SECOND, 1)[0] if coupled else 0.0
         force, scaled, wrench = one.reduce(
-            _BODY, sketch.own[DINV], self._wrench(sketch, FIRST))
+            _BODY, sketch.own[DINV], self._wrench(sketch, FIRST), own)
         sketch.store(FIRST, by_column(wrench, self._packed))
         sketch.store(SECOND, {0: force, 1: scaled})
 
@@ -237,10 +253,16 @@ class _Body:
         sketch.store(SECOND, {0: force, 1: 0.0})
 
     def compose(self, sketch, one):
-        """The wrench of the composite body for a unit acceleration; its inertia at the parent."""
+        """
+        The wrench of the composite body for a unit acceleration, and its share in the joint.
+
+        The wrench, like the inertia, goes to the parent.
+
+        """
         body, inertia = one.bodies[_BODY], one.inertia[_BODY]
-        sketch.store(FIRST, by_column(times(inertia, one.motion[_BODY].axis), self._packed))
-        sketch.store(SECOND, {0: 0.0 if body.armature is None else body.armature})
+        share, wrench = one.carry(_BODY, times(inertia, one.motion[_BODY].axis))
+        sketch.store(SECOND, {0: share + (0.0 if body.armature is None else body.armature)})
+        sketch.store(FIRST, by_column(add(wrench, one.rotor[_BODY] + ZERO), self._packed))
         if not self.on_ground:
             left = shifted(inertia, one.motion[_BODY].offset)
             one.inertia[_PARENT] = tuple(map(add, one.inertia[_PARENT], left))
@@ -252,9 +274,10 @@ class _Body:
         inertia, _ = rigid(body, motion)
         rates = motion.spin + motion.velocity
         energy = dot(rates, times(inertia, rates))
+        rate = sketch.row(SECOND, 1)[0]
         if body.armature is not None:
-            rate = sketch.row(SECOND, 1)[0]
             energy = energy + body.armature * rate * rate
+        energy = energy + 2.0 * rate * dot(one.rotor[_BODY], one.motion[_PARENT].spin)
         moment = tuple(body.mass * x for x in motion.origin)
         moment = add(moment, times(motion.frame, body.moment))
         sketch.store(FIRST, {0: energy, **{1 + n: x for n, x in enumerate(moment)}})
@@ -276,6 +299,14 @@ class _Body:
         sketch.store(FIRST, {
             **by_column(force, self._packed),
             **{size + n: x for n, x in by_column(after, self._packed).items()}})
+        # What the rotors take in the joint, and of their carrier.
+        armature, rotor = one.bodies[_BODY].armature, one.rotor[_BODY]
+        taken = 0.0 if armature is None else armature * qdd
+        if not is_zero(rotor):
+            taken = taken + sketch.own[space.ROTOR_BIAS] + dot(rotor, before[:3])
+            sketch.store(OTHER, by_column(
+                add(six(other, self._packed), tuple(x * qdd for x in rotor) + ZERO), self._packed))
+        sketch.store(OWN, {RHS: taken})
 
     def shift(self, sketch, one):
         """Add a row of wrenches to the parent's."""
@@ -284,12 +315,9 @@ class _Body:
         sketch.store(OTHER, by_column(total, self._packed))
 
     def torque(self, sketch, one):
-        """A wrench's share in the joint, and what a rotor takes there of qdd."""
-        body, torque = one.bodies[_BODY], dot(
-            one.motion[_BODY].axis, self._wrench(sketch, FIRST))
-        if body.armature is not None:
-            torque = torque + body.armature * sketch.row(OTHER, 1)[0]
-        sketch.store(SECOND, {0: torque})
+        """A wrench's share in the joint, and what rotors take there, as ``newton`` has left it."""
+        torque = dot(one.motion[_BODY].axis, self._wrench(sketch, FIRST))
+        sketch.store(SECOND, {0: torque + sketch.own[RHS]})
 
 
 class _Cut:
@@ -318,7 +346,9 @@ class _Cut:
         one = Recursion([], [], 3 * (0.0,))
         one.motion = [arrays.motion_of(row, _NO_JOINT, one.ground)
                       for row in (sketch.own, sketch.other)]
-        stage(sketch, one, cut, cut.left(cut.equations(*one.motion)))
+        # What a coupling says is no matter of bodies' motion: ``loop_closure`` knows it.
+        stage(sketch, one, cut, [] if cut.coupling is not None else cut.left(
+            cut.equations(*one.motion)))
         return sketch.piece(name)
 
     def equations(self, sketch, one, cut, closures):

@@ -48,7 +48,9 @@ HELD_SUM, FACTORS = 0, 1
 # joint's axis; its inertia, U = IA S and the acceleration beyond; the joint's coordinate and rate.
 ORIGIN, FRAME, SPIN, VELOCITY, FORCE, OFFSET, SPIN_RATE, ACCELERATION, JOINT_AXIS = (
     3, 6, 15, 18, 21, 27, 30, 33, 36)
-WORK_INERTIA, SHARE, CHANGE, JOINT_POSITION, JOINT_RATE, WORK_COLUMNS = 42, 63, 69, 75, 76, 77
+WORK_INERTIA, SHARE, CHANGE, JOINT_POSITION, JOINT_RATE = 42, 63, 69, 75, 76
+# Angular momentum of rotors on the parent, and what turning with that takes in the joint.
+WORK_ROTOR, ROTOR_BIAS, WORK_COLUMNS = 77, 80, 81
 # Where the components of a wrench, of a motion and of an inertia are, as in ``plane``.
 FORCES, SHARES, CHANGES = (
     {n: first + n for n in range(6)} for first in (FORCE, SHARE, CHANGE))

@@ -32,10 +32,9 @@ from .tape import chosen, cosine, sine
 from .vectors import (
     add, cross, dot, IDENTITY, is_number, is_zero, negate, product, scale, skew, subtract,
     symmetric, times, transpose, ZERO)
-from ..loop_closure import LEVERS, NO_RESPONSES
 from ..types import (
-    BODY_A, BODY_B, COORDINATE, CUT_ROW, DINV, DOF, DZ, PARENT, RHS, ROW, ROWS, SLOT_A, SLOT_B,
-    SLOT_COMMON, SLOT_END)
+    BODY_A, BODY_B, COORDINATE, CUT_ROW, DINV, DOF, DZ, LEVERS, NO_RESPONSES, PARENT, RHS, ROW,
+    ROWS, SLOT_A, SLOT_B, SLOT_COMMON, SLOT_END)
 
 X, Y, Z = range(3)
 
@@ -364,7 +363,7 @@ class Recursion:
         inverse = _inverse(pivot, massless)
         right = torque - dot(axis, force)
         if not is_zero(self.rotor[i]):
-            share, alone = add(share, self.rotor[i] + ZERO), None
+            share = add(share, self.rotor[i] + ZERO)
             right = right - dot(self.rotor[i], self.motion[parent].spin_rate)
         self.factors[i] = share, alone
         if parent > 0:
@@ -383,7 +382,9 @@ class Recursion:
 
     def alone(self, i):
         """Return which coordinate of motion a joint takes all of, None where there is none."""
-        return None if self.bodies[i].armature is not None else _aligned(self.motion[i].axis)
+        if self.bodies[i].armature is not None or not is_zero(self.rotor[i]):
+            return None
+        return _aligned(self.motion[i].axis)
 
     def follow(self, i, before, qdd):
         """
@@ -639,37 +640,28 @@ class Recursion:
         arrived = {}
         for slot in range(cut[SLOT_A], cut[SLOT_END]):
             i = model.slot_body[slot]
-            motion, own = self.motion[i], forces.get(i, 0.0)
-            wrench = arrived.pop(i, 2 * ZERO)
-            force = dot(motion.axis, wrench) + own
-            work.response[slot, row] = force
-            if responses == LEVERS:
-                work.response_scaled[slot, row] = 0.0
-                if self._counts_angles(i) and self._joined_before(model, i):
-                    wrench = subtract(wrench, scale(motion.axis, force))
-            else:
-                share, alone = self._factors[i]
-                scaled = force * work.body[i, DINV]
-                work.response_scaled[slot, row] = scaled
-                wrench = tuple(0.0 - own if n == alone else wrench[n] - share[n] * scaled
-                               for n in range(6))
-            parent = model.tree[i, PARENT]
-            arrived[parent] = add(arrived.get(parent, 2 * ZERO), _at_parent(wrench, motion.offset))
+            wrench, parent = arrived.pop(i, 2 * ZERO), model.tree[i, PARENT]
+            wrench = self._pass(model, work, responses, slot, row, wrench, forces.get(i, 0.0))
+            arrived[parent] = add(arrived.get(parent, 2 * ZERO), wrench)
 
     def _reduced(self, model, work, responses, begin, end, row, wrench):
         """Carry a wrench inward along slots; return what arrives at the last one's parent."""
         for slot in range(begin, end):
-            i = model.slot_body[slot]
-            if responses == LEVERS:
-                work.response_scaled[slot, row] = 0.0
-                work.response[slot, row], wrench = self.carry(
-                    i, wrench, self._counts_angles(i) and self._joined_before(model, i))
-            else:
-                work.response[slot, row], work.response_scaled[slot, row], wrench = self.reduce(
-                    i, work.body[i, DINV], wrench)
+            wrench = self._pass(model, work, responses, slot, row, wrench)
         return wrench
 
-    def carry(self, i, wrench, beyond=False):
+    def _pass(self, model, work, responses, slot, row, wrench, own=0.0):
+        """Keep the shares of a wrench in a slot's joint; return what arrives at the parent."""
+        i, scaled = model.slot_body[slot], 0.0
+        if responses == LEVERS:
+            beyond = self._counts_angles(i) and self._joined_before(model, i)
+            force, wrench = self.carry(i, wrench, beyond, own)
+        else:
+            force, scaled, wrench = self.reduce(i, work.body[i, DINV], wrench, own)
+        work.response[slot, row], work.response_scaled[slot, row] = force, scaled
+        return wrench
+
+    def carry(self, i, wrench, beyond=False, own=0.0):
         """
         Carry a wrench on a body to its parent.
 
@@ -682,6 +674,8 @@ class Recursion:
         beyond : bool
             Whether the joint's angle counts from the frame that its parent's does, too: no other
             angle turns the bodies beyond.
+        own : number
+            A force in the joint itself.
 
         Returns
         -------
@@ -692,12 +686,13 @@ class Recursion:
 
         """
         motion = self.motion[i]
-        force = dot(motion.axis, wrench)
+        force = dot(motion.axis, wrench) + own
         if beyond:
-            wrench = _beyond(wrench, motion.axis, force)
+            wrench = (_beyond(wrench, motion.axis, force) if is_zero((own,))
+                      else subtract(wrench, scale(motion.axis, force)))
         return force, at_parent(wrench, motion.offset)
 
-    def reduce(self, i, inverse, wrench):
+    def reduce(self, i, inverse, wrench, own=0.0):
         """
         Carry a wrench on a body to its parent, less what the joint gives way to.
 
@@ -709,6 +704,8 @@ class Recursion:
             One over the joint's pivot.
         wrench : tuple of 6
             At its origin.
+        own : number
+            A force in the joint itself.
 
         Returns
         -------
@@ -720,9 +717,9 @@ class Recursion:
         """
         motion = self.motion[i]
         share, alone = self.factors[i]
-        force = dot(motion.axis, wrench)
+        force = dot(motion.axis, wrench) + own
         scaled = force * inverse
-        wrench = tuple(0.0 if n == alone else wrench[n] - share[n] * scaled for n in range(6))
+        wrench = tuple(0.0 - own if n == alone else wrench[n] - share[n] * scaled for n in range(6))
         return force, scaled, at_parent(wrench, motion.offset)
 
 
