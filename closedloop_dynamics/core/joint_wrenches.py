@@ -22,8 +22,8 @@ along the joint's own freedom what its drive, springs, dampers and friction hand
 
 """
 
-from .compiled import compiled, inlined
 from .articulated_inertia import turn_spherical
+from .compiled import compiled, inlined
 from .straight_line.linkage import run_piece
 from .straight_line.space import FORCE
 from .types import (

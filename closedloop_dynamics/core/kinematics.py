@@ -16,8 +16,8 @@
 
 from .compiled import inlined
 from .straight_line.linkage import run_piece
-from .types import AX, COORDINATE, COS, DOF, MOVE, OMEGA, PARENT, PX, PY, SIN, VX, VY
 from .straight_line.space import ACCELERATION
+from .types import AX, COORDINATE, COS, DOF, MOVE, OMEGA, PARENT, PX, PY, SIN, VX, VY
 
 
 @inlined

@@ -35,7 +35,7 @@ from . import kinematics
 from .compiled import allocating, merged
 from .forward_dynamics import constraint_right_side, to_user_order
 from .jacobian import constraint_jacobian, generalized_inertia_matrix
-from .joint_wrenches import bias_forces, tree_torque
+from .joint_wrenches import tree_torque
 from .loop_closure import largest, update
 from .null_space import ACCELERATION, POSITION, ROUNDING, solve, VELOCITY, WEAK
 from .straight_line.space import FORCE, SPIN

@@ -16,10 +16,9 @@
 
 import numpy as np
 
-from .straight_line import pieces
+from .straight_line import pieces, space
 from .types import (
     BODY_STAGES, COS, HEALTH_COLUMNS, JOINT_COLUMNS, ROWS, WORK_COLUMNS, Workspace)
-from .straight_line import space
 
 
 def allocate(model):

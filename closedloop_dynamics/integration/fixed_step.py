@@ -20,9 +20,8 @@ import numpy as np
 
 from .advance import advance, DONE
 from .system import apply_effects, evaluate, number_of_states, take_states
-from ..core import kinematics
+from ..core import energy, kinematics
 from ..core.compiled import compiled, inlined, released
-from ..core.energy import energies
 from ..core.joint_wrenches import bias_forces, cut_wrenches, joint_wrenches
 from ..core.loop_closure import largest
 from ..core.manifold import add_work
@@ -107,9 +106,10 @@ def _note(system, state, buffer, instant):
     _copy(system.qdd, buffer.qdd[instant])
     _copy(system.lam, buffer.lam[instant])
     buffer.scalars[instant, 0] = largest(work.closure)
-    energies(system.model, work, state[nv:2 * nv], buffer.scalars[instant, 1:3])
+    energy.energies(system.model, work, state[nv:2 * nv], buffer.scalars[instant, 1:3])
     _take_output(system.effects, buffer.output[instant])
-    cut_wrenches(system.model.cut, system.model.cut_point, work.cut_piece, work.body, system.lam, work.share,
+    cut_wrenches(system.model.cut, system.model.cut_point, work.cut_piece, work.body, system.lam,
+                 work.share,
                  buffer.wrench[instant])
     for k in range(buffer.body.shape[0]):
         kinematics.point_position(
@@ -260,4 +260,4 @@ def energies(system, state, out):
     nv = system.qdd.shape[0]
     for k in range(state.shape[0]):
         evaluate(system, state[k, :nv], state[k, nv:2 * nv])
-        energies(system.model, system.work, state[k, nv:2 * nv], out[k])
+        energy.energies(system.model, system.work, state[k, nv:2 * nv], out[k])

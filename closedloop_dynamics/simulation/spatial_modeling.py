@@ -280,7 +280,7 @@ def _keep(cut, kept):
 def _number(cut):
     """Fill in numbers of equations."""
     cut[:, t.ROWS] = [bin(kept).count('1') for kept in cut[:, t.KEPT].tolist()]
-    along = [(1 << len(space.HELD[one[t.CUT_TYPE]][1])) - 1 for one in cut]
+    along = np.array([(1 << len(space.HELD[one[t.CUT_TYPE]][1])) - 1 for one in cut], dtype=int)
     cut[:, t.LENGTHS] = [max(1, bin(kept).count('1')) for kept in cut[:, t.KEPT] & along]
     by_user = np.zeros(len(cut) + 1, dtype=np.int64)
     by_user[cut[:, t.CUT_NUMBER] + 1] = cut[:, t.ROWS]

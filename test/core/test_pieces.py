@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The loops over bodies in space against the recursions on numbers; the plane has the other tests."""
+"""The loops over bodies in space against the recursions on numbers; the plane has other tests."""
 
 from closedloop_dynamics.core import energy, forward_dynamics, jacobian, joint_wrenches, kinematics
 from closedloop_dynamics.core.straight_line.numbers import Numbers

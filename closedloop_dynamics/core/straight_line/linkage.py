@@ -105,6 +105,7 @@ if available():
             return builder.call(builder.inttoptr(address, function.as_pointer()), arrays)
 
         return signature, generate
+
     @intrinsic
     def run_piece(typingctx, piece, constant, c, own, i, other, j, first, m, second, n):
         """
@@ -144,7 +145,7 @@ if available():
 
         return signature, generate
 else:
-    from .interpreted import run as run_piece
+    from .interpreted import run as run_piece  # noqa: F401
 
     def call(linkage, which, q, qd):
         """Call a routine of a linkage; without a compiler that is a function of Python's."""

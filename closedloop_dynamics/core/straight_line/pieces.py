@@ -33,7 +33,7 @@ from .vectors import add, cross, dot, is_zero, times, ZERO
 from ..types import (
     ACCELERATE, AXIS, BODY_STAGES, CARRY, COMPOSE, CUT_TYPE, DINV, DZ, ELIMINATE,
     ELIMINATE_MASSLESS, KEPT, LEVER, MEASURE, MOVE, NEWTON, PARENT, REDUCE, REDUCE_COUPLED, RHS,
-    SHIFT, TORQUE, TYPE)
+    SHIFT, TORQUE, TYPE, WORK_COLUMNS)
 
 # Rows that a piece reads and writes: constants, the body, its parent (or body B of a cut joint),
 # and two more.
@@ -63,11 +63,9 @@ def connect(model, piece, cut_piece):
 
     """
     arrays = arrays_of(model)
-    structures = [space.structure(model)[n] if arrays is space else None for n in range(2)]
-    for which, rows, out, make in (
-            (0, range(1, len(model.tree)), piece, _Body), (1, range(len(model.cut)), cut_piece, _Cut)):
-        for row in rows:
-            structure = structures[which]
+    structures = space.structure(model) if arrays is space else (None, None)
+    for structure, first, out, make in zip(structures, (1, 0), (piece, cut_piece), (_Body, _Cut)):
+        for row in range(first, len(out)):
             kind = make.kind(model, row), b'' if structure is None else structure[row].tobytes()
             out[row] = _addresses(arrays, make, kind, model, row)
 
@@ -92,8 +90,9 @@ def _addresses(arrays, make, kind, model, row):
 class _Sketch:
     """Symbols of what one piece reads; what it stores where."""
 
-    def __init__(self, arrays, constants, columns):
+    def __init__(self, arrays, constants):
         self.tape, self.arrays, self.outputs = Tape(), arrays, []
+        columns = space.WORK_COLUMNS if arrays is space else WORK_COLUMNS
         self.constant = self.row(CONSTANT, constants)
         self.own, self.other = self.row(OWN, columns), self.row(OTHER, columns)
 
@@ -129,6 +128,7 @@ class _Body:
     def __init__(self, arrays, model, row):
         self.arrays, self.on_ground = arrays, model.tree[row, PARENT] == 0
         self.model = model._replace(tree=model.tree[[0, row]], body=model.body[[0, row]])
+        self.model.tree[1, PARENT] = 0
 
     @staticmethod
     def kind(model, row):
@@ -153,7 +153,7 @@ class _Body:
 
     def _piece(self, name, stage):
         arrays = self.arrays
-        sketch = _Sketch(arrays, self.model.body.shape[1], arrays.WORK_COLUMNS)
+        sketch = _Sketch(arrays, self.model.body.shape[1])
         constants = np.stack([sketch.constant, sketch.constant])
         body = arrays.bodies(self.model, constants)[1]
         gravity = 3 * (0.0,)
@@ -174,7 +174,7 @@ class _Body:
         return sketch.piece(name)
 
     def move(self, sketch, one):
-        """Motion, inertia and force of the rigid body; of q and qd."""
+        """Compute motion, inertia and force of the rigid body, of q and qd."""
         body = one.bodies[_BODY]
         first, second = sketch.row(FIRST, 4), [
             sketch.tape.put(LOAD, SECOND, place) for place in (-2, -1, 0)]
@@ -199,7 +199,7 @@ class _Body:
                 sketch.store(OTHER, by_column(one.force[_PARENT], self.arrays.FORCES))
 
     def eliminate(self, sketch, one, massless=False):
-        """The joint's factors, and what is left for the parent; of tau."""
+        """Compute the joint's factors, and what is left for the parent, of tau."""
         torque = sketch.row(FIRST, 1)[0]
         inverse, right = one.eliminate(
             _BODY, 0 if self.on_ground else _PARENT, torque, massless)
@@ -218,7 +218,7 @@ class _Body:
                               one.alone(_BODY))
 
     def accelerate(self, sketch, one):
-        """Accelerations; qdd is written."""
+        """Compute accelerations; qdd is written."""
         self._factored(sketch, one)
         one.acceleration = {_PARENT: self._change_of_parent(sketch)}
         qdd = one.accelerate(_BODY, _PARENT, sketch.own[DINV], sketch.own[RHS])
@@ -237,7 +237,7 @@ class _Body:
         return {at: n for n, at in enumerate(self.arrays.FORCES)}
 
     def reduce(self, sketch, one, coupled=False):
-        """A wrench less what the joint gives way to, at the parent, and its shares."""
+        """Carry a wrench to the parent, less what the joint gives way to; tell its shares."""
         self._factored(sketch, one)
         own = sketch.row(SECOND, 1)[0] if coupled else 0.0
         force, scaled, wrench = one.reduce(
@@ -246,7 +246,7 @@ class _Body:
         sketch.store(SECOND, {0: force, 1: scaled})
 
     def carry(self, sketch, one, beyond=False):
-        """A wrench at the parent, and its share in the joint."""
+        """Carry a wrench to the parent; tell its share in the joint."""
         beyond = beyond and bool(one.bodies[_BODY].turns)
         force, wrench = one.carry(_BODY, self._wrench(sketch, FIRST), beyond)
         sketch.store(FIRST, by_column(wrench, self._packed))
@@ -254,7 +254,7 @@ class _Body:
 
     def compose(self, sketch, one):
         """
-        The wrench of the composite body for a unit acceleration, and its share in the joint.
+        Compute the composite body's wrench for a unit acceleration, and its share in the joint.
 
         The wrench, like the inertia, goes to the parent.
 
@@ -269,7 +269,7 @@ class _Body:
             sketch.store(OTHER, by_column(one.inertia[_PARENT], self.arrays.INERTIAS))
 
     def measure(self, sketch, one):
-        """Twice the kinetic energy, and the first moments in the world; of qd."""
+        """Compute twice the kinetic energy, and the first moments in the world, of qd."""
         body, motion = one.bodies[_BODY], one.motion[_BODY]
         inertia, _ = rigid(body, motion)
         rates = motion.spin + motion.velocity
@@ -284,7 +284,7 @@ class _Body:
 
     def newton(self, sketch, one):
         """
-        Accelerations of given qdd, and the force that they take beside the bias force.
+        Compute accelerations of given qdd, and the force that they take beside the bias force.
 
         Rows of wrenches, then accelerations, in the place of those of the workspace.
 
@@ -315,7 +315,7 @@ class _Body:
         sketch.store(OTHER, by_column(total, self._packed))
 
     def torque(self, sketch, one):
-        """A wrench's share in the joint, and what rotors take there, as ``newton`` has left it."""
+        """Tell a wrench's share in the joint, with what rotors take there after ``newton``."""
         torque = dot(one.motion[_BODY].axis, self._wrench(sketch, FIRST))
         sketch.store(SECOND, {0: torque + sketch.own[RHS]})
 
@@ -341,7 +341,7 @@ class _Cut:
 
     def _piece(self, name, stage):
         arrays = self.arrays
-        sketch = _Sketch(arrays, self.model.cut_point.shape[1], arrays.WORK_COLUMNS)
+        sketch = _Sketch(arrays, self.model.cut_point.shape[1])
         cut, = arrays.cuts(self.model, sketch.constant[np.newaxis])
         one = Recursion([], [], 3 * (0.0,))
         one.motion = [arrays.motion_of(row, _NO_JOINT, one.ground)
@@ -352,7 +352,7 @@ class _Cut:
         return sketch.piece(name)
 
     def equations(self, sketch, one, cut, closures):
-        """Value, rate, bias of each equation, and the wrenches of a unit multiplier."""
+        """Compute value, rate, bias of each equation, and the wrenches of a unit multiplier."""
         place = 0
         for closure in closures:
             values = [closure.value, closure.rate, closure.bias, *(
@@ -362,7 +362,7 @@ class _Cut:
             place += len(values)
 
     def wrench(self, sketch, one, cut, closures):
-        """Wrenches of multipliers: at the cut point of A, at the origins of A and of B."""
+        """Compute wrenches of multipliers: at the cut point of A, at the origins of A and of B."""
         lam = sketch.row(FIRST, len(closures))
         on_a, on_b = 6 * (0.0,), 6 * (0.0,)
         for value, closure in zip(lam, closures):

@@ -20,10 +20,10 @@ from ..types import (
     A_X, A_Y, ALPHA, ANGLE, ARMATURE, AX, AY, B_X, B_Y, COS, CUT_ANGLE, CUT_FIXED, CUT_PRISMATIC,
     CUT_REVOLUTE, CUT_TYPE, DX, DY, DZ, FX, FY, FZ, HX, HY, INERTIA, IZZ, JOINT_X, JOINT_Y, MASS,
     MASS_X, MASS_Y, MXX, MXY, MYY, OMEGA, PRISMATIC, PX, PY, REVOLUTE_ARMATURE, RX, RY, SIN, SX,
-    SY, TYPE, UX, UY, UZ, VX, VY, WORK_COLUMNS)
+    SY, TYPE, UX, UY, UZ, VX, VY)
 
-# Where the components of a wrench, of a motion and of an inertia are in Workspace.body, the angular
-# part first: of the bias force, of U = IA S, of the acceleration, of the inertia.
+# Where the components of a wrench, of a motion and of an inertia are in Workspace.body, angular
+# ones first: of the bias force, of U = IA S, of the acceleration, of the inertia.
 FORCES = {2: FZ, 3: FX, 4: FY}
 SHARES = {2: UZ, 3: UX, 4: UY}
 CHANGES = {2: DZ, 3: DX, 4: DY}

@@ -719,7 +719,8 @@ class Recursion:
         share, alone = self.factors[i]
         force = dot(motion.axis, wrench) + own
         scaled = force * inverse
-        wrench = tuple(0.0 - own if n == alone else wrench[n] - share[n] * scaled for n in range(6))
+        wrench = tuple(0.0 - own if n == alone else wrench[n] - share[n] * scaled
+                       for n in range(6))
         return force, scaled, at_parent(wrench, motion.offset)
 
 
