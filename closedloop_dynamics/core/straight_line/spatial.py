@@ -536,7 +536,7 @@ class Recursion:
                 motion, parent = self.motion[i], model.tree[i, PARENT]
                 found[model.tree[i, DOF]] = dot(motion.axis, wrenches[i])
                 wrenches[parent] = add(
-                    wrenches.get(parent, 2 * ZERO), _at_parent(wrenches[i], motion.offset))
+                    wrenches.get(parent, 2 * ZERO), at_parent(wrenches[i], motion.offset))
         self._about_own(model, found)
         return found
 
@@ -611,7 +611,7 @@ class Recursion:
                 carried = add(self.motion[parent].spin_rate, accelerations[parent][:3])
                 forces[dof] = forces[dof] + self.bodies[i].armature * qdd[dof] + dot(
                     self.rotor[i], carried)
-            wrenches[parent] = add(wrenches[parent], _at_parent(wrenches[i], motion.offset))
+            wrenches[parent] = add(wrenches[parent], at_parent(wrenches[i], motion.offset))
         self._about_own(model, forces)
         return [None, *wrenches[1:]], forces
 
