@@ -15,8 +15,10 @@
 """The loops over bodies in space against the recursions on numbers; the plane has other tests."""
 
 from closedloop_dynamics.core import energy, forward_dynamics, jacobian, joint_wrenches, kinematics
+from closedloop_dynamics.core.straight_line import space
 from closedloop_dynamics.core.straight_line.numbers import Numbers
-from closedloop_dynamics.core.types import AXIS, BALL, COORDINATE, number_of_coordinates, TYPE
+from closedloop_dynamics.core.types import (
+    AXIS, BALL, BODY_A, COORDINATE, CUT_NUMBER, number_of_coordinates, TYPE)
 from closedloop_dynamics.core.workspace import allocate
 from closedloop_dynamics.simulation.spatial_modeling import build_spatial_model
 import numpy as np
@@ -101,7 +103,15 @@ def test_wrenches_at_cut_joints(loops):
     model, work, found = loops.model, loops.work, np.empty((len(loops.model.cut), 6))
     joint_wrenches.cut_wrenches(model.cut, model.cut_point, work.cut_piece, work.body, loops.lam,
                                 work.share, found)
-    assert_agree(found, loops.numbers.cut_wrenches(loops.lam), IDENTITY)
+    recursion, expected = loops.numbers.recursion, np.zeros_like(found)
+    for place, a, equation in space.equations(recursion, model):
+        expected[model.cut[a, CUT_NUMBER]] += loops.lam[place] * np.array(equation.on_a)
+    for cut, point in zip(model.cut, model.cut_point):
+        # From the origin of body A to the cut point.
+        lever = np.array(recursion.motion[cut[BODY_A]].frame) @ point[:3]
+        wrench = expected[cut[CUT_NUMBER]]
+        wrench[:3] -= np.cross(lever, wrench[3:])
+    assert_agree(found, expected, IDENTITY)
 
 
 def test_wrenches_in_joints_hold_the_bodies(loops):
