@@ -191,6 +191,9 @@ def motions(case, built, quick, progress):
         if ended.get(name):
             continue
         cost, end = _run(run)
+        if name not in ended:
+            # The first run of a line may compile.
+            cost, end = _run(run)
         ended[name] = cost > (QUICK_LONGEST if quick else LONGEST)
         row = {'case': case.name, 'engine': run.engine, 'line': run.line, 'setting': run.setting,
                'error': float(np.abs(end - case.end).max()), 'closure': math.nan, 'cost': [cost]}
@@ -204,7 +207,7 @@ def motions(case, built, quick, progress):
                 row['cost'].append(_run(run)[0])
         progress()
     for row in rows:
-        # The first run may compile, or warm up.
+        # The first run warms up.
         costs = [cost / case.duration for cost in row.pop('cost')[1:]]
         row.update(best=min(costs), median=statistics.median(costs))
     return rows
