@@ -48,6 +48,7 @@ def _add_arguments(parser):
 
 def _run(arguments):
     scene = load_scene(arguments.scene)
+    scene.mechanism.require_planar('the study of accuracy')
     torque = mapping(arguments.torque, '--torque')
     # Refused at once, what would fail only after a while.
     checked_torques(arguments, lambda: Simulation(scene), torque)

@@ -45,7 +45,7 @@ def _add_arguments(parser):
 
 def _run(arguments):
     require_free(arguments, arguments.output)
-    scene = load_scene(arguments.scene, in_space=True) if arguments.scene else None
+    scene = load_scene(arguments.scene) if arguments.scene else None
     try:
         require_writable(arguments.output)
         recording = read_recording(arguments.recording, scene, arguments.namespace)

@@ -40,7 +40,7 @@ def _run(arguments):
     if is_model(arguments.scene):
         print(describe_model(read_model(arguments.scene)))
         return 0
-    read = load_scene_or_mechanism(arguments.scene, in_space=True)
+    read = load_scene_or_mechanism(arguments.scene)
     if isinstance(read, Mechanism):
         if arguments.set:
             raise UsageError('--set: expected it with a scene, got a mechanism')

@@ -38,6 +38,7 @@ def _add_arguments(parser):
 
 def _run(arguments):
     scene = load_scene(arguments.scene)
+    scene.mechanism.require_planar('the comparison of effects')
     torque, rates = mapping(arguments.torque, '--torque'), mapping(
         arguments.joint_rate, '--joint-rate')
     _check(arguments, scene, torque, rates)

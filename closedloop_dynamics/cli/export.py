@@ -38,7 +38,7 @@ def _run(arguments):
         raise UsageError(f'--output: expected a name that ends with one of {", ".join(WRITERS)}, '
                          f'got {str(arguments.output)!r}')
     require_free(arguments, arguments.output)
-    subject = load_scene_or_mechanism(arguments.scene, in_space=True)
+    subject = load_scene_or_mechanism(arguments.scene)
     mechanism = getattr(subject, 'mechanism', subject)
     effects = {name: {'type': effect_type(effect), **asdict(effect)}
                for name, effect in getattr(subject, 'effects', {}).items()}

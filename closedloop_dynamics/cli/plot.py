@@ -35,7 +35,7 @@ def _add_arguments(parser):
 def _run(arguments):
     files = {name: arguments.output / f'{name}.png' for name in DRAWERS}
     require_free(arguments, *files.values())
-    scene = load_scene(arguments.scene, in_space=True) if arguments.scene else None
+    scene = load_scene(arguments.scene) if arguments.scene else None
     try:
         with announced('Reading ...'):
             recording = read_recording(arguments.recording, scene, arguments.namespace)

@@ -45,7 +45,7 @@ def _add_arguments(parser):
 def _run(arguments):
     if arguments.picture:
         require_free(arguments, arguments.picture, option='--picture')
-    scene = load_scene(arguments.scene, in_space=True) if arguments.scene else None
+    scene = load_scene(arguments.scene) if arguments.scene else None
     with announced('Reading and compiling ...'):
         try:
             recording = read_recording(arguments.bag, scene, arguments.namespace)

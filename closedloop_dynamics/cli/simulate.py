@@ -126,7 +126,7 @@ def _prepared(arguments):
         arguments.integrator = AUTO
     with announced(COMPILING):
         simulation = checked_torques(arguments, lambda: Simulation.from_scene(
-            with_numbers(load_scene(arguments.scene, in_space=True), arguments),
+            with_numbers(load_scene(arguments.scene), arguments),
             step_size=arguments.step_size, integrator=arguments.integrator,
             stabilisation=arguments.stabilisation, formulation=arguments.formulation,
             tolerance=arguments.tolerance, accuracy=arguments.accuracy), torque)

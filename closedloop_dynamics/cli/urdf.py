@@ -30,7 +30,7 @@ def _add_arguments(parser):
 
 
 def _run(arguments):
-    subject = load_scene_or_mechanism(arguments.scene, in_space=True)
+    subject = load_scene_or_mechanism(arguments.scene)
     try:
         text = urdf(getattr(subject, 'mechanism', subject))
     except ValueError as error:

@@ -109,7 +109,7 @@ def _live(arguments):
     """Run a simulation until Ctrl-C."""
     # The server's library takes a while, which no other command should.
     from ..view.runner import Runner
-    scene = load_scene(arguments.what, in_space=True)
+    scene = load_scene(arguments.what)
     with announced(COMPILING):
         try:
             runner = Runner(scene)
@@ -157,7 +157,7 @@ def _served(arguments, pages, feeds):
 
 
 def _recorded_page(arguments):
-    scene = load_scene(arguments.scene, in_space=True) if arguments.scene else None
+    scene = load_scene(arguments.scene) if arguments.scene else None
     try:
         recording = read_recording(arguments.what, scene, arguments.namespace)
     except RecordingError as error:
@@ -186,7 +186,7 @@ def _simulated_page(arguments):
     from ..view.saved import simulated
     from ..simulation.simulation import Simulation
     torque = mapping(arguments.torque, '--torque')
-    scene = load_scene(arguments.what, in_space=True)
+    scene = load_scene(arguments.what)
     from ..visual.progress import progress_bar
     from .command import checked_torques
     with announced(COMPILING):

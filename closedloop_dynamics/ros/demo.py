@@ -87,7 +87,7 @@ def main(argv=None):
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     parser, arguments = arguments_of(argv)
     try:
-        scenes = [load_scene(name, in_space=True)
+        scenes = [load_scene(name)
                   for name in ([arguments.scene] if arguments.scene else SHOWN)]
         output = _output(arguments.output)
     except (SceneError, MechanismError, OSError) as error:

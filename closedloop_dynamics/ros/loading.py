@@ -35,7 +35,7 @@ def load_simulation(scene, logger, **method):
     begin = time.monotonic()
     try:
         with leaving_at_once():
-            read = load_scene(scene, in_space=True)
+            read = load_scene(scene)
             simulation = Simulation.from_scene(read, **method)
             simulation.warm_up()
     except (ValueError, OSError, SimulationError) as error:

@@ -60,7 +60,7 @@ def scene_names():
     return shipped_names('scenes')
 
 
-def load_scene(name_or_path, in_space=False):
+def load_scene(name_or_path):
     """
     Read a scene.
 
@@ -69,9 +69,6 @@ def load_scene(name_or_path, in_space=False):
     name_or_path : str or pathlib.Path
         A shipped scene by its name (a single word), or the path of a file: of a scene, or of a
         model in another format (``formats``), under gravity, at rest, with the loops closed.
-    in_space : bool
-        Whether the mechanism may be one in space; most of what asks for a scene knows the plane
-        only.
 
     Raises
     ------
@@ -81,20 +78,17 @@ def load_scene(name_or_path, in_space=False):
     """
     path = _scene_path(name_or_path)
     if is_model(path):
-        scene = scene_of_model(path, read_model(path))
-        if not in_space:
-            _require_planar(scene.mechanism)
-        return scene
-    return _scene_of(Document(path, SceneError), in_space)
+        return scene_of_model(path, read_model(path))
+    return _scene_of(Document(path, SceneError))
 
 
-def load_scene_or_mechanism(name_or_path, in_space=False):
+def load_scene_or_mechanism(name_or_path):
     """
     Read a scene, or a mechanism where a file or shipped name stands for one.
 
     Parameters
     ----------
-    name_or_path, in_space
+    name_or_path
         As for ``load_scene``.
 
     Raises
@@ -105,23 +99,13 @@ def load_scene_or_mechanism(name_or_path, in_space=False):
     if _is_name(name_or_path):
         if name_or_path not in scene_names() and name_or_path in shipped_names('mechanisms'):
             return cheapest(read_mechanism(shipped_path('mechanisms', name_or_path)))
-        return load_scene(name_or_path, in_space)
+        return load_scene(name_or_path)
     if is_model(name_or_path):
         return read_model(name_or_path).mechanism
     document = Document(name_or_path, SceneError)
     if isinstance(document.data, Mapping) and 'bodies' in document.data:
-        mechanism = cheapest(read_mechanism(name_or_path))
-        if not in_space:
-            _require_planar(mechanism)
-        return mechanism
-    return _scene_of(document, in_space)
-
-
-def _require_planar(mechanism):
-    try:
-        mechanism.require_planar('this')
-    except MechanismError as error:
-        raise SceneError(str(error)) from None
+        return cheapest(read_mechanism(name_or_path))
+    return _scene_of(document)
 
 
 def _is_name(name_or_path):
@@ -149,12 +133,9 @@ def _shipped(kind, value):
     return shipped_path(kind, value)
 
 
-def _scene_of(document, in_space):
+def _scene_of(document):
     with document.errors():
-        scene = _read(document)
-    if not in_space:
-        _require_planar(scene.mechanism)
-    return scene
+        return _read(document)
 
 
 def _read(document):

@@ -102,7 +102,7 @@ def read_scene_text(text):
         path.write_text(json.dumps(scene, ensure_ascii=False), encoding='utf-8')
         (path.parent / MECHANISM_FILE).write_text(
             json.dumps(mechanism, ensure_ascii=False), encoding='utf-8')
-        return replace(load_scene(path, in_space=True), name=name, path=None), facts
+        return replace(load_scene(path), name=name, path=None), facts
 
 
 def _mechanism(mechanism):

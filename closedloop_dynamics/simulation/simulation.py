@@ -168,7 +168,7 @@ class Simulation:
         """
         with at('method'):
             mapping(method, *keys_of(Method))
-        scene = scene if isinstance(scene, Scene) else load_scene(scene, in_space=True)
+        scene = scene if isinstance(scene, Scene) else load_scene(scene)
         overrides = {key: value for key, value in method.items() if value is not None}
         with at('method'):
             scene = replace(scene, method=replace(scene.method, **overrides))

@@ -796,7 +796,7 @@ BRICARD_CORNER = (0.5105014612, -1.6491675994, 0.1401231146)
 
 def _bricard(method, quick):
     """Let Bricard's linkage fall: its place after a second, then its energy and loops."""
-    start = load_scene('bricard', in_space=True)
+    start = load_scene('bricard')
     simulation = Simulation(replace(start, method=replace(method, step_size=1e-3)))
     energy, tau = simulation.energy, np.zeros(len(simulation.joint_names))
     simulation.advance(tau, 1000)
@@ -809,7 +809,7 @@ def _bricard(method, quick):
 
 def _idle_spin(method, quick):
     """Let a rod between two balls spin about itself: nothing changes its spin, nor the energy."""
-    start = load_scene('rssr_four_bar', in_space=True)
+    start = load_scene('rssr_four_bar')
     simulation = Simulation(replace(start, method=replace(method, step_size=1e-4)))
     along, spin = np.ones(3) / math.sqrt(3.0), 1000.0
     rates = simulation.velocity

@@ -118,7 +118,7 @@ def sweep(scene, vary, output, *, samples=1, seed=0, duration=2.0, rate=100.0, t
         For a file that cannot be written, and workers that are gone.
 
     """
-    scene = scene if isinstance(scene, Scene) else load_scene(scene, in_space=True)
+    scene = scene if isinstance(scene, Scene) else load_scene(scene)
     if hasattr(vary, 'items'):
         vary = [variation(key, what) for key, what in vary.items()]
     plan = Plan(scene, tuple(vary), samples, seed, float(duration), float(rate),

@@ -163,7 +163,7 @@ def mutated(rng, text):
 
 def accepted_state(path):
     """Return whether what was accepted stands closed and finite, as a check of its own."""
-    simulation = Simulation(load_scene(path, in_space=True))
+    simulation = Simulation(load_scene(path))
     finite = np.isfinite([*simulation.position, *simulation.velocity, simulation.energy]).all()
     largest = max((abs(value) for cut in simulation.cut_joints
                    for value in (*cut.point_a, *cut.point_b)), default=0.0)
@@ -206,7 +206,7 @@ def test_mutated_scenes_are_refused_in_words_or_right(tmp_path, capsys, count):
         outcome = 'tracebacks'
         try:
             try:
-                load_scene(path, in_space=True)
+                load_scene(path)
                 refused = ''
             except (SceneError, MechanismError) as error:
                 refused = str(error)

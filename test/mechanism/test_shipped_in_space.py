@@ -46,7 +46,7 @@ DELTA_TORQUES = np.array([0.5, 0.0, -0.5])
 @pytest.fixture(scope='module', params=MACHINES)
 def machine(request):
     """Return a machine's name and its simulation in motion under gravity alone."""
-    scene = load_scene(request.param, in_space=True)
+    scene = load_scene(request.param)
     one = Simulation(replace(scene, effects={'gravity': scene.effects['gravity']}))
     rng = np.random.default_rng(7)
     one.step(0.05 * rng.normal(size=len(one.actuated_joints)), 0.05)
@@ -93,7 +93,7 @@ def test_loops_stay_closed_and_energy_stays(machine):
 
 def known(name):
     """Return a machine that is simulated tightly."""
-    scene = load_scene(name, in_space=True)
+    scene = load_scene(name)
     return Simulation(replace(scene, method=Method(integrator='dop853', tolerance=1e-12)))
 
 
@@ -170,7 +170,7 @@ def test_bricards_linkage_moves_as_known():
 
 
 def test_bennetts_linkage_keeps_its_law():
-    one = Simulation(load_scene('bennett', in_space=True))
+    one = Simulation(load_scene('bennett'))
     alpha, beta = (one.mechanism.parameters[key] for key in ('alpha', 'beta'))
     law = np.sin(0.5 * (alpha + beta)) / np.sin(0.5 * (beta - alpha))
     for _ in range(15):
@@ -183,7 +183,7 @@ def test_bennetts_linkage_keeps_its_law():
 
 
 def test_the_excavator_turns_as_a_whole():
-    one = Simulation(load_scene('excavator_arm', in_space=True))
+    one = Simulation(load_scene('excavator_arm'))
     arm = dict(zip(one.joint_names, one.position))
     places = {}
     for turn in (0.0, 0.5 * np.pi, 2.5):
@@ -202,7 +202,7 @@ def test_the_excavator_turns_as_a_whole():
 
 
 def test_the_car_stands_on_its_tyre():
-    one = Simulation(load_scene('double_wishbone', in_space=True))
+    one = Simulation(load_scene('double_wishbone'))
     places = one.mechanism.coordinates
     for _ in range(200):
         state = [values[where[joint]][0] for joint in ('steering', 'lift')

@@ -154,7 +154,7 @@ def test_who_knows_the_plane_only_refuses_space(tmp_path):
     path = tmp_path / 'scene.yaml'
     path.write_text(yaml.safe_dump({'mechanism': 'mechanism.yaml', 'initial': {
         'position': dict.fromkeys(described()['joints'], 0.0)}}))
-    assert not load_scene(path, in_space=True).mechanism.planar
+    assert not load_scene(path).mechanism.planar
     for call, subject in ((load_scene, path), (load_scene_or_mechanism, path),
                           (load_scene_or_mechanism, tmp_path / 'mechanism.yaml')):
         with pytest.raises(SceneError, match='rssr is a mechanism in space'):

@@ -198,7 +198,7 @@ def test_both_machines_have_drives_and_every_drive_has_its_scene():
     assert set(shipped_drives()) <= set(scene_names())
     known = {parameter.name for parameter in TORQUE_SOURCE_PARAMETERS}
     for name in shipped_drives():
-        drive = drive_for(load_scene(name, in_space=True))
+        drive = drive_for(load_scene(name))
         assert set(drive.parameters) <= known
         assert drive.file.is_file()
 

@@ -35,14 +35,14 @@ CENTER = 'platform_center'
 
 def started(name):
     """Return a mechanism, its closed start and the names of its driven joints."""
-    one = Simulation(load_scene(name, in_space=True))
+    one = Simulation(load_scene(name))
     return one.mechanism, one.position, one.actuated_joints
 
 
 def placed(mechanism, start, joints, values):
     """Return the coordinates with driven joints as given, the others solved by small steps."""
     places = [mechanism.coordinates.coordinates[joint].start for joint in joints]
-    one = Simulation(load_scene(mechanism.name, in_space=True))
+    one = Simulation(load_scene(mechanism.name))
     position = np.array(start)
     for share in np.linspace(0.0, 1.0, 9)[1:]:
         guess = position.copy()
@@ -140,14 +140,14 @@ def test_parameters_of_a_path_are_checked(given, problem):
     values = {parameter.name: parameter.default for parameter in TORQUE_SOURCE_PARAMETERS}
     values.update(path_point=CENTER, path_places=[0.0, 0.0, 0.1], path_durations=[0.5, 0.5])
     values.update(given)
-    one = Simulation(load_scene('delta_robot', in_space=True))
+    one = Simulation(load_scene('delta_robot'))
     with pytest.raises(StartError, match=problem):
         reference(values, one.actuated_joints, one)
 
 
 @pytest.mark.parametrize('orientations_first', [True, False])
 def test_both_parts_of_a_state_make_one(orientations_first):
-    one = Simulation(load_scene('delta_robot', in_space=True))
+    one = Simulation(load_scene('delta_robot'))
     names = one.coordinates
     parts = Orientations(names)
     state, turned = JointState(), MultiDOFJointState(joint_names=['wrist_11'])

@@ -46,7 +46,7 @@ def files(tmp_path, monkeypatch):
 
 @pytest.mark.filterwarnings('ignore::closedloop_dynamics.simulation.model_scene.ModelWarning')
 def test_a_model_is_simulated_like_the_mechanism(files):
-    model, own = (Simulation(load_scene(path, in_space=True))
+    model, own = (Simulation(load_scene(path))
                   for path in ('robot.urdf', 'scene.yaml'))
     assert model.closure < 1e-12
     own.set_state(model.position)
@@ -58,7 +58,7 @@ def test_a_model_is_simulated_like_the_mechanism(files):
 
 def test_how_a_model_was_closed_and_what_was_left_out_is_told(files):
     with pytest.warns(ModelWarning) as told:
-        load_scene('robot.urdf', in_space=True)
+        load_scene('robot.urdf')
     texts = [str(one.message) for one in told]
     assert any('the loops are drawn open and were closed' in text for text in texts)
     assert any('left out' in text and 'limits of 1 drive(s)' in text for text in texts)
@@ -71,8 +71,8 @@ def test_a_scene_of_a_model_tells_its_loops_and_may_leave_out_the_start(files):
         'points: [[0.4, 0, 0], [0.3, 0, 0]], axis: [0, 1, 0]}\n')
     with warnings.catch_warnings():
         warnings.simplefilter('ignore', ModelWarning)
-        scene = load_scene('plain.yaml', in_space=True)
-    own = load_scene('scene.yaml', in_space=True)
+        scene = load_scene('plain.yaml')
+    own = load_scene('scene.yaml')
     assert scene.mechanism.cut_joints == own.mechanism.cut_joints
     assert any(scene.initial.position)
 
@@ -89,13 +89,13 @@ def test_a_scene_of_a_model_tells_its_loops_and_may_leave_out_the_start(files):
 def test_loops_of_a_scene_that_are_none(files, loops, said):
     (files / 'bad.yaml').write_text(f'mechanism: ./robot.urdf\nloops:\n  {loops}\n')
     with pytest.raises(SceneError, match=f'bad.yaml:3: {said}'):
-        load_scene('bad.yaml', in_space=True)
+        load_scene('bad.yaml')
 
 
 def test_loops_belong_to_models(files):
     (files / 'bad.yaml').write_text(SCENE + 'loops: {}\n')
     with pytest.raises(SceneError, match='loops: expected one of the keys'):
-        load_scene('bad.yaml', in_space=True)
+        load_scene('bad.yaml')
 
 
 def test_a_model_that_cannot_close_tells_the_loop(files):
@@ -103,7 +103,7 @@ def test_a_model_that_cannot_close_tells_the_loop(files):
                                        '<origin xyz="3 0 0"/></successor>')
     (files / 'robot.urdf').write_text(text)
     with pytest.raises(AssemblyError, match='four_bar cannot be assembled: pin stays open by'):
-        load_scene('robot.urdf', in_space=True)
+        load_scene('robot.urdf')
 
 
 def test_check_tells_loops_and_freedoms(files, capsys):
@@ -117,7 +117,7 @@ def test_check_tells_loops_and_freedoms(files, capsys):
 def test_import_writes_what_runs(files, capsys):
     assert main(['import', 'robot.urdf', '--output', 'my.yaml', '--scene', 'my_scene.yaml']) == 0
     assert capsys.readouterr().out == 'my.yaml: 3 bodies, 3 joints, 1 that close loops\n'
-    mine, own = load_scene('my_scene.yaml', in_space=True), load_scene('scene.yaml', in_space=True)
+    mine, own = load_scene('my_scene.yaml'), load_scene('scene.yaml', in_space=True)
     assert mine.mechanism.bodies == own.mechanism.bodies
     assert mine.mechanism.cut_joints == own.mechanism.cut_joints
     assert Simulation(mine).closure < 1e-12

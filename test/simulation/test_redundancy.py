@@ -54,7 +54,7 @@ def linkages():
     """Return mechanisms with positions, and how many equations are left of how many."""
     planar, tilted, _ = tilted_four_bar(TURN)
     bricard, _ = spatial_machines.bricard()
-    bennett = load_scene('bennett', in_space=True)
+    bennett = load_scene('bennett')
     return {'bricard': (bricard, np.zeros(5), 4, 5),
             'bennett': (bennett.mechanism, bennett.initial.position, 2, 5),
             'four_bar': (tilted, planar.initial.position, 2, 5)}
@@ -81,7 +81,7 @@ def test_independent_equations_are_not_said_to_repeat():
 
 
 def test_check_tells_what_repeats_and_whose_forces_are_shared():
-    scene = load_scene('bricard', in_space=True)
+    scene = load_scene('bricard')
     told = describe(scene, Simulation(scene))
     assert 'Equations that repeat others: 1\n' in told and THESE_LENGTHS in told
     assert 'Forces that are not unique, of which the least are told\n  joint_6' in told

@@ -21,7 +21,7 @@ from closedloop_dynamics.simulation.scene import load_scene, scene_names
 import pytest
 
 
-PLANAR = [name for name in scene_names() if load_scene(name, in_space=True).mechanism.planar]
+PLANAR = [name for name in scene_names() if load_scene(name).mechanism.planar]
 
 
 @pytest.mark.parametrize('name', PLANAR)

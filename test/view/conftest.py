@@ -29,7 +29,7 @@ class Shown:
 
     def __init__(self, scene):
         self.now, self.served = 100.0, False
-        self.runner = Runner(load_scene(scene, in_space=True), lambda: self.now)
+        self.runner = Runner(load_scene(scene), lambda: self.now)
         self.simulation, self.feed = self.runner.simulation, self.runner.feed
 
     def ask(self, what, page='page', **more):
