@@ -27,7 +27,8 @@ from dataclasses import dataclass
 from typing import Union
 
 from .effect import Effect
-from .forces import offset, push, push_in_space, turned, twist, velocity_in_space
+from .forces import (
+    BODY, offset, push, push_in_space, turned, twist, velocity_in_space, WORLD)
 from .table import EXTERNAL_FORCE, FIRST, ForceElement, SPATIAL_FORCE, STATE, State, WORK
 from ..core.compiled import inlined
 from ..core.straight_line.space import SPIN
@@ -36,7 +37,6 @@ from ..mechanism.checks import name, number, one_of, one_or_several, vector, vec
 from ..mechanism.fields import at
 from ..mechanism.mechanism import Vector, Vector3
 
-WORLD, BODY = 'world', 'body'
 
 
 @dataclass(frozen=True)

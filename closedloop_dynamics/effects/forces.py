@@ -21,6 +21,8 @@ from ..core.compiled import inlined
 from ..core.straight_line.space import FORCE, FRAME, SPIN, VELOCITY
 from ..core.types import COS, FX, FY, FZ, OMEGA, PX, PY, SIN, VX, VY
 
+WORLD, BODY = 'world', 'body'
+
 
 @inlined
 def offset(body, row, x, y):

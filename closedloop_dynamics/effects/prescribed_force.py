@@ -30,8 +30,7 @@ from typing import Optional, Tuple
 
 from . import course, expression
 from .effect import Effect
-from .external_force import BODY, WORLD
-from .forces import offset, push, push_in_space, turned, velocity_in_space
+from .forces import BODY, offset, push, push_in_space, turned, velocity_in_space, WORLD
 from .table import (
     FIRST, ForceElement, OWN, PRESCRIBED_FORCE, PRESCRIBED_TORQUE, SPATIAL_PRESCRIBED_FORCE, STATE,
     State, WORK)

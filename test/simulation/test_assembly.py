@@ -43,7 +43,9 @@ def tangents(one, q):
     return right[int(np.sum(singular > 1e-7 * singular[0])):]
 
 
-@pytest.mark.parametrize('name', scene_names())
+# Those in space have tests of their own (``test/mechanism/test_shipped_in_space.py``).
+@pytest.mark.parametrize('name', [
+    name for name in scene_names() if load_scene(name).mechanism.planar])
 def test_shipped_starts_close_with_held_joints_as_given_and_nothing_to_tell(name):
     scene = load_scene(name)
     one, hold = assembler(scene.mechanism), scene.initial.hold
