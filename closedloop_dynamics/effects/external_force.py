@@ -38,7 +38,6 @@ from ..mechanism.fields import at
 from ..mechanism.mechanism import Vector, Vector3
 
 
-
 @dataclass(frozen=True)
 class ExternalForce(Effect):
     """
