@@ -73,8 +73,10 @@ def joint_motion(motion, title, wanted=None):
             shown = _wrapped if turning else np.asarray
             for place, color in zip(places, COLORS):
                 axes.plot(motion.time, shown(values[:, place]), color=color, linewidth=1.3)
-                if goals is not None and np.isfinite(goals[:, place]).any():
-                    axes.plot(motion.time, shown(goals[:, place]), label='wanted', **WANTED)
+            # Nothing is wanted of turns in space.
+            for rate in group.rates if goals is not None and not group.turned else ():
+                if np.isfinite(goals[:, rate]).any():
+                    axes.plot(motion.time, shown(goals[:, rate]), label='wanted', **WANTED)
             unit = units[int(group.length)]
             name = f'{group.name}\n' if quantity == 'position' else ''
             unit = 'x, y, z, w' if group.turned and quantity == 'position' else unit

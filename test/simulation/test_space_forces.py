@@ -19,7 +19,6 @@ from dataclasses import replace
 from closedloop_dynamics.core.straight_line import available, linkage as links, routines
 from closedloop_dynamics.core.straight_line.emit import Q, QD
 from closedloop_dynamics.core.straight_line.numbers import Numbers
-from closedloop_dynamics.core.types import WORK_COLUMNS
 from closedloop_dynamics.effects.external_force import ExternalForce
 from closedloop_dynamics.effects.joint_friction import JointFriction
 from closedloop_dynamics.effects.joint_spring import JointSpring
@@ -51,7 +50,7 @@ def on_demand(engine, which, result, q, qd, **more):
               links.CUT_POINT: model.cut_point, Q: q, QD: qd}
     numbers = Numbers(model)
     numbers.move(q, qd)
-    inputs[links.WORK_BODY] = np.zeros((len(model.tree), WORK_COLUMNS))
+    inputs[links.WORK_BODY] = np.zeros((len(model.tree), space.WORK_COLUMNS))
     space.write(numbers.recursion, inputs[links.WORK_BODY])
     inputs.update({getattr(links, name): np.array(value) for name, value in more.items()})
     outputs, _ = interpret(routines.Unrolling(model).routine(which), inputs)

@@ -258,17 +258,15 @@ class Unrolling:
 
     def joint_wrenches(self):
         """Wrenches in the joints of the tree after an evaluation, with what effects have left."""
-        recursion = self._moved()
-        space.read(recursion, self.symbols(WORK_BODY, self.work.body.shape))
-        wrenches, _ = recursion.joint_wrenches(
+        self.read()
+        wrenches, _ = self.recursion.joint_wrenches(
             self.model, self.symbols(QDD, (self.nv,)), self.symbols(LAM, (self.nc,)))
         self.store(JOINT_WRENCH, np.array(wrenches[1:], dtype=object), 6)
 
     def tree_forces(self):
         """Joint forces that accelerations take, loops open, with what effects have left."""
-        recursion = self._moved()
-        space.read(recursion, self.symbols(WORK_BODY, self.work.body.shape))
-        _, forces = recursion.joint_wrenches(self.model, self.symbols(QDD, (self.nv,)))
+        self.read()
+        _, forces = self.recursion.joint_wrenches(self.model, self.symbols(QDD, (self.nv,)))
         self.store(TREE_FORCE, np.array(forces, dtype=object))
 
     def cut_wrenches(self):

@@ -23,6 +23,7 @@ them go the terms that they multiply.
 
 import numpy as np
 
+from .rows import by_column, six
 from .spatial import Body, Cut, X, Y, Z
 from .vectors import IDENTITY, is_zero, ZERO
 from ..types import (
@@ -393,6 +394,42 @@ def columns_of(motion):
                           (ACCELERATION, motion.acceleration), (JOINT_AXIS, motion.axis)):
         columns.update(enumerate(values, start=first))
     return columns
+
+
+def write(recursion, body):
+    """
+    Write motion and forces into the columns of ``Workspace.body``.
+
+    Parameters
+    ----------
+    recursion : Recursion
+        After ``outward``.
+    body : ndarray, shape (nb + 1, WORK_COLUMNS)
+        Columns from ORIGIN to FORCE are written.
+
+    """
+    for row, motion, force in zip(body, recursion.motion, recursion.force):
+        columns = columns_of(motion)
+        if force is not None:
+            columns.update(by_column(force, FORCES))
+        for place, value in columns.items():
+            if place < OFFSET:
+                row[place] = value
+
+
+def read(recursion, body):
+    """
+    Take the forces from these columns, as effects have left them.
+
+    Parameters
+    ----------
+    recursion : Recursion
+        After ``outward``.
+    body : ndarray, shape (nb + 1, WORK_COLUMNS)
+        Of numbers or symbols.
+
+    """
+    recursion.force[1:] = [six(row, FORCES) for row in body[1:]]
 
 
 def first_equations(model):
