@@ -569,7 +569,7 @@ def test_effects_act_on_single_numbers_of_joints_behind_orientations():
     balance = one.energy_balance
     assert balance.dissipated > 1e-3 and abs(balance.work) > 1e-6
     assert_agree(balance.residual, 0.0, 1e-9, smallest=balance.kinetic)
-    for name, effect in (('hip', JointSpring('hip', 1.0)), ('ball', JointDamping('ball.rx', 1.0)),
+    for name, effect in (('hip', JointSpring('hip', 1.0)), ('ball', JointSpring('ball.rx', 1.0)),
                          ('table.y', Sensor())):
         with pytest.raises(FieldError):
             Simulation(replace(made, effects={name.partition('.')[0]: effect}))
