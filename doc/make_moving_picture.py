@@ -102,7 +102,7 @@ def main(scenes):
     rows = []
     with TemporaryDirectory() as folder, browser() as open_page:
         for name in scenes:
-            scene = load_scene(name, in_space=True)
+            scene = load_scene(name)
             columns, shown = motion(Simulation(scene), MOTIONS[name])
             page = Path(folder, 'page.html')
             page.write_text(recorded_page(

@@ -37,7 +37,8 @@ from ..core.formulations import AUGMENTED, SUBSYSTEM, SYSTEM
 from ..core.independent import allocate_partition
 from ..core.joint_wrenches import cut_wrenches
 from ..core.loop_closure import largest
-from ..core.straight_line import available
+from ..core.straight_line import available, later
+from ..core.straight_line.linkage import REFINED_ACCELERATION
 from ..core.straight_line.on_demand import OnDemand
 from ..effects.delay_line import DelayLine
 from ..effects.effect import Machine
@@ -1168,6 +1169,10 @@ class Simulation:
         """
         self._try_step(self._state.copy(), 1e-9)
         self.constraint_forces, self.energy, self.closure
+        if not self.mechanism.planar and self.system.unrolled is not None:
+            # Its refinement is compiled for each mechanism in space, which takes longer than a
+            # controller may wait.
+            later(self.system.model, REFINED_ACCELERATION)
 
     @property
     def monitor(self):

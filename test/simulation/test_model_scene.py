@@ -117,7 +117,7 @@ def test_check_tells_loops_and_freedoms(files, capsys):
 def test_import_writes_what_runs(files, capsys):
     assert main(['import', 'robot.urdf', '--output', 'my.yaml', '--scene', 'my_scene.yaml']) == 0
     assert capsys.readouterr().out == 'my.yaml: 3 bodies, 3 joints, 1 that close loops\n'
-    mine, own = load_scene('my_scene.yaml'), load_scene('scene.yaml', in_space=True)
+    mine, own = load_scene('my_scene.yaml'), load_scene('scene.yaml')
     assert mine.mechanism.bodies == own.mechanism.bodies
     assert mine.mechanism.cut_joints == own.mechanism.cut_joints
     assert Simulation(mine).closure < 1e-12
