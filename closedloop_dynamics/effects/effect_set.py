@@ -26,6 +26,7 @@ import numpy as np
 from .table import (
     build_table, DISSIPATED, fill_row, FIRST, LOADED, OWN, size_of_data, STATE, STORED, WORK)
 from ..core import straight_line
+from ..core.straight_line import pieces
 from ..core.types import TYPE
 from ..mechanism.checks import boolean, one_of
 from ..mechanism.fields import at, FieldError, keys_of, mapping
@@ -117,8 +118,11 @@ class EffectSet:
         active = [record for name, record in self.records.items() if self.enabled[name]]
         for record in active:
             record.change(model, self._machine)
-        if self._system is not None and self._system.unrolled is not None:
-            straight_line.relink(model, self._system.linkage)
+        if self._system is not None:
+            # A rotor makes another kind of body of one.
+            pieces.connect(model, self._system.work.piece, self._system.work.cut_piece)
+            if self._system.unrolled is not None:
+                straight_line.relink(model, self._system.linkage)
         self.drives = {}
         for record in active:
             if record.drive() is not None:
