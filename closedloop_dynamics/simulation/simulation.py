@@ -1169,7 +1169,8 @@ class Simulation:
         """
         self._try_step(self._state.copy(), 1e-9)
         self.constraint_forces, self.energy, self.closure
-        if not self.mechanism.planar and self.system.unrolled is not None:
+        if (not self.mechanism.planar and self.system.unrolled is not None
+                and len(self.system.lam) > 0):
             # Its refinement is compiled for each mechanism in space, which takes longer than a
             # controller may wait.
             later(self.system.model, REFINED_ACCELERATION)
