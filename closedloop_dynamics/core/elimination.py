@@ -24,7 +24,7 @@ joint's rows are neighbours, so the block pivots are its 2 x 2 or 3 x 3 blocks.
 
 from .compiled import choose, inlined
 from .types import (
-    LENGTHS, RANK, ROW, ROWS, SLOT_A, SLOT_END, SMALLEST_PIVOT,
+    CUT_PRISMATIC, CUT_TYPE, RANK, ROW, ROWS, SLOT_A, SLOT_END, SMALLEST_PIVOT,
     SMALLEST_PIVOT_EVER)
 
 # A pivot is compared with the largest diagonal entry of its cut point. In the mass metric it is
@@ -75,12 +75,11 @@ def assemble(model, work):
                     total += response[slot, k] * scaled[slot, c]
                 factor[place + k - c] = total
             scale[cut[a, ROW] + c] = factor[place]
-        first = cut[a, ROW]
-        larger = scale[first]
-        for k in range(1, cut[a, LENGTHS]):
-            larger = max(larger, scale[first + k])
-        for k in range(cut[a, LENGTHS]):
-            scale[first + k] = larger
+        if cut[a, CUT_TYPE] != CUT_PRISMATIC and cut[a, ROWS] > 1:
+            first = cut[a, ROW]
+            larger = max(scale[first], scale[first + 1])
+            scale[first] = larger
+            scale[first + 1] = larger
     for n in range(block.shape[0]):
         later, earlier = block[n, 0], block[n, 1]
         for c in range(cut[earlier, ROWS]):

@@ -31,8 +31,8 @@ from . import articulated_inertia, elimination, loop_closure
 from .compiled import choose, inlined
 from .forward_dynamics import constraint_right_side
 from .types import (
-    CUT_ROW, DINV, DOF, DZ, LENGTHS, LEVERS, PRISMATIC, REDUCED, RHS, ROW, ROWS, SLOT_A, SLOT_END,
-    SQUARE, STAND_IN, TOTAL, TYPE)
+    CUT_PRISMATIC, CUT_ROW, CUT_TYPE, DINV, DOF, DZ, LEVERS, PRISMATIC, REDUCED, RHS, ROW, ROWS,
+    SLOT_A, SLOT_END, SQUARE, STAND_IN, TOTAL, TYPE)
 
 # The error shrinks each time by the rounding of the smallest pivot: twice is enough for masses
 # that differ by 12 decades.
@@ -66,8 +66,8 @@ def _geometry(model, work):
         for slot in range(cut[a, SLOT_A], cut[a, SLOT_END]):
             if tree[slot_body[slot], TYPE] != PRISMATIC:
                 square = response[slot, 0] * response[slot, 0]
-                for k in range(1, cut[a, LENGTHS]):
-                    square += response[slot, k] * response[slot, k]
+                if cut[a, CUT_TYPE] != CUT_PRISMATIC:
+                    square += response[slot, 1] * response[slot, 1]
                 most = max(most, square)
         for slot in range(cut[a, SLOT_A], cut[a, SLOT_END]):
             i = slot_body[slot]

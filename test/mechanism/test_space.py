@@ -18,7 +18,7 @@ import math
 
 from closedloop_dynamics.mechanism.mechanism import MechanismError
 from closedloop_dynamics.mechanism.reader import read_mechanism
-from closedloop_dynamics.simulation.scene import load_scene, load_scene_or_mechanism, SceneError
+from closedloop_dynamics.simulation.scene import load_scene, load_scene_or_mechanism
 import pytest
 import yaml
 
@@ -154,8 +154,8 @@ def test_who_knows_the_plane_only_refuses_space(tmp_path):
     path = tmp_path / 'scene.yaml'
     path.write_text(yaml.safe_dump({'mechanism': 'mechanism.yaml', 'initial': {
         'position': dict.fromkeys(described()['joints'], 0.0)}}))
-    assert not load_scene(path).mechanism.planar
-    for call, subject in ((load_scene, path), (load_scene_or_mechanism, path),
-                          (load_scene_or_mechanism, tmp_path / 'mechanism.yaml')):
-        with pytest.raises(SceneError, match='rssr is a mechanism in space'):
-            call(subject)
+    for read_in in (load_scene(path).mechanism, load_scene_or_mechanism(path).mechanism,
+                    load_scene_or_mechanism(tmp_path / 'mechanism.yaml')):
+        assert not read_in.planar
+        with pytest.raises(MechanismError, match='rssr is a mechanism in space'):
+            read_in.require_planar('a study')
