@@ -41,7 +41,7 @@ def interpret(routine, inputs):
 
     Parameters
     ----------
-    routine : emit.Routine
+    routine : tape.Routine
         What is computed.
     inputs : dict of int to ndarray
         By input.
