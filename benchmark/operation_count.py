@@ -261,7 +261,8 @@ def cases():
     result = {}
     for scene in map(load_scene, scene_names()):
         name = scene.mechanism.name
-        if name in result or not (config_directory() / 'mechanisms' / f'{name}.yaml').exists():
+        shipped = config_directory() / 'mechanisms' / f'{name}.yaml'
+        if name in result or not scene.mechanism.planar or not shipped.exists():
             continue
         one = Simulation(scene)
         rng = np.random.default_rng(5)
