@@ -39,9 +39,10 @@ import numpy as np
 
 sys.path.insert(0, str(ROOT))
 
-from closedloop_dynamics.core import (  # noqa: E402,I100
-    forward_dynamics as dynamics, kinematics, loop_closure)
+from closedloop_dynamics.core import forward_dynamics as dynamics  # noqa: E402,I100
 from closedloop_dynamics.core.compiled import compiled  # noqa: E402
+from closedloop_dynamics.core.straight_line import interpreted  # noqa: E402
+from closedloop_dynamics.core.straight_line.tape import COSINE, SINE  # noqa: E402
 from closedloop_dynamics.core.workspace import allocate  # noqa: E402
 from closedloop_dynamics.simulation.modeling import build_model  # noqa: E402
 from closedloop_dynamics.simulation.scene import (  # noqa: E402
@@ -213,13 +214,12 @@ def count(model, q, qd, tau):
         part[:] = [tape.variable(value) for value in values]
         variables.append(part)
     qdd, lam = (np.zeros(n, dtype=object) for n in (len(q), len(model.column) - 1))
-    plain = kinematics.math, loop_closure.math
-    shim = type('Math', (), {name: staticmethod(tape.function(name)) for name in ('cos', 'sin')})
-    kinematics.math = loop_closure.math = shim
+    plain = dict(interpreted.OPERATIONS)
+    interpreted.OPERATIONS.update({COSINE: tape.function('cos'), SINE: tape.function('sin')})
     try:
         good = dynamics.forward_dynamics(model._replace(**floats), work, *variables, qdd, lam)
     finally:
-        kinematics.math, loop_closure.math = plain
+        interpreted.OPERATIONS.update(plain)
     if not good:
         raise ValueError('this state is singular: count at another one')
     needed, chain = _needed([*qdd, *lam])

@@ -21,7 +21,7 @@ from .tape import (
     ADD, BOTH, CHOOSE, COSINE, DIVIDE, GREATER_EQUAL, LESS, LOAD, MULTIPLY, NEGATE, SINE,
     SUBTRACT)
 
-_DO = {ADD: operator.add, SUBTRACT: operator.sub, MULTIPLY: operator.mul, NEGATE: operator.neg,
+OPERATIONS = {ADD: operator.add, SUBTRACT: operator.sub, MULTIPLY: operator.mul, NEGATE: operator.neg,
        SINE: math.sin, COSINE: math.cos, LESS: operator.lt, GREATER_EQUAL: operator.ge,
        BOTH: operator.and_, CHOOSE: lambda condition, yes, no: yes if condition else no}
 
@@ -31,7 +31,7 @@ def _divide(a, b):
     return a / b if b else math.copysign(math.inf, a) if a else math.nan
 
 
-_DO[DIVIDE] = _divide
+OPERATIONS[DIVIDE] = _divide
 _all = []
 
 
@@ -68,7 +68,7 @@ class Interpreted:
                 row, first = rows[operands[0]]
                 values[place] = row[first + operands[1]]
             else:
-                values[place] = _DO[kind](*(
+                values[place] = OPERATIONS[kind](*(
                     values[o] if isinstance(o, int) else o for o in operands))
         for source, place, known, value in self._outputs:
             row, first = rows[source]
