@@ -21,9 +21,10 @@ from .tape import (
     ADD, BOTH, CHOOSE, COSINE, DIVIDE, GREATER_EQUAL, LESS, LOAD, MULTIPLY, NEGATE, SINE,
     SUBTRACT)
 
-OPERATIONS = {ADD: operator.add, SUBTRACT: operator.sub, MULTIPLY: operator.mul, NEGATE: operator.neg,
-       SINE: math.sin, COSINE: math.cos, LESS: operator.lt, GREATER_EQUAL: operator.ge,
-       BOTH: operator.and_, CHOOSE: lambda condition, yes, no: yes if condition else no}
+OPERATIONS = {
+    ADD: operator.add, SUBTRACT: operator.sub, MULTIPLY: operator.mul, NEGATE: operator.neg,
+    SINE: math.sin, COSINE: math.cos, LESS: operator.lt, GREATER_EQUAL: operator.ge,
+    BOTH: operator.and_, CHOOSE: lambda condition, yes, no: yes if condition else no}
 
 
 def _divide(a, b):
