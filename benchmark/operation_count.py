@@ -40,9 +40,9 @@ import numpy as np
 sys.path.insert(0, str(ROOT))
 
 from closedloop_dynamics.core import forward_dynamics as dynamics  # noqa: E402,I100
+from closedloop_dynamics.core.codegen import interpreted  # noqa: E402
+from closedloop_dynamics.core.codegen.expression_graph import COSINE, SINE  # noqa: E402
 from closedloop_dynamics.core.compiled import compiled  # noqa: E402
-from closedloop_dynamics.core.straight_line import interpreted  # noqa: E402
-from closedloop_dynamics.core.straight_line.tape import COSINE, SINE  # noqa: E402
 from closedloop_dynamics.core.workspace import allocate  # noqa: E402
 from closedloop_dynamics.simulation.modeling import build_model  # noqa: E402
 from closedloop_dynamics.simulation.scene import (  # noqa: E402

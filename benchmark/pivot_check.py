@@ -46,18 +46,18 @@ CUTS = {
 """)),
     'integration/system.py': (
         ("""\
-            if links.call(linkage, links.EVALUATION, q, qd) == 0:
-                links.call(linkage, links.OUTWARD, q, qd)
-                _accelerate_anew(linkage, q, qd)
+            if calls.call(table, calls.EVALUATION, q, qd) == 0:
+                calls.call(table, calls.OUTWARD, q, qd)
+                _accelerate_anew(table, q, qd)
 """, """\
-            links.call(linkage, links.EVALUATION, q, qd)
+            calls.call(table, calls.EVALUATION, q, qd)
 """),),
     'integration/projection.py': (
         ("""\
-        return (links.call(linkage, links.CORRECTION, q, qd) != 0
-                or links.call(linkage, links.REFINED_CORRECTION, q, qd) != 0)
+        return (calls.call(table, calls.CORRECTION, q, qd) != 0
+                or calls.call(table, calls.REFINED_CORRECTION, q, qd) != 0)
 """, """\
-        links.call(linkage, links.CORRECTION, q, qd)
+        calls.call(table, calls.CORRECTION, q, qd)
         return True
 """),),
 }

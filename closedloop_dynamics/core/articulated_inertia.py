@@ -21,9 +21,9 @@ per evaluation and serve the applied forces and every cut force alike.
 
 """
 
+from .codegen.function_table import run_piece
+from .codegen.space import FRAME
 from .compiled import inlined
-from .straight_line.linkage import run_piece
-from .straight_line.space import FRAME
 from .types import ACCELERATE, AXIS, BALL, DOF, ELIMINATE, ELIMINATE_MASSLESS, PARENT, TYPE
 
 Z = 2

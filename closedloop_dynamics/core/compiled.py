@@ -114,7 +114,7 @@ def choose(condition, yes, no):
     Return one of two numbers, without a branch where the processor can.
 
     Kernels choose by it between values that depend on the state: then they can be unrolled
-    (``straight_line``), for which branches may depend on topology alone.
+    (``codegen``), for which branches may depend on topology alone.
 
     Parameters
     ----------

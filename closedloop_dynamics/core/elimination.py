@@ -24,7 +24,7 @@ joint's rows are neighbours, so the block pivots are its 2 x 2 or 3 x 3 blocks.
 
 from .compiled import choose, inlined
 from .types import (
-    CUT_PRISMATIC, CUT_TYPE, RANK, ROW, ROWS, SLOT_A, SLOT_END, SMALLEST_PIVOT,
+    CUT_PRISMATIC, CUT_TYPE, PATH_A, PATH_END, RANK, ROW, ROWS, SMALLEST_PIVOT,
     SMALLEST_PIVOT_EVER)
 
 # A pivot is compared with the largest diagonal entry of its cut point. In the mass metric it is
@@ -71,8 +71,8 @@ def assemble(model, work):
             place = column[cut[a, ROW] + c]
             for k in range(c, cut[a, ROWS]):
                 total = 0.0
-                for slot in range(cut[a, SLOT_A], cut[a, SLOT_END]):
-                    total += response[slot, k] * scaled[slot, c]
+                for p in range(cut[a, PATH_A], cut[a, PATH_END]):
+                    total += response[p, k] * scaled[p, c]
                 factor[place + k - c] = total
             scale[cut[a, ROW] + c] = factor[place]
         if cut[a, CUT_TYPE] != CUT_PRISMATIC and cut[a, ROWS] > 1:

@@ -14,8 +14,8 @@
 
 """Kinetic energy, and potential energy in gravity."""
 
+from .codegen.function_table import run_piece
 from .compiled import compiled
-from .straight_line.linkage import run_piece
 from .types import DOF, MEASURE, PARENT
 
 

@@ -196,7 +196,7 @@ def close(model, work, partition, q, qd, tolerance):
 
 
 @compiled
-def settle(partition, model, work, q, qd, tolerance):
+def close_and_choose(partition, model, work, q, qd, tolerance):
     """
     Close the loops after a step, and choose another set where the present one is worn.
 

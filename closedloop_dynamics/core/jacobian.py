@@ -15,10 +15,10 @@
 """Dense matrices of the mechanism: constraint Jacobian and generalized inertia matrix."""
 
 from .articulated_inertia import turn_spherical
+from .codegen.function_table import run_piece
 from .compiled import compiled
 from .loop_closure import measure, respond
-from .straight_line.linkage import run_piece
-from .types import CARRY, COMPOSE, CUT_ROW, DOF, PARENT, ROWS, SLOT_A, SLOT_END
+from .types import CARRY, COMPOSE, CUT_ROW, DOF, PARENT, PATH_A, PATH_END, ROWS
 
 
 @compiled
@@ -47,9 +47,9 @@ def constraint_jacobian(model, work, jac):
         measure(model, work, a)
         for k in range(cut[a, ROWS]):
             respond(model, work, CARRY, a, k)
-            for slot in range(cut[a, SLOT_A], cut[a, SLOT_END]):
-                i = model.slot_body[slot]
-                jac[cut[a, CUT_ROW] + k, model.tree[i, DOF]] = work.response[slot, k]
+            for entry in range(cut[a, PATH_A], cut[a, PATH_END]):
+                i = model.path_body[entry]
+                jac[cut[a, CUT_ROW] + k, model.tree[i, DOF]] = work.response[entry, k]
             turn_spherical(model.tree, work.body, jac[cut[a, CUT_ROW] + k], False)
 
 

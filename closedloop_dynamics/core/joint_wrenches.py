@@ -23,9 +23,9 @@ along the joint's own freedom what its drive, springs, dampers and friction hand
 """
 
 from .articulated_inertia import turn_spherical
+from .codegen.function_table import run_piece
+from .codegen.space import FORCE
 from .compiled import compiled, inlined
-from .straight_line.linkage import run_piece
-from .straight_line.space import FORCE
 from .types import (
     BODY_A, BODY_B, CUT_NUMBER, CUT_ROW, DOF, FZ, NEWTON, PARENT, SHIFT, TORQUE, WRENCH)
 

@@ -14,9 +14,9 @@
 
 """Outward recursion: poses, velocities, velocity-product accelerations, rigid-body inertias."""
 
+from .codegen.function_table import run_piece
+from .codegen.space import ACCELERATION
 from .compiled import inlined
-from .straight_line.linkage import run_piece
-from .straight_line.space import ACCELERATION
 from .types import AX, COORDINATE, COS, DOF, MOVE, OMEGA, PARENT, PX, PY, SIN, VX, VY
 
 
@@ -41,7 +41,7 @@ def outward(model, q, qd, work):
     World axes throughout, each body at its own origin: then neither inertias nor forces are
     ever rotated, only shifted. The acceleration is the one that q, qd and gravity leave when
     qdd = 0; a ground that accelerates by -g stands for gravity. The bias force is what a body
-    needs for that acceleration. The arithmetic is that of ``straight_line.spatial``.
+    needs for that acceleration. The arithmetic is that of ``codegen.spatial``.
 
     """
     tree, body, piece = model.tree, work.body, work.piece

@@ -14,18 +14,18 @@
 
 """Cut joints: closure error, its rates, and the response of the trees to unit cut forces."""
 
+from .codegen.function_table import run_piece
+from .codegen.space import COUPLING, FACTORS, HELD_SUM, JOINT_POSITION, JOINT_RATE
 from .compiled import inlined
-from .straight_line.linkage import run_piece
-from .straight_line.space import COUPLING, FACTORS, HELD_SUM, JOINT_POSITION, JOINT_RATE
 from .types import (
-    BODY_A, BODY_B, CUT_TYPE, EQUATIONS, LEVER, NO_RESPONSES, PARENT, REDUCE, REDUCE_COUPLED,
-    REDUCED, RHS, ROW, ROWS, SLOT_A, SLOT_B, SLOT_COMMON, SLOT_END)
+    BODY_A, BODY_B, CUT_TYPE, EQUATIONS, LEVER, NO_RESPONSES, PARENT, PATH_A, PATH_B, PATH_COMMON,
+    PATH_END, REDUCE, REDUCE_COUPLED, REDUCED, RHS, ROW, ROWS)
 
 
 @inlined
 def carry(model, work, stage, first, last, wrench, row):
     """
-    Carry a unit force inward along slots and keep its share at each joint.
+    Carry a unit force inward along path entries and keep its share at each joint.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ def carry(model, work, stage, first, last, wrench, row):
     stage : int
         ``REDUCE``, ``LEVER`` or ``CARRY``.
     first, last : int
-        Slots.
+        Path entries.
     wrench : int
         Row of ``work.wrench``: at the origin of the first body, then at that of the last one's
         parent.
@@ -45,11 +45,11 @@ def carry(model, work, stage, first, last, wrench, row):
 
     """
     body, piece, share = work.body, work.piece, work.share
-    for slot in range(first, last):
-        i = model.slot_body[slot]
+    for entry in range(first, last):
+        i = model.path_body[entry]
         run_piece(piece[i, stage], model.body, i, body, i, body, i, work.wrench, wrench, share, 0)
-        work.response[slot, row] = share[0]
-        work.response_scaled[slot, row] = share[1]
+        work.response[entry, row] = share[0]
+        work.response_scaled[entry, row] = share[1]
 
 
 @inlined
@@ -77,8 +77,8 @@ def respond(model, work, stage, a, row):
     for n in range(size):
         wrench[0, n] = work.equation[place + n]
         wrench[1, n] = work.equation[place + size + n]
-    middle, common, end = cut[a, SLOT_B], cut[a, SLOT_COMMON], cut[a, SLOT_END]
-    carry(model, work, stage, cut[a, SLOT_A], middle, 0, row)
+    middle, common, end = cut[a, PATH_B], cut[a, PATH_COMMON], cut[a, PATH_END]
+    carry(model, work, stage, cut[a, PATH_A], middle, 0, row)
     if middle < end:
         carry(model, work, stage, middle, common, 1, row)
         if common < end:
@@ -89,23 +89,23 @@ def respond(model, work, stage, a, row):
 
 @inlined
 def _respond_in_joints(model, work, stage, a, row):
-    """Do as ``respond`` does for a coupling; a slot's body comes before its parent."""
+    """Do as ``respond`` does for a coupling; a path entry's body comes before its parent."""
     cut, arrived, share = model.cut, work.force, work.share
-    first, last = cut[a, SLOT_A], cut[a, SLOT_END]
-    for slot in range(first, last):
-        i = model.slot_body[slot]
+    first, last = cut[a, PATH_A], cut[a, PATH_END]
+    for entry in range(first, last):
+        i = model.path_body[entry]
         for n in range(6):
             arrived[i, n] = arrived[model.tree[i, PARENT], n] = 0.0
-    for slot in range(first, last):
-        i = model.slot_body[slot]
-        share[0], share[1] = model.cut_point[a, FACTORS + slot - first], 0.0
+    for entry in range(first, last):
+        i = model.path_body[entry]
+        share[0], share[1] = model.cut_point[a, FACTORS + entry - first], 0.0
         if stage == REDUCE:
             run_piece(work.piece[i, REDUCE_COUPLED], model.body, i, work.body, i, work.body, i,
                       arrived, i, share, 0)
             for n in range(6):
                 arrived[model.tree[i, PARENT], n] += arrived[i, n]
-        work.response[slot, row] = share[0]
-        work.response_scaled[slot, row] = share[1]
+        work.response[entry, row] = share[0]
+        work.response_scaled[entry, row] = share[1]
 
 
 @inlined
@@ -127,10 +127,10 @@ def measure(model, work, a):
     cut, body = model.cut, work.body
     if cut[a, CUT_TYPE] == COUPLING:
         value, rate = -model.cut_point[a, HELD_SUM], 0.0
-        for slot in range(cut[a, SLOT_A], cut[a, SLOT_END]):
-            factor = model.cut_point[a, FACTORS + slot - cut[a, SLOT_A]]
-            value += factor * body[model.slot_body[slot], JOINT_POSITION]
-            rate += factor * body[model.slot_body[slot], JOINT_RATE]
+        for entry in range(cut[a, PATH_A], cut[a, PATH_END]):
+            factor = model.cut_point[a, FACTORS + entry - cut[a, PATH_A]]
+            value += factor * body[model.path_body[entry], JOINT_POSITION]
+            rate += factor * body[model.path_body[entry], JOINT_RATE]
         work.equation[0], work.equation[1], work.equation[2] = value, rate, 0.0
         return
     run_piece(work.cut_piece[a, EQUATIONS], model.cut_point, a, body, cut[a, BODY_A],
@@ -210,12 +210,12 @@ def free_acceleration(model, work, out):
 
     """
     body, scaled = work.body, work.response_scaled
-    cut, slot_body = model.cut, model.slot_body
+    cut, path_body = model.cut, model.path_body
     for a in range(cut.shape[0]):
         for k in range(cut[a, ROWS]):
             total = 0.0
-            for slot in range(cut[a, SLOT_A], cut[a, SLOT_END]):
-                total += scaled[slot, k] * body[slot_body[slot], RHS]
+            for entry in range(cut[a, PATH_A], cut[a, PATH_END]):
+                total += scaled[entry, k] * body[path_body[entry], RHS]
             out[cut[a, ROW] + k] = total
 
 
@@ -235,11 +235,11 @@ def apply(model, work, lam):
 
     """
     body, response = work.body, work.response
-    cut, slot_body = model.cut, model.slot_body
+    cut, path_body = model.cut, model.path_body
     for a in range(cut.shape[0]):
-        for slot in range(cut[a, SLOT_A], cut[a, SLOT_END]):
-            i = slot_body[slot]
+        for entry in range(cut[a, PATH_A], cut[a, PATH_END]):
+            i = path_body[entry]
             total = body[i, RHS]
             for k in range(cut[a, ROWS]):
-                total += response[slot, k] * lam[cut[a, ROW] + k]
+                total += response[entry, k] * lam[cut[a, ROW] + k]
             body[i, RHS] = total

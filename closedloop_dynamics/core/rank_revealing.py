@@ -32,13 +32,13 @@ accelerations are smooth along a branch, though the equations lose them for an i
 import numpy as np
 
 from . import kinematics
+from .codegen.space import FORCE, SPIN
 from .compiled import allocating, merged
 from .forward_dynamics import constraint_right_side, to_user_order
 from .jacobian import constraint_jacobian, generalized_inertia_matrix
 from .joint_wrenches import tree_torque
 from .loop_closure import largest, update
 from .null_space import ACCELERATION, POSITION, ROUNDING, solve, VELOCITY, WEAK
-from .straight_line.space import FORCE, SPIN
 from .types import (
     FZ, LOOKED_BESIDE, MOST_DISTINCT, NO_RESPONSES, OMEGA, RANK, RANK_REVEALING_COUNT,
     SINGULAR_COUNT)

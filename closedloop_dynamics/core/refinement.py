@@ -31,8 +31,8 @@ from . import articulated_inertia, elimination, loop_closure
 from .compiled import choose, inlined
 from .forward_dynamics import constraint_right_side
 from .types import (
-    CUT_PRISMATIC, CUT_ROW, CUT_TYPE, DINV, DOF, DZ, LEVERS, PRISMATIC, REDUCED, RHS, ROW, ROWS,
-    SLOT_A, SLOT_END, SQUARE, STAND_IN, TOTAL, TYPE)
+    CUT_PRISMATIC, CUT_ROW, CUT_TYPE, DINV, DOF, DZ, LEVERS, PATH_A, PATH_END, PRISMATIC, REDUCED,
+    RHS, ROW, ROWS, SQUARE, STAND_IN, TOTAL, TYPE)
 
 # The error shrinks each time by the rounding of the smallest pivot: twice is enough for masses
 # that differ by 12 decades.
@@ -52,10 +52,10 @@ def _geometry(model, work):
     Factor J W J^T for the angles of the bodies and the slides, weighted by W.
 
     Angles count by the longest lever of any in the same loops, so that they compare with
-    slides. Keeps J, by slots, in ``lever``. Returns the smallest relative pivot.
+    slides. Keeps J, by path entries, in ``lever``. Returns the smallest relative pivot.
 
     """
-    tree, cut, slot_body = model.tree, model.cut, model.slot_body
+    tree, cut, path_body = model.tree, model.cut, model.path_body
     response, scaled, lever, joint = (
         work.response, work.response_scaled, work.lever, work.joint)
     loop_closure.update(model, work, LEVERS)
@@ -63,21 +63,21 @@ def _geometry(model, work):
         joint[i, SQUARE] = 0.0
     for a in range(cut.shape[0]):
         most = 0.0
-        for slot in range(cut[a, SLOT_A], cut[a, SLOT_END]):
-            if tree[slot_body[slot], TYPE] != PRISMATIC:
-                square = response[slot, 0] * response[slot, 0]
+        for entry in range(cut[a, PATH_A], cut[a, PATH_END]):
+            if tree[path_body[entry], TYPE] != PRISMATIC:
+                square = response[entry, 0] * response[entry, 0]
                 if cut[a, CUT_TYPE] != CUT_PRISMATIC:
-                    square += response[slot, 1] * response[slot, 1]
+                    square += response[entry, 1] * response[entry, 1]
                 most = max(most, square)
-        for slot in range(cut[a, SLOT_A], cut[a, SLOT_END]):
-            i = slot_body[slot]
+        for entry in range(cut[a, PATH_A], cut[a, PATH_END]):
+            i = path_body[entry]
             joint[i, SQUARE] = (
                 1.0 if tree[i, TYPE] == PRISMATIC else max(joint[i, SQUARE], most))
     for a in range(cut.shape[0]):
-        for slot in range(cut[a, SLOT_A], cut[a, SLOT_END]):
+        for entry in range(cut[a, PATH_A], cut[a, PATH_END]):
             for k in range(cut[a, ROWS]):
-                lever[slot, k] = response[slot, k]
-                scaled[slot, k] = response[slot, k] / joint[slot_body[slot], SQUARE]
+                lever[entry, k] = response[entry, k]
+                scaled[entry, k] = response[entry, k] / joint[path_body[entry], SQUARE]
     elimination.assemble(model, work)
     return elimination.factorize(model, work)
 
@@ -90,10 +90,10 @@ def _stand_in(model, work):
     Returns whether cut forces act on all of these: nothing else can hold them.
 
     """
-    body, joint, slot_body = work.body, work.joint, model.slot_body
+    body, joint, path_body = work.body, work.joint, model.path_body
     most, held = 0.0, 1.0
-    for slot in range(slot_body.shape[0]):
-        i = slot_body[slot]
+    for entry in range(path_body.shape[0]):
+        i = path_body[entry]
         most = max(most, body[i, DINV] * joint[i, SQUARE])
     for i in range(1, body.shape[0]):
         mobility = VERY_MOBILE * most / joint[i, SQUARE]
@@ -145,19 +145,19 @@ def _unclosed(model, work, lam, right):
     Returns the squares of all terms of J qdd and Jdot qd, and of all forces on massless joints.
 
     """
-    cut, slot_body = model.cut, model.slot_body
+    cut, path_body = model.cut, model.path_body
     lever, response, joint = work.lever, work.response, work.joint
     size, load = 0.0, 0.0
     for a in range(cut.shape[0]):
         for k in range(cut[a, ROWS]):
             row, force = cut[a, ROW] + k, lam[cut[a, CUT_ROW] + k]
             size += work.bias[row] * work.bias[row]
-            for slot in range(cut[a, SLOT_A], cut[a, SLOT_END]):
-                i = slot_body[slot]
-                term = lever[slot, k] * joint[i, TOTAL]
+            for entry in range(cut[a, PATH_A], cut[a, PATH_END]):
+                i = path_body[entry]
+                term = lever[entry, k] * joint[i, TOTAL]
                 right[row] += term
                 size += term * term
-                term = response[slot, k] * force
+                term = response[entry, k] * force
                 load += choose(joint[i, STAND_IN] > 0.0, term * term / joint[i, SQUARE], 0.0)
     return size, load
 

@@ -24,7 +24,7 @@ user's order (columns ``DOF`` and ``CUT_ROW``).
 
 A planar vector is ordered (angular, x, y), in world axes, at the body's own
 origin (the place of its joint). What ``body``, ``cut_point`` and ``Workspace.body``
-hold of a mechanism in space: ``straight_line.space``.
+hold of a mechanism in space: ``codegen.space``.
 
 """
 
@@ -64,7 +64,7 @@ IZZ, HX, HY, MXX, MXY, MYY, FZ, FX, FY = range(15, 24)
 UZ, UX, UY, SX, SY, DX, DY = range(24, 31)
 WORK_COLUMNS = 31
 
-# Workspace.piece, one row a body: addresses of what the loops call (``straight_line.pieces``).
+# Workspace.piece, one row a body: addresses of what the loops call (``codegen.pieces``).
 # Motion and rigid body; elimination of the joint, and where joints may carry no inertia;
 # acceleration; a wrench carried inward, less what joints give way to, by levers, or as it is;
 # inertia of the composite body; energy; Newton's and Euler's equations, inward, joint torque; the
@@ -86,13 +86,13 @@ SQUARE, STAND_IN, TOTAL = range(3)
 JOINT_COLUMNS = 3
 
 # Model.cut, one row a cut joint: topology. CUT_ROW: first multiplier in the user's
-# order; ROW: first one in elimination order; slots SLOT_A..SLOT_B-1 are the bodies
-# from body A inward, SLOT_B..SLOT_COMMON-1 those from body B, SLOT_COMMON..SLOT_END-1
+# order; ROW: first one in elimination order; path entries PATH_A..PATH_B-1 are the bodies
+# from body A inward, PATH_B..PATH_COMMON-1 those from body B, PATH_COMMON..PATH_END-1
 # the ones that both paths share; CUT_NUMBER: its place in the user's order. In
 # space, POSSIBLE: the bits of the equations of its type that do not always hold; KEPT: of those
 # among them that the elimination works on, as others repeat them. LENGTHS: how many of the first
 # equations hold points, in metres; one at least.
-(CUT_TYPE, BODY_A, BODY_B, ROWS, CUT_ROW, ROW, SLOT_A, SLOT_B, SLOT_COMMON, SLOT_END,
+(CUT_TYPE, BODY_A, BODY_B, ROWS, CUT_ROW, ROW, PATH_A, PATH_B, PATH_COMMON, PATH_END,
  CUT_NUMBER, KEPT, POSSIBLE, LENGTHS) = range(14)
 CUT_COLUMNS = 14
 # Values of CUT_TYPE.
@@ -125,10 +125,10 @@ class Model(NamedTuple):
         [m/s^2].
     cut : ndarray of int, shape (number of cuts, CUT_COLUMNS)
     cut_point : ndarray, shape (number of cuts, 5)
-    slot_body : ndarray of int
-        The body of every slot (a place on the path of a cut force).
+    path_body : ndarray of int
+        The body of every path entry (a place on the path of a cut force).
     pair : ndarray of int, shape (pairs, 4)
-        Off-diagonal blocks: (slot of the later cut, slot of the earlier cut) that share a
+        Off-diagonal blocks: (path entry of the later cut, that of the earlier) that share a
         body, with the rows of both cuts packed in ``block``.
     block : ndarray of int, shape (blocks, 4)
         (later cut, earlier cut, first pair, last pair + 1) of every block of the
@@ -151,7 +151,7 @@ class Model(NamedTuple):
     gravity: np.ndarray
     cut: np.ndarray
     cut_point: np.ndarray
-    slot_body: np.ndarray
+    path_body: np.ndarray
     pair: np.ndarray
     block: np.ndarray
     column: np.ndarray
@@ -168,15 +168,15 @@ class Workspace(NamedTuple):
     Attributes
     ----------
     body : ndarray, shape (nb + 1, WORK_COLUMNS)
-    response : ndarray, shape (slots, 3 or 6)
-        Reduced force u = S^T w of each row of a cut at each slot.
-    response_scaled : ndarray, shape (slots, 3 or 6)
+    response : ndarray, shape (path entries, 3 or 6)
+        Reduced force u = S^T w of each row of a cut at each path entry.
+    response_scaled : ndarray, shape (path entries, 3 or 6)
         The same times 1/D.
     factor : ndarray
         Entries of the constraint matrix, then of its factor L.
     scale : ndarray, shape (nc,)
         What the pivots are compared with.
-    lever : ndarray, shape (slots, 3 or 6)
+    lever : ndarray, shape (path entries, 3 or 6)
         Of each row of a cut, the levers on the bodies' angles, and on the slides.
     joint : ndarray, shape (nb + 1, JOINT_COLUMNS)
         What ``refinement`` keeps of every joint.

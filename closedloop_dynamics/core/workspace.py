@@ -16,7 +16,7 @@
 
 import numpy as np
 
-from .straight_line import pieces, space
+from .codegen import pieces, space
 from .types import (
     BODY_STAGES, COS, HEALTH_COLUMNS, JOINT_COLUMNS, ROWS, WORK_COLUMNS, Workspace)
 
@@ -54,7 +54,7 @@ def unconnected(model):
     Workspace
 
     """
-    slots, bodies, rows = len(model.slot_body), len(model.tree), len(model.column) - 1
+    entries, bodies, rows = len(model.path_body), len(model.tree), len(model.column) - 1
     most = max(3, model.cut[:, ROWS].max(initial=0))
     spatial = space.is_spatial(model)
     body = np.zeros((bodies, space.WORK_COLUMNS if spatial else WORK_COLUMNS))
@@ -62,8 +62,8 @@ def unconnected(model):
     # The ground's axes.
     body[0, [space.FRAME, space.FRAME + 4, space.FRAME + 8] if spatial else COS] = 1.0
     return Workspace(
-        body=body, response=np.zeros((slots, most)), response_scaled=np.zeros((slots, most)),
-        factor=np.zeros(len(model.row)), scale=np.zeros(rows), lever=np.zeros((slots, most)),
+        body=body, response=np.zeros((entries, most)), response_scaled=np.zeros((entries, most)),
+        factor=np.zeros(len(model.row)), scale=np.zeros(rows), lever=np.zeros((entries, most)),
         joint=np.zeros((bodies, JOINT_COLUMNS)), change=np.zeros(bodies - 1),
         pivot_inverse=np.zeros(rows), right=np.zeros(rows), scatter=np.zeros(rows),
         closure=np.zeros(rows), closure_rate=np.zeros(rows), bias=np.zeros(rows),

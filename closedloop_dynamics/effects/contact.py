@@ -39,10 +39,9 @@ from typing import Optional
 from .effect import Effect
 from .forces import (
     elastic_force, in_contact, offset, push, push_in_space, turned, velocity_in_space)
-from .table import (
-    CONTACT, DISSIPATED, FIRST, ForceElement, SPATIAL_CONTACT, STATE, State, STORED)
+from .table import CONTACT, DISSIPATED, FIRST, ForceElement, SPATIAL_CONTACT, STATE, State, STORED
+from ..core.codegen.space import ORIGIN
 from ..core.compiled import inlined
-from ..core.straight_line.space import ORIGIN
 from ..core.types import OMEGA, PX, PY, VX, VY
 from ..mechanism.checks import direction, name, not_negative, number, positive, vector
 from ..mechanism.fields import FieldError, shown

@@ -25,8 +25,8 @@ import numpy as np
 
 from .table import (
     build_table, DISSIPATED, fill_row, FIRST, LOADED, OWN, size_of_data, STATE, STORED, WORK)
-from ..core import straight_line
-from ..core.straight_line import pieces
+from ..core import codegen
+from ..core.codegen import pieces
 from ..core.types import TYPE
 from ..mechanism.checks import boolean, one_of
 from ..mechanism.fields import at, FieldError, keys_of, mapping
@@ -122,7 +122,7 @@ class EffectSet:
             # A rotor makes another kind of body of one.
             pieces.connect(model, self._system.work.piece, self._system.work.cut_piece)
             if self._system.unrolled is not None:
-                straight_line.relink(model, self._system.linkage)
+                codegen.relink(model, self._system.table)
         self.drives = {}
         for record in active:
             if record.drive() is not None:

@@ -27,11 +27,10 @@ from dataclasses import dataclass
 from typing import Union
 
 from .effect import Effect
-from .forces import (
-    BODY, offset, push, push_in_space, turned, twist, velocity_in_space, WORLD)
+from .forces import BODY, offset, push, push_in_space, turned, twist, velocity_in_space, WORLD
 from .table import EXTERNAL_FORCE, FIRST, ForceElement, SPATIAL_FORCE, STATE, State, WORK
+from ..core.codegen.space import SPIN
 from ..core.compiled import inlined
-from ..core.straight_line.space import SPIN
 from ..core.types import FZ, OMEGA, VX, VY
 from ..mechanism.checks import name, number, one_of, one_or_several, vector, vector3
 from ..mechanism.fields import at

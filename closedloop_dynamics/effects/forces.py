@@ -17,8 +17,8 @@
 import math
 
 from .table import TOUCHING, UNDECIDED
+from ..core.codegen.space import FORCE, FRAME, SPIN, VELOCITY
 from ..core.compiled import inlined
-from ..core.straight_line.space import FORCE, FRAME, SPIN, VELOCITY
 from ..core.types import COS, FX, FY, FZ, OMEGA, PX, PY, SIN, VX, VY
 
 WORLD, BODY = 'world', 'body'

@@ -17,9 +17,9 @@
 import math
 
 from .table import LOAD_TIME, LOADED, SECOND, STATE
+from ..core.codegen.space import FRAME
 from ..core.compiled import compiled, inlined
 from ..core.joint_wrenches import FORCE_X, FORCE_Y, joint_wrenches
-from ..core.straight_line.space import FRAME
 from ..core.types import AXIS, PRISMATIC, SX, SY, TYPE
 
 

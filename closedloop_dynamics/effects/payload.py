@@ -26,7 +26,7 @@ from dataclasses import dataclass
 from typing import Tuple, Union
 
 from .effect import Effect
-from ..core.straight_line import space
+from ..core.codegen import space
 from ..core.types import INERTIA, MASS, MASS_X, MASS_Y
 from ..mechanism.checks import name, not_negative, one_or_several, vector
 from ..mechanism.fields import at

@@ -32,8 +32,8 @@ from .forces import offset, push, push_in_space, turned, velocity_in_space
 from .table import (
     DISSIPATED, FIRST, ForceElement, POINT_SPRING, SECOND, SPATIAL_POINT_SPRING, STATE, State,
     STORED)
+from ..core.codegen.space import ORIGIN
 from ..core.compiled import inlined
-from ..core.straight_line.space import ORIGIN
 from ..core.types import OMEGA, PX, PY, VX, VY
 from ..mechanism.checks import name, not_negative, vector
 from ..mechanism.fields import FieldError

@@ -40,8 +40,8 @@ from typing import Optional
 import numpy as np
 
 from .effect import Effect
-from ..core.straight_line import space
-from ..core.straight_line.spatial import rotation
+from ..core.codegen import space
+from ..core.codegen.spatial import rotation
 from ..core.types import ARMATURE, PARENT, REVOLUTE, REVOLUTE_ARMATURE, TYPE
 from ..mechanism.checks import direction, name, not_negative, number
 from ..mechanism.fields import FieldError, shown

@@ -21,9 +21,9 @@ from .system import CLOSURE_LIMIT, CLOSURE_TOLERANCE
 from ..core import (
     articulated_inertia, elimination, forward_dynamics, independent, kinematics, loop_closure,
     rank_revealing, refinement)
+from ..core.codegen import function_table as calls
 from ..core.compiled import compiled, inlined, merged
 from ..core.manifold import move, normalise, rates_begin
-from ..core.straight_line import linkage as links
 from ..core.types import CLOSURE, PROJECTION_ITERATIONS, RHS
 
 # Newton's method doubles the digits each time: what eight corrections do not close stays open.
@@ -46,11 +46,11 @@ def _factor_by_loops(by_loops, system, q, qd):
 
 
 @inlined
-def _factor_unrolled(unrolled, linkage, q, qd):
+def _factor_unrolled(unrolled, table, q, qd):
     """Prepare corrections by the unrolled routine, where there is one."""
     if unrolled is not None:
-        return (links.call(linkage, links.CORRECTION, q, qd) != 0
-                or links.call(linkage, links.REFINED_CORRECTION, q, qd) != 0)
+        return (calls.call(table, calls.CORRECTION, q, qd) != 0
+                or calls.call(table, calls.REFINED_CORRECTION, q, qd) != 0)
     return False
 
 
@@ -74,7 +74,7 @@ def factor_configuration(system, q, qd):
         Whether the closure equations are independent there.
 
     """
-    return _factor_unrolled(system.unrolled, system.linkage, q, qd) or _factor_by_loops(
+    return _factor_unrolled(system.unrolled, system.table, q, qd) or _factor_by_loops(
         system.by_loops, system, q, qd)
 
 
@@ -128,9 +128,9 @@ def correction(system, independent, level, q, qd, out):
         _correct_by_loops(system.by_loops, system, level, out)
         _correct_unrolled(system.unrolled, system.corrections, level, out)
     elif level == rank_revealing.POSITION:
-        links.call(system.linkage, links.CAREFUL_POSITION, q, qd)
+        calls.call(system.table, calls.RANK_REVEALING_POSITION, q, qd)
     else:
-        links.call(system.linkage, links.CAREFUL_VELOCITY, q, qd)
+        calls.call(system.table, calls.RANK_REVEALING_VELOCITY, q, qd)
 
 
 @merged
@@ -211,8 +211,9 @@ def stabilise(system, stabilisation, state):
     if stabilisation < VELOCITY:
         return True
     if stabilisation == INDEPENDENT:
-        return independent.settle(system.partition, system.model, system.work, state[:nq],
-                                  state[nq:nq + nv], system.settings[CLOSURE_TOLERANCE])
+        return independent.close_and_choose(
+            system.partition, system.model, system.work, state[:nq], state[nq:nq + nv],
+            system.settings[CLOSURE_TOLERANCE])
     return project(system, state[:nq], state[nq:nq + nv], stabilisation == PROJECTION)
 
 

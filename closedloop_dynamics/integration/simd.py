@@ -31,11 +31,11 @@ from .projection import all_finite, MOST_CORRECTIONS
 from .registry import INDEPENDENT, PROJECTION, VELOCITY
 from .runge_kutta import combine
 from .system import BAUMGARTE_GAIN, CLOSURE_LIMIT, CLOSURE_TOLERANCE
+from ..core.codegen import function_table as calls, lanes
+from ..core.codegen.lanes import LANES
 from ..core.compiled import compiled, inlined, released
 from ..core.manifold import (
     add_work, Manifold, move_lane, normalise, power_of_turns, rates_begin, rates_of_coordinates)
-from ..core.straight_line import lanes, linkage as links
-from ..core.straight_line.lanes import LANES
 
 # Status of ``run`` beside those of ``advance``: a state that needs the rank-revealing path.
 SINGULAR = 9
@@ -44,7 +44,7 @@ SINGULAR = 9
 class Pack(NamedTuple):
     """Mechanisms of one topology in all lanes; arrays are stored lane by lane."""
 
-    linkage: np.ndarray  # Of their routines
+    table: np.ndarray  # Of their routines
     # Shape (LANES * nv,): joint torques, accelerations.
     tau: np.ndarray
     qdd: np.ndarray
@@ -84,7 +84,7 @@ def build_pack(systems):
 
     """
     # Here, as there may be no compiler.
-    from ..core.straight_line.routines import topology
+    from ..core.codegen.routines import topology
     systems = filled(systems)
     first = systems[0]
     settings = np.array([system.settings for system in systems])
@@ -96,9 +96,9 @@ def build_pack(systems):
     arrays = lanes.allocate([system.model for system in systems], (nv, nc),
                             settings[0, BAUMGARTE_GAIN:BAUMGARTE_GAIN + 1].copy())
     return Pack(
-        linkage=lanes.connect(first.model, arrays), tau=arrays[links.TAU],
-        qdd=arrays[links.QDD], closure=arrays[links.CLOSURE],
-        corrections=arrays[links.CORRECTIONS].reshape(2, -1),
+        table=lanes.connect(first.model, arrays), tau=arrays[calls.TAU],
+        qdd=arrays[calls.QDD], closure=arrays[calls.CLOSURE],
+        corrections=arrays[calls.CORRECTIONS].reshape(2, -1),
         tolerance=settings[:, CLOSURE_TOLERANCE].copy(), limit=settings[:, CLOSURE_LIMIT].copy(),
         error=np.zeros(LANES), moving=np.zeros(LANES, dtype=np.bool_),
         manifold=first.manifold,
@@ -111,11 +111,11 @@ def filled(items):
 
 
 @inlined
-def _derivative(manifold, linkage, tau, qdd, state, out):
+def _derivative(manifold, table, tau, qdd, state, out):
     """Compute the time derivatives of all lanes; return whether the results are good."""
     n, nv = qdd.shape[0], qdd.shape[0] // LANES
     first = LANES * rates_begin(manifold, nv)
-    good = links.call(linkage, links.EVALUATION, state[:first], state[first:first + n])
+    good = calls.call(table, calls.EVALUATION, state[:first], state[first:first + n])
     rates_of_coordinates(manifold, state, nv, out, LANES)
     for i in range(n):
         out[first + i] = qdd[i]
@@ -124,9 +124,9 @@ def _derivative(manifold, linkage, tau, qdd, state, out):
 
 
 @inlined
-def _step(manifold, linkage, tau, qdd, tableau, state, step_size, slopes, stage, out):
+def _step(manifold, table, tau, qdd, tableau, state, step_size, slopes, stage, out):
     """Make one step; return whether all evaluations were good."""
-    if not _derivative(manifold, linkage, tau, qdd, state, slopes[0]):
+    if not _derivative(manifold, table, tau, qdd, state, slopes[0]):
         return False
     stages = tableau.b.shape[0]
     if stages == 0:
@@ -135,7 +135,7 @@ def _step(manifold, linkage, tau, qdd, tableau, state, step_size, slopes, stage,
         return True
     for k in range(1, stages):
         combine(tableau.a[k], k, state, step_size, slopes, stage)
-        if not _derivative(manifold, linkage, tau, qdd, stage, slopes[k]):
+        if not _derivative(manifold, table, tau, qdd, stage, slopes[k]):
             return False
     combine(tableau.b, stages, state, step_size, slopes, out)
     return True
@@ -156,7 +156,7 @@ def _project(pack, q, qd, positions):
     """Do as ``projection.project`` does, in every lane; return a status."""
     error, moving, tolerance = pack.error, pack.moving, pack.tolerance
     n = pack.qdd.shape[0]
-    if links.call(pack.linkage, links.CORRECTION, q, qd) == 0:
+    if calls.call(pack.table, calls.CORRECTION, q, qd) == 0:
         return SINGULAR
     _measure(pack.closure, error)
     busy = False
@@ -167,7 +167,7 @@ def _project(pack, q, qd, positions):
         if not busy:
             break
         _correct(pack.manifold, q, pack.corrections[0], moving)
-        if links.call(pack.linkage, links.CORRECTION, q, qd) == 0:
+        if calls.call(pack.table, calls.CORRECTION, q, qd) == 0:
             return SINGULAR
         busy = _go_on(pack.closure, error, moving, tolerance)
     for i in range(n):
@@ -267,7 +267,7 @@ def run(pack, tableau, stabilisation, state, step_size, torque, zero_order_hold,
             _work(manifold, pack.tau, state, since, work)
             for i in range(n):
                 pack.tau[i] = torque[done // zero_order_hold, i]
-        if not _step(manifold, pack.linkage, pack.tau, pack.qdd, tableau, state, step_size,
+        if not _step(manifold, pack.table, pack.tau, pack.qdd, tableau, state, step_size,
                      slopes, stage, out):
             return SINGULAR
         normalise(manifold, out, LANES)

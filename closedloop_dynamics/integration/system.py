@@ -22,7 +22,9 @@ import warnings
 
 import numpy as np
 
-from ..core import forward_dynamics, kinematics, rank_revealing, refinement, straight_line
+from ..core import codegen, forward_dynamics, kinematics, rank_revealing, refinement
+from ..core.codegen import function_table as calls, on_demand, pieces, space
+from ..core.codegen.numbers import Numbers
 from ..core.compiled import allocating, compiled, inlined, merged
 from ..core.formulations import accelerate_dense, allocate_dense, DenseWorkspace, SUBSYSTEM
 from ..core.independent import allocate_partition, close, Partition
@@ -30,8 +32,6 @@ from ..core.joint_wrenches import bias_forces
 from ..core.manifold import (
     fill_numbers, Manifold, manifold_of, number_of_coordinates, power_of_turns, rates_begin,
     rates_of_coordinates)
-from ..core.straight_line import linkage as links, on_demand, pieces, space
-from ..core.straight_line.numbers import Numbers
 from ..core.types import Model, RANK, RANK_REVEALING_COUNT, Workspace
 from ..core.workspace import allocate
 from ..effects import dispatch, joint_reaction, sticking
@@ -75,7 +75,7 @@ class System(NamedTuple):
         Joint torques of commands and effects; ``tau`` itself where no effect is listed.
     effects : EffectTable or None
         What acts on the mechanism beside the commanded torques.
-    linkage : ndarray of int
+    table : ndarray of int
         Of the routines that are called by their address: the rank-revealing path, and those
         unrolled for this mechanism.
     unrolled, by_loops : ndarray of no length, or None
@@ -103,7 +103,7 @@ class System(NamedTuple):
     lam: np.ndarray
     applied: np.ndarray
     effects: Optional[EffectTable]
-    linkage: np.ndarray
+    table: np.ndarray
     unrolled: Optional[np.ndarray]
     by_loops: Optional[np.ndarray]
     corrections: np.ndarray
@@ -111,7 +111,7 @@ class System(NamedTuple):
 
     def __reduce__(self):
         """Copy and pickle without addresses, which hold for these very arrays."""
-        return _relinked, tuple(self._replace(linkage=None))
+        return _relinked, tuple(self._replace(table=None))
 
 
 def build_system(model, formulation=SUBSYSTEM, baumgarte=0.0, extent=1.0, independent=False,
@@ -140,7 +140,7 @@ def build_system(model, formulation=SUBSYSTEM, baumgarte=0.0, extent=1.0, indepe
     """
     nv, nc = len(model.tree) - 1, len(model.column) - 1
     if unrolled is None:
-        unrolled = (straight_line.available() and formulation == SUBSYSTEM
+        unrolled = (codegen.available() and formulation == SUBSYSTEM
                     and (nv <= MOST_UNROLLED_BODIES or space.is_spatial(model)))
     # Closure errors of 1e-12 of the size are rounding; one of 1e-5 of it is an open loop.
     settings = np.array([
@@ -152,7 +152,7 @@ def build_system(model, formulation=SUBSYSTEM, baumgarte=0.0, extent=1.0, indepe
         dense=None if formulation == SUBSYSTEM else allocate_dense(model, formulation),
         partition=allocate_partition(model) if independent else None,
         settings=settings, tau=tau, qdd=np.zeros(nv), lam=np.zeros(nc),
-        applied=tau if effects is None else effects.applied, effects=effects, linkage=None,
+        applied=tau if effects is None else effects.applied, effects=effects, table=None,
         unrolled=_YES if unrolled else None, by_loops=None if unrolled else _YES,
         corrections=np.zeros((2, nv)), manifold=manifold_of(model))
     return _linked(system)
@@ -164,17 +164,17 @@ def _linked(system):
     pieces.connect(model, work.piece, work.cut_piece)
     results = {} if not space.is_spatial(model) else on_demand.arrays(
         model, None if system.effects is None else system.effects.reaction)
-    linkage = links.connect(
-        {**results, links.BODY: model.body, links.GRAVITY: model.gravity,
-         links.CUT_POINT: model.cut_point, links.TAU: system.applied, links.QDD: system.qdd,
-         links.BAUMGARTE: system.settings[BAUMGARTE_GAIN:],
-         links.LAM: system.lam, links.HEALTH: work.health, links.WORK_BODY: work.body,
-         links.CLOSURE: work.closure, links.CLOSURE_RATE: work.closure_rate,
-         links.CORRECTIONS: system.corrections},
-        _careful_routines(system), lambda place: straight_line.later(model, place))
+    table = calls.connect(
+        {**results, calls.BODY: model.body, calls.GRAVITY: model.gravity,
+         calls.CUT_POINT: model.cut_point, calls.TAU: system.applied, calls.QDD: system.qdd,
+         calls.BAUMGARTE: system.settings[BAUMGARTE_GAIN:],
+         calls.LAM: system.lam, calls.HEALTH: work.health, calls.WORK_BODY: work.body,
+         calls.CLOSURE: work.closure, calls.CLOSURE_RATE: work.closure_rate,
+         calls.CORRECTIONS: system.corrections},
+        _rank_revealing_routines(system), lambda place: codegen.later(model, place))
     if system.unrolled is not None:
-        straight_line.relink(model, linkage)
-    return system._replace(linkage=linkage)
+        codegen.relink(model, table)
+    return system._replace(table=table)
 
 
 def _relinked(*fields):
@@ -182,29 +182,32 @@ def _relinked(*fields):
     return _linked(System(*fields))
 
 
-def _careful_routines(system):
+def _rank_revealing_routines(system):
     """Return the rank-revealing path as functions of q and qd, compiled when first called."""
     if space.is_spatial(system.model):
-        return _careful_in_space(system)
+        return _rank_revealing_in_space(system)
     model, work, effects, settings, qdd = (
         system.model, system.work, system.effects, system.settings, system.qdd)
     tau, applied, lam = system.tau, system.applied, system.lam
 
     def acceleration(q, qd):
-        _carefully(qdd, careful_acceleration, model, work, effects, settings, tau, applied, q, qd,
-                   qdd, lam)
+        _reveal_rank(qdd, rank_revealing_acceleration, model, work, effects, settings, tau,
+                     applied, q, qd, qdd, lam)
 
     def position(q, qd):
-        _carefully(qdd, careful_correction, model, work, rank_revealing.POSITION, q, qd, qdd)
+        _reveal_rank(
+            qdd, rank_revealing_correction, model, work, rank_revealing.POSITION, q, qd, qdd)
 
     def velocity(q, qd):
-        _carefully(qdd, careful_correction, model, work, rank_revealing.VELOCITY, q, qd, qdd)
+        _reveal_rank(
+            qdd, rank_revealing_correction, model, work, rank_revealing.VELOCITY, q, qd, qdd)
 
-    return {links.CAREFUL_ACCELERATION: acceleration, links.CAREFUL_POSITION: position,
-            links.CAREFUL_VELOCITY: velocity}
+    return {calls.RANK_REVEALING_ACCELERATION: acceleration,
+            calls.RANK_REVEALING_POSITION: position,
+            calls.RANK_REVEALING_VELOCITY: velocity}
 
 
-def _careful_in_space(system):
+def _rank_revealing_in_space(system):
     """Return what stands in for the rank-revealing path in space: the recursions on numbers."""
     numbers, health, qdd = Numbers(system.model), system.work.health, system.qdd
 
@@ -221,12 +224,12 @@ def _careful_in_space(system):
         numbers.move(q, qd)
         qdd[:] = numbers.correction(numbers.closures()[level])
 
-    return {links.CAREFUL_ACCELERATION: partial(_or_nan, qdd, accelerate),
-            links.CAREFUL_POSITION: partial(_or_nan, qdd, correct, 0),
-            links.CAREFUL_VELOCITY: partial(_or_nan, qdd, correct, 1)}
+    return {calls.RANK_REVEALING_ACCELERATION: partial(_or_nan, qdd, accelerate),
+            calls.RANK_REVEALING_POSITION: partial(_or_nan, qdd, correct, 0),
+            calls.RANK_REVEALING_VELOCITY: partial(_or_nan, qdd, correct, 1)}
 
 
-def _carefully(out, kernel, *arguments):
+def _reveal_rank(out, kernel, *arguments):
     """Call a kernel of the rank-revealing path, and say so if it had to be compiled."""
     begin = time.perf_counter()
     _or_nan(out, kernel, *arguments)
@@ -370,7 +373,7 @@ def _feel_reactions(effects, system, q, qd):
     if effects is not None:
         if effects.loaded[0] > 0:
             if system.model.gravity.shape[0] == 3:
-                links.call(system.linkage, links.JOINT_WRENCHES, q, qd)
+                calls.call(system.table, calls.JOINT_WRENCHES, q, qd)
                 joint_reaction.load_in_space(system.model, system.work, effects)
             else:
                 joint_reaction.load(system.model, system.work, effects, system.qdd, system.lam)
@@ -405,7 +408,7 @@ def _give_rates(effects, first, out):
 
 
 @allocating
-def careful_acceleration(model, work, effects, settings, tau, applied, q, qd, qdd, lam):
+def rank_revealing_acceleration(model, work, effects, settings, tau, applied, q, qd, qdd, lam):
     """
     Compute accelerations and multipliers by the rank-revealing path.
 
@@ -426,7 +429,7 @@ def careful_acceleration(model, work, effects, settings, tau, applied, q, qd, qd
 
 
 @allocating
-def careful_correction(model, work, level, q, qd, out):
+def rank_revealing_correction(model, work, level, q, qd, out):
     """
     Compute the least correction of positions or rates by the rank-revealing path.
 
@@ -472,35 +475,35 @@ def _evaluate_by_loops(by_loops, system, q, qd):
             if good:
                 break
         if not good:
-            links.call(system.linkage, links.CAREFUL_ACCELERATION, q, qd)
+            calls.call(system.table, calls.RANK_REVEALING_ACCELERATION, q, qd)
 
 
 @inlined
-def _accelerate_anew(linkage, q, qd):
+def _accelerate_anew(table, q, qd):
     """Compute accelerations and multipliers where the elimination alone will not do."""
-    if links.call(linkage, links.REFINED_ACCELERATION, q, qd) == 0:
-        links.call(linkage, links.CAREFUL_ACCELERATION, q, qd)
+    if calls.call(table, calls.REFINED_ACCELERATION, q, qd) == 0:
+        calls.call(table, calls.RANK_REVEALING_ACCELERATION, q, qd)
 
 
 @inlined
 def _evaluate_unrolled(unrolled, system, q, qd):
     """Evaluate a state by unrolled routines, where there are any."""
     if unrolled is not None:
-        linkage = system.linkage
-        links.call(linkage, links.OUTWARD, q, qd)
+        table = system.table
+        calls.call(table, calls.OUTWARD, q, qd)
         apply_effects(system.effects, system.manifold, system.work, q, qd, system.tau)
-        if links.call(linkage, links.ACCELERATION, q, qd) == 0:
-            _accelerate_anew(linkage, q, qd)
+        if calls.call(table, calls.ACCELERATION, q, qd) == 0:
+            _accelerate_anew(table, q, qd)
 
 
 @inlined
-def _evaluate_bare(unrolled, linkage, effects, q, qd):
+def _evaluate_bare(unrolled, table, effects, q, qd):
     """Evaluate a state at once, where routines are unrolled and no effect is listed."""
     if unrolled is not None:
         if effects is None:
-            if links.call(linkage, links.EVALUATION, q, qd) == 0:
-                links.call(linkage, links.OUTWARD, q, qd)
-                _accelerate_anew(linkage, q, qd)
+            if calls.call(table, calls.EVALUATION, q, qd) == 0:
+                calls.call(table, calls.OUTWARD, q, qd)
+                _accelerate_anew(table, q, qd)
 
 
 @inlined
@@ -570,7 +573,7 @@ def evaluate_only(system, q, qd):
         Their rates.
 
     """
-    _evaluate_bare(system.unrolled, system.linkage, system.effects, q, qd)
+    _evaluate_bare(system.unrolled, system.table, system.effects, q, qd)
     _evaluate_among_effects(system.effects, system, q, qd)
     _evaluate_by_loops(system.by_loops, system, q, qd)
     _complete(system.effects, system, q, qd)
@@ -599,16 +602,16 @@ class Probe:
         if not self._quick:
             evaluate(system, self.q, self.qd)
             return
-        if self._address != system.linkage[links.EVALUATION]:
-            self._address = int(system.linkage[links.EVALUATION])
-            self._routine = links.function(system.linkage, links.EVALUATION)
+        if self._address != system.table[calls.EVALUATION]:
+            self._address = int(system.table[calls.EVALUATION])
+            self._routine = calls.function(system.table, calls.EVALUATION)
             self._pointers = tuple(
-                array.ctypes.data for array in (system.linkage, self.q, self.qd))
+                array.ctypes.data for array in (system.table, self.q, self.qd))
         if not self._routine(*self._pointers):
-            for which in (links.OUTWARD, links.REFINED_ACCELERATION):
-                good = links.function(system.linkage, which)(*self._pointers)
+            for which in (calls.OUTWARD, calls.REFINED_ACCELERATION):
+                good = calls.function(system.table, which)(*self._pointers)
             if not good:
-                links.run(system.linkage, links.CAREFUL_ACCELERATION, self.q, self.qd)
+                calls.run(system.table, calls.RANK_REVEALING_ACCELERATION, self.q, self.qd)
 
 
 @merged

@@ -116,11 +116,11 @@ class Preparation:
     """Gets the rank-revealing path of a scene's system ready: from disk, or in the background."""
 
     def __init__(self, scene, system, logger):
-        from closedloop_dynamics.integration import ahead
+        from closedloop_dynamics.integration import precompile
         self._scene, self._logger = scene, logger
         self._process, self._due = None, time.monotonic() + DELAY
-        self._left = ahead.preparations(system)
-        self.over = ahead.is_stored(system)
+        self._left = precompile.preparations(system)
+        self.over = precompile.is_stored(system)
         while self.over and self._left:
             self._left.pop()()
 
@@ -180,7 +180,7 @@ def spend(core):
 def compile_ahead(scene):
     """Compile the rank-revealing path of a scene, unless another process does or has done so."""
     from closedloop_dynamics.core import cache
-    from closedloop_dynamics.integration import ahead
+    from closedloop_dynamics.integration import precompile
     from closedloop_dynamics.simulation.simulation import Simulation
     os.nice(LOWEST_PRIORITY)
     system = Simulation.from_scene(scene).system
@@ -189,9 +189,9 @@ def compile_ahead(scene):
     with (cache.directory() / 'prepare.lock').open('w') as lock:
         # Who waited finds all of it on disk.
         fcntl.flock(lock, fcntl.LOCK_EX)
-        for get_ready in ahead.preparations(system):
+        for get_ready in precompile.preparations(system):
             get_ready()
-    if not ahead.is_stored(system):
+    if not precompile.is_stored(system):
         sys.exit('compiled code could not be stored')
 
 

@@ -136,7 +136,7 @@ def health_of(model, work, q, qd, passive=(), numbers=None):
         The state.
     passive : sequence of int
         Coordinates of the joints that are not actuated.
-    numbers : core.straight_line.numbers.Numbers, optional
+    numbers : core.codegen.numbers.Numbers, optional
         Of a mechanism in space, in that state.
 
     """

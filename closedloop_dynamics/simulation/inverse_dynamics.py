@@ -18,9 +18,9 @@ import numpy as np
 
 from .errors import SimulationError
 from ..core import jacobian, kinematics, loop_closure, types as t
+from ..core.codegen import space
 from ..core.forward_dynamics import to_user_order
 from ..core.joint_wrenches import bias_forces, tree_torque
-from ..core.straight_line import space
 from ..effects import dispatch, joint_reaction
 
 

@@ -41,13 +41,13 @@ def build_model(mechanism, gravity=(0.0, 0.0), decomposition=None):
     """
     decomposition = decomposition or decompose(mechanism)
     tree, body, body_row = _tree_arrays(mechanism, decomposition)
-    cut, cut_point, slot_body = _cut_arrays(mechanism, decomposition, tree, body_row)
-    block, pair = block_arrays(cut, slot_body)
+    cut, cut_point, path_body = _cut_arrays(mechanism, decomposition, tree, body_row)
+    block, pair = block_arrays(cut, path_body)
     column, row, entry = factor_arrays(decomposition, cut, block)
     dependency, dependency_place = dependencies(column, row)
     return t.Model(
         tree=tree, body=body, gravity=np.array(gravity, dtype=float), cut=cut,
-        cut_point=cut_point, slot_body=slot_body, pair=pair, block=block, column=column,
+        cut_point=cut_point, path_body=path_body, pair=pair, block=block, column=column,
         row=row, entry=entry, dependency=dependency, dependency_place=dependency_place)
 
 
@@ -81,7 +81,7 @@ def _tree_arrays(mechanism, decomposition):
 def _cut_arrays(mechanism, decomposition, tree, body_row):
     cut = np.zeros((len(mechanism.cut_joints), t.CUT_COLUMNS), dtype=np.int64)
     point = np.zeros((len(cut), 5))
-    slots = []
+    entries = []
     first = 0
     user_first = np.cumsum([0] + [CUT_JOINT_EQUATIONS[c.type] for c in mechanism.cut_joints])
     for k, index in enumerate(decomposition.cut_order):
@@ -92,16 +92,16 @@ def _cut_arrays(mechanism, decomposition, tree, body_row):
         common = [row for row in path_a if row in shared]
         own_a = path_a[:len(path_a) - len(common)]
         own_b = path_b[:len(path_b) - len(common)]
-        start = len(slots)
-        slots += own_a + own_b + common
+        start = len(entries)
+        entries += own_a + own_b + common
         middle = start + len(own_a)
         rows = CUT_JOINT_EQUATIONS[joint.type]
         cut[k] = (_CUT_TYPES[joint.type], a, b, rows, user_first[index], first, start, middle,
-                  middle + len(own_b), len(slots), index, 0, 0,
+                  middle + len(own_b), len(entries), index, 0, 0,
                   1 if joint.type == PRISMATIC else 2)
         point[k] = (*joint.point_a, *joint.point_b, joint.angle)
         first += rows
-    return cut, point, np.array(slots, dtype=np.int64)
+    return cut, point, np.array(entries, dtype=np.int64)
 
 
 def path(tree, row):
@@ -113,21 +113,21 @@ def path(tree, row):
     return path
 
 
-def block_arrays(cut, slot_body):
-    """Return the blocks below the diagonal and, for each, the slots that meet on a body."""
+def block_arrays(cut, path_body):
+    """Return the blocks below the diagonal and, for each, the entries that meet on a body."""
     visitors = {}
     for k in range(len(cut)):
-        for slot in range(cut[k, t.SLOT_A], cut[k, t.SLOT_END]):
-            visitors.setdefault(int(slot_body[slot]), []).append((k, slot))
+        for entry in range(cut[k, t.PATH_A], cut[k, t.PATH_END]):
+            visitors.setdefault(int(path_body[entry]), []).append((k, entry))
     meeting = {}
     for visits in visitors.values():
-        for m, (earlier, slot) in enumerate(visits):
-            for later, later_slot in visits[m + 1:]:
-                meeting.setdefault((earlier, later), []).append((later_slot, slot))
+        for m, (earlier, entry) in enumerate(visits):
+            for later, later_entry in visits[m + 1:]:
+                meeting.setdefault((earlier, later), []).append((later_entry, entry))
     block, pair = [], []
-    for (earlier, later), slots in sorted(meeting.items()):
-        block.append((later, earlier, len(pair), len(pair) + len(slots)))
-        pair += slots
+    for (earlier, later), entries in sorted(meeting.items()):
+        block.append((later, earlier, len(pair), len(pair) + len(entries)))
+        pair += entries
     return (np.array(block, dtype=np.int64).reshape(-1, 4),
             np.array(pair, dtype=np.int64).reshape(-1, 2))
 

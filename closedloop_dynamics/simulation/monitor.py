@@ -21,9 +21,9 @@ import time
 
 import numpy as np
 
+from ..core.codegen import function_table as calls
 from ..core.independent import forget
 from ..core.manifold import weights
-from ..core.straight_line import linkage as links
 from ..core.types import EVALUATIONS
 from ..integration import adaptive, switching
 from ..integration.advance import DONE
@@ -273,9 +273,9 @@ class Monitor:
 def copy_into(record, target):
     """Copy all arrays of a record, and of the records in it, into a deep copy of it."""
     for name, value, place in zip(record._fields, record, target):
-        if name == 'linkage':
+        if name == 'table':
             # The routines may be others by now; the arrays they work on are the copy's own.
-            links.take(place, {which: value[which] for which in links.ALWAYS})
+            calls.take(place, {which: value[which] for which in calls.ALWAYS})
         elif isinstance(value, tuple):
             copy_into(value, place)
         elif isinstance(value, np.ndarray):

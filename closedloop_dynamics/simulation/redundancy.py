@@ -22,7 +22,7 @@ import numpy as np
 from .assembly import RANK_TOLERANCE
 from .errors import AssemblyError
 from .space import independent, scaled, SpatialAssembler, SpatialGeometry
-from ..core.straight_line.space import equation_names
+from ..core.codegen.space import equation_names
 from ..core.types import CUT_NUMBER, CUT_TYPE, POSSIBLE
 from ..mechanism.mechanism import MechanismError
 

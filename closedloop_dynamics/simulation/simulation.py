@@ -33,13 +33,13 @@ from .scene import load_scene
 from .scene_records import Method, Scene
 from .space import SpatialAssembler, SpatialGeometry
 from ..core import energy, kinematics, types as t
+from ..core.codegen import available, later
+from ..core.codegen.function_table import REFINED_ACCELERATION
+from ..core.codegen.on_demand import OnDemand
 from ..core.formulations import AUGMENTED, SUBSYSTEM, SYSTEM
 from ..core.independent import allocate_partition
 from ..core.joint_wrenches import cut_wrenches
 from ..core.loop_closure import largest
-from ..core.straight_line import available, later
-from ..core.straight_line.linkage import REFINED_ACCELERATION
-from ..core.straight_line.on_demand import OnDemand
 from ..effects.delay_line import DelayLine
 from ..effects.effect import Machine
 from ..effects.effect_set import EffectSet
@@ -135,7 +135,7 @@ class Simulation:
         self._probe = Probe(self.system)
         # How often the equations that the elimination works on were exchanged; slow evaluations
         # when that was last looked at.
-        self.exchanges, self._careful_before = 0, 0.0
+        self.exchanges, self._revealed_before = 0, 0.0
         self.reset()
 
     @classmethod
@@ -797,7 +797,7 @@ class Simulation:
                 guard.look(self, portion)
             steps -= portion
             if steps > 0 and (
-                    self.system.work.health[t.RANK_REVEALING_COUNT] > self._careful_before):
+                    self.system.work.health[t.RANK_REVEALING_COUNT] > self._revealed_before):
                 self._watch_repeated()
         self._watch_repeated()
 
@@ -812,7 +812,7 @@ class Simulation:
                 self.scene.method.stabilisation not in CLOSING):
             return
         error, careful = self._closure_of_all(), self.system.work.health[t.RANK_REVEALING_COUNT]
-        slow, self._careful_before = careful > self._careful_before, careful
+        slow, self._revealed_before = careful > self._revealed_before, careful
         if error <= self.system.settings[CLOSURE_LIMIT] and (
                 slow or self.system.work.health[t.SMALLEST_PIVOT] < POOR_CHOICE
                 or error > REPEATED * self._assembler.extent):
@@ -933,7 +933,7 @@ class Simulation:
         """Return to the initial state, time zero and no torque."""
         if self.exchanges:
             self._exchange(self._geometry.as_at_first())
-        self.exchanges, self._careful_before = 0, 0.0
+        self.exchanges, self._revealed_before = 0, 0.0
         self._q[:], self._qd[:] = self._initial
         self._own[:] = self._effects.initial
         self._driver.rewind()

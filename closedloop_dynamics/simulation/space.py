@@ -23,8 +23,8 @@ from .errors import AssemblyError, SimulationError
 from .modeling import extent
 from .spatial_modeling import build_spatial_model
 from ..core import types as t
-from ..core.straight_line import space
-from ..core.straight_line.numbers import Numbers
+from ..core.codegen import space
+from ..core.codegen.numbers import Numbers
 from ..mechanism.decomposition import decompose
 from ..mechanism.mechanism import FIXED
 
@@ -168,7 +168,7 @@ class SpatialGeometry:
 
         Returns
         -------
-        core.straight_line.numbers.Numbers
+        core.codegen.numbers.Numbers
             In that state.
 
         """

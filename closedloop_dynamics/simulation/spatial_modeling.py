@@ -27,11 +27,11 @@ import numpy as np
 
 from .modeling import block_arrays, dependencies, extent, factor_arrays, path
 from ..core import types as t
-from ..core.straight_line import space
-from ..core.straight_line.space import cleared, snapped
-from ..core.straight_line.spatial import Recursion, rotation, X, Y, Z
-from ..core.straight_line.tape import LOAD, Tape
-from ..core.straight_line.vectors import is_zero
+from ..core.codegen import space
+from ..core.codegen.expression_graph import ExpressionGraph, LOAD
+from ..core.codegen.space import cleared, snapped
+from ..core.codegen.spatial import Recursion, rotation, X, Y, Z
+from ..core.codegen.vectors import is_zero
 from ..mechanism.decomposition import decompose
 from ..mechanism.mechanism import (
     Coupling, CUT_WITH_ORIENTATION, CYLINDRICAL, DISTANCE, FIXED, FREE, GROUND, HELICAL,
@@ -124,18 +124,18 @@ def build_spatial_model(mechanism, gravity=(0.0, 0.0, 0.0), decomposition=None, 
     for index in decomposition.joint_order:
         builder.add(index)
     tree, body = builder.arrays(decomposition)
-    cut, point, slots = _closures(mechanism, decomposition, tree, builder)
-    for k, possible in enumerate(_possible(mechanism, tree, body, cut, point, slots)):
+    cut, point, entries = _closures(mechanism, decomposition, tree, builder)
+    for k, possible in enumerate(_possible(mechanism, tree, body, cut, point, entries)):
         cut[k, [t.POSSIBLE, t.KEPT]] = sum(1 << n for n in possible)
     if kept is not None:
         _keep(cut, kept)
     _number(cut)
-    block, pair = block_arrays(cut, slots)
+    block, pair = block_arrays(cut, entries)
     column, row, entry = factor_arrays(decomposition, cut, block)
     dependency, dependency_place = dependencies(column, row)
     return SpatialModel(
         t.Model(tree=tree, body=body, gravity=np.array(gravity, dtype=float), cut=cut,
-                cut_point=point, slot_body=slots, pair=pair, block=block, column=column, row=row,
+                cut_point=point, path_body=entries, pair=pair, block=block, column=column, row=row,
                 entry=entry, dependency=dependency, dependency_place=dependency_place),
         builder.placements, builder.rows)
 
@@ -235,15 +235,15 @@ def _frame(axis, hint):
 
 
 def _closures(mechanism, decomposition, tree, builder):
-    """Return ``Model.cut``, not yet numbered, ``Model.cut_point`` and ``Model.slot_body``."""
+    """Return ``Model.cut``, not yet numbered, ``Model.cut_point`` and ``Model.path_body``."""
     closures = [mechanism.closures[index] for index in decomposition.cut_order]
     cut = np.zeros((len(closures), t.CUT_COLUMNS), dtype=np.int64)
-    slots, points = [], []
+    entries, points = [], []
     for one, index, joint in zip(cut, decomposition.cut_order, closures):
         one[t.CUT_NUMBER] = index
         if isinstance(joint, Coupling):
             one[t.CUT_TYPE] = space.COUPLING
-            points.append(_coupled(joint, one, tree, builder.rows, slots))
+            points.append(_coupled(joint, one, tree, builder.rows, entries))
             continue
         a, b = builder.placements[joint.body_a], builder.placements[joint.body_b]
         frame_a, frame_b = _cut_frames(joint, a, b)
@@ -252,20 +252,20 @@ def _closures(mechanism, decomposition, tree, builder):
         points.append(np.concatenate([
             cleared(a.place(joint.point_a)), cleared(b.place(joint.point_b)),
             frame_a.ravel(), frame_b.ravel(), [joint.length or joint.lead or 0.0]]))
-        _pass(one, tree, slots)
+        _pass(one, tree, entries)
     point = np.zeros((len(cut), max([space.CUT_POINT_COLUMNS, *map(len, points)])))
     for row, values in zip(point, points):
         row[:len(values)] = values
-    return cut, point, np.array(slots, dtype=np.int64)
+    return cut, point, np.array(entries, dtype=np.int64)
 
 
-def _coupled(coupling, one, tree, rows, slots):
-    """Add the slots of a coupling; return its row of ``Model.cut_point``."""
+def _coupled(coupling, one, tree, rows, entries):
+    """Add the entries of a coupling; return its row of ``Model.cut_point``."""
     factors = {rows[joint][0]: factor for joint, factor in coupling.joints.items()}
     own = sorted({row for joint in factors for row in path(tree, joint)}, reverse=True)
-    one[[t.SLOT_A, t.SLOT_B, t.SLOT_COMMON, t.SLOT_END]] = (
-        len(slots), *3 * (len(slots) + len(own),))
-    slots += own
+    one[[t.PATH_A, t.PATH_B, t.PATH_COMMON, t.PATH_END]] = (
+        len(entries), *3 * (len(entries) + len(own),))
+    entries += own
     return np.array([coupling.offset, *(factors.get(row, 0.0) for row in own)])
 
 
@@ -288,17 +288,17 @@ def _number(cut):
     cut[:, t.ROW] = np.cumsum([0, *cut[:, t.ROWS]])[:-1]
 
 
-def _pass(one, tree, slots):
-    """Add the slots of a cut joint: the bodies that its forces pass."""
+def _pass(one, tree, entries):
+    """Add the entries of a cut joint: the bodies that its forces pass."""
     path_a, path_b = path(tree, one[t.BODY_A]), path(tree, one[t.BODY_B])
     shared = set(path_b)
     common = [row for row in path_a if row in shared]
     own_a = path_a[:len(path_a) - len(common)]
     own_b = path_b[:len(path_b) - len(common)]
-    start, middle = len(slots), len(slots) + len(own_a)
-    slots += own_a + own_b + common
-    one[[t.SLOT_A, t.SLOT_B, t.SLOT_COMMON, t.SLOT_END]] = (
-        start, middle, middle + len(own_b), len(slots))
+    start, middle = len(entries), len(entries) + len(own_a)
+    entries += own_a + own_b + common
+    one[[t.PATH_A, t.PATH_B, t.PATH_COMMON, t.PATH_END]] = (
+        start, middle, middle + len(own_b), len(entries))
 
 
 def _cut_frames(joint, a, b):
@@ -319,15 +319,15 @@ def _cut_frames(joint, a, b):
     return along_a, along_b
 
 
-def _possible(mechanism, tree, body, cut, point, slots):
+def _possible(mechanism, tree, body, cut, point, entries):
     """Return the numbers of each cut joint's equations that do not hold anyway."""
     model = t.Model(
-        tree, body, np.zeros(3), cut, point, slots, *(6 * (None,)), None)
-    tape = Tape()
+        tree, body, np.zeros(3), cut, point, entries, *(6 * (None,)), None)
+    graph = ExpressionGraph()
 
     def symbols(source, shape):
         found = np.empty(shape, dtype=object)
-        found.flat = [tape.put(LOAD, source, place) for place in range(found.size)]
+        found.flat = [graph.put(LOAD, source, place) for place in range(found.size)]
         return found
 
     def outward(bodies, cuts, q, qd):

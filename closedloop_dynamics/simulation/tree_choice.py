@@ -16,7 +16,7 @@
 
 from .modeling import build_model
 from .spatial_modeling import build_spatial_model
-from ..core.straight_line.routines import operations
+from ..core.codegen.routines import operations
 from ..mechanism.fields import FieldError
 from ..mechanism.mechanism import MechanismError
 from ..mechanism.reader import with_cuts

@@ -23,7 +23,7 @@ import numpy as np
 
 from .families import chain, ladder
 from .formulation_errors import exact_dynamics
-from ..core import straight_line
+from ..core import codegen
 from ..core.compiled import compiled
 from ..core.formulations import SUBSYSTEM
 from ..integration.system import (
@@ -45,7 +45,7 @@ GROWTH = 3.0
 # What is compared: the formulations, all by loops, and the subsystem-level one as it runs.
 UNROLLED = 'unrolled'
 VARIANTS = {**{name: (formulation, False) for name, formulation in FORMULATIONS.items()},
-            UNROLLED: (SUBSYSTEM, straight_line.available())}
+            UNROLLED: (SUBSYSTEM, codegen.available())}
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ import time
 
 import numpy as np
 
-from ..integration.ahead import is_stored
+from ..integration.precompile import is_stored
 from ..integration.registry import ADAPTIVE, INTEGRATORS
 from ..integration.system import ASIDE
 from ..simulation.errors import SimulationError

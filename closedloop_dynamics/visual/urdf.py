@@ -33,7 +33,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from .appearance import body_colors, marked_points, outline, rgb
-from ..core.straight_line.spatial import rotation
+from ..core.codegen.spatial import rotation
 from ..mechanism.coordinates import WITH_ORIENTATION
 from ..mechanism.mechanism import (
     CYLINDRICAL, FIXED, GROUND, HELICAL, PLANAR, PRISMATIC, UNIVERSAL)

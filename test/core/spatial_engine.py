@@ -15,9 +15,10 @@
 """The engine on one mechanism in space."""
 
 from closedloop_dynamics.core import types as t
-from closedloop_dynamics.core.straight_line import linkage as links, routines, space, tape
-from closedloop_dynamics.core.straight_line.emit import Q, QD
-from closedloop_dynamics.core.straight_line.spatial import Recursion
+from closedloop_dynamics.core.codegen import (
+    expression_graph as graph, function_table as calls, routines, space)
+from closedloop_dynamics.core.codegen.emit import Q, QD
+from closedloop_dynamics.core.codegen.spatial import Recursion
 from closedloop_dynamics.integration.system import build_system
 from closedloop_dynamics.mechanism.mechanism import JOINT_FREEDOMS
 from closedloop_dynamics.simulation.spatial_modeling import build_spatial_model
@@ -27,12 +28,12 @@ from ..reference import spatial_maximal as twin
 from ..reference.spatial_machines import GRAVITY
 
 _ARITHMETIC = {
-    tape.ADD: lambda a, b: a + b, tape.SUBTRACT: lambda a, b: a - b,
-    tape.MULTIPLY: lambda a, b: a * b, tape.DIVIDE: np.divide,
-    tape.NEGATE: lambda a: -a, tape.SINE: np.sin, tape.COSINE: np.cos,
-    tape.LESS: lambda a, b: a < b, tape.GREATER_EQUAL: lambda a, b: a >= b,
-    tape.CHOOSE: lambda condition, yes, no: yes if condition else no,
-    tape.BOTH: lambda a, b: a and b}
+    graph.ADD: lambda a, b: a + b, graph.SUBTRACT: lambda a, b: a - b,
+    graph.MULTIPLY: lambda a, b: a * b, graph.DIVIDE: np.divide,
+    graph.NEGATE: lambda a: -a, graph.SINE: np.sin, graph.COSINE: np.cos,
+    graph.LESS: lambda a, b: a < b, graph.GREATER_EQUAL: lambda a, b: a >= b,
+    graph.CHOOSE: lambda condition, yes, no: yes if condition else no,
+    graph.BOTH: lambda a, b: a and b}
 
 
 def interpret(routine, inputs):
@@ -41,7 +42,7 @@ def interpret(routine, inputs):
 
     Parameters
     ----------
-    routine : tape.Routine
+    routine : graph.Routine
         What is computed.
     inputs : dict of int to ndarray
         By input.
@@ -59,24 +60,24 @@ def interpret(routine, inputs):
 
     # What is chosen among may be infinite, as in compiled code.
     with np.errstate(all='ignore'):
-        for place, (kind, *operands) in enumerate(routine.tape.operations):
+        for place, (kind, *operands) in enumerate(routine.graph.operations):
             if place in needed:
                 values[place] = (
-                    inputs[operands[0]].flat[operands[1]] if kind == tape.LOAD
+                    inputs[operands[0]].flat[operands[1]] if kind == graph.LOAD
                     else _ARITHMETIC[kind](*map(value, operands)))
     outputs = {}
     for source, place, result in routine.outputs:
         known = values[result.place] if hasattr(result, 'place') else float(result)
         outputs.setdefault(source, {})[place] = known
-    guard = routine.tape.guard
+    guard = routine.graph.guard
     return outputs, guard is None or bool(values[guard.place])
 
 
 def _inputs(model, q, qd, tau):
     """Return what routines read."""
-    return {links.BODY: model.body, links.GRAVITY: model.gravity,
-            links.CUT_POINT: model.cut_point, links.TAU: tau, links.BAUMGARTE: np.zeros(1),
-            links.HEALTH: np.ones(t.HEALTH_COLUMNS), Q: q, QD: qd}
+    return {calls.BODY: model.body, calls.GRAVITY: model.gravity,
+            calls.CUT_POINT: model.cut_point, calls.TAU: tau, calls.BAUMGARTE: np.zeros(1),
+            calls.HEALTH: np.ones(t.HEALTH_COLUMNS), Q: q, QD: qd}
 
 
 def _array(outputs, source, size):
@@ -125,8 +126,8 @@ class SpatialEngine:
         if self.system is not None:
             system = self.system
             system.tau[:] = tau
-            good = links.function(system.linkage, links.EVALUATION)(
-                system.linkage.ctypes.data, q.ctypes.data, qd.ctypes.data)
+            good = calls.function(system.table, calls.EVALUATION)(
+                system.table.ctypes.data, q.ctypes.data, qd.ctypes.data)
             return system.qdd.copy(), system.lam.copy(), bool(good)
         return self.interpreted(routines.Unrolling(self.model), self.model, q, qd, tau)
 
@@ -134,24 +135,24 @@ class SpatialEngine:
     def interpreted(unrolling, model, q, qd, tau):
         """Return the same of any model, its unrolled arithmetic interpreted."""
         outputs, good = interpret(
-            unrolling.routine(links.EVALUATION), _inputs(model, q, qd, tau))
-        return (_array(outputs, links.QDD, len(model.tree) - 1),
-                _array(outputs, links.LAM, len(model.column) - 1), good)
+            unrolling.routine(calls.EVALUATION), _inputs(model, q, qd, tau))
+        return (_array(outputs, calls.QDD, len(model.tree) - 1),
+                _array(outputs, calls.LAM, len(model.column) - 1), good)
 
     def in_parts(self, which, q, qd, tau):
         """Return (qdd, good) of the outward recursion and a routine that goes on from there."""
         inputs = _inputs(self.model, q, qd, tau)
-        outputs, _ = interpret(routines.Unrolling(self.model).routine(links.OUTWARD), inputs)
-        inputs[links.WORK_BODY] = _array(
-            outputs, links.WORK_BODY, len(self.model.tree) * space.WORK_COLUMNS)
+        outputs, _ = interpret(routines.Unrolling(self.model).routine(calls.OUTWARD), inputs)
+        inputs[calls.WORK_BODY] = _array(
+            outputs, calls.WORK_BODY, len(self.model.tree) * space.WORK_COLUMNS)
         outputs, good = interpret(routines.Unrolling(self.model).routine(which), inputs)
-        return _array(outputs, links.QDD, self.nv), good
+        return _array(outputs, calls.QDD, self.nv), good
 
     def corrections(self, which, q, qd):
         """Return least changes of coordinates and of rates that close the loops, (2, nv)."""
         outputs, _ = interpret(routines.Unrolling(self.model).routine(which),
                                _inputs(self.model, q, qd, np.zeros(self.nv)))
-        return _array(outputs, links.CORRECTIONS, 2 * self.nv).reshape(2, -1)
+        return _array(outputs, calls.CORRECTIONS, 2 * self.nv).reshape(2, -1)
 
     def wrenches(self, q, qd, lam):
         """Return {cut joint: (6,)} on body A at its cut point, moment first, in world axes."""

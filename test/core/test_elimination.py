@@ -55,7 +55,7 @@ def test_ladder_costs_a_fixed_amount_per_loop(loops):
     # A chain of 2 x 2 blocks: 3 entries on each diagonal, 4 below all but the last.
     assert len(engine.model.row) == 3 * loops + 4 * (loops - 1)
     # Two links of one leg and one of the next carry each cut force; neighbours meet on one.
-    assert len(engine.model.slot_body) == 3 * loops
+    assert len(engine.model.path_body) == 3 * loops
     assert len(engine.model.pair) == loops - 1
 
 

@@ -15,8 +15,8 @@
 """The loops over bodies in space against the recursions on numbers; the plane has other tests."""
 
 from closedloop_dynamics.core import energy, forward_dynamics, jacobian, joint_wrenches, kinematics
-from closedloop_dynamics.core.straight_line import space
-from closedloop_dynamics.core.straight_line.numbers import Numbers
+from closedloop_dynamics.core.codegen import space
+from closedloop_dynamics.core.codegen.numbers import Numbers
 from closedloop_dynamics.core.types import (
     AXIS, BALL, BODY_A, COORDINATE, CUT_NUMBER, number_of_coordinates, TYPE)
 from closedloop_dynamics.core.workspace import allocate

@@ -16,8 +16,8 @@
 
 from dataclasses import replace
 
-from closedloop_dynamics.core.straight_line import available
-from closedloop_dynamics.core.straight_line.numbers import Numbers
+from closedloop_dynamics.core.codegen import available
+from closedloop_dynamics.core.codegen.numbers import Numbers
 from closedloop_dynamics.core.types import ROWS
 from closedloop_dynamics.mechanism.mechanism import (
     Body, CutJoint, Joint, Mechanism, SPATIAL_CUT_JOINT_EQUATIONS)
@@ -30,8 +30,8 @@ from ..reference.compare import assert_agree, IDENTITY
 
 pytestmark = pytest.mark.skipif(not available(), reason='nothing is unrolled without a compiler')
 if available():
-    from closedloop_dynamics.core.straight_line import routines, tape
-    from closedloop_dynamics.core.straight_line.linkage import (
+    from closedloop_dynamics.core.codegen import expression_graph as graph, routines
+    from closedloop_dynamics.core.codegen.function_table import (
         ACCELERATION, CORRECTION, EVALUATION, REFINED_ACCELERATION, REFINED_CORRECTION)
 
     from .spatial_engine import SpatialEngine
@@ -202,8 +202,8 @@ def in_space(mechanism):
 def operations(model):
     """Return how many additions, multiplications and divisions an evaluation takes."""
     routine = routines.Unrolling(model).routine(EVALUATION)
-    kinds = (tape.ADD, tape.SUBTRACT, tape.MULTIPLY, tape.DIVIDE, tape.NEGATE)
-    return sum(routine.tape.operations[place][0] in kinds for place in routine.needed())
+    kinds = (graph.ADD, graph.SUBTRACT, graph.MULTIPLY, graph.DIVIDE, graph.NEGATE)
+    return sum(routine.graph.operations[place][0] in kinds for place in routine.needed())
 
 
 @pytest.mark.parametrize('name', cases.SHIPPED)

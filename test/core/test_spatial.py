@@ -16,7 +16,7 @@
 
 import copy
 
-from closedloop_dynamics.core.straight_line import available
+from closedloop_dynamics.core.codegen import available
 from closedloop_dynamics.core.types import (
     CUT_FIXED, CUT_PRISMATIC, CUT_REVOLUTE, CUT_TYPE, SMALLEST_PIVOT)
 from closedloop_dynamics.integration.system import build_system, evaluate
@@ -29,9 +29,9 @@ from ..reference.compare import assert_agree, IDENTITY
 
 pytestmark = pytest.mark.skipif(not available(), reason='nothing is unrolled without a compiler')
 if available():
-    from closedloop_dynamics.core.straight_line import routines, tape
-    from closedloop_dynamics.core.straight_line.linkage import EVALUATION
-    from closedloop_dynamics.core.straight_line.vectors import is_zero
+    from closedloop_dynamics.core.codegen import expression_graph as graph, routines
+    from closedloop_dynamics.core.codegen.function_table import EVALUATION
+    from closedloop_dynamics.core.codegen.vectors import is_zero
 
 ARITHMETIC = ('ADD', 'SUBTRACT', 'MULTIPLY', 'DIVIDE', 'NEGATE')
 # Additions, multiplications, divisions and negations for accelerations and multipliers that
@@ -49,11 +49,11 @@ def unrolling(name):
 @pytest.mark.parametrize('name', cases.SHIPPED)
 def test_planar_mechanisms_take_the_operations_of_planar_recursions(name):
     routine = unrolling(name).routine(EVALUATION)
-    kinds = {getattr(tape, kind) for kind in ARITHMETIC}
-    operations = [routine.tape.operations[place] for place in routine.needed()]
+    kinds = {getattr(graph, kind) for kind in ARITHMETIC}
+    operations = [routine.graph.operations[place] for place in routine.needed()]
     assert sum(kind in kinds for kind, *_ in operations) <= 1.03 * PLANAR[name]
     # One sine and one cosine serve all that turns with a body.
-    sines = sum(kind == tape.SINE for kind, *_ in operations)
+    sines = sum(kind == graph.SINE for kind, *_ in operations)
     assert sines == len(cases.drawn(name)[1].bodies)
 
 

@@ -17,8 +17,8 @@
 from dataclasses import replace
 from types import SimpleNamespace
 
-from closedloop_dynamics.core.straight_line import available, space
-from closedloop_dynamics.core.straight_line.numbers import Numbers
+from closedloop_dynamics.core.codegen import available, space
+from closedloop_dynamics.core.codegen.numbers import Numbers
 from closedloop_dynamics.core.types import WORK_COLUMNS
 from closedloop_dynamics.effects import dispatch
 from closedloop_dynamics.effects.actuator import Actuator

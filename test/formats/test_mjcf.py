@@ -14,7 +14,7 @@
 
 """MJCF: the same accelerations and closures as MuJoCo has them, and what is refused."""
 
-from closedloop_dynamics.core.straight_line.numbers import Numbers
+from closedloop_dynamics.core.codegen.numbers import Numbers
 from closedloop_dynamics.formats.registry import read_model
 from closedloop_dynamics.mechanism.mechanism import MechanismError
 from closedloop_dynamics.simulation.far_assembly import Loops

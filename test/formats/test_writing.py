@@ -15,7 +15,7 @@
 """Mechanisms that are written in other formats and read again move as before."""
 
 from closedloop_dynamics.cli import main
-from closedloop_dynamics.core.straight_line.numbers import Numbers
+from closedloop_dynamics.core.codegen.numbers import Numbers
 from closedloop_dynamics.formats.registry import read_model
 from closedloop_dynamics.formats.writing import in_space, mjcf, urdf_with_loops
 from closedloop_dynamics.mechanism.config import shipped_path

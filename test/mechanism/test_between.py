@@ -16,7 +16,7 @@
 
 from dataclasses import replace
 
-from closedloop_dynamics.core.straight_line import available
+from closedloop_dynamics.core.codegen import available
 from closedloop_dynamics.mechanism.fields import FieldError
 from closedloop_dynamics.mechanism.mechanism import MechanismError, Point
 from closedloop_dynamics.mechanism.reader import read_mechanism, with_cuts, with_parameters

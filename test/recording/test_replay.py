@@ -16,7 +16,7 @@
 
 from dataclasses import replace
 
-from closedloop_dynamics.core.straight_line import available
+from closedloop_dynamics.core.codegen import available
 from closedloop_dynamics.effects.gravity import Gravity
 from closedloop_dynamics.effects.joint_damping import JointDamping
 from closedloop_dynamics.recording.recording import Log, Recording

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Tests of closedloop_dynamics.ros.background and integration.ahead."""
+"""Tests of closedloop_dynamics.ros.background and integration.precompile."""
 
 import os
 from pathlib import Path
@@ -22,9 +22,10 @@ import sys
 import time
 
 from closedloop_dynamics import Simulation
-from closedloop_dynamics.core.straight_line import linkage as links
-from closedloop_dynamics.integration import ahead
-from closedloop_dynamics.integration.system import careful_acceleration, careful_correction
+from closedloop_dynamics.core.codegen import function_table as calls
+from closedloop_dynamics.integration import precompile
+from closedloop_dynamics.integration.system import (
+    rank_revealing_acceleration, rank_revealing_correction)
 from closedloop_dynamics.ros import background
 import pytest
 
@@ -52,8 +53,8 @@ def build(monkeypatch):
     """Return a function that builds a preparation whose process runs some code, and its log."""
     def make(code, stored=False):
         loaded, said = [], []
-        monkeypatch.setattr(ahead, 'is_stored', lambda system: stored)
-        monkeypatch.setattr(ahead, 'preparations', lambda system: [
+        monkeypatch.setattr(precompile, 'is_stored', lambda system: stored)
+        monkeypatch.setattr(precompile, 'preparations', lambda system: [
             lambda: loaded.append('first'), lambda: loaded.append('second')])
         monkeypatch.setattr(background, 'COMMAND', (sys.executable, '-c', code))
         monkeypatch.setattr(background, 'DELAY', 0.0)
@@ -123,13 +124,14 @@ def test_process_ends_with_a_parent_that_was_killed(tmp_path):
 def test_kernels_that_were_prepared_are_those_that_are_called():
     simulation = Simulation.from_scene('three_rrr')
     system = simulation.system
-    for get_ready in ahead.preparations(system):
+    for get_ready in precompile.preparations(system):
         get_ready()
-    assert ahead.is_stored(system)
-    kernels = (careful_acceleration, careful_correction)
+    assert precompile.is_stored(system)
+    kernels = (rank_revealing_acceleration, rank_revealing_correction)
     before = [len(kernel.overloads) for kernel in kernels]
-    for which in (links.CAREFUL_ACCELERATION, links.CAREFUL_POSITION, links.CAREFUL_VELOCITY):
-        links.run(system.linkage, which, simulation.position, simulation.velocity)
+    for which in (calls.RANK_REVEALING_ACCELERATION, calls.RANK_REVEALING_POSITION,
+                  calls.RANK_REVEALING_VELOCITY):
+        calls.run(system.table, which, simulation.position, simulation.velocity)
     assert [len(kernel.overloads) for kernel in kernels] == before
 
 
@@ -164,8 +166,8 @@ def test_new_installation_gets_it_ready_in_the_background(processes, tmp_path):
 @pytest.mark.timeout(900)
 def test_disk_is_known_to_hold_it_or_not(tmp_path):
     code = ('from closedloop_dynamics import Simulation; '
-            'from closedloop_dynamics.integration import ahead; '
-            'print(ahead.is_stored(Simulation.from_scene("three_rrr").system))')
+            'from closedloop_dynamics.integration import precompile; '
+            'print(precompile.is_stored(Simulation.from_scene("three_rrr").system))')
     environment = {**os.environ, 'NUMBA_CACHE_DIR': str(tmp_path / 'cold')}
 
     def tell():

@@ -23,7 +23,7 @@ from test.simulation.test_orientations import scene
 from xml.etree import ElementTree
 
 from closedloop_dynamics.cli import main
-from closedloop_dynamics.core.straight_line import available
+from closedloop_dynamics.core.codegen import available
 from closedloop_dynamics.mechanism.mechanism import Body, Joint, Mechanism
 from closedloop_dynamics.recording.recording import read_recording
 from closedloop_dynamics.ros.auxiliary_publishers import LATCHED_QOS

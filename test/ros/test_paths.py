@@ -14,7 +14,7 @@
 
 """Paths in space: points go where they should, and joints with them."""
 
-from closedloop_dynamics.core.straight_line import available
+from closedloop_dynamics.core.codegen import available
 from closedloop_dynamics.ros.process import StartError
 from closedloop_dynamics.ros.references import Circle, freedoms_of, PathError, solve, Ways
 from closedloop_dynamics.ros.torque_source_node import Orientations

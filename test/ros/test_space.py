@@ -23,7 +23,7 @@ from xml.etree import ElementTree
 
 from builtin_interfaces.msg import Time
 from closedloop_dynamics.cli import main
-from closedloop_dynamics.core.straight_line import available
+from closedloop_dynamics.core.codegen import available
 from closedloop_dynamics.mechanism.mechanism import Point
 from closedloop_dynamics.recording.recording import read_recording
 from closedloop_dynamics.ros.auxiliary_publishers import LATCHED_QOS

@@ -16,8 +16,8 @@
 
 from dataclasses import replace
 
+from closedloop_dynamics.core.codegen import available
 from closedloop_dynamics.core.manifold import move
-from closedloop_dynamics.core.straight_line import available
 from closedloop_dynamics.effects.actuator import Actuator
 from closedloop_dynamics.effects.gravity import Gravity
 from closedloop_dynamics.effects.joint_damping import JointDamping

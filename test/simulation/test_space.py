@@ -16,7 +16,7 @@
 
 from dataclasses import replace
 
-from closedloop_dynamics.core.straight_line import available, linkage as links
+from closedloop_dynamics.core.codegen import available, function_table as calls
 from closedloop_dynamics.core.types import RANK_REVEALING_COUNT
 from closedloop_dynamics.effects.gravity import Gravity
 from closedloop_dynamics.effects.joint_damping import JointDamping
@@ -194,14 +194,14 @@ def test_what_stands_in_for_the_elimination_gives_the_same(linkage):
     one.step(torque, 0.2)
     expected, forces, system = one.acceleration, one.multipliers, one.system
     state = one.position, one.velocity
-    links.run(system.linkage, links.CAREFUL_ACCELERATION, *state)
+    calls.run(system.table, calls.RANK_REVEALING_ACCELERATION, *state)
     assert_agree(system.qdd, expected, 1e-10)
     assert_agree(system.lam, forces, 1e-10)
     # Corrections take away what opens the loops.
     opened = state[0] + 1e-6, state[1] + 1e-3
-    links.run(system.linkage, links.CAREFUL_POSITION, *opened)
+    calls.run(system.table, calls.RANK_REVEALING_POSITION, *opened)
     closer = opened[0] + system.qdd
-    links.run(system.linkage, links.CAREFUL_VELOCITY, closer, opened[1])
+    calls.run(system.table, calls.RANK_REVEALING_VELOCITY, closer, opened[1])
     one.set_state(closer, opened[1] + system.qdd)
     assert_agree(one.position, closer, 1e-9)
 

@@ -16,9 +16,9 @@
 
 from dataclasses import replace
 
-from closedloop_dynamics.core.straight_line import available, linkage as links, routines
-from closedloop_dynamics.core.straight_line.emit import Q, QD
-from closedloop_dynamics.core.straight_line.numbers import Numbers
+from closedloop_dynamics.core.codegen import available, function_table as calls, routines
+from closedloop_dynamics.core.codegen.emit import Q, QD
+from closedloop_dynamics.core.codegen.numbers import Numbers
 from closedloop_dynamics.effects.external_force import ExternalForce
 from closedloop_dynamics.effects.joint_friction import JointFriction
 from closedloop_dynamics.effects.joint_spring import JointSpring
@@ -34,8 +34,8 @@ from .test_space import machine, scene, TIGHT
 from ..reference import spatial_linkages, spatial_maximal as twin
 from ..reference.compare import assert_agree
 if available():
-    from closedloop_dynamics.core.straight_line import space
-    from closedloop_dynamics.core.straight_line.on_demand import OnDemand
+    from closedloop_dynamics.core.codegen import space
+    from closedloop_dynamics.core.codegen.on_demand import OnDemand
     from closedloop_dynamics.simulation.simulation import Simulation
 
     from ..core.spatial_engine import interpret, SpatialEngine
@@ -46,13 +46,13 @@ pytestmark = pytest.mark.skipif(not available(), reason='nothing moves in space 
 def on_demand(engine, which, result, q, qd, **more):
     """Return the result of one of the routines, its arithmetic interpreted."""
     model = engine.model
-    inputs = {links.BODY: model.body, links.GRAVITY: model.gravity,
-              links.CUT_POINT: model.cut_point, Q: q, QD: qd}
+    inputs = {calls.BODY: model.body, calls.GRAVITY: model.gravity,
+              calls.CUT_POINT: model.cut_point, Q: q, QD: qd}
     numbers = Numbers(model)
     numbers.move(q, qd)
-    inputs[links.WORK_BODY] = np.zeros((len(model.tree), space.WORK_COLUMNS))
-    space.write(numbers.recursion, inputs[links.WORK_BODY])
-    inputs.update({getattr(links, name): np.array(value) for name, value in more.items()})
+    inputs[calls.WORK_BODY] = np.zeros((len(model.tree), space.WORK_COLUMNS))
+    space.write(numbers.recursion, inputs[calls.WORK_BODY])
+    inputs.update({getattr(calls, name): np.array(value) for name, value in more.items()})
     outputs, _ = interpret(routines.Unrolling(model).routine(which), inputs)
     found = outputs.get(result, {})
     return lambda *shape: np.array([
@@ -100,7 +100,7 @@ def test_forces_in_joints_are_those_of_maximal_coordinates(seed):
     tau = rng.normal(size=engine.nv)
     expected = twin.forward_dynamics(mechanism, q, qd, tau)
     qdd, lam, _ = engine.forward_dynamics(q, qd, tau)
-    rows = on_demand(engine, links.JOINT_WRENCHES, links.JOINT_WRENCH, q, qd, QDD=qdd, LAM=lam)(
+    rows = on_demand(engine, calls.JOINT_WRENCHES, calls.JOINT_WRENCH, q, qd, QDD=qdd, LAM=lam)(
         len(engine.model.tree), 6)
     motions = twin.forward(mechanism, q, qd, qdd)[0]
     known, found = reactions(mechanism, q, qd, expected), {}
@@ -114,11 +114,11 @@ def test_forces_in_joints_are_those_of_maximal_coordinates(seed):
             found[joint.name][:3] -= np.cross(arm, rows[row, 3:])
     assert_agree(list(found.values()), [known[name] for name in found], 1e-8)
     # Along the joints' freedoms they are the forces that drive them, loops closed.
-    forces = on_demand(engine, links.TREE_FORCES, links.TREE_FORCE, q, qd, QDD=qdd)(engine.nv)
-    jac = on_demand(engine, links.JACOBIAN, links.ALL_JACOBIAN, q, qd)(engine.nc, engine.nv)
+    forces = on_demand(engine, calls.TREE_FORCES, calls.TREE_FORCE, q, qd, QDD=qdd)(engine.nv)
+    jac = on_demand(engine, calls.JACOBIAN, calls.ALL_JACOBIAN, q, qd)(engine.nc, engine.nv)
     assert_agree(forces, tau + jac.T @ lam, 1e-9)
     # Wrenches at the cut joints, of all equations.
-    wrenches = on_demand(engine, links.CUT_WRENCHES, links.CUT_WRENCH, q, qd, ALL_LAM=lam)(
+    wrenches = on_demand(engine, calls.CUT_WRENCHES, calls.CUT_WRENCH, q, qd, ALL_LAM=lam)(
         len(mechanism.cut_joints), 6)
     assert_agree(wrenches, [expected.wrenches[cut.name] for cut in mechanism.cut_joints], 1e-8)
 
@@ -132,11 +132,11 @@ def test_what_is_compiled_on_demand_is_what_the_recursions_give_on_numbers(seed)
     # Open loops: nothing is zero.
     opened = qd + rng.normal(size=len(qd))
     numbers.move(q, opened)
-    assert_agree(on_demand(engine, links.ENERGIES, links.ENERGY, q, opened)(2),
+    assert_agree(on_demand(engine, calls.ENERGIES, calls.ENERGY, q, opened)(2),
                  numbers.energies(), 1e-12)
-    assert_agree(on_demand(engine, links.CLOSURES, links.ALL_CLOSURES, q, opened)(3, engine.nc),
+    assert_agree(on_demand(engine, calls.CLOSURES, calls.ALL_CLOSURES, q, opened)(3, engine.nc),
                  numbers.closures(), 1e-12)
-    assert_agree(on_demand(engine, links.JACOBIAN, links.ALL_JACOBIAN, q, opened)(
+    assert_agree(on_demand(engine, calls.JACOBIAN, calls.ALL_JACOBIAN, q, opened)(
         engine.nc, engine.nv), numbers.jacobian(), 1e-12)
 
 

@@ -29,7 +29,7 @@ pytestmark = pytest.mark.timeout(1200)
 TO_REFUSE = {'cannot be assembled'}
 STIFF = ('spring 1e9 N m/rad', 'damper 1e6 N m s/rad', 'contact 1e9 N/m')
 # Too many links to unroll: the default method is compiled again for the kernels' loops, of which
-# test_straight_line compares evaluations and projections with those that are unrolled.
+# test_codegen compares evaluations and projections with those that are unrolled.
 BY_LOOPS = ('flat, 40 loops', '1000 loops')
 BY_NAME = {case.name: case for case in stability.CASES}
 DEFAULT = stability.METHODS[stability.DEFAULT]

@@ -17,7 +17,7 @@
 from dataclasses import replace
 from test.sweep.files import need, read
 
-from closedloop_dynamics.core.straight_line import available
+from closedloop_dynamics.core.codegen import available
 from closedloop_dynamics.mechanism.mechanism import Body, Joint, Mechanism, Point
 from closedloop_dynamics.simulation.rollout_run import fits_simd, QUANTITIES, Schedule
 from closedloop_dynamics.simulation.simulation import Simulation

@@ -16,8 +16,8 @@
 
 import math
 
-from closedloop_dynamics.core import straight_line
-from closedloop_dynamics.core.straight_line import lanes
+from closedloop_dynamics.core import codegen
+from closedloop_dynamics.core.codegen import lanes
 from closedloop_dynamics.integration import simd
 from closedloop_dynamics.integration.advance import DONE
 from closedloop_dynamics.integration.simd import LANES
@@ -26,7 +26,7 @@ from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest
 
-pytestmark = pytest.mark.skipif(not straight_line.available(), reason='there is no compiler')
+pytestmark = pytest.mark.skipif(not codegen.available(), reason='there is no compiler')
 
 
 @pytest.fixture

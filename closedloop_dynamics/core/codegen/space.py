@@ -27,7 +27,7 @@ from .rows import by_column, six
 from .spatial import Body, Cut, X, Y, Z
 from .vectors import IDENTITY, is_zero, ZERO
 from ..types import (
-    AXIS, BALL, CUT_NUMBER, CUT_TYPE, HELICAL, KEPT, PARENT, POSSIBLE, PRISMATIC, SLOT_A, SLOT_END,
+    AXIS, BALL, CUT_NUMBER, CUT_TYPE, HELICAL, KEPT, PARENT, PATH_A, PATH_END, POSSIBLE, PRISMATIC,
     TYPE)
 
 # Columns of Model.body, one row a body: mass; first moments; moments of inertia about the body's
@@ -39,7 +39,7 @@ MASS, MOMENT, INERTIA, PLACE, TURNED, PARALLEL, ARMATURE, LEAD, ROTOR = (
 BODY_COLUMNS = 28
 # Columns of Model.cut_point, one row a cut joint: its place and its axes in both bodies' frames,
 # the length of a rod [m] or the lead of a thread [m/rad]. Of a coupling the sum that it holds, and
-# from FACTORS on the factor of each slot's coordinate: there may be more columns.
+# from FACTORS on the factor of each path entry's coordinate: there may be more columns.
 POINT_A, POINT_B, TURNED_A, TURNED_B, LENGTH = 0, 3, 6, 15, 24
 CUT_POINT_COLUMNS = 25
 HELD_SUM, FACTORS = 0, 1
@@ -328,9 +328,9 @@ def cuts(model, symbols, which=KEPT):
 
 def _coupling(model, cut, row):
     """Return what ``Cut.coupling`` is."""
-    slots = model.slot_body[cut[SLOT_A]:cut[SLOT_END]].tolist()
+    entries = model.path_body[cut[PATH_A]:cut[PATH_END]].tolist()
     return row[HELD_SUM], tuple(
-        (i, factor) for i, factor in zip(slots, row[FACTORS:]) if not is_zero((factor,)))
+        (i, factor) for i, factor in zip(entries, row[FACTORS:]) if not is_zero((factor,)))
 
 
 def _matrix(row):

@@ -28,13 +28,13 @@ places of ``kinematics.outward``, ``articulated_inertia.inward`` and ``outward_a
 
 from typing import NamedTuple
 
-from .tape import chosen, cosine, sine
+from .expression_graph import chosen, cosine, sine
 from .vectors import (
     add, cross, dot, IDENTITY, is_number, is_zero, negate, product, scale, skew, subtract,
     symmetric, times, transpose, ZERO)
 from ..types import (
-    BODY_A, BODY_B, COORDINATE, CUT_ROW, DINV, DOF, DZ, LEVERS, NO_RESPONSES, PARENT, RHS, ROW,
-    ROWS, SLOT_A, SLOT_B, SLOT_COMMON, SLOT_END)
+    BODY_A, BODY_B, COORDINATE, CUT_ROW, DINV, DOF, DZ, LEVERS, NO_RESPONSES, PARENT, PATH_A,
+    PATH_B, PATH_COMMON, PATH_END, RHS, ROW, ROWS)
 
 X, Y, Z = range(3)
 
@@ -630,35 +630,35 @@ class Recursion:
         if equation.in_joints:
             self._respond_in_joints(model, work, responses, cut, row, dict(equation.in_joints))
             return
-        middle, common, end = cut[SLOT_B], cut[SLOT_COMMON], cut[SLOT_END]
-        one = self._reduced(model, work, responses, cut[SLOT_A], middle, row, equation.on_a)
+        middle, common, end = cut[PATH_B], cut[PATH_COMMON], cut[PATH_END]
+        one = self._reduced(model, work, responses, cut[PATH_A], middle, row, equation.on_a)
         other = self._reduced(model, work, responses, middle, common, row, equation.on_b)
         self._reduced(model, work, responses, common, end, row, add(one, other))
 
     def _respond_in_joints(self, model, work, responses, cut, row, forces):
-        """Do as ``_respond`` does for forces in joints; a slot's body comes before its parent."""
+        """Do as ``_respond`` does for forces in joints; a body comes before its parent."""
         arrived = {}
-        for slot in range(cut[SLOT_A], cut[SLOT_END]):
-            i = model.slot_body[slot]
+        for entry in range(cut[PATH_A], cut[PATH_END]):
+            i = model.path_body[entry]
             wrench, parent = arrived.pop(i, 2 * ZERO), model.tree[i, PARENT]
-            wrench = self._pass(model, work, responses, slot, row, wrench, forces.get(i, 0.0))
+            wrench = self._pass(model, work, responses, entry, row, wrench, forces.get(i, 0.0))
             arrived[parent] = add(arrived.get(parent, 2 * ZERO), wrench)
 
     def _reduced(self, model, work, responses, begin, end, row, wrench):
-        """Carry a wrench inward along slots; return what arrives at the last one's parent."""
-        for slot in range(begin, end):
-            wrench = self._pass(model, work, responses, slot, row, wrench)
+        """Carry a wrench inward along a path; return what arrives at the last parent."""
+        for entry in range(begin, end):
+            wrench = self._pass(model, work, responses, entry, row, wrench)
         return wrench
 
-    def _pass(self, model, work, responses, slot, row, wrench, own=0.0):
-        """Keep the shares of a wrench in a slot's joint; return what arrives at the parent."""
-        i, scaled = model.slot_body[slot], 0.0
+    def _pass(self, model, work, responses, entry, row, wrench, own=0.0):
+        """Keep the shares of a wrench in a joint of a path; return what arrives at the parent."""
+        i, scaled = model.path_body[entry], 0.0
         if responses == LEVERS:
             beyond = self._counts_angles(i) and self._joined_before(model, i)
             force, wrench = self.carry(i, wrench, beyond, own)
         else:
             force, scaled, wrench = self.reduce(i, work.body[i, DINV], wrench, own)
-        work.response[slot, row], work.response_scaled[slot, row] = force, scaled
+        work.response[entry, row], work.response_scaled[entry, row] = force, scaled
         return wrench
 
     def carry(self, i, wrench, beyond=False, own=0.0):

@@ -23,15 +23,15 @@ lanes is stored lane by lane: number k of lane n at place ``LANES * k + n``.
 
 import numpy as np
 
-from .linkage import (
+from .function_table import (
     BAUMGARTE, BODY, CLOSURE, CLOSURE_RATE, CORRECTION, CORRECTIONS, CUT_POINT, EVALUATION,
-    GRAVITY, HEALTH, LAM, LANES, LINKAGE_COLUMNS, QDD, TAU)
+    GRAVITY, HEALTH, LAM, LANES, QDD, TABLE_COLUMNS, TAU)
 from ..types import HEALTH_COLUMNS
 
 
 def connect(model, arrays):
     """
-    Return the linkage of the routines of a mechanism for several states at once.
+    Return the function table of the routines of a mechanism for several states at once.
 
     Parameters
     ----------
@@ -39,22 +39,22 @@ def connect(model, arrays):
         Constant arrays of one of the mechanisms; all must have its topology.
     arrays : dict of int to ndarray
         From the places BODY to CORRECTIONS, lane by lane, but for BAUMGARTE, which all share;
-        they must live as long as the linkage is used.
+        they must live as long as the function table is used.
 
     Returns
     -------
-    ndarray of int, shape (LINKAGE_COLUMNS,)
+    ndarray of int, shape (TABLE_COLUMNS,)
 
     """
     # Here, as there may be no compiler.
     from .lane_writer import LaneWriter
     from .routines import addresses
-    linkage = np.zeros(LINKAGE_COLUMNS, dtype=np.int64)
+    table = np.zeros(TABLE_COLUMNS, dtype=np.int64)
     for place, array in arrays.items():
-        linkage[place] = array.ctypes.data
+        table[place] = array.ctypes.data
     for which, address in addresses(model, (EVALUATION, CORRECTION), LaneWriter).items():
-        linkage[which] = address
-    return linkage
+        table[which] = address
+    return table
 
 
 def spread(arrays):

@@ -24,11 +24,11 @@ whether the parent is the ground) share it, whatever their number, their masses 
 import numpy as np
 
 from . import plane, space
+from .expression_graph import ExpressionGraph, LOAD, Routine
+from .function_table import available
 from .interpreted import Interpreted
-from .linkage import available
 from .rows import by_column, matrix, six
 from .spatial import at_parent, Body, Recursion, rigid, shifted, Z
-from .tape import LOAD, Routine, Tape
 from .vectors import add, cross, dot, is_zero, times, ZERO
 from ..types import (
     ACCELERATE, AXIS, BODY_STAGES, CARRY, COMPOSE, CUT_TYPE, DINV, DZ, ELIMINATE,
@@ -91,21 +91,21 @@ class _Sketch:
     """Symbols of what one piece reads; what it stores where."""
 
     def __init__(self, arrays, constants):
-        self.tape, self.arrays, self.outputs = Tape(), arrays, []
+        self.graph, self.arrays, self.outputs = ExpressionGraph(), arrays, []
         columns = space.WORK_COLUMNS if arrays is space else WORK_COLUMNS
         self.constant = self.row(CONSTANT, constants)
         self.own, self.other = self.row(OWN, columns), self.row(OTHER, columns)
 
     def row(self, source, size):
         found = np.empty(size, dtype=object)
-        found[:] = [self.tape.put(LOAD, source, place) for place in range(size)]
+        found[:] = [self.graph.put(LOAD, source, place) for place in range(size)]
         return found
 
     def store(self, source, by_place):
         self.outputs += [(source, place, value) for place, value in by_place.items()]
 
     def piece(self, name):
-        return Routine(name, self.tape, self.outputs)
+        return Routine(name, self.graph, self.outputs)
 
 
 class _Body:
@@ -177,7 +177,7 @@ class _Body:
         """Compute motion, inertia and force of the rigid body, of q and qd."""
         body = one.bodies[_BODY]
         first, second = sketch.row(FIRST, 4), [
-            sketch.tape.put(LOAD, SECOND, place) for place in (-2, -1, 0)]
+            sketch.graph.put(LOAD, SECOND, place) for place in (-2, -1, 0)]
         one.motion[_BODY] = motion = (
             one.rolled(_BODY, _PARENT, first, second) if body.ball
             else one.moved(_BODY, _PARENT, first[0], second[2]))

@@ -18,8 +18,8 @@ from llvmlite import ir
 
 from . import sincos
 from .emit import Writer
-from .linkage import BAUMGARTE, LANES
-from .tape import COSINE, LOAD, SINE
+from .expression_graph import COSINE, LOAD, SINE
+from .function_table import BAUMGARTE, LANES
 
 _VECTOR, _INDEX = ir.VectorType(ir.DoubleType(), LANES), ir.IntType(32)
 _BITS, _WORD = ir.IntType(LANES), ir.IntType(64)
@@ -63,7 +63,7 @@ class LaneWriter(Writer):
 
     def write(self):
         """Write the function."""
-        operations, use = self.routine.tape.operations, self.routine.needed()
+        operations, use = self.routine.graph.operations, self.routine.needed()
         turned, within = {}, []
         for place, (kind, *operands) in enumerate(operations):
             if place not in use:
@@ -81,7 +81,7 @@ class LaneWriter(Writer):
         for source, place, value in self.routine.outputs:
             known = value.place if hasattr(value, 'place') else float(value)
             self.builder.store(self.number(known), self.place(source, place), align=8)
-        guard = self.routine.tape.guard
+        guard = self.routine.graph.guard
         for condition in [] if guard is None else [self.values[guard.place]]:
             within.append(condition)
         good = _BITS(-1)

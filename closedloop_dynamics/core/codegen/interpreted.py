@@ -17,7 +17,7 @@
 import math
 import operator
 
-from .tape import (
+from .expression_graph import (
     ADD, BOTH, CHOOSE, COSINE, DIVIDE, GREATER_EQUAL, LESS, LOAD, MULTIPLY, NEGATE, SINE,
     SUBTRACT)
 
@@ -42,7 +42,7 @@ class Interpreted:
 
     Parameters
     ----------
-    routine : tape.Routine
+    routine : expression_graph.Routine
         Its arithmetic.
 
     Attributes
@@ -55,7 +55,7 @@ class Interpreted:
     def __init__(self, routine):
         """Keep what is needed."""
         needed = sorted(routine.needed())
-        self._operations = [(place, routine.tape.operations[place]) for place in needed]
+        self._operations = [(place, routine.graph.operations[place]) for place in needed]
         self._outputs = [(source, place, getattr(value, 'place', None), value)
                          for source, place, value in routine.outputs]
         self.number = len(_all)
@@ -77,7 +77,7 @@ class Interpreted:
 
 
 def run(piece, *arguments):
-    """Do as ``linkage.run_piece`` does."""
+    """Do as ``function_table``.run_piece`` does."""
     pairs = zip(arguments[::2], arguments[1::2])
     _all[piece]([(array[place], 0) if array.ndim > 1 else (array, place)
                  for array, place in pairs])

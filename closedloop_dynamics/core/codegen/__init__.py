@@ -16,33 +16,33 @@
 Code generated for one mechanism.
 
 The recursions over the bodies are written once, in space (``spatial``), and run on symbols
-(``tape``); a mechanism in the plane (``plane``) reduces them to its own. The arithmetic that is
-left is compiled (``emit``) to routines that compiled code calls by their address (``linkage``):
-a whole evaluation of a mechanism of a few bodies (``routines``), or its stages for each kind of
-body, which the loops over bodies in ``core`` call (``pieces``).
+(``expression_graph``); a mechanism in the plane (``plane``) reduces them to its own. The
+arithmetic that is left is compiled (``emit``) to routines that compiled code calls by their
+address (``function_table``): a whole evaluation of a mechanism of a few bodies (``routines``), or
+its stages for each kind of body, which the loops over bodies in ``core`` call (``pieces``).
 
 """
 
-from .linkage import ALWAYS, available, REFINED, take
+from .function_table import ALWAYS, available, REFINED, take
 
 __all__ = ['available', 'later', 'relink']
 
 
-def relink(model, linkage):
+def relink(model, table):
     """
-    Give a linkage the routines of a model, also when its topology has changed.
+    Give a function table the routines of a model, also when its topology has changed.
 
     Parameters
     ----------
     model : core.types.Model
         Constant arrays of the mechanism.
-    linkage : ndarray of int
+    table : ndarray of int
         Changed in place.
 
     """
     # Here, as there may be no compiler.
     from .routines import addresses
-    take(linkage, addresses(model, ALWAYS))
+    take(table, addresses(model, ALWAYS))
 
 
 def later(model, place):
@@ -54,7 +54,7 @@ def later(model, place):
     model : core.types.Model
         Constant arrays of the mechanism.
     place : int
-        Of one of them in the linkage; those with refinement come together.
+        Of one of them in the function table; those with refinement come together.
 
     Returns
     -------

@@ -22,13 +22,13 @@ called: what nobody asks for costs nothing.
 
 import numpy as np
 
-from . import linkage as links, space
+from . import function_table as calls, space
 from .numbers import DEPENDENT, Numbers
 
 
 def arrays(model, reaction=None):
     """
-    Allocate what the routines read and write, by place in the linkage.
+    Allocate what the routines read and write, by place in the function table.
 
     Parameters
     ----------
@@ -46,10 +46,10 @@ def arrays(model, reaction=None):
     if reaction is None or not len(reaction):
         reaction = np.zeros((nv + 1, 6))
     return {
-        links.ALL_LAM: np.zeros(equations), links.JOINT_WRENCH: reaction,
-        links.CUT_WRENCH: np.zeros((len(model.cut), 6)), links.ENERGY: np.zeros(2),
-        links.ALL_CLOSURES: np.zeros((3, equations)),
-        links.ALL_JACOBIAN: np.zeros((equations, nv)), links.TREE_FORCE: np.zeros(nv)}
+        calls.ALL_LAM: np.zeros(equations), calls.JOINT_WRENCH: reaction,
+        calls.CUT_WRENCH: np.zeros((len(model.cut), 6)), calls.ENERGY: np.zeros(2),
+        calls.ALL_CLOSURES: np.zeros((3, equations)),
+        calls.ALL_JACOBIAN: np.zeros((equations, nv)), calls.TREE_FORCE: np.zeros(nv)}
 
 
 class OnDemand:
@@ -65,34 +65,34 @@ class OnDemand:
 
     def __init__(self, system):
         """Look up which equations the elimination works on."""
-        self._linkage, model = system.linkage, system.model
+        self._table, model = system.table, system.model
         self._system = system
         self.kept = Numbers(model).kept
         self._complete = bool(self.kept.all())
 
     def _call(self, which, result, q, qd):
         """Let a routine write a result, and return that: not a copy."""
-        links.function(self._linkage, which)(
-            self._linkage.ctypes.data, q.ctypes.data, qd.ctypes.data)
-        return links.array(self._linkage, result)
+        calls.function(self._table, which)(
+            self._table.ctypes.data, q.ctypes.data, qd.ctypes.data)
+        return calls.array(self._table, result)
 
     def outward(self, q, qd):
         """Return ``Workspace.body`` in a state, without effects."""
-        links.function(self._linkage, links.OUTWARD)(
-            self._linkage.ctypes.data, q.ctypes.data, qd.ctypes.data)
+        calls.function(self._table, calls.OUTWARD)(
+            self._table.ctypes.data, q.ctypes.data, qd.ctypes.data)
         return self._system.work.body
 
     def energies(self, q, qd):
         """Return kinetic energy, and potential energy in gravity, of a state [J]."""
-        return self._call(links.ENERGIES, links.ENERGY, q, qd).tolist()
+        return self._call(calls.ENERGIES, calls.ENERGY, q, qd).tolist()
 
     def closures(self, q, qd):
         """Return psi, J qd and Jdot qd of all equations, shape (3, nc), of a state."""
-        return self._call(links.CLOSURES, links.ALL_CLOSURES, q, qd)
+        return self._call(calls.CLOSURES, calls.ALL_CLOSURES, q, qd)
 
     def jacobian(self, q, qd):
         """Return J of all equations, shape (nc, nv), of a state."""
-        return self._call(links.JACOBIAN, links.ALL_JACOBIAN, q, qd)
+        return self._call(calls.JACOBIAN, calls.ALL_JACOBIAN, q, qd)
 
     def of_all(self, q, qd, lam):
         """Return the least multipliers of all equations that do what those of the kept ones do."""
@@ -119,8 +119,8 @@ class OnDemand:
             [N m, N].
 
         """
-        links.array(self._linkage, links.ALL_LAM)[:] = self.of_all(q, qd, lam)
-        return self._call(links.CUT_WRENCHES, links.CUT_WRENCH, q, qd).copy()
+        calls.array(self._table, calls.ALL_LAM)[:] = self.of_all(q, qd, lam)
+        return self._call(calls.CUT_WRENCHES, calls.CUT_WRENCH, q, qd).copy()
 
     def joint_wrenches(self, q, qd):
         """
@@ -132,7 +132,7 @@ class OnDemand:
             Moment, then force, at the origin of each row, in world axes [N m, N].
 
         """
-        return self._call(links.JOINT_WRENCHES, links.JOINT_WRENCH, q, qd)
+        return self._call(calls.JOINT_WRENCHES, calls.JOINT_WRENCH, q, qd)
 
     def tree_forces(self, q, qd, qdd):
         """
@@ -150,4 +150,4 @@ class OnDemand:
 
         """
         self._system.qdd[:] = qdd
-        return self._call(links.TREE_FORCES, links.TREE_FORCE, q, qd).copy()
+        return self._call(calls.TREE_FORCES, calls.TREE_FORCE, q, qd).copy()

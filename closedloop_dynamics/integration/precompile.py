@@ -14,9 +14,9 @@
 
 """The rank-revealing path ahead of time: whether it is on disk, and getting it ready."""
 
-from .system import careful_acceleration, careful_correction
+from .system import rank_revealing_acceleration, rank_revealing_correction
 from ..core import compiled, rank_revealing
-from ..core.straight_line.space import is_spatial
+from ..core.codegen.space import is_spatial
 
 
 def is_stored(system):
@@ -59,12 +59,12 @@ def preparations(system):
 def _kernels(system):
     """Return the kernels with the types that they are called with."""
     # In space, uncompiled recursions on numbers stand in for them.
-    if not hasattr(careful_acceleration, 'compile') or is_spatial(system.model):
+    if not hasattr(rank_revealing_acceleration, 'compile') or is_spatial(system.model):
         return []
     from numba import typeof
     model, work, q, qdd = system.model, system.work, system.tau, system.qdd
     calls = (
-        (careful_acceleration, (model, work, system.effects, system.settings, system.tau,
-                                system.applied, q, q, qdd, system.lam)),
-        (careful_correction, (model, work, rank_revealing.POSITION, q, q, qdd)))
+        (rank_revealing_acceleration, (model, work, system.effects, system.settings, system.tau,
+                                       system.applied, q, q, qdd, system.lam)),
+        (rank_revealing_correction, (model, work, rank_revealing.POSITION, q, q, qdd)))
     return [(kernel, tuple(typeof(each) for each in arguments)) for kernel, arguments in calls]

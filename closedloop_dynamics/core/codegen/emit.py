@@ -19,7 +19,7 @@ import hashlib
 from llvmlite import binding, ir
 
 from . import sincos
-from .tape import (
+from .expression_graph import (
     ADD, BOTH, CHOOSE, COSINE, DIVIDE, GREATER_EQUAL, LESS, LOAD, MULTIPLY, needed_for, NEGATE,
     SINE, SUBTRACT)
 from .. import cache
@@ -65,18 +65,18 @@ class Writer:
     def address(self, source, place):
         """Return the address of a number of an input or output."""
         if source not in self.pointers:
-            linkage, q, qd = self.function.args
+            table, q, qd = self.function.args
             if source in (Q, QD):
                 self.pointers[source] = q if source == Q else qd
             else:
                 self.pointers[source] = self.builder.inttoptr(
-                    self.builder.load(self.builder.gep(linkage, [_WORD(source)])),
+                    self.builder.load(self.builder.gep(table, [_WORD(source)])),
                     _DOUBLE.as_pointer())
         return self.builder.gep(self.pointers[source], [_WORD(place)])
 
     def write(self):
         """Write the function."""
-        operations, use = self.routine.tape.operations, self.routine.needed()
+        operations, use = self.routine.graph.operations, self.routine.needed()
         angles = sorted({operation[1] for place, operation in enumerate(operations)
                          if place in use and operation[0] in (SINE, COSINE)})
         for place in sorted(needed_for(operations, angles)):
@@ -88,7 +88,7 @@ class Writer:
         for source, place, value in self.routine.outputs:
             known = value.place if hasattr(value, 'place') else float(value)
             self.builder.store(self.number(known), self.address(source, place))
-        guard = self.routine.tape.guard
+        guard = self.routine.graph.guard
         good = _WORD(1) if guard is None else self.builder.zext(self.values[guard.place], _WORD)
         self.builder.ret(good)
 
@@ -164,7 +164,7 @@ def machine_code(key, routines, writer=Writer):
     machine = target.create_target_machine(cpu=cpu, features=features, opt=3)
     digest = hashlib.sha256(repr(
         (key, writer.__name__, cpu, features)).encode()).hexdigest()[:32]
-    name = f'straight_line.{digest}.o'
+    name = f'codegen.{digest}.o'
     # An engine needs a module to start from; the code itself is added as an object.
     engine = binding.create_mcjit_compiler(binding.parse_assembly(''), machine)
     code = cache.read(name)

@@ -31,7 +31,7 @@ from ..compiled import choose
  BOTH) = range(12)
 
 
-class Tape:
+class ExpressionGraph:
     """
     The arithmetic seen so far.
 
@@ -45,7 +45,7 @@ class Tape:
     """
 
     def __init__(self):
-        """Begin an empty tape."""
+        """Begin an empty graph."""
         self.operations, self.guard, self._known = [], None, {}
 
     def put(self, *operation):
@@ -66,20 +66,21 @@ class Routine:
     ----------
     name : str
         Of the machine code's symbol.
-    tape : Tape
+    graph : ExpressionGraph
         The arithmetic.
     outputs : sequence of (input, place, value)
         What is stored where.
 
     Notes
     -----
-    An input is the place of an array's address in the linkage, Q or QD, or a row of a piece.
+    An input is the place of an array's address in the function table, Q or QD, or a row of a
+    piece.
 
     """
 
-    def __init__(self, name, tape, outputs):
+    def __init__(self, name, graph, outputs):
         """Keep what is needed for the outputs."""
-        self.name, self.tape, self.outputs = name, tape, outputs
+        self.name, self.graph, self.outputs = name, graph, outputs
 
     def needed(self):
         """
@@ -90,9 +91,9 @@ class Routine:
         set of int
 
         """
-        values = [value for _, _, value in self.outputs] + [self.tape.guard]
+        values = [value for _, _, value in self.outputs] + [self.graph.guard]
         return needed_for(
-            self.tape.operations, [value.place for value in values if hasattr(value, 'place')])
+            self.graph.operations, [value.place for value in values if hasattr(value, 'place')])
 
 
 def needed_for(operations, places):
@@ -102,7 +103,7 @@ def needed_for(operations, places):
     Parameters
     ----------
     operations : list of tuple
-        Of a tape.
+        Of a graph.
     places : iterable of int
         Of operations.
 
@@ -135,21 +136,21 @@ class Symbol:
 
     Parameters
     ----------
-    tape : Tape
+    graph : ExpressionGraph
         Where its operation is kept.
     place : int
         Of the operation.
 
     """
 
-    __slots__ = ('place', 'tape')
+    __slots__ = ('place', 'graph')
 
-    def __init__(self, tape, place):
+    def __init__(self, graph, place):
         """Name the result of an operation."""
-        self.tape, self.place = tape, place
+        self.graph, self.place = graph, place
 
     def _put(self, operation, *operands):
-        return self.tape.put(operation, *map(_operand, operands))
+        return self.graph.put(operation, *map(_operand, operands))
 
     def __add__(self, other):
         """Add; nothing where the other is zero."""
@@ -190,7 +191,7 @@ class Symbol:
         first, second = _operand(self), _operand(other)
         if isinstance(second, int) and second < first:
             first, second = second, first
-        return self.tape.put(MULTIPLY, first, second)
+        return self.graph.put(MULTIPLY, first, second)
 
     def __rmul__(self, other):
         """Multiply a number."""
@@ -226,15 +227,15 @@ class Symbol:
 
     def __bool__(self):
         """Take the branch, and remember that the results hold only there."""
-        guard = self.tape.guard
-        self.tape.guard = self if guard is None else guard._put(BOTH, guard, self)
+        guard = self.graph.guard
+        self.graph.guard = self if guard is None else guard._put(BOTH, guard, self)
         return True
 
     def _operation(self):
-        return self.tape.operations[self.place][0]
+        return self.graph.operations[self.place][0]
 
     def _negated(self):
-        return Symbol(self.tape, self.tape.operations[self.place][1])
+        return Symbol(self.graph, self.graph.operations[self.place][1])
 
 
 def sine(angle):

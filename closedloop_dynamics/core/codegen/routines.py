@@ -17,18 +17,17 @@
 import numpy as np
 
 from . import emit, plane, rows, space
-from .linkage import (
+from .expression_graph import (
+    ADD, DIVIDE, ExpressionGraph, LOAD, MULTIPLY, NEGATE, Routine, SUBTRACT, unrolled)
+from .function_table import (
     ACCELERATION, ALL_CLOSURES, ALL_JACOBIAN, ALL_LAM, BAUMGARTE, BODY, CLOSURE, CLOSURE_RATE,
     CLOSURES, CORRECTION, CORRECTIONS, CUT_POINT, CUT_WRENCH, CUT_WRENCHES, ENERGIES, ENERGY,
     EVALUATION, GRAVITY, HEALTH, JACOBIAN, JOINT_WRENCH, JOINT_WRENCHES, LAM, OUTWARD, QDD,
     REFINED_ACCELERATION, REFINED_CORRECTION, TAU, TREE_FORCE, TREE_FORCES, WORK_BODY)
 from .spatial import Recursion
-from .tape import (
-    ADD, DIVIDE, LOAD, MULTIPLY, NEGATE, Routine, SUBTRACT, Tape, unrolled)
 from .. import (
     articulated_inertia, elimination, forward_dynamics, kinematics, loop_closure, refinement)
-from ..types import (
-    CUT_NUMBER, KEPT, number_of_coordinates, POSSIBLE, RHS, TYPE, Workspace)
+from ..types import CUT_NUMBER, KEPT, number_of_coordinates, POSSIBLE, RHS, TYPE, Workspace
 from ..workspace import unconnected
 
 NAMES = {EVALUATION: 'evaluation', OUTWARD: 'outward', ACCELERATION: 'acceleration',
@@ -54,7 +53,7 @@ def topology(model):
     """
     structure = space.structure(model) if space.is_spatial(model) else ()
     tree = model.tree if structure else model.tree[:, :TYPE + 1]
-    arrays = (*structure, tree, model.cut, model.slot_body, model.pair, model.block,
+    arrays = (*structure, tree, model.cut, model.path_body, model.pair, model.block,
               model.column, model.row, model.entry, model.dependency, model.dependency_place)
     return tuple((array.shape, array.tobytes()) for array in arrays)
 
@@ -71,7 +70,7 @@ def addresses(model, which, writer=emit.Writer):
     model : Model
         Constant arrays of the mechanism.
     which : tuple of int
-        Places in the linkage.
+        Places in the function table.
     writer : type
         Who writes them.
 
@@ -105,7 +104,7 @@ def operations(model):
     """
     routine = Unrolling(model).routine(EVALUATION)
     kinds = (ADD, SUBTRACT, MULTIPLY, DIVIDE, NEGATE)
-    return sum(routine.tape.operations[place][0] in kinds for place in routine.needed())
+    return sum(routine.graph.operations[place][0] in kinds for place in routine.needed())
 
 
 class Unrolling:
@@ -121,7 +120,7 @@ class Unrolling:
 
     def __init__(self, model):
         """Make the symbols of all inputs."""
-        self.tape = Tape()
+        self.graph = ExpressionGraph()
         self.nv, self.nc = len(model.tree) - 1, len(model.column) - 1
         self.constant = model
         self.model = model._replace(
@@ -154,20 +153,20 @@ class Unrolling:
         """Return an array of numbers to be read from an input."""
         array = np.empty(shape, dtype=object)
         for place in range(array.size):
-            array.flat[place] = self.tape.put(LOAD, source, place)
+            array.flat[place] = self.graph.put(LOAD, source, place)
         return array
 
     def store(self, source, values, first=0):
         """Note that an array goes to an output, but for what was read from there."""
         for place, value in enumerate(values.flat, start=first):
             if not (hasattr(value, 'place')
-                    and self.tape.operations[value.place] == (LOAD, source, place)):
+                    and self.graph.operations[value.place] == (LOAD, source, place)):
                 self.outputs.append((source, place, value))
 
     def routine(self, which):
         """Return one of the routines; an unrolling serves for one."""
         getattr(self, NAMES[which])()
-        return Routine(NAMES[which], self.tape, self.outputs)
+        return Routine(NAMES[which], self.graph, self.outputs)
 
     def evaluation(self):
         """Accelerations and multipliers of a state where nothing but gravity and torques acts."""

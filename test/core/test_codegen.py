@@ -20,8 +20,9 @@ import math
 import pickle
 
 from closedloop_dynamics.core import cache
-from closedloop_dynamics.core.straight_line import available, emit, linkage, pieces, relink
-from closedloop_dynamics.core.straight_line.tape import cosine, LOAD, Routine, sine, Tape
+from closedloop_dynamics.core.codegen import available, emit, function_table, pieces, relink
+from closedloop_dynamics.core.codegen.expression_graph import (
+    cosine, ExpressionGraph, LOAD, Routine, sine)
 from closedloop_dynamics.core.types import ALPHA, AY, REVOLUTE_ARMATURE, TYPE
 from closedloop_dynamics.integration.projection import stabilised
 from closedloop_dynamics.integration.system import (
@@ -88,7 +89,7 @@ def test_change_of_parameters_is_seen_and_a_rotor_links_anew():
                 system.model.tree[3, TYPE], system.model.body[3, 7] = REVOLUTE_ARMATURE, 0.7
                 pieces.connect(system.model, system.work.piece, system.work.cut_piece)
                 if system.unrolled is not None:
-                    relink(system.model, system.linkage)
+                    relink(system.model, system.table)
             evaluate(system, q, qd)
         if change:
             assert np.abs(pair[0].qdd - before).max() > 1e-3
@@ -112,11 +113,11 @@ def test_copies_work_on_arrays_of_their_own(duplicate):
 
 def test_linkages_let_go_of_what_they_call():
     rng, mechanism, q, qd = cases.drawn('four_bar')
-    before = len(linkage._callbacks)
+    before = len(function_table._callbacks)
     system = build_system(build_model(mechanism))
-    assert len(linkage._callbacks) == before + 1
+    assert len(function_table._callbacks) == before + 1
     del system
-    assert len(linkage._callbacks) == before
+    assert len(function_table._callbacks) == before
 
 
 def test_machine_code_is_read_back(tmp_path, monkeypatch):
@@ -126,9 +127,9 @@ def test_machine_code_is_read_back(tmp_path, monkeypatch):
 
     def halves():
         made.append(True)
-        tape = Tape()
-        value = tape.put(LOAD, emit.Q, 0)
-        return [Routine('half', tape, [(emit.QD, 0, value * 0.5)])]
+        graph = ExpressionGraph()
+        value = graph.put(LOAD, emit.Q, 0)
+        return [Routine('half', graph, [(emit.QD, 0, value * 0.5)])]
 
     for _ in range(2):
         half = run(emit.machine_code(('test', 1), halves)('half'), np.array([3.0]), np.zeros(1))
@@ -144,7 +145,7 @@ def test_machine_code_is_read_back(tmp_path, monkeypatch):
 
 
 def run(address, inputs, outputs):
-    """Call a routine that needs no linkage."""
+    """Call a routine that needs no function table."""
     function = ctypes.CFUNCTYPE(ctypes.c_int64, *3 * [ctypes.c_void_p])(address)
     function(None, inputs.ctypes.data, outputs.ctypes.data)
     return outputs
@@ -154,9 +155,9 @@ def run(address, inputs, outputs):
 def turned():
     """Return a function to the sines and cosines of seven angles."""
     def waves():
-        tape = Tape()
-        angles = [tape.put(LOAD, emit.Q, k) for k in range(7)]
-        return [Routine('waves', tape, [
+        graph = ExpressionGraph()
+        angles = [graph.put(LOAD, emit.Q, k) for k in range(7)]
+        return [Routine('waves', graph, [
             (emit.QD, 2 * k + n, (sine, cosine)[n](angle))
             for k, angle in enumerate(angles) for n in range(2)])]
 

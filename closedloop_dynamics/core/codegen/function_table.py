@@ -15,9 +15,9 @@
 """
 How compiled code calls routines of which it knows only the address.
 
-A linkage is an array of integers: the addresses of the routines of one mechanism, then those of
-the arrays that they work on. A routine is called with it and with a state, and
-returns whether its results are good.
+A function table is an array of integers: the addresses of the routines of one mechanism, then
+those of the arrays that they work on. A routine is called with it and with a state, and returns
+whether its results are good.
 
 """
 
@@ -39,7 +39,7 @@ except ImportError:
  # The latter two with refinement, which are not compiled before they are needed.
  REFINED_ACCELERATION, REFINED_CORRECTION,
  # Addresses of the rank-revealing path.
- CAREFUL_ACCELERATION, CAREFUL_POSITION, CAREFUL_VELOCITY) = range(9)
+ RANK_REVEALING_ACCELERATION, RANK_REVEALING_POSITION, RANK_REVEALING_VELOCITY) = range(9)
 ALWAYS = (EVALUATION, OUTWARD, ACCELERATION, CORRECTION)
 REFINED = (REFINED_ACCELERATION, REFINED_CORRECTION)
 # Addresses of arrays.
@@ -52,7 +52,7 @@ ON_DEMAND = (JOINT_WRENCHES, CUT_WRENCHES, ENERGIES, CLOSURES, JACOBIAN, TREE_FO
     range(21, 27))
 # Addresses of arrays for them: multipliers of all equations, and results.
 (ALL_LAM, JOINT_WRENCH, CUT_WRENCH, ENERGY, ALL_CLOSURES, ALL_JACOBIAN, TREE_FORCE) = range(27, 34)
-LINKAGE_COLUMNS = 34
+TABLE_COLUMNS = 34
 # States side by side in the vectors of ``lanes``: one of AVX-512, two of AVX2, four of NEON.
 LANES = 8
 
@@ -73,15 +73,15 @@ def available():
 
 if available():
     @intrinsic
-    def call(typingctx, linkage, which, q, qd):
+    def call(typingctx, table, which, q, qd):
         """
-        Call a routine of a linkage.
+        Call a routine of a function table.
 
         Parameters
         ----------
         typingctx
             Of numba.
-        linkage : ndarray of int
+        table : ndarray of int
             As ``connect`` returns it.
         which : int
             Place of the routine's address in it.
@@ -94,7 +94,7 @@ if available():
             0 where the routine could not do its work.
 
         """
-        signature = types.int64(linkage, types.intp, q, qd)
+        signature = types.int64(table, types.intp, q, qd)
 
         def generate(context, builder, signature, arguments):
             word = ir.IntType(64)
@@ -147,18 +147,18 @@ if available():
 else:
     from .interpreted import run as run_piece  # noqa: F401
 
-    def call(linkage, which, q, qd):
-        """Call a routine of a linkage; without a compiler that is a function of Python's."""
-        return run(linkage, which, q, qd)
+    def call(table, which, q, qd):
+        """Call a routine of a function table, which is Python's without a compiler."""
+        return run(table, which, q, qd)
 
 
-def function(linkage, which):
+def function(table, which):
     """
     Return a routine as a function that Python calls, quicker than any compiled kernel.
 
     Parameters
     ----------
-    linkage : ndarray of int
+    table : ndarray of int
         As ``connect`` returns it.
     which : int
         Place of the routine's address in it.
@@ -166,23 +166,23 @@ def function(linkage, which):
     Returns
     -------
     callable
-        Of the addresses of linkage, q and qd.
+        Of the addresses of table, q and qd.
 
     """
-    return _SIGNATURE(int(linkage[which]))
+    return _SIGNATURE(int(table[which]))
 
 
 # What linkages that are alive call back: as functions of addresses, and as they are.
 _callbacks = {}
 
 
-def run(linkage, which, q, qd):
+def run(table, which, q, qd):
     """
     Call the rank-revealing path from Python.
 
     Parameters
     ----------
-    linkage : ndarray of int
+    table : ndarray of int
         As ``connect`` returns it.
     which : int
         Place of the routine's address in it.
@@ -195,74 +195,74 @@ def run(linkage, which, q, qd):
         1: it always does its work.
 
     """
-    _callbacks[id(linkage)][1][which](q, qd)
+    _callbacks[id(table)][1][which](q, qd)
     return 1
 
 
-def connect(arrays, careful, find):
+def connect(arrays, rank_revealing, find):
     """
-    Return a linkage without unrolled routines, but for those compiled when they are called.
+    Return a function table without unrolled routines, but for those compiled when they are called.
 
     Parameters
     ----------
     arrays : dict of int to ndarray
         From the places BODY to CORRECTIONS, in space from ALL_LAM to TREE_FORCE, too; they are
-        kept as long as the linkage.
-    careful : dict of int to callable
-        From CAREFUL_ACCELERATION, CAREFUL_POSITION and CAREFUL_VELOCITY; called with q and qd.
+        kept as long as the function table.
+    rank_revealing : dict of int to callable
+        From RANK_REVEALING_ACCELERATION, _POSITION and _VELOCITY; called with q and qd.
     find : callable
         Called with a place among REFINED and ON_DEMAND; returns addresses by place, as ``take``
         has them, that one among them.
 
     Returns
     -------
-    ndarray of int, shape (LINKAGE_COLUMNS,)
+    ndarray of int, shape (TABLE_COLUMNS,)
 
     """
-    linkage = np.zeros(LINKAGE_COLUMNS, dtype=np.int64)
+    table = np.zeros(TABLE_COLUMNS, dtype=np.int64)
     for place, array in arrays.items():
-        linkage[place] = array.ctypes.data
+        table[place] = array.ctypes.data
     nv = len(arrays[QDD])
     kept = {place: _SIGNATURE(_compiling(find, place)) for place in (*REFINED, *ON_DEMAND)}
-    for place, function in careful.items():
+    for place, function in rank_revealing.items():
         kept[place] = _SIGNATURE(_on_arrays(function, nv))
     for place, routine in kept.items():
-        linkage[place] = ctypes.cast(routine, ctypes.c_void_p).value
-    _callbacks[id(linkage)] = kept, careful, arrays
-    weakref.finalize(linkage, _callbacks.pop, id(linkage))
-    return linkage
+        table[place] = ctypes.cast(routine, ctypes.c_void_p).value
+    _callbacks[id(table)] = kept, rank_revealing, arrays
+    weakref.finalize(table, _callbacks.pop, id(table))
+    return table
 
 
-def take(linkage, routines):
+def take(table, routines):
     """
-    Give a linkage other unrolled routines; REFINED and ON_DEMAND ones are found when called.
+    Give a table other unrolled routines; REFINED and ON_DEMAND ones are found when called.
 
     Parameters
     ----------
-    linkage : ndarray of int
+    table : ndarray of int
         As ``connect`` returned it; changed in place.
     routines : dict of int to int
         Addresses of EVALUATION, OUTWARD, ACCELERATION and CORRECTION.
 
     """
     for place, address in routines.items():
-        linkage[place] = address
+        table[place] = address
     for place in (*REFINED, *ON_DEMAND):
-        linkage[place] = ctypes.cast(
-            _callbacks[id(linkage)][0][place], ctypes.c_void_p).value
+        table[place] = ctypes.cast(
+            _callbacks[id(table)][0][place], ctypes.c_void_p).value
 
 
-def array(linkage, place):
-    """Return one of the arrays that a linkage was connected with."""
-    return _callbacks[id(linkage)][2][place]
+def array(table, place):
+    """Return one of the arrays that a function table was connected with."""
+    return _callbacks[id(table)][2][place]
 
 
 def _compiling(find, place):
     """Return a function that finds a routine, links it in its own place, and calls it."""
-    def called(linkage, q, qd):
+    def called(table, q, qd):
         address = find(place)[place]
-        (ctypes.c_int64 * LINKAGE_COLUMNS).from_address(linkage)[place] = address
-        return _SIGNATURE(address)(linkage, q, qd)
+        (ctypes.c_int64 * TABLE_COLUMNS).from_address(table)[place] = address
+        return _SIGNATURE(address)(table, q, qd)
 
     return called
 
@@ -271,7 +271,7 @@ def _on_arrays(function, nv):
     """Return a function of addresses that calls one of arrays."""
     vector = ctypes.c_double * nv
 
-    def called(linkage, q, qd):
+    def called(table, q, qd):
         function(np.frombuffer(vector.from_address(q)), np.frombuffer(vector.from_address(qd)))
         return 1
 
