@@ -12,8 +12,9 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What methods make of the energy of a mechanism that nothing drives or brakes; their price."""
+"""Relative energy error over 10 s of mechanisms without drives and losses, and the cost."""
 
+from math import nan
 from statistics import median
 import sys
 import time
@@ -25,9 +26,9 @@ sys.path.insert(0, str(ROOT))
 
 from closedloop_dynamics.simulation.errors import NumericalError  # noqa: E402,I100
 from closedloop_dynamics.simulation.simulation import Simulation  # noqa: E402
-from closedloop_dynamics.visual.tables import markdown_table, seconds  # noqa: E402
+from closedloop_dynamics.visual.tables import write_csv  # noqa: E402
 
-SCENES = (('three_rrr', '3-RRR'), ('carpet_scraper', 'carpet scraper'))
+SCENES = ('three_rrr', 'carpet_scraper')
 DURATION = 10.0
 # Instants at which the energy is looked at, per simulated second.
 LOOKS = 100
@@ -38,11 +39,14 @@ METHODS = (
     *({'integrator': 'rk4', 'step_size': size} for size in (2e-3, 1e-3, 5e-4, 2.5e-4)),
     {'integrator': 'rk4', 'step_size': 1e-3, 'stabilisation': 'independent'},
     *({'integrator': 'dop853', 'tolerance': tolerance} for tolerance in (1e-6, 1e-8, 1e-10)))
+HEADER = ('scene', 'integrator', 'stabilisation', 'step_size', 'tolerance',
+          'largest_relative_energy_error', 'relative_energy_error_at_the_end',
+          'cpu_time_per_second', 'failure')
 
 
 def energy_errors(scene, method, duration=DURATION):
     """
-    Return what a free run makes of the energy.
+    Return the relative energy errors of a run without torques.
 
     Parameters
     ----------
@@ -81,9 +85,9 @@ def cost(scene, method, duration):
     return median(rounds)
 
 
-def table(quick=False):
+def study(quick=False):
     """
-    Return the table of all scenes and methods.
+    Measure all scenes and methods.
 
     Parameters
     ----------
@@ -92,23 +96,24 @@ def table(quick=False):
 
     Returns
     -------
-    str
-        Markdown.
+    list of tuple
+        By ``HEADER``.
 
     """
     duration = DURATION / 10.0 if quick else DURATION
     rows = []
-    for scene, name in SCENES:
+    for scene in SCENES:
         for method in METHODS:
-            setting = (f'step {method["step_size"]:g} s' if 'step_size' in method
-                       else f'tolerance {method["tolerance"]:g}')
+            start = (scene, method['integrator'], method.get('stabilisation', 'projection'),
+                     method.get('step_size', nan), method.get('tolerance', nan))
             try:
-                largest, last = energy_errors(scene, method, duration)
-                found = f'{largest:.1e}', f'{last:+.1e}', seconds(cost(scene, method, duration))
-            except NumericalError:
-                found = 'refused: a tenth of what moves is lost', '', ''
-            rows.append((name, method['integrator'], method.get('stabilisation', 'projection'),
-                         setting, *found))
-    return markdown_table(
-        ('released from rest', 'integrator', 'stabilisation', 'setting',
-         'largest error of the energy', 'at the end', 'CPU time per simulated second'), rows)
+                rows.append((*start, *energy_errors(scene, method, duration),
+                             cost(scene, method, duration), ''))
+            except NumericalError as error:
+                rows.append((*start, nan, nan, nan, str(error)))
+    return rows
+
+
+def write(rows, path):
+    """Write the rows of a study as a CSV file."""
+    write_csv(path, HEADER, rows)

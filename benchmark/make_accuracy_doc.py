@@ -15,13 +15,15 @@
 """
 Measure all that doc/accuracy.md shows, and put it there.
 
-Writes the pictures and CSV files doc/pictures/accuracy_*.* and fills the passages of
-doc/accuracy.md between ``<!-- begin NAME -->`` and ``<!-- end NAME -->``; the text
-around them stays. To be run on a machine that does nothing else.
+Measuring writes the pictures and CSV files doc/pictures/accuracy_*.*; the passages of
+doc/accuracy.md between ``<!-- begin NAME -->`` and ``<!-- end NAME -->`` are made from these files,
+with ``--measured`` without measuring. The text around them stays. To be run on a machine that does
+nothing else.
 
 """
 
 import argparse
+import csv
 from dataclasses import dataclass, field
 import datetime
 from pathlib import Path
@@ -30,6 +32,7 @@ import sys
 import time
 
 import energy_study
+import held_torques
 from machine import description, ROOT
 
 sys.path.insert(0, str(ROOT))
@@ -37,37 +40,56 @@ sys.path.insert(0, str(ROOT))
 from closedloop_dynamics.simulation.scene import load_scene  # noqa: E402,I100
 from closedloop_dynamics.studies import accuracy_report, formulations_report  # noqa: E402
 from closedloop_dynamics.studies.accuracy import default_lines, Line, study_accuracy  # noqa: E402
-from closedloop_dynamics.studies.advice import for_target, yaml_lines  # noqa: E402
 from closedloop_dynamics.studies.formulations import study_formulations  # noqa: E402
-from closedloop_dynamics.visual.tables import markdown_table, seconds, share  # noqa: E402
+from closedloop_dynamics.visual.tables import markdown_table, seconds  # noqa: E402
 
 TARGETS = (1e-3, 1e-6, 1e-9)
 BASE_TORQUES = {'theta_1': 5.0, 'theta_6': -3.0, 'theta_7': 2.0}
+USUAL = 'rk4'
+NOT_REACHED = 'not reached'
 
 
 @dataclass(frozen=True)
 class Case:
-    """One study of the document: its name there, scene, torques, duration [s]."""
+    """One study of the document: its name there, what it is, scene, torques [N m]."""
 
     name: str
+    text: str
     scene: str
     torque: dict = field(default_factory=dict)
-    duration: float = 1.0
     everything: bool = False
 
 
 CASES = (
-    Case('three_rrr', 'three_rrr', everything=True),
-    Case('three_rrr_driven', 'three_rrr', BASE_TORQUES),
-    Case('carpet_scraper', 'carpet_scraper', everything=True),
-    Case('carpet_scraper_driven', 'carpet_scraper', {'theta_1': 2.0}),
-    Case('carpet_scraper_on_carpet', 'carpet_scraper_on_carpet', {'theta_1': 30.0}),
-    Case('slider_crank_end_stop', 'slider_crank_end_stop'),
+    Case('three_rrr', '3-RRR, released from rest', 'three_rrr', everything=True),
+    Case('three_rrr_driven', '3-RRR, torques 5, -3, 2 N m', 'three_rrr', BASE_TORQUES),
+    Case('carpet_scraper', 'scraper, released from rest', 'carpet_scraper', everything=True),
+    Case('carpet_scraper_driven', 'scraper, 2 N m at the crank', 'carpet_scraper',
+         {'theta_1': 2.0}),
+    Case('carpet_scraper_on_carpet', 'scraper on its carpet, 30 N m', 'carpet_scraper_on_carpet',
+         {'theta_1': 30.0}),
+    Case('slider_crank_end_stop', 'slider-crank against its end stop', 'slider_crank_end_stop'),
 )
-# The measurements of other simulators that the README of the project speaks of: 2 s.
-LONG_CASES = (Case('three_rrr_driven_2s', 'three_rrr', BASE_TORQUES, 2.0),
-              Case('three_rrr_2s', 'three_rrr', {}, 2.0))
-LONG_LINES = (Line('rk4'), Line('dopri5'), Line('dop853'))
+HELD = {'three_rrr': '3-RRR', 'carpet_scraper': 'scraper'}
+PARTS = (*(case.name for case in CASES), 'held', 'energy', 'formulations')
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A method with its step size or tolerance, what it buys and what it costs."""
+
+    integrator: str
+    step_size: float  # [s]; NaN where the tolerance counts
+    tolerance: float
+    error: float  # Of positions [rad or m]
+    evaluations: float  # Per simulated second
+    cost: float  # CPU time per simulated second [s], NaN where it was not measured
+
+    def __str__(self):
+        """Return method and setting."""
+        if self.step_size == self.step_size:
+            return f'{self.integrator}, step {seconds(self.step_size)}'
+        return f'{self.integrator}, tolerance {self.tolerance:.0e}'
 
 
 def lines(case):
@@ -75,98 +97,116 @@ def lines(case):
     return [line for line in default_lines() if case.everything or line == Line(line.integrator)]
 
 
-def cheapest(study, target, line):
-    """Return the cheapest row of a line that holds a target, None where there is none."""
-    part = type(study)(study.scene, study.duration, study.torque, study.reference,
-                       [row for row in study.rows if row.line == line])
-    return for_target(part, target).row if any(not row.failure for row in part.rows) else None
+def settings_of_study(path):
+    """Return {integrator: settings, from coarse to fine} of a study's CSV file."""
+    found = {}
+    with open(path, newline='', encoding='utf-8') as file:
+        for row in csv.DictReader(file):
+            usual = Line(row['integrator'], row['stabilisation'], row['formulation'])
+            if not row['failure'] and usual == Line(usual.integrator):
+                found.setdefault(usual.integrator, []).append(Setting(
+                    usual.integrator, *(float(row[name] or 'nan') for name in (
+                        'step_size', 'tolerance', 'position_error', 'evaluations_per_second',
+                        'cpu_time_per_second'))))
+    return found
 
 
-def summary(study):
-    """Return the costs of each line for the targets, as a table."""
-    header = ('integrator', 'stabilisation', 'formulation', *(
-        f'positions within {target:.0e}' for target in TARGETS))
+def settings_of_runs(runs):
+    """Return the same of runs of ``held_torques``, which have no CPU time."""
+    found = {}
+    for run in runs:
+        if not run.failure:
+            found.setdefault(run.integrator, []).append(Setting(
+                run.integrator, run.step_size, run.tolerance, run.position_error,
+                run.evaluations, float('nan')))
+    return found
+
+
+def holding(settings, target):
+    """Return the settings of one method that hold a target, they and all finer ones."""
+    kept = []
+    for setting in reversed(settings):
+        if not setting.error <= target:
+            break
+        kept.append(setting)
+    return kept[::-1]
+
+
+def cheapest(settings, target, key):
+    """Return the cheapest setting of some methods that holds a target; None: there is none."""
+    return min((setting for of_one in settings.values() for setting in holding(of_one, target)),
+               key=key, default=None)
+
+
+def free_table(pictures):
+    """Return the table of constant torques: the cheapest method for each error."""
     rows = []
-    for line in study.lines():
-        best = [cheapest(study, target, line) for target in TARGETS]
-        rows.append((line.integrator, line.stabilisation, line.formulation, *map(_cell, best)))
-    return markdown_table(header, rows)
-
-
-def _cell(row):
-    if row is None:
-        return 'not reached'
-    kind = 'tolerance' if row.line.adaptive else 'step'
-    unit = '' if row.line.adaptive else ' s'
-    return f'{seconds(row.cost)} ({kind} {row.setting.value:g}{unit})'
-
-
-def findings(study):
-    """Return what to use for each target, in words."""
-    parts = []
-    for target in TARGETS:
-        row = for_target(study, target).row
-        usual = cheapest(study, target, Line('rk4'))
-        start = f'* For {target:.0e} over {study.duration:g} s'
-        if row is None:
-            parts.append(f'{start}: nothing that was tried reaches it.')
-            continue
-        setting = yaml_lines(row.method).splitlines()[2].strip().replace(':', '')
-        text = (f'{start} use {row.line.integrator} with {row.line.stabilisation} ({setting}): '
-                f'it costs {seconds(row.cost)} per simulated second, {share(row.cost)}')
-        if usual is None:
-            text += '; RK4 does not reach it at any cost tried'
-        elif usual.line != row.line:
-            text += f'; RK4 needs {usual.cost / row.cost:.1f} times as much'
-        parts.append(text + '.')
-    return '\n'.join(parts)
-
-
-def long_runs(studies):
-    """Return the table of errors below 1e-6 over 2 s."""
-    rows = []
-    for study in studies:
-        for line in study.lines():
-            row = cheapest(study, 1e-6, line)
-            rows.append((accuracy_report.title(study), line.integrator, _cell(row),
-                         '' if row is None else f'{row.position_error:.1e}'))
-    return markdown_table(('motion', 'integrator', 'CPU time per simulated second', 'error'), rows)
-
-
-def passages(pictures, quick, only):
-    """Measure; return {name of a passage: its text}."""
-    result = {}
     for case in CASES:
-        if only and case.name not in only:
-            continue
-        study = _studied(case, lines(case), quick)
-        accuracy_report.write(study, pictures / f'accuracy_{case.name}.csv',
-                              pictures / f'accuracy_{case.name}.png')
-        result[f'{case.name} findings'] = findings(study)
-        result[f'{case.name} reference'] = study.reference.description
-        result[f'{case.name} table'] = summary(study)
-    if not only or 'long' in only:
-        result['long'] = long_runs([
-            _studied(case, LONG_LINES, quick) for case in LONG_CASES])
-    if not only or 'formulations' in only:
+        settings = settings_of_study(pictures / f'accuracy_{case.name}.csv')
+        rows.append((case.text, *(_free_cell(settings, target) for target in TARGETS)))
+    return _table('motion, 1 s', rows)
+
+
+def _free_cell(settings, target):
+    def cost(setting):
+        return setting.cost
+
+    best = cheapest(settings, target, cost)
+    usual = cheapest({USUAL: settings[USUAL]}, target, cost)
+    if best is None:
+        return NOT_REACHED
+    text = f'{best}: {seconds(best.cost)}'
+    if usual is None:
+        return f'{text}; {USUAL} {NOT_REACHED}'
+    return text if usual == best else f'{text}; {USUAL} {usual.cost / best.cost:.1f} times that'
+
+
+def held_table(pictures):
+    """Return the table of torques that are held: the method of fewest evaluations."""
+    runs = held_torques.read(pictures / 'accuracy_held.csv')
+    rows = []
+    for scene, rate in dict.fromkeys((run.scene, run.rate) for run in runs):
+        settings = settings_of_runs(
+            [run for run in runs if (run.scene, run.rate) == (scene, rate)])
+        rows.append((f'{HELD[scene]}, {rate} Hz',
+                     *(_held_cell(settings, target) for target in TARGETS)))
+    return _table('torques held', rows)
+
+
+def _held_cell(settings, target):
+    def count(setting):
+        return setting.evaluations
+
+    found = sorted(filter(None, (cheapest({name: of_one}, target, count)
+                                 for name, of_one in settings.items())), key=count)
+    return '; '.join(f'{setting}: {setting.evaluations:.0f}' for setting in found) or NOT_REACHED
+
+
+def _table(first, rows):
+    return markdown_table((first, *(f'error {target:.0e}' for target in TARGETS)), rows)
+
+
+def passages(pictures):
+    """Return {name of a passage: its text}, from the files of the studies."""
+    return {'free': free_table(pictures), 'held': held_table(pictures)}
+
+
+def measure(pictures, quick, only):
+    """Measure, and write pictures and CSV files."""
+    for case in CASES:
+        if case.name in only:
+            study = study_accuracy(load_scene(case.scene), case.torque, 1.0, quick,
+                                   list(lines(case)), _progress(case.name))
+            accuracy_report.write(study, pictures / f'accuracy_{case.name}.csv',
+                                  pictures / f'accuracy_{case.name}.png')
+    if 'held' in only:
+        held_torques.write(held_torques.study(quick=quick), pictures / 'accuracy_held.csv')
+    if 'energy' in only:
+        energy_study.write(energy_study.study(quick), pictures / 'accuracy_energy.csv')
+    if 'formulations' in only:
         rows = study_formulations(quick=quick, progress=_progress('formulations'))
         formulations_report.write(rows, pictures / 'accuracy_formulations.csv',
                                   pictures / 'accuracy_formulations.png')
-        result['formulations table'] = formulations_report.table(
-            [row for row in rows if row.size in (7, 10, 100, 1000)], markdown=True)
-        result['formulations growth'] = '\n'.join(
-            f'* {line}' for line in formulations_report.growth_text(rows).splitlines())
-    if not only or 'energy' in only:
-        result['energy'] = energy_study.table(quick)
-    date = datetime.date.today().isoformat()
-    result['machine'] = f'Measured on {date}: {description()}.' + (
-        ' Quick version: fewer settings.' if quick else '')
-    return result
-
-
-def _studied(case, chosen, quick):
-    return study_accuracy(load_scene(case.scene), case.torque, case.duration, quick,
-                          list(chosen), _progress(case.name))
 
 
 def _progress(name):
@@ -202,16 +242,23 @@ def main(arguments=None):
     """Measure and write."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('--quick', action='store_true', help='fewer settings')
-    parser.add_argument('--only', action='append', metavar='NAME', default=[],
-                        help='one study alone: ' + ', '.join(
-                            [*(case.name for case in CASES), 'long', 'energy', 'formulations']))
+    parser.add_argument('--only', action='append', metavar='NAME', choices=PARTS,
+                        help='measure one study alone: ' + ', '.join(PARTS))
+    parser.add_argument('--measured', action='store_true',
+                        help='measure nothing: make the tables from the CSV files')
     parser.add_argument('--document', type=Path, default=ROOT / 'doc' / 'accuracy.md')
     options = parser.parse_args(arguments)
     pictures = options.document.parent / 'pictures'
     pictures.mkdir(exist_ok=True)
-    text = options.document.read_text()
-    parts = passages(pictures, options.quick, options.only)
-    options.document.write_text(filled(text, parts))
+    parts = {}
+    if not options.measured:
+        measure(pictures, options.quick, options.only or PARTS)
+        if not options.only:
+            parts['machine'] = (
+                f'Measured on {datetime.date.today().isoformat()}: {description()}.' + (
+                    ' Quick version: fewer settings.' if options.quick else ''))
+    parts.update(passages(pictures))
+    options.document.write_text(filled(options.document.read_text(), parts))
     return 0
 
 

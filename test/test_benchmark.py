@@ -53,16 +53,13 @@ def test_forward_dynamics_prints_times(benchmark, capsys):
         assert numbers[7] == 0
 
 
-def test_document_has_a_passage_for_every_part(benchmark):
+def test_tables_of_the_accuracy_document_are_those_of_its_files(benchmark):
     document = benchmark('make_accuracy_doc')
     text = (ROOT / 'doc' / 'accuracy.md').read_text()
-    names = [f'{case.name} {part}' for case in document.CASES
-             for part in ('findings', 'reference', 'table')]
-    names += ['long', 'energy', 'formulations table', 'formulations growth', 'machine']
-    filled = document.filled(text, {name: f'[{name}]' for name in names})
-    for name in names:
-        assert f'-->\n[{name}]\n<!--' in filled
-    assert filled.count('<!-- begin') == len(names)
+    parts = document.passages(ROOT / 'doc' / 'pictures')
+    assert document.filled(text, parts) == text, (
+        'python benchmark/make_accuracy_doc.py --measured makes them anew')
+    assert text.count('<!-- begin') == len({*parts, 'machine'})
     with pytest.raises(KeyError, match='no passage'):
         document.filled(text, {'poem': ''})
     for case in document.CASES:
@@ -71,15 +68,34 @@ def test_document_has_a_passage_for_every_part(benchmark):
 
 def test_document_parts_are_measured(benchmark, tmp_path, monkeypatch):
     document = benchmark('make_accuracy_doc')
-    monkeypatch.setattr(document, 'default_lines', lambda: list(document.LONG_LINES))
-    path = tmp_path / 'accuracy.md'
+    chosen = [document.Line(name) for name in ('rk4', 'dop853')]
+    monkeypatch.setattr(document, 'default_lines', lambda: chosen)
+    path, pictures = tmp_path / 'accuracy.md', tmp_path / 'pictures'
     path.write_text((ROOT / 'doc' / 'accuracy.md').read_text())
+    pictures.mkdir()
+    for table in (ROOT / 'doc' / 'pictures').glob('accuracy_*.csv'):
+        (pictures / table.name).write_text(table.read_text())
     assert document.main(
         ['--quick', '--only', 'three_rrr', '--document', str(path)]) == 0
-    text = path.read_text()
-    assert '* For 1e-06 over 1 s use dop853 with projection' in text
-    assert '| rk4 | projection | subsystem |' in text
-    assert (tmp_path / 'pictures' / 'accuracy_three_rrr.png').stat().st_size > 10000
+    settings = document.settings_of_study(pictures / 'accuracy_three_rrr.csv')
+    assert set(settings) == {'rk4', 'dop853'}
+    # Error control takes fewer evaluations, whatever the machine is busy with.
+    counts = [min(setting.evaluations for setting in document.holding(settings[name], 1e-6))
+              for name in ('rk4', 'dop853')]
+    assert counts[1] < counts[0] / 2
+    assert (pictures / 'accuracy_three_rrr.png').stat().st_size > 10000
+
+
+def test_held_torques_cost_what_the_tableaus_say(benchmark):
+    held = benchmark('held_torques')
+    position, evaluations = held.motion('three_rrr', 1000, 'rk4', 1)
+    finer, twice = held.motion('three_rrr', 1000, 'rk4', 2)
+    finest, _ = held.motion('three_rrr', 1000, 'rk4', 4)
+    # Four evaluations a step, and some where the energy is looked at.
+    assert 4000 <= evaluations <= 4040 and 8000 <= twice <= 8040
+    # Fourth order, although the torques jump at every period.
+    errors = [abs(one - finest).max() for one in (position, finer)]
+    assert errors[0] > 0.8 * 16.0 * errors[1]
 
 
 def test_energy_of_rk4_is_lost_with_the_fifth_power_of_the_step(benchmark):

@@ -1,0 +1,164 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+What accuracy costs where torques are sampled and held, as by every digital controller.
+
+Each method starts anew at every new torque, so that its steps are no longer than the period in
+which torques are held. The cost is the number of evaluations of the accelerations, which does not
+depend on how busy the machine is.
+
+"""
+
+import argparse
+import csv
+from dataclasses import dataclass
+import math
+from pathlib import Path
+import sys
+import warnings
+
+from machine import ROOT
+import numpy as np
+
+sys.path.insert(0, str(ROOT))
+
+from closedloop_dynamics.core.types import EVALUATIONS  # noqa: E402,I100
+from closedloop_dynamics.integration.registry import ADAPTIVE, INTEGRATORS  # noqa: E402
+from closedloop_dynamics.simulation.errors import InaccuracyWarning, SimulationError  # noqa: E402
+from closedloop_dynamics.simulation.simulation import Simulation  # noqa: E402
+from closedloop_dynamics.visual.tables import write_csv  # noqa: E402
+
+# The mean torques [N m]; they swing between nothing and twice that.
+MOTIONS = {'three_rrr': {'theta_1': 5.0, 'theta_6': -3.0, 'theta_7': 2.0},
+           'carpet_scraper': {'theta_1': 2.0}}
+SWING = 2.0  # [Hz]
+RATES = (100, 1000)  # [Hz]
+DURATION = 1.0  # [s]
+LINES = ('rk4', 'dopri5', 'dop853')
+TOLERANCES = tuple(10.0 ** -k for k in range(2, 13))
+FINEST = 1e-13
+# Steps of fixed size in a period; the shortest step is 0.1 ms.
+STEPS, MOST = (1, 2, 5, 10, 20, 50, 100), 10000
+HEADER = ('scene', 'rate', 'integrator', 'step_size', 'tolerance', 'position_error',
+          'evaluations_per_second', 'failure')
+
+
+@dataclass(frozen=True)
+class Run:
+    """One row of the table; NaN where there is no number."""
+
+    scene: str
+    rate: int  # [Hz]
+    integrator: str
+    step_size: float  # [s]
+    tolerance: float
+    position_error: float = math.nan  # Largest of any coordinate at any period's end [rad or m]
+    evaluations: float = math.nan  # Per simulated second
+    failure: str = ''
+
+
+def motion(scene, rate, integrator, value):
+    """
+    Return positions at the ends of all periods, and evaluations per simulated second.
+
+    Parameters
+    ----------
+    scene : str
+        Of ``MOTIONS``.
+    rate : int
+        Torques per second [Hz].
+    integrator : str
+        Of the registry.
+    value : float
+        Its tolerance, or its steps in a period.
+
+    Raises
+    ------
+    SimulationError
+
+    """
+    adaptive = INTEGRATORS[integrator].kind == ADAPTIVE
+    method = {'step_size': 1.0 / rate, 'tolerance': value} if adaptive else {
+        'step_size': 1.0 / rate / value}
+    simulation = Simulation.from_scene(scene, integrator=integrator, **method)
+    simulation.monitor.sampling = False
+    positions = []
+    for period in range(round(DURATION * rate)):
+        swing = 1.0 + math.cos(2.0 * math.pi * SWING * period / rate)
+        torques = {joint: mean * swing for joint, mean in MOTIONS[scene].items()}
+        simulation.advance(simulation.joint_torques(torques), 1 if adaptive else int(value))
+        positions.append(simulation.position.copy())
+    return np.array(positions), simulation.system.work.health[EVALUATIONS] / DURATION
+
+
+def study(scenes=tuple(MOTIONS), rates=RATES, quick=False):
+    """Return the runs of all scenes, rates and methods, from coarse to fine."""
+    runs = []
+    with warnings.catch_warnings():
+        # How far off each run is stands in the table.
+        warnings.simplefilter('ignore', InaccuracyWarning)
+        for scene in scenes:
+            for rate in rates:
+                reference, _ = motion(scene, rate, 'dop853', FINEST)
+                runs += [_run(scene, rate, integrator, value, reference)
+                         for integrator in LINES for value in _values(integrator, rate, quick)]
+    return runs
+
+
+def _values(integrator, rate, quick):
+    if INTEGRATORS[integrator].kind == ADAPTIVE:
+        return TOLERANCES[::3] if quick else TOLERANCES
+    return [steps for steps in STEPS[:3 if quick else None] if steps * rate <= MOST]
+
+
+def _run(scene, rate, integrator, value, reference):
+    adaptive = INTEGRATORS[integrator].kind == ADAPTIVE
+    start = (scene, rate, integrator, math.nan if adaptive else 1.0 / rate / value,
+             value if adaptive else math.nan)
+    try:
+        positions, evaluations = motion(scene, rate, integrator, value)
+    except SimulationError as error:
+        return Run(*start, failure=str(error))
+    return Run(*start, float(np.abs(positions - reference).max()), evaluations)
+
+
+def write(runs, path):
+    """Write the runs as a CSV file."""
+    write_csv(path, HEADER, [
+        (run.scene, run.rate, run.integrator, run.step_size, run.tolerance, run.position_error,
+         run.evaluations, run.failure) for run in runs])
+
+
+def read(path):
+    """Return the runs of a CSV file."""
+    with open(path, newline='', encoding='utf-8') as file:
+        return [Run(row['scene'], int(float(row['rate'])), row['integrator'],
+                    *(float(row[name] or 'nan') for name in HEADER[3:7]), row['failure'])
+                for row in csv.DictReader(file)]
+
+
+def main(arguments=None):
+    """Measure and write."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument('--quick', action='store_true', help='fewer settings')
+    parser.add_argument('--output', type=Path,
+                        default=ROOT / 'doc' / 'pictures' / 'accuracy_held.csv')
+    options = parser.parse_args(arguments)
+    write(study(quick=options.quick), options.output)
+    return 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())
