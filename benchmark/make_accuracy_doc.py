@@ -16,9 +16,9 @@
 Measure all that doc/accuracy.md shows, and put it there.
 
 Measuring writes the pictures and CSV files doc/pictures/accuracy_*.*; the passages of
-doc/accuracy.md between ``<!-- begin NAME -->`` and ``<!-- end NAME -->`` are made from these files,
-with ``--measured`` without measuring. The text around them stays. To be run on a machine that does
-nothing else.
+doc/accuracy.md between ``<!-- begin NAME -->`` and ``<!-- end NAME -->`` are made from these
+files, with ``--measured`` without measuring. The text around them stays. To be run on a machine
+that does nothing else.
 
 """
 
