@@ -15,11 +15,12 @@
 """Cut joints: closure error, its rates, and the response of the trees to unit cut forces."""
 
 from .codegen.function_table import run_piece
-from .codegen.space import COUPLING, FACTORS, HELD_SUM, JOINT_POSITION, JOINT_RATE
+from .codegen.space import JOINT_POSITION, JOINT_RATE
 from .compiled import inlined
 from .types import (
-    BODY_A, BODY_B, CUT_TYPE, EQUATIONS, LEVER, NO_RESPONSES, PARENT, PATH_A, PATH_B, PATH_COMMON,
-    PATH_END, REDUCE, REDUCE_COUPLED, REDUCED, RHS, ROW, ROWS)
+    BODY_A, BODY_B, CUT_COUPLING, CUT_TYPE, EQUATIONS, FACTORS, HELD_SUM, LEVER, NO_RESPONSES,
+    PARENT, PATH_A, PATH_B, PATH_COMMON, PATH_END, POSITION, PRISMATIC, RATE, REDUCE,
+    REDUCE_COUPLED, REDUCED, RHS, ROW, ROWS, TYPE)
 
 
 @inlined
@@ -70,7 +71,7 @@ def respond(model, work, stage, a, row):
 
     """
     cut, wrench, size = model.cut, work.wrench, work.wrench.shape[1]
-    if cut[a, CUT_TYPE] == COUPLING:
+    if cut[a, CUT_TYPE] == CUT_COUPLING:
         _respond_in_joints(model, work, stage, a, row)
         return
     place = row * (3 + 2 * size) + 3
@@ -91,19 +92,27 @@ def respond(model, work, stage, a, row):
 def _respond_in_joints(model, work, stage, a, row):
     """Do as ``respond`` does for a coupling; a path entry's body comes before its parent."""
     cut, arrived, share = model.cut, work.force, work.share
-    first, last = cut[a, PATH_A], cut[a, PATH_END]
+    first, last, planar = cut[a, PATH_A], cut[a, PATH_END], work.wrench.shape[1] == 3
     for entry in range(first, last):
         i = model.path_body[entry]
         for n in range(6):
             arrived[i, n] = arrived[model.tree[i, PARENT], n] = 0.0
     for entry in range(first, last):
         i = model.path_body[entry]
-        share[0], share[1] = model.cut_point[a, FACTORS + entry - first], 0.0
+        p, factor = model.tree[i, PARENT], model.cut_point[a, FACTORS + entry - first]
+        share[0], share[1] = factor, 0.0
         if stage == REDUCE:
             run_piece(work.piece[i, REDUCE_COUPLED], model.body, i, work.body, i, work.body, i,
                       arrived, i, share, 0)
             for n in range(6):
-                arrived[model.tree[i, PARENT], n] += arrived[i, n]
+                arrived[p, n] += arrived[i, n]
+        elif stage == LEVER and planar:
+            # A joint's angle is its body's less its parent's; what slides turns with its parent.
+            if model.tree[i, TYPE] == PRISMATIC:
+                arrived[p, 0] += arrived[i, 0]
+            else:
+                share[0] += arrived[i, 0]
+                arrived[p, 0] -= factor
         work.response[entry, row] = share[0]
         work.response_scaled[entry, row] = share[1]
 
@@ -125,12 +134,15 @@ def measure(model, work, a):
 
     """
     cut, body = model.cut, work.body
-    if cut[a, CUT_TYPE] == COUPLING:
+    if cut[a, CUT_TYPE] == CUT_COUPLING:
+        planar = work.wrench.shape[1] == 3
+        position, speed = (POSITION, RATE) if planar else (JOINT_POSITION, JOINT_RATE)
         value, rate = -model.cut_point[a, HELD_SUM], 0.0
         for entry in range(cut[a, PATH_A], cut[a, PATH_END]):
             factor = model.cut_point[a, FACTORS + entry - cut[a, PATH_A]]
-            value += factor * body[model.path_body[entry], JOINT_POSITION]
-            rate += factor * body[model.path_body[entry], JOINT_RATE]
+            if factor != 0.0:
+                value += factor * body[model.path_body[entry], position]
+                rate += factor * body[model.path_body[entry], speed]
         work.equation[0], work.equation[1], work.equation[2] = value, rate, 0.0
         return
     run_piece(work.cut_piece[a, EQUATIONS], model.cut_point, a, body, cut[a, BODY_A],

@@ -31,8 +31,8 @@ from . import articulated_inertia, elimination, loop_closure
 from .compiled import choose, inlined
 from .forward_dynamics import constraint_right_side
 from .types import (
-    CUT_PRISMATIC, CUT_ROW, CUT_TYPE, DINV, DOF, DZ, LEVERS, PATH_A, PATH_END, PRISMATIC, REDUCED,
-    RHS, ROW, ROWS, SQUARE, STAND_IN, TOTAL, TYPE)
+    CUT_PRISMATIC, CUT_ROW, CUT_TYPE, DINV, DOF, DZ, LENGTHS, LEVERS, PATH_A, PATH_END, PRISMATIC,
+    REDUCED, RHS, ROW, ROWS, SQUARE, STAND_IN, TOTAL, TYPE)
 
 # The error shrinks each time by the rounding of the smallest pivot: twice is enough for masses
 # that differ by 12 decades.
@@ -63,6 +63,9 @@ def _geometry(model, work):
         joint[i, SQUARE] = 0.0
     for a in range(cut.shape[0]):
         most = 0.0
+        # What a coupling reads has no lever.
+        if cut[a, LENGTHS] == 0:
+            continue
         for entry in range(cut[a, PATH_A], cut[a, PATH_END]):
             if tree[path_body[entry], TYPE] != PRISMATIC:
                 square = response[entry, 0] * response[entry, 0]
@@ -73,6 +76,12 @@ def _geometry(model, work):
             i = path_body[entry]
             joint[i, SQUARE] = (
                 1.0 if tree[i, TYPE] == PRISMATIC else max(joint[i, SQUARE], most))
+    for a in range(cut.shape[0]):
+        if cut[a, LENGTHS] == 0:
+            # Of joints that nothing but couplings hold.
+            for entry in range(cut[a, PATH_A], cut[a, PATH_END]):
+                i = path_body[entry]
+                joint[i, SQUARE] = choose(joint[i, SQUARE] > 0.0, joint[i, SQUARE], 1.0)
     for a in range(cut.shape[0]):
         for entry in range(cut[a, PATH_A], cut[a, PATH_END]):
             for k in range(cut[a, ROWS]):

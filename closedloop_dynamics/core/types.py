@@ -34,8 +34,10 @@ import numpy as np
 
 # Model.tree, one row a body: topology. In space, joints of several freedoms are several rows, all
 # but the last of them bodies without mass. DOF: place in qd and tau; COORDINATE: first place in q;
-# AXIS: the column of the body's frame along or about which it moves, in space.
+# AXIS: the column of the body's frame along or about which it moves, in space; in the plane READ:
+# whether a coupling reads the joint's coordinate.
 PARENT, DOF, TYPE, SUBSYSTEM, COORDINATE, AXIS = range(6)
+READ = AXIS
 TREE_COLUMNS = 6
 # Values of the column TYPE. HELICAL and BALL, one of the three rows of a spherical joint, are
 # in space.
@@ -63,6 +65,9 @@ IZZ, HX, HY, MXX, MXY, MYY, FZ, FX, FY = range(15, 24)
 # one); with DZ the acceleration beyond the velocity-product one.
 UZ, UX, UY, SX, SY, DX, DY = range(24, 31)
 WORK_COLUMNS = 31
+# After these, where couplings read any: the joint's coordinate and rate.
+POSITION, RATE = 31, 32
+COUPLED_WORK_COLUMNS = 33
 
 # Workspace.piece, one row a body: addresses of what the loops call (``codegen.pieces``).
 # Motion and rigid body; elimination of the joint, and where joints may carry no inertia;
@@ -91,14 +96,20 @@ JOINT_COLUMNS = 3
 # the ones that both paths share; CUT_NUMBER: its place in the user's order. In
 # space, POSSIBLE: the bits of the equations of its type that do not always hold; KEPT: of those
 # among them that the elimination works on, as others repeat them. LENGTHS: how many of the first
-# equations hold points, in metres; one at least.
+# equations hold points, in metres; one at least, but of a coupling in the plane none.
 (CUT_TYPE, BODY_A, BODY_B, ROWS, CUT_ROW, ROW, PATH_A, PATH_B, PATH_COMMON, PATH_END,
  CUT_NUMBER, KEPT, POSSIBLE, LENGTHS) = range(14)
 CUT_COLUMNS = 14
-# Values of CUT_TYPE.
+# Values of CUT_TYPE; the numbers are those of ``space.CUT_TYPES``.
 CUT_REVOLUTE, CUT_PRISMATIC, CUT_FIXED = range(3)
-# Model.cut_point, one row a cut joint: the cut point in both bodies' frames, the angle.
+CUT_DISTANCE, CUT_POINT_ON_LINE, CUT_COUPLING = 8, 9, 11
+# Model.cut_point, one row a cut joint: the cut point in both bodies' frames, the angle, or the
+# length of a rod. Of a coupling, in the plane and in space, the sum that it holds, and from
+# FACTORS on the factor of each path entry's coordinate: there may be more columns.
 A_X, A_Y, B_X, B_Y, CUT_ANGLE = range(5)
+CUT_LENGTH = CUT_ANGLE
+CUT_POINT_COLUMNS = 5
+HELD_SUM, FACTORS = 0, 1
 
 # Workspace.health.
 # The smallest pivot relative to the largest diagonal entry of its cut point (the squared sine of
@@ -124,7 +135,7 @@ class Model(NamedTuple):
     gravity : ndarray, shape (2,), in space (3,)
         [m/s^2].
     cut : ndarray of int, shape (number of cuts, CUT_COLUMNS)
-    cut_point : ndarray, shape (number of cuts, 5)
+    cut_point : ndarray, shape (number of cuts, CUT_POINT_COLUMNS or more)
     path_body : ndarray of int
         The body of every path entry (a place on the path of a cut force).
     pair : ndarray of int, shape (pairs, 4)

@@ -18,7 +18,8 @@ import numpy as np
 
 from .codegen import pieces, space
 from .types import (
-    BODY_STAGES, COS, HEALTH_COLUMNS, JOINT_COLUMNS, ROWS, WORK_COLUMNS, Workspace)
+    BODY_STAGES, COS, COUPLED_WORK_COLUMNS, HEALTH_COLUMNS, JOINT_COLUMNS, READ, ROWS,
+    WORK_COLUMNS, Workspace)
 
 
 def allocate(model):
@@ -57,7 +58,8 @@ def unconnected(model):
     entries, bodies, rows = len(model.path_body), len(model.tree), len(model.column) - 1
     most = max(3, model.cut[:, ROWS].max(initial=0))
     spatial = space.is_spatial(model)
-    body = np.zeros((bodies, space.WORK_COLUMNS if spatial else WORK_COLUMNS))
+    columns = COUPLED_WORK_COLUMNS if model.tree[:, READ].any() else WORK_COLUMNS
+    body = np.zeros((bodies, space.WORK_COLUMNS if spatial else columns))
     size = 6 if spatial else 3
     # The ground's axes.
     body[0, [space.FRAME, space.FRAME + 4, space.FRAME + 8] if spatial else COS] = 1.0

@@ -83,11 +83,13 @@ def decompose(mechanism):
     Decomposition
 
     """
+    cuts = tuple(_Cut(cut.name, (cut.body_a, cut.body_b)) for cut in mechanism.cut_joints)
+    moved = [_Cut(joint.name, (joint.child,)) for joint in mechanism.joints] + list(cuts)
     return _decompose(
         tuple(_Joint(joint.name, joint.parent, joint.child) for joint in mechanism.joints),
-        tuple(_Cut(cut.name, (cut.body_a, cut.body_b)) for cut in mechanism.cut_joints) + tuple(
-            _Cut(one.name, tuple(joint.child for joint in mechanism.joints
-                                 if joint.name in one.joints)) for one in mechanism.couplings))
+        cuts + tuple(
+            _Cut(one.name, tuple(body for joint in moved if joint.name in one.joints
+                                 for body in joint.bodies)) for one in mechanism.couplings))
 
 
 class _Joint(NamedTuple):

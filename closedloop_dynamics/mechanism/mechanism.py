@@ -47,7 +47,7 @@ POINT_ON_LINE = 'point_on_line'
 POINT_ON_PLANE = 'point_on_plane'
 # Joints of trees in the plane, and cut joints with their closure equations.
 JOINT_TYPES = (REVOLUTE, PRISMATIC)
-CUT_JOINT_EQUATIONS = {REVOLUTE: 2, PRISMATIC: 2, FIXED: 3}
+CUT_JOINT_EQUATIONS = {REVOLUTE: 2, PRISMATIC: 2, FIXED: 3, DISTANCE: 1, POINT_ON_LINE: 1}
 # The same in space: joints of trees with their freedoms.
 JOINT_FREEDOMS = {REVOLUTE: 1, PRISMATIC: 1, HELICAL: 1, CYLINDRICAL: 2, UNIVERSAL: 2,
                   SPHERICAL: 3, PLANAR: 3, FREE: 6, FIXED: 0}
@@ -164,6 +164,9 @@ class CutJoint:
         axis at ``angle`` in body b's frame, and the relative angle
         alpha_a - alpha_b stays ``angle`` (2 equations).
         ``'fixed'``: p_a - p_b = 0 and alpha_a - alpha_b = ``angle`` (3).
+        ``'distance'``: the points stay ``length`` apart, the ends of a massless rod (1).
+        ``'point_on_line'``: a pin in a slot, point a stays on the line through
+        point b along the axis at ``angle`` in body b's frame (1).
         In space one of ``SPATIAL_CUT_JOINT_EQUATIONS``; equations that always hold, such as
         those out of the plane of a planar mechanism, are left out.
     body_a, body_b : str
@@ -171,7 +174,8 @@ class CutJoint:
     point_a, point_b : tuple of 2 or 3 floats
         The cut point in the frames of body a and of body b [m].
     angle : float
-        Relative angle alpha_a - alpha_b [rad]; unused for ``'revolute'``; in the plane.
+        Relative angle alpha_a - alpha_b, or of the line in body b [rad]; unused for
+        ``'revolute'`` and ``'distance'``; in the plane.
     axis_a, axis_b : tuple of 3 floats or None
         In space: the joint's axis in both bodies' frames, of a universal joint the axis fixed in
         each, of a planar joint the plane's normal. Prismatic and helical joints have ``axis_b``
@@ -212,15 +216,20 @@ class Coupling:
     name : str
     joints : dict of str to float
         Factors by joint [rad or m]; joints of one freedom. The sum of the coordinates times their
-        factors stays ``offset``.
+        factors stays ``offset``. In the plane revolute cut joints, too, whose coordinate is
+        alpha_a - alpha_b.
     offset : float
         That sum.
+    radius : float or None
+        Pitch radius of the wheel that the first joint turns [m], positive; None where no force of
+        teeth or of a belt is asked for. That force is the torque in this joint over the radius.
 
     """
 
     name: str
     joints: Dict[str, float]
     offset: float = 0.0
+    radius: Optional[float] = None
 
 
 @dataclass(frozen=True)

@@ -28,8 +28,8 @@ from .fields import among, at, FieldError, mapping, nearest, normalise, shown
 from .mechanism import (
     Body, COUPLED, Coupling, CUT_JOINT_EQUATIONS, CUT_WITH_AXIS_A, CUT_WITH_AXIS_B,
     CUT_WITH_ORIENTATION, CutJoint, DISTANCE, GROUND, HELICAL, Joint, JOINT_FREEDOMS, JOINT_TYPES,
-    Mechanism, MechanismError, Point, REVOLUTE, SPATIAL_CUT_JOINT_EQUATIONS, UNIVERSAL, UNTURNED,
-    WITH_AXIS)
+    Mechanism, MechanismError, Point, PRISMATIC, REVOLUTE, SPATIAL_CUT_JOINT_EQUATIONS,
+    UNIVERSAL, UNTURNED, WITH_AXIS)
 
 # How far moments of inertia may miss the triangle inequality, against their sum.
 ROUNDED_INERTIA = 1e-6
@@ -94,6 +94,7 @@ def spatial_inertia(value):
     return found
 
 
+_COUPLING = {'joints': _factors, 'offset': number, 'radius': partial(_given, positive)}
 # Section of the file (and field of Mechanism) -> its record and the checks of its fields.
 SECTIONS = {
     'bodies': (Body, {
@@ -105,12 +106,11 @@ SECTIONS = {
         'orientation': partial(_left_out, UNTURNED, 'space')}),
     'cut_joints': (CutJoint, {
         'type': one_of(tuple(CUT_JOINT_EQUATIONS)), 'point_a': vector2, 'point_b': vector2,
-        'angle': number,
-        **dict.fromkeys(('axis_a', 'axis_b', 'length', 'lead'),
-                        partial(_left_out, None, 'space')),
+        'angle': number, 'length': partial(_given, positive),
+        **dict.fromkeys(('axis_a', 'axis_b', 'lead'), partial(_left_out, None, 'space')),
         'orientation': partial(_left_out, UNTURNED, 'space')}),
     'points': (Point, {'position': vector2}),
-    'couplings': (Coupling, {'joints': partial(_left_out, {}, 'space')}),
+    'couplings': (Coupling, _COUPLING),
 }
 # The same in space, where vectors have three numbers.
 SPATIAL_SECTIONS = {
@@ -129,7 +129,7 @@ SPATIAL_SECTIONS = {
         'orientation': orientation, 'length': partial(_given, positive),
         'lead': partial(_given, _not_zero)}),
     'points': (Point, {'position': vector3}),
-    'couplings': (Coupling, {'joints': _factors, 'offset': number}),
+    'couplings': (Coupling, _COUPLING),
 }
 # Which joints have which keys, and must have them.
 _KEYS_OF_JOINTS = {
@@ -137,7 +137,9 @@ _KEYS_OF_JOINTS = {
     'cut_joints': {'axis_a': CUT_WITH_AXIS_A, 'axis_b': CUT_WITH_AXIS_B, 'length': (DISTANCE,),
                    'lead': (HELICAL,)}}
 # Keys of joints and cut joints that only mechanisms in space have.
-KEYS_OF_SPACE = ('axis', 'second_axis', 'lead', 'axis_a', 'axis_b', 'orientation', 'length')
+KEYS_OF_SPACE = ('axis', 'second_axis', 'lead', 'axis_a', 'axis_b', 'orientation')
+# Cut joints in the plane that have no angle.
+_WITHOUT_ANGLE = (REVOLUTE, DISTANCE)
 # Cosine of the angle between universal axes from which on they are parallel.
 PARALLEL = 0.999
 # Names that would stand for two things in one place: CSV columns and topics, frames.
@@ -302,21 +304,42 @@ def _check_references(mechanism):
         if cut.body_a == cut.body_b:
             raise FieldError('two different bodies in body_a and body_b',
                              f'{cut.body_a!r} in both', path=('cut_joints', cut.name, 'body_b'))
-        if cut.type == REVOLUTE and cut.angle != 0.0:
-            raise FieldError('no angle in a revolute cut joint, which leaves it free',
+        _require_key('cut_joints', cut, 'length', (DISTANCE,))
+        if cut.type in _WITHOUT_ANGLE and cut.angle != 0.0:
+            raise FieldError(f'no angle in a {cut.type} cut joint, which leaves it free',
                              shown(cut.angle), path=('cut_joints', cut.name, 'angle'))
 
 
 def _check_couplings(mechanism):
-    """Refuse couplings of what is no joint of one freedom."""
+    """Refuse couplings of what is no joint of one freedom, and the radius of what slides."""
     joints = {joint.name: joint for joint in mechanism.joints}
+    cuts = {cut.name: cut for cut in mechanism.cut_joints}
     for coupling in mechanism.couplings:
         for key in coupling.joints:
             with at('couplings', coupling.name, 'joints', key):
+                if key in cuts:
+                    _require_angle(mechanism, cuts[key])
+                    continue
                 one_of(tuple(joints), 'one of the joints')(key)
                 if joints[key].type not in COUPLED:
                     raise FieldError(f'a joint of one freedom: {among(COUPLED)}',
                                      f'one that is {joints[key].type}')
+        first = next(iter(coupling.joints))
+        if coupling.radius is not None and {**cuts, **joints}[first].type == PRISMATIC:
+            raise FieldError(f'no radius: its first joint, {first}, slides, and its force is that '
+                             'of the teeth', shown(coupling.radius),
+                             path=('couplings', coupling.name, 'radius'))
+
+
+def _require_angle(mechanism, cut):
+    """Refuse to couple a cut joint whose coordinate is no sum of those of the tree."""
+    if not is_spatial(mechanism) and cut.type == REVOLUTE:
+        return
+    raise FieldError(
+        'a joint of the tree, or in the plane a revolute cut joint',
+        f'a {cut.type} cut joint' + (' in space' if is_spatial(mechanism) else ''),
+        'cut another joint of this loop: the coordinate of this one is not linear in those of '
+        'the tree')
 
 
 def _check_tree(mechanism):
@@ -348,6 +371,17 @@ def _check_tree(mechanism):
         grounded.update(chain)
 
 
+def _require_key(section, joint, key, types):
+    """Ask for a key of joints of some types, and refuse it in others."""
+    given = getattr(joint, key) is not None
+    if given != (joint.type in types):
+        raise FieldError(
+            f'this key of a {joint.type} joint' if not given else
+            f'no such key of a {joint.type} joint, but of {among(types)}',
+            'none' if not given else shown(getattr(joint, key)),
+            path=(section, joint.name, key))
+
+
 def check_axes(mechanism):
     """
     Refuse axes that a joint in space does not have, and ask for those that it has.
@@ -365,13 +399,7 @@ def check_axes(mechanism):
     for section, keys in _KEYS_OF_JOINTS.items():
         for joint in getattr(mechanism, section):
             for key, types in keys.items():
-                given = getattr(joint, key) is not None
-                if given != (joint.type in types):
-                    raise FieldError(
-                        f'this key of a {joint.type} joint' if not given else
-                        f'no such key of a {joint.type} joint, but of {among(types)}',
-                        'none' if not given else shown(getattr(joint, key)),
-                        path=(section, joint.name, key))
+                _require_key(section, joint, key, types)
     for joint in mechanism.joints:
         if joint.type == UNIVERSAL and abs(np.dot(joint.axis, joint.second_axis)) > PARALLEL:
             raise FieldError('a second axis across the first', 'one that is parallel to it',

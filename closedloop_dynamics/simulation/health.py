@@ -199,10 +199,13 @@ def drive_sine(model, jac, passive):
     places, angles = [], []
     for cut in model.cut:
         points = cut[LENGTHS]
-        places.append(slice(cut[CUT_ROW], cut[CUT_ROW] + points))
+        # A coupling holds none.
+        if points > 0:
+            places.append(slice(cut[CUT_ROW], cut[CUT_ROW] + points))
         angles += range(cut[CUT_ROW] + points, cut[CUT_ROW] + cut[ROWS])
     by_angles = jac @ joints
-    lever = max((np.abs(by_angles[rows][:, turning]).max(initial=0.0) for rows in places))
+    lever = max((np.abs(by_angles[rows][:, turning]).max(initial=0.0) for rows in places),
+                default=0.0)
     weight = np.where(turning, 1.0 / lever if lever > 0.0 else 1.0, 1.0)
     drives = np.setdiff1d(np.arange(nv), passive)
     rows = np.vstack([by_angles, joints[drives]]) * weight

@@ -20,9 +20,15 @@ import numpy as np
 
 from ..core import types as t
 from ..mechanism.decomposition import decompose
-from ..mechanism.mechanism import CUT_JOINT_EQUATIONS, FIXED, GROUND, PRISMATIC, REVOLUTE
+from ..mechanism.mechanism import (
+    Coupling, CUT_JOINT_EQUATIONS, DISTANCE, FIXED, GROUND, MechanismError, POINT_ON_LINE,
+    PRISMATIC, REVOLUTE)
 
-_CUT_TYPES = {REVOLUTE: t.CUT_REVOLUTE, PRISMATIC: t.CUT_PRISMATIC, FIXED: t.CUT_FIXED}
+_CUT_TYPES = {
+    REVOLUTE: t.CUT_REVOLUTE, PRISMATIC: t.CUT_PRISMATIC, FIXED: t.CUT_FIXED,
+    DISTANCE: t.CUT_DISTANCE, POINT_ON_LINE: t.CUT_POINT_ON_LINE}
+# Cut joints of which not the first two equations hold points.
+_LENGTHS = {PRISMATIC: 1, DISTANCE: 1, POINT_ON_LINE: 1}
 
 
 def build_model(mechanism, gravity=(0.0, 0.0), decomposition=None):
@@ -79,13 +85,24 @@ def _tree_arrays(mechanism, decomposition):
 
 
 def _cut_arrays(mechanism, decomposition, tree, body_row):
-    cut = np.zeros((len(mechanism.cut_joints), t.CUT_COLUMNS), dtype=np.int64)
-    point = np.zeros((len(cut), 5))
+    cut = np.zeros((len(mechanism.closures), t.CUT_COLUMNS), dtype=np.int64)
+    points = []
     entries = []
     first = 0
-    user_first = np.cumsum([0] + [CUT_JOINT_EQUATIONS[c.type] for c in mechanism.cut_joints])
+    user_first = np.cumsum([0] + [
+        1 if isinstance(c, Coupling) else CUT_JOINT_EQUATIONS[c.type] for c in mechanism.closures])
     for k, index in enumerate(decomposition.cut_order):
-        joint = mechanism.cut_joints[index]
+        joint = mechanism.closures[index]
+        if isinstance(joint, Coupling):
+            factors, constant = _coupled(mechanism, joint)
+            points.append(couple(
+                cut[k], tree, {body_row[child]: factor for child, factor in factors.items()},
+                joint.offset - constant, entries))
+            tree[[body_row[child] for child in factors], t.READ] = 1
+            cut[k, [t.CUT_TYPE, t.ROWS, t.CUT_ROW, t.ROW, t.CUT_NUMBER]] = (
+                t.CUT_COUPLING, 1, user_first[index], first, index)
+            first += 1
+            continue
         a, b = body_row[joint.body_a], body_row[joint.body_b]
         path_a, path_b = path(tree, a), path(tree, b)
         shared = set(path_b)
@@ -97,11 +114,89 @@ def _cut_arrays(mechanism, decomposition, tree, body_row):
         middle = start + len(own_a)
         rows = CUT_JOINT_EQUATIONS[joint.type]
         cut[k] = (_CUT_TYPES[joint.type], a, b, rows, user_first[index], first, start, middle,
-                  middle + len(own_b), len(entries), index, 0, 0,
-                  1 if joint.type == PRISMATIC else 2)
-        point[k] = (*joint.point_a, *joint.point_b, joint.angle)
+                  middle + len(own_b), len(entries), index, 0, 0, _LENGTHS.get(joint.type, 2))
+        points.append((*joint.point_a, *joint.point_b,
+                       joint.length if joint.type == DISTANCE else joint.angle))
         first += rows
-    return cut, point, np.array(entries, dtype=np.int64)
+    return cut, filled(points, t.CUT_POINT_COLUMNS), np.array(entries, dtype=np.int64)
+
+
+def filled(points, columns):
+    """Return rows of ``Model.cut_point`` of different lengths as an array, at least so wide."""
+    array = np.zeros((len(points), max([columns, *map(len, points)])))
+    for row, values in zip(array, points):
+        row[:len(values)] = values
+    return array
+
+
+def _coupled(mechanism, coupling):
+    """
+    Return what a coupling sums up, in the coordinates of the tree.
+
+    Returns
+    -------
+    factors : dict of str to float
+        By the body that the joint carries; none is zero.
+    constant : float
+        What angles of cut joints have beside: those of the tree's joints at q = 0.
+
+    Raises
+    ------
+    MechanismError
+        Where nothing is left of it.
+
+    """
+    carrier = {joint.child: joint for joint in mechanism.joints}
+    children = {joint.name: joint.child for joint in mechanism.joints}
+    cuts = {cut.name: cut for cut in mechanism.cut_joints}
+    factors, constant = {}, 0.0
+    for name, factor in coupling.joints.items():
+        if name in children:
+            factors[children[name]] = factors.get(children[name], 0.0) + factor
+            continue
+        for body, sign in ((cuts[name].body_a, factor), (cuts[name].body_b, -factor)):
+            while body != GROUND:
+                joint = carrier[body]
+                constant += sign * joint.angle
+                if joint.type == REVOLUTE:
+                    factors[body] = factors.get(body, 0.0) + sign
+                body = joint.parent
+    factors = {body: factor for body, factor in factors.items() if factor != 0.0}
+    if not factors:
+        raise MechanismError(
+            f'couplings.{coupling.name}: expected joints whose coordinates differ, got a sum that '
+            'no motion changes')
+    return factors, constant
+
+
+def couple(cut, tree, factors, offset, entries):
+    """
+    Add a coupling to the arrays of a model.
+
+    Parameters
+    ----------
+    cut : ndarray of int, shape (CUT_COLUMNS,)
+        Its row of ``Model.cut``; its entries are written.
+    tree : ndarray of int
+        ``Model.tree``.
+    factors : dict of int to float
+        Of joints' coordinates, by row of the tree.
+    offset : float
+        What the sum of the coordinates times their factors is held at.
+    entries : list of int
+        ``Model.path_body`` so far; what the coupling's forces pass is added.
+
+    Returns
+    -------
+    ndarray
+        Its row of ``Model.cut_point``.
+
+    """
+    own = sorted({row for joint in factors for row in path(tree, joint)}, reverse=True)
+    cut[[t.PATH_A, t.PATH_B, t.PATH_COMMON, t.PATH_END]] = (
+        len(entries), *3 * (len(entries) + len(own),))
+    entries += own
+    return np.array([offset, *(factors.get(row, 0.0) for row in own)])
 
 
 def path(tree, row):

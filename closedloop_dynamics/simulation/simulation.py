@@ -337,12 +337,12 @@ class Simulation:
         if self._geometry is not None:
             return self._on_demand.cut_wrenches(
                 self._q, self._qd, self.system.lam)[:len(self.cut_joints)]
-        out = np.empty((len(self.cut_joints), 3))
         model = self.system.model
+        out = np.empty((len(model.cut), 3))
         work = self.system.work
         cut_wrenches(model.cut, model.cut_point, work.cut_piece, work.body, self.system.lam,
                      work.share, out)
-        return out
+        return out[:len(self.cut_joints)]
 
     @property
     def shared_forces(self):
@@ -362,7 +362,9 @@ class Simulation:
         self._evaluate()
         if not self.mechanism.couplings:
             return np.zeros(0)
-        lam = self._on_demand.of_all(self._q, self._qd, self.system.lam)
+        lam = self.system.lam
+        if self._on_demand is not None:
+            lam = self._on_demand.of_all(self._q, self._qd, lam)
         return lam[len(lam) - len(self.mechanism.couplings):].copy()
 
     @property

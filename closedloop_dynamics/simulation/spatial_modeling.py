@@ -25,7 +25,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .modeling import block_arrays, dependencies, extent, factor_arrays, path
+from .modeling import (
+    block_arrays, couple, dependencies, extent, factor_arrays, filled, path)
 from ..core import types as t
 from ..core.codegen import space
 from ..core.codegen.expression_graph import ExpressionGraph, LOAD
@@ -243,7 +244,9 @@ def _closures(mechanism, decomposition, tree, builder):
         one[t.CUT_NUMBER] = index
         if isinstance(joint, Coupling):
             one[t.CUT_TYPE] = space.COUPLING
-            points.append(_coupled(joint, one, tree, builder.rows, entries))
+            points.append(couple(one, tree, {
+                builder.rows[name][0]: factor for name, factor in joint.joints.items()
+            }, joint.offset, entries))
             continue
         a, b = builder.placements[joint.body_a], builder.placements[joint.body_b]
         frame_a, frame_b = _cut_frames(joint, a, b)
@@ -253,20 +256,7 @@ def _closures(mechanism, decomposition, tree, builder):
             cleared(a.place(joint.point_a)), cleared(b.place(joint.point_b)),
             frame_a.ravel(), frame_b.ravel(), [joint.length or joint.lead or 0.0]]))
         _pass(one, tree, entries)
-    point = np.zeros((len(cut), max([space.CUT_POINT_COLUMNS, *map(len, points)])))
-    for row, values in zip(point, points):
-        row[:len(values)] = values
-    return cut, point, np.array(entries, dtype=np.int64)
-
-
-def _coupled(coupling, one, tree, rows, entries):
-    """Add the entries of a coupling; return its row of ``Model.cut_point``."""
-    factors = {rows[joint][0]: factor for joint, factor in coupling.joints.items()}
-    own = sorted({row for joint in factors for row in path(tree, joint)}, reverse=True)
-    one[[t.PATH_A, t.PATH_B, t.PATH_COMMON, t.PATH_END]] = (
-        len(entries), *3 * (len(entries) + len(own),))
-    entries += own
-    return np.array([coupling.offset, *(factors.get(row, 0.0) for row in own)])
+    return (cut, filled(points, space.CUT_POINT_COLUMNS), np.array(entries, dtype=np.int64))
 
 
 def _keep(cut, kept):

@@ -160,9 +160,10 @@ def _spatial_joints(mechanism):
 
 
 def _equations(mechanism):
-    """Return how many equations of each cut joint do not always hold."""
+    """Return how many equations of each cut joint and coupling do not always hold."""
     if mechanism.planar:
-        return [CUT_JOINT_EQUATIONS[cut.type] for cut in mechanism.cut_joints]
+        return [*(CUT_JOINT_EQUATIONS[cut.type] for cut in mechanism.cut_joints),
+                *(1 for _ in mechanism.couplings)]
     return equations_left(mechanism)
 
 

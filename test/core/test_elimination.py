@@ -60,9 +60,10 @@ def test_ladder_costs_a_fixed_amount_per_loop(loops):
 
 
 def every_loop_twice(mechanism):
-    """Return the mechanism with a copy of each cut joint."""
-    return replace(mechanism, cut_joints=mechanism.cut_joints + tuple(
-        replace(cut, name=f'{cut.name}_again') for cut in mechanism.cut_joints))
+    """Return the mechanism with a copy of each cut joint and coupling."""
+    return replace(mechanism, **{key: getattr(mechanism, key) + tuple(
+        replace(one, name=f'{one.name}_again') for one in getattr(mechanism, key))
+        for key in ('cut_joints', 'couplings')})
 
 
 @pytest.mark.parametrize('case', cases.ALL, ids=str)
@@ -72,13 +73,16 @@ def test_every_loop_twice_moves_the_same_and_shares_the_force(case):
     qdd, lam = dense.forward_dynamics(mechanism, q, qd, tau)
     # Unrolling so many equations takes a second or more: random linkages go by loops.
     unrolled = False if case in cases.RANDOM[4:] else None
-    engine = Engine(every_loop_twice(mechanism), unrolled=unrolled)
-    found, doubled = engine.forward_dynamics(q, qd, tau)
+    twice = every_loop_twice(mechanism)
+    engine = Engine(twice, unrolled=unrolled)
+    found, forces = engine.forward_dynamics(q, qd, tau)
+    one, other = (np.concatenate([forces[dense.rows(twice)[f'{name}{which}']]
+                                  for name in dense.rows(mechanism)]) for which in ('', '_again'))
     # 1e-9: singular values on one side, elimination on the other.
     assert_agree(found, qdd, 1e-9)
-    assert_agree(doubled[:len(lam)] + doubled[len(lam):], lam, 1e-9)
+    assert_agree(one + other, lam, 1e-9)
     # Least norm: half on each.
-    assert_agree(doubled[:len(lam)], doubled[len(lam):], 1e-9)
+    assert_agree(one, other, 1e-9)
     assert engine.work.health[RANK] == len(lam)
 
 

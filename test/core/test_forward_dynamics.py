@@ -81,7 +81,7 @@ def test_one_call_from_state_to_accelerations_does_the_same_and_is_counted(drawn
 
 def test_trees_without_cut_joints_equal_the_twin(drawn):
     rng, mechanism, q, qd = drawn
-    trees = replace(mechanism, cut_joints=())
+    trees = replace(mechanism, cut_joints=(), couplings=())
     tau = rng.normal(size=len(q))
     expected = np.linalg.solve(dense.generalized_inertia_matrix(trees, q),
                                tau - dense.bias_force(trees, q, qd))

@@ -166,7 +166,7 @@ FAULTS = {
         'joints.coupler_joint.type', 'one of revolute, prismatic', "the text 'fixed'", ''),
     'cut_type_unknown': (
         'type: revolute, body_a', 'type: pin, body_a', 11, 'cut_joints.cut_1.type',
-        'one of revolute, prismatic, fixed', "the text 'pin'", ''),
+        'one of revolute, prismatic, fixed, distance, point_on_line', "the text 'pin'", ''),
     'actuated_as_yaml_1_1': (
         'actuated: true', 'actuated: yes', 7, 'joints.crank_joint.actuated', 'true or false',
         "the text 'yes'", ''),

@@ -35,7 +35,9 @@ SPECIAL = {'ladder': lambda rng: special.ladder(4, rng.uniform(-1.0, 1.0), rng.n
 # One to four subsystems each, listed in order and shuffled. Interpreted, they are there for
 # their lines, not for their numbers: one of each kind.
 RANDOM = range(4 if 'NUMBA_DISABLE_JIT' in os.environ else 20)
-ALL = (*SHIPPED, *SPECIAL, *RANDOM)
+# Rods, pins in slots, couplings.
+ELEMENTS = tuple(f'elements_{n}' for n in range(2 if 'NUMBA_DISABLE_JIT' in os.environ else 8))
+ALL = (*SHIPPED, *SPECIAL, *RANDOM, *ELEMENTS)
 
 
 def drawn(case, seed=0):
@@ -65,4 +67,6 @@ def drawn(case, seed=0):
                 *states.random_state(rng, scene.mechanism, scene.initial.position))
     if case in SPECIAL:
         return (rng, *SPECIAL[case](rng))
+    if case in ELEMENTS:
+        return (rng, *linkages.with_elements(rng))
     return (rng, *linkages.random_linkage(rng, n_subsystems=1 + case % 4, shuffle=case % 2 == 1))

@@ -17,11 +17,12 @@ Reduced-coordinate twin: body Jacobians by tree paths, Lagrange's equations, den
 
 Derivatives are complex steps, exact to rounding. The order of rows and columns
 is the package's: joints in the order of ``mechanism.joints``, equations in the
-order of ``mechanism.cut_joints``.
+order of ``mechanism.closures``.
 
 """
 
-from closedloop_dynamics.mechanism.mechanism import CUT_JOINT_EQUATIONS, FIXED, REVOLUTE
+from closedloop_dynamics.mechanism.mechanism import (
+    CUT_JOINT_EQUATIONS, DISTANCE, FIXED, POINT_ON_LINE, REVOLUTE)
 import numpy as np
 
 from .trees import body_frames, derivative, jacobian, placed, point_jacobian, turned, unit
@@ -59,12 +60,31 @@ def bias_force(mechanism, q, qd, gravity=EARTH):
 
 
 def rows(mechanism):
-    """Return {cut joint name: slice of its rows}."""
+    """Return {name of a cut joint or coupling: slice of its rows}."""
     slices, start = {}, 0
     for cut in mechanism.cut_joints:
         slices[cut.name] = slice(start, start + CUT_JOINT_EQUATIONS[cut.type])
         start = slices[cut.name].stop
+    for coupling in mechanism.couplings:
+        slices[coupling.name] = slice(start, start + 1)
+        start += 1
     return slices
+
+
+def coordinate(mechanism, q, frames, name):
+    """Return the coordinate of a joint, or of a cut joint the angle of body A in body B."""
+    if name in mechanism.joint_names:
+        return q[mechanism.joint_names.index(name)]
+    cut, = (cut for cut in mechanism.cut_joints if cut.name == name)
+    return frames[cut.body_a][1] - frames[cut.body_b][1]
+
+
+def coupled(mechanism, q):
+    """Return what the couplings' sums miss, each an array of one."""
+    frames = body_frames(mechanism, q)
+    return [np.array([sum(factor * coordinate(mechanism, q, frames, name)
+                          for name, factor in coupling.joints.items()) - coupling.offset])
+            for coupling in mechanism.couplings]
 
 
 def closure(mechanism, q):
@@ -79,9 +99,13 @@ def closure(mechanism, q):
             residual.append(offset)
         elif cut.type == FIXED:
             residual += [offset, twist]
+        elif cut.type == DISTANCE:
+            # Half the difference of the squares, over the length: without a root.
+            residual.append([0.5 * (offset @ offset / cut.length - cut.length)])
         else:
-            residual += [[turned(unit(axis_angle)) @ offset], twist]
-    return np.concatenate(residual)
+            held = [[turned(unit(axis_angle)) @ offset], twist]
+            residual += held[:CUT_JOINT_EQUATIONS[cut.type]]
+    return np.concatenate(residual + coupled(mechanism, q))
 
 
 def closure_jacobian(mechanism, q):
@@ -102,10 +126,14 @@ def closure_jacobian_by_paths(mechanism, q):
             jac.append(of_a[1:] - of_b[1:])
         elif cut.type == FIXED:
             jac += [of_a[1:] - of_b[1:], of_a[:1] - of_b[:1]]
+        elif cut.type == DISTANCE:
+            jac.append((offset @ (of_a[1:] - of_b[1:]) / cut.length)[None, :])
         else:
             across = turned(axis) @ (of_a[1:] - of_b[1:]) - (axis @ offset) * of_b[0]
-            jac += [across[None, :], of_a[:1] - of_b[:1]]
-    return np.concatenate(jac)
+            jac += [across[None, :], of_a[:1] - of_b[:1]][:CUT_JOINT_EQUATIONS[cut.type]]
+    constant = [derivative(lambda x: coupled(mechanism, x)[k], q, np.eye(len(q))[j])
+                for k in range(len(mechanism.couplings)) for j in range(len(q))]
+    return np.concatenate([*jac, np.reshape(constant, (len(mechanism.couplings), len(q)))])
 
 
 def constraint_bias(mechanism, q, qd):
@@ -145,7 +173,10 @@ def constraint_forces(mechanism, q, lam):
             force[1:] = part
         elif cut.type == FIXED:
             force[:] = part[2], part[0], part[1]
+        elif cut.type == DISTANCE:
+            force[1:] = part[0] / cut.length * (
+                placed(frames[cut.body_a], cut.point_a) - placed(frames[cut.body_b], cut.point_b))
         else:
-            force[0] = part[1]
+            force[0] = 0.0 if cut.type == POINT_ON_LINE else part[1]
             force[1:] = part[0] * turned(unit(frames[cut.body_b][1] + cut.angle))
     return forces

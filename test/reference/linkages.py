@@ -24,10 +24,11 @@ rounding without any assembly.
 from dataclasses import replace
 
 from closedloop_dynamics.mechanism.mechanism import (
-    Body, CUT_JOINT_EQUATIONS, CutJoint, FIXED, GROUND, Joint, Mechanism, PRISMATIC, REVOLUTE)
+    Body, Coupling, CUT_JOINT_EQUATIONS, CutJoint, DISTANCE, FIXED, GROUND, Joint, Mechanism,
+    POINT_ON_LINE, PRISMATIC, REVOLUTE)
 import numpy as np
 
-from .dense import body_frames, closure_jacobian, rows, unit
+from .dense import body_frames, closure_jacobian, coordinate, rows, unit
 from .states import project, smallest_singular_value
 
 # A linkage nearer to a singularity than this is drawn again, so that the
@@ -91,13 +92,17 @@ def random_pair(rng, subsystems):
 def closing_cut(rng, name, kind, frames, body_a, body_b):
     """Return a cut joint of the given type between two bodies, closed as they stand."""
     place = 0.5 * (frames[body_a][0] + frames[body_b][0]) + rng.uniform(-0.5, 0.5, 2)
-    angle = 0.0 if kind == REVOLUTE else float(frames[body_a][1] - frames[body_b][1])
-    place_a = place
-    if kind == PRISMATIC:
+    angle = (0.0 if kind in (REVOLUTE, DISTANCE)
+             else float(frames[body_a][1] - frames[body_b][1]))
+    place_a, length = place, None
+    if kind in (PRISMATIC, POINT_ON_LINE):
         # Anywhere along the axis, which points along body A's x axis turned by nothing.
         place_a = place + rng.uniform(-1.0, 1.0) * unit(frames[body_b][1] + angle)
-    return CutJoint(name, kind, body_a, body_b,
-                    local(frames[body_a], place_a), local(frames[body_b], place), angle)
+    if kind == DISTANCE:
+        length = float(rng.uniform(0.3, 1.5))
+        place_a = place + length * unit(rng.uniform(-np.pi, np.pi))
+    return CutJoint(name, kind, body_a, body_b, local(frames[body_a], place_a),
+                    local(frames[body_b], place), angle, length=length)
 
 
 def every_loop_moves(mechanism, q):
@@ -145,6 +150,46 @@ def random_linkage(rng, n_subsystems=3, max_bodies=5, max_cuts=4, prismatic=0.3,
         q = rng.uniform(-1.5, 1.5, len(joints))
         mechanism = with_random_cuts(rng, mechanism, q, subsystems, max_cuts, cut_types)
         if mechanism.cut_joints:
+            return mechanism, q, project(mechanism, q, rng.uniform(-2.0, 2.0, len(q)))
+
+
+def with_elements(rng, couplings=2):
+    """
+    Draw a linkage with rods, pins in slots and couplings, cut joints' among them, and a state.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+        Seeded source of everything drawn.
+    couplings : int
+        Most of them; one at least.
+
+    Returns
+    -------
+    mechanism, q, qd
+        As of ``random_linkage``.
+
+    """
+    while True:
+        mechanism, q, _ = random_linkage(rng, 3, cut_types=(REVOLUTE, DISTANCE, POINT_ON_LINE))
+        frames = body_frames(mechanism, q)
+        names = [*mechanism.joint_names, *(
+            cut.name for cut in mechanism.cut_joints if cut.type == REVOLUTE)]
+        for k in range(4 * couplings):
+            if len(mechanism.couplings) == couplings or (
+                    len(q) - mechanism.number_of_equations < 2):
+                break
+            picked = rng.choice(names, min(len(names), rng.integers(1, 4)), replace=False)
+            factors = {str(name): float(rng.uniform(0.3, 2.0) * rng.choice([-1.0, 1.0]))
+                       for name in picked}
+            offset = sum(factor * coordinate(mechanism, q, frames, name)
+                         for name, factor in factors.items())
+            coupled = replace(mechanism, couplings=(*mechanism.couplings, Coupling(
+                f'coupling_{len(mechanism.couplings) + 1}', factors, float(offset))))
+            if smallest_singular_value(coupled, q) > WELL_CONDITIONED and (
+                    every_loop_moves(coupled, q)):
+                mechanism = coupled
+        if mechanism.couplings:
             return mechanism, q, project(mechanism, q, rng.uniform(-2.0, 2.0, len(q)))
 
 

@@ -24,7 +24,8 @@ joint, so that those of the cut joints are the package's multipliers.
 
 from typing import NamedTuple
 
-from closedloop_dynamics.mechanism.mechanism import CutJoint, FIXED, GROUND, REVOLUTE
+from closedloop_dynamics.mechanism.mechanism import (
+    CutJoint, DISTANCE, FIXED, GROUND, POINT_ON_LINE, REVOLUTE)
 import numpy as np
 
 
@@ -122,11 +123,20 @@ def joint_rows(mechanism, motions, cut):
         return Rows(point_a, -point_b, gamma)
     if cut.type == FIXED:
         return Rows(np.vstack([point_a, turn]), -np.vstack([point_b, turn]), np.append(gamma, 0.0))
+    if cut.type == DISTANCE:
+        # offset . offset is constant: offset . its acceleration + speed . speed = 0.
+        offset = (a.place + arm_a - b.place - arm_b) / cut.length
+        speed = a.velocity + cross(a.rate, arm_a) - b.velocity - cross(b.rate, arm_b)
+        return Rows((offset @ point_a)[None], -(offset @ point_b)[None],
+                    np.array([offset @ gamma - speed @ speed / cut.length]))
     along, across = rotation(b.angle + cut.angle).T
     offset = a.place + arm_a - b.place - arm_b
     speed = a.velocity + cross(a.rate, arm_a) - b.velocity - cross(b.rate, arm_b)
     # across . offset = 0, and across turns with body B: its rate is -rate_b along.
     gamma = across @ gamma + 2.0 * b.rate * along @ speed + b.rate ** 2 * across @ offset
+    if cut.type == POINT_ON_LINE:
+        return Rows((across @ point_a)[None],
+                    -(across @ point_b + along @ offset * turn[0])[None], np.array([gamma]))
     return Rows(np.vstack([across @ point_a, turn]),
                 -np.vstack([across @ point_b + along @ offset * turn[0], turn]),
                 np.array([gamma, 0.0]))
@@ -183,7 +193,31 @@ def stacked_rows(mechanism, motions, joints):
                 block[:, start[name]:start[name] + 3] = part
         blocks.append(block)
         gammas.append(equations.gamma)
+    for coupling in mechanism.couplings:
+        block, gamma = coupling_row(mechanism, motions, coupling)
+        blocks.append(block)
+        gammas.append(gamma)
     return np.vstack(blocks), gammas
+
+
+def coupling_row(mechanism, motions, coupling):
+    """Return the row of a coupling: what its sum's acceleration is of the bodies'."""
+    joints = {joint.name: joint for joint in mechanism.joints}
+    cuts = {cut.name: cut for cut in mechanism.cut_joints}
+
+    def second(values):
+        accelerations = dict(zip([body.name for body in mechanism.bodies], values.reshape(-1, 3)))
+        accelerations[GROUND] = np.zeros(3)
+        return sum(factor * (
+            joint_acceleration(mechanism, motions, accelerations, joints[name])
+            if name in joints else
+            accelerations[cuts[name].body_a][2] - accelerations[cuts[name].body_b][2])
+            for name, factor in coupling.joints.items())
+
+    count = 3 * len(mechanism.bodies)
+    still = second(np.zeros(count))
+    # The acceleration of the sum is affine in those of the bodies.
+    return (np.array([[second(one) - still for one in np.eye(count)]]), np.array([-still]))
 
 
 def least_squares(matrix, right):

@@ -31,9 +31,9 @@ from .rows import by_column, matrix, six
 from .spatial import at_parent, Body, Recursion, rigid, shifted, Z
 from .vectors import add, cross, dot, is_zero, times, ZERO
 from ..types import (
-    ACCELERATE, AXIS, BODY_STAGES, CARRY, COMPOSE, CUT_TYPE, DINV, DZ, ELIMINATE,
-    ELIMINATE_MASSLESS, KEPT, LEVER, MEASURE, MOVE, NEWTON, PARENT, REDUCE, REDUCE_COUPLED, RHS,
-    SHIFT, TORQUE, TYPE, WORK_COLUMNS)
+    ACCELERATE, AXIS, BODY_STAGES, CARRY, COMPOSE, COUPLED_WORK_COLUMNS, CUT_TYPE, DINV, DZ,
+    ELIMINATE, ELIMINATE_MASSLESS, KEPT, LEVER, MEASURE, MOVE, NEWTON, PARENT, POSITION, RATE,
+    READ, REDUCE, REDUCE_COUPLED, RHS, SHIFT, TORQUE, TYPE)
 
 # Rows that a piece reads and writes: constants, the body, its parent (or body B of a cut joint),
 # and two more.
@@ -92,7 +92,7 @@ class _Sketch:
 
     def __init__(self, arrays, constants):
         self.graph, self.arrays, self.outputs = ExpressionGraph(), arrays, []
-        columns = space.WORK_COLUMNS if arrays is space else WORK_COLUMNS
+        columns = space.WORK_COLUMNS if arrays is space else COUPLED_WORK_COLUMNS
         self.constant = self.row(CONSTANT, constants)
         self.own, self.other = self.row(OWN, columns), self.row(OTHER, columns)
 
@@ -187,6 +187,8 @@ class _Body:
                            **by_column(force, self.arrays.FORCES)})
         if self.arrays is space:
             sketch.store(OWN, {space.JOINT_POSITION: first[0], space.JOINT_RATE: second[2]})
+        elif self.model.tree[1, READ]:
+            sketch.store(OWN, {POSITION: first[0], RATE: second[2]})
         if not is_zero(body.rotor):
             parent = one.motion[_PARENT]
             rotor = times(parent.frame, body.rotor)

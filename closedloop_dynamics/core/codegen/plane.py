@@ -14,13 +14,17 @@
 
 """A planar mechanism as one in space: positions in the x-y plane, axes along z."""
 
+import numpy as np
+
+from .space import coupling
 from .spatial import Body, Cut, X, Y, Z
 from .vectors import IDENTITY, ZERO
 from ..types import (
-    A_X, A_Y, ALPHA, ANGLE, ARMATURE, AX, AY, B_X, B_Y, COS, CUT_ANGLE, CUT_FIXED, CUT_PRISMATIC,
-    CUT_REVOLUTE, CUT_TYPE, DX, DY, DZ, FX, FY, FZ, HX, HY, INERTIA, IZZ, JOINT_X, JOINT_Y, MASS,
-    MASS_X, MASS_Y, MXX, MXY, MYY, OMEGA, PRISMATIC, PX, PY, REVOLUTE_ARMATURE, RX, RY, SIN, SX,
-    SY, TYPE, UX, UY, UZ, VX, VY)
+    A_X, A_Y, ALPHA, ANGLE, ARMATURE, AX, AY, B_X, B_Y, COS, CUT_ANGLE, CUT_COUPLING, CUT_DISTANCE,
+    CUT_FIXED, CUT_LENGTH, CUT_POINT_ON_LINE, CUT_PRISMATIC, CUT_REVOLUTE, CUT_TYPE, DX, DY, DZ,
+    FACTORS, FX, FY, FZ, HX, HY, INERTIA, IZZ, JOINT_X, JOINT_Y, MASS, MASS_X, MASS_Y, MXX, MXY,
+    MYY, OMEGA, PRISMATIC, PX, PY, REVOLUTE_ARMATURE, RX, RY, SIN, SX, SY, TYPE, UX, UY, UZ, VX,
+    VY)
 
 # Where the components of a wrench, of a motion and of an inertia are in Workspace.body, angular
 # ones first: of the bias force, of U = IA S, of the acceleration, of the inertia.
@@ -31,7 +35,27 @@ INERTIAS = {(2, 2): IZZ, (2, 3): HX, (2, 4): HY, (3, 3): MXX, (3, 4): MXY, (4, 4
 # What the cut joints hold: axes of body B, and pairs of axes that stay perpendicular.
 _TURNING = (Z, X), (Z, Y)
 _HELD = {CUT_REVOLUTE: ((X, Y, Z), _TURNING), CUT_PRISMATIC: ((Y, Z), (*_TURNING, (X, Y))),
-         CUT_FIXED: ((X, Y, Z), (*_TURNING, (X, Y)))}
+         CUT_FIXED: ((X, Y, Z), (*_TURNING, (X, Y))), CUT_DISTANCE: ((), ()),
+         CUT_POINT_ON_LINE: ((Y, Z), ()), CUT_COUPLING: ((), ())}
+
+
+def structure(model):
+    """
+    Return what code for a planar mechanism depends on beside its topology.
+
+    Parameters
+    ----------
+    model : Model
+        Constant arrays of a planar mechanism.
+
+    Returns
+    -------
+    tuple of ndarrays
+        Which joints its couplings read; empty where there are none.
+
+    """
+    couplings = model.cut[:, CUT_TYPE] == CUT_COUPLING
+    return (model.cut_point[couplings, FACTORS:] != 0.0,) if couplings.any() else ()
 
 
 def bodies(model, symbols):
@@ -71,7 +95,7 @@ def cuts(model, symbols):
     ----------
     model : Model
         Constant arrays of the mechanism.
-    symbols : ndarray, shape (number of cuts, 5)
+    symbols : ndarray, shape (number of cuts, CUT_POINT_COLUMNS or more)
         Of the inputs, as ``Model.cut_point``.
 
     Returns
@@ -79,9 +103,18 @@ def cuts(model, symbols):
     list of Cut
 
     """
-    return [Cut(*_HELD[one[CUT_TYPE]], (row[A_X], row[A_Y], 0.0), (row[B_X], row[B_Y], 0.0),
-                None, None, row[CUT_ANGLE], None)
-            for one, row in zip(model.cut, symbols)]
+    return [_coupling(model, one, values, row) if one[CUT_TYPE] == CUT_COUPLING else
+            Cut(*_HELD[one[CUT_TYPE]], (row[A_X], row[A_Y], 0.0), (row[B_X], row[B_Y], 0.0),
+                None, None, row[CUT_ANGLE], None,
+                length=row[CUT_LENGTH] if one[CUT_TYPE] == CUT_DISTANCE else None)
+            for one, values, row in zip(model.cut, model.cut_point, symbols)]
+
+
+def _coupling(model, one, values, row):
+    """Return a coupling of joints."""
+    read = np.where(values[FACTORS:] == 0.0, 0.0, row[FACTORS:])
+    return Cut((), (), ZERO, ZERO, None, None, 0.0, None,
+               coupling=coupling(model, one, np.concatenate([row[:FACTORS], read])))
 
 
 def motion_of(row, body, ground):

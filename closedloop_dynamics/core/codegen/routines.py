@@ -51,8 +51,9 @@ def topology(model):
     tuple
 
     """
-    structure = space.structure(model) if space.is_spatial(model) else ()
-    tree = model.tree if structure else model.tree[:, :TYPE + 1]
+    spatial = space.is_spatial(model)
+    structure = (space if spatial else plane).structure(model)
+    tree = model.tree if spatial else model.tree[:, :TYPE + 1]
     arrays = (*structure, tree, model.cut, model.path_body, model.pair, model.block,
               model.column, model.row, model.entry, model.dependency, model.dependency_place)
     return tuple((array.shape, array.tobytes()) for array in arrays)
@@ -201,6 +202,7 @@ class Unrolling:
             # Less is read than is computed again.
             one.outward(self.model, self.q, self.qd, self.work)
         else:
+            one.take(self.model, self.q, self.qd)
             one.ground = one.ground._replace(
                 acceleration=plane.motion_of(body[0], one.bodies[0], one.ground).acceleration)
             one.motion = [one.ground, *(arrays.motion_of(row, each, one.ground)

@@ -27,8 +27,8 @@ from .rows import by_column, six
 from .spatial import Body, Cut, X, Y, Z
 from .vectors import IDENTITY, is_zero, ZERO
 from ..types import (
-    AXIS, BALL, CUT_NUMBER, CUT_TYPE, HELICAL, KEPT, PARENT, PATH_A, PATH_END, POSSIBLE, PRISMATIC,
-    TYPE)
+    AXIS, BALL, CUT_NUMBER, CUT_TYPE, FACTORS, HELD_SUM, HELICAL, KEPT, PARENT, PATH_A, PATH_END,
+    POSSIBLE, PRISMATIC, TYPE)
 
 # Columns of Model.body, one row a body: mass; first moments; moments of inertia about the body's
 # origin, xx, yy, zz, xy, xz, yz; the joint's place in the parent's frame; its axes there, row by
@@ -38,11 +38,9 @@ MASS, MOMENT, INERTIA, PLACE, TURNED, PARALLEL, ARMATURE, LEAD, ROTOR = (
     0, 1, 4, 10, 13, 22, 23, 24, 25)
 BODY_COLUMNS = 28
 # Columns of Model.cut_point, one row a cut joint: its place and its axes in both bodies' frames,
-# the length of a rod [m] or the lead of a thread [m/rad]. Of a coupling the sum that it holds, and
-# from FACTORS on the factor of each path entry's coordinate: there may be more columns.
+# the length of a rod [m] or the lead of a thread [m/rad].
 POINT_A, POINT_B, TURNED_A, TURNED_B, LENGTH = 0, 3, 6, 15, 24
 CUT_POINT_COLUMNS = 25
-HELD_SUM, FACTORS = 0, 1
 # Columns of Workspace.body, one row a body, after those that the plane has, too: origin, axes row
 # by row, angular velocity, velocity of the origin; the force that the body's acceleration takes,
 # moment first; from the parent's origin; what q, qd and gravity leave of the accelerations; the
@@ -322,12 +320,24 @@ def cuts(model, symbols, which=KEPT):
             0.0, tuple(n for n in range(6) if cut[which] >> n & 1),
             length=row[LENGTH] if cut[CUT_TYPE] == DISTANCE else None,
             lead=row[LENGTH] if cut[CUT_TYPE] == HELICAL_CUT else None,
-            coupling=_coupling(model, cut, row) if cut[CUT_TYPE] == COUPLING else None))
+            coupling=coupling(model, cut, row) if cut[CUT_TYPE] == COUPLING else None))
     return found
 
 
-def _coupling(model, cut, row):
-    """Return what ``Cut.coupling`` is."""
+def coupling(model, cut, row):
+    """
+    Return what ``Cut.coupling`` is.
+
+    Parameters
+    ----------
+    model : Model
+        Constant arrays of the mechanism.
+    cut : ndarray of int, shape (CUT_COLUMNS,)
+        Row of ``Model.cut``.
+    row : ndarray
+        Row of ``Model.cut_point``: symbols, and the number 0 for factors that there are not.
+
+    """
     entries = model.path_body[cut[PATH_A]:cut[PATH_END]].tolist()
     return row[HELD_SUM], tuple(
         (i, factor) for i, factor in zip(entries, row[FACTORS:]) if not is_zero((factor,)))

@@ -263,12 +263,17 @@ class Recursion:
         self.factors, self.acceleration = {}, {}
         self._coordinates = {}
 
+    def take(self, model, q, qd):
+        """Note the coordinates and rates that couplings read."""
+        for i in range(1, len(self.bodies)):
+            self._coordinates[i] = q[model.tree[i, COORDINATE]], qd[model.tree[i, DOF]]
+
     def outward(self, model, q, qd, work):
         """Do as ``kinematics.outward`` does."""
         self.motion, self.inertia, self.force = [self.ground], [None], [None]
+        self.take(model, q, qd)
         for i in range(1, len(self.bodies)):
             p, first, dof = (model.tree[i, column] for column in (PARENT, COORDINATE, DOF))
-            self._coordinates[i] = q[first], qd[dof]
             motion = (self.rolled(i, p, q[first:first + 4], qd[dof - 2:dof + 1])
                       if self.bodies[i].ball else self.moved(i, p, q[first], qd[dof]))
             inertia, force = rigid(self.bodies[i], motion)
