@@ -69,7 +69,7 @@ Run hard cases (singular configurations, redundant loops, extreme scales,
 contradictory input, stiff scenes, long runs) with every method. Each cell is the
 worst figure of one case with one method, and what that means: accurate,
 degraded but stable, refused with a reason, or unstable: silently wrong.
-doc/stability.md explains every case. Exit code 1 where the default method is
+doc/stability_cases.md lists every case. Exit code 1 where the default method is
 unstable.
 """,
     epilog="""\

@@ -906,7 +906,7 @@ CASES = tuple(Case(name, group, *rest) for group, cases in {
          '1000 loops / 60'),
     ),
     'Inconsistent input': (
-        ('velocities that part',
+        ('inconsistent velocities',
          'The 3-RRR started with random joint rates: the nearest ones that the loops allow.',
          'closure error [m]', 1e-9, 1e-4, _velocities, '20 starts / 3'),
         ('states by hand',

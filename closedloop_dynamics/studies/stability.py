@@ -140,8 +140,8 @@ def stability_atlas(atlas, cases=CASES, methods=METHODS):
     axes.tick_params(length=0)
     for side in axes.spines.values():
         side.set_visible(False)
-    figure.suptitle('Stability atlas: the worst figure of each hard case (meanings: '
-                    'doc/stability.md)', fontsize=11)
+    figure.suptitle('Stability atlas: the worst figure of each hard case (criteria: '
+                    'doc/stability_cases.md)', fontsize=11)
     figure.legend(handles=[Patch(facecolor=color, label=status)
                            for status, color in OUTCOME_COLORS.items()],
                   loc='outside lower center', ncols=len(OUTCOME_COLORS), frameon=False, fontsize=9)
