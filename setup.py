@@ -14,6 +14,7 @@
 
 from glob import glob
 import os
+from pathlib import Path
 
 from setuptools import find_packages
 from setuptools import setup
@@ -73,6 +74,14 @@ setup(
         'test': ['hypothesis', 'mcap-ros2-support', 'pytest', 'pytest-timeout'],
     },
     zip_safe=False,
+    long_description=Path('README.md').read_text(encoding='utf-8'),
+    long_description_content_type='text/markdown',
+    classifiers=[
+        'Intended Audience :: Science/Research',
+        'Programming Language :: Python :: 3',
+        'Topic :: Scientific/Engineering :: Physics',
+    ],
+    keywords=['ROS', 'multibody dynamics', 'closed loops', 'linkage', 'parallel robot'],
     author='The closedloop_dynamics authors',
     maintainer='The closedloop_dynamics authors',
     maintainer_email='closedloop_dynamics@example.org',

@@ -103,6 +103,8 @@ def main(argv=None):
                 if not demonstrate(scene, arguments.duration, output / scene.name):
                     failed.append(scene.name)
         print(f'Bags, logs and pictures are in {output}/')
+        print(f'Live in the browser: closedloop view {arguments.scene or SHOWN[-1]} '
+              '(in a checkout after . .venv/activate)')
         if failed:
             print(f"demo: {' and '.join(failed)} did not do what was wanted; see 'verdict' above",
                   file=sys.stderr)

@@ -34,6 +34,8 @@ here.
 
 from contextlib import contextmanager
 import gc
+from importlib import import_module
+from importlib.util import find_spec
 import os
 import sys
 import threading
@@ -258,27 +260,30 @@ def _catch_up(executor):
 
 def simulator():
     """Run ``closedloop_simulator``; end the process with its exit code."""
-    watch_signals()
-    from closedloop_dynamics.ros.simulator_node import main
-    leave(main())
+    _run_main('simulator_node')
 
 
 def torque_source():
     """Run ``closedloop_torque_source``; end the process with its exit code."""
-    watch_signals()
-    from closedloop_dynamics.ros.torque_source_node import main
-    leave(main())
+    _run_main('torque_source_node')
 
 
 def viewer():
     """Run ``closedloop_viewer``; end the process with its exit code."""
-    watch_signals()
-    from closedloop_dynamics.ros.viewer_node import main
-    leave(main())
+    _run_main('viewer_node')
 
 
 def recorder():
     """Run ``closedloop_recorder``; end the process with its exit code."""
+    _run_main('recorder_node')
+
+
+def _run_main(module):
+    """Watch for signals, then load a node's module and run its ``main``."""
     watch_signals()
-    from closedloop_dynamics.ros.recorder_node import main
-    leave(main())
+    if find_spec('rclpy') is None:
+        print('cannot start: this Python finds no ROS 2 (package rclpy). Source the setup.bash of '
+              "ROS 2 Jazzy, or install it: pip install 'closedloop_dynamics[ros]'",
+              file=sys.stderr, flush=True)
+        os._exit(2)
+    leave(import_module(f'closedloop_dynamics.ros.{module}').main())

@@ -16,10 +16,11 @@
 
 import os
 from pathlib import Path
+import subprocess
 import sys
 import sysconfig
 from test.packaging.package import (
-    copy_package, files_below, outside_environment, PACKAGE, PROGRAMS, run, SHARED)
+    copy_package, files_below, outside_environment, PACKAGE, PROGRAMS, ROOT, run, SHARED)
 import venv
 from xml.etree import ElementTree
 from zipfile import ZipFile
@@ -74,10 +75,39 @@ def test_programs_are_on_the_path_of_the_environment(environment):
     assert SHARED <= files_below(environment / 'share' / PACKAGE)
 
 
-def test_command_line_runs_in_the_environment(environment):
-    output = run(environment / 'bin' / 'closedloop', 'check', 'three_rrr',
-                 cwd=environment, env=with_libraries())
-    assert 'theta_1' in output
+def test_data_files_of_the_package_are_in_the_wheel(wheel):
+    here = {str(path.relative_to(ROOT)) for path in (ROOT / PACKAGE).rglob('*')
+            if path.is_file() and '__pycache__' not in path.parts}
+    assert here <= set(ZipFile(wheel).namelist())
+    assert any(name.endswith('page.html') for name in here)
+
+
+def test_commands_work_in_the_environment_from_another_directory(environment, tmp_path):
+    for line, said in (
+            ('check three_rrr', 'theta_1'),
+            ('simulate four_bar --duration 0.1 --output run.csv', 'run.csv: 11 rows'),
+            ('plot run.csv --scene four_bar --output pictures', 'positions.png'),
+            ('animate run.csv --scene four_bar --output run.gif', 'run.gif'),
+            ('view run.csv --scene four_bar --save run.html', 'run.html'),
+            ('urdf four_bar --output tree.urdf', ''),
+            ('export four_bar --output loops.urdf', 'loops.urdf'),
+            ('import loops.urdf --output again.yaml', 'again.yaml'),
+            ('check again.yaml', 'degrees of freedom')):
+        output = run(environment / 'bin' / 'closedloop', *line.split(), cwd=tmp_path,
+                     env=with_libraries())
+        assert said in output
+
+
+def test_nodes_without_ros_say_what_is_missing(wheel, tmp_path):
+    venv.create(tmp_path / 'bare')
+    run(*PIP, '--python', tmp_path / 'bare' / 'bin' / 'python', 'install', *OFFLINE, wheel,
+        cwd=tmp_path)
+    for program in sorted(PROGRAMS - {'closedloop'}):
+        done = subprocess.run(
+            [tmp_path / 'bare' / 'bin' / program], cwd=tmp_path, text=True, capture_output=True,
+            env={'PATH': os.environ['PATH']})
+        assert done.returncode == 2
+        assert done.stderr.count('\n') == 1 and "'closedloop_dynamics[ros]'" in done.stderr
 
 
 def test_config_is_found_in_the_environment(environment):

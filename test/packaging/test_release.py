@@ -1,0 +1,61 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""What bloom reads: the manifest, the change log, and that all name the same version."""
+
+import re
+from test.packaging.package import PACKAGE, ROOT
+
+from catkin_pkg.changelog import Changelog, populate_changelog_from_rst
+from catkin_pkg.package import parse_package
+import closedloop_dynamics
+
+
+def manifest():
+    return parse_package(str(ROOT / 'package.xml'))
+
+
+def test_manifest_is_valid_without_warnings():
+    warnings = []
+    package = parse_package(str(ROOT / 'package.xml'), warnings=warnings)
+    package.validate(warnings=warnings)
+    assert package.name == PACKAGE and not warnings
+
+
+def test_versions_agree():
+    setup = re.search(r"version='([^']+)'", (ROOT / 'setup.py').read_text())[1]
+    assert {manifest().version, setup} == {closedloop_dynamics.__version__}
+
+
+def test_change_log_is_read_once_it_has_a_version():
+    version = manifest().version
+    title = f'{version} (2026-01-01)'
+    text = (ROOT / 'CHANGELOG.rst').read_text()
+    # What catkin_prepare_release does.
+    text = re.sub(r'^Forthcoming\n-+$', f'{title}\n{"-" * len(title)}', text, flags=re.M)
+    log = populate_changelog_from_rst(Changelog(PACKAGE), text)
+    assert version in [name for name, *_ in log.foreach_version()]
+    assert log.get_content_of_version(version)
+    assert f'Changelog for package {PACKAGE}' in text
+
+
+def test_everything_imported_at_run_time_is_in_the_manifest():
+    # Keys of rosdep that bring Python packages of other names.
+    brought = {'mcap-ros2-support': 'mcap', 'python3-rosbags-pip': 'rosbags'}
+    keys = {depend.name for depend in manifest().exec_depends}
+    present = {brought.get(key, key.removeprefix('python3-')) for key in keys}
+    lines = (ROOT / 'requirements' / 'runtime.txt').read_text().splitlines()
+    needed = {re.split(r'[<>=]', line)[0].lower().removeprefix('py') for line in lines
+              if line and not line.startswith('#')}
+    assert needed - {'setuptools'} <= present
