@@ -1,7 +1,7 @@
 # shellcheck shell=bash
-# The environment of scripts/demo and scripts/test, in one place. Sourced by them, not run.
+# The environment of scripts/demo, scripts/test and scripts/docs, in one place. Sourced by them, not run.
 #
-#   use_environment runtime|test    makes it if need be, and switches this shell to it
+#   use_environment runtime|test|docs    makes it if need be, and switches this shell to it
 #
 # With ROS 2 Jazzy sourced it is a virtual environment on top of that ROS's Python, with only what is missing
 # there. Otherwise everything comes from the Python package index, ROS 2 Jazzy included. It lives in .venv/ of
@@ -141,14 +141,14 @@ make_environment() {
   done
 }
 
-# Bring the environment up to date: runtime alone, or with what the tests need.
+# Bring the environment up to date: runtime alone, or with what the tests or the documentation need.
 update_environment() {
-  local wanted=$1 log=$root/.venv/$name.log requirements=$root/requirements constraints runtime_key test_key
+  local wanted=$1 log=$root/.venv/$name.log requirements=$root/requirements constraints runtime_key wanted_key
   constraints=$requirements/constraints${VERSIONS:+-$VERSIONS}.txt
   [[ $kind == pypi ]] || constraints=$requirements/constraints-ubuntu-24.04.txt
   [[ -e $constraints ]] || fail "VERSIONS=$VERSIONS is unknown: there is no ${constraints#"$root"/}."
   runtime_key=$(digest "$requirements"/{runtime,ros,constraints*}.txt "$root"/setup.{py,cfg})
-  test_key=$(digest "$requirements"/*.txt)
+  wanted_key=$(digest "$requirements"/*.txt)
   if [[ -e $venv/.incomplete ]] || [[ $(cat -- "$venv/.runtime" 2>/dev/null) != "$runtime_key" ]] ||
       ! "$venv/bin/python" -c '' &>/dev/null; then
     : > "$log"
@@ -156,12 +156,12 @@ update_environment() {
     printf '%s\n' "$runtime_key" > "$venv/.runtime"
     rm -- "$venv/.incomplete"
   fi
-  if [[ $wanted == test && $(cat -- "$venv/.test" 2>/dev/null) != "$test_key" ]]; then
+  if [[ $wanted != runtime && $(cat -- "$venv/.$wanted" 2>/dev/null) != "$wanted_key" ]]; then
     touch -- "$venv/.incomplete"
     [[ ! -e $venv/constraints.txt ]] || constraints=$venv/constraints.txt
-    say "Installing what the tests need (45 MB)"
-    pip_install --requirement "$requirements/test.txt"
-    printf '%s\n' "$test_key" > "$venv/.test"
+    say "Installing what is in requirements/$wanted.txt (30 to 70 MB)"
+    pip_install --requirement "$requirements/$wanted.txt"
+    printf '%s\n' "$wanted_key" > "$venv/.$wanted"
     rm -- "$venv/.incomplete"
   fi
 }

@@ -27,11 +27,14 @@ first line is a comment with the file's name. A comment before a block says how 
 """
 
 from dataclasses import dataclass
+import os
 from pathlib import Path
 import re
 import runpy
 import shlex
 import signal
+import subprocess
+import sys
 from test.ros.domains import reserve_domain
 import time
 
@@ -236,13 +239,40 @@ def test_pages_are_found():
     assert len(TOGETHER) >= 3
 
 
-def test_folders_that_the_readme_names_exist():
-    readme = (ROOT / 'README.md').read_text()
-    folders = re.findall(r'`(config/\w+/)`', readme)
-    assert folders and all((ROOT / folder).is_dir() for folder in folders)
+def test_readme_fits_on_a_few_screens():
+    assert len((ROOT / 'README.md').read_text().splitlines()) <= 120
 
 
-def test_keys_of_scenes_are_those_that_the_code_reads():
-    written = runpy.run_path(str(ROOT / 'doc' / 'make_scene_keys.py'))
-    assert (ROOT / 'doc' / 'scene_keys.md').read_text() == written['page'](), (
-        'python doc/make_scene_keys.py writes the page anew')
+def test_folders_and_files_that_the_pages_name_exist():
+    text = ''.join(page.read_text() for page in PAGES)
+    folders = set(re.findall(r'`(config/\w+/)`', text))
+    files = set(re.findall(r'`((?:benchmark|config|doc|scripts|test)/[\w/]+(?:\.\w+)?)`', text))
+    assert len(folders) >= 3 and len(files) >= 10
+    assert [name for name in folders | files if not (ROOT / name).exists()] == []
+
+
+@pytest.mark.parametrize('name', ('scene_keys', 'stability_cases'))
+def test_pages_that_are_written_from_the_code_are_up_to_date(name):
+    written = runpy.run_path(str(ROOT / 'doc' / f'make_{name}.py'))
+    assert (ROOT / 'doc' / f'{name}.md').read_text() == written['page'](), (
+        f'python doc/make_{name}.py writes the page anew')
+
+
+def test_site_is_built_without_a_broken_link(tmp_path):
+    pytest.importorskip('mkdocs', reason='requirements/docs.txt is not installed')
+    pytest.importorskip('mkdocstrings', reason='requirements/docs.txt is not installed')
+    done = subprocess.run(
+        [sys.executable, '-m', 'mkdocs', 'build', '--strict', '--site-dir', str(tmp_path)],
+        cwd=ROOT, env={**os.environ, 'NO_MKDOCS_2_WARNING': '1'}, stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    assert done.returncode == 0, done.stdout
+    pages = {page.name.replace('README', 'index') for page in PAGES}
+    assert {name.replace('.md', '.html') for name in pages} <= {
+        path.name for path in tmp_path.glob('*.html')}
+    reference = (tmp_path / 'reference.html').read_text()
+    assert 'inverse_dynamics' in reference and ':::' not in reference
+    assert 'inverse_dynamics' in (tmp_path / 'search' / 'search_index.json').read_text()
+    # Nothing is loaded from elsewhere.
+    sources = re.findall(r'(?:src|href)="(https?://[^"]+)"[^>]*>', re.sub(
+        r'<a [^>]*>', '', reference))
+    assert sources == []
