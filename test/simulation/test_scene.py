@@ -168,7 +168,7 @@ FAULTS = {
         'formulation, accuracy', "the unknown key 'stepsize'", "did you mean 'step_size'?"),
     'a_mechanism': (
         GOOD, 'name: x\nbodies: {}\n', 2, 'bodies', 'a scene', 'a mechanism',
-        'a scene names one under `mechanism`'),
+        'a scene names one under `mechanism` and says under `initial` where it starts'),
     'empty_file': (
         GOOD, '', 1, 'the whole description', 'a mapping (key: value)', 'nothing', ''),
 }
