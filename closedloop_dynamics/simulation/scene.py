@@ -143,8 +143,8 @@ def _read(document):
     data = document.data
     if isinstance(data, Mapping) and 'bodies' in data:
         raise FieldError(
-            'a scene', 'a mechanism', 'a scene names one under `mechanism` and says under `initial` '
-            'where it starts', ('bodies',))
+            'a scene', 'a mechanism', 'a scene names one under `mechanism` and says under '
+            '`initial` where it starts', ('bodies',))
     mapping(data, ('mechanism',))
     model = _model(data, document.path.parent)
     mapping(data, *(SCENE_KEYS if model is None else MODEL_KEYS))
