@@ -35,7 +35,8 @@ from matplotlib.patches import FancyBboxPatch
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = 'closedloop_dynamics'
-WIDTH, HEIGHT = 3.9, 0.86
+WIDTH, HEIGHT, FLOOR = 3.9, 0.86, 1.5
+LINE = '#5b6b7b'
 
 
 def floors():
@@ -62,6 +63,21 @@ def arrows(rooms):
             if not any(other in reached(between) for between in imported[room])]
 
 
+def route(start, end):
+    """Return the corners of an arrow between the centres of two boxes, beside those between."""
+    (x, y), (to_x, to_y) = start, end
+    out, into = y - HEIGHT / 2 - 0.06, to_y + HEIGHT / 2 + 0.06
+    if y - to_y < 1.01 * FLOOR:
+        return [(x, out), (to_x, into)]
+    # Boxes of floors of one or three leave this room between them; outer ones look down freely.
+    channel = x if abs(x) > WIDTH else math.copysign(0.625 * WIDTH, to_x)
+    side = to_x if abs(to_x - channel) < 0.1 else to_x + math.copysign(
+        0.3 * WIDTH, channel - to_x)
+    # What comes in runs a little above what goes out.
+    below, above = y - FLOOR / 2 - 0.1, to_y + FLOOR / 2 + 0.1
+    return [(x, out), (x, below), (channel, below), (channel, above), (side, above), (side, into)]
+
+
 def picture():
     """
     Draw the folders on their floors.
@@ -77,7 +93,7 @@ def picture():
     places = {}
     for floor, rooms in enumerate(reversed(layers)):
         for k, room in enumerate(rooms):
-            places[room] = (1.25 * WIDTH * (k - 0.5 * (len(rooms) - 1)), 1.5 * floor)
+            places[room] = (1.25 * WIDTH * (k - 0.5 * (len(rooms) - 1)), FLOOR * floor)
     for room, (x, y) in places.items():
         folder = ROOT / PACKAGE / room
         axes.add_patch(FancyBboxPatch(
@@ -89,16 +105,12 @@ def picture():
         axes.text(x, y - 0.16, fill(text.replace('``', ''), 50), ha='center', va='center',
                   fontsize=8, zorder=3)
     for room, other in arrows(list(places)):
-        (x, y), (to_x, to_y) = places[room], places[other]
-        far = abs(to_x - x) > 0.0 and y - to_y > 1.6
-        end = ((to_x + math.copysign(WIDTH / 2 + 0.06, x - to_x), to_y) if far
-               else (to_x, to_y + HEIGHT / 2 + 0.06))
-        axes.annotate(
-            '', end, (x, y - HEIGHT / 2 - 0.06), zorder=1, arrowprops={
-                'arrowstyle': '->', 'color': '#5b6b7b', 'linewidth': 1.2,
-                'connectionstyle': 'angle,angleA=90,angleB=0' if far else 'arc3'})
+        way = route(places[room], places[other])
+        axes.plot(*zip(*way[:-1]), color=LINE, linewidth=1.2, zorder=1)
+        axes.annotate('', way[-1], way[-2], zorder=1, arrowprops={
+            'arrowstyle': '->', 'color': LINE, 'linewidth': 1.2, 'shrinkA': 0.0, 'shrinkB': 0.0})
     axes.set_xlim(-1.8 * WIDTH, 1.8 * WIDTH)
-    axes.set_ylim(-0.7, 1.5 * len(layers) - 0.8)
+    axes.set_ylim(-0.7, FLOOR * len(layers) - 0.8)
     axes.set_axis_off()
     return figure
 
