@@ -83,7 +83,7 @@ def _paths(arguments, scene):
 
 COMMAND = Command(
     name='accuracy',
-    summary='measure what error each method buys and what it costs, and advise',
+    summary='measure error and cost of every method on a scene, and advise',
     description="""\
 Measure errors and costs of all methods on a scene, under constant torques, over
 step sizes or tolerances: every integrator; every way to keep the loops closed

@@ -75,9 +75,9 @@ def _require_finite(simulation):
 
 COMMAND = Command(
     name='check',
-    summary='read a mechanism or scene and show what was understood',
+    summary='read a mechanism or scene, check it and show its contents',
     description="""\
-Read a mechanism or a scene and show what was understood: bodies, joints,
+Read a mechanism or a scene, check it and show its contents: bodies, joints,
 subsystems, cut joints, degrees of freedom, the elimination order, and what a
 scene starts from, as given and with the loops closed. If something is wrong,
 say where and what was expected; if the start may not be what was meant, say so.

@@ -69,7 +69,7 @@ def _check(arguments, scene, torque, rates):
 
 COMMAND = Command(
     name='effects',
-    summary='measure what each effect of a scene costs and what it changes',
+    summary='measure cost and influence of each effect of a scene',
     description="""\
 Run a scene as it is, without each type of its effects, and with each type alone:
 what the effects cost in time per step, and what they change in motion, efforts,

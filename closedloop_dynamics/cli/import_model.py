@@ -70,7 +70,7 @@ COMMAND = Command(
     description="""\
 Read a model of a robot or machine in another format and write it as a mechanism,
 and a scene where one is wanted. Links that are fixed together become one body;
-loops that are drawn open are closed in the scene. What is left out is told. A model
+loops that are drawn open are closed in the scene. What is left out is listed. A model
 need not be imported to be simulated: check, simulate and the nodes take its file.
 """,
     epilog="""\

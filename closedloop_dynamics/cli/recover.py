@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""``closedloop recover``: make a whole bag of one that was cut short or damaged."""
+"""``closedloop recover``: repair a bag that was cut short or damaged."""
 
 from pathlib import Path
 import sys
@@ -53,7 +53,7 @@ def _run(arguments):
 
 COMMAND = Command(
     name='recover',
-    summary='make a whole bag of one that was cut short or damaged',
+    summary='repair a bag that was cut short or damaged',
     description="""\
 Copy whatever is sound in a bag into a new one (mcap), with index and metadata. A
 recorder that was killed leaves a bag without them, which ros2 bag does not open;

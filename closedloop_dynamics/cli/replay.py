@@ -31,7 +31,7 @@ DIFFERENT = 1
 def _add_arguments(parser):
     parser.add_argument('bag', metavar='BAG', help='directory of the bag, or one of its files')
     parser.add_argument('--scene', metavar='SCENE',
-                        help='what was simulated (default: as the bag tells)')
+                        help='what was simulated (default: the scene in the bag)')
     parser.add_argument('--namespace', metavar='NAME',
                         help='of the simulator, where several are in the bag')
     parser.add_argument('--tolerance', metavar='ERROR', type=positive,
@@ -99,7 +99,7 @@ def _grown(result):
 
 COMMAND = Command(
     name='replay',
-    summary='simulate a recording again and tell how far it is off',
+    summary='repeat a recorded simulation and report the deviations',
     description="""\
 Simulate again what was recorded, from the recorded commands, and compare positions,
 velocities, efforts and constraint forces of every state. The topics scene and replay_log

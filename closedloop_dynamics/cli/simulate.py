@@ -60,7 +60,7 @@ def _add_arguments(parser):
                              help='whose forces are written: those of the cut joints, or of all '
                                   'joints (default: cuts)')
     run_options.add_argument('--error-estimate', action=argparse.BooleanOptionalAction,
-                             help='run a second, finer simulation beside it that tells the error '
+                             help='run a second, finer simulation that estimates the error '
                                   f'(default: up to {LONGEST_ESTIMATED:g} s)')
     method = parser.add_argument_group('how to compute it (default: as the scene says)')
     method.add_argument('--step-size', type=positive, metavar='SECONDS')

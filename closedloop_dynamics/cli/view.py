@@ -49,7 +49,7 @@ def _add_arguments(parser):
                         help='a shipped scene by its name, a YAML file, a bag, or what '
                              '`closedloop simulate --output` wrote')
     parser.add_argument('--scene', metavar='SCENE',
-                        help='what was simulated, for a recording that does not tell')
+                        help='what was simulated, for a recording without a scene')
     parser.add_argument('--namespace', metavar='NAME',
                         help='of the simulator, where several are in the bag')
     parser.add_argument('--node', metavar='NAME', action='append', default=[],
@@ -203,7 +203,7 @@ def _simulated_page(arguments):
 
 COMMAND = Command(
     name='view',
-    summary='see a mechanism move in the browser, and take hold of it',
+    summary='show a mechanism live in the browser, and drive and drag it',
     description="""\
 Open a page in the browser that shows a mechanism in three dimensions. A scene runs live: play,
 pause, slow motion, sliders for its drives, effects and methods switched while it runs, points

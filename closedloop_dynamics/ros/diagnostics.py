@@ -46,7 +46,7 @@ LOAD_WARN = 0.8
 ERROR_WARN, ERROR_ERROR = 1e-4, 1e-2
 # Closure error [m or rad].
 CLOSURE_WARN, CLOSURE_ERROR = 1e-6, 1e-3
-# Energy from nowhere, as a share of what was moved; less than the floor [J] is rounding.
+# Error of the energy balance, as a share of what was moved; less than the floor [J] is rounding.
 ENERGY_WARN, ENERGY_ERROR, ENERGY_FLOOR = 1e-3, 0.1, 1e-6
 
 
@@ -250,7 +250,7 @@ def energy_finding(balance, moved):
     lost = abs(balance.residual)
     level, message = graded(
         lost, ENERGY_FLOOR + ENERGY_WARN * moved, ENERGY_FLOOR + ENERGY_ERROR * moved, 'balanced',
-        f'{lost:.2g} J came from nowhere or went there: take a smaller step_size or another '
+        f'the energy balance is off by {lost:.2g} J: take a smaller step_size or another '
         'integrator')
     return Finding(level, message, {
         f'{key} [J]': getattr(balance, key)

@@ -13,7 +13,7 @@
 # limitations under the License.
 
 """
-What watches a run: energy from nowhere, loops that open, steps that cannot be stable.
+Guards of a run: error of the energy balance, loops that open, steps that cannot be stable.
 
 Every guard says after how many steps it wants to look again, looks, and raises where the motion
 has become meaningless.
@@ -52,8 +52,8 @@ DIFFERENCE = 1e-7
 FIRST_LOOK, FIRST_LOOK_ORDER_1, LOOK_EVERY = 16, 128, 512
 # The same with fixed steps among force laws: contacts and stops are left quickly.
 LOOK_EVERY_AMONG_LAWS = 100
-# Energy from nowhere, against all that has moved, that is worth a warning, and at which the motion
-# is none any more.
+# Errors of the energy balance, relative to the energy that has moved, that are worth a warning and
+# that end the run.
 ENERGY_WARN, ENERGY_ERROR = 1e-3, 0.1
 # Less than this share of the energy there is may be rounding; and between two looks, less than
 # this share of all that has moved.
@@ -145,7 +145,7 @@ class EnergyGuard:
     among_laws : bool
         As given.
     worst, worst_time : float
-        Largest energy from nowhere against what had moved by then, and when [s].
+        Largest error of the balance relative to what had moved by then, and when [s].
 
     """
 
@@ -182,7 +182,7 @@ class EnergyGuard:
 
     def look(self, simulation, steps):
         """
-        Raise where energy has come from nowhere; warn, once, where it is little.
+        Raise where the energy balance is far off; warn, once, where it is a little.
 
         Raises
         ------
@@ -231,7 +231,7 @@ class EnergyGuard:
         self._look = Look(balance, simulation.state, simulation.time)
 
     def note(self, balance, time):
-        """Note how much energy has moved and how much of it came from nowhere."""
+        """Note how much energy has moved, and the error of the balance."""
         start = balance.stored if self._start is None else self._start
         self.compare(
             abs(balance.residual),
@@ -240,12 +240,12 @@ class EnergyGuard:
 
     def compare(self, lost, moved, present, time):
         """
-        Note how much energy came from nowhere.
+        Note an error of the energy balance.
 
         Parameters
         ----------
         lost, moved, present : float
-            Energy that came from nowhere or went there, that has moved, that there is [J].
+            Error of the balance, energy that has moved, energy that there is [J].
         time : float
             [s].
 
@@ -271,7 +271,7 @@ class EnergyGuard:
         """Return the error to raise."""
         rate, size = self._rate(simulation.state), self._method.step_size
         kept = f'The state of t = {before.time:.9g} s is kept.'
-        what = (f'{lost:.3g} J came from nowhere between t = {before.time:.9g} and '
+        what = (f'The energy balance is off by {lost:.3g} J between t = {before.time:.9g} and '
                 f'{simulation.time:.9g} s, where {moving:.3g} J moved')
         if worst > ENERGY_ERROR and not lost > ENERGY_ERROR * moving:
             what = f'The energy balance misses {worst:.0%} of all energy that moved'

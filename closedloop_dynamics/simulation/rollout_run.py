@@ -43,7 +43,7 @@ FEWEST, MOST = 3, simd.LANES
 TIME_ROUNDING = 1e-9
 # Instants of a run at which its energy is looked at.
 MOST_LOOKS = 9
-# Energy from nowhere, against all that moved, at which a motion is none.
+# Error of the energy balance, relative to all that moved, at which a motion has failed.
 ENERGY_ERROR = 0.1
 
 
@@ -211,7 +211,7 @@ def verdict(simulation, states, last, work, schedule):
     Returns
     -------
     share : float
-        Energy from nowhere at the end, against all that moved.
+        Error of the energy balance at the end, relative to all that moved.
     finding : str or None
         What is wrong, in words.
 

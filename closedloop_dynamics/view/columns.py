@@ -176,7 +176,7 @@ class SimulationRows:
         plots += [Plot('energy', name, 'J')
                   for name in ('kinetic', 'stored', 'dissipated', 'work')]
         plots += [Plot('closure error', 'largest', 'm or rad'),
-                  Plot('energy from nowhere', 'balance', 'J'),
+                  Plot('error of the energy balance', 'balance', 'J'),
                   Plot('angle from a singularity', 'loops', 'sine')]
         if mechanism.planar and self._sine() == self._sine():
             plots.append(Plot('angle from a singularity', 'held drives', 'sine'))

@@ -1,6 +1,6 @@
 // What is plotted over time, and where its numbers are kept.
 
-const LOGARITHMIC = ['closure error', 'energy from nowhere', 'angle from a singularity',
+const LOGARITHMIC = ['closure error', 'error of the energy balance', 'angle from a singularity',
                      'estimated error'];
 // Rows of a live motion that are kept, and of these so many shown.
 const KEPT = 7200, SHOWN = 600;
@@ -205,7 +205,7 @@ class Plots {
   constructor(described, place, menu, colors) {
     this.groups = [];
     const names = [...new Set(described.plots.map((plot) => plot.group))];
-    const hidden = ['joint velocity', 'energy from nowhere'];
+    const hidden = ['joint velocity', 'error of the energy balance'];
     names.forEach((name) => {
       const series = described.plots.map((plot, column) => ({...plot, column}))
         .filter((plot) => plot.group === name)
