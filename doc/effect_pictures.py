@@ -208,6 +208,35 @@ def machines():
     figure.savefig(DIRECTORY / 'machine_elements.png', dpi=110)
 
 
+def gears():
+    """Draw the shipped machines with gears, belts, rods and slots."""
+    figure = matplotlib.figure.Figure((9.0, 5.2), layout='constrained')
+    rate = 'rate [rad/s]'
+    panels = (
+        ('planetary_gear', 1.0, rate, lambda one: one.velocity[:3], ('sun', 'ring', 'carrier')),
+        ('planetary_gear', 1.0, 'forces of teeth [N]', lambda one: one.tooth_forces[[0, 3]],
+         ('sun, each planet', 'ring')),
+        ('rack_press', 1.0, 'way of the ram [mm]', lambda one: 1e3 * one.position[1:], ()),
+        ('differential', 1.0, rate, lambda one: one.velocity[[3, 4, 1]],
+         ('left', 'right', 'carrier')),
+        ('scissor_lift', 2.0, 'height [m]', lambda one: one.point('load')[1:], ()),
+        ('geared_five_bar', 2.0, 'belt force [N]', lambda one: one.tooth_forces, ()))
+    for axes, (name, duration, label, take, names) in zip(figure.subplots(2, 3).flat, panels):
+        simulation = Simulation.from_scene(name)
+        times, values = [0.0], [take(simulation)]
+        for _ in range(250):
+            simulation.step(duration=duration / 250)
+            times.append(simulation.time)
+            values.append(take(simulation))
+        for line, color in zip(np.transpose(values), COLORS):
+            axes.plot(times, line, color=color, linewidth=1.4)
+        if names:
+            axes.legend(names, frameon=False, fontsize=8)
+        axes.set(title=name, xlabel='time [s]', ylabel=label)
+        axes.grid(alpha=0.3)
+    figure.savefig(DIRECTORY / 'machine_gears.png', dpi=110)
+
+
 def drives_and_sensors():
     """Draw what becomes of commands and of what is measured."""
     def effort(simulation):
@@ -249,4 +278,5 @@ if __name__ == '__main__':
     points()
     elements()
     machines()
+    gears()
     drives_and_sensors()

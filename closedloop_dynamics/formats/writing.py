@@ -28,9 +28,10 @@ from xml.etree import ElementTree
 import numpy as np
 
 from .pose import angles_of, of_quaternion, Pose, quaternion_of
+from ..mechanism.couplings import in_tree
 from ..mechanism.mechanism import (
-    Body, CutJoint, CYLINDRICAL, FIXED, FREE, GROUND, HELICAL, Joint, MechanismError, PLANAR,
-    Point, PRISMATIC, REVOLUTE, SPHERICAL, UNIVERSAL)
+    Body, Coupling, CutJoint, CYLINDRICAL, DISTANCE, FIXED, FREE, GROUND, HELICAL, Joint,
+    MechanismError, PLANAR, Point, POINT_ON_LINE, PRISMATIC, REVOLUTE, SPHERICAL, UNIVERSAL)
 from ..mechanism.validation import checked
 
 X, Y, Z = (tuple(axis) for axis in np.eye(3).tolist())
@@ -76,15 +77,20 @@ def in_space(mechanism):
                     axis=Z if joint.type == REVOLUTE else X) for joint in mechanism.joints]
     cuts = []
     for cut in mechanism.cut_joints:
+        along = {'axis_b': (float(np.cos(cut.angle)), float(np.sin(cut.angle)), 0.0)}
         keys = {REVOLUTE: {'axis_a': Z, 'axis_b': Z}, FIXED: {'orientation': turned(cut.angle)},
-                PRISMATIC: {'orientation': turned(cut.angle), 'axis_b': (
-                    float(np.cos(cut.angle)), float(np.sin(cut.angle)), 0.0)}}[cut.type]
+                PRISMATIC: {'orientation': turned(cut.angle), **along}, POINT_ON_LINE: along,
+                DISTANCE: {'length': cut.length}}[cut.type]
         cuts.append(CutJoint(cut.name, cut.type, cut.body_a, cut.body_b, (*cut.point_a, 0.0),
                              (*cut.point_b, 0.0), **keys))
     points = [Point(point.name, point.body, (*point.position, 0.0)) for point in mechanism.points]
+    couplings = []
+    for coupling in mechanism.couplings:
+        factors, offset = in_tree(mechanism, coupling)
+        couplings.append(Coupling(coupling.name, factors, offset))
     return checked(replace(
         mechanism, bodies=tuple(bodies), joints=tuple(joints), cut_joints=tuple(cuts),
-        points=tuple(points), source=None))
+        points=tuple(points), couplings=tuple(couplings), source=None))
 
 
 def mjcf(mechanism, effects=None):

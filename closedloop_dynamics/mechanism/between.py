@@ -186,12 +186,21 @@ def with_tree(mechanism, links, orders=None):
             cut, point_a=_moved(cut.point_a, shifts.get(cut.body_a)),
             point_b=_moved(cut.point_b, shifts.get(cut.body_b)))
             for cut in mechanism.cut_joints)),
+        couplings=tuple(_counted(coupling, found, {edges[index].name for index in chosen.cut})
+                        for coupling in mechanism.couplings),
         points=tuple(replace(point, position=_moved(point.position, shifts.get(point.body)))
                      for point in mechanism.points),
         tree=ChosenTree(tuple(edges[index].name for index in chosen.cut),
                         tuple(edges[index].name for index in first.cut) if orders is None
                         else (), tuple(free),
                         {body: tuple(shift.tolist()) for body, shift in shifts.items()}))
+
+
+def _counted(coupling, found, cut):
+    """Return a coupling with the angles of joints that are cut counted as if they were not."""
+    angles = {joint.name: joint.angle for joint, _ in found if joint.name in cut}
+    return replace(coupling, offset=coupling.offset + sum(
+        factor * angles.get(name, 0.0) for name, factor in coupling.joints.items()))
 
 
 def _moved(place, shift):

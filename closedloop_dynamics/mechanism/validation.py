@@ -24,6 +24,7 @@ import numpy as np
 from .checks import (
     boolean, direction, listed, name, not_negative, number, numbers, one_of, orientation, positive,
     text, vector2, vector3)
+from .couplings import in_tree
 from .fields import among, at, FieldError, mapping, nearest, normalise, shown
 from .mechanism import (
     Body, COUPLED, Coupling, CUT_JOINT_EQUATIONS, CUT_WITH_AXIS_A, CUT_WITH_AXIS_B,
@@ -324,6 +325,9 @@ def _check_couplings(mechanism):
                 if joints[key].type not in COUPLED:
                     raise FieldError(f'a joint of one freedom: {among(COUPLED)}',
                                      f'one that is {joints[key].type}')
+        if not in_tree(mechanism, coupling)[0]:
+            raise FieldError('joints whose coordinates change the sum', 'a sum that never changes',
+                             path=('couplings', coupling.name, 'joints'))
         first = next(iter(coupling.joints))
         if coupling.radius is not None and {**cuts, **joints}[first].type == PRISMATIC:
             raise FieldError(f'no radius: its first joint, {first}, slides, and its force is that '

@@ -98,6 +98,8 @@ def columns(simulation, all_forces=False):
     for cut in simulation.cut_joints:
         names += [f'force.{cut.name}.{part}' for part in _force_parts(simulation, cut)]
     names += [f'coupling.{coupling.name}' for coupling in simulation.mechanism.couplings]
+    names += [f'tooth_force.{simulation.mechanism.couplings[k].name}'
+              for k in _toothed(simulation)]
     if all_forces:
         parts = _force_parts(simulation)
         names += [f'force.{simulation.mechanism.joints[place].name}.{part}'
@@ -128,10 +130,17 @@ def row(simulation, seconds, all_forces=False):
     for cut, wrench in zip(simulation.cut_joints, simulation.constraint_forces.tolist()):
         values += [wrench[place] for place in _force_parts(simulation, cut).values()]
     values += simulation.coupling_forces.tolist()
+    values += simulation.tooth_forces[_toothed(simulation)].tolist()
     if all_forces:
         places = list(_force_parts(simulation).values())
         values += simulation.joint_forces[_moving(simulation)][:, places].ravel().tolist()
     return [*values, *simulation.points.ravel().tolist(), simulation.closure, simulation.energy]
+
+
+def _toothed(simulation):
+    """Return the places of the couplings that have a radius."""
+    return [k for k, coupling in enumerate(simulation.mechanism.couplings)
+            if coupling.radius is not None]
 
 
 def _moving(simulation):
@@ -150,8 +159,8 @@ def _force_parts(simulation, cut=None):
     parts = list(enumerate(wrench_parts(simulation.mechanism)))
     moments = len(parts) // 2
     without_torque = cut is not None and (
-        cut.type == REVOLUTE if simulation.mechanism.planar
-        else cut.type in CUT_WITHOUT_MOMENT)
+        cut.type in CUT_WITHOUT_MOMENT
+        or simulation.mechanism.planar and cut.type == REVOLUTE)
     shown = parts[moments:] + ([] if without_torque else parts[:moments])
     return {name: place for place, name in shown}
 

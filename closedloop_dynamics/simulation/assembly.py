@@ -312,7 +312,7 @@ class Assembler:
 
         """
         return [*self._notes_on_position(position, q, hold),
-                *self._notes_on_singularity(q, hold),
+                *self._notes_on_singularity(q, hold), *self._notes_on_lock(q),
                 *(f'The velocity {wanted:g} wanted of {name} became {got:.6g}: the nearest motion '
                   f'that keeps the loops closed. To have it as given, hold {name}.'
                   for name, wanted, got in zip(self._coordinates.names, velocity, qd)
@@ -353,6 +353,17 @@ class Assembler:
         return [f'The start is a change point (a singular position): {self._dependence(lost)}, '
                 'and the loops can move on in more than one way. From rest, forces decide which, '
                 f'or none can be followed. {self._beside(hold)}']
+
+    def _notes_on_lock(self, q):
+        """Tell that couplings lock the mechanism, which makes no other error."""
+        if not self.mechanism.couplings or self.nc > MOST_EQUATIONS:
+            return []
+        rank = self._largest_rank(q)
+        if rank < self.nv:
+            return []
+        names = ', '.join(coupling.name for coupling in self.mechanism.couplings)
+        return [f'Nothing can move: {rank} of {self.nc} equations are independent, as many as '
+                f'there are joint coordinates. Look at the couplings: {names}.']
 
     def require_independent(self, q):
         """

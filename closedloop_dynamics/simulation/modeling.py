@@ -19,10 +19,10 @@ import math
 import numpy as np
 
 from ..core import types as t
+from ..mechanism.couplings import in_tree
 from ..mechanism.decomposition import decompose
 from ..mechanism.mechanism import (
-    Coupling, CUT_JOINT_EQUATIONS, DISTANCE, FIXED, GROUND, MechanismError, POINT_ON_LINE,
-    PRISMATIC, REVOLUTE)
+    Coupling, CUT_JOINT_EQUATIONS, DISTANCE, FIXED, GROUND, POINT_ON_LINE, PRISMATIC, REVOLUTE)
 
 _CUT_TYPES = {
     REVOLUTE: t.CUT_REVOLUTE, PRISMATIC: t.CUT_PRISMATIC, FIXED: t.CUT_FIXED,
@@ -88,17 +88,17 @@ def _cut_arrays(mechanism, decomposition, tree, body_row):
     cut = np.zeros((len(mechanism.closures), t.CUT_COLUMNS), dtype=np.int64)
     points = []
     entries = []
+    child = {joint.name: joint.child for joint in mechanism.joints}
     first = 0
     user_first = np.cumsum([0] + [
         1 if isinstance(c, Coupling) else CUT_JOINT_EQUATIONS[c.type] for c in mechanism.closures])
     for k, index in enumerate(decomposition.cut_order):
         joint = mechanism.closures[index]
         if isinstance(joint, Coupling):
-            factors, constant = _coupled(mechanism, joint)
-            points.append(couple(
-                cut[k], tree, {body_row[child]: factor for child, factor in factors.items()},
-                joint.offset - constant, entries))
-            tree[[body_row[child] for child in factors], t.READ] = 1
+            factors, offset = in_tree(mechanism, joint)
+            factors = {body_row[child[name]]: factor for name, factor in factors.items()}
+            points.append(couple(cut[k], tree, factors, offset, entries))
+            tree[[*factors], t.READ] = 1
             cut[k, [t.CUT_TYPE, t.ROWS, t.CUT_ROW, t.ROW, t.CUT_NUMBER]] = (
                 t.CUT_COUPLING, 1, user_first[index], first, index)
             first += 1
@@ -127,46 +127,6 @@ def filled(points, columns):
     for row, values in zip(array, points):
         row[:len(values)] = values
     return array
-
-
-def _coupled(mechanism, coupling):
-    """
-    Return what a coupling sums up, in the coordinates of the tree.
-
-    Returns
-    -------
-    factors : dict of str to float
-        By the body that the joint carries; none is zero.
-    constant : float
-        What angles of cut joints have beside: those of the tree's joints at q = 0.
-
-    Raises
-    ------
-    MechanismError
-        Where nothing is left of it.
-
-    """
-    carrier = {joint.child: joint for joint in mechanism.joints}
-    children = {joint.name: joint.child for joint in mechanism.joints}
-    cuts = {cut.name: cut for cut in mechanism.cut_joints}
-    factors, constant = {}, 0.0
-    for name, factor in coupling.joints.items():
-        if name in children:
-            factors[children[name]] = factors.get(children[name], 0.0) + factor
-            continue
-        for body, sign in ((cuts[name].body_a, factor), (cuts[name].body_b, -factor)):
-            while body != GROUND:
-                joint = carrier[body]
-                constant += sign * joint.angle
-                if joint.type == REVOLUTE:
-                    factors[body] = factors.get(body, 0.0) + sign
-                body = joint.parent
-    factors = {body: factor for body, factor in factors.items() if factor != 0.0}
-    if not factors:
-        raise MechanismError(
-            f'couplings.{coupling.name}: expected joints whose coordinates differ, got a sum that '
-            'no motion changes')
-    return factors, constant
 
 
 def couple(cut, tree, factors, offset, entries):

@@ -244,7 +244,8 @@ def values_of(simulation, buffer, tau, schedule, quantities):
         'velocity': lambda: buffer.state[:, nq:nq + nv].copy(),
         'acceleration': lambda: buffer.qdd,
         'effort': lambda: _efforts(simulation, buffer, tau, schedule),
-        'constraint_forces': lambda: buffer.wrench,
+        # Behind the cut joints those of couplings, which have none.
+        'constraint_forces': lambda: buffer.wrench[:, :len(simulation.cut_joints)],
         'joint_forces': lambda: joint_forces(
             simulation.system, tau, schedule.zero_order_hold, schedule.decimation, buffer.state,
             buffer.qdd, buffer.lam),

@@ -368,6 +368,20 @@ class Simulation:
         return lam[len(lam) - len(self.mechanism.couplings):].copy()
 
     @property
+    def tooth_forces(self):
+        """
+        Tooth or belt forces, shape (number of couplings,) [N]; NaN where no radius is given.
+
+        The torque of the coupling in its first joint over the radius of the wheel there, with the
+        torque's sign.
+
+        """
+        ratios = [np.nan if coupling.radius is None else
+                  next(iter(coupling.joints.values())) / coupling.radius
+                  for coupling in self.mechanism.couplings]
+        return np.array(ratios, dtype=float) * self.coupling_forces
+
+    @property
     def joint_forces(self):
         """
         Wrenches in the joints, shape (nv, 3): moment, force x, force y.

@@ -169,11 +169,11 @@ def _equations(mechanism):
 
 def _couplings(mechanism):
     """Return the table of couplings where there are any."""
-    return [_table('Couplings', ('name', 'factors of joints', 'sum'), [
+    return [_table('Couplings', ('name', 'factors of joints', 'sum', 'radius [m]'), [
         (coupling.name, ', '.join(f'{joint} {_value(factor)}'
                                   for joint, factor in coupling.joints.items()),
-         _value(coupling.offset)) for coupling in mechanism.couplings])] * bool(
-             mechanism.couplings)
+         _value(coupling.offset), '-' if coupling.radius is None else _value(coupling.radius))
+        for coupling in mechanism.couplings])] * bool(mechanism.couplings)
 
 
 def _cut_joints(mechanism, decomposition):

@@ -33,7 +33,7 @@ from .appearance import (
     PATH_COLOR, sliders)
 from .motion import force_of, named_point, pose_of, world_points
 from .views import PLANE
-from ..mechanism.mechanism import GROUND, PRISMATIC
+from ..mechanism.mechanism import DISTANCE, GROUND, POINT_ON_LINE, PRISMATIC
 
 # Length of the longest force arrow, as a share of the picture's extent.
 ARROW_SIZE = 0.22
@@ -159,6 +159,10 @@ class MechanismArtist:
                                          strength, layer), ends))
         if not self.mechanism.planar and strength == 1.0:
             parts += self._axes_of_joints(layer)
+        parts += [Part(self.axes.plot([], [], color=mixed(INK, strength), zorder=layer + 0.4,
+                                      linewidth=ROD_WIDTH)[0],
+                       ((cut.body_a, (cut.point_a,)), (cut.body_b, (cut.point_b,))))
+                  for cut in self.mechanism.cut_joints if cut.type == DISTANCE]
         parts.append(Part(
             self._dots('white', CUT_COLOR, 7.5, strength, layer, edge_width=2.2),
             tuple((cut.body_a, (cut.point_a,)) for cut in self.mechanism.cut_joints)))
@@ -370,10 +374,11 @@ def draw_ground(axes, mechanism, poses, extent):
         Of the picture [m].
 
     """
-    for kind, angle, place, body in _on_ground(mechanism):
-        if kind == PRISMATIC:
+    for kind, angle, place, body, point in _on_ground(mechanism):
+        if kind in (PRISMATIC, POINT_ON_LINE):
             axis = np.array([np.cos(angle), np.sin(angle)])
-            along = (pose_of(mechanism, poses, body)[..., :2] - place) @ axis
+            moving = world_points(pose_of(mechanism, poses, body), point)
+            along = (moving - place) @ axis
             _draw_rail(axes, np.array(place), axis, along, SLIDER_SIZE * extent)
         else:
             _draw_pivot(axes, np.array(place), PIVOT_SIZE * extent)
@@ -433,16 +438,18 @@ def _draw_floor(artist):
 
 
 def _on_ground(mechanism):
-    """Yield type, angle and place of every joint and cut joint on the ground, and the body."""
+    """Yield type, angle and place of each joint on the ground, the body and its point there."""
     for joint in mechanism.joints:
         if joint.parent == GROUND:
-            yield joint.type, joint.angle, joint.position, joint.child
+            yield joint.type, joint.angle, joint.position, joint.child, (0.0, 0.0)
     for cut in mechanism.cut_joints:
         if cut.body_b == GROUND:
-            yield cut.type, cut.angle, cut.point_b, cut.body_a
-        elif cut.body_a == GROUND and cut.type != PRISMATIC:
+            # A block slides by its own origin, a pin by the point in the slot.
+            point = cut.point_a if cut.type == POINT_ON_LINE else (0.0, 0.0)
+            yield cut.type, cut.angle, cut.point_b, cut.body_a, point
+        elif cut.body_a == GROUND and cut.type not in (PRISMATIC, POINT_ON_LINE):
             # The axis of a prismatic cut joint belongs to body B: nothing to draw here.
-            yield cut.type, 0.0, cut.point_a, cut.body_b
+            yield cut.type, 0.0, cut.point_a, cut.body_b, cut.point_b
 
 
 def _draw_pivot(axes, place, size):

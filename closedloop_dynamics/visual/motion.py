@@ -18,6 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..mechanism.couplings import in_tree
 from ..mechanism.mechanism import (
     CUT_WITH_ORIENTATION, CYLINDRICAL, DISTANCE, FIXED, FREE, GROUND, HELICAL, PLANAR,
     POINT_ON_LINE, POINT_ON_PLANE, PRISMATIC, REVOLUTE, SPHERICAL, UNIVERSAL, UNTURNED)
@@ -240,12 +241,14 @@ def closure_errors(mechanism, poses):
 
 def _planar_errors(cut, pose_a, pose_b, gap):
     errors = []
-    if cut.type == PRISMATIC:
+    if cut.type in (PRISMATIC, POINT_ON_LINE):
         axis = pose_b[..., 2] + cut.angle
         errors.append(gap[..., 1] * np.cos(axis) - gap[..., 0] * np.sin(axis))
+    elif cut.type == DISTANCE:
+        errors.append(np.hypot(gap[..., 0], gap[..., 1]) - cut.length)
     else:
         errors += [gap[..., 0], gap[..., 1]]
-    if cut.type != REVOLUTE:
+    if cut.type in (PRISMATIC, FIXED):
         errors.append(pose_a[..., 2] - pose_b[..., 2] - cut.angle)
     return errors
 
@@ -292,6 +295,7 @@ def closure(mechanism, position):
 def coupling_errors(mechanism, position):
     """Return the errors of couplings, a list of shapes (...), of positions, shape (..., nq)."""
     places = mechanism.coordinates.coordinates
+    equations = [in_tree(mechanism, coupling) for coupling in mechanism.couplings]
     return [sum(factor * position[..., places[joint].start]
-                for joint, factor in coupling.joints.items()) - coupling.offset
-            for coupling in mechanism.couplings]
+                for joint, factor in factors.items()) - offset
+            for factors, offset in equations]

@@ -102,7 +102,8 @@ def constraint_forces(motion, title):
     if not motion.mechanism.planar:
         return _spatial_forces(motion, title)
     cuts = motion.mechanism.cut_joints
-    torques = [k for k, cut in enumerate(cuts) if cut.type != REVOLUTE]
+    torques = [k for k, cut in enumerate(cuts)
+               if cut.type not in (REVOLUTE, *CUT_WITHOUT_MOMENT)]
     figure, rows = _panels(len(cuts) + bool(torques), title)
     rows = rows[:, 0]
     for k, (axes, cut) in enumerate(zip(rows, cuts)):

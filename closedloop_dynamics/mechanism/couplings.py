@@ -1,0 +1,59 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Couplings in the coordinates of the spanning tree.
+
+In the plane angles add along a chain of bodies: the coordinate of a revolute cut joint, the angle
+of body A in body B, is a sum of the tree's coordinates and of constant angles.
+
+"""
+
+from .mechanism import GROUND, REVOLUTE
+
+
+def in_tree(mechanism, coupling):
+    """
+    Return a coupling's equation in the coordinates of the tree.
+
+    Parameters
+    ----------
+    mechanism : Mechanism
+        Joints and cut joints that the coupling names exist.
+    coupling : Coupling
+        Of its joints, and in the plane of its revolute cut joints.
+
+    Returns
+    -------
+    factors : dict of str to float
+        By joint of the tree, none zero; empty where the sum never changes.
+    offset : float
+        What the sum of the coordinates times these is held at.
+
+    """
+    carrier = {joint.child: joint for joint in mechanism.joints}
+    cuts = {cut.name: cut for cut in mechanism.cut_joints}
+    factors, offset = {}, coupling.offset
+    for name, factor in coupling.joints.items():
+        if name not in cuts:
+            factors[name] = factors.get(name, 0.0) + factor
+            continue
+        for body, sign in ((cuts[name].body_a, factor), (cuts[name].body_b, -factor)):
+            while body != GROUND:
+                joint = carrier[body]
+                offset -= sign * joint.angle
+                if joint.type == REVOLUTE:
+                    factors[joint.name] = factors.get(joint.name, 0.0) + sign
+                body = joint.parent
+    return {name: factor for name, factor in factors.items() if factor != 0.0}, offset
