@@ -54,6 +54,11 @@ CLOSE = 1e-3
 # tolerance; that of four places, 1e-7, was found by step after step of an error-controlled method.
 ASIDE = 0.015
 PLACES = 8
+# Smallest singular value at which a place is asked. Where many loops come to lie in one line at
+# once, singular values grow slowly with the distance. The places are then taken farther away, at
+# most FARTHEST times as far, and asked if singular values there are BETTER times those of the state.
+ENOUGH, LEAST_ENOUGH = 2.0 * CLOSE, 0.1 * CLOSE
+FARTHEST, BETTER = 8.0, 2.0
 
 
 @allocating
@@ -171,7 +176,8 @@ def accelerate(model, work, tau, baumgarte, aside, q, qd, qdd, lam):
     tau, baumgarte, qdd, lam
         As for ``forward_dynamics.accelerate``.
     aside : float
-        Distance of the places that are interpolated between [rad]; usually ``ASIDE``.
+        Distance of the places that are interpolated between [rad]; usually ``ASIDE``. Where
+        singular values there are too small, up to FARTHEST times as much.
     q, qd : ndarray, shape (nv,)
         The state.
 
@@ -191,9 +197,11 @@ def accelerate(model, work, tau, baumgarte, aside, q, qd, qdd, lam):
     health = work.health
     health[RANK_REVEALING_COUNT] += 1.0
     speed, size, error, here, close = _fastest(work), 0.0, 0.0, 0, False
+    weak, few, farther, attempt = 0.0, 0, False, -1
     # First the state itself, then the branch beside it, then places around it. One call of each
     # kernel serves them all: a second one would be compiled again.
-    for attempt in range(2 + PLACES):
+    while attempt < 1 + PLACES:
+        attempt += 1
         if attempt > 0:
             ahead = (0.0 if attempt == 1 else _place(attempt - 2) * aside / speed)
             for i in range(nv):
@@ -227,6 +235,7 @@ def accelerate(model, work, tau, baumgarte, aside, q, qd, qdd, lam):
             # Baumgarte's terms are divided by s as well: around here by another one.
             for k in range(nc):
                 beside[k] = 0.0
+            weak, few = weakest, distinct
         else:
             # On the branch only: beside it equations that repeat one another seem not to.
             if settled:
@@ -237,7 +246,21 @@ def accelerate(model, work, tau, baumgarte, aside, q, qd, qdd, lam):
             if not close and here < health[MOST_DISTINCT]:
                 close = True
                 health[SINGULAR_COUNT] += 1.0
-            if not close or not (settled and weakest >= 2.0 * CLOSE):
+            if not (close and settled):
+                break
+            if distinct > few:
+                # What vanished at the state.
+                weak = 0.0
+            if weakest < ENOUGH and not farther:
+                # Singular values grow in proportion to the distance.
+                needed = abs(_place(attempt - 2)) * (ENOUGH + weak)
+                aside *= FARTHEST if needed > FARTHEST * (weakest - weak) else (
+                    needed / (weakest - weak))
+                farther, attempt = True, 1
+                for i in range(nv):
+                    total[i] = 0.0
+                continue
+            if weakest < ENOUGH and weakest < max(LEAST_ENOUGH, BETTER * weak):
                 break
             share = _share(attempt - 2)
             for i in range(nv):

@@ -319,6 +319,22 @@ def test_accelerations_next_to_the_flat_position_are_those_of_the_branch(loops, 
     assert simulation.acceleration[::2] == pytest.approx(-exact, rel=1e-3)
 
 
+@pytest.mark.parametrize('error', [1e-12, 1e-9])
+@pytest.mark.parametrize('tilt', [0.0, 1e-7, 1e-4, 1e-3, -0.02, 0.03])
+def test_accelerations_of_many_loops_in_one_line_are_those_of_the_branch(tilt, error):
+    loops, random = 40, np.random.default_rng(0)
+    mechanism, q, qd = special.ladder(loops, tilt=0.5 * np.pi - tilt, rate=5.0)
+    system = build_system(build_model(mechanism, dense.EARTH))
+    # Beside the branch, as a step leaves a state. Where the accelerations are asked, an error of
+    # the rates is divided by 0.002.
+    q, qd = (values + error * random.normal(size=len(q)) for values in (q, qd))
+    evaluate(system, q, qd)
+    exact = dense.EARTH[1] * math.cos(tilt) * (
+        (loops + 1) / 2 + loops) / ((loops + 1) / 3 + loops)
+    assert np.abs(system.qdd[::2] - exact).max() < 1e-6
+    assert np.abs(system.qdd[1::2] + exact).max() < 1e-6
+
+
 @pytest.mark.parametrize('beyond', [np.nan, 1e200, 1e308])
 def test_numbers_that_cannot_be_decomposed_leave_no_accelerations(beyond, capfd):
     mechanism, q, _ = machines.three_rockers()
