@@ -56,7 +56,7 @@ ASIDE = 0.015
 PLACES = 8
 # Smallest singular value at which a place is asked. Where many loops come to lie in one line at
 # once, singular values grow slowly with the distance. The places are then taken farther away, at
-# most FARTHEST times as far, and asked if singular values there are BETTER times those of the state.
+# most FARTHEST times as far, and asked if singular values there are BETTER times those here.
 ENOUGH, LEAST_ENOUGH = 2.0 * CLOSE, 0.1 * CLOSE
 FARTHEST, BETTER = 8.0, 2.0
 
