@@ -13,7 +13,7 @@
 # limitations under the License.
 
 """
-What all tests share: the ``--all`` option, and an environment that harms nothing around it.
+What all tests share: ``--all`` and ``--starts``, and an environment that harms nothing around it.
 
 The environment is set here, before anything imports numba or rclpy, for runs without
 ``scripts/test``: by hand, or by ``colcon test``. What is set already is left alone.
@@ -43,6 +43,8 @@ FIRST = (
 
 def pytest_addoption(parser):
     parser.addoption('--all', action='store_true', help='run the tests marked slow, too')
+    parser.addoption('--starts', type=int, default=20, metavar='N', help=(
+        'with --all, start each pair of commands in the documents N times (default: 20)'))
 
 
 def _turn(item):

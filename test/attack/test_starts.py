@@ -86,7 +86,7 @@ def test_pair_of_commands_ends_well_on_a_busy_machine(processes, listener):
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(3600)
+@pytest.mark.timeout(14400)
 @pytest.mark.parametrize('pair', PAIRS)
-def test_every_pair_of_commands_ends_well_however_often(pair, processes, listener):
-    assert attack(pair, 20, processes, listener) == []
+def test_every_pair_of_commands_ends_well_however_often(pair, request, processes, listener):
+    assert attack(pair, request.config.getoption('--starts'), processes, listener) == []
