@@ -172,7 +172,7 @@ def _say_once(kind, message):
 
 class KernelCache(NullCache):
     """
-    What one compiled function has on disk, as numba's dispatcher asks for it.
+    Files of one compiled function, as numba's dispatcher asks for them.
 
     Parameters
     ----------

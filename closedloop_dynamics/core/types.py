@@ -13,7 +13,7 @@
 # limitations under the License.
 
 """
-What the kernels read and write: the constant Model and the mutable Workspace.
+Data of the kernels: the constant Model and the mutable Workspace.
 
 Both are NamedTuples of C-contiguous arrays. Per body there is one row; the
 columns are the constants below, so that what belongs to one body lies in one

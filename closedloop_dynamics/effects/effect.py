@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What every effect can be asked, and where the joints, bodies and points that it names are."""
+"""Interface of every effect, and lookup of the joints, bodies and points that it names."""
 
 from ..mechanism.checks import one_of, vector2, vector3
 from ..mechanism.fields import at, FieldError, normalise

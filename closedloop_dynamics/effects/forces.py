@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What the laws of forces at points share, in the plane and in space."""
+"""Shared parts of the laws of forces at points, in the plane and in space."""
 
 import math
 

@@ -13,7 +13,7 @@
 # limitations under the License.
 
 """
-What is measured instead of what is: noise, bias, resolution and delay of joint sensors.
+Joint sensors: noise, bias, resolution and delay of measured states.
 
     y(t) = resolution round((x(t - delay) + bias + noise n) / resolution)
 

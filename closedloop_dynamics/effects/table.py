@@ -13,7 +13,7 @@
 # limitations under the License.
 
 """
-What the compiled side knows of the effects: flat arrays, one row for each listed effect.
+The effects as compiled code sees them: flat arrays, one row for each listed effect.
 
 The kind of a row chooses its law in ``dispatch``; which rows there are is data, so that one
 compiled code serves every scene.

@@ -13,7 +13,7 @@
 # limitations under the License.
 
 """
-What any format tells of a machine, before it becomes a mechanism of ours.
+A machine as model formats describe it, before it becomes a mechanism.
 
 Links have frames of their own choice and joints join any two of them, in loops, too. Readers of
 formats fill these records; ``building.mechanism_of`` chooses a tree and writes a Mechanism, and

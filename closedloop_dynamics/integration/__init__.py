@@ -12,4 +12,4 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What advances a state in time: steppers, error control, and projection onto the loops."""
+"""Integration of a state in time: steppers, error control, and projection onto the loops."""

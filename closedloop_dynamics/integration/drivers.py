@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What a simulation drives its state with: one object per way of stepping."""
+"""Drivers, which advance the state of a simulation: one class for each way of stepping."""
 
 import numpy as np
 

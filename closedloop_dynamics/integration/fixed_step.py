@@ -30,7 +30,7 @@ from ..effects.table import STORED
 
 
 class RunBuffer(NamedTuple):
-    """What a run leaves at its instants; all but the states of no length where not wanted."""
+    """Results of a run at its instants; arrays that are not wanted have no length."""
 
     state: np.ndarray  # Shape (instants, ns)
     qdd: np.ndarray  # Shape (instants, nv)

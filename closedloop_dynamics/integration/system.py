@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What the integrators integrate: a mechanism under joint torques."""
+"""The system of equations that is integrated: a mechanism under joint torques."""
 
 from contextlib import suppress
 from functools import partial

@@ -12,4 +12,4 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What a mechanism is: its description, validated, and its decomposition into subsystems."""
+"""Mechanisms: their validated description, and their decomposition into subsystems."""

@@ -44,7 +44,7 @@ REVERSIBLE = (REVOLUTE, PRISMATIC, HELICAL, CYLINDRICAL, FIXED)
 @dataclass(frozen=True)
 class ChosenTree:
     """
-    What was chosen.
+    The tree that was chosen.
 
     Attributes
     ----------

@@ -13,7 +13,7 @@
 # limitations under the License.
 
 """
-What the numbers of a state are called and where they are: coordinates q, rates qd, by joint.
+Names and places of the numbers of a state: coordinates q and rates qd, by joint.
 
 Joints come in the mechanism's order. A joint of one freedom has one coordinate and one rate, both
 called by its name. A universal or cylindrical joint has two, called ``JOINT.1`` and ``JOINT.2``, a

@@ -38,7 +38,7 @@ FEW_CUT_JOINTS = 40
 @dataclass(frozen=True)
 class Decomposition:
     """
-    What the block elimination needs to know of a mechanism's topology.
+    Topology of a mechanism for the block elimination.
 
     Attributes
     ----------

@@ -13,7 +13,7 @@
 # limitations under the License.
 
 """
-What is wrong with a value from outside, where it stands, and how to say it.
+Errors in values from outside: where they are, what was expected and what was found.
 
 A check is a function that takes a value and returns it normalised (``3`` to
 ``3.0``, a list to a tuple) or raises :class:`FieldError`; ``checks.py`` has them.

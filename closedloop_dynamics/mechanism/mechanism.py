@@ -13,7 +13,7 @@
 # limitations under the License.
 
 """
-What a mechanism is: frozen data, no algorithms, no file formats.
+Records of a mechanism: frozen data, no algorithms, no file formats.
 
 Frames. The world is right-handed. Every body has a frame whose origin sits at the body's own
 joint (the one that joins it to its parent). The ground is the body named ``'ground'``; its frame

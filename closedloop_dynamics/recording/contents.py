@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What a bag holds, and what is damaged in it."""
+"""Contents of a bag, and damage in it."""
 
 from dataclasses import dataclass
 from typing import Optional

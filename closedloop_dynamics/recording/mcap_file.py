@@ -159,7 +159,7 @@ class McapFile:
 
 
 class _Stream:
-    """What ``mcap`` writes to: what comes between two flushes goes to the file whole."""
+    """Stream that ``mcap`` writes to: data between two flushes goes to the file as a whole."""
 
     def __init__(self, path, make_room):
         self._file = open(path, 'xb', buffering=0)

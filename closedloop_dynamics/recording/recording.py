@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What a bag, or a CSV file of ``closedloop simulate``, holds of one simulator."""
+"""A recording of one simulator, from a bag or a CSV file of ``closedloop simulate``."""
 
 from collections import deque
 import csv

@@ -36,7 +36,7 @@ FINER = 1.0 / 30.0
 
 @dataclass
 class Report:
-    """What a run did, up to date while it goes on."""
+    """Report of a run, up to date while it goes on."""
 
     rows: int = 0  # Handed over so far
     time: float = 0.0  # Simulated time [s]

@@ -13,7 +13,7 @@
 # limitations under the License.
 
 
-"""What a simulator publishes beside its state: descriptions and a log for replays."""
+"""Publishers beside the state: descriptions and a log for replays."""
 
 from array import array
 

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What drives a scene in the demonstration, and where that is to lead it."""
+"""Drives of the demonstration, and the motion that they are to produce."""
 
 from dataclasses import dataclass
 from typing import Optional

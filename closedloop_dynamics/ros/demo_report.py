@@ -11,7 +11,7 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""What happened in a demonstration, beside what was wanted: in words, pictures and a verdict."""
+"""Report of a demonstration: wanted and recorded motion in words, pictures and a verdict."""
 
 from dataclasses import dataclass
 
@@ -39,7 +39,7 @@ LOST, ANSWERED, SILENCE = 0.01, 0.9, 5.0
 @dataclass(frozen=True)
 class Run:
     """
-    What a bag holds of one scene.
+    Contents of a bag for one scene.
 
     Attributes
     ----------

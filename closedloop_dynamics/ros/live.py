@@ -25,7 +25,7 @@ REPEAT_PERIOD = 1.0
 
 class LiveSimulation:
     """
-    What a mode advances and lets publish.
+    The simulation that a mode advances, and its publishing.
 
     Parameters
     ----------

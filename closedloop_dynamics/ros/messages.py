@@ -14,7 +14,7 @@
 
 
 """
-What a simulator publishes of a state: joint states, constraint forces and the time.
+Messages of a state: joint states, constraint forces and the time.
 
 Converting a message from Python takes longer than all the rest of publishing it. So messages are
 serialised once, the places of their numbers among the bytes are looked up by values put there

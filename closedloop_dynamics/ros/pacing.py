@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""How simulated time advances: with the clock, as fast as possible, or command by command."""
+"""Modes of simulated time: with the clock, as fast as possible, or command by command."""
 
 import math
 import time
@@ -157,7 +157,7 @@ class RealTime:
 
 
 class _Periodic:
-    """What the modes share in which a period is so many steps, whatever the clock says."""
+    """Shared part of the modes in which a period is a number of steps, whatever the clock says."""
 
     missed_ticks = left_out = 0
 

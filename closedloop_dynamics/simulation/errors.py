@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What a simulation can fail of; every message says what happened, why, and what to do."""
+"""Errors of a simulation; every message says what happened, why, and what to do."""
 
 
 class SimulationError(RuntimeError):

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""How well posed the equations of motion are where a simulation stands."""
+"""Condition of the equations of motion in the present state of a simulation."""
 
 from dataclasses import dataclass
 import math

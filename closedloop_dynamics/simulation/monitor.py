@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What a running simulation knows about itself: its cost, and how far off it may be."""
+"""Monitor of a running simulation: its cost and its estimated error."""
 
 from copy import deepcopy
 from dataclasses import dataclass
@@ -42,7 +42,7 @@ ROSENBROCK_ORDER = 4
 @dataclass(frozen=True)
 class RunReport:
     """
-    What a run has cost so far, and how far off it may be.
+    Cost of a run so far, and its estimated error.
 
     Attributes
     ----------

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""How many steps a simulation takes so that it follows a clock."""
+"""Number of steps that a simulation takes to follow a clock."""
 
 import math
 import time

@@ -36,7 +36,7 @@ NO_SHARE = 1e-6
 
 class Redundancy(NamedTuple):
     """
-    What repeats others.
+    Equations that repeat others.
 
     Attributes
     ----------

@@ -32,7 +32,7 @@ from .rollout_run import (
 @dataclass(frozen=True)
 class Rollout:
     """
-    What many simulations of one scene did; NaN where a sample failed, from then on.
+    Results of many simulations of one scene; NaN where a sample failed, from then on.
 
     Attributes
     ----------
@@ -226,7 +226,7 @@ class _Runs:
 
 class RolloutArguments:
     """
-    What differs between the samples, as arrays of one length.
+    Arguments that differ between the samples, as arrays of one length.
 
     Attributes
     ----------

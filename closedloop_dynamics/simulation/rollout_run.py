@@ -73,7 +73,7 @@ class Schedule:
 
 @dataclass
 class Record:
-    """What is kept of one run; NaN from a failure on."""
+    """Results of one run; NaN from a failure on."""
 
     # Dict of str to ndarray: by the names of ``QUANTITIES``, those that were asked for:
     # position (instants, nq), velocity, acceleration, effort (instants, nv), constraint_forces
@@ -321,7 +321,7 @@ def _note(simulation, values, instant):
 
 @dataclass(frozen=True)
 class Start:
-    """What a run begins with."""
+    """Start of a run."""
 
     simulation: object  # Simulation: whose mechanism moves; several runs may share it
     state: np.ndarray  # Shape (ns,): where it begins

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What a scene is: frozen records that check themselves when built."""
+"""Records of a scene: frozen, checked when they are built."""
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -66,7 +66,7 @@ SMALLEST_STEP = 1e-9
 @dataclass(frozen=True)
 class Method:
     """
-    How the motion is computed.
+    Method of the computation.
 
     Attributes
     ----------
@@ -129,7 +129,7 @@ class Method:
 @dataclass(frozen=True)
 class Scene:
     """
-    What a user chooses to simulate.
+    A mechanism, its start, its effects and the method.
 
     Attributes
     ----------

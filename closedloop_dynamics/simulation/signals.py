@@ -13,7 +13,7 @@
 # limitations under the License.
 
 """
-What a program does when a signal asks it to stop: one place for all programs of the package.
+Handling of signals that ask a program to stop, for all programs of the package.
 
 This module is light on purpose: a program begins to watch for signals before it imports rclpy
 and numba, which take seconds.

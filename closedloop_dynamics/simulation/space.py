@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What a simulation asks of a mechanism in space: loops, places, energies, forces."""
+"""Geometry and forces of a mechanism in space: loops, places, energies, wrenches."""
 
 from contextlib import suppress
 

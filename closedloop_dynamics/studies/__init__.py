@@ -12,4 +12,4 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What a method is worth: accuracy, formulations, effects and stability, measured."""
+"""Studies of methods: accuracy, formulations, effects and stability, measured."""

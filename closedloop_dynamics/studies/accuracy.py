@@ -131,7 +131,7 @@ LARGEST_ERROR = 10.0
 
 @dataclass(frozen=True)
 class Row:
-    """What one setting buys, and what it costs."""
+    """Error and cost of one setting."""
 
     setting: Setting
     method: object  # Method: what a scene would say under ``method``

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What an accuracy study found, for people: a table, a CSV file, the diagram, a title."""
+"""Output of an accuracy study: a table, a CSV file, the diagram, a title."""
 
 import math
 

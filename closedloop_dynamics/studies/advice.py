@@ -24,7 +24,7 @@ from ..visual.tables import seconds, share
 
 @dataclass(frozen=True)
 class Advice:
-    """What to use."""
+    """A recommended setting."""
 
     row: Optional[Row]  # None where nothing will do
     text: str  # The reason, and lines to paste into a scene

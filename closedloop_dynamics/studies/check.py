@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What a mechanism or a scene was understood to be, in plain text."""
+"""Contents of a mechanism or a scene as read, in plain text."""
 
 from dataclasses import asdict
 from textwrap import indent

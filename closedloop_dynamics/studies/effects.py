@@ -13,7 +13,7 @@
 # limitations under the License.
 
 """
-What each effect of a scene costs, and what it changes.
+Cost and influence of each effect of a scene.
 
 The scene is run as it is, and once more without each type of effect; the differences are what
 that type changes. Times are measured on short runs of every variant in turn, so that disturbances
@@ -136,7 +136,7 @@ class Record:
 
 @dataclass(frozen=True)
 class Finding:
-    """What one type of effect costs and changes."""
+    """Cost and influence of one type of effect."""
 
     kind: str  # Type of the effects
     names: Tuple[str, ...]  # Which effects of the scene those are

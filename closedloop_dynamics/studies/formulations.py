@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What the subsystem-level method buys: time and rounding error as mechanisms grow."""
+"""Comparison of the formulations: time and rounding error as mechanisms grow."""
 
 from dataclasses import dataclass
 import math

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What a study of the formulations found: a table, a CSV file, the picture."""
+"""Output of a study of the formulations: a table, a CSV file, the picture."""
 
 import math
 

@@ -63,7 +63,7 @@ class Case:
 @dataclass(frozen=True)
 class Outcome:
     """
-    What became of one case with one method.
+    Result of one case with one method.
 
     Attributes
     ----------

@@ -34,7 +34,7 @@ SAMPLE_DONE, SAMPLE_FAILED = 1, 2
 
 @dataclass(frozen=True)
 class Job:
-    """What all samples of a sweep have in common."""
+    """Data that all samples of a sweep have in common."""
 
     scene: Scene
     paths: Tuple[Tuple[str, ...], ...]  # What varies

@@ -37,7 +37,7 @@ NUMBER = re.compile(r'(?<![\w.])-?\d+\.?\d*(e[-+]?\d+)?(?!\w)')
 @dataclass
 class Outcome:
     """
-    What became of a sweep.
+    Result of a sweep.
 
     Attributes
     ----------

@@ -52,7 +52,7 @@ class Plot:
 @dataclass
 class Columns:
     """
-    What is in a row, in this order; NaN where nothing is known.
+    Columns of a row, in this order; NaN where nothing is known.
 
     Attributes
     ----------

@@ -13,7 +13,7 @@
 # limitations under the License.
 
 """
-What a page is told of a mechanism once: shapes, joints, colours, names, and columns of its rows.
+Description of a mechanism for a page: shapes, joints, colours, names, columns of its rows.
 
 All places are in space: a planar mechanism lies in the plane z = 0 of the world, its links in
 layers above it.

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What passes between the thread that computes and the thread that serves pages."""
+"""Exchange between the thread that computes and the thread that serves pages."""
 
 from collections import deque
 import json

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What a page may ask for, checked where it arrives."""
+"""Requests of a page, checked where they arrive."""
 
 import json
 

@@ -12,4 +12,4 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What people look at: drawings, pictures, animations, tables, progress, and a URDF."""
+"""Output for people: drawings, pictures, animations, tables, progress bars, and a URDF."""

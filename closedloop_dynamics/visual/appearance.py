@@ -13,7 +13,7 @@
 # limitations under the License.
 
 """
-What a mechanism looks like: outlines and colours that pictures, URDF and markers share.
+Appearance of a mechanism: outlines and colours that pictures, URDF and markers share.
 
 A body is drawn through the points the description gives it: its own joint, the
 joints and cut joints it carries, its named points. Colours tell subsystems
