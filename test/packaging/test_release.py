@@ -59,3 +59,13 @@ def test_everything_imported_at_run_time_is_in_the_manifest():
     needed = {re.split(r'[<>=]', line)[0].lower().removeprefix('py') for line in lines
               if line and not line.startswith('#')}
     assert needed - {'setuptools'} <= present
+
+
+def test_container_recipe_names_what_exists():
+    recipe = (ROOT / 'Containerfile').read_text()
+    inside = re.findall(rf'src/{PACKAGE}/(requirements/[\w.-]+\.txt)', recipe)
+    assert len(inside) == 2 and all((ROOT / path).is_file() for path in inside)
+    sources = [line.split()[1] for line in recipe.splitlines() if line.startswith('COPY ')]
+    assert sources == ['requirements', '.']
+    module = re.search(r'CMD \["python", "-m", "([\w.]+)"\]', recipe)[1]
+    assert (ROOT / f'{module.replace(".", "/")}.py').is_file()
