@@ -159,10 +159,19 @@ class Effect:
                     (vector2 if mechanism.planar else vector3)(getattr(self, key))
         if getattr(self, 'joint', None) is not None:
             with at('joint'):
+                self._require_in_tree(mechanism)
                 one_of(self.joints(mechanism), self.JOINTS)(self.joint)
         for key, require in REQUIRE.items():
             if getattr(self, key, None) is not None:
                 require(mechanism, key, getattr(self, key))
+
+    def _require_in_tree(self, mechanism):
+        """Refuse a joint that was cut."""
+        if self.joint in [cut.name for cut in mechanism.cut_joints]:
+            raise FieldError(
+                'a joint of the tree', f'{self.joint!r}, which closes a loop',
+                'cut another joint of that loop, or write joints `between` bodies and none as '
+                'cut: the program then keeps those that effects name')
 
     def joints(self, mechanism):
         """Return the names that ``joint`` may be: but of spherical and free joints."""

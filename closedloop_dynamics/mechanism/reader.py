@@ -38,7 +38,7 @@ _NOTHING = {'mass': 0.0, 'inertia': 0.0}
 # What follows from a shape, that stands beside it for a body's keys.
 _SHAPE_KEYS = ('shape', 'density')
 
-__all__ = ['read_mechanism', 'validate_mechanism', 'with_cuts', 'with_parameters']
+__all__ = ['read_mechanism', 'validate_mechanism', 'with_cuts', 'with_kept', 'with_parameters']
 
 
 def read_mechanism(path, parameters=None):
@@ -113,7 +113,40 @@ def with_cuts(mechanism, cut):
     data, given, _ = mechanism.source
     found = _mechanism(data, given, {
         name: name in cut for name, values in data['joints'].items() if BETWEEN in values})
-    return replace(found, tree=replace(found.tree, listed=mechanism.tree.listed))
+    return replace(found, tree=replace(
+        found.tree, listed=mechanism.tree.listed, open=mechanism.tree.open))
+
+
+def with_kept(mechanism, joints):
+    """
+    Return a mechanism with some joints in its tree, where the program may choose.
+
+    Parameters
+    ----------
+    mechanism : Mechanism
+        As it was read.
+    joints : collection of str
+        Names of joints that something acts in; of others they do not count.
+
+    Returns
+    -------
+    Mechanism
+        Itself where nothing is to choose.
+
+    Raises
+    ------
+    FieldError
+        Where these leave no joint of a loop to cut.
+
+    """
+    if mechanism.tree is None or not set(joints) & set(mechanism.tree.open):
+        return mechanism
+    kept = set(joints) & set(mechanism.tree.open)
+    data, given, _ = mechanism.source
+    found = _mechanism(data, given, dict.fromkeys(kept, False))
+    return replace(found, tree=replace(
+        found.tree, listed=mechanism.tree.listed,
+        open=tuple(name for name in mechanism.tree.open if name not in kept)))
 
 
 def _mechanism(data, given, orders=None):

@@ -167,8 +167,9 @@ class _Graph:
                 raise FieldError(
                     'a loop with a joint that may be cut',
                     f'one closed by {self.edges[index].name}',
-                    'joints that are actuated or coupled, have parent and child, or say cut: '
-                    'false, are kept', ('joints', self.edges[index].name))
+                    'joints that are actuated or coupled, have parent and child, say cut: '
+                    "false, or are named by a scene's effects or held by its start, are kept",
+                    ('joints', self.edges[index].name))
         apart = [body for body in self.bodies if root(body) != root(GROUND)]
         if apart:
             raise FieldError(

@@ -39,7 +39,7 @@ from ..mechanism.document import Document
 from ..mechanism.expressions import Parameters, put_changes
 from ..mechanism.fields import among, at, FieldError, keys_of, mapping, nearest, shown
 from ..mechanism.mechanism import MechanismError
-from ..mechanism.reader import read_mechanism, with_parameters
+from ..mechanism.reader import read_mechanism, with_kept, with_parameters
 
 __all__ = ['config_directory', 'Initial', 'load_scene', 'load_scene_or_mechanism', 'Method',
            'Scene', 'scene_names', 'scene_with', 'SceneError']
@@ -150,7 +150,7 @@ def _read(document):
     mapping(data, *(SCENE_KEYS if model is None else MODEL_KEYS))
     if model is None:
         with at('mechanism'):
-            mechanism = _mechanism(data['mechanism'], document.path.parent)
+            mechanism = _mechanism(data['mechanism'], document.path.parent, _acted_on(data))
     else:
         mechanism = model.mechanism
         if 'initial' not in data:
@@ -226,14 +226,28 @@ def _section(data, key):
     return mapping({} if value is None else value)
 
 
-def _mechanism(value, directory):
-    """Return the mechanism that ``value`` names or is the path of."""
+def _acted_on(data):
+    """Return the names of joints that a scene's effects name, or its start holds or moves."""
+    found = []
+    for key, place in (('initial', 'hold'), ('initial', 'velocity')):
+        section = data.get(key)
+        named = section.get(place) if isinstance(section, Mapping) else None
+        found += named if isinstance(named, (list, Mapping)) else []
+    effects = data.get('effects')
+    for values in effects.values() if isinstance(effects, Mapping) else ():
+        if isinstance(values, Mapping):
+            found.append(values.get('joint'))
+    return {name.partition('.')[0] for name in found if isinstance(name, str)}
+
+
+def _mechanism(value, directory, kept):
+    """Return the mechanism that ``value`` names or is the path of, some joints not cut."""
     if isinstance(value, str) and not _is_name(value):
         path = directory / value
     else:
         path = _shipped('mechanisms', value)
     try:
-        return cheapest(read_mechanism(path))
+        return cheapest(with_kept(read_mechanism(path), kept))
     except MechanismError as error:
         raise FieldError('a valid mechanism', f'this error in its file:\n{error}') from None
 

@@ -215,10 +215,13 @@ def test_what_leaves_no_tree_is_refused(tmp_path, changes, words):
         read(tmp_path, text)
 
 
-def test_what_is_cut_cannot_be_held_or_driven(tmp_path):
-    (tmp_path / 'machine.yaml').write_text(FOUR_BAR)
+def test_what_is_held_is_not_cut_but_by_order(tmp_path):
     path = tmp_path / 'scene.yaml'
-    path.write_text('mechanism: ./machine.yaml\ninitial: {position: {crank_joint: 1.0, '
+    path.write_text('mechanism: ./machine.yaml\ninitial: {position: {crank_joint: 1.0, tip: 1.1, '
                     'coupler_joint: -0.5, rocker_joint: 1.7}, hold: [tip]}')
+    (tmp_path / 'machine.yaml').write_text(FOUR_BAR)
+    assert 'tip' in load_scene(path).mechanism.joint_names
+    (tmp_path / 'machine.yaml').write_text(
+        FOUR_BAR.replace('[0.25, 0]]}', '[0.25, 0]], cut: true}'))
     with pytest.raises(SceneError, match='initial.hold.0.: expected one of the joints'):
         load_scene(path)

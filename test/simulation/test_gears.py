@@ -22,12 +22,15 @@ from closedloop_dynamics import Simulation
 from closedloop_dynamics.core.codegen import space
 from closedloop_dynamics.core.types import CUT_COUPLING, CUT_DISTANCE, CUT_POINT_ON_LINE
 from closedloop_dynamics.effects.gravity import Gravity
+from closedloop_dynamics.effects.joint_damping import JointDamping
+from closedloop_dynamics.mechanism.fields import FieldError
 from closedloop_dynamics.mechanism.mechanism import (
     Body, Coupling, CutJoint, Joint, Mechanism, MechanismError)
 from closedloop_dynamics.mechanism.reader import read_mechanism
 from closedloop_dynamics.mechanism.validation import validate_mechanism
 from closedloop_dynamics.recording.run import columns, row
 from closedloop_dynamics.simulation.errors import AssemblyError
+from closedloop_dynamics.simulation.scene import load_scene, SceneError
 from closedloop_dynamics.simulation.scene_records import Initial, Method, Scene
 import numpy as np
 import pytest
@@ -259,3 +262,49 @@ def test_a_joint_between_bodies_may_be_cut_where_it_is_coupled(tmp_path):
         turns.append(poses['wheel'] + 2.0 * (poses['rocker'] - poses['coupler'] - 0.25) - 0.5)
     # Whole turns of a body aside.
     assert [abs(math.sin(0.25 * turn)) < 1e-10 for turn in turns] == [True, True]
+
+
+def open_four_bar(directory, **effects):
+    """Write a four-bar whose joints are all between bodies, and a scene of it; return its path."""
+    data = {'name': 'open', 'bodies': {
+        name: {'mass': 1.0, 'center_of_mass': [0.1, 0.0], 'inertia': 0.01}
+        for name in ('crank', 'coupler', 'rocker')}, 'joints': {
+        'driven': {'type': 'revolute', 'between': ['ground', 'crank'],
+                   'points': [[0.0, 0.0], [0.0, 0.0]]},
+        'near': {'type': 'revolute', 'between': ['crank', 'coupler'],
+                 'points': [[0.1, 0.0], [0.0, 0.0]]},
+        'far': {'type': 'revolute', 'between': ['coupler', 'rocker'],
+                'points': [[0.4, 0.0], [0.2, 0.0]]},
+        'hinge': {'type': 'revolute', 'between': ['ground', 'rocker'],
+                  'points': [[0.4, 0.0], [0.0, 0.0]]}}}
+    (directory / 'open.yaml').write_text(yaml.safe_dump(data, sort_keys=False))
+    path = directory / 'scene.yaml'
+    path.write_text(yaml.safe_dump({
+        'mechanism': 'open.yaml', 'initial': {
+            'position': {'driven': 0.7, 'near': -0.4, 'far': 1.6, 'hinge': 1.2},
+            'hold': ['driven']},
+        'effects': {'gravity': {'type': 'gravity', 'acceleration': [0.0, -9.81]}, **effects}}))
+    return path
+
+
+@pytest.mark.parametrize('joint', ['near', 'far', 'hinge'])
+def test_what_acts_in_a_joint_may_act_in_any(tmp_path, joint):
+    damper = {'type': 'joint_damping', 'joint': joint, 'coefficient': 0.3}
+    one = Simulation.from_scene(open_four_bar(tmp_path, damper=damper), accuracy=1e-8)
+    assert joint in one.joint_names and len(one.joint_names) == 3
+    start = one.energy
+    one.step(duration=0.3)
+    # All that is lost goes into the damper, whichever joint is cut.
+    assert one.energy_balance.dissipated > 1e-3
+    assert start - one.energy == pytest.approx(one.energy_balance.dissipated, abs=1e-7)
+
+
+def test_a_joint_that_was_cut_by_hand_carries_no_effect(tmp_path):
+    path = open_four_bar(tmp_path, **{name: {
+        'type': 'joint_damping', 'joint': name, 'coefficient': 0.3}
+        for name in ('near', 'far', 'hinge')})
+    with pytest.raises(SceneError, match='expected a loop with a joint that may be cut'):
+        load_scene(path)
+    machine = four_bar()
+    with pytest.raises(FieldError, match="effects.damper.joint: .*'far', which closes a loop"):
+        scene(machine, (0.7, 1.2, -0.3), ('driven',), {'damper': JointDamping('far', 0.1)})
