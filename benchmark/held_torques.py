@@ -37,6 +37,7 @@ sys.path.insert(0, str(ROOT))
 from closedloop_dynamics.core.types import EVALUATIONS  # noqa: E402,I100
 from closedloop_dynamics.integration.registry import ADAPTIVE, INTEGRATORS  # noqa: E402
 from closedloop_dynamics.simulation.errors import InaccuracyWarning, SimulationError  # noqa: E402
+from closedloop_dynamics.simulation.scene_records import AUTO  # noqa: E402
 from closedloop_dynamics.simulation.simulation import Simulation  # noqa: E402
 from closedloop_dynamics.visual.tables import write_csv  # noqa: E402
 
@@ -46,8 +47,10 @@ MOTIONS = {'three_rrr': {'theta_1': 5.0, 'theta_6': -3.0, 'theta_7': 2.0},
 SWING = 2.0  # [Hz]
 RATES = (100, 1000)  # [Hz]
 DURATION = 1.0  # [s]
-LINES = ('rk4', 'dopri5', 'dop853')
+LINES = ('rk4', 'dopri5', 'dop853', AUTO)
 TOLERANCES = tuple(10.0 ** -k for k in range(2, 13))
+# Of ``auto``, which stands in the column of tolerances.
+ACCURACIES = tuple(10.0 ** -k for k in range(3, 10))
 FINEST = 1e-13
 # Steps of fixed size in a period; the shortest step is 0.1 ms.
 STEPS, MOST = (1, 2, 5, 10, 20, 50, 100), 10000
@@ -69,6 +72,11 @@ class Run:
     failure: str = ''
 
 
+def controls_error(integrator):
+    """Return whether an integrator takes a tolerance or an accuracy, not a step size."""
+    return integrator == AUTO or INTEGRATORS[integrator].kind == ADAPTIVE
+
+
 def motion(scene, rate, integrator, value):
     """
     Return positions at the ends of all periods, and evaluations per simulated second.
@@ -82,16 +90,17 @@ def motion(scene, rate, integrator, value):
     integrator : str
         Of the registry.
     value : float
-        Its tolerance, or its steps in a period.
+        Its tolerance or accuracy, or its steps in a period.
 
     Raises
     ------
     SimulationError
 
     """
-    adaptive = INTEGRATORS[integrator].kind == ADAPTIVE
-    method = {'step_size': 1.0 / rate, 'tolerance': value} if adaptive else {
-        'step_size': 1.0 / rate / value}
+    adaptive = controls_error(integrator)
+    method = {'step_size': 1.0 / rate / (1 if adaptive else value)}
+    if adaptive:
+        method['accuracy' if integrator == AUTO else 'tolerance'] = value
     simulation = Simulation.from_scene(scene, integrator=integrator, **method)
     simulation.monitor.sampling = False
     positions = []
@@ -118,13 +127,13 @@ def study(scenes=tuple(MOTIONS), rates=RATES, quick=False):
 
 
 def _values(integrator, rate, quick):
-    if INTEGRATORS[integrator].kind == ADAPTIVE:
-        return TOLERANCES[::3] if quick else TOLERANCES
+    if controls_error(integrator):
+        return (ACCURACIES if integrator == AUTO else TOLERANCES)[::3 if quick else 1]
     return [steps for steps in STEPS[:3 if quick else None] if steps * rate <= MOST]
 
 
 def _run(scene, rate, integrator, value, reference):
-    adaptive = INTEGRATORS[integrator].kind == ADAPTIVE
+    adaptive = controls_error(integrator)
     start = (scene, rate, integrator, math.nan if adaptive else 1.0 / rate / value,
              value if adaptive else math.nan)
     try:

@@ -38,6 +38,7 @@ from machine import description, ROOT
 sys.path.insert(0, str(ROOT))
 
 from closedloop_dynamics.simulation.scene import load_scene  # noqa: E402,I100
+from closedloop_dynamics.simulation.scene_records import AUTO  # noqa: E402
 from closedloop_dynamics.studies import accuracy_report, formulations_report  # noqa: E402
 from closedloop_dynamics.studies.accuracy import default_lines, Line, study_accuracy  # noqa: E402
 from closedloop_dynamics.studies.formulations import study_formulations  # noqa: E402
@@ -89,7 +90,8 @@ class Setting:
         """Return method and setting."""
         if self.step_size == self.step_size:
             return f'{self.integrator}, step {seconds(self.step_size)}'
-        return f'{self.integrator}, tolerance {self.tolerance:.0e}'
+        kind = 'accuracy' if self.integrator == AUTO else 'tolerance'
+        return f'{self.integrator}, {kind} {self.tolerance:.0e}'
 
 
 def lines(case):
