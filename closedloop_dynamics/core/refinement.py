@@ -51,7 +51,7 @@ def _geometry(model, work):
     """
     Factor J W J^T for the angles of the bodies and the slides, weighted by W.
 
-    Angles count by the longest lever of any in the same loops, so that they compare with
+    Angles are scaled by the longest lever of any in the same loops, so that they compare with
     slides. Keeps J, by path entries, in ``lever``. Returns the smallest relative pivot.
 
     """

@@ -51,7 +51,7 @@ EXPECTED = 'a number, or an expression of numbers and parameters'
 
 class Parameters:
     """
-    Named numbers, and what expressions make of them.
+    Named numbers, for expressions of them.
 
     Attributes
     ----------

@@ -175,7 +175,7 @@ class Assembler:
         if left > 1e-9 * scale:
             raise AssemblyError(
                 f'The velocities held at {", ".join(hold)} contradict the loops: the cut joints '
-                f'would part at {left:.3g} m/s. Hold fewer joints, or start at other '
+                f'would separate at {left:.3g} m/s. Hold fewer joints, or start at other '
                 'velocities.')
         return self._continued(q, qd, jac, hold)
 

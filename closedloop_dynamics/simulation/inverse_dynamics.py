@@ -84,7 +84,7 @@ class InverseDynamics:
         if part > noise + 1e-8 * max(
                 np.abs(jac * qdd).max(initial=0.0), np.abs(bias).max(initial=0.0)):
             raise SimulationError(
-                f'This acceleration opens the loops: the cut joints would part at {part:.3g} '
+                f'This acceleration opens the loops: the cut joints would separate at {part:.3g} '
                 'm/s^2. Give accelerations of all joints that belong together, such as those '
                 'that forward_dynamics returns.')
         return jac[kept]

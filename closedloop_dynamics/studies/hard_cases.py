@@ -555,7 +555,7 @@ def _long(name, drive=None):
                 if not drive and not abs(simulation.energy - energy) < 0.5 * abs(energy) + 1.0:
                     return math.inf
         if drive:
-            # The crank's angle counts on; the tool returns with every turn.
+            # The crank's angle is not wrapped; the tool returns with every turn.
             turns = CRANK_RATE * simulation.time
             if not abs(simulation.position[0] - turns) < 1.0:
                 return math.inf
@@ -944,7 +944,7 @@ CASES = tuple(Case(name, group, *rest) for group, cases in {
          _long('three_rrr'), '1 h / 10 s'),
         ('scraper for long',
          'The carpet scraping mechanism at its working speed, its drive asked every '
-         'millisecond: loops closed, the crank counts on.', 'closure error [m]', 1e-10, 1e-4,
+         'millisecond: loops closed, crank angle unwrapped.', 'closure error [m]', 1e-10, 1e-4,
          _long('carpet_scraper', _at_working_speed), '1 h / 10 s'),
         ('turning for long',
          'A parallelogram turns at 10 rad/s for as long, twice a turn through flat positions, '

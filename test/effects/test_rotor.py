@@ -48,7 +48,7 @@ def test_rotors_add_to_the_diagonal_of_the_inertia(case):
     simulation = simulated(mechanism, effects, q, qd)
     bare = simulated(mechanism, {'gravity': EARTH}, q, qd)
     qdd, lam = simulation.forward_dynamics(q, qd)
-    # The bare machine moves the same way if the rotors' torques are taken from its joints.
+    # Without rotors it moves the same way if their torques are taken from its joints.
     jac = bare._assembler.jacobian(q)
     gim = bare._assembler.inertia(q)
     free, bare_lam = bare.forward_dynamics(q, qd)
