@@ -118,7 +118,7 @@ def _run(arguments):
 
 
 def _prepared(arguments):
-    """Return the simulation, compiled, and the torques; whatever is wrong is the user's."""
+    """Return the simulation, compiled, and the torques; errors here are the user's."""
     torque = mapping(arguments.torque, '--torque')
     if arguments.accuracy is not None:
         if arguments.integrator is not None:

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""``closedloop stability``: hard cases with every method, and what becomes of them."""
+"""``closedloop stability``: hard cases with every method, and their results."""
 
 import warnings
 

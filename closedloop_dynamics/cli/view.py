@@ -139,7 +139,7 @@ def _play(arguments):
 
 
 def _served(arguments, pages, feeds):
-    """Return a server of pages, and tell where they are."""
+    """Return a server of pages, and print their addresses."""
     from ..view.server import Server
     try:
         server = Server(pages, feeds, arguments.host,

@@ -204,7 +204,7 @@ def present(found, period, time):
 @inlined
 def value(table, row, period):
     """
-    Return the value of a course at the time that the effect's first state tells.
+    Return the value of a course at the time in the effect's first state.
 
     Parameters
     ----------

@@ -166,7 +166,7 @@ def respond(table, place, qdd, lam):
 @compiled
 def balance(table, qdd, lam):
     """
-    Find the friction at rest, and what it makes of accelerations and multipliers.
+    Find the friction at rest, and the accelerations and multipliers with it.
 
     Parameters
     ----------

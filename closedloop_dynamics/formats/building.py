@@ -13,7 +13,7 @@
 # limitations under the License.
 
 """
-From what a format tells to a mechanism of ours: one body for what is fixed together, a tree, cuts.
+From a described machine to a mechanism: one body for what is fixed together, a tree, cuts.
 
 Joints that are driven stay in the tree; loops are cut, where there is a choice, at the joints
 with the most freedoms, which leave the fewest equations.
@@ -427,7 +427,7 @@ class _Names:
         return self._name('coupling', name)
 
     def original(self, kind, name):
-        """Return what a name stands for in the file."""
+        """Return the name in the file that a name of the mechanism comes from."""
         return next((old for old, new in self._of[kind].items() if new == name), None)
 
     def _name(self, kind, name):

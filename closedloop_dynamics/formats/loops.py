@@ -13,7 +13,7 @@
 # limitations under the License.
 
 """
-Loops of a model that its file does not tell, from a section ``loops`` of a scene.
+Loops of a model that its file does not have, from a section ``loops`` of a scene.
 
     loops:
       pin: {type: revolute, between: [coupler_tip, rocker_tip], axis: [0, 1, 0]}

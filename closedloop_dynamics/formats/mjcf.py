@@ -149,7 +149,7 @@ def _stripped(root, folder, left_out):
 
 
 def _strip_below(element, geoms, needed, left_out):
-    """Take out what has no mass, and geometry of bodies whose mass is told."""
+    """Remove elements without mass, and geometry of bodies whose mass is given."""
     told = geoms == 'false' or geoms == 'auto' and any(
         child.tag == 'inertial' for child in element.children)
     told = told or element.tag == 'worldbody'

@@ -13,7 +13,7 @@
 # limitations under the License.
 
 """
-The YAML file beside a URDF that tells its loops.
+The YAML file beside a URDF that describes its loops.
 
 ``closed_loop`` lists pairs of frames and ``type`` how each is held together, '6d' (nothing moves)
 or '3d' (a ball); ``name_mot`` names the joints that are driven; ``joint_name`` and ``joint_type``
@@ -41,7 +41,7 @@ TYPES = ('SPHERICAL', 'FIXED', *(
 
 def add_parallel_yaml(model):
     """
-    Add the loops that a YAML file of the same name tells, if there is one.
+    Add the loops of a YAML file of the same name, if there is one.
 
     Parameters
     ----------

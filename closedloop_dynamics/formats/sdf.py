@@ -156,7 +156,7 @@ class _Reader:
         return name
 
     def _pose(self, element):
-        """Return the pose that an element pose tells."""
+        """Return the pose of an element ``pose``."""
         if element is None or not element.text:
             return IDENTITY
         if element.get('rotation_format', 'euler_rpy') == 'quat_xyzw':

@@ -104,7 +104,7 @@ def read_urdf(path):
 
 
 def _expanded(path):
-    """Return what xacro makes of a file."""
+    """Return the text of a file expanded by xacro."""
     read_xml(path, ('robot',))
     try:
         import xacro

@@ -187,7 +187,7 @@ def advance(system, tableau, stabilisation, state, origin, done, step_size, step
 
 @merged
 def _begin(time, state, runs):
-    """Start at a state; the companion goes on where it is, if it is there in time."""
+    """Start at a state; the companion continues from its own, if that is of the same time."""
     control, watch = runs.control, runs.watch
     adaptive.begin(time, state, control[RUN], runs.scratch[RUN])
     if control[RUN, PATIENCE] == 0.0:

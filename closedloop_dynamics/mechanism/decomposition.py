@@ -126,7 +126,7 @@ def _decompose(joints, cut_joints):
 
 def structure_of(touched):
     """
-    Order cut joints that touch subsystems, and tell what elimination in that order reaches.
+    Order cut joints that touch subsystems, and list the blocks that elimination reaches.
 
     Parameters
     ----------

@@ -139,7 +139,7 @@ def _size(value):
 
 
 def _center(found, spatial):
-    """Return a shape's centre, the body's origin unless it is told."""
+    """Return a shape's centre, the body's origin unless it is given."""
     return np.array(found.get('center', np.zeros(3 if spatial else 2)))
 
 

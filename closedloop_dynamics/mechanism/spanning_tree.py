@@ -88,7 +88,7 @@ class Tree(NamedTuple):
 
 def choose_tree(bodies, edges, closures):
     """
-    Choose the spanning tree that takes the fewest operations, as far as these can be told.
+    Choose the spanning tree that takes the fewest operations, as far as they can be counted.
 
     Parameters
     ----------

@@ -37,7 +37,7 @@ ROUNDED_INERTIA = 1e-6
 
 
 def _mass(value):
-    """Return a positive mass; tell of massless bodies where it is zero."""
+    """Return a positive mass; the error mentions massless bodies where it is zero."""
     try:
         return positive(value)
     except FieldError as error:
@@ -47,7 +47,7 @@ def _mass(value):
 
 
 def _left_out(standing, where, value):
-    """Return what stands for a key that is not given, and refuse anything else."""
+    """Return the value of a key that must not be given, and refuse any other."""
     if value == standing:
         return standing
     raise FieldError(f'nothing: only a mechanism in {where} has this key', shown(value))

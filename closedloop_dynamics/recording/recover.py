@@ -26,7 +26,7 @@ from .writer import BagFiles
 
 def recover(path, output):
     """
-    Copy whatever is sound in a bag into a new one, with index and metadata.
+    Copy the sound part of a bag into a new one, with index and metadata.
 
     Returns
     -------

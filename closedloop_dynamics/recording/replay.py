@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Simulate again what was recorded, and tell how far the recorded states are from that."""
+"""Repeat a recorded simulation, and compare the recorded states with it."""
 
 from dataclasses import dataclass, fields, replace
 
@@ -261,7 +261,7 @@ class _Logged(_Player):
         return k
 
     def _change(self, index):
-        """Apply changes of the scene that were told up to an entry."""
+        """Apply the changes of the scene that were recorded up to an entry."""
         while self._changes and self._changes[0][1].get('after', 0) <= index:
             scene, facts = self._changes.pop(0)
             method = {field.name: getattr(scene.method, field.name)

@@ -54,7 +54,7 @@ class Report:
 
 class ErrorEstimate:
     """
-    A second run of the same scene, finer, that tells the error of the first.
+    A second, finer run of the same scene, which estimates the error of the first.
 
     Attributes
     ----------

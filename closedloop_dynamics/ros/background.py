@@ -46,7 +46,7 @@ LOWEST_PRIORITY = 19
 
 def start_child(*command):
     """
-    Start a process that is told the number of this one last, and calls ``die_with`` first.
+    Start a process whose last argument is the number of this one; it calls ``die_with`` first.
 
     Raises OSError if it cannot be started.
 

@@ -263,7 +263,7 @@ class SequenceGaps:
 
 def subscribe(node, kind, topic, callback, qos, on_lost):
     """
-    Subscribe to a topic, and tell of messages that were lost on the way.
+    Subscribe to a topic, and count messages that were lost on the way.
 
     ``on_lost`` takes the number of messages that were lost before the present one, before
     ``callback`` takes that. It is never called where the middleware does not number messages.

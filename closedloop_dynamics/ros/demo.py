@@ -120,7 +120,7 @@ def main(argv=None):
 
 def demonstrate(scene, duration, directory):
     """
-    Run one scene, then tell and draw what happened, in a directory that is made here.
+    Run one scene, then report and draw what happened, in a directory that is made here.
 
     Returns whether the machine did what was wanted of it. Raises ProgramError where a node failed,
     RecordingError or BagReadError where nothing was recorded.

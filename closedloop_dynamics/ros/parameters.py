@@ -181,7 +181,7 @@ def in_yaml(value):
 
 def declare_fact(node, name, values, description):
     """
-    Declare a read-only list of strings that the node tells and nobody sets.
+    Declare a read-only list of strings that the node publishes and nobody sets.
 
     An empty list is declared as a parameter without a value: rclpy takes an
     empty Python list for an array of bytes.

@@ -68,7 +68,7 @@ class ProportionalDerivative:
         self._first = None
 
     def tune(self, kp, kd, ki, feedforward, limit):
-        """Take other gains; the torque of the integral goes on from what it is."""
+        """Take other gains; the torque of the integral stays continuous."""
         if self._first is not None:
             self._integral *= np.divide(self.ki, ki, out=np.zeros_like(ki), where=ki > 0.0)
         self.kp, self.kd, self.ki = kp, kd, ki

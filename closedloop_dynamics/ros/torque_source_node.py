@@ -295,7 +295,7 @@ class TorqueSourceNode(Node):
         self.get_logger().info(f'{self.published} commands published')
 
     def _ask(self):
-        """Begin as soon as the simulator has told its joints."""
+        """Begin as soon as the simulator has answered with its joints."""
         self._question.ask()
         if self._question.answer is None:
             if self._complaint.ready():

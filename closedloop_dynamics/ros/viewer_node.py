@@ -260,7 +260,7 @@ class Attached:
             for key, value in values.items()]))
 
     def _call(self, client, request):
-        """Call a service, and tell the pages where it refuses or is not there."""
+        """Call a service, and notify the pages where it refuses or is not there."""
         if not client.service_is_ready():
             raise FieldError(f'the service {client.srv_name}', 'none: is the simulator running?')
         client.call_async(request).add_done_callback(self._answered)

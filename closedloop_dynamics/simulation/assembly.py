@@ -180,7 +180,7 @@ class Assembler:
         return self._continued(q, qd, jac, hold)
 
     def _continued(self, q, qd, jac, hold):
-        """Return rates, unless the position is singular and no motion goes on with them."""
+        """Return rates, unless the position is singular and no motion continues with them."""
         if self.nc > MOST_EQUATIONS or not qd.any():
             return qd
         left, singular, _ = np.linalg.svd(jac)

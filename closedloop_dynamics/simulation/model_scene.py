@@ -159,7 +159,7 @@ def assembled(imported):
 
 
 def _moves(mechanism, start, found, told, beyond):
-    """Return what to tell of the way to a closed position."""
+    """Return notes on the way to a closed position."""
     coordinates = mechanism.coordinates
     moves = sorted(zip(np.abs(coordinates.apart(found.q, start)).tolist(), coordinates.names),
                    reverse=True)

@@ -84,7 +84,7 @@ def load_scene(name_or_path):
 
 def load_scene_or_mechanism(name_or_path):
     """
-    Read a scene, or a mechanism where a file or shipped name stands for one.
+    Read a scene, or a mechanism where a file or shipped name is that of one.
 
     Parameters
     ----------

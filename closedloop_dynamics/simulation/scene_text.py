@@ -74,7 +74,7 @@ def scene_text(scene, effects=None, disabled=(), **facts):
 
 def read_scene_text(text):
     """
-    Return the scene that a text tells, and the facts beside it.
+    Return the scene in a text, and the facts beside it.
 
     Returns
     -------

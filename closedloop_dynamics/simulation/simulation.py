@@ -346,7 +346,7 @@ class Simulation:
 
     @property
     def shared_forces(self):
-        """Names of cut joints and couplings whose forces are not unique: the least are told."""
+        """Names of cut joints and couplings whose forces are not unique: the least are given."""
         if self._geometry is None or not self._geometry.leaves_out:
             return ()
         return find_redundancy(self.mechanism, self._q).shared
@@ -696,7 +696,7 @@ class Simulation:
                 self._require_planar(f'{key}: {getattr(method, key)}')
 
     def _require_known_steps(self, method):
-        """Refuse solvers that do not tell where their steps end beside effects that end them."""
+        """Refuse solvers whose steps cannot be ended, where effects must end them."""
         names = self._effects.ending_steps
         if names and INTEGRATORS[method.integrator].family == SCIPY:
             own = [name for name, one in INTEGRATORS.items() if one.family != SCIPY]
@@ -868,7 +868,7 @@ class Simulation:
 
     def judge(self):
         """
-        Look at the energy balance of the run so far, as is done now and then while it goes on.
+        Check the energy balance of the run so far, as is done from time to time during a run.
 
         Raises
         ------

@@ -420,7 +420,7 @@ def _distinct(jac, groups, kept):
 
 def equations_left(mechanism):
     """
-    Count the equations of each cut joint that do not hold whatever moves.
+    Count the equations of each cut joint, without those that always hold.
 
     Parameters
     ----------

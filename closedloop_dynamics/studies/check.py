@@ -235,7 +235,7 @@ def _summary(mechanism, decomposition, simulation, found):
 
 
 def _number_of_equations(mechanism):
-    """Return the number of equations; in space with those that always hold told apart."""
+    """Return the number of equations; in space apart from those that always hold."""
     left = sum(_equations(mechanism))
     if mechanism.planar:
         return left

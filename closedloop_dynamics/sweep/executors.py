@@ -125,7 +125,7 @@ class Processes:
                 'take one worker, which is this process.') from None
 
     def close(self):
-        """End the workers, whatever they are at."""
+        """End the workers at once."""
         processes = list((getattr(self._pool, '_processes', None) or {}).values())
         self._pool.shutdown(wait=False, cancel_futures=True)
         for process in processes:
@@ -319,7 +319,7 @@ class Task:
 
 def dispatched(engine, job, plan, tasks, keep_going):
     """
-    Compute tasks, in whatever order.
+    Compute tasks, in any order.
 
     Parameters
     ----------

@@ -185,7 +185,7 @@ class Plan:
     keep: Tuple[str, ...] = STATE  # Quantities kept at every instant; of ``recording.QUANTITIES``
 
     def __post_init__(self):
-        """Refuse what cannot be run, whatever the sample."""
+        """Refuse a plan that fails for every sample."""
         object.__setattr__(self, 'keep', checked_quantities(self.keep))
         keys = [variation.key for variation in self.variations]
         for key in keys:

@@ -335,7 +335,7 @@ class Storage:
 
 def checked_path(path):
     """
-    Return a path of results, or refuse an ending that stands for no kind of file.
+    Return a path of results, or refuse an unknown ending.
 
     Raises
     ------

@@ -122,14 +122,14 @@ def _joint_plots(mechanism):
 
 
 def motion_columns(mechanism):
-    """Return the columns of what was recorded, or is told by topics."""
+    """Return the columns of a recording or of topics."""
     return Columns(len(mechanism.bodies), len(mechanism.cut_joints),
                    plots=_joint_plots(mechanism))
 
 
 def motion_rows(motion):
     """
-    Return the rows of what was recorded, or is told by topics.
+    Return the rows of a recording or of topics.
 
     Parameters
     ----------

@@ -33,7 +33,7 @@ HEADER = struct.Struct('<Ixxxxd')
 
 class Feed:
     """
-    One mechanism that is shown: what its pages are told, and what they ask for.
+    One mechanism that is shown: messages to its pages, and their requests.
 
     Of the controls and of the frames there is the newest only: who is slow misses what is old.
 

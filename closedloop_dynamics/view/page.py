@@ -25,7 +25,7 @@ PARTS = ('algebra.js', 'scene.js', 'plots.js', 'panels.js', 'page.js')
 
 def live_page(title, others=()):
     """
-    Return a page that shows what its server tells.
+    Return a page that shows the messages of its server.
 
     Parameters
     ----------

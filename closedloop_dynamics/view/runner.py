@@ -239,7 +239,7 @@ class Runner:
 
     def run(self, keep_going=lambda: True):
         """
-        Run until told to end, with a frame every sixtieth of a second.
+        Run until asked to end, with a frame every sixtieth of a second.
 
         Parameters
         ----------

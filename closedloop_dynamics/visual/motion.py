@@ -59,7 +59,7 @@ def force_of(wrenches):
 
 
 def from_rows(mechanism, names, rows):
-    """Return the motion that the rows of ``studies.run`` tell."""
+    """Return the motion in rows of ``recording.run``."""
     column = dict(zip(names, np.array(rows, dtype=float).T))
     zero = np.zeros(len(rows))
 

@@ -27,7 +27,7 @@ BAR = '{desc}: {percentage:3.0f}%|{bar}| {n:.4g} of {total:.4g} {unit} [{elapsed
 
 def progress_bar(total, unit, description):
     """
-    Return a bar on stderr, to be used as a context manager and told of progress by ``update``.
+    Return a bar on stderr, a context manager whose method ``update`` takes the progress.
 
     It appears after a second, only on a terminal, and is gone at the end.
 
@@ -38,7 +38,7 @@ def progress_bar(total, unit, description):
 
 @contextmanager
 def parts_bar(unit, description):
-    """Yield a function that is told how many of how many parts are done, and shows it as a bar."""
+    """Yield a function that takes the parts done and all parts, and shows them as a bar."""
     with progress_bar(1, unit, description) as bar:
 
         def progress(done, total):
