@@ -197,6 +197,9 @@ def _rows(database, checksum):
             for row in database.execute(
                     f'SELECT id, topic_id, timestamp, data, {checksum} FROM messages '
                     'WHERE id > ? ORDER BY id', (last,)):
+                if row[0] <= last:
+                    # A damaged page leads back to what was read: this would never end.
+                    raise sqlite3.DatabaseError
                 yield row
                 last, failures = row[0], 0
             return

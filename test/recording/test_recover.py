@@ -14,6 +14,7 @@
 
 """Of a damaged bag, everything sound comes back, and what was lost is counted."""
 
+from itertools import islice
 import sqlite3
 from test.recording.sample import add, QOS, TEXT, text, VALUES, values
 from test.ros.bags import read_with_mcap, read_with_rosbags
@@ -127,6 +128,21 @@ def test_a_lost_page_of_a_database_is_counted(tmp_path, capsys):
     count = sum(1 for _ in found.serialised())
     assert f'{2 * COUNT - count} messages could not be recovered' in capsys.readouterr().err
     assert 370 < count < 400
+
+
+@pytest.mark.parametrize('begin', range(0, 4096, 256))
+def test_a_database_with_a_hole_anywhere_is_read_to_its_end(tmp_path, begin):
+    bag = written(tmp_path / 'bag', 'sqlite3')
+    path = bag / 'bag_0.db3'
+    data = bytearray(path.read_bytes())
+    begin += data.index(values(67)) // 4096 * 4096
+    # Numbers of messages that became 0 lead back to the start.
+    data[begin:begin + 5000] = bytes(5000)
+    path.write_bytes(data)
+    found = Bag(bag)
+    count = sum(1 for _ in islice(found.serialised(), 2 * COUNT + 1))
+    assert 350 < count < 2 * COUNT
+    assert found.lost == 2 * COUNT - count
 
 
 def test_a_missing_file_and_wrong_counts_are_told(tmp_path):
