@@ -19,29 +19,52 @@ Bushing: springs and dampers along two axes and about the third, between points 
     M = -k phi - c omega           phi = alpha_b - alpha_a - rest_angle
 
 act on body b at its point, and the opposite on body a, there, too. They store
-d K d / 2 + k phi^2 / 2. When: rubber mounts, flexible couplings, a joint with play in stiffness,
+d K d / 2 + k phi^2 / 2.
+
+In space there are three axes, and a moment for turns about each, k_1 of
+the first. It is that of the energy
+
+    E = sum_i c_i (1 - R_ii)     2 c_1 = -k_1 + k_2 + k_3, ...     R: axes of body b in those of a
+
+k phi for small turns, and k sin(phi) for one about an axis.
+
+When: rubber mounts, flexible couplings, a joint with play in stiffness,
 a weld that gives.
 
 """
 
 from dataclasses import dataclass
 import math
-from typing import Optional
+from typing import Optional, Union
 
-from .effect import Effect, require_plane
-from .forces import place, push_at, velocity
+import numpy as np
+
+from .effect import Effect
+from .forces import (
+    place, place_in_space, push_at, push_there, turned, twist, velocity, velocity_at)
 from .table import (
-    BUSHING, DATA, DISSIPATED, FIRST, ForceElement, SECOND, STATE, State, STORED)
+    BUSHING, DATA, DISSIPATED, FIRST, ForceElement, SECOND, SPATIAL_BUSHING, STATE, State, STORED)
+from ..core.codegen.space import SPIN
+from ..core.codegen.spatial import rotation
 from ..core.compiled import inlined
 from ..core.types import ALPHA, COS, FZ, OMEGA, SIN
-from ..mechanism.checks import list_of, name, not_negative, number, numbers, vector2
-from ..mechanism.fields import FieldError
-from ..mechanism.mechanism import Vector2
+from ..mechanism.checks import list_of, name, not_negative, number, orientation, vector
+from ..mechanism.fields import FieldError, shown
+from ..mechanism.mechanism import GROUND, Quaternion, UNTURNED, Vector, Vector3
+
+# Where a bushing's numbers in space begin: places in both bodies' frames, the axes as rows in
+# those of body a and of body b, stiffness and damping along the axes.
+AXES_A, AXES_B, ALONG, LOSS = 6, 15, 24, 27
 
 
-def _not_negative2(value):
-    """Return two floats of which none is less than zero."""
-    return list_of(not_negative)(numbers(value, 2, 'a list of 2 numbers that are zero or more'))
+def _none_negative(value):
+    """Return floats of which none is less than zero, two or three."""
+    return list_of(not_negative)(vector(value))
+
+
+def _turning(value):
+    """Return a float that is not less than zero, or three of them."""
+    return _none_negative(value) if isinstance(value, (list, tuple)) else not_negative(value)
 
 
 @dataclass(frozen=True)
@@ -55,37 +78,45 @@ class Bushing(Effect):
         A named point.
     point_b : str or None
         The other one; None where ``anchor`` is given.
-    anchor : tuple of 2 floats or None
+    anchor : tuple of 2 floats, or 3 in space, or None
         In its place a place in the world [m].
-    stiffness : tuple of 2 floats
+    stiffness : tuple of 2 floats, or 3 in space
         Along the axes, zero or more [N/m].
-    damping : tuple of 2 floats
+    damping : tuple of 2 floats, or 3 in space
         Along the axes, zero or more [N s/m].
-    turning_stiffness : float
-        k, zero or more [N m/rad].
-    turning_damping : float
+    turning_stiffness : float, or tuple of 3 floats in space
+        k, zero or more [N m/rad]; one number in space: about each axis.
+    turning_damping : float, or tuple of 3 floats in space
         c, zero or more [N m s/rad].
     angle : float
-        Of the first axis in the frame of point a's body [rad].
+        Of the first axis in the frame of point a's body [rad]; in the plane.
     rest_angle : float
-        Of body b relative to body a where there is no moment [rad].
+        Of body b relative to body a where there is no moment [rad]; in the plane.
+    orientation : tuple of 4 floats
+        Of the axes in the frame of point a's body; in space.
+    rest_orientation : tuple of 4 floats
+        Of body b in body a where there is no moment; in space.
 
     """
 
-    CHECKS = {'point_a': name, 'point_b': name, 'anchor': vector2, 'stiffness': _not_negative2,
-              'damping': _not_negative2, 'turning_stiffness': not_negative,
-              'turning_damping': not_negative, 'angle': number, 'rest_angle': number}
+    CHECKS = {'point_a': name, 'point_b': name, 'anchor': vector, 'stiffness': _none_negative,
+              'damping': _none_negative, 'turning_stiffness': _turning,
+              'turning_damping': _turning, 'angle': number, 'rest_angle': number,
+              'orientation': orientation, 'rest_orientation': orientation}
+    VECTORS = ('anchor', 'stiffness', 'damping')
     READINGS = ('force_1', 'force_2', 'moment')
 
     point_a: str
     point_b: Optional[str] = None
-    anchor: Optional[Vector2] = None
-    stiffness: Vector2 = (0.0, 0.0)
-    damping: Vector2 = (0.0, 0.0)
-    turning_stiffness: float = 0.0
-    turning_damping: float = 0.0
+    anchor: Optional[Vector] = None
+    stiffness: Vector = (0.0, 0.0)
+    damping: Vector = (0.0, 0.0)
+    turning_stiffness: Union[float, Vector3] = 0.0
+    turning_damping: Union[float, Vector3] = 0.0
     angle: float = 0.0
     rest_angle: float = 0.0
+    orientation: Quaternion = UNTURNED
+    rest_orientation: Quaternion = UNTURNED
 
     def __post_init__(self):
         """Refuse one with no end or three."""
@@ -93,20 +124,53 @@ class Bushing(Effect):
         if (self.point_b is None) == (self.anchor is None):
             raise FieldError('either point_b or anchor', 'both' if self.anchor else 'neither',
                              path=('point_b',))
+        if 3 in (len(self.stiffness), len(self.damping), len(self.anchor or ())) or isinstance(
+                self.turning_stiffness, tuple):
+            object.__setattr__(self, 'READINGS', ('force_1', 'force_2', 'force_3', 'moment'))
 
     def fit(self, mechanism):
-        """Refuse a mechanism without the points, and one in space."""
+        """Refuse a mechanism without the points, and keys of space in the plane or the reverse."""
         super().fit(mechanism)
-        require_plane(mechanism, 'point_a')
+        for key, where in (('angle', True), ('rest_angle', True), ('orientation', False),
+                           ('rest_orientation', False)):
+            if mechanism.planar != where and getattr(self, key) != getattr(Bushing, key):
+                raise FieldError(
+                    f'no such key in {"space" if where else "the plane"}',
+                    shown(getattr(self, key)), path=(key,))
+        for key in ('turning_stiffness', 'turning_damping'):
+            if mechanism.planar and isinstance(getattr(self, key), tuple):
+                raise FieldError('one number in the plane', shown(getattr(self, key)), path=(key,))
 
     def element(self, machine):
         """Return the effect as a row of the table."""
+        if not machine.mechanism.planar:
+            return self._in_space(machine)
         row_a, place_a = machine.point(self.point_a)
         row_b, place_b = machine.point(self.point_b) if self.point_b else (0, self.anchor)
         return ForceElement(
             BUSHING, (row_a, row_b), (self.turning_stiffness, self.turning_damping,
                                       self.rest_angle, math.cos(self.angle), math.sin(self.angle)),
             (State(DISSIPATED),), data=((*place_a, *place_b, *self.stiffness, *self.damping),))
+
+    def _in_space(self, machine):
+        """Return the effect as a row of the table in space."""
+        bodies = {point.name: point.body for point in machine.mechanism.points}
+        row_a, place_a = machine.point(self.point_a)
+        row_b, place_b = machine.point(self.point_b) if self.point_b else (0, self.anchor)
+        own, rest = (np.array(rotation(one)) for one in (self.orientation, self.rest_orientation))
+        axes_a = machine.placement(bodies[self.point_a]).axes @ own
+        axes_b = machine.placement(bodies.get(self.point_b, GROUND)).axes @ rest.T @ own
+        turning, loss = (np.broadcast_to(values, 3) for values in (
+            self.turning_stiffness, self.turning_damping))
+        # Of the energy: half the sum of the others' less its own.
+        shares = 0.5 * turning.sum() - turning
+        along, damping = (values if len(values) == 3 else 3 * (0.0,)
+                          for values in (self.stiffness, self.damping))
+        return ForceElement(
+            SPATIAL_BUSHING, (row_a, row_b), (*shares.tolist(), *loss.tolist()),
+            (State(DISSIPATED),), data=((
+                *place_a, *place_b, *axes_a.T.ravel().tolist(), *axes_b.T.ravel().tolist(),
+                *along, *damping),))
 
 
 @inlined
@@ -144,3 +208,55 @@ def apply(table, row, body):
     table.output[row, 1] = force_1
     table.output[row, 2] = force_2
     table.output[row, 3] = moment
+
+
+@inlined
+def _axis(body, row, data, at):
+    """Return an axis of a bushing in the world."""
+    return turned(body, row, data[at], data[at + 1], data[at + 2])
+
+
+@inlined
+def _dot(ax, ay, az, bx, by, bz):
+    """Return the scalar product of two vectors."""
+    return ax * bx + ay * by + az * bz
+
+
+@inlined
+def apply_in_space(table, row, body):
+    """Apply the forces in space; see ``dispatch.apply``."""
+    values, data, at = table.values, table.data, table.index[row, DATA]
+    a, b, output = table.index[row, FIRST], table.index[row, SECOND], table.output
+    px, py, pz = place_in_space(body, a, data[at], data[at + 1], data[at + 2])
+    x, y, z = place_in_space(body, b, data[at + 3], data[at + 4], data[at + 5])
+    vx, vy, vz = velocity_at(body, b, x, y, z)
+    # What of body a would be at point b: so the axes' turning is seen.
+    ux, uy, uz = velocity_at(body, a, x, y, z)
+    sx, sy, sz = (body[b, SPIN] - body[a, SPIN], body[b, SPIN + 1] - body[a, SPIN + 1],
+                  body[b, SPIN + 2] - body[a, SPIN + 2])
+    fx, fy, fz, mx, my, mz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    stored, lost = 0.0, 0.0
+    for k in range(3):
+        ax, ay, az = _axis(body, a, data, at + AXES_A + 3 * k)
+        bx, by, bz = _axis(body, b, data, at + AXES_B + 3 * k)
+        along = _dot(ax, ay, az, x - px, y - py, z - pz)
+        rate = _dot(ax, ay, az, vx - ux, vy - uy, vz - uz)
+        spin = _dot(ax, ay, az, sx, sy, sz)
+        stiffness, damping = data[at + ALONG + k], data[at + LOSS + k]
+        force = -stiffness * along - damping * rate
+        output[row, 1 + k] = force
+        fx, fy, fz = fx + force * ax, fy + force * ay, fz + force * az
+        # 1 - a . b of both bodies' axes: its gradient is the vector product of the two.
+        share, loss = values[row, k], -values[row, 3 + k] * spin
+        mx += share * (by * az - bz * ay) + loss * ax
+        my += share * (bz * ax - bx * az) + loss * ay
+        mz += share * (bx * ay - by * ax) + loss * az
+        stored += 0.5 * stiffness * along * along + share * (1.0 - _dot(ax, ay, az, bx, by, bz))
+        lost += damping * rate * rate - loss * spin
+    push_there(body, b, x, y, z, fx, fy, fz)
+    push_there(body, a, x, y, z, -fx, -fy, -fz)
+    twist(body, b, mx, my, mz)
+    twist(body, a, -mx, -my, -mz)
+    table.rates[table.index[row, STATE]] = lost
+    output[row, STORED] = stored
+    output[row, 4] = math.sqrt(mx * mx + my * my + mz * mz)

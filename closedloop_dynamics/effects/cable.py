@@ -19,7 +19,9 @@ Cable that pulls and never pushes, from a point over guides and pulleys to anoth
 
 with l its length: straight pieces, tangent to pulleys that have a radius, and what lies on these.
 It slides over guides and pulleys without friction, or turns them without inertia: one tension
-throughout, "capstan-free". It stores k s^2 / 2. The damping grows with the stretch, so that the
+throughout, "capstan-free". In space it goes over guides without a radius.
+
+It stores k s^2 / 2. The damping grows with the stretch, so that the
 tension does not jump where the cable becomes taut.
 
 A pulley is wound by -90 to 270 degrees; one that the cable would leave is not left: it goes on
@@ -32,13 +34,16 @@ import math
 from typing import Optional, Tuple
 
 from .effect import Effect, require_plane, require_point
-from .forces import place, push_at, velocity
-from .table import CABLE, DATA, DISSIPATED, ENTRIES, ForceElement, STATE, State, STORED
+from .forces import (
+    place, place_in_space, push_at, push_there, velocity, velocity_at)
+from .table import (
+    CABLE, DATA, DISSIPATED, ENTRIES, ForceElement, SPATIAL_CABLE, STATE, State, STORED)
 from ..core.compiled import inlined
 from ..mechanism.checks import list_of, name, not_negative, number, positive
 from ..mechanism.fields import at, FieldError
 
-# Numbers of an entry: row of a point's body, place in its frame [m], radius of the pulley [m].
+# Numbers of an entry: row of a point's body, place in its frame [m], radius of the pulley [m];
+# in space a place of three numbers and no radius.
 COLUMNS = 4
 
 
@@ -60,7 +65,7 @@ class Cable(Effect):
     radii : tuple of floats or None
         One for each point, zero for the ends: of the pulleys [m]; positive where the cable turns
         to the left around them, negative where to the right. Guides without radius when not
-        given.
+        given. In the plane.
 
     """
 
@@ -89,8 +94,9 @@ class Cable(Effect):
                                      path=('radii', end))
 
     def fit(self, mechanism):
-        """Refuse a mechanism without the points, and one in space."""
-        require_plane(mechanism, 'points')
+        """Refuse a mechanism without the points, and pulleys with a radius in space."""
+        if self.radii is not None and any(self.radii):
+            require_plane(mechanism, 'radii')
         for index, point in enumerate(self.points):
             with at('points'):
                 require_point(mechanism, index, point)
@@ -100,8 +106,9 @@ class Cable(Effect):
         entries = []
         for point, radius in zip(self.points, self.radii or (0.0,) * len(self.points)):
             row, spot = machine.point(point)
-            entries.append((float(row), *spot, radius))
-        return ForceElement(CABLE, (), (self.stiffness, self.free_length, self.damping),
+            entries.append((float(row), *spot, radius)[:COLUMNS])
+        kind = CABLE if machine.mechanism.planar else SPATIAL_CABLE
+        return ForceElement(kind, (), (self.stiffness, self.free_length, self.damping),
                             (State(DISSIPATED),), data=tuple(entries))
 
 
@@ -135,9 +142,23 @@ def _wrapped(radius, x, y, next_x, next_y):
 
 
 @inlined
+def _tension(table, row, length, rate):
+    """Return the tension at a length and its rate, and note it."""
+    values = table.values
+    stretch = length - values[row, 1]
+    elastic = values[row, 0] * max(0.0, stretch)
+    tension = elastic * max(0.0, 1.0 + values[row, 2] * rate)
+    table.rates[table.index[row, STATE]] = (tension - elastic) * rate
+    table.output[row, STORED] = 0.5 * elastic * max(0.0, stretch)
+    table.output[row, 1] = tension
+    table.output[row, 2] = length
+    return tension
+
+
+@inlined
 def apply(table, row, body):
     """Apply the forces; see ``dispatch.apply``."""
-    values, data, first = table.values, table.data, table.index[row, DATA]
+    data, first = table.data, table.index[row, DATA]
     pieces = table.index[row, ENTRIES] - 1
     length, rate, before_x, before_y = 0.0, 0.0, 0.0, 0.0
     for k in range(pieces):
@@ -148,9 +169,7 @@ def apply(table, row, body):
         if k > 0 and data[at + 3] != 0.0:
             length += _wrapped(data[at + 3], before_x, before_y, x, y)
         before_x, before_y = x, y
-    stretch = length - values[row, 1]
-    elastic = values[row, 0] * max(0.0, stretch)
-    tension = elastic * max(0.0, 1.0 + values[row, 2] * rate)
+    tension = _tension(table, row, length, rate)
     if tension > 0.0:
         for k in range(pieces):
             at = first + COLUMNS * k
@@ -160,7 +179,43 @@ def apply(table, row, body):
                 i = int(data[point])
                 px, py = place(body, i, data[point + 1], data[point + 2])
                 push_at(body, i, px, py, force * x, force * y)
-    table.rates[table.index[row, STATE]] = (tension - elastic) * rate
-    table.output[row, STORED] = 0.5 * elastic * max(0.0, stretch)
-    table.output[row, 1] = tension
-    table.output[row, 2] = length
+
+
+@inlined
+def _straight_in_space(body, data, at):
+    """Return both ends, direction, length and its rate of a piece in space."""
+    a, b = int(data[at]), int(data[at + COLUMNS])
+    px, py, pz = place_in_space(body, a, data[at + 1], data[at + 2], data[at + 3])
+    bx, by, bz = place_in_space(
+        body, b, data[at + COLUMNS + 1], data[at + COLUMNS + 2], data[at + COLUMNS + 3])
+    vx, vy, vz = velocity_at(body, b, bx, by, bz)
+    ux, uy, uz = velocity_at(body, a, px, py, pz)
+    x, y, z = bx - px, by - py, bz - pz
+    length, rate = math.sqrt(x * x + y * y + z * z), 0.0
+    if length > 0.0:
+        x /= length
+        y /= length
+        z /= length
+        rate = x * (vx - ux) + y * (vy - uy) + z * (vz - uz)
+    return px, py, pz, bx, by, bz, x, y, z, length, rate
+
+
+@inlined
+def apply_in_space(table, row, body):
+    """Apply the forces in space; see ``dispatch.apply``."""
+    data, first = table.data, table.index[row, DATA]
+    pieces = table.index[row, ENTRIES] - 1
+    length, rate = 0.0, 0.0
+    for k in range(pieces):
+        px, py, pz, bx, by, bz, x, y, z, part, growth = _straight_in_space(
+            body, data, first + COLUMNS * k)
+        length += part
+        rate += growth
+    tension = _tension(table, row, length, rate)
+    if tension > 0.0:
+        for k in range(pieces):
+            at = first + COLUMNS * k
+            px, py, pz, bx, by, bz, x, y, z, part, growth = _straight_in_space(body, data, at)
+            push_there(body, int(data[at]), px, py, pz, tension * x, tension * y, tension * z)
+            push_there(body, int(data[at + COLUMNS]), bx, by, bz,
+                       -tension * x, -tension * y, -tension * z)

@@ -25,8 +25,8 @@ from . import (
 from .table import (
     ACTUATOR, BUSHING, CABLE, CIRCLE_CONTACT, CONTACT, CURVE_CONTACT, END_STOP, EXTERNAL_FORCE,
     JOINT_DAMPING, JOINT_FORCE_TABLE, JOINT_FRICTION, JOINT_SPRING, LINE_CONTACT,
-    POINT_FORCE_TABLE, POINT_SPRING, PRESCRIBED_FORCE, PRESCRIBED_TORQUE, SPATIAL_CONTACT,
-    SPATIAL_FORCE, SPATIAL_POINT_SPRING, SPATIAL_PRESCRIBED_FORCE)
+    POINT_FORCE_TABLE, POINT_SPRING, PRESCRIBED_FORCE, PRESCRIBED_TORQUE, SPATIAL_BUSHING,
+    SPATIAL_CABLE, SPATIAL_CONTACT, SPATIAL_FORCE, SPATIAL_POINT_SPRING, SPATIAL_PRESCRIBED_FORCE)
 from ..core.compiled import compiled
 
 
@@ -109,3 +109,7 @@ def _apply_element(data, table, row, body, q, qd):
             body_contact.apply_on_curve(table, row, body)
         elif kind == SPATIAL_PRESCRIBED_FORCE:
             prescribed_force.apply_in_space(table, row, body)
+        elif kind == SPATIAL_BUSHING:
+            bushing.apply_in_space(table, row, body)
+        elif kind == SPATIAL_CABLE:
+            cable.apply_in_space(table, row, body)

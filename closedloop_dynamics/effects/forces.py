@@ -17,7 +17,7 @@
 import math
 
 from .table import TOUCHING, UNDECIDED
-from ..core.codegen.space import FORCE, FRAME, SPIN, VELOCITY
+from ..core.codegen.space import FORCE, FRAME, ORIGIN, SPIN, VELOCITY
 from ..core.compiled import inlined
 from ..core.types import COS, FX, FY, FZ, OMEGA, PX, PY, SIN, VX, VY
 
@@ -227,6 +227,27 @@ def push_in_space(body, row, rx, ry, rz, fx, fy, fz):
     body[row, FORCE + 3] -= fx
     body[row, FORCE + 4] -= fy
     body[row, FORCE + 5] -= fz
+
+
+@inlined
+def place_in_space(body, row, x, y, z):
+    """Return the place of a point in the world [m]; parameters as of ``turned``."""
+    rx, ry, rz = turned(body, row, x, y, z)
+    return body[row, ORIGIN] + rx, body[row, ORIGIN + 1] + ry, body[row, ORIGIN + 2] + rz
+
+
+@inlined
+def velocity_at(body, row, px, py, pz):
+    """Return the velocity of what is at a place of a body in the world, in space [m/s]."""
+    return velocity_in_space(body, row, px - body[row, ORIGIN], py - body[row, ORIGIN + 1],
+                             pz - body[row, ORIGIN + 2])
+
+
+@inlined
+def push_there(body, row, px, py, pz, fx, fy, fz):
+    """Apply a force to a body at a place in the world; parameters as of ``push_in_space``."""
+    push_in_space(body, row, px - body[row, ORIGIN], py - body[row, ORIGIN + 1],
+                  pz - body[row, ORIGIN + 2], fx, fy, fz)
 
 
 @inlined

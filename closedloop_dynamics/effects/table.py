@@ -29,7 +29,8 @@ import numpy as np
 (JOINT_DAMPING, JOINT_SPRING, END_STOP, JOINT_FRICTION, POINT_SPRING, EXTERNAL_FORCE, CONTACT,
  ACTUATOR, SPATIAL_POINT_SPRING, SPATIAL_FORCE, SPATIAL_CONTACT, PRESCRIBED_TORQUE,
  PRESCRIBED_FORCE, JOINT_FORCE_TABLE, POINT_FORCE_TABLE, BUSHING, CABLE, LINE_CONTACT,
- CIRCLE_CONTACT, CURVE_CONTACT, SPATIAL_PRESCRIBED_FORCE) = range(21)
+ CIRCLE_CONTACT, CURVE_CONTACT, SPATIAL_PRESCRIBED_FORCE, SPATIAL_BUSHING,
+ SPATIAL_CABLE) = range(23)
 # Columns of EffectTable.index: first own state; joint (its place in q) or the row of the body
 # that carries the first point; the row of the second point's body, or of the joint's; whether the
 # law wants the reaction in its joint, as its second state; where its numbers begin among those of
@@ -62,7 +63,7 @@ class State(NamedTuple):
 class ForceElement(NamedTuple):
     """One effect as a row of the table."""
 
-    kind: int  # ``JOINT_DAMPING`` to ``SPATIAL_PRESCRIBED_FORCE``
+    kind: int  # ``JOINT_DAMPING`` to ``SPATIAL_CABLE``
     index: Tuple[int, ...]  # FIRST and SECOND, as far as the law reads them
     values: Tuple[float, ...]  # Parameters, in the order the law reads them
     states: Tuple[State, ...] = ()  # In the order the law reads and writes them

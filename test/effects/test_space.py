@@ -22,6 +22,8 @@ from closedloop_dynamics.core.codegen.numbers import Numbers
 from closedloop_dynamics.core.types import WORK_COLUMNS
 from closedloop_dynamics.effects import dispatch
 from closedloop_dynamics.effects.actuator import Actuator
+from closedloop_dynamics.effects.bushing import Bushing
+from closedloop_dynamics.effects.cable import Cable
 from closedloop_dynamics.effects.contact import Contact
 from closedloop_dynamics.effects.effect import Machine
 from closedloop_dynamics.effects.effect_set import EffectSet
@@ -132,6 +134,89 @@ def test_springs_between_points_pull_as_in_maximal_coordinates(seed):
         'anchored': PointSpring('p2', anchor=tuple(anchor), **law)}, pushes)
     assert_agree(table.output[:, 0].sum(), stored, 1e-12)
     assert_agree(table.rates.sum(), lost, 1e-11, smallest=1.0)
+
+
+@pytest.mark.parametrize('seed', range(4))
+@pytest.mark.parametrize('slack', [False, True])
+def test_cables_pull_along_their_way(seed, slack):
+    _, mechanism, q, qd, bodies, points, _ = drawn(20 + seed)
+    ways = [points[k + 1][1] - points[k][1] for k in range(2)]
+    length = sum(map(np.linalg.norm, ways))
+    along = [way / np.linalg.norm(way) for way in ways]
+    rate = sum(along[k] @ (points[k + 1][2] - points[k][2]) for k in range(2))
+    free = length + (0.1 if slack else -0.1)
+    elastic = 0.0 if slack else 50.0 * 0.1
+    tension = elastic * max(0.0, 1.0 + 0.3 * rate)
+    # The guide in the middle takes both.
+    pulls = (along[0], along[1] - along[0], -along[1])
+    table = assert_moves(mechanism, q, qd, {
+        'rope': Cable(('p0', 'p1', 'p2'), 50.0, free, 0.3)}, [
+            (body, arm, tension * pull, 0.0)
+            for body, (arm, _, _), pull in zip(bodies, points, pulls)])
+    assert_agree(table.output[0, 1:3], [tension, length], 1e-11)
+    assert_agree(table.rates, [(tension - elastic) * rate], 1e-10, smallest=1.0)
+
+
+@pytest.mark.parametrize('seed', range(6))
+def test_bushings_push_along_and_turn_about_their_axes(seed):
+    rng, mechanism, q, qd, bodies, points, motions = drawn(40 + seed)
+    stiffness, damping, turning, loss = rng.uniform(1.0, 3.0, (4, 3))
+    own, rest = (spatial_linkages.quaternion(rng) for _ in range(2))
+    pushes, stored, lost = [], 0.0, 0.0
+    anchor = np.array([0.2, 0.4, -0.3])
+    for first, second in ((0, 1), (2, None)):
+        one = motions[bodies[first]]
+        axes = one.axes @ twin.matrix(own)
+        arm, place, speed = points[first]
+        if second is None:
+            other_arm, there, moving = anchor, anchor, np.zeros(3)
+            spin, turned = -one.spin, np.eye(3)
+        else:
+            other = motions[bodies[second]]
+            other_arm, there, moving = points[second]
+            spin, turned = other.spin - one.spin, other.axes
+        triad = turned @ twin.matrix(rest).T @ twin.matrix(own)
+        apart = axes.T @ (there - place)
+        rate = axes.T @ (moving - speed - np.cross(one.spin, there - place))
+        force = axes @ (-stiffness * apart - damping * rate)
+        # Shares of 1 - a . b, of which those of the other two axes make a turn's stiffness.
+        shares = 0.5 * turning.sum() - turning
+        moment = sum(share * np.cross(b, a) for share, a, b in zip(shares, axes.T, triad.T))
+        moment = moment - axes @ (loss * (axes.T @ spin))
+        # On body a at the same place.
+        pushes.append((bodies[first], arm + there - place, -force, -moment))
+        if second is not None:
+            pushes.append((bodies[second], other_arm, force, moment))
+        stored += 0.5 * stiffness @ apart ** 2 + shares @ (1.0 - np.sum(axes * triad, axis=0))
+        lost += damping @ rate ** 2 + loss @ (axes.T @ spin) ** 2
+    law = {'stiffness': tuple(stiffness), 'damping': tuple(damping),
+           'turning_stiffness': tuple(turning), 'turning_damping': tuple(loss),
+           'orientation': own, 'rest_orientation': rest}
+    table = assert_moves(mechanism, q, qd, {
+        'between': Bushing('p0', 'p1', **law),
+        'anchored': Bushing('p2', anchor=tuple(anchor), **law)}, pushes)
+    assert_agree(table.output[:, 0].sum(), stored, 1e-11)
+    assert_agree(table.rates.sum(), lost, 1e-10, smallest=1.0)
+
+
+@needs_compiler
+def test_a_body_swings_on_a_bushing_about_each_axis():
+    mechanism = Mechanism(
+        'mounted', (Body('block', 2.0, (0.0, 0.0, 0.0), (0.02, 0.03, 0.04)),),
+        (Joint('free', 'free', GROUND, 'block', (0.0, 0.0, 0.0)),), (),
+        (Point('center', 'block', (0.0, 0.0, 0.0)),))
+    stiffness, turning = np.array([50.0, 80.0, 30.0]), np.array([0.5, 0.2, 0.9])
+    start = 1e-7 * np.array([1.0, -2.0, 3.0])
+    one = simulated(mechanism, {'mount': Bushing(
+        'center', anchor=(0.0, 0.0, 0.0), stiffness=tuple(stiffness),
+        turning_stiffness=tuple(turning))}, (*start, *(0.5 * start), 1.0), np.zeros(6), **TIGHT)
+    one.step(duration=0.7)
+    rates = np.sqrt(stiffness / 2.0)
+    # The axes turn with the block, and the forces have levers, of the motion's own size.
+    assert_agree(one.position[:3], start * np.cos(0.7 * rates), 1e-3)
+    rates = np.sqrt(turning / [0.02, 0.03, 0.04])
+    assert_agree(one.position[3:6], 0.5 * start * np.cos(0.7 * rates), 1e-3)
+    assert set(one.effect_readings('mount')) >= {'force_1', 'force_2', 'force_3', 'moment'}
 
 
 @pytest.mark.parametrize('seed', range(8))
@@ -363,6 +448,9 @@ def test_a_linkage_with_all_of_it_keeps_its_energy_in_balance():
         'motor': Rotor('crank', 1e-4, 5.0), 'idler': Rotor('tip', 1e-5, 3.0),
         'push': ExternalForce('end', (0.5, 0.2, 0.1), (0.02, 0.0, 0.0), 'body'),
         'grease': JointDamping('rocker', 0.01),
+        'rope': Cable(('tip', 'end'), 30.0, 0.48, 0.5),
+        'mount': Bushing('tip', 'end', stiffness=(3.0, 2.0, 1.0), damping=(0.1, 0.0, 0.2),
+                         turning_stiffness=(0.03, 0.05, 0.01), turning_damping=1e-3),
         'floor': Contact('end', (0.0, 0.0, 0.27), 300.0, damping=0.5, friction=0.3,
                          normal=(0.0, 0.1, 1.0))}
     one = simulated(mechanism, effects, np.zeros(len(mechanism.joints)), **TIGHT)
@@ -380,6 +468,10 @@ def test_a_linkage_with_all_of_it_keeps_its_energy_in_balance():
     (Contact('center', (0.0, 0.0, 0.0), 1.0, angle=0.1, normal=(0.0, 0.0, 1.0)),
      'angle: .*no angle'),
     (Payload('ball', 1.0, (0.0, 1.0)), 'position: .*3 finite numbers'),
+    (Bushing('center', anchor=(0.0, 0.0, 0.0), angle=0.1), 'angle: .*no such key in space'),
+    (Bushing('center', anchor=(0.0, 0.0, 0.0), damping=(1.0, 1.0)), 'damping: .*3 finite'),
+    (Cable(('center', 'center', 'center'), 1.0, 1.0, radii=(0.0, 0.1, 0.0)),
+     'radii: .*in the plane'),
     (Payload('ball', 1.0, inertia=0.1), 'inertia: .*list of 3')])
 def test_values_of_the_plane_are_refused_in_space(record, expected):
     with pytest.raises(FieldError, match=expected):
@@ -391,6 +483,11 @@ def test_values_of_the_plane_are_refused_in_space(record, expected):
     (ExternalForce('center', torque=(1.0, 2.0, 3.0)), 'torque: .*a finite number'),
     (Contact('center', (0.0, 0.0), 1.0, normal=(0.0, 1.0, 0.0)), 'normal: .*no normal'),
     (Rotor('slide', 1.0, axis=(0.0, 0.0, 1.0)), 'axis: .*no axis'),
+    (Bushing('center', anchor=(0.0, 0.0), stiffness=(1.0, 1.0, 1.0)), 'stiffness: .*2 finite'),
+    (Bushing('center', anchor=(0.0, 0.0), turning_stiffness=(1.0, 1.0, 1.0)),
+     'turning_stiffness: .*one number'),
+    (Bushing('center', anchor=(0.0, 0.0), orientation=(0.0, 0.0, 1.0, 0.0)),
+     'orientation: .*no such key in the plane'),
     (Payload('block', 1.0, inertia=(0.1, 0.1, 0.1)), 'inertia: .*zero or more')])
 def test_values_of_space_are_refused_in_the_plane(record, expected):
     with pytest.raises(FieldError, match=expected):
