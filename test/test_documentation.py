@@ -251,6 +251,13 @@ def test_folders_and_files_that_the_pages_name_exist():
     assert [name for name in folders | files if not (ROOT / name).exists()] == []
 
 
+def test_every_shipped_scene_is_shown():
+    page = (ROOT / 'doc' / 'machines.md').read_text()
+    scenes = [path.stem for path in (ROOT / 'config' / 'scenes').glob('*.yaml')]
+    assert len(scenes) > 20
+    assert [name for name in scenes if f'`{name}`' not in page] == []
+
+
 @pytest.mark.parametrize('name', ('scene_keys', 'stability_cases'))
 def test_pages_that_are_written_from_the_code_are_up_to_date(name):
     written = runpy.run_path(str(ROOT / 'doc' / f'make_{name}.py'))
