@@ -23,6 +23,8 @@ from .fields import among, at, FieldError, nearest, shown
 
 # What ROS accepts as one token of a topic or parameter name.
 NAME_PATTERN = re.compile(r'[a-zA-Z][a-zA-Z0-9_]*')
+# ROS has no longer topics; keys of YAML end at 1024 characters.
+LONGEST_NAME = 255
 
 
 def number(value, expected='a finite number'):
@@ -175,6 +177,9 @@ def name(value):
     if not isinstance(value, str) or not NAME_PATTERN.fullmatch(value):
         raise FieldError(
             'a name of letters, digits and underscores that starts with a letter', shown(value))
+    if len(value) > LONGEST_NAME:
+        raise FieldError(
+            f'a name of at most {LONGEST_NAME} characters', f'one of {len(value)}')
     return value
 
 

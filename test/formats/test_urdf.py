@@ -210,6 +210,8 @@ FAULTS = {
                 r':1: expected plain elements, got a document type definition'),
     'root': ('robot', 'sdf', r":1: <sdf name='four_bar'>: expected one of the elements <robot>"),
     'link_twice': ('name="crank"', 'name="coupler"', 'expected every name once'),
+    'name': ('joint name="crank_joint"', f'joint name="{"a" * 256}"',
+             'expected a name of at most 255 characters, got one of 256'),
     'parent': ('parent link="base"', 'parent link="bas"',
                r"<joint name='crank_joint'>: expected the name of a link or frame, got 'bas' "
                r"\(did you mean 'base'\?\)"),

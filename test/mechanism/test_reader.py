@@ -136,6 +136,9 @@ FAULTS = {
         'tip:', '1st-tip:', 13, 'points.1st-tip', NAME, "the text '1st-tip'", ''),
     'cut_name_not_a_topic': (
         'cut_1:', 'cut/1:', 11, 'cut_joints.cut/1', NAME, "the text 'cut/1'", ''),
+    'name_too_long': (
+        'tip:', f'{256 * "a"}:', 13, f'points.{256 * "a"}', 'a name of at most 255 characters',
+        'one of 256', ''),
     'name_of_ground': (
         'tip:', 'ground:', 13, 'points.ground', "any name but 'ground', which is the world",
         "'ground'", ''),
