@@ -159,13 +159,13 @@ class Preparation:
             self._give_up(str(error))
             return
         self._logger.info(
-            'compiling in the background what deals with singular configurations (once for an '
+            'compiling the code for singular configurations in the background (once for an '
             'installation, about a minute)')
 
     def _give_up(self, reason):
         self.over = True
         self._logger.warning(
-            f'what deals with singular configurations could not be compiled ahead ({reason}): '
+            f'the code for singular configurations could not be compiled ahead ({reason}): '
             'the simulation will stand still for about a minute where it first meets one')
 
 

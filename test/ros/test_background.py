@@ -82,7 +82,7 @@ def test_what_is_not_is_compiled_by_a_process_and_loaded_then(build):
         prepared.look()
     assert prepared.over
     assert [line.split(':')[0].split(' (')[0] for line in said] == [
-        'compiling in the background what deals with singular configurations',
+        'compiling the code for singular configurations in the background',
         'singular configurations']
 
 
