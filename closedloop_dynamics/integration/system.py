@@ -171,6 +171,7 @@ def _linked(system):
          calls.LAM: system.lam, calls.HEALTH: work.health, calls.WORK_BODY: work.body,
          calls.CLOSURE: work.closure, calls.CLOSURE_RATE: work.closure_rate,
          calls.CORRECTIONS: system.corrections},
+        number_of_coordinates(system.manifold, len(system.qdd)),
         _rank_revealing_routines(system), lambda place: codegen.later(model, place))
     if system.unrolled is not None:
         codegen.relink(model, table)

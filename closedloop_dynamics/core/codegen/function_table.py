@@ -186,7 +186,7 @@ def run(table, which, q, qd):
         As ``connect`` returns it.
     which : int
         Place of the routine's address in it.
-    q, qd : ndarray, shape (nv,)
+    q, qd : ndarray, shape (nq,), (nv,)
         Joint coordinates and rates.
 
     Returns
@@ -199,7 +199,7 @@ def run(table, which, q, qd):
     return 1
 
 
-def connect(arrays, rank_revealing, find):
+def connect(arrays, coordinates, rank_revealing, find):
     """
     Return a function table without unrolled routines, but for those compiled when they are called.
 
@@ -208,6 +208,8 @@ def connect(arrays, rank_revealing, find):
     arrays : dict of int to ndarray
         From the places BODY to CORRECTIONS, in space from ALL_LAM to TREE_FORCE, too; they are
         kept as long as the function table.
+    coordinates : int
+        Length of q.
     rank_revealing : dict of int to callable
         From RANK_REVEALING_ACCELERATION, _POSITION and _VELOCITY; called with q and qd.
     find : callable
@@ -222,10 +224,9 @@ def connect(arrays, rank_revealing, find):
     table = np.zeros(TABLE_COLUMNS, dtype=np.int64)
     for place, array in arrays.items():
         table[place] = array.ctypes.data
-    nv = len(arrays[QDD])
     kept = {place: _SIGNATURE(_compiling(find, place)) for place in (*REFINED, *ON_DEMAND)}
     for place, function in rank_revealing.items():
-        kept[place] = _SIGNATURE(_on_arrays(function, nv))
+        kept[place] = _SIGNATURE(_on_arrays(function, coordinates, len(arrays[QDD])))
     for place, routine in kept.items():
         table[place] = ctypes.cast(routine, ctypes.c_void_p).value
     _callbacks[id(table)] = kept, rank_revealing, arrays
@@ -267,12 +268,12 @@ def _compiling(find, place):
     return called
 
 
-def _on_arrays(function, nv):
+def _on_arrays(function, nq, nv):
     """Return a function of addresses that calls one of arrays."""
-    vector = ctypes.c_double * nv
+    places, rates = ctypes.c_double * nq, ctypes.c_double * nv
 
     def called(table, q, qd):
-        function(np.frombuffer(vector.from_address(q)), np.frombuffer(vector.from_address(qd)))
+        function(np.frombuffer(places.from_address(q)), np.frombuffer(rates.from_address(qd)))
         return 1
 
     return called
