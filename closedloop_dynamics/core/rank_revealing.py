@@ -38,6 +38,7 @@ from .forward_dynamics import constraint_right_side, to_user_order
 from .jacobian import constraint_jacobian, generalized_inertia_matrix
 from .joint_wrenches import tree_torque
 from .loop_closure import largest, update
+from .manifold import move
 from .null_space import ACCELERATION, POSITION, ROUNDING, solve, VELOCITY, WEAK
 from .types import (
     FZ, LOOKED_BESIDE, MOST_DISTINCT, NO_RESPONSES, OMEGA, RANK, RANK_REVEALING_COUNT,
@@ -141,9 +142,9 @@ def correct(model, work, level, out):
 
 
 @merged
-def _settle(model, work, q, qd, size):
+def _return_to_branch(model, work, manifold, q, qd, size):
     """Bring a state onto the branch next to it, as far as can be told; return what is left."""
-    change = np.zeros(q.shape[0])
+    change = np.zeros(qd.shape[0])
     error = np.inf
     for count in range(MOST_CORRECTIONS + 1):
         kinematics.outward(model, q, qd, work)
@@ -151,18 +152,16 @@ def _settle(model, work, q, qd, size):
         error = largest(work.closure)
         positions = error > ROUNDING * size and count < MOST_CORRECTIONS
         correct(model, work, POSITION if positions else VELOCITY, change)
-        for i in range(q.shape[0]):
-            if positions:
-                q[i] += change[i]
-            else:
-                qd[i] += change[i]
         if not positions:
+            for i in range(qd.shape[0]):
+                qd[i] += change[i]
             break
+        move(manifold, q, change, 1.0, 1)
     return error
 
 
 @allocating
-def accelerate(model, work, tau, baumgarte, aside, q, qd, qdd, lam):
+def accelerate(model, work, tau, baumgarte, aside, manifold, q, qd, qdd, lam):
     """
     Compute accelerations and multipliers, as ``forward_dynamics.accelerate`` does.
 
@@ -178,7 +177,9 @@ def accelerate(model, work, tau, baumgarte, aside, q, qd, qdd, lam):
     aside : float
         Distance of the places that are interpolated between [rad]; usually ``ASIDE``. Where
         singular values there are too small, up to FARTHEST times as much.
-    q, qd : ndarray, shape (nv,)
+    manifold : Manifold or None
+        Of the mechanism.
+    q, qd : ndarray, shape (nq,), (nv,)
         The state.
 
     """
@@ -187,7 +188,7 @@ def accelerate(model, work, tau, baumgarte, aside, q, qd, qdd, lam):
     first = FZ if size_of_force == 3 else FORCE
     last = first + size_of_force
     beside = np.zeros(nc)
-    near, near_rate, total = np.empty(nv), np.empty(nv), np.zeros(nv)
+    near, near_rate, total = np.empty(q.shape[0]), np.empty(nv), np.zeros(nv)
     found, forces = np.empty(nv), np.empty(nc)
     update(model, work, NO_RESPONSES)
     for k in range(nc):
@@ -204,9 +205,9 @@ def accelerate(model, work, tau, baumgarte, aside, q, qd, qdd, lam):
         attempt += 1
         if attempt > 0:
             ahead = (0.0 if attempt == 1 else _place(attempt - 2) * aside / speed)
-            for i in range(nv):
-                near[i], near_rate[i] = q[i] + ahead * qd[i], qd[i]
-            error = _settle(model, work, near, near_rate, size)
+            near[:], near_rate[:] = q, qd
+            move(manifold, near, qd, ahead, 1)
+            error = _return_to_branch(model, work, manifold, near, near_rate, size)
             kinematics.outward(model, near, near_rate, work)
             work.body[:, first:last] += applied
         rank, weakest, distinct, levers = _solve_here(model, work, tau, beside, found, forces)

@@ -17,6 +17,7 @@
 import math
 
 from .table import LOAD_TIME, LOADED, SECOND, STATE
+from ..core import kinematics
 from ..core.codegen.space import FRAME
 from ..core.compiled import compiled, inlined
 from ..core.joint_wrenches import FORCE_X, FORCE_Y, joint_wrenches
@@ -24,7 +25,7 @@ from ..core.types import AXIS, PRISMATIC, SX, SY, TYPE
 
 
 @compiled
-def load(model, work, table, qdd, lam):
+def load(model, work, table, q, qd, qdd, lam):
     """
     Compute the reactions and let the loaded effects' states follow them.
 
@@ -37,6 +38,8 @@ def load(model, work, table, qdd, lam):
     table : EffectTable
         ``reaction`` after ``joint_wrenches.bias_forces``. The rates of the loads and the
         readings are written.
+    q, qd : ndarray, shape (nq,), (nv,)
+        The state.
     qdd : ndarray, shape (nv,)
         Joint accelerations.
     lam : ndarray, shape (nc,)
@@ -44,46 +47,37 @@ def load(model, work, table, qdd, lam):
 
     """
     tree, body, reaction = model.tree, work.body, table.reaction
+    spatial = model.gravity.shape[0] == 3
+    if spatial:
+        # Unrolled routines leave less behind than is read here.
+        kinematics.outward(model, q, qd, work)
     joint_wrenches(model, work, qdd, lam, reaction)
     for row in range(table.kind.shape[0]):
         if table.enabled[row] == 1 and table.index[row, LOADED] == 1:
             i, state = table.index[row, SECOND], table.index[row, STATE] + 1
-            fx, fy = reaction[i, FORCE_X], reaction[i, FORCE_Y]
-            size = math.sqrt(fx * fx + fy * fy)
-            if tree[i, TYPE] == PRISMATIC:
-                size = abs(body[i, SX] * fy - body[i, SY] * fx)
-            _follow(table, row, state, size)
+            size = _across(tree, body, reaction, i) if spatial else _in_plane(
+                tree, body, reaction, i)
+            table.rates[state] = (size - table.states[state]) / table.values[row, LOAD_TIME]
+            table.output[row, 2] = size
 
 
 @inlined
-def _follow(table, row, state, size):
-    """Let a load follow the size of the reaction."""
-    table.rates[state] = (size - table.states[state]) / table.values[row, LOAD_TIME]
-    table.output[row, 2] = size
+def _in_plane(tree, body, reaction, i):
+    """Return the force in a joint, across the axis of one that slides [N]."""
+    fx, fy = reaction[i, FORCE_X], reaction[i, FORCE_Y]
+    if tree[i, TYPE] == PRISMATIC:
+        return abs(body[i, SX] * fy - body[i, SY] * fx)
+    return math.sqrt(fx * fx + fy * fy)
 
 
-@compiled
-def load_in_space(model, work, table):
-    """
-    Let the loaded effects' states follow the reactions in space.
-
-    Parameters
-    ----------
-    model, work
-        As for ``load``.
-    table : EffectTable
-        With the wrenches in the joints of the tree in ``reaction``: moment, then force.
-
-    """
-    tree, body, reaction = model.tree, work.body, table.reaction
-    for row in range(table.kind.shape[0]):
-        if table.enabled[row] == 1 and table.index[row, LOADED] == 1:
-            i, state = table.index[row, SECOND], table.index[row, STATE] + 1
-            fx, fy, fz = reaction[i, 3], reaction[i, 4], reaction[i, 5]
-            square = fx * fx + fy * fy + fz * fz
-            if tree[i, TYPE] == PRISMATIC:
-                # Z of the row's frame, or the axis that it slides along.
-                axis = FRAME + tree[i, AXIS]
-                along = (body[i, axis] * fx + body[i, axis + 3] * fy + body[i, axis + 6] * fz)
-                square = max(0.0, square - along * along)
-            _follow(table, row, state, math.sqrt(square))
+@inlined
+def _across(tree, body, reaction, i):
+    """Do as ``_in_plane`` does in space."""
+    fx, fy, fz = reaction[i, 3], reaction[i, 4], reaction[i, 5]
+    square = fx * fx + fy * fy + fz * fz
+    if tree[i, TYPE] == PRISMATIC:
+        # Z of the row's frame, or the axis that it slides along.
+        axis = FRAME + tree[i, AXIS]
+        along = body[i, axis] * fx + body[i, axis + 3] * fy + body[i, axis + 6] * fz
+        square = max(0.0, square - along * along)
+    return math.sqrt(square)

@@ -135,7 +135,7 @@ class EffectTable(NamedTuple):
     contacts: Optional[Contacts]
 
 
-def build_table(elements, tau, bodies, equations):
+def build_table(elements, tau, bodies, equations, spatial=False):
     """
     Allocate the table of the listed effects.
 
@@ -149,6 +149,8 @@ def build_table(elements, tau, bodies, equations):
         Number of bodies.
     equations : int
         Number of closure equations.
+    spatial : bool
+        Whether the mechanism is one in space.
 
     """
     count, most = len(elements), sum(element.sticks for element in elements)
@@ -164,7 +166,7 @@ def build_table(elements, tau, bodies, equations):
         scale=np.array([state.scale for state in states], dtype=float),
         loaded=np.zeros(1, dtype=np.int64),
         applied=tau.copy() if count else tau,
-        reaction=np.zeros((bodies + 1 if count else 0, 6)),
+        reaction=np.zeros((bodies + 1 if count else 0, 12 if spatial else 6)),
         sticking=Sticking(
             rows=np.zeros(most + 1, dtype=np.int64), hold=np.zeros(count),
             response=np.zeros((most + 1, len(tau) + equations)), matrix=np.zeros((most, most)),

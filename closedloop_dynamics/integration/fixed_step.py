@@ -24,7 +24,7 @@ from ..core import energy, kinematics
 from ..core.compiled import compiled, inlined, released
 from ..core.joint_wrenches import bias_forces, cut_wrenches, joint_wrenches
 from ..core.loop_closure import largest
-from ..core.manifold import add_work
+from ..core.manifold import add_work, rates_begin
 from ..core.types import DOF
 from ..effects.table import STORED
 
@@ -143,11 +143,11 @@ def joint_forces(system, torque, zero_order_hold, decimation, state, qdd, lam):
 
     Returns
     -------
-    ndarray, shape (instants, nv, 3)
+    ndarray, shape (instants, nv, 3 or 6)
         Moment and force that the parent exerts on the child [N m, N].
 
     """
-    out = np.empty((*qdd.shape, 3))
+    out = np.empty((*qdd.shape, system.work.wrench.shape[1]))
     fill_joint_forces(system, torque, zero_order_hold, decimation, state, qdd, lam,
                       np.zeros_like(system.work.force), out)
     return out
@@ -162,16 +162,17 @@ def fill_joint_forces(system, torque, zero_order_hold, decimation, state, qdd, l
     ----------
     system, torque, zero_order_hold, decimation, state, qdd, lam
         As for ``joint_forces``.
-    scratch : ndarray, shape (nb + 1, 6)
+    scratch : ndarray, shape (nb + 1, 6 or 12)
         Overwritten.
-    out : ndarray, shape (instants, nv, 3)
+    out : ndarray, shape (instants, nv, 3 or 6)
         Written in place.
 
     """
     model, work, tree, nv = system.model, system.work, system.model.tree, qdd.shape[1]
+    nq = rates_begin(system.manifold, nv)
     for instant in range(state.shape[0]):
-        take_states(system.effects, state[instant], 2 * nv)
-        q, qd = state[instant, :nv], state[instant, nv:2 * nv]
+        take_states(system.effects, state[instant], nq + nv)
+        q, qd = state[instant, :nq], state[instant, nq:nq + nv]
         kinematics.outward(model, q, qd, work)
         row = max(instant * decimation - 1, 0) // zero_order_hold
         apply_effects(system.effects, system.manifold, work, q, qd, torque[row])

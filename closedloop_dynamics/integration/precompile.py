@@ -16,7 +16,6 @@
 
 from .system import rank_revealing_acceleration, rank_revealing_correction
 from ..core import compiled, rank_revealing
-from ..core.codegen.space import is_spatial
 
 
 def is_stored(system):
@@ -58,13 +57,13 @@ def preparations(system):
 
 def _kernels(system):
     """Return the kernels with the types that they are called with."""
-    # In space, uncompiled recursions on numbers stand in for them.
-    if not hasattr(rank_revealing_acceleration, 'compile') or is_spatial(system.model):
+    if not hasattr(rank_revealing_acceleration, 'compile'):
         return []
     from numba import typeof
     model, work, q, qdd = system.model, system.work, system.tau, system.qdd
     calls = (
         (rank_revealing_acceleration, (model, work, system.effects, system.settings, system.tau,
-                                       system.applied, q, q, qdd, system.lam)),
+                                       system.applied, system.manifold, q, q, qdd,
+                                       system.lam)),
         (rank_revealing_correction, (model, work, rank_revealing.POSITION, q, q, qdd)))
     return [(kernel, tuple(typeof(each) for each in arguments)) for kernel, arguments in calls]

@@ -15,7 +15,6 @@
 """The system of equations that is integrated: a mechanism under joint torques."""
 
 from contextlib import suppress
-from functools import partial
 import time
 from typing import NamedTuple, Optional
 import warnings
@@ -23,17 +22,17 @@ import warnings
 import numpy as np
 
 from ..core import codegen, forward_dynamics, kinematics, rank_revealing, refinement
-from ..core.codegen import function_table as calls, on_demand, pieces, space
-from ..core.codegen.numbers import Numbers
+from ..core.codegen import function_table as calls, pieces, space
 from ..core.compiled import allocating, compiled, inlined, merged
+from ..core.equations import Equations, with_all_equations
 from ..core.formulations import accelerate_dense, allocate_dense, DenseWorkspace, SUBSYSTEM
 from ..core.independent import allocate_partition, close, Partition
 from ..core.joint_wrenches import bias_forces
 from ..core.manifold import (
     fill_numbers, Manifold, manifold_of, number_of_coordinates, power_of_turns, rates_begin,
     rates_of_coordinates)
-from ..core.types import Model, RANK, RANK_REVEALING_COUNT, Workspace
-from ..core.workspace import allocate
+from ..core.types import Model, Workspace
+from ..core.workspace import unconnected
 from ..effects import dispatch, joint_reaction, sticking
 from ..effects.table import build_table, EffectTable
 
@@ -146,9 +145,10 @@ def build_system(model, formulation=SUBSYSTEM, baumgarte=0.0, extent=1.0, indepe
     settings = np.array([
         formulation, baumgarte, 1e-12 * extent, 1e-5 * extent, rank_revealing.ASIDE])
     tau = np.zeros(nv)
-    effects = build_table(elements, tau, nv, nc) if len(elements) > 0 else None
+    effects = None if len(elements) == 0 else build_table(
+        elements, tau, nv, nc, space.is_spatial(model))
     system = System(
-        model=model, work=allocate(model),
+        model=model, work=unconnected(model),
         dense=None if formulation == SUBSYSTEM else allocate_dense(model, formulation),
         partition=allocate_partition(model) if independent else None,
         settings=settings, tau=tau, qdd=np.zeros(nv), lam=np.zeros(nc),
@@ -162,17 +162,15 @@ def _linked(system):
     """Return a system with the addresses of its own arrays and routines."""
     model, work = system.model, system.work
     pieces.connect(model, work.piece, work.cut_piece)
-    results = {} if not space.is_spatial(model) else on_demand.arrays(
-        model, None if system.effects is None else system.effects.reaction)
     table = calls.connect(
-        {**results, calls.BODY: model.body, calls.GRAVITY: model.gravity,
+        {calls.BODY: model.body, calls.GRAVITY: model.gravity,
          calls.CUT_POINT: model.cut_point, calls.TAU: system.applied, calls.QDD: system.qdd,
          calls.BAUMGARTE: system.settings[BAUMGARTE_GAIN:],
          calls.LAM: system.lam, calls.HEALTH: work.health, calls.WORK_BODY: work.body,
          calls.CLOSURE: work.closure, calls.CLOSURE_RATE: work.closure_rate,
          calls.CORRECTIONS: system.corrections},
         number_of_coordinates(system.manifold, len(system.qdd)),
-        _rank_revealing_routines(system), lambda place: codegen.later(model, place))
+        _rank_revealing_routines(system), lambda: codegen.later(model))
     if system.unrolled is not None:
         codegen.relink(model, table)
     return system._replace(table=table)
@@ -185,15 +183,20 @@ def _relinked(*fields):
 
 def _rank_revealing_routines(system):
     """Return the rank-revealing path as functions of q and qd, compiled when first called."""
-    if space.is_spatial(system.model):
-        return _rank_revealing_in_space(system)
-    model, work, effects, settings, qdd = (
-        system.model, system.work, system.effects, system.settings, system.qdd)
-    tau, applied, lam = system.tau, system.applied, system.lam
+    model, work, lam = with_all_equations(system.model), system.work, system.lam
+    effects, settings, qdd, manifold = (
+        system.effects, system.settings, system.qdd, system.manifold)
+    tau, applied, kept = system.tau, system.applied, None
+    if model is not system.model:
+        work = unconnected(model)._replace(body=work.body, piece=work.piece, health=work.health)
+        pieces.connect(model, work.piece, work.cut_piece)
+        lam, kept = np.zeros(len(work.closure)), Equations(system.model)
 
     def acceleration(q, qd):
         _reveal_rank(qdd, rank_revealing_acceleration, model, work, effects, settings, tau,
-                     applied, q, qd, qdd, lam)
+                     applied, manifold, q, qd, qdd, lam)
+        if kept is not None:
+            _or_nan(system.lam, lambda: system.lam.__setitem__(..., kept.move(q).of_kept(lam)))
 
     def position(q, qd):
         _reveal_rank(
@@ -206,28 +209,6 @@ def _rank_revealing_routines(system):
     return {calls.RANK_REVEALING_ACCELERATION: acceleration,
             calls.RANK_REVEALING_POSITION: position,
             calls.RANK_REVEALING_VELOCITY: velocity}
-
-
-def _rank_revealing_in_space(system):
-    """Return what stands in for the rank-revealing path in space: the recursions on numbers."""
-    numbers, health, qdd = Numbers(system.model), system.work.health, system.qdd
-
-    def accelerate(q, qd):
-        numbers.move(q, qd)
-        # As effects have left them.
-        space.read(numbers.recursion, system.work.body)
-        qdd[:], lam, health[RANK] = numbers.accelerations(
-            system.applied, system.settings[BAUMGARTE_GAIN])
-        system.lam[:] = numbers.of_kept(lam)
-        health[RANK_REVEALING_COUNT] += 1.0
-
-    def correct(level, q, qd):
-        numbers.move(q, qd)
-        qdd[:] = numbers.correction(numbers.closures()[level])
-
-    return {calls.RANK_REVEALING_ACCELERATION: partial(_or_nan, qdd, accelerate),
-            calls.RANK_REVEALING_POSITION: partial(_or_nan, qdd, correct, 0),
-            calls.RANK_REVEALING_VELOCITY: partial(_or_nan, qdd, correct, 1)}
 
 
 def _reveal_rank(out, kernel, *arguments):
@@ -310,7 +291,7 @@ def with_equations(system, model):
     System
 
     """
-    work = allocate(model)
+    work = unconnected(model)
     work.health[:] = system.work.health
     return _linked(system._replace(model=model, work=work))
 
@@ -364,7 +345,6 @@ def apply_effects(effects, manifold, work, q, qd, tau):
             fill_numbers(manifold, q)
             dispatch.apply(work.body, effects, manifold.number, qd, tau)
         if effects.loaded[0] > 0:
-            # Written anew in space.
             bias_forces(work, effects.reaction)
 
 
@@ -373,11 +353,8 @@ def _feel_reactions(effects, system, q, qd):
     """Tell effects the reactions in their joints, where they ask for them."""
     if effects is not None:
         if effects.loaded[0] > 0:
-            if system.model.gravity.shape[0] == 3:
-                calls.call(system.table, calls.JOINT_WRENCHES, q, qd)
-                joint_reaction.load_in_space(system.model, system.work, effects)
-            else:
-                joint_reaction.load(system.model, system.work, effects, system.qdd, system.lam)
+            joint_reaction.load(
+                system.model, system.work, effects, q, qd, system.qdd, system.lam)
 
 
 @inlined
@@ -409,14 +386,15 @@ def _give_rates(effects, first, out):
 
 
 @allocating
-def rank_revealing_acceleration(model, work, effects, settings, tau, applied, q, qd, qdd, lam):
+def rank_revealing_acceleration(
+        model, work, effects, settings, tau, applied, manifold, q, qd, qdd, lam):
     """
     Compute accelerations and multipliers by the rank-revealing path.
 
     Parameters
     ----------
-    model, work, effects, settings, tau, applied, qdd, lam
-        As a ``System`` has them.
+    model, work, effects, settings, tau, applied, manifold, qdd, lam
+        As a ``System`` has them, in space with all equations.
     q : ndarray, shape (nq,)
         Joint coordinates.
     qd : ndarray, shape (nv,)
@@ -424,9 +402,10 @@ def rank_revealing_acceleration(model, work, effects, settings, tau, applied, q,
 
     """
     kinematics.outward(model, q, qd, work)
-    apply_effects(effects, None, work, q, qd, tau)
+    apply_effects(effects, manifold, work, q, qd, tau)
     rank_revealing.accelerate(
-        model, work, applied, settings[BAUMGARTE_GAIN], settings[ASIDE], q, qd, qdd, lam)
+        model, work, applied, settings[BAUMGARTE_GAIN], settings[ASIDE], manifold, q, qd, qdd,
+        lam)
 
 
 @allocating

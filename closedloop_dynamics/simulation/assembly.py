@@ -28,10 +28,7 @@ import numpy as np
 
 from .errors import AssemblyError
 from .modeling import build_model, extent
-from ..core import jacobian, kinematics, loop_closure
-from ..core.forward_dynamics import to_user_order
-from ..core.types import CUT_NUMBER, NO_RESPONSES, ROWS
-from ..core.workspace import allocate
+from ..core.equations import Equations
 
 # Closed means this, relative to the mechanism's size (or 1, for a rate or an angle).
 TOLERANCE = 1e-12
@@ -62,41 +59,30 @@ class Assembler:
     """
     Closes the loops of one mechanism.
 
-    ``extent``: float; size of the mechanism [m].
+    ``equations``: core.equations.Equations; those of the mechanism.
 
     """
 
-    def __init__(self, mechanism, model, work, extent):
+    def __init__(self, mechanism, equations):
         """Allocate what every assembly needs."""
-        self.mechanism, self.model, self.work, self.extent = mechanism, model, work, extent
+        self.mechanism, self._equations = mechanism, equations
+        self.extent = extent(mechanism)
         self._coordinates = mechanism.coordinates
-        self.nv = self._coordinates.nv
-        self.nc = len(model.column) - 1
-        self._still = np.zeros(self.nv)
+        self.nv, self.nc = equations.nv, equations.nc
         self._light = any(body.inertia == 0.0 and not (body.mass and any(body.center_of_mass))
                           for body in mechanism.bodies)
 
     def closure(self, q):
         """Return psi, shape (nc,), in the mechanism's order [m, rad]."""
-        kinematics.outward(self.model, q, self._still, self.work)
-        loop_closure.update(self.model, self.work, NO_RESPONSES)
-        psi = np.zeros(self.nc)
-        to_user_order(self.model, self.work.closure, psi)
-        return psi
+        return self._equations.move(q).closures()[0]
 
     def jacobian(self, q):
         """Return J = d psi / d q, shape (nc, nv)."""
-        kinematics.outward(self.model, q, self._still, self.work)
-        jac = np.zeros((self.nc, self.nv))
-        jacobian.constraint_jacobian(self.model, self.work, jac)
-        return jac
+        return self._equations.move(q).jacobian()
 
     def inertia(self, q):
         """Return the generalized inertia matrix of the spanning tree, shape (nv, nv)."""
-        kinematics.outward(self.model, q, self._still, self.work)
-        gim = np.zeros((self.nv, self.nv))
-        jacobian.generalized_inertia_matrix(self.model, self.work, gim)
-        return gim
+        return self._equations.move(q).inertia()
 
     def positions(self, guess, hold=()):
         """
@@ -432,14 +418,14 @@ class Assembler:
             'Give the bodies there some mass, or close a loop that guides them.')
 
     def _moved(self, q, change):
-        """Return coordinates after a change, shape (nv,)."""
-        return q + change
+        """Return coordinates after a change, shape (nq,)."""
+        return self._coordinates.moved(q, change)
 
     def _changed(self, q, free, change):
-        """Return coordinates after a change of some of them."""
-        q = q.copy()
-        q[free] += change
-        return q
+        """Return coordinates after a change of some of the freedoms."""
+        whole = np.zeros(self.nv)
+        whole[free] = change
+        return self._moved(q, whole)
 
     def _correct(self, q, psi, free, metric):
         """Return the state after one damped Newton correction, and whether it helped."""
@@ -471,13 +457,16 @@ class Assembler:
                 ', or hold none to take the nearest closed state.')
 
     def _missing(self, q, free):
-        """Return how many of some freedoms stay open at a position."""
+        """Return how many of some freedoms stay open at a position, where that matters."""
+        # No number holds the idle spin of a rod: beside orientations the nearest state will do.
+        if self._coordinates.with_orientation:
+            return 0
         return len(free) - _rank(self.jacobian(q)[:, free])
 
     def _open_loops(self, guess, psi, hold):
         """Return what to say of loops that do not close."""
         worst, first = [], 0
-        for cut, rows in zip(self.mechanism.closures, self._counts()):
+        for cut, rows in zip(self.mechanism.closures, self._equations.counts):
             gap = np.abs(psi[first:first + rows]).max(initial=0.0)
             first += rows
             if not gap <= TOLERANCE * self.extent:
@@ -487,10 +476,6 @@ class Assembler:
         return (f'{self.mechanism.name} cannot be assembled from this position{held}: '
                 f'expected loops that close, got {", ".join(worst)} (m or rad). ' + ' '.join(
                     [self._advice_on_assembly(guess, hold), *angle_notes(self.mechanism, guess)]))
-
-    def _counts(self):
-        """Return the number of equations of each cut joint."""
-        return self.model.cut[np.argsort(self.model.cut[:, CUT_NUMBER]), ROWS].tolist()
 
     def _advice_on_assembly(self, guess, hold):
         nearer = ('Move the initial position closer to a closed one, or check lengths and cut '
@@ -523,8 +508,7 @@ def find_degrees_of_freedom(mechanism):
     """
     if mechanism.number_of_equations > MOST_EQUATIONS:
         return None
-    model = build_model(mechanism)
-    assembler = Assembler(mechanism, model, allocate(model), extent(mechanism))
+    assembler = Assembler(mechanism, Equations(build_model(mechanism)))
     rng, found = np.random.default_rng(0), []
     for _ in range(MOST_GUESSES):
         with suppress(AssemblyError):

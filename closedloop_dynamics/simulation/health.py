@@ -19,8 +19,6 @@ import math
 
 import numpy as np
 
-from ..core import kinematics
-from ..core.jacobian import constraint_jacobian, generalized_inertia_matrix
 from ..core.types import (
     CLOSURE, CUT_ROW, DOF, EVALUATIONS, LENGTHS, PARENT, PRISMATIC,
     PROJECTION_ITERATIONS, RANK, RANK_REVEALING_COUNT, ROW, ROWS, SINGULAR_COUNT,
@@ -122,7 +120,7 @@ class Health:
         return '\n'.join(lines)
 
 
-def health_of(model, work, q, qd, passive=(), numbers=None):
+def health_of(model, work, equations, passive=()):
     """
     Return the record of a workspace.
 
@@ -132,31 +130,25 @@ def health_of(model, work, q, qd, passive=(), numbers=None):
         Of the mechanism.
     work : core.types.Workspace
         After an evaluation.
-    q, qd : ndarray, shape (nv,)
-        The state.
+    equations : core.equations.Equations
+        In the same state.
     passive : sequence of int
         Coordinates of the joints that are not actuated.
-    numbers : core.codegen.numbers.Numbers, optional
-        Of a mechanism in space, in that state.
 
     """
     values = work.health
-    nc, nv = len(work.right), len(model.tree) - 1
+    nc = len(work.right)
     condition, loose = math.nan if nc else 1.0, math.nan
-    if 0 < nc <= MOST_FOR_CONDITION and numbers is not None:
-        condition = block_condition(model, numbers.inertia(), numbers.jacobian()[numbers.kept])
-    elif 0 < nc <= MOST_FOR_CONDITION:
-        jac, inertia = np.zeros((nc, nv)), np.zeros((nv, nv))
-        kinematics.outward(model, q, qd, work)
-        constraint_jacobian(model, work, jac)
-        generalized_inertia_matrix(model, work, inertia)
-        condition = block_condition(model, inertia, jac)
-        loose = drive_sine(model, jac, passive)
+    if 0 < nc <= MOST_FOR_CONDITION:
+        jac = equations.jacobian()
+        condition = block_condition(model, equations.inertia(), jac[equations.kept])
+        if len(model.gravity) == 2:
+            loose = drive_sine(model, jac, passive)
     return Health(
         smallest_pivot=float(values[SMALLEST_PIVOT]),
         smallest_pivot_ever=float(values[SMALLEST_PIVOT_EVER]),
         condition=condition,
-        rank=int(values[RANK]), equations=nc if numbers is None else numbers.nc,
+        rank=int(values[RANK]), equations=equations.nc,
         rank_revealing_count=int(values[RANK_REVEALING_COUNT]),
         singular_count=int(values[SINGULAR_COUNT]),
         evaluations=int(values[EVALUATIONS]),

@@ -17,9 +17,8 @@
 import numpy as np
 
 from .errors import SimulationError
-from ..core import jacobian, kinematics, loop_closure, types as t
+from ..core import kinematics, types as t
 from ..core.codegen import space
-from ..core.forward_dynamics import to_user_order
 from ..core.joint_wrenches import bias_forces, tree_torque
 from ..effects import dispatch, joint_reaction
 
@@ -27,9 +26,9 @@ from ..effects import dispatch, joint_reaction
 class InverseDynamics:
     """Solves tau + tau_effects + J^T lambda = I qdd + c, tau zero at joints without a drive."""
 
-    def __init__(self, mechanism, system, effects, table, on_demand=None):
-        """Find the freedoms that are actuated; ``on_demand`` answers in space."""
-        self._mechanism, self._system, self._on_demand = mechanism, system, on_demand
+    def __init__(self, mechanism, system, effects, table, equations):
+        """Find the freedoms that are actuated."""
+        self._mechanism, self._system, self._equations = mechanism, system, equations
         self._effects, self._table = effects, table
         self._actuated = np.array(mechanism.coordinates.actuated, dtype=int)
         self._passive = np.setdiff1d(np.arange(mechanism.coordinates.nv), self._actuated)
@@ -63,7 +62,8 @@ class InverseDynamics:
                 return torque, lam
             # Friction driven by reactions depends on the result: a fixed point, fast because
             # friction is the smaller part.
-            self._feel(q, qd, qdd, lam)
+            joint_reaction.load(
+                self._system.model, self._system.work, table, q, qd, qdd, lam)
             places, values = self._effects.loads()
             change = np.abs(table.states[places] - values).max()
             table.states[places] = values
@@ -72,12 +72,11 @@ class InverseDynamics:
 
     def _jacobian(self, q, qd, qdd):
         """Return the constraint Jacobian, or refuse accelerations that open the loops."""
-        kept = slice(None)
-        if self._on_demand is None:
-            jac, bias, largest = self._in_plane(q, qd)
-        else:
-            kept = self._on_demand.kept
-            jac, bias, largest = self._in_space(q, qd)
+        equations = self._equations.move(q, qd)
+        jac, (_, _, bias) = equations.jacobian(), equations.closures()
+        first, last = (space.ACCELERATION, space.ACCELERATION + 3) if space.is_spatial(
+            equations.model) else (t.AX, t.AY + 1)
+        largest = np.abs(equations.work.body[:, first:last]).max()
         part = np.abs(jac @ qdd + bias).max(initial=0.0)
         # Beside its own size, what is left by rounding of the accelerations it is a difference of.
         noise = 1e-12 * largest
@@ -87,55 +86,20 @@ class InverseDynamics:
                 f'This acceleration opens the loops: the cut joints would separate at {part:.3g} '
                 'm/s^2. Give accelerations of all joints that belong together, such as those '
                 'that forward_dynamics returns.')
-        return jac[kept]
-
-    def _in_plane(self, q, qd):
-        """Return Jacobian and bias of the closure equations, and the largest acceleration."""
-        model, work = self._system.model, self._system.work
-        jac = np.zeros((self._mechanism.number_of_equations, len(q)))
-        bias = np.zeros(len(jac))
-        kinematics.outward(model, q, qd, work)
-        jacobian.constraint_jacobian(model, work, jac)
-        loop_closure.update(model, work, t.NO_RESPONSES)
-        to_user_order(model, work.bias, bias)
-        return jac, bias, np.abs(work.body[:, [t.AX, t.AY]]).max()
-
-    def _in_space(self, q, qd):
-        """Do as ``_in_plane`` does, of all equations in space."""
-        body = self._on_demand.outward(q, qd)
-        bias, jac = self._on_demand.closures(q, qd)[2].copy(), self._on_demand.jacobian(q, qd)
-        spin, velocity = (np.abs(body[:, place:place + 3]).max()
-                          for place in (space.SPIN, space.VELOCITY))
-        return jac.copy(), bias, np.abs(self._system.model.gravity).max() + spin * velocity
-
-    def _feel(self, q, qd, qdd, lam):
-        """Tell effects the reactions in their joints."""
-        system, table = self._system, self._table
-        if self._on_demand is None:
-            joint_reaction.load(system.model, system.work, table, qdd, lam)
-        else:
-            system.qdd[:], system.lam[:] = qdd, lam
-            self._on_demand.joint_wrenches(q, qd)
-            joint_reaction.load_in_space(system.model, system.work, table)
+        return jac[equations.kept]
 
     def _needed(self, q, qd, qdd):
         """Return what torques and constraint forces must add up to at the joints."""
-        need, table, work = np.zeros(len(qd)), self._table, self._system.work
-        if self._on_demand is None:
-            kinematics.outward(self._system.model, q, qd, work)
-        else:
-            self._on_demand.outward(q, qd)
+        need, table, system = np.zeros(len(qd)), self._table, self._system
+        kinematics.outward(system.model, q, qd, system.work)
         if len(table.kind):
             self._effects.steady(qd)
-            dispatch.apply(work.body, table, self._mechanism.coordinates.by_freedom(q), qd,
-                           np.zeros(len(qd)))
+            dispatch.apply(
+                system.work.body, table, self._mechanism.coordinates.by_freedom(q), qd,
+                np.zeros(len(qd)))
             self._effects.unsteady()
-        if self._on_demand is None:
-            if len(table.kind):
-                bias_forces(work, table.reaction)
-            tree_torque(self._system.model, work, qdd, need)
-        else:
-            need = self._on_demand.tree_forces(q, qd, qdd)
+            bias_forces(system.work, table.reaction)
+        tree_torque(system.model, system.work, qdd, need)
         return need - table.applied if len(table.kind) else need
 
     def _least_torques(self, need, jac):

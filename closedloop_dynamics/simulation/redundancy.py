@@ -19,9 +19,9 @@ from typing import NamedTuple, Tuple
 
 import numpy as np
 
-from .assembly import RANK_TOLERANCE
+from .assembly import Assembler, RANK_TOLERANCE
 from .errors import AssemblyError
-from .space import independent, scaled, SpatialAssembler, SpatialGeometry
+from .space import independent, scaled, SpatialGeometry
 from ..core.codegen.space import equation_names
 from ..core.types import CUT_NUMBER, CUT_TYPE, POSSIBLE
 from ..mechanism.mechanism import MechanismError
@@ -68,8 +68,8 @@ def find_redundancy(mechanism, q):
 
     """
     geometry = SpatialGeometry(mechanism)
-    jac = SpatialAssembler(mechanism, geometry).jacobian_of_largest_rank(q)
-    groups = geometry.groups
+    jac = Assembler(mechanism, geometry.equations).jacobian_of_largest_rank(q)
+    groups = geometry.equations.groups
     kept = independent(jac, groups)
     if kept.all():
         return Redundancy((), ())
@@ -111,7 +111,7 @@ def _with_other_lengths(mechanism, q):
         mechanism, joints=tuple(stretched(joint, 'position') for joint in mechanism.joints),
         cut_joints=tuple(stretched(cut, 'point_a', 'point_b') for cut in mechanism.cut_joints))
     try:
-        assembler = SpatialAssembler(other, SpatialGeometry(other))
+        assembler = Assembler(other, SpatialGeometry(other).equations)
         return assembler.jacobian_of_largest_rank(assembler.positions(q))
     except (AssemblyError, MechanismError):
         return None

@@ -31,14 +31,12 @@ from .redundancy import find_redundancy
 from .rollout import rollout
 from .scene import load_scene
 from .scene_records import Method, Scene
-from .space import SpatialAssembler, SpatialGeometry
-from ..core import energy, kinematics, types as t
+from .space import SpatialGeometry
+from ..core import kinematics, types as t
 from ..core.codegen import available, later
-from ..core.codegen.function_table import REFINED_ACCELERATION
-from ..core.codegen.on_demand import OnDemand
+from ..core.equations import Equations
 from ..core.formulations import AUGMENTED, SUBSYSTEM, SYSTEM
 from ..core.independent import allocate_partition
-from ..core.joint_wrenches import cut_wrenches
 from ..core.loop_closure import largest
 from ..effects.delay_line import DelayLine
 from ..effects.effect import Machine
@@ -110,15 +108,13 @@ class Simulation:
             model, FORMULATIONS[method.formulation], baumgarte, size,
             method.stabilisation == 'independent', self._effects.elements)
         self._table = self._effects.bind(self.system)
-        self._on_demand = None if self._geometry is None else OnDemand(self.system)
+        self._equations = Equations(model) if self._geometry is None else self._geometry.equations
         self._balance = EnergyBalance(self._effects)
         self.coordinates = self.mechanism.coordinates
         *parts, states = parts_of_state(self.system)
         self._parts, self._state = tuple(parts), np.zeros(states)
         self._q, self._qd, self._own = (self._state[part] for part in parts)
-        self._assembler = (
-            Assembler(self.mechanism, model, self.system.work, size) if self._geometry is None
-            else SpatialAssembler(self.mechanism, self._geometry))
+        self._assembler = Assembler(self.mechanism, self._equations)
         self._actuated = np.array(self.coordinates.actuated, dtype=int)
         self._passive = np.setdiff1d(np.arange(self.coordinates.nv), self._actuated)
         self._points = {point.name: point for point in self.mechanism.points}
@@ -131,7 +127,7 @@ class Simulation:
         self._driver = Monitor(build_driver(self.system, method), self.system, method)
         self._set_guards(StiffnessGuard(self.system, method, self._effects.own), method)
         self._inverse = InverseDynamics(
-            self.mechanism, self.system, self._effects, self._table, self._on_demand)
+            self.mechanism, self.system, self._effects, self._table, self._equations)
         self._probe = Probe(self.system)
         # How often the equations that the elimination works on were exchanged; slow evaluations
         # when that was last looked at.
@@ -281,8 +277,7 @@ class Simulation:
 
         """
         places, rates, _ = self._parts
-        return self._on_demand.energies(
-            np.ascontiguousarray(state[places]), np.ascontiguousarray(state[rates]))
+        return self._equations.move(state[places], state[rates]).energies()
 
     @property
     def effect_set(self):
@@ -333,16 +328,13 @@ class Simulation:
         shape (number of cuts, 6): moment x, y, z, force x, y, z.
 
         """
+        return self._moved_equations().cut_wrenches(
+            self._equations.of_all(self.system.lam))[:len(self.cut_joints)]
+
+    def _moved_equations(self):
+        """Return the equations in the present state, which is evaluated, too."""
         self._evaluate()
-        if self._geometry is not None:
-            return self._on_demand.cut_wrenches(
-                self._q, self._qd, self.system.lam)[:len(self.cut_joints)]
-        model = self.system.model
-        out = np.empty((len(model.cut), 3))
-        work = self.system.work
-        cut_wrenches(model.cut, model.cut_point, work.cut_piece, work.body, self.system.lam,
-                     work.share, out)
-        return out[:len(self.cut_joints)]
+        return self._equations.move(self._q, self._qd)
 
     @property
     def shared_forces(self):
@@ -359,12 +351,7 @@ class Simulation:
         Times a joint's factor: the torque [N m] or force [N] of the coupling in that joint.
 
         """
-        self._evaluate()
-        if not self.mechanism.couplings:
-            return np.zeros(0)
-        lam = self.system.lam
-        if self._on_demand is not None:
-            lam = self._on_demand.of_all(self._q, self._qd, lam)
+        lam = self._moved_equations().of_all(self.system.lam)
         return lam[len(lam) - len(self.mechanism.couplings):].copy()
 
     @property
@@ -392,14 +379,12 @@ class Simulation:
 
         """
         self._evaluate()
-        system = self.system
-        if self._geometry is not None:
-            return self._geometry.joint_wrenches_among(
-                system.work.body, self._on_demand.joint_wrenches(self._q, self._qd))
-        self._fresh = False
-        return joint_forces(
+        system, self._fresh = self.system, False
+        found = joint_forces(
             system, system.tau[np.newaxis], 1, 1, self._state[np.newaxis],
             system.qdd[np.newaxis], system.lam[np.newaxis])[0]
+        return found if self._geometry is None else self._geometry.joint_wrenches_among(
+            system.work.body, found)
 
     def force(self, name):
         """
@@ -432,17 +417,15 @@ class Simulation:
     @property
     def constraint_jacobian(self):
         """Return the derivatives of the closure equations by the coordinates, shape (nc, nv)."""
-        self._fresh = False
         return self._assembler.jacobian(self._q)
 
     def _closure_of_all(self):
         """Return the largest closure error, of equations that are left out among others."""
-        return float(np.abs(self._on_demand.closures(self._q, self._qd)[0]).max(initial=0.0))
+        return float(np.abs(self._equations.move(self._q).closures()[0]).max(initial=0.0))
 
     @property
     def inertia(self):
         """Return the generalized inertia matrix of the spanning tree, shape (nv, nv)."""
-        self._fresh = False
         return self._assembler.inertia(self._q)
 
     @property
@@ -491,14 +474,8 @@ class Simulation:
 
     def _energies(self):
         """Return kinetic and stored energy of the present state."""
-        self._evaluate()
-        if self._geometry is not None:
-            kinetic, potential = self._on_demand.energies(self._q, self._qd)
-            return kinetic, potential + self._effects.stored()
-        model, work = self.system.model, self.system.work
-        out = np.empty(2)
-        energy.energies(model, work, self._qd, out)
-        return float(out[0]), float(out[1]) + self._effects.stored()
+        kinetic, potential = self._moved_equations().energies()
+        return kinetic, potential + self._effects.stored()
 
     @property
     def body_poses(self):
@@ -545,11 +522,9 @@ class Simulation:
         point = self._named_point(name)
         if self._geometry is not None:
             return self._geometry.point(position, point.body, point.position)
-        self._fresh = False
-        kinematics.outward(self.system.model, position, np.zeros_like(position),
-                           self.system.work)
         out = np.zeros(2)
-        kinematics.point_position(self.system.work, self._rows[point.body], *point.position, out)
+        kinematics.point_position(
+            self._equations.move(position).work, self._rows[point.body], *point.position, out)
         return out
 
     @property
@@ -571,10 +546,8 @@ class Simulation:
     @property
     def health(self):
         """How well posed the equations of motion are in the present state: a ``Health``."""
-        self._evaluate()
-        numbers = None if self._geometry is None else self._geometry.move(self._q, self._qd)
         return health_of(
-            self.system.model, self.system.work, self._q, self._qd, self._passive, numbers)
+            self.system.model, self.system.work, self._moved_equations(), self._passive)
 
     def measured(self):
         """
@@ -847,10 +820,10 @@ class Simulation:
         method = self.scene.method
         self.system = with_equations(self.system, model)
         self._effects.move(self.system)
-        self._assembler = SpatialAssembler(self.mechanism, self._geometry)
-        self._on_demand = OnDemand(self.system)
+        self._equations = self._geometry.equations
+        self._assembler = Assembler(self.mechanism, self._equations)
         self._inverse = InverseDynamics(
-            self.mechanism, self.system, self._effects, self._table, self._on_demand)
+            self.mechanism, self.system, self._effects, self._table, self._equations)
         self._probe = Probe(self.system)
         driver = build_driver(self.system, method)
         if isinstance(self._driver, Monitor):
@@ -1189,7 +1162,7 @@ class Simulation:
                 and len(self.system.lam) > 0):
             # Its refinement is compiled for each mechanism in space, which takes longer than a
             # controller may wait.
-            later(self.system.model, REFINED_ACCELERATION)
+            later(self.system.model)
 
     @property
     def monitor(self):

@@ -20,11 +20,10 @@ import numpy as np
 
 from .assembly import Assembler, RANK_TOLERANCE
 from .errors import AssemblyError, SimulationError
-from .modeling import extent
 from .spatial_modeling import build_spatial_model
 from ..core import types as t
 from ..core.codegen import space
-from ..core.codegen.numbers import Numbers
+from ..core.equations import Equations
 from ..mechanism.decomposition import decompose
 from ..mechanism.mechanism import FIXED
 
@@ -49,6 +48,8 @@ class SpatialGeometry:
     Attributes
     ----------
     model : core.types.Model
+    equations : core.equations.Equations
+        Of ``model``.
     placements : dict of str to spatial_modeling.Placement
         Where the bodies' frames are in those of their rows.
     rows : dict of str to int
@@ -84,7 +85,7 @@ class SpatialGeometry:
                 np.array(places).reshape(-1, 3), np.array([one.axes for one in placed]))
 
     def _build(self, kept):
-        """Build the model, and what works on numbers."""
+        """Build the model, and its equations."""
         built = build_spatial_model(
             self.mechanism, decomposition=self._decomposition, kept=kept)
         model = built.model
@@ -93,7 +94,7 @@ class SpatialGeometry:
             model = model._replace(
                 tree=self.model.tree, body=self.model.body, gravity=self.model.gravity)
         self.model, self.placements = model, built.placements
-        self._numbers, self._state, self._rates = Numbers(self.model), None, None
+        self.equations = Equations(self.model)
 
     def leave_out_repeated(self, q):
         """
@@ -105,10 +106,10 @@ class SpatialGeometry:
             Near a position that closes the loops.
 
         """
-        assembler = SpatialAssembler(self.mechanism, self)
+        assembler = Assembler(self.mechanism, self.equations)
         with suppress(AssemblyError):
             kept = independent(
-                assembler.jacobian_of_largest_rank(assembler.positions(q)), self.groups)
+                assembler.jacobian_of_largest_rank(assembler.positions(q)), self.equations.groups)
             if not kept.all():
                 self._first = kept
                 self._build(kept)
@@ -135,51 +136,20 @@ class SpatialGeometry:
             Of the new choice, of as many equations; None where the present one is as good.
 
         """
-        assembler = SpatialAssembler(self.mechanism, self)
+        assembler = Assembler(self.mechanism, self.equations)
         jac = assembler.jacobian_of_largest_rank(q)
-        kept, present = independent(jac, self.groups), self._numbers.kept
+        kept, present = independent(jac, self.equations.groups), self.equations.kept
         if kept.sum() != present.sum() or not (
-                _distinct(jac, self.groups, kept)
-                > better * _distinct(jac, self.groups, present)):
+                _distinct(jac, self.equations.groups, kept)
+                > better * _distinct(jac, self.equations.groups, present)):
             return None
         self._build(kept)
         return self.model
 
     @property
-    def groups(self):
-        """Return which equations are of one kind, as ``Numbers.groups``."""
-        return self._numbers.groups
-
-    @property
     def leaves_out(self):
         """Whether the elimination leaves out equations that repeat others."""
-        return not self._numbers.kept.all()
-
-    def move(self, q, qd=None):
-        """
-        Take a state.
-
-        Parameters
-        ----------
-        q : ndarray, shape (nq,)
-            Joint coordinates.
-        qd : ndarray, shape (nv,), optional
-            Their rates; any when not given.
-
-        Returns
-        -------
-        core.codegen.numbers.Numbers
-            In that state.
-
-        """
-        # Poses, forces and energies of one state are asked for one after the other.
-        model = self.model
-        state = tuple(each.tobytes() for each in (q, model.body, model.tree, model.gravity))
-        rates = self._rates if qd is None else qd.tobytes()
-        if state != self._state or rates != self._rates:
-            self._numbers.move(q, qd)
-            self._state, self._rates = state, rates if qd is not None else None
-        return self._numbers
+        return not self.equations.kept.all()
 
     def point(self, q, body, position):
         """
@@ -201,7 +171,8 @@ class SpatialGeometry:
 
         """
         placement = self.placements[body]
-        return self.move(q).point(placement.row, placement.place(position))
+        return _placed(self.equations.move(q).work.body, [placement.row],
+                       placement.place(position)[np.newaxis])[0][0]
 
     def poses(self, q):
         """
@@ -218,9 +189,7 @@ class SpatialGeometry:
             As ``poses_among`` does.
 
         """
-        body = np.zeros((len(self.model.tree), t.WORK_COLUMNS))
-        space.write(self.move(q).recursion, body)
-        return self.poses_among(body)
+        return self.poses_among(self.equations.move(q).work.body)
 
     def poses_among(self, body):
         """
@@ -268,8 +237,8 @@ class SpatialGeometry:
         ----------
         body : ndarray, shape (nb + 1, WORK_COLUMNS)
             As for ``poses_among``.
-        wrenches : ndarray, shape (nb + 1, 6)
-            At the origins of the rows.
+        wrenches : ndarray, shape (nv, 6)
+            At the origins of the rows, in the order of the rates.
 
         Returns
         -------
@@ -279,7 +248,9 @@ class SpatialGeometry:
         """
         rows, origins, _ = self._carried
         arms = _placed(body, rows, origins)[0] - body[rows, space.ORIGIN:space.ORIGIN + 3]
-        found = wrenches[rows]
+        # A fixed joint has no row of its own.
+        found = np.vstack([np.full(6, np.nan), wrenches])[
+            np.where(rows > 0, self.model.tree[rows, t.DOF] + 1, 0)]
         found[:, :3] -= np.cross(arms, found[:, 3:])
         found[self._fixed] = np.nan
         return found
@@ -290,59 +261,6 @@ def _placed(body, rows, places):
     frames = body[rows, space.FRAME:space.FRAME + 9].reshape(-1, 3, 3)
     offsets = (frames @ places[:, :, np.newaxis])[:, :, 0]
     return body[rows, space.ORIGIN:space.ORIGIN + 3] + offsets, frames
-
-
-class SpatialAssembler(Assembler):
-    """
-    Closes the loops of a mechanism in space.
-
-    Parameters
-    ----------
-    mechanism : Mechanism
-        What is assembled.
-    geometry : SpatialGeometry
-        Of the mechanism.
-
-    """
-
-    def __init__(self, mechanism, geometry):
-        """Take the equations that are left of each cut joint."""
-        super().__init__(mechanism, geometry.model, None, extent(mechanism))
-        self._geometry = geometry
-        self.nc = sum(self._counts())
-
-    def _counts(self):
-        """Return the number of equations of each cut joint, with those that repeat others."""
-        return Numbers(self.model).counts
-
-    def closure(self, q):
-        """Return psi, shape (nc,), in the mechanism's order [m, or sines of angles]."""
-        return self._geometry.move(q).closures()[0]
-
-    def jacobian(self, q):
-        """Return J = d psi / d q, shape (nc, nv)."""
-        return self._geometry.move(q).jacobian()
-
-    def inertia(self, q):
-        """Return the generalized inertia matrix of the spanning tree, shape (nv, nv)."""
-        return self._geometry.move(q).inertia()
-
-    def _missing(self, q, free):
-        """Return how many of some freedoms stay open at a position, where that matters."""
-        # No number holds the idle spin of a rod: beside orientations the nearest state will do.
-        if self._coordinates.with_orientation:
-            return 0
-        return super()._missing(q, free)
-
-    def _moved(self, q, change):
-        """Return coordinates after a change, shape (nv,)."""
-        return self._coordinates.moved(q, change)
-
-    def _changed(self, q, free, change):
-        """Return coordinates after a change of some of the freedoms."""
-        whole = np.zeros(self.nv)
-        whole[free] = change
-        return self._moved(q, whole)
 
 
 def _quaternions(matrices):
@@ -433,4 +351,4 @@ def equations_left(mechanism):
         In the order of the cut joints.
 
     """
-    return Numbers(build_spatial_model(mechanism).model).counts
+    return Equations(build_spatial_model(mechanism).model).counts

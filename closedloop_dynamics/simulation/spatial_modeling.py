@@ -130,7 +130,7 @@ def build_spatial_model(mechanism, gravity=(0.0, 0.0, 0.0), decomposition=None, 
         cut[k, [t.POSSIBLE, t.KEPT]] = sum(1 << n for n in possible)
     if kept is not None:
         _keep(cut, kept)
-    _number(cut)
+    space.number_equations(cut)
     block, pair = block_arrays(cut, entries)
     column, row, entry = factor_arrays(decomposition, cut, block)
     dependency, dependency_place = dependencies(column, row)
@@ -265,17 +265,6 @@ def _keep(cut, kept):
     for k in np.argsort(cut[:, t.CUT_NUMBER]):
         cut[k, t.KEPT] = sum(
             1 << n for n in range(6) if cut[k, t.POSSIBLE] >> n & 1 and next(kept))
-
-
-def _number(cut):
-    """Fill in numbers of equations."""
-    cut[:, t.ROWS] = [bin(kept).count('1') for kept in cut[:, t.KEPT].tolist()]
-    along = np.array([(1 << len(space.HELD[one[t.CUT_TYPE]][1])) - 1 for one in cut], dtype=int)
-    cut[:, t.LENGTHS] = [max(1, bin(kept).count('1')) for kept in cut[:, t.KEPT] & along]
-    by_user = np.zeros(len(cut) + 1, dtype=np.int64)
-    by_user[cut[:, t.CUT_NUMBER] + 1] = cut[:, t.ROWS]
-    cut[:, t.CUT_ROW] = np.cumsum(by_user)[cut[:, t.CUT_NUMBER]]
-    cut[:, t.ROW] = np.cumsum([0, *cut[:, t.ROWS]])[:-1]
 
 
 def _pass(one, tree, entries):

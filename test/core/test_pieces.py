@@ -15,8 +15,6 @@
 """The loops over bodies in space against the recursions on numbers; the plane has other tests."""
 
 from closedloop_dynamics.core import energy, forward_dynamics, jacobian, joint_wrenches, kinematics
-from closedloop_dynamics.core.codegen import space
-from closedloop_dynamics.core.codegen.numbers import Numbers
 from closedloop_dynamics.core.types import (
     AXIS, BALL, BODY_A, COORDINATE, CUT_NUMBER, number_of_coordinates, TYPE)
 from closedloop_dynamics.core.workspace import allocate
@@ -26,6 +24,7 @@ import pytest
 
 from ..reference import spatial_linkages, spatial_machines
 from ..reference.compare import assert_agree, IDENTITY
+from ..reference.numbers import equations, Numbers
 
 MACHINES = ('rssr_four_bar', 'stewart_platform', 'delta_robot')
 
@@ -104,7 +103,7 @@ def test_wrenches_at_cut_joints(loops):
     joint_wrenches.cut_wrenches(model.cut, model.cut_point, work.cut_piece, work.body, loops.lam,
                                 work.share, found)
     recursion, expected = loops.numbers.recursion, np.zeros_like(found)
-    for place, a, equation in space.equations(recursion, model):
+    for place, a, equation in equations(recursion, model):
         expected[model.cut[a, CUT_NUMBER]] += loops.lam[place] * np.array(equation.on_a)
     for cut, point in zip(model.cut, model.cut_point):
         # From the origin of body A to the cut point.

@@ -17,7 +17,6 @@
 from dataclasses import replace
 
 from closedloop_dynamics.core.codegen import available
-from closedloop_dynamics.core.codegen.numbers import Numbers
 from closedloop_dynamics.core.types import ROWS
 from closedloop_dynamics.mechanism.mechanism import (
     Body, CutJoint, Joint, Mechanism, SPATIAL_CUT_JOINT_EQUATIONS)
@@ -27,6 +26,7 @@ import pytest
 
 from ..reference import cases, spatial_linkages, spatial_machines, spatial_maximal as twin
 from ..reference.compare import assert_agree, IDENTITY
+from ..reference.numbers import Numbers
 
 pytestmark = pytest.mark.skipif(not available(), reason='nothing is unrolled without a compiler')
 if available():

@@ -17,9 +17,8 @@
 from dataclasses import replace
 from types import SimpleNamespace
 
-from closedloop_dynamics.core.codegen import available, space
-from closedloop_dynamics.core.codegen.numbers import Numbers
-from closedloop_dynamics.core.types import WORK_COLUMNS
+from closedloop_dynamics.core.codegen import available
+from closedloop_dynamics.core.codegen.space import WORK_COLUMNS
 from closedloop_dynamics.effects import dispatch
 from closedloop_dynamics.effects.actuator import Actuator
 from closedloop_dynamics.effects.bushing import Bushing
@@ -46,6 +45,7 @@ import pytest
 from .machines import assert_balanced, block, simulated
 from ..reference import spatial_linkages, spatial_machines, spatial_maximal as twin
 from ..reference.compare import assert_agree
+from ..reference.numbers import Numbers
 
 needs_compiler = pytest.mark.skipif(not available(), reason='nothing moves in space uncompiled')
 TIGHT = {'integrator': 'dop853', 'tolerance': 1e-12}
@@ -63,9 +63,9 @@ def accelerations(mechanism, q, qd, tau, effects):
     table = build_table(chosen.elements, tau, numbers.nv, numbers.nc)
     numbers.move(q, qd)
     body = np.zeros((len(built.model.tree), WORK_COLUMNS))
-    space.write(numbers.recursion, body)
+    numbers.write(body)
     dispatch.apply(body, table, q, qd, tau)
-    space.read(numbers.recursion, body)
+    numbers.read(body)
     return numbers.accelerations(table.applied, 0.0)[0], table
 
 

@@ -14,13 +14,14 @@
 
 """MJCF: the same accelerations and closures as MuJoCo has them, and what is refused."""
 
-from closedloop_dynamics.core.codegen.numbers import Numbers
 from closedloop_dynamics.formats.registry import read_model
 from closedloop_dynamics.mechanism.mechanism import MechanismError
 from closedloop_dynamics.simulation.far_assembly import Loops
 from closedloop_dynamics.simulation.spatial_modeling import build_spatial_model
 import numpy as np
 import pytest
+
+from ..reference.numbers import Numbers
 
 mujoco = pytest.importorskip('mujoco')
 

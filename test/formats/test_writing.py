@@ -15,7 +15,6 @@
 """Mechanisms that are written in other formats and read again move as before."""
 
 from closedloop_dynamics.cli import main
-from closedloop_dynamics.core.codegen.numbers import Numbers
 from closedloop_dynamics.formats.registry import read_model
 from closedloop_dynamics.formats.writing import in_space, mjcf, urdf_with_loops
 from closedloop_dynamics.mechanism.config import shipped_path
@@ -27,6 +26,8 @@ from closedloop_dynamics.simulation.far_assembly import find_closed, Loops
 from closedloop_dynamics.simulation.spatial_modeling import build_spatial_model
 import numpy as np
 import pytest
+
+from ..reference.numbers import Numbers
 
 Z, TURNED = (0.0, 0.0, 1.0), (0.18257418583505536, 0.3651483716701107, 0.5477225575051661,
                               0.7302967433402214)

@@ -19,7 +19,7 @@ Slow, obvious NumPy twins of the compiled kernels; the package never imports the
 * ``maximal``: three coordinates per body, every joint a constraint.
 * ``appendix``: the paper's block Jacobians, as printed and corrected.
 * ``machines``: the mechanisms of the paper, built by hand.
-* ``function_table``s``: random and special linkages with states that close.
+* ``linkages``: random and special linkages with states that close.
 * ``exact``: solutions known to (nearly) all digits.
 
 """

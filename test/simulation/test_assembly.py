@@ -16,11 +16,11 @@
 
 from dataclasses import replace
 
-from closedloop_dynamics.core.workspace import allocate
+from closedloop_dynamics.core.equations import Equations
 from closedloop_dynamics.simulation.assembly import (
     angle_notes, Assembler, find_degrees_of_freedom, TOLERANCE)
 from closedloop_dynamics.simulation.errors import AssemblyError
-from closedloop_dynamics.simulation.modeling import build_model, extent
+from closedloop_dynamics.simulation.modeling import build_model
 from closedloop_dynamics.simulation.scene import load_scene, scene_names
 import numpy as np
 import pytest
@@ -32,8 +32,7 @@ STILL = np.zeros(3)
 
 
 def assembler(mechanism):
-    model = build_model(mechanism)
-    return Assembler(mechanism, model, allocate(model), extent(mechanism))
+    return Assembler(mechanism, Equations(build_model(mechanism)))
 
 
 def tangents(one, q):

@@ -21,12 +21,13 @@ from closedloop_dynamics.core.codegen import available
 from closedloop_dynamics.core.types import RANK_REVEALING_COUNT
 from closedloop_dynamics.effects.gravity import Gravity
 from closedloop_dynamics.mechanism.mechanism import Body, CutJoint, Joint, Mechanism
+from closedloop_dynamics.simulation.assembly import Assembler
 from closedloop_dynamics.simulation.redundancy import (
     ANY_LENGTHS, find_redundancy, THESE_LENGTHS)
 from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.simulation.scene_records import Initial, Method, Scene
 from closedloop_dynamics.simulation.simulation import Simulation
-from closedloop_dynamics.simulation.space import SpatialAssembler, SpatialGeometry
+from closedloop_dynamics.simulation.space import SpatialGeometry
 from closedloop_dynamics.studies.check import describe
 import numpy as np
 import pytest
@@ -47,7 +48,8 @@ def closed(mechanism, guess):
     """Return the geometry with repeated equations left out, and a position that closes."""
     geometry = SpatialGeometry(mechanism)
     geometry.leave_out_repeated(np.array(guess, dtype=float))
-    return geometry, SpatialAssembler(mechanism, geometry).positions(np.array(guess, dtype=float))
+    return geometry, Assembler(mechanism, geometry.equations).positions(
+        np.array(guess, dtype=float))
 
 
 def linkages():

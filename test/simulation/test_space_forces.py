@@ -12,13 +12,13 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Forces in joints, energies and inverse dynamics in space, by the routines compiled on demand."""
+"""Forces in joints, energies and inverse dynamics in space."""
 
 from dataclasses import replace
 
-from closedloop_dynamics.core.codegen import available, function_table as calls, routines
-from closedloop_dynamics.core.codegen.emit import Q, QD
-from closedloop_dynamics.core.codegen.numbers import Numbers
+from closedloop_dynamics.core.codegen import available
+from closedloop_dynamics.core.equations import Equations
+from closedloop_dynamics.core.joint_wrenches import bias_forces, joint_wrenches, tree_torque
 from closedloop_dynamics.effects.external_force import ExternalForce
 from closedloop_dynamics.effects.joint_friction import JointFriction
 from closedloop_dynamics.effects.joint_spring import JointSpring
@@ -33,30 +33,18 @@ import pytest
 from .test_space import machine, scene, TIGHT
 from ..reference import spatial_linkages, spatial_maximal as twin
 from ..reference.compare import assert_agree
+from ..reference.numbers import Numbers
 if available():
-    from closedloop_dynamics.core.codegen import space
-    from closedloop_dynamics.core.codegen.on_demand import OnDemand
     from closedloop_dynamics.simulation.simulation import Simulation
 
-    from ..core.spatial_engine import interpret, SpatialEngine
+    from ..core.spatial_engine import SpatialEngine
 
 pytestmark = pytest.mark.skipif(not available(), reason='nothing moves in space uncompiled')
 
 
-def on_demand(engine, which, result, q, qd, **more):
-    """Return the result of one of the routines, its arithmetic interpreted."""
-    model = engine.model
-    inputs = {calls.BODY: model.body, calls.GRAVITY: model.gravity,
-              calls.CUT_POINT: model.cut_point, Q: q, QD: qd}
-    numbers = Numbers(model)
-    numbers.move(q, qd)
-    inputs[calls.WORK_BODY] = np.zeros((len(model.tree), space.WORK_COLUMNS))
-    space.write(numbers.recursion, inputs[calls.WORK_BODY])
-    inputs.update({getattr(calls, name): np.array(value) for name, value in more.items()})
-    outputs, _ = interpret(routines.Unrolling(model).routine(which), inputs)
-    found = outputs.get(result, {})
-    return lambda *shape: np.array([
-        found.get(place, 0.0) for place in range(int(np.prod(shape)))]).reshape(shape)
+def at(model, q, qd):
+    """Return the equations of a model, as the loops over bodies have them, in a state."""
+    return Equations(model).move(q, qd)
 
 
 def reactions(mechanism, q, qd, expected):
@@ -100,8 +88,11 @@ def test_forces_in_joints_are_those_of_maximal_coordinates(seed):
     tau = rng.normal(size=engine.nv)
     expected = twin.forward_dynamics(mechanism, q, qd, tau)
     qdd, lam, _ = engine.forward_dynamics(q, qd, tau)
-    rows = on_demand(engine, calls.JOINT_WRENCHES, calls.JOINT_WRENCH, q, qd, QDD=qdd, LAM=lam)(
-        len(engine.model.tree), 6)
+    equations = at(engine.model, q, qd)
+    rows = np.zeros((len(engine.model.tree), 12))
+    bias_forces(equations.work, rows)
+    joint_wrenches(equations.model, equations.work, qdd, lam, rows)
+    rows = rows[:, :6]
     motions = twin.forward(mechanism, q, qd, qdd)[0]
     known, found = reactions(mechanism, q, qd, expected), {}
     numbers = Numbers(engine.model)
@@ -114,17 +105,16 @@ def test_forces_in_joints_are_those_of_maximal_coordinates(seed):
             found[joint.name][:3] -= np.cross(arm, rows[row, 3:])
     assert_agree(list(found.values()), [known[name] for name in found], 1e-8)
     # Along the joints' freedoms they are the forces that drive them, loops closed.
-    forces = on_demand(engine, calls.TREE_FORCES, calls.TREE_FORCE, q, qd, QDD=qdd)(engine.nv)
-    jac = on_demand(engine, calls.JACOBIAN, calls.ALL_JACOBIAN, q, qd)(engine.nc, engine.nv)
-    assert_agree(forces, tau + jac.T @ lam, 1e-9)
+    forces = np.zeros(engine.nv)
+    tree_torque(equations.model, equations.work, qdd, forces)
+    assert_agree(forces, tau + equations.jacobian().T @ lam, 1e-9)
     # Wrenches at the cut joints, of all equations.
-    wrenches = on_demand(engine, calls.CUT_WRENCHES, calls.CUT_WRENCH, q, qd, ALL_LAM=lam)(
-        len(mechanism.cut_joints), 6)
-    assert_agree(wrenches, [expected.wrenches[cut.name] for cut in mechanism.cut_joints], 1e-8)
+    assert_agree(equations.cut_wrenches(lam)[:len(mechanism.cut_joints)],
+                 [expected.wrenches[cut.name] for cut in mechanism.cut_joints], 1e-8)
 
 
 @pytest.mark.parametrize('seed', range(6))
-def test_what_is_compiled_on_demand_is_what_the_recursions_give_on_numbers(seed):
+def test_what_the_loops_over_bodies_give_is_what_the_recursions_give_on_numbers(seed):
     rng = np.random.default_rng(50 + seed)
     mechanism, q, qd = spatial_linkages.random_mechanism(rng)
     engine = SpatialEngine(mechanism)
@@ -132,12 +122,12 @@ def test_what_is_compiled_on_demand_is_what_the_recursions_give_on_numbers(seed)
     # Open loops: nothing is zero.
     opened = qd + rng.normal(size=len(qd))
     numbers.move(q, opened)
-    assert_agree(on_demand(engine, calls.ENERGIES, calls.ENERGY, q, opened)(2),
-                 numbers.energies(), 1e-12)
-    assert_agree(on_demand(engine, calls.CLOSURES, calls.ALL_CLOSURES, q, opened)(3, engine.nc),
-                 numbers.closures(), 1e-12)
-    assert_agree(on_demand(engine, calls.JACOBIAN, calls.ALL_JACOBIAN, q, opened)(
-        engine.nc, engine.nv), numbers.jacobian(), 1e-12)
+    equations = at(engine.model, q, opened)
+    assert_agree(equations.energies(), numbers.energies(), 1e-12)
+    assert_agree(equations.closures(), numbers.closures(), 1e-12)
+    assert_agree(equations.jacobian(), numbers.jacobian(), 1e-12)
+    assert_agree(equations.inertia(), numbers.inertia(), 1e-12)
+    assert_agree(equations.bias_force(), numbers.bias_force(), 1e-12)
 
 
 @pytest.fixture(scope='module')
@@ -194,7 +184,7 @@ def test_forces_in_joints_do_the_work_of_what_moves(linkage):
     assert_agree(one.force('rocker'), forces[names.index('rocker')], 0.0)
 
 
-def test_least_forces_are_the_same_by_way_of_compiled_code():
+def test_least_forces_of_all_equations_turn_into_the_same_motion():
     mechanism, _ = machine('bricard')
     one = Simulation(scene(mechanism, gravity=(0.0, -9.81, 0.0), integrator='rk4'))
     one.step(None, 0.2)
@@ -205,7 +195,8 @@ def test_least_forces_are_the_same_by_way_of_compiled_code():
     wrench = numbers.recursion.cut_wrench(one.system.model, 0, lam)
     # Both least, one in the metric of the inertia: the same where they are turned into motion.
     jac = numbers.jacobian()
-    found = OnDemand(one.system).of_all(one.position, one.velocity, one.multipliers)
+    equations = at(one.system.model, one.position, one.velocity)
+    found = equations.of_all(one.multipliers)
     assert_agree(jac.T @ found, jac.T @ lam, 1e-9)
     assert np.linalg.norm(found) <= np.linalg.norm(lam) * (1.0 + 1e-9)
     assert one.constraint_forces.shape == (1, len(wrench))

@@ -45,7 +45,7 @@ def relink(model, table):
     take(table, addresses(model, ALWAYS))
 
 
-def later(model, place):
+def later(model):
     """
     Return the addresses of a model's routines that are not compiled before they are called.
 
@@ -53,8 +53,6 @@ def later(model, place):
     ----------
     model : core.types.Model
         Constant arrays of the mechanism.
-    place : int
-        Of one of them in the function table; those with refinement come together.
 
     Returns
     -------
@@ -63,4 +61,4 @@ def later(model, place):
     """
     # Here, as there may be no compiler.
     from .routines import addresses
-    return addresses(model, REFINED if place in REFINED else (place,))
+    return addresses(model, REFINED)

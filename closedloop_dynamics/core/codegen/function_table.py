@@ -45,14 +45,7 @@ REFINED = (REFINED_ACCELERATION, REFINED_CORRECTION)
 # Addresses of arrays.
 (BODY, GRAVITY, CUT_POINT, TAU, BAUMGARTE, QDD, LAM, HEALTH, WORK_BODY, CLOSURE, CLOSURE_RATE,
  CORRECTIONS) = range(9, 21)
-# In space, routines for what is asked of a state beside its accelerations, which are compiled
-# when they are first called: wrenches in the joints of the tree, wrenches at the cut joints,
-# energies, all closure equations, their Jacobian, and the joint forces that accelerations take.
-ON_DEMAND = (JOINT_WRENCHES, CUT_WRENCHES, ENERGIES, CLOSURES, JACOBIAN, TREE_FORCES) = tuple(
-    range(21, 27))
-# Addresses of arrays for them: multipliers of all equations, and results.
-(ALL_LAM, JOINT_WRENCH, CUT_WRENCH, ENERGY, ALL_CLOSURES, ALL_JACOBIAN, TREE_FORCE) = range(27, 34)
-TABLE_COLUMNS = 34
+TABLE_COLUMNS = 21
 # States side by side in the vectors of ``lanes``: one of AVX-512, two of AVX2, four of NEON.
 LANES = 8
 
@@ -206,15 +199,13 @@ def connect(arrays, coordinates, rank_revealing, find):
     Parameters
     ----------
     arrays : dict of int to ndarray
-        From the places BODY to CORRECTIONS, in space from ALL_LAM to TREE_FORCE, too; they are
-        kept as long as the function table.
+        By the places BODY to CORRECTIONS; they are kept as long as the function table.
     coordinates : int
         Length of q.
     rank_revealing : dict of int to callable
         From RANK_REVEALING_ACCELERATION, _POSITION and _VELOCITY; called with q and qd.
     find : callable
-        Called with a place among REFINED and ON_DEMAND; returns addresses by place, as ``take``
-        has them, that one among them.
+        Returns the addresses of REFINED, as ``take`` has them.
 
     Returns
     -------
@@ -224,7 +215,7 @@ def connect(arrays, coordinates, rank_revealing, find):
     table = np.zeros(TABLE_COLUMNS, dtype=np.int64)
     for place, array in arrays.items():
         table[place] = array.ctypes.data
-    kept = {place: _SIGNATURE(_compiling(find, place)) for place in (*REFINED, *ON_DEMAND)}
+    kept = {place: _SIGNATURE(_compiling(find, place)) for place in REFINED}
     for place, function in rank_revealing.items():
         kept[place] = _SIGNATURE(_on_arrays(function, coordinates, len(arrays[QDD])))
     for place, routine in kept.items():
@@ -236,7 +227,7 @@ def connect(arrays, coordinates, rank_revealing, find):
 
 def take(table, routines):
     """
-    Give a table other unrolled routines; REFINED and ON_DEMAND ones are found when called.
+    Give a table other unrolled routines; REFINED ones are found when called.
 
     Parameters
     ----------
@@ -248,20 +239,15 @@ def take(table, routines):
     """
     for place, address in routines.items():
         table[place] = address
-    for place in (*REFINED, *ON_DEMAND):
+    for place in REFINED:
         table[place] = ctypes.cast(
             _callbacks[id(table)][0][place], ctypes.c_void_p).value
-
-
-def array(table, place):
-    """Return one of the arrays that a function table was connected with."""
-    return _callbacks[id(table)][2][place]
 
 
 def _compiling(find, place):
     """Return a function that finds a routine, links it in its own place, and calls it."""
     def called(table, q, qd):
-        address = find(place)[place]
+        address = find()[place]
         (ctypes.c_int64 * TABLE_COLUMNS).from_address(table)[place] = address
         return _SIGNATURE(address)(table, q, qd)
 

@@ -20,21 +20,18 @@ from . import emit, plane, rows, space
 from .expression_graph import (
     ADD, DIVIDE, ExpressionGraph, LOAD, MULTIPLY, NEGATE, Routine, SUBTRACT, unrolled)
 from .function_table import (
-    ACCELERATION, ALL_CLOSURES, ALL_JACOBIAN, ALL_LAM, BAUMGARTE, BODY, CLOSURE, CLOSURE_RATE,
-    CLOSURES, CORRECTION, CORRECTIONS, CUT_POINT, CUT_WRENCH, CUT_WRENCHES, ENERGIES, ENERGY,
-    EVALUATION, GRAVITY, HEALTH, JACOBIAN, JOINT_WRENCH, JOINT_WRENCHES, LAM, OUTWARD, QDD,
-    REFINED_ACCELERATION, REFINED_CORRECTION, TAU, TREE_FORCE, TREE_FORCES, WORK_BODY)
+    ACCELERATION, BAUMGARTE, BODY, CLOSURE, CLOSURE_RATE, CORRECTION, CORRECTIONS, CUT_POINT,
+    EVALUATION, GRAVITY, HEALTH, LAM, OUTWARD, QDD, REFINED_ACCELERATION, REFINED_CORRECTION, TAU,
+    WORK_BODY)
 from .spatial import Recursion
 from .. import (
     articulated_inertia, elimination, forward_dynamics, kinematics, loop_closure, refinement)
-from ..types import CUT_NUMBER, KEPT, number_of_coordinates, POSSIBLE, RHS, TYPE, Workspace
+from ..types import number_of_coordinates, RHS, TYPE, Workspace
 from ..workspace import unconnected
 
 NAMES = {EVALUATION: 'evaluation', OUTWARD: 'outward', ACCELERATION: 'acceleration',
          CORRECTION: 'correction', REFINED_ACCELERATION: 'refined_acceleration',
-         REFINED_CORRECTION: 'refined_correction', JOINT_WRENCHES: 'joint_wrenches',
-         CUT_WRENCHES: 'cut_wrenches', ENERGIES: 'energies', CLOSURES: 'closures',
-         JACOBIAN: 'jacobian', TREE_FORCES: 'tree_forces'}
+         REFINED_CORRECTION: 'refined_correction'}
 
 
 def topology(model):
@@ -249,53 +246,6 @@ class Unrolling:
         self.store(CLOSURE, work.closure)
         self.store(CLOSURE_RATE, work.closure_rate)
         self.store(HEALTH, work.health)
-
-    def _moved(self, rows=KEPT):
-        """Return the recursion in the state, with the kept or all possible equations."""
-        if rows != KEPT:
-            self.recursion.cuts = space.cuts(self.constant, self.model.cut_point, rows)
-        self.recursion.outward(self.model, self.q, self.qd, self.work)
-        return self.recursion
-
-    def joint_wrenches(self):
-        """Wrenches in the joints of the tree after an evaluation, with what effects have left."""
-        self.read()
-        wrenches, _ = self.recursion.joint_wrenches(
-            self.model, self.symbols(QDD, (self.nv,)), self.symbols(LAM, (self.nc,)))
-        self.store(JOINT_WRENCH, np.array(wrenches[1:], dtype=object), 6)
-
-    def tree_forces(self):
-        """Joint forces that accelerations take, loops open, with what effects have left."""
-        self.read()
-        _, forces = self.recursion.joint_wrenches(self.model, self.symbols(QDD, (self.nv,)))
-        self.store(TREE_FORCE, np.array(forces, dtype=object))
-
-    def cut_wrenches(self):
-        """Wrenches at the cut joints of multipliers of all equations."""
-        recursion, first = self._moved(POSSIBLE), space.first_equations(self.model)
-        lam = self.symbols(ALL_LAM, (first[-1],))
-        for a, number in enumerate(self.model.cut[:, CUT_NUMBER]):
-            wrench = recursion.cut_wrench(self.model, a, lam[first[number]:first[number + 1]])
-            self.store(CUT_WRENCH, np.array(wrench, dtype=object), 6 * number)
-
-    def energies(self):
-        """Kinetic energy, and potential energy in gravity."""
-        found = self._moved().energies(self.model, self.qd)
-        self.store(ENERGY, np.array(found, dtype=object))
-
-    def closures(self):
-        """Values, rates and biases of all equations, in the mechanism's order."""
-        count = space.first_equations(self.model)[-1]
-        for place, _, equation in space.equations(self._moved(POSSIBLE), self.model):
-            for n, value in enumerate((equation.value, equation.rate, equation.bias)):
-                self.store(ALL_CLOSURES, np.array([value], dtype=object), n * count + place)
-
-    def jacobian(self):
-        """Jacobian of all equations, in the mechanism's order."""
-        recursion = self._moved(POSSIBLE)
-        for place, a, equation in space.equations(recursion, self.model):
-            row = recursion.row(self.model, a, equation)
-            self.store(ALL_JACOBIAN, np.array(row, dtype=object), place * self.nv)
 
 
 def _zeros(*shape):

@@ -23,12 +23,11 @@ them go the terms that they multiply.
 
 import numpy as np
 
-from .rows import by_column, six
 from .spatial import Body, Cut, X, Y, Z
 from .vectors import IDENTITY, is_zero, ZERO
 from ..types import (
-    AXIS, BALL, CUT_NUMBER, CUT_TYPE, FACTORS, HELD_SUM, HELICAL, KEPT, PARENT, PATH_A, PATH_END,
-    POSSIBLE, PRISMATIC, TYPE)
+    AXIS, BALL, CUT_NUMBER, CUT_ROW, CUT_TYPE, FACTORS, HELD_SUM, HELICAL, KEPT, LENGTHS, PARENT,
+    PATH_A, PATH_END, PRISMATIC, ROW, ROWS, TYPE)
 
 # Columns of Model.body, one row a body: mass; first moments; moments of inertia about the body's
 # origin, xx, yy, zz, xy, xz, yz; the joint's place in the parent's frame; its axes there, row by
@@ -292,7 +291,7 @@ def bodies(model, symbols):
     return found
 
 
-def cuts(model, symbols, which=KEPT):
+def cuts(model, symbols):
     """
     Describe the cut joints of a mechanism in space.
 
@@ -302,8 +301,6 @@ def cuts(model, symbols, which=KEPT):
         Constant arrays of the mechanism.
     symbols : ndarray, shape (number of cuts, CUT_POINT_COLUMNS or more)
         Of the inputs, as ``Model.cut_point``.
-    which : int
-        Column of ``Model.cut`` with the equations' bits.
 
     Returns
     -------
@@ -317,7 +314,7 @@ def cuts(model, symbols, which=KEPT):
         found.append(Cut(
             along, perpendicular, tuple(row[POINT_A:POINT_A + 3]),
             tuple(row[POINT_B:POINT_B + 3]), _matrix(row[TURNED_A:]), _matrix(row[TURNED_B:]),
-            0.0, tuple(n for n in range(6) if cut[which] >> n & 1),
+            0.0, tuple(n for n in range(6) if cut[KEPT] >> n & 1),
             length=row[LENGTH] if cut[CUT_TYPE] == DISTANCE else None,
             lead=row[LENGTH] if cut[CUT_TYPE] == HELICAL_CUT else None,
             coupling=coupling(model, cut, row) if cut[CUT_TYPE] == COUPLING else None))
@@ -406,82 +403,21 @@ def columns_of(motion):
     return columns
 
 
-def write(recursion, body):
+def number_equations(cut):
     """
-    Write motion and forces into the columns of ``Workspace.body``.
+    Fill in the numbers of the equations that the elimination works on.
 
     Parameters
     ----------
-    recursion : Recursion
-        After ``outward``.
-    body : ndarray, shape (nb + 1, WORK_COLUMNS)
-        Columns from ORIGIN to FORCE are written.
+    cut : ndarray of int, shape (number of cuts, CUT_COLUMNS)
+        Of ``Model``; CUT_TYPE, CUT_NUMBER and KEPT are read, ROWS, LENGTHS, CUT_ROW and ROW
+        written.
 
     """
-    for row, motion, force in zip(body, recursion.motion, recursion.force):
-        columns = columns_of(motion)
-        if force is not None:
-            columns.update(by_column(force, FORCES))
-        for place, value in columns.items():
-            if place < OFFSET:
-                row[place] = value
-
-
-def read(recursion, body):
-    """
-    Take the forces from these columns, as effects have left them.
-
-    Parameters
-    ----------
-    recursion : Recursion
-        After ``outward``.
-    body : ndarray, shape (nb + 1, WORK_COLUMNS)
-        Of numbers or symbols.
-
-    """
-    recursion.force[1:] = [six(row, FORCES) for row in body[1:]]
-
-
-def first_equations(model):
-    """
-    Return where each cut joint's equations that do not always hold begin, and their number.
-
-    Parameters
-    ----------
-    model : Model
-        Constant arrays of the mechanism.
-
-    Returns
-    -------
-    ndarray of int, shape (number of cuts + 1,)
-        In the mechanism's order.
-
-    """
-    possible = model.cut[np.argsort(model.cut[:, CUT_NUMBER]), POSSIBLE].tolist()
-    return np.cumsum([0, *(bin(one).count('1') for one in possible)])
-
-
-def equations(recursion, model):
-    """
-    Yield all equations that do not always hold.
-
-    Parameters
-    ----------
-    recursion : Recursion
-        With POSSIBLE cut joints, in a state.
-    model : Model
-        Constant arrays of the mechanism.
-
-    Yields
-    ------
-    place : int
-        In the mechanism's order.
-    a : int
-        Cut joint, in the model's order.
-    equation : Closure
-
-    """
-    first = first_equations(model)
-    for a, number in enumerate(model.cut[:, CUT_NUMBER]):
-        for n, equation in enumerate(recursion.closures(model, a)):
-            yield first[number] + n, a, equation
+    cut[:, ROWS] = [bin(kept).count('1') for kept in cut[:, KEPT].tolist()]
+    along = np.array([(1 << len(HELD[one[CUT_TYPE]][1])) - 1 for one in cut], dtype=int)
+    cut[:, LENGTHS] = [max(1, bin(kept).count('1')) for kept in cut[:, KEPT] & along]
+    by_user = np.zeros(len(cut) + 1, dtype=np.int64)
+    by_user[cut[:, CUT_NUMBER] + 1] = cut[:, ROWS]
+    cut[:, CUT_ROW] = np.cumsum(by_user)[cut[:, CUT_NUMBER]]
+    cut[:, ROW] = np.cumsum([0, *cut[:, ROWS]])[:-1]

@@ -33,7 +33,7 @@ from .vectors import (
     add, cross, dot, IDENTITY, is_number, is_zero, negate, product, scale, skew, subtract,
     symmetric, times, transpose, ZERO)
 from ..types import (
-    BODY_A, BODY_B, COORDINATE, CUT_ROW, DINV, DOF, DZ, LEVERS, NO_RESPONSES, PARENT, PATH_A,
+    BODY_A, BODY_B, COORDINATE, DINV, DOF, DZ, LEVERS, NO_RESPONSES, PARENT, PATH_A,
     PATH_B, PATH_COMMON, PATH_END, RHS, ROW, ROWS)
 
 X, Y, Z = range(3)
@@ -518,117 +518,6 @@ class Recursion:
             coordinate, speed = self._coordinates[i]
             value, rate = value + factor * coordinate, rate + factor * speed
         return Closure(value, rate, 0.0, 2 * ZERO, 2 * ZERO, factors)
-
-    def shares(self, model, wrenches):
-        """
-        Return the shares in the joints of wrenches on bodies, at the bodies' origins.
-
-        Parameters
-        ----------
-        model : Model
-            Constant arrays of the mechanism.
-        wrenches : dict of int to tuple of 6
-            By row.
-
-        Returns
-        -------
-        list, length nv
-
-        """
-        found, wrenches = (len(self.bodies) - 1) * [0.0], dict(wrenches)
-        for i in range(len(self.bodies) - 1, 0, -1):
-            if i in wrenches:
-                motion, parent = self.motion[i], model.tree[i, PARENT]
-                found[model.tree[i, DOF]] = dot(motion.axis, wrenches[i])
-                wrenches[parent] = add(
-                    wrenches.get(parent, 2 * ZERO), at_parent(wrenches[i], motion.offset))
-        self._about_own(model, found)
-        return found
-
-    def row(self, model, a, equation):
-        """Return the row of the Jacobian of an equation of a cut joint, length nv."""
-        if equation.in_joints:
-            found = (len(self.bodies) - 1) * [0.0]
-            for i, force in equation.in_joints:
-                found[model.tree[i, DOF]] = force
-            return found
-        return self.shares(model, {model.cut[a, BODY_A]: equation.on_a,
-                                   model.cut[a, BODY_B]: equation.on_b})
-
-    def energies(self, model, qd):
-        """Return kinetic energy, and potential energy in gravity, zero at the world's origin."""
-        kinetic, moments = 0.0, ZERO
-        for i, body in enumerate(self.bodies[1:], start=1):
-            motion, carrier = self.motion[i], self.motion[model.tree[i, PARENT]]
-            rates = motion.spin + motion.velocity
-            kinetic = kinetic + 0.5 * dot(rates, times(self.inertia[i], rates))
-            moments = add(moments, add(scale(motion.origin, body.mass),
-                                       times(motion.frame, body.moment)))
-            if body.armature is not None:
-                rate = qd[model.tree[i, DOF]]
-                kinetic = kinetic + rate * (
-                    0.5 * body.armature * rate + dot(self.rotor[i], carrier.spin))
-        return kinetic, dot(self.ground.acceleration, moments)
-
-    def joint_wrenches(self, model, qdd, lam=None):
-        """
-        Return what parents exert on bodies, at the bodies' origins, for accelerations.
-
-        Parameters
-        ----------
-        model : Model
-            Constant arrays of the mechanism.
-        qdd : sequence, length nv
-            Joint accelerations.
-        lam : sequence, optional
-            Multipliers of the equations of ``cuts``, in the mechanism's order; without, loops are
-            open.
-
-        Returns
-        -------
-        wrenches : list of tuples of 6
-            None for the ground.
-        forces : list, length nv
-            Of the joints: what these accelerations take beside the multipliers.
-
-        """
-        qdd, wrenches = self._about_world(model, qdd), list(self.force)
-        accelerations = [2 * ZERO]
-        wrenches[0] = 2 * ZERO
-        for i in range(1, len(self.bodies)):
-            motion, parent, dof = self.motion[i], *model.tree[i, [PARENT, DOF]]
-            before = accelerations[parent]
-            after = add(before[:3] + add(before[3:], cross(before[:3], motion.offset)),
-                        scale(motion.axis, qdd[dof]))
-            accelerations.append(after)
-            wrenches[i] = add(wrenches[i], times(self.inertia[i], after))
-            wrenches[parent] = add(wrenches[parent], scale(self.rotor[i], qdd[dof]) + ZERO)
-        for a, cut in enumerate(model.cut if lam is not None else ()):
-            for row, equation in enumerate(self.closures(model, a)):
-                force = lam[cut[CUT_ROW] + row]
-                for body, wrench in ((cut[BODY_A], equation.on_a), (cut[BODY_B], equation.on_b)):
-                    wrenches[body] = subtract(wrenches[body], scale(wrench, force))
-        forces = (len(self.bodies) - 1) * [0.0]
-        for i in range(len(self.bodies) - 1, 0, -1):
-            motion, parent, dof = self.motion[i], *model.tree[i, [PARENT, DOF]]
-            forces[dof] = dot(motion.axis, wrenches[i])
-            if self.bodies[i].armature is not None:
-                carried = add(self.motion[parent].spin_rate, accelerations[parent][:3])
-                forces[dof] = forces[dof] + self.bodies[i].armature * qdd[dof] + dot(
-                    self.rotor[i], carried)
-            wrenches[parent] = add(wrenches[parent], at_parent(wrenches[i], motion.offset))
-        self._about_own(model, forces)
-        return [None, *wrenches[1:]], forces
-
-    def cut_wrench(self, model, a, lam):
-        """Return what body B exerts on body A at a cut joint, at the cut point of A."""
-        wrench = 2 * ZERO
-        for force, equation in zip(lam, self.closures(model, a)):
-            wrench = add(wrench, scale(equation.on_a, force))
-        if self.cuts[a].coupling is not None:
-            return wrench
-        arm = times(self.motion[model.cut[a, BODY_A]].frame, self.cuts[a].point_a)
-        return subtract(wrench[:3], cross(arm, wrench[3:])) + wrench[3:]
 
     def _respond(self, model, work, responses, cut, row, equation):
         """Carry a unit multiplier's wrenches inward and keep their share at each joint."""

@@ -1,0 +1,261 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""What is asked of a state beside its motion: dense matrices, energies, forces, from Python."""
+
+import numpy as np
+
+from . import energy, jacobian, joint_wrenches, kinematics, loop_closure
+from .codegen import pieces, space
+from .types import (
+    CUT_NUMBER, CUT_ROW, CUT_TYPE, KEPT, LENGTHS, NO_RESPONSES, number_of_coordinates, POSSIBLE,
+    ROW, ROWS)
+from .workspace import allocate
+
+# Singular values below this times the largest belong to equations that repeat others.
+DEPENDENT = 1e-9
+
+
+def with_all_equations(model):
+    """
+    Return a model with the equations, too, that the elimination leaves out.
+
+    Parameters
+    ----------
+    model : Model
+        Constant arrays of the mechanism.
+
+    Returns
+    -------
+    Model
+        For dense matrices: it has no room for a block elimination. Itself where nothing is left
+        out.
+
+    """
+    if leaves_nothing_out(model):
+        return model
+    cut = model.cut.copy()
+    cut[:, KEPT] = cut[:, POSSIBLE]
+    space.number_equations(cut)
+    return model._replace(cut=cut, column=np.zeros(cut[:, ROWS].sum() + 1, dtype=np.int64))
+
+
+def leaves_nothing_out(model):
+    """Tell whether the elimination works on all equations of a model."""
+    return bool((model.cut[:, KEPT] == model.cut[:, POSSIBLE]).all())
+
+
+class Equations:
+    """
+    The equations of motion of a mechanism as matrices, those that repeat others included.
+
+    Parameters
+    ----------
+    model : Model
+        Constant arrays of the mechanism; they may be changed later.
+
+    Attributes
+    ----------
+    model : Model
+        With all equations.
+    work : Workspace
+        Of ``model``; poses, velocities and bias forces of the state that ``move`` took.
+    nv, nc : int
+        Numbers of rates and of all equations.
+    counts : list of int
+        How many equations each cut joint has, in the mechanism's order.
+    kept : ndarray of bool, shape (nc,)
+        Which equations the elimination works on, too, in the mechanism's order.
+    groups : ndarray of int, shape (nc,)
+        Numbers that the places, and the angles, that one cut joint holds have in common.
+
+    """
+
+    def __init__(self, model):
+        """Allocate a workspace."""
+        self.model = with_all_equations(model)
+        self.work, self._connected = allocate(self.model), self._constants()
+        self.nv, self.nc = len(model.tree) - 1, len(self.work.closure)
+        by_user = np.argsort(model.cut[:, CUT_NUMBER])
+        self._order = np.zeros(self.nc, dtype=int)
+        for cut in self.model.cut:
+            rows = np.arange(cut[ROWS])
+            self._order[cut[CUT_ROW] + rows] = cut[ROW] + rows
+        self.counts = self.model.cut[by_user, ROWS].tolist()
+        self.kept, groups = np.ones(self.nc, dtype=bool), []
+        for number, (cut, count) in enumerate(zip(model.cut[by_user], self.counts)):
+            if not space.is_spatial(model):
+                groups += [(number, n >= cut[LENGTHS]) for n in range(count)]
+                continue
+            possible = [n for n in range(6) if cut[POSSIBLE] >> n & 1]
+            self.kept[len(groups):len(groups) + count] = [cut[KEPT] >> n & 1 for n in possible]
+            groups += [(number, space.group_of(cut[CUT_TYPE], n)) for n in possible]
+        order = {group: number for number, group in enumerate(dict.fromkeys(groups))}
+        self.groups = np.array([order[group] for group in groups], dtype=int)
+        self._q, self._qd = np.zeros(number_of_coordinates(model)), np.zeros(self.nv)
+
+    def _constants(self):
+        """Return what decides which code is for which body."""
+        return self.model.tree.tobytes(), self.model.body.tobytes()
+
+    def move(self, q, qd=None):
+        """
+        Take a state.
+
+        Parameters
+        ----------
+        q : ndarray, shape (nq,)
+            Coordinates.
+        qd : ndarray, shape (nv,), optional
+            Rates; none when not given.
+
+        Returns
+        -------
+        Equations
+            Itself.
+
+        """
+        if self._connected != self._constants():
+            pieces.connect(self.model, self.work.piece, self.work.cut_piece)
+            self._connected = self._constants()
+        self._q[:], self._qd[:] = q, 0.0 if qd is None else qd
+        kinematics.outward(self.model, self._q, self._qd, self.work)
+        return self
+
+    def closures(self):
+        """
+        Return psi, J qd and Jdot qd, in the mechanism's order.
+
+        Returns
+        -------
+        ndarray, shape (3, nc)
+
+        """
+        loop_closure.update(self.model, self.work, NO_RESPONSES)
+        return np.array([self.work.closure, self.work.closure_rate, self.work.bias])[
+            :, self._order]
+
+    def jacobian(self):
+        """
+        Return J = d psi / d q.
+
+        Returns
+        -------
+        ndarray, shape (nc, nv)
+
+        """
+        jac = np.zeros((self.nc, self.nv))
+        jacobian.constraint_jacobian(self.model, self.work, jac)
+        return jac
+
+    def inertia(self):
+        """
+        Return the generalized inertia matrix of the spanning tree.
+
+        Returns
+        -------
+        ndarray, shape (nv, nv)
+
+        """
+        gim = np.zeros((self.nv, self.nv))
+        jacobian.generalized_inertia_matrix(self.model, self.work, gim)
+        # That has used up the bodies' own inertias.
+        kinematics.outward(self.model, self._q, self._qd, self.work)
+        return gim
+
+    def bias_force(self):
+        """
+        Return the joint forces that the state takes where nothing accelerates, with gravity.
+
+        Returns
+        -------
+        ndarray, shape (nv,)
+
+        """
+        force = np.zeros(self.nv)
+        joint_wrenches.tree_torque(self.model, self.work, np.zeros(self.nv), force)
+        return force
+
+    def energies(self):
+        """
+        Return kinetic energy, and potential energy in gravity, zero at the world's origin [J].
+
+        Returns
+        -------
+        tuple of 2 floats
+
+        """
+        found = np.zeros(2)
+        energy.energies(self.model, self.work, self._qd, found)
+        return float(found[0]), float(found[1])
+
+    def of_all(self, lam):
+        """
+        Return the least multipliers of all equations that do what those of the kept ones do.
+
+        Parameters
+        ----------
+        lam : ndarray
+            Multipliers of the kept equations, in the mechanism's order.
+
+        Returns
+        -------
+        ndarray, shape (nc,)
+
+        """
+        if self.kept.all():
+            return lam
+        jac = self.jacobian()
+        return np.linalg.lstsq(jac.T, jac[self.kept].T @ lam, rcond=DEPENDENT)[0]
+
+    def of_kept(self, lam):
+        """
+        Return multipliers of the kept equations that do what those of all do, where they can.
+
+        Parameters
+        ----------
+        lam : ndarray, shape (nc,)
+            Of all equations.
+
+        Returns
+        -------
+        ndarray
+
+        """
+        if self.kept.all():
+            return lam
+        jac = self.jacobian()
+        return np.linalg.lstsq(jac[self.kept].T, jac.T @ lam, rcond=DEPENDENT)[0]
+
+    def cut_wrenches(self, lam):
+        """
+        Return what body B exerts on body A at each cut joint.
+
+        Parameters
+        ----------
+        lam : ndarray, shape (nc,)
+            Multipliers of all equations.
+
+        Returns
+        -------
+        ndarray, shape (number of cuts, 3 or 6)
+            Moment, then force, at the cut point of A, in world axes, in the mechanism's order
+            [N m, N].
+
+        """
+        model, work = self.model, self.work
+        found = np.empty((len(model.cut), work.wrench.shape[1]))
+        joint_wrenches.cut_wrenches(
+            model.cut, model.cut_point, work.cut_piece, work.body, lam, work.share, found)
+        return found
