@@ -43,6 +43,7 @@ from closedloop_dynamics.ros.programs import FUNCTIONS, Program
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
+PACKAGE = 'closedloop_dynamics'
 PAGES = [ROOT / 'README.md', *sorted((ROOT / 'doc').glob('*.md'))]
 BLOCK = re.compile(
     r'(?:^<!-- (?P<note>.*?) -->\n)?^```(?P<kind>\w+)\n(?P<text>.*?)^```$', re.M | re.S)
@@ -247,8 +248,10 @@ def test_folders_and_files_that_the_pages_name_exist():
     text = ''.join(page.read_text() for page in PAGES)
     folders = set(re.findall(r'`(config/\w+/)`', text))
     files = set(re.findall(r'`((?:benchmark|config|doc|scripts|test)/[\w/]+(?:\.\w+)?)`', text))
-    assert len(folders) >= 3 and len(files) >= 10
-    assert [name for name in folders | files if not (ROOT / name).exists()] == []
+    rooms = '|'.join(path.parent.name for path in (ROOT / PACKAGE).glob('*/__init__.py'))
+    modules = {f'{PACKAGE}/{name}' for name in re.findall(rf'`((?:{rooms})/[\w/]+\.py)`', text)}
+    assert len(folders) >= 3 and len(files) >= 10 and len(modules) >= 10
+    assert [name for name in folders | files | modules if not (ROOT / name).exists()] == []
 
 
 def test_every_shipped_scene_is_shown():
