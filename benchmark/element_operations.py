@@ -28,7 +28,8 @@ from machine import ROOT
 
 sys.path.insert(0, str(ROOT))
 
-from closedloop_dynamics.mechanism.mechanism import DISTANCE, POINT_ON_LINE  # noqa: E402
+from closedloop_dynamics.mechanism.mechanism import (  # noqa: E402,I100
+    DISTANCE, POINT_ON_LINE)
 from closedloop_dynamics.simulation.scene import load_scene  # noqa: E402
 from closedloop_dynamics.simulation.tree_choice import count_operations  # noqa: E402
 from closedloop_dynamics.visual.tables import text_table  # noqa: E402
