@@ -100,7 +100,8 @@ def table(record_type, keys):
 
 def page():
     """Return the whole page."""
-    lines = [HEAD, '## Mechanism', '', *_names(keys_of(Mechanism, leave_out=('source', 'tree')))]
+    lines = [HEAD, '## Mechanism', '', *_names(
+        keys_of(Mechanism, leave_out=('source', 'tree', 'motions')))]
     for section, (record_type, _) in SECTIONS.items():
         lines += ['', f'### An entry of `{section}`, by its name', '',
                   *table(record_type, keys_of(record_type, leave_out=('name',)))]

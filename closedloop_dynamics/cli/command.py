@@ -90,6 +90,23 @@ def add_torque(parser):
                              'prismatic one [N]; may be repeated (default: none)')
 
 
+def add_motion(parser):
+    """Add the option of prescribed motions, to be read by ``mapping``."""
+    parser.add_argument('--motion', type=_law, action='append', default=[],
+                        metavar='JOINT=EXPRESSION',
+                        help='motion of a joint as an expression in the time t [rad or m], such '
+                             'as theta_1=4.7124*t; what drives it is told; may be repeated '
+                             '(default: as the scene says)')
+
+
+def _law(text):
+    """Convert ``JOINT=EXPRESSION`` to a pair."""
+    name, equals, law = text.partition('=')
+    if not (name and law):
+        raise ArgumentTypeError(f'expected JOINT=EXPRESSION, got {text!r}')
+    return name, law
+
+
 def add_set(parser):
     """Add the option of other numbers, to be put in place by ``with_numbers``."""
     parser.add_argument('--set', type=assignment, action='append', default=[],

@@ -22,12 +22,14 @@ import sys
 import warnings
 
 from .command import (
-    add_scene, add_set, add_torque, checked_torques, Command, FAILED, mapping, positive,
-    require_free, UsageError, with_numbers)
+    add_motion, add_scene, add_set, add_torque, checked_torques, Command, FAILED, mapping,
+    positive, require_free, UsageError, with_numbers)
 from ..integration.registry import ADAPTIVE, AUTO, INTEGRATORS, STABILISATIONS
+from ..mechanism.fields import FieldError
 from ..recording.run import columns, ErrorEstimate, Report, run
 from ..simulation.errors import InaccuracyWarning, SimulationError
 from ..simulation.monitor import energy_in_words
+from ..simulation.motions import moving
 from ..simulation.rollout_run import TIME_ROUNDING
 from ..simulation.scene import load_scene
 from ..simulation.scene_records import FORMULATIONS
@@ -47,6 +49,7 @@ def _add_arguments(parser):
     run_options.add_argument('--duration', type=positive, default=2.0, metavar='SECONDS',
                              help='simulated time (default: 2)')
     add_torque(run_options)
+    add_motion(run_options)
     add_set(run_options)
     run_options.add_argument('--output', metavar='FILE',
                              help='where to write a row of numbers for each instant, as CSV; - '
@@ -119,14 +122,14 @@ def _run(arguments):
 
 def _prepared(arguments):
     """Return the simulation, compiled, and the torques; errors here are the user's."""
-    torque = mapping(arguments.torque, '--torque')
+    torque, motion = mapping(arguments.torque, '--torque'), mapping(arguments.motion, '--motion')
     if arguments.accuracy is not None:
         if arguments.integrator is not None:
             raise UsageError('--accuracy: expected it without --integrator, got both')
         arguments.integrator = AUTO
     with announced(COMPILING):
         simulation = checked_torques(arguments, lambda: Simulation.from_scene(
-            with_numbers(load_scene(arguments.scene), arguments),
+            _moved(with_numbers(load_scene(arguments.scene), arguments), motion),
             step_size=arguments.step_size, integrator=arguments.integrator,
             stabilisation=arguments.stabilisation, formulation=arguments.formulation,
             tolerance=arguments.tolerance, accuracy=arguments.accuracy), torque)
@@ -134,6 +137,14 @@ def _prepared(arguments):
             require_free(arguments, Path(arguments.output))
         simulation.warm_up()
     return simulation, torque
+
+
+def _moved(scene, motion):
+    """Return a scene with the motions of the command line; what is wrong with them is told."""
+    try:
+        return moving(scene, motion)
+    except FieldError as error:
+        raise UsageError(f'--{error}') from None
 
 
 @contextmanager
@@ -214,17 +225,20 @@ Columns of the output: time, position.JOINT, velocity.JOINT, acceleration.JOINT
 and effort.JOINT of every joint; force.CUT.x and force.CUT.y of every cut joint
 (and force.CUT.torque of a fixed or prismatic one), which body B exerts on
 body A, in world axes; with --forces all force.JOINT.x, .y and .torque of all
-joints of the tree, too, which the parent exerts on the child; point.NAME.x and
-point.NAME.y of every named point; closure, the largest error of the loops;
-energy, kinetic and potential. In space force.CUT and force.JOINT have .z, and
-.torque_x, .torque_y and .torque_z for .torque, point.NAME has .z. SI units
-and radians; numbers with all their digits. An existing file is not replaced
-unless asked for. Ctrl-C leaves all rows so far.
+joints of the tree, too, which the parent exerts on the child;
+motion.NAME.force and .power of every prescribed motion, NAME being that of the
+effect (motion_JOINT of --motion JOINT=...), and the force that of effort.JOINT;
+point.NAME.x and point.NAME.y of every named point; closure, the largest error
+of the loops; energy, kinetic and potential. In space force.CUT and force.JOINT
+have .z, and .torque_x, .torque_y and .torque_z for .torque, point.NAME has .z.
+SI units and radians; numbers with all their digits. An existing file is not
+replaced unless asked for. Ctrl-C leaves all rows so far.
 """,
     epilog="""\
 examples:
   closedloop simulate three_rrr
   closedloop simulate three_rrr --torque theta_1=5 --torque theta_6=-3 --output run.csv
+  closedloop simulate carpet_scraper --motion theta_1=4.7124*t --output run.csv
   closedloop simulate four_bar --set mechanism.bodies.crank.mass=2
   closedloop simulate carpet_scraper --duration 600 --step-size 5e-4 --rate 10 --output long.csv
 """,

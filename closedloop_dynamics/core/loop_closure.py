@@ -18,9 +18,9 @@ from .codegen.function_table import run_piece
 from .codegen.space import JOINT_POSITION, JOINT_RATE
 from .compiled import inlined
 from .types import (
-    BODY_A, BODY_B, CUT_COUPLING, CUT_TYPE, EQUATIONS, FACTORS, HELD_SUM, LEVER, NO_RESPONSES,
-    PARENT, PATH_A, PATH_B, PATH_COMMON, PATH_END, POSITION, PRISMATIC, RATE, REDUCE,
-    REDUCE_COUPLED, REDUCED, RHS, ROW, ROWS, TYPE)
+    BODY_A, BODY_B, CUT_COUPLING, CUT_TYPE, EQUATIONS, FACTORS, HELD_SUM, LEVER, MOTION_COLUMNS,
+    NO_RESPONSES, PARENT, PATH_A, PATH_B, PATH_COMMON, PATH_END, POSITION, PRESCRIBED_JOINT,
+    PRISMATIC, RATE, REDUCE, REDUCE_COUPLED, REDUCED, RHS, ROW, ROWS, TYPE)
 
 
 @inlined
@@ -71,7 +71,7 @@ def respond(model, work, stage, a, row):
 
     """
     cut, wrench, size = model.cut, work.wrench, work.wrench.shape[1]
-    if cut[a, CUT_TYPE] == CUT_COUPLING:
+    if cut[a, CUT_TYPE] == CUT_COUPLING or cut[a, CUT_TYPE] == PRESCRIBED_JOINT:
         _respond_in_joints(model, work, stage, a, row)
         return
     place = row * (3 + 2 * size) + 3
@@ -134,7 +134,7 @@ def measure(model, work, a):
 
     """
     cut, body = model.cut, work.body
-    if cut[a, CUT_TYPE] == CUT_COUPLING:
+    if cut[a, CUT_TYPE] == CUT_COUPLING or cut[a, CUT_TYPE] == PRESCRIBED_JOINT:
         planar = work.wrench.shape[1] == 3
         position, speed = (POSITION, RATE) if planar else (JOINT_POSITION, JOINT_RATE)
         value, rate = -model.cut_point[a, HELD_SUM], 0.0
@@ -144,6 +144,10 @@ def measure(model, work, a):
                 value += factor * body[model.path_body[entry], position]
                 rate += factor * body[model.path_body[entry], speed]
         work.equation[0], work.equation[1], work.equation[2] = value, rate, 0.0
+        if cut[a, CUT_TYPE] == PRESCRIBED_JOINT:
+            for n in range(MOTION_COLUMNS):
+                work.equation[n] -= model.cut_point[
+                    a, model.cut_point.shape[1] - MOTION_COLUMNS + n]
         return
     run_piece(work.cut_piece[a, EQUATIONS], model.cut_point, a, body, cut[a, BODY_A],
               body, cut[a, BODY_B], work.equation, 0, work.share, 0)

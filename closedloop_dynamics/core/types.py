@@ -96,20 +96,26 @@ JOINT_COLUMNS = 3
 # the ones that both paths share; CUT_NUMBER: its place in the user's order. In
 # space, POSSIBLE: the bits of the equations of its type that do not always hold; KEPT: of those
 # among them that the elimination works on, as others repeat them. LENGTHS: how many of the first
-# equations hold points, in metres; one at least, but of a coupling in the plane none.
+# equations hold points, in metres; one at least, but in the plane none of a coupling or
+# of a joint's prescribed motion.
 (CUT_TYPE, BODY_A, BODY_B, ROWS, CUT_ROW, ROW, PATH_A, PATH_B, PATH_COMMON, PATH_END,
  CUT_NUMBER, KEPT, POSSIBLE, LENGTHS) = range(14)
 CUT_COLUMNS = 14
 # Values of CUT_TYPE; the numbers are those of ``space.CUT_TYPES``.
 CUT_REVOLUTE, CUT_PRISMATIC, CUT_FIXED = range(3)
 CUT_DISTANCE, CUT_POINT_ON_LINE, CUT_COUPLING = 8, 9, 11
+# Prescribed motions: a joint's coordinate, like a coupling with one factor, and the place of a
+# point of body A along an axis of body B, which is the ground.
+PRESCRIBED_JOINT, PRESCRIBED_PLACE = 12, 13
 # Model.cut_point, one row a cut joint: the cut point in both bodies' frames, the angle, or the
 # length of a rod. Of a coupling, in the plane and in space, the sum that it holds, and from
-# FACTORS on the factor of each path entry's coordinate: there may be more columns.
+# FACTORS on the factor of each path entry's coordinate: there may be more columns. Where motions
+# are prescribed the last three are what their position, rate and acceleration are to be.
 A_X, A_Y, B_X, B_Y, CUT_ANGLE = range(5)
 CUT_LENGTH = CUT_ANGLE
 CUT_POINT_COLUMNS = 5
 HELD_SUM, FACTORS = 0, 1
+MOTION_COLUMNS = 3
 
 # Workspace.health.
 # The smallest pivot relative to the largest diagonal entry of its cut point (the squared sine of

@@ -22,6 +22,7 @@ the next begins (``integration.breaks``). With a period the chain begins anew ag
 
 """
 
+from functools import partial
 import math
 
 import numpy as np
@@ -46,7 +47,7 @@ INTERPOLATIONS = ('linear', 'cubic', 'step')
 SAME_TIME = 1e-12
 
 
-def require_keys(record):
+def require_keys(record, shapes=SHAPES):
     """
     Refuse keys that the shape of a course does not have, and miss those that it needs.
 
@@ -54,19 +55,21 @@ def require_keys(record):
     ----------
     record : object
         With the keys of all shapes as attributes, None where not given.
+    shapes : dict of str to pair of tuples of str
+        Required and optional keys by shape.
 
     Raises
     ------
     FieldError
 
     """
-    required, optional = SHAPES[record.shape]
+    required, optional = shapes[record.shape]
     for key in required:
         if getattr(record, key) is None:
             raise FieldError(f'this required key of shape: {record.shape}', 'none', path=(key,))
-    for key in {key: 0 for lists in SHAPES.values() for keys in lists for key in keys}:
+    for key in {key: 0 for lists in shapes.values() for keys in lists for key in keys}:
         if key not in required + optional and getattr(record, key) is not None:
-            of = ', '.join(shape for shape, keys in SHAPES.items() if key in keys[0] + keys[1])
+            of = ', '.join(shape for shape, keys in shapes.items() if key in keys[0] + keys[1])
             raise FieldError(f'this key only with shape: {of}', shown(getattr(record, key)),
                              f'remove it, as the shape is {record.shape}', (key,))
 
@@ -96,25 +99,36 @@ def pieces(record):
                  2.0 * math.pi * record.frequency, record.phase or 0.0),)
     if record.shape == 'table':
         return _of_table(record)
-    return _ramps(record)
+    return ramps(record, record.offset or 0.0, partial(ramp, shape=record.shape))
 
 
 def _piece(start, level, slope=0.0):
     return (start, level, slope, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
-def _ramps(record):
-    """Return the pieces of a rise, a rest on top where there is one, and a fall."""
-    low = record.offset or 0.0
+def ramps(record, low, ramp):
+    """
+    Return the pieces of a rise, a rest on top where there is one, and a fall.
+
+    Parameters
+    ----------
+    record : object
+        With the keys of a trapezoid or cycloid.
+    low : float
+        Where it rises from.
+    ramp : callable
+        Returns the pieces of a rise, of its start, duration, level and height.
+
+    """
     fall = record.rise if record.fall is None else record.fall
     found, now = [_piece(0.0, low)], record.start or 0.0
     top = low + record.amplitude
-    found += _ramp(now, record.rise, low, record.amplitude, record.shape)
+    found += ramp(now, record.rise, low, record.amplitude)
     now += record.rise
     found.append(_piece(now, top))
     if record.hold is not None:
         now += record.hold
-        found += _ramp(now, fall, top, -record.amplitude, record.shape)
+        found += ramp(now, fall, top, -record.amplitude)
         now += fall
         found.append(_piece(now, low))
     elif record.fall is not None:
@@ -128,8 +142,8 @@ def _ramps(record):
     return _without_empty(found, record.period)
 
 
-def _ramp(start, duration, level, height, shape):
-    """Return a ramp as a list of one piece, or of none where it takes no time."""
+def ramp(start, duration, level, height, shape):
+    """Return a trapezoid's or cycloid's ramp: one piece, or none where it takes no time."""
     if duration == 0.0:
         return []
     wave = (0.0, 0.0, 0.0) if shape == 'trapezoid' else (
@@ -137,8 +151,15 @@ def _ramp(start, duration, level, height, shape):
     return [(start, level, height / duration, 0.0, 0.0, *wave)]
 
 
-def _of_table(record):
-    """Return the pieces between the rows of a table; before and after it the ends hold."""
+def require_table(record):
+    """
+    Return times and values of a table and its period, or refuse what is no table.
+
+    Raises
+    ------
+    FieldError
+
+    """
     times, values, period = np.array(record.times), np.array(record.values), record.period
     if len(times) < 2:
         raise FieldError('two times or more', f'{len(times)}', path=('times',))
@@ -149,14 +170,25 @@ def _of_table(record):
         if not one < other:
             raise FieldError(f'times that grow (more than {one:g})', f'{other:g}',
                              path=('times', index + 1))
+    if period is not None and (times[0] != 0.0 or abs(times[-1] - period) > SAME_TIME * period):
+        raise FieldError(f'times from 0 to the period of {period:g} s',
+                         f'{times[0]:g} to {times[-1]:g}', path=('times',))
+    return times, values, period
+
+
+def require_closed(values):
+    """Refuse a periodic spline through a table that does not end where it begins."""
+    if values[0] != values[-1]:
+        raise FieldError(f'the first value ({values[0]:g}) again at the end of the period',
+                         f'{values[-1]:g}', path=('values', len(values) - 1))
+
+
+def _of_table(record):
+    """Return the pieces between the rows of a table; before and after it the ends hold."""
+    times, values, period = require_table(record)
     kind = record.interpolation or 'linear'
-    if period is not None:
-        if times[0] != 0.0 or abs(times[-1] - period) > SAME_TIME * period:
-            raise FieldError(f'times from 0 to the period of {period:g} s',
-                             f'{times[0]:g} to {times[-1]:g}', path=('times',))
-        if kind == 'cubic' and values[0] != values[-1]:
-            raise FieldError(f'the first value ({values[0]:g}) again at the end of the period',
-                             f'{values[-1]:g}', path=('values', len(values) - 1))
+    if period is not None and kind == 'cubic':
+        require_closed(values)
     # Before the table, wherever that begins.
     rows = [_piece(times[0] - 1.0, values[0])] if period is None else []
     if kind == 'cubic':
@@ -202,6 +234,20 @@ def present(found, period, time):
 
 
 @inlined
+def _present(table, row, period):
+    """Return where the present piece of a course is among the data, and the time since then."""
+    data, state, count = table.data, table.index[row, STATE], table.index[row, ENTRIES]
+    # A float that is whole, but for the differences that stiff methods take.
+    piece = int(math.floor(table.states[state + 1] + 0.5))
+    time, cycle = table.states[state], 0
+    if period > 0.0:
+        cycle = piece // count
+        time -= cycle * period
+    at = table.index[row, DATA] + COLUMNS * (piece - cycle * count)
+    return at, time - data[at]
+
+
+@inlined
 def value(table, row, period):
     """
     Return the value of a course at the time in the effect's first state.
@@ -216,19 +262,26 @@ def value(table, row, period):
         [s]; zero without.
 
     """
-    data, state, count = table.data, table.index[row, STATE], table.index[row, ENTRIES]
-    # A float that is whole, but for the differences that stiff methods take.
-    piece = int(math.floor(table.states[state + 1] + 0.5))
-    time, cycle = table.states[state], 0
-    if period > 0.0:
-        cycle = piece // count
-        time -= cycle * period
-    at = table.index[row, DATA] + COLUMNS * (piece - cycle * count)
-    u = time - data[at]
+    data = table.data
+    at, u = _present(table, row, period)
     y = data[at + 1] + u * (data[at + 2] + u * (data[at + 3] + u * data[at + 4]))
     if data[at + 5] != 0.0:
         y += data[at + 5] * math.sin(data[at + 6] * u + data[at + 7])
     return y
+
+
+@inlined
+def derivatives(table, row, period):
+    """Return the first and the second derivative by the time; as for ``value``."""
+    data = table.data
+    at, u = _present(table, row, period)
+    rate = data[at + 2] + u * (2.0 * data[at + 3] + 3.0 * u * data[at + 4])
+    change = 2.0 * data[at + 3] + 6.0 * u * data[at + 4]
+    if data[at + 5] != 0.0:
+        turning, angle = data[at + 6], data[at + 6] * u + data[at + 7]
+        rate += data[at + 5] * turning * math.cos(angle)
+        change -= data[at + 5] * turning * turning * math.sin(angle)
+    return rate, change
 
 
 @inlined

@@ -21,12 +21,13 @@ A new law is one branch of ``apply``. Only listed effects are visited.
 
 from . import (
     actuator, body_contact, bushing, cable, contact, end_stop, external_force, force_table,
-    joint_damping, joint_friction, joint_spring, point_spring, prescribed_force)
+    joint_damping, joint_friction, joint_spring, point_spring, prescribed_force, prescribed_motion)
 from .table import (
     ACTUATOR, BUSHING, CABLE, CIRCLE_CONTACT, CONTACT, CURVE_CONTACT, END_STOP, EXTERNAL_FORCE,
     JOINT_DAMPING, JOINT_FORCE_TABLE, JOINT_FRICTION, JOINT_SPRING, LINE_CONTACT,
-    POINT_FORCE_TABLE, POINT_SPRING, PRESCRIBED_FORCE, PRESCRIBED_TORQUE, SPATIAL_BUSHING,
-    SPATIAL_CABLE, SPATIAL_CONTACT, SPATIAL_FORCE, SPATIAL_POINT_SPRING, SPATIAL_PRESCRIBED_FORCE)
+    POINT_FORCE_TABLE, POINT_SPRING, PRESCRIBED_FORCE, PRESCRIBED_MOTION, PRESCRIBED_TORQUE,
+    SPATIAL_BUSHING, SPATIAL_CABLE, SPATIAL_CONTACT, SPATIAL_FORCE, SPATIAL_POINT_SPRING,
+    SPATIAL_PRESCRIBED_FORCE)
 from ..core.compiled import compiled
 
 
@@ -113,3 +114,12 @@ def _apply_element(data, table, row, body, q, qd):
             bushing.apply_in_space(table, row, body)
         elif kind == SPATIAL_CABLE:
             cable.apply_in_space(table, row, body)
+        elif kind == PRESCRIBED_MOTION:
+            _apply_motion(table.motions, table, row)
+
+
+@compiled
+def _apply_motion(motions, table, row):
+    """Follow a prescribed motion, where a scene lists any: ``motions`` is None where not."""
+    if motions is not None:
+        prescribed_motion.apply(table, row)

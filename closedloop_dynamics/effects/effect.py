@@ -30,12 +30,17 @@ class Machine:
     placements : dict of str to Placement, optional
         Where the bodies' frames are in those of their rows, in space; in the plane they are the
         same.
+    motions : dict of Motion to tuple, optional
+        By the equation of a prescribed motion, without its name: its row of ``Model.cut``, its
+        place among the multipliers, the first of its right-hand sides in ``Model.cut_point``, and
+        where the scene starts [rad; m].
 
     """
 
-    def __init__(self, mechanism, rows, placements=None):
+    def __init__(self, mechanism, rows, placements=None, motions=None):
         """Collect the names."""
         self.mechanism, self._rows, self._placements = mechanism, rows, placements
+        self._motions = motions
         self._joints = {joint.name: joint for joint in mechanism.joints}
         self._points = {point.name: point for point in mechanism.points}
 
@@ -46,6 +51,10 @@ class Machine:
     def description(self, name):
         """Return a joint as the mechanism has it."""
         return self._joints[name]
+
+    def motion(self, equation):
+        """Return what is told above of a prescribed motion."""
+        return self._motions[equation]
 
     def joint_row(self, name):
         """Return the row of the body that a joint carries."""
@@ -132,6 +141,8 @@ class Effect:
     # direction in which the joint slides (``integration.stick_slip``), or where its course over
     # time has corners (``integration.breaks``).
     ENDS_STEPS = False
+    # Whether the effect exerts in its joint what a drive would be told to.
+    COMMANDS = False
     # Files that a scene may name: key -> the fields that take their columns.
     FILES = {}
 
@@ -199,6 +210,22 @@ class Effect:
         -------
         tuple of str and float, or None
             Name; [s]. None where no command does.
+
+        """
+
+    def motion(self, key):
+        """
+        Return the closure equation of an effect that prescribes a motion.
+
+        Parameters
+        ----------
+        key : str
+            The effect's, after which the equation is named.
+
+        Returns
+        -------
+        mechanism.Motion or None
+            None where nothing is prescribed.
 
         """
 

@@ -34,15 +34,21 @@ from ..mechanism.fields import at, FieldError, keys_of, mapping
 
 def require_one_drive_each(records):
     """
-    Refuse two drives of one joint, of which each would replace the command.
+    Refuse two drives of one joint, of which each would replace the command or the motion.
 
     Raises
     ------
     FieldError
 
     """
-    drives = {}
+    drives, moved = {}, {}
     for name, record in records.items():
+        motion = record.motion('')
+        if motion is not None:
+            other = moved.setdefault(motion, name)
+            if other != name:
+                raise FieldError('one motion for each joint or point',
+                                 f'a second one of what {other!r} moves', path=(name,))
         if record.drive() is not None:
             joint, _ = record.drive()
             other = drives.setdefault(joint, name)
@@ -50,6 +56,14 @@ def require_one_drive_each(records):
                 raise FieldError('one drive for each joint',
                                  f'a second one for {joint!r}, which {other!r} drives',
                                  path=(name, 'joint'))
+    by_joint = {motion.freedom: name for motion, name in moved.items() if motion.freedom}
+    for name, record in records.items():
+        joint = getattr(record, 'joint', None)
+        if joint in by_joint and (record.drive() is not None or record.COMMANDS):
+            raise FieldError(
+                'a motion or a torque of a joint, not both',
+                f'a torque of {joint!r}, whose motion {by_joint[joint]!r} prescribes',
+                'remove one of them', (name, 'joint'))
 
 
 class EffectSet:

@@ -145,6 +145,11 @@ class PrescribedForce(Effect):
             return (expression.program(self.expression),)
 
     @property
+    def COMMANDS(self):  # noqa: N802
+        """Whether a joint is pushed."""
+        return self.joint is not None
+
+    @property
     def ENDS_STEPS(self):  # noqa: N802
         """Whether the course has corners."""
         return len(self._data) > 1 or self.period is not None

@@ -36,6 +36,7 @@ from .joint_spring import JointSpring
 from .payload import Payload
 from .point_spring import PointSpring
 from .prescribed_force import PrescribedForce
+from .prescribed_motion import PrescribedMotion
 from .rotor import Rotor
 from .sensor import Sensor
 
@@ -55,6 +56,7 @@ EFFECTS = {
     'payload': Payload,
     'point_spring': PointSpring,
     'prescribed_force': PrescribedForce,
+    'prescribed_motion': PrescribedMotion,
     'rotor': Rotor,
     'sensor': Sensor,
 }

@@ -30,7 +30,7 @@ import numpy as np
  ACTUATOR, SPATIAL_POINT_SPRING, SPATIAL_FORCE, SPATIAL_CONTACT, PRESCRIBED_TORQUE,
  PRESCRIBED_FORCE, JOINT_FORCE_TABLE, POINT_FORCE_TABLE, BUSHING, CABLE, LINE_CONTACT,
  CIRCLE_CONTACT, CURVE_CONTACT, SPATIAL_PRESCRIBED_FORCE, SPATIAL_BUSHING,
- SPATIAL_CABLE) = range(23)
+ SPATIAL_CABLE, PRESCRIBED_MOTION) = range(24)
 # Columns of EffectTable.index: first own state; joint (its place in q) or the row of the body
 # that carries the first point; the row of the second point's body, or of the joint's; whether the
 # law wants the reaction in its joint, as its second state; where its numbers begin among those of
@@ -63,7 +63,7 @@ class State(NamedTuple):
 class ForceElement(NamedTuple):
     """One effect as a row of the table."""
 
-    kind: int  # ``JOINT_DAMPING`` to ``SPATIAL_CABLE``
+    kind: int  # ``JOINT_DAMPING`` to ``PRESCRIBED_MOTION``
     index: Tuple[int, ...]  # FIRST and SECOND, as far as the law reads them
     values: Tuple[float, ...]  # Parameters, in the order the law reads them
     states: Tuple[State, ...] = ()  # In the order the law reads and writes them
@@ -133,9 +133,11 @@ class EffectTable(NamedTuple):
     data: Optional[np.ndarray]
     # None where no effect is a contact.
     contacts: Optional[Contacts]
+    # ``Model.cut_point``, whose rows the prescribed motions are set in; None where there are none.
+    motions: Optional[np.ndarray] = None
 
 
-def build_table(elements, tau, bodies, equations, spatial=False):
+def build_table(elements, tau, bodies, equations, spatial=False, cut_point=None):
     """
     Allocate the table of the listed effects.
 
@@ -151,6 +153,8 @@ def build_table(elements, tau, bodies, equations, spatial=False):
         Number of closure equations.
     spatial : bool
         Whether the mechanism is one in space.
+    cut_point : ndarray, optional
+        Of the ``Model``.
 
     """
     count, most = len(elements), sum(element.sticks for element in elements)
@@ -178,7 +182,9 @@ def build_table(elements, tau, bodies, equations, spatial=False):
         contacts=Contacts(
             rows=np.array([row for row, element in enumerate(elements) if element.touches]),
             gap=np.zeros((count, 4)), mode=np.zeros(count, dtype=np.int64)) if any(
-                element.touches for element in elements) else None)
+                element.touches for element in elements) else None,
+        motions=cut_point if any(
+            element.kind == PRESCRIBED_MOTION for element in elements) else None)
     first = begin = 0
     for row, element in enumerate(elements):
         table.index[row, [STATE, DATA]] = first, begin

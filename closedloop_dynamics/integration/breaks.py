@@ -26,7 +26,7 @@ from ..core.compiled import compiled, inlined
 from ..core.manifold import rates_begin
 from ..effects.course import end_of_piece, SAME_TIME
 from ..effects.table import (
-    PRESCRIBED_FORCE, PRESCRIBED_TORQUE, SPATIAL_PRESCRIBED_FORCE, STATE)
+    PRESCRIBED_FORCE, PRESCRIBED_MOTION, PRESCRIBED_TORQUE, SPATIAL_PRESCRIBED_FORCE, STATE)
 
 
 @inlined
@@ -42,7 +42,8 @@ def _of_time(effects, row):
     kind = effects.kind[row]
     return effects.enabled[row] == 1 and (
         kind == PRESCRIBED_TORQUE or kind == PRESCRIBED_FORCE
-        or kind == SPATIAL_PRESCRIBED_FORCE)
+        or kind == SPATIAL_PRESCRIBED_FORCE
+        or (kind == PRESCRIBED_MOTION and effects.values[row, 1] == 0.0))
 
 
 # As in ``system``: numba drops the branches below for data that are None.

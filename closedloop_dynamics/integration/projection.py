@@ -17,7 +17,7 @@
 import numpy as np
 
 from .registry import INDEPENDENT, PROJECTION, VELOCITY
-from .system import CLOSURE_LIMIT, CLOSURE_TOLERANCE
+from .system import CLOSURE_LIMIT, CLOSURE_TOLERANCE, follow_motions
 from ..core import (
     articulated_inertia, elimination, forward_dynamics, independent, kinematics, loop_closure,
     rank_revealing, refinement)
@@ -210,6 +210,7 @@ def stabilise(system, stabilisation, state):
     normalise(system.manifold, state, 1)
     if stabilisation < VELOCITY:
         return True
+    follow_motions(system.effects, state, nq + nv)
     if stabilisation == INDEPENDENT:
         return independent.close_and_choose(
             system.partition, system.model, system.work, state[:nq], state[nq:nq + nv],

@@ -33,7 +33,7 @@ from ..core.manifold import (
     rates_of_coordinates)
 from ..core.types import Model, Workspace
 from ..core.workspace import unconnected
-from ..effects import dispatch, joint_reaction, sticking
+from ..effects import dispatch, joint_reaction, prescribed_motion, sticking
 from ..effects.table import build_table, EffectTable
 
 # Columns of System.settings: which formulation, Baumgarte's decay rate [1/s] (0: none), the
@@ -146,7 +146,7 @@ def build_system(model, formulation=SUBSYSTEM, baumgarte=0.0, extent=1.0, indepe
         formulation, baumgarte, 1e-12 * extent, 1e-5 * extent, rank_revealing.ASIDE])
     tau = np.zeros(nv)
     effects = None if len(elements) == 0 else build_table(
-        elements, tau, nv, nc, space.is_spatial(model))
+        elements, tau, nv, nc, space.is_spatial(model), model.cut_point)
     system = System(
         model=model, work=unconnected(model),
         dense=None if formulation == SUBSYSTEM else allocate_dense(model, formulation),
@@ -507,12 +507,47 @@ def _hold(effects, system, q, qd):
     sticking.balance(effects, system.qdd, system.lam)
 
 
+@compiled
+def _tell_motions(motions, effects, lam):
+    """Tell the forces of prescribed motions, where a scene lists any."""
+    if motions is not None:
+        prescribed_motion.tell(effects, lam)
+
+
+@inlined
+def follow_motions(effects, state, first):
+    """
+    Set the right-hand sides of prescribed motions to the time of a state.
+
+    Parameters
+    ----------
+    effects : EffectTable or None
+        Of the system.
+    state : ndarray, shape (ns,)
+        Coordinates, rates, and what effects add.
+    first : int
+        Place of the first of these: nq + nv.
+
+    """
+    if effects is not None:
+        _follow_motions(effects.motions, effects, state, first)
+
+
+@compiled
+def _follow_motions(motions, effects, state, first):
+    """Set right-hand sides, where a scene lists prescribed motions."""
+    if motions is not None:
+        take_states(effects, state, first)
+        prescribed_motion.follow_all(effects)
+
+
 @inlined
 def _complete(effects, system, q, qd):
-    """Add what depends on the accelerations: friction at rest, reactions in joints."""
+    """Add what depends on the accelerations: friction at rest, forces, reactions in joints."""
     if effects is not None:
         if effects.sticking.rows[0] > 0:
             _hold(effects, system, q, qd)
+        _tell_motions(effects.motions, effects, system.lam)
         _feel_reactions(effects, system, q, qd)
 
 

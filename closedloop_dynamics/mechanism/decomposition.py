@@ -89,7 +89,16 @@ def decompose(mechanism):
         tuple(_Joint(joint.name, joint.parent, joint.child) for joint in mechanism.joints),
         cuts + tuple(
             _Cut(one.name, tuple(body for joint in moved if joint.name in one.joints
-                                 for body in joint.bodies)) for one in mechanism.couplings))
+                                 for body in joint.bodies)) for one in mechanism.couplings)
+        + tuple(_Cut(one.name, (moved_body(mechanism, one),)) for one in mechanism.motions))
+
+
+def moved_body(mechanism, motion):
+    """Return the name of the body whose joint, or whose point, moves as prescribed."""
+    if motion.freedom is None:
+        return next(each.body for each in mechanism.points if each.name == motion.point)
+    joint = mechanism.coordinates.joint_of(motion.freedom)
+    return next(each.child for each in mechanism.joints if each.name == joint)
 
 
 class _Joint(NamedTuple):

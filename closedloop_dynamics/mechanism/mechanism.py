@@ -233,6 +233,33 @@ class Coupling:
 
 
 @dataclass(frozen=True)
+class Motion:
+    """
+    An equation that lets a freedom, or a point, move as a function of the time.
+
+    An effect of the scene knows that function. The multiplier is the torque or force that it
+    takes.
+
+    Attributes
+    ----------
+    name : str
+        Of the effect.
+    freedom : str or None
+        As ``Coordinates.names`` has it.
+    point : str or None
+        Name of a point, where no freedom is given.
+    direction : tuple of 2 or 3 floats or None
+        Of length 1, in world axes, along which the point's place is given [m].
+
+    """
+
+    name: str
+    freedom: Optional[str] = None
+    point: Optional[str] = None
+    direction: Optional[Vector] = None
+
+
+@dataclass(frozen=True)
 class Point:
     """
     A named point on a body.
@@ -258,7 +285,8 @@ class Mechanism:
     A mechanism: bodies, spanning-tree joints, cut joints, named points.
 
     The order of ``joints`` is the order of the joint coordinates q (``coordinates``), that of
-    ``cut_joints``, then of ``couplings``, the order of the Lagrange multipliers.
+    ``cut_joints``, then of ``couplings``, then of ``motions``, the order of the Lagrange
+    multipliers. No file has ``motions``: a simulation adds those that its scene prescribes.
 
     ``parameters`` are the named numbers that a file's expressions were computed with, ``source``
     is what ``reader.with_parameters`` computes them with others from, ``tree`` tells which joints
@@ -276,6 +304,7 @@ class Mechanism:
     parameters: dict = field(default_factory=dict, compare=False, repr=False)
     source: Optional[tuple] = field(default=None, compare=False, repr=False)
     tree: Optional[object] = field(default=None, compare=False, repr=False)
+    motions: Tuple[Motion, ...] = ()
 
     # Set on what validation.checked returns; a copy with other values has not been checked.
     valid = False
@@ -293,7 +322,7 @@ class Mechanism:
     @cached_property
     def closures(self):
         """Return what holds the coordinates, in the order of the multipliers."""
-        return (*self.cut_joints, *self.couplings)
+        return (*self.cut_joints, *self.couplings, *self.motions)
 
     @cached_property
     def actuated_joints(self):
@@ -329,4 +358,5 @@ class Mechanism:
     def number_of_equations(self):
         """Return nc, the number of closure equations; in space with those that always hold."""
         equations = CUT_JOINT_EQUATIONS if self.planar else SPATIAL_CUT_JOINT_EQUATIONS
-        return sum(equations[cut.type] for cut in self.cut_joints) + len(self.couplings)
+        return (sum(equations[cut.type] for cut in self.cut_joints)
+                + len(self.couplings) + len(self.motions))

@@ -151,7 +151,7 @@ def with_kept(mechanism, joints):
 
 def _mechanism(data, given, orders=None):
     """Return the mechanism of plain data, or raise FieldError; with orders what to cut."""
-    mapping(data, *keys_of(Mechanism, leave_out=('source', 'tree')))
+    mapping(data, *keys_of(Mechanism, leave_out=('source', 'tree', 'motions')))
     parameters = Parameters.read(data.get('parameters'), given)
     with at('parameters'):
         for key, value in given.items():

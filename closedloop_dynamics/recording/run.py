@@ -100,6 +100,8 @@ def columns(simulation, all_forces=False):
     names += [f'coupling.{coupling.name}' for coupling in simulation.mechanism.couplings]
     names += [f'tooth_force.{simulation.mechanism.couplings[k].name}'
               for k in _toothed(simulation)]
+    names += [f'motion.{name}.{part}' for name in simulation.motion_names
+              for part in ('force', 'power')]
     if all_forces:
         parts = _force_parts(simulation)
         names += [f'force.{simulation.mechanism.joints[place].name}.{part}'
@@ -131,6 +133,9 @@ def row(simulation, seconds, all_forces=False):
         values += [wrench[place] for place in _force_parts(simulation, cut).values()]
     values += simulation.coupling_forces.tolist()
     values += simulation.tooth_forces[_toothed(simulation)].tolist()
+    for name in simulation.motion_names:
+        readings = simulation.effect_readings(name)
+        values += [readings['force'], readings['power']]
     if all_forces:
         places = list(_force_parts(simulation).values())
         values += simulation.joint_forces[_moving(simulation)][:, places].ravel().tolist()

@@ -69,6 +69,8 @@ class Assembler:
         self.extent = extent(mechanism)
         self._coordinates = mechanism.coordinates
         self.nv, self.nc = equations.nv, equations.nc
+        # Right-hand sides of the velocities: those of prescribed motions, behind all others.
+        self.prescribed_rates = np.zeros(len(mechanism.motions))
         self._light = any(body.inertia == 0.0 and not (body.mass and any(body.center_of_mass))
                           for body in mechanism.bodies)
 
@@ -145,18 +147,21 @@ class Assembler:
 
         """
         qd = np.array(guess, dtype=float)
-        if not qd.any():
+        if not (qd.any() or self.prescribed_rates.any()):
             return qd
         jac = self.jacobian(q)
-        if np.abs(jac @ qd).max(initial=0.0) <= TOLERANCE * self.extent * np.abs(qd).max():
+        wanted = np.zeros(len(jac))
+        wanted[len(jac) - len(self.prescribed_rates):] = self.prescribed_rates
+        if np.abs(jac @ qd - wanted).max(initial=0.0) <= (
+                TOLERANCE * self.extent * np.abs(qd).max()):
             # As they are, to the last digit.
             return self._continued(q, qd, jac, hold)
         free = self._free(hold)
         if len(hold) > 0:
             qd[free] = 0.0
-        rate = jac @ qd
+        rate = jac @ qd - wanted
         qd[free] -= _least_change(jac[:, free], rate, self._metric(q, free))
-        left = np.abs(jac @ qd).max(initial=0.0)
+        left = np.abs(jac @ qd - wanted).max(initial=0.0)
         scale = max(np.abs(qd).max(initial=0.0) * self.extent, np.abs(rate).max(initial=0.0))
         if left > 1e-9 * scale:
             raise AssemblyError(
@@ -470,7 +475,8 @@ class Assembler:
             gap = np.abs(psi[first:first + rows]).max(initial=0.0)
             first += rows
             if not gap <= TOLERANCE * self.extent:
-                section = 'cut_joints' if cut in self.mechanism.cut_joints else 'couplings'
+                section = ('cut_joints' if cut in self.mechanism.cut_joints else
+                           'couplings' if cut in self.mechanism.couplings else 'effects')
                 worst.append(f'{section}.{cut.name} open by {gap:.3g}')
         held = f' with {", ".join(hold)} held' if len(hold) > 0 else ''
         return (f'{self.mechanism.name} cannot be assembled from this position{held}: '

@@ -31,6 +31,10 @@ class ClosureError(SimulationError):
     """The loops cannot be held closed at this step."""
 
 
+class MotionError(ClosureError):
+    """A prescribed motion that the mechanism cannot follow any further."""
+
+
 class SingularityError(SimulationError):
     """The method cannot pass the singular configuration at hand."""
 

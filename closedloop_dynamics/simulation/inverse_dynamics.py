@@ -77,11 +77,13 @@ class InverseDynamics:
         first, last = (space.ACCELERATION, space.ACCELERATION + 3) if space.is_spatial(
             equations.model) else (t.AX, t.AY + 1)
         largest = np.abs(equations.work.body[:, first:last]).max()
-        part = np.abs(jac @ qdd + bias).max(initial=0.0)
+        # The motion that is given may be another one than is prescribed.
+        loops = len(jac) - len(self._mechanism.motions)
+        part = np.abs(jac[:loops] @ qdd + bias[:loops]).max(initial=0.0)
         # Beside its own size, what is left by rounding of the accelerations it is a difference of.
         noise = 1e-12 * largest
         if part > noise + 1e-8 * max(
-                np.abs(jac * qdd).max(initial=0.0), np.abs(bias).max(initial=0.0)):
+                np.abs(jac * qdd).max(initial=0.0), np.abs(bias[:loops]).max(initial=0.0)):
             raise SimulationError(
                 f'This acceleration opens the loops: the cut joints would separate at {part:.3g} '
                 'm/s^2. Give accelerations of all joints that belong together, such as those '

@@ -22,7 +22,8 @@ from ..core import types as t
 from ..mechanism.couplings import in_tree
 from ..mechanism.decomposition import decompose
 from ..mechanism.mechanism import (
-    Coupling, CUT_JOINT_EQUATIONS, DISTANCE, FIXED, GROUND, POINT_ON_LINE, PRISMATIC, REVOLUTE)
+    Coupling, CUT_JOINT_EQUATIONS, DISTANCE, FIXED, GROUND, Motion, POINT_ON_LINE, PRISMATIC,
+    REVOLUTE)
 
 _CUT_TYPES = {
     REVOLUTE: t.CUT_REVOLUTE, PRISMATIC: t.CUT_PRISMATIC, FIXED: t.CUT_FIXED,
@@ -91,19 +92,21 @@ def _cut_arrays(mechanism, decomposition, tree, body_row):
     child = {joint.name: joint.child for joint in mechanism.joints}
     first = 0
     user_first = np.cumsum([0] + [
-        1 if isinstance(c, Coupling) else CUT_JOINT_EQUATIONS[c.type] for c in mechanism.closures])
+        1 if isinstance(c, (Coupling, Motion)) else CUT_JOINT_EQUATIONS[c.type]
+        for c in mechanism.closures])
     for k, index in enumerate(decomposition.cut_order):
         joint = mechanism.closures[index]
-        if isinstance(joint, Coupling):
-            factors, offset = in_tree(mechanism, joint)
+        if isinstance(joint, Coupling) or getattr(joint, 'freedom', None) is not None:
+            kind, factors, offset = _sum_held(mechanism, joint)
             factors = {body_row[child[name]]: factor for name, factor in factors.items()}
             points.append(couple(cut[k], tree, factors, offset, entries))
             tree[[*factors], t.READ] = 1
             cut[k, [t.CUT_TYPE, t.ROWS, t.CUT_ROW, t.ROW, t.CUT_NUMBER]] = (
-                t.CUT_COUPLING, 1, user_first[index], first, index)
+                kind, 1, user_first[index], first, index)
             first += 1
             continue
-        a, b = body_row[joint.body_a], body_row[joint.body_b]
+        kind, rows, lengths, body_a, body_b, *numbers = _held(mechanism, joint)
+        a, b = body_row[body_a], body_row[body_b]
         path_a, path_b = path(tree, a), path(tree, b)
         shared = set(path_b)
         common = [row for row in path_a if row in shared]
@@ -112,18 +115,53 @@ def _cut_arrays(mechanism, decomposition, tree, body_row):
         start = len(entries)
         entries += own_a + own_b + common
         middle = start + len(own_a)
-        rows = CUT_JOINT_EQUATIONS[joint.type]
-        cut[k] = (_CUT_TYPES[joint.type], a, b, rows, user_first[index], first, start, middle,
-                  middle + len(own_b), len(entries), index, 0, 0, _LENGTHS.get(joint.type, 2))
-        points.append((*joint.point_a, *joint.point_b,
-                       joint.length if joint.type == DISTANCE else joint.angle))
+        cut[k] = (kind, a, b, rows, user_first[index], first, start, middle,
+                  middle + len(own_b), len(entries), index, 0, 0, lengths)
+        points.append(numbers)
         first += rows
-    return cut, filled(points, t.CUT_POINT_COLUMNS), np.array(entries, dtype=np.int64)
+    return (cut, filled(points, t.CUT_POINT_COLUMNS, mechanism.motions),
+            np.array(entries, dtype=np.int64))
 
 
-def filled(points, columns):
-    """Return rows of ``Model.cut_point`` of different lengths as an array, at least so wide."""
-    array = np.zeros((len(points), max([columns, *map(len, points)])))
+def _sum_held(mechanism, one):
+    """Return CUT_TYPE, factors by joint, and sum of a coupling or a joint's prescribed motion."""
+    if isinstance(one, Motion):
+        return t.PRESCRIBED_JOINT, {one.freedom: 1.0}, 0.0
+    return t.CUT_COUPLING, *in_tree(mechanism, one)
+
+
+def _held(mechanism, joint):
+    """Return CUT_TYPE, ROWS, LENGTHS, both bodies and a row of ``Model.cut_point``."""
+    if isinstance(joint, Motion):
+        point = next(each for each in mechanism.points if each.name == joint.point)
+        x, y = joint.direction
+        return (t.PRESCRIBED_PLACE, 1, 1, point.body, GROUND, *point.position, 0.0, 0.0,
+                math.atan2(y, x))
+    return (_CUT_TYPES[joint.type], CUT_JOINT_EQUATIONS[joint.type], _LENGTHS.get(joint.type, 2),
+            joint.body_a, joint.body_b, *joint.point_a, *joint.point_b,
+            joint.length if joint.type == DISTANCE else joint.angle)
+
+
+def filled(points, columns, motions=()):
+    """
+    Return rows of ``Model.cut_point`` of different lengths as an array.
+
+    Parameters
+    ----------
+    points : list of sequences of floats
+        The rows.
+    columns : int
+        It is at least so wide.
+    motions : sequence
+        Prescribed ones: where there are any, columns for their right-hand sides are added.
+
+    Returns
+    -------
+    ndarray, shape (number of rows, columns or more)
+
+    """
+    array = np.zeros((len(points), max([columns, *map(len, points)]) + (
+        t.MOTION_COLUMNS if motions else 0)))
     for row, values in zip(array, points):
         row[:len(values)] = values
     return array

@@ -21,12 +21,14 @@ import warnings
 import numpy as np
 
 from .assembly import angle_notes, Assembler
-from .errors import AssemblyError, ClosureError, NumericalError, SimulationError, StiffnessError
+from .errors import (
+    AssemblyError, ClosureError, MotionError, NumericalError, SimulationError, StiffnessError)
 from .guards import CLOSING, ClosureGuard, EnergyGuard, StiffnessGuard
 from .health import health_of
 from .inverse_dynamics import InverseDynamics
 from .modeling import body_rows, build_model, extent
 from .monitor import Monitor
+from .motions import Motions, moving, with_motions
 from .redundancy import find_redundancy
 from .rollout import rollout
 from .scene import load_scene
@@ -87,19 +89,22 @@ class Simulation:
     def __init__(self, scene):
         """Assemble the initial state, ready to move."""
         self.scene = scene
-        self.mechanism = scene.mechanism
+        self.mechanism = with_motions(scene)
         self.decomposition = decompose(self.mechanism)
-        self._geometry = None
+        self._geometry, self._time_base, self._steps = None, 0.0, 0
         if self.mechanism.planar:
             self._rows = body_rows(self.mechanism, self.decomposition)
             model = build_model(self.mechanism, decomposition=self.decomposition)
         else:
             self._geometry = SpatialGeometry(self.mechanism, self.decomposition)
+            self._prescribe(scene, self._geometry.model)
             self._geometry.leave_out_repeated(np.array(scene.initial.position))
             self._rows, model = self._geometry.rows, self._geometry.model
             self._require_methods_of_space(scene.method)
+        self._prescribe(scene, model)
         machine = Machine(self.mechanism, self._rows,
-                          None if self._geometry is None else self._geometry.placements)
+                          None if self._geometry is None else self._geometry.placements,
+                          self._motions.rows)
         self._effects = EffectSet(scene.effects, model, machine)
         method = scene.method
         baumgarte = 1.0 / method.time_constant if method.stabilisation == 'baumgarte' else 0.0
@@ -108,6 +113,7 @@ class Simulation:
             model, FORMULATIONS[method.formulation], baumgarte, size,
             method.stabilisation == 'independent', self._effects.elements)
         self._table = self._effects.bind(self.system)
+        self._motions.records = self._effects.records
         self._equations = Equations(model) if self._geometry is None else self._geometry.equations
         self._balance = EnergyBalance(self._effects)
         self.coordinates = self.mechanism.coordinates
@@ -120,9 +126,10 @@ class Simulation:
         self._points = {point.name: point for point in self.mechanism.points}
         self._initial = self._assembled(
             scene.initial.position, scene.initial.velocity, scene.initial.hold)
+        self._motions.require_independent(self._assembler, self._initial[0])
         if method.stabilisation == 'independent':
             self._assembler.require_independent(self._initial[0])
-        self._time_base, self._steps, self._fresh = 0.0, 0, False
+        self._fresh = False
         self._require_known_steps(method)
         self._driver = Monitor(build_driver(self.system, method), self.system, method)
         self._set_guards(StiffnessGuard(self.system, method, self._effects.own), method)
@@ -134,8 +141,19 @@ class Simulation:
         self.exchanges, self._revealed_before = 0, 0.0
         self.reset()
 
+    def _prescribe(self, scene, model):
+        """Look up the equations of prescribed motions in a model; let them start."""
+        self._motions = Motions(
+            scene, self.mechanism, model, None if self._geometry is None else self._geometry_place)
+        self._motions.follow(0.0)
+
+    def _geometry_place(self, name, position):
+        """Return the world place of a named point in space."""
+        point = next(each for each in self.mechanism.points if each.name == name)
+        return self._geometry.point(position, point.body, point.position)
+
     @classmethod
-    def from_scene(cls, scene, **method):
+    def from_scene(cls, scene, motion=None, **method):
         """
         Build a simulation from a scene.
 
@@ -143,6 +161,9 @@ class Simulation:
         ----------
         scene : str, pathlib.Path or scene.Scene
             A shipped scene's name, a scene file's path, or what was read already.
+        motion : mapping of str to str or PrescribedMotion, optional
+            Motions that are prescribed beside what the scene does: by joint, an expression in the
+            time ``t`` [rad; m], or an effect.
         **method
             Overrides of the scene's method, by the keys a scene has there (``integrator``,
             ``step_size``, ``stabilisation``, ``formulation``, ...); None leaves the scene's.
@@ -166,6 +187,7 @@ class Simulation:
         with at('method'):
             mapping(method, *keys_of(Method))
         scene = scene if isinstance(scene, Scene) else load_scene(scene)
+        scene = moving(scene, motion or {})
         overrides = {key: value for key, value in method.items() if value is not None}
         with at('method'):
             scene = replace(scene, method=replace(scene.method, **overrides))
@@ -195,6 +217,11 @@ class Simulation:
     def cut_joints(self):
         """Return the cut joints, in the order of the constraint forces."""
         return self.mechanism.cut_joints
+
+    @property
+    def motion_names(self):
+        """Names of the effects that prescribe motions, in the scene's order."""
+        return tuple(motion.name for motion in self.mechanism.motions)
 
     @property
     def step_size(self):
@@ -305,6 +332,9 @@ class Simulation:
         if self._effects.drives:
             self._evaluate()
             self._effects.efforts(tau)
+        for motion in self.mechanism.motions:
+            if motion.freedom is not None:
+                tau[self.coordinates.index[motion.freedom]] = self.motion_forces[motion.name]
         return tau
 
     @property
@@ -352,7 +382,22 @@ class Simulation:
 
         """
         lam = self._moved_equations().of_all(self.system.lam)
-        return lam[len(lam) - len(self.mechanism.couplings):].copy()
+        first = len(lam) - len(self.mechanism.couplings) - len(self.mechanism.motions)
+        return lam[first:first + len(self.mechanism.couplings)].copy()
+
+    @property
+    def motion_forces(self):
+        """
+        Torques and forces that the prescribed motions take, by the names of these effects.
+
+        In a joint what its drive exerts [N m; N], at a point the force along the direction [N];
+        ``effect_readings`` tells their power and work, too.
+
+        """
+        self._evaluate()
+        count = len(self.mechanism.motions)
+        return {motion.name: float(force) for motion, force in zip(
+            self.mechanism.motions, self.system.lam[len(self.system.lam) - count:])}
 
     @property
     def tooth_forces(self):
@@ -587,9 +632,20 @@ class Simulation:
         qd = np.zeros(nv) if velocity is None else vector('velocity', velocity, nv)
         # The assembler works in the same workspace, whether it succeeds or not.
         self._fresh = False
-        closed = self._assembler.positions(q, hold)
-        self._assembly = q, qd, closed, self._assembler.velocities(closed, qd, hold), hold
+        self._motions.begin(self._assembler, self.time, q, qd)
+        try:
+            self._assembly = self._closed(q, qd, hold)
+        except AssemblyError:
+            if not (self._motions and hold):
+                raise
+            # What is held may leave the motions no room.
+            self._assembly = self._closed(q, qd, ())
         return self._assembly[2:4]
+
+    def _closed(self, q, qd, hold):
+        """Return a guess, the state that closes the loops near it, and the joints held."""
+        closed = self._assembler.positions(q, hold)
+        return q, qd, closed, self._assembler.velocities(closed, qd, hold), hold
 
     def _taken(self, position):
         """Return joint coordinates as an array, quaternions of norm 1."""
@@ -627,7 +683,8 @@ class Simulation:
         list of str
 
         """
-        return angle_notes(self.mechanism, self.scene.initial.position) + self.assembly_notes()
+        return (angle_notes(self.mechanism, self.scene.initial.position) + self._motions.notes()
+                + self.assembly_notes())
 
     def degrees_of_freedom(self):
         """
@@ -669,7 +726,11 @@ class Simulation:
                 self._require_planar(f'{key}: {getattr(method, key)}')
 
     def _require_known_steps(self, method):
-        """Refuse solvers whose steps cannot be ended, where effects must end them."""
+        """Refuse solvers and coordinates that the effects leave no room for."""
+        if self._motions and method.stabilisation == 'independent':
+            raise SimulationError(
+                f'The scene prescribes motions ({", ".join(self.motion_names)}): '
+                'stabilisation: independent knows none. Take stabilisation: projection.')
         names = self._effects.ending_steps
         if names and INTEGRATORS[method.integrator].family == SCIPY:
             own = [name for name, one in INTEGRATORS.items() if one.family != SCIPY]
@@ -776,6 +837,8 @@ class Simulation:
                 portion = 1
             try:
                 self._advance_unguarded(size, portion)
+            except MotionError:
+                raise
             except SimulationError:
                 # What stopped it may be steps that cannot be stable.
                 self._stiffness.check(self._state, size)
@@ -859,6 +922,14 @@ class Simulation:
             self._steps += steps
             return
         self._time_base += elapsed
+        if status != DONE:
+            self._fresh = False
+            beyond = self._motions.advice_on_stopping(
+                self._assembler, self._q, self.time, self.step_size)
+            if beyond:
+                raise MotionError(
+                    f'The motion cannot go on at t = {self.time:.9g} s; the state before is kept. '
+                    f'{beyond}')
         if status == NOT_FINITE:
             raise NumericalError(
                 f'The state left the finite numbers at t = {self.time:.9g} s; the last finite '
@@ -902,6 +973,7 @@ class Simulation:
             return tau
         if hasattr(torque, 'items'):
             for name, value in torque.items():
+                self._require_unmoved(name)
                 if name not in self.actuated_joints:
                     raise ValueError(f'torque: expected actuated joints '
                                      f'({", ".join(self.actuated_joints)}), got {name!r}')
@@ -913,16 +985,30 @@ class Simulation:
                     f'torque: expected {len(self._actuated)} values, for '
                     f'{", ".join(self.actuated_joints)}; got shape {values.shape}')
             tau[self._actuated] = values
+            for place in np.flatnonzero(tau):
+                self._require_unmoved(self.joint_names[place])
         # The sum of squares is finite where all are, and quicker to tell; it may overflow alone.
         if not (math.isfinite(tau.dot(tau)) or np.isfinite(tau).all()):
             raise ValueError(f'torque: expected finite numbers, got {torque!r}')
         return tau
+
+    def _require_unmoved(self, name):
+        """Refuse a torque of a joint whose motion is prescribed."""
+        for motion in self.mechanism.motions:
+            if motion.freedom == name:
+                raise ValueError(f'torque: expected none of {name}, whose motion {motion.name} '
+                                 'prescribes; a joint has a motion or a torque, not both')
 
     def reset(self):
         """Return to the initial state, time zero and no torque."""
         if self.exchanges:
             self._exchange(self._geometry.as_at_first())
         self.exchanges, self._revealed_before = 0, 0.0
+        self._time_base, self._steps = 0.0, 0
+        if self._motions:
+            # They may have been changed since.
+            initial = self.scene.initial
+            self._initial = self._assembled(initial.position, initial.velocity, initial.hold)
         self._q[:], self._qd[:] = self._initial
         self._own[:] = self._effects.initial
         self._driver.rewind()
@@ -1306,6 +1392,8 @@ class Simulation:
     def _try_effect(self, name, enabled, parameters):
         """Change an effect, unless steps that can be stable now could not be with it."""
         effects = self._effects
+        self._motions.require_continued(
+            name, effects.checked(name, enabled, parameters), enabled, self.time)
         was = effects.records.get(name), effects.enabled.get(name)
         anew = effects.change(name, enabled, parameters)
         self._fresh = False

@@ -92,7 +92,8 @@ class SpatialGeometry:
         if self.model is not None:
             # Effects have changed these since.
             model = model._replace(
-                tree=self.model.tree, body=self.model.body, gravity=self.model.gravity)
+                tree=self.model.tree, body=self.model.body, gravity=self.model.gravity,
+                cut_point=self.model.cut_point)
         self.model, self.placements = model, built.placements
         self.equations = Equations(self.model)
 

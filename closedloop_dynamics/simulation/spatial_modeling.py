@@ -36,8 +36,8 @@ from ..core.codegen.vectors import is_zero
 from ..mechanism.decomposition import decompose
 from ..mechanism.mechanism import (
     Coupling, CUT_WITH_ORIENTATION, CYLINDRICAL, DISTANCE, FIXED, FREE, GROUND, HELICAL,
-    JOINT_FREEDOMS, MechanismError, PLANAR, POINT_ON_LINE, POINT_ON_PLANE, PRISMATIC, REVOLUTE,
-    SPHERICAL, UNIVERSAL)
+    JOINT_FREEDOMS, MechanismError, Motion, PLANAR, POINT_ON_LINE, POINT_ON_PLANE, PRISMATIC,
+    REVOLUTE, SPHERICAL, UNIVERSAL)
 
 # Of the size: errors of equations that no motion changes are rounding below this.
 NEVER_CLOSED = 1e-9
@@ -242,6 +242,9 @@ def _closures(mechanism, decomposition, tree, builder):
     entries, points = [], []
     for one, index, joint in zip(cut, decomposition.cut_order, closures):
         one[t.CUT_NUMBER] = index
+        if isinstance(joint, Motion):
+            points.append(_prescribed(mechanism, joint, one, tree, builder, entries))
+            continue
         if isinstance(joint, Coupling):
             one[t.CUT_TYPE] = space.COUPLING
             points.append(couple(one, tree, {
@@ -256,7 +259,24 @@ def _closures(mechanism, decomposition, tree, builder):
             cleared(a.place(joint.point_a)), cleared(b.place(joint.point_b)),
             frame_a.ravel(), frame_b.ravel(), [joint.length or joint.lead or 0.0]]))
         _pass(one, tree, entries)
-    return (cut, filled(points, space.CUT_POINT_COLUMNS), np.array(entries, dtype=np.int64))
+    return (cut, filled(points, space.CUT_POINT_COLUMNS, mechanism.motions),
+            np.array(entries, dtype=np.int64))
+
+
+def _prescribed(mechanism, motion, one, tree, builder, entries):
+    """Add the entries of a prescribed motion; return its row of ``Model.cut_point``."""
+    if motion.freedom is not None:
+        dof = mechanism.coordinates.index[motion.freedom]
+        one[t.CUT_TYPE] = t.PRESCRIBED_JOINT
+        return couple(one, tree, {int(np.flatnonzero(tree[1:, t.DOF] == dof)[0]) + 1: 1.0}, 0.0,
+                      entries)
+    point = next(each for each in mechanism.points if each.name == motion.point)
+    placed = builder.placements[point.body]
+    one[[t.CUT_TYPE, t.BODY_A]] = t.PRESCRIBED_PLACE, placed.row
+    _pass(one, tree, entries)
+    return np.concatenate([
+        cleared(placed.place(point.position)), np.zeros(3), _UNIT.ravel(),
+        _frame(np.array(motion.direction), np.zeros(3)).ravel()])
 
 
 def _keep(cut, kept):
@@ -324,7 +344,8 @@ def _possible(mechanism, tree, body, cut, point, entries):
     size = extent(mechanism)
     for a, one in enumerate(cut):
         # Bodies that are fixed to one another are one row of the tree.
-        joined = one[t.CUT_TYPE] != space.COUPLING and one[t.BODY_A] == one[t.BODY_B]
+        joined = one[t.CUT_TYPE] not in (t.CUT_COUPLING, t.PRESCRIBED_JOINT) and (
+            one[t.BODY_A] == one[t.BODY_B])
         fixed = [joined or isinstance(equation.value, float) or is_zero((equation.rate,))
                  for equation in symbolic.equations(model, a)]
         for always, equation in zip(fixed, somewhere.equations(model, a)):

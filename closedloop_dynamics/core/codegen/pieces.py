@@ -32,8 +32,8 @@ from .spatial import at_parent, Body, Recursion, rigid, shifted, Z
 from .vectors import add, cross, dot, is_zero, times, ZERO
 from ..types import (
     ACCELERATE, AXIS, BODY_STAGES, CARRY, COMPOSE, COUPLED_WORK_COLUMNS, CUT_TYPE, DINV, DZ,
-    ELIMINATE, ELIMINATE_MASSLESS, KEPT, LEVER, MEASURE, MOVE, NEWTON, PARENT, POSITION, RATE,
-    READ, REDUCE, REDUCE_COUPLED, RHS, SHIFT, TORQUE, TYPE)
+    ELIMINATE, ELIMINATE_MASSLESS, KEPT, LEVER, MEASURE, MOVE, NEWTON, PARENT, POSITION,
+    PRESCRIBED_PLACE, RATE, READ, REDUCE, REDUCE_COUPLED, RHS, SHIFT, TORQUE, TYPE)
 
 # Rows that a piece reads and writes: constants, the body, its parent (or body B of a cut joint),
 # and two more.
@@ -334,7 +334,9 @@ class _Cut:
     @staticmethod
     def kind(model, row):
         """Return what the code depends on, beside the structure of the constants."""
-        return tuple(model.cut[row, [CUT_TYPE, KEPT]].tolist())
+        # Right-hand sides of prescribed motions are the last columns, wherever these are.
+        width = [model.cut_point.shape[1]] if model.cut[row, CUT_TYPE] == PRESCRIBED_PLACE else []
+        return *model.cut[row, [CUT_TYPE, KEPT]].tolist(), *width
 
     def pieces(self):
         """Return the pieces, in the order of the stages."""

@@ -16,15 +16,15 @@
 
 import numpy as np
 
-from .space import coupling
+from .space import coupling, prescribed
 from .spatial import Body, Cut, X, Y, Z
 from .vectors import IDENTITY, ZERO
 from ..types import (
     A_X, A_Y, ALPHA, ANGLE, ARMATURE, AX, AY, B_X, B_Y, COS, CUT_ANGLE, CUT_COUPLING, CUT_DISTANCE,
     CUT_FIXED, CUT_LENGTH, CUT_POINT_ON_LINE, CUT_PRISMATIC, CUT_REVOLUTE, CUT_TYPE, DX, DY, DZ,
     FACTORS, FX, FY, FZ, HX, HY, INERTIA, IZZ, JOINT_X, JOINT_Y, MASS, MASS_X, MASS_Y, MXX, MXY,
-    MYY, OMEGA, PRISMATIC, PX, PY, REVOLUTE_ARMATURE, RX, RY, SIN, SX, SY, TYPE, UX, UY, UZ, VX,
-    VY)
+    MYY, OMEGA, PATH_A, PRESCRIBED_JOINT, PRESCRIBED_PLACE, PRISMATIC, PX, PY, REVOLUTE_ARMATURE,
+    RX, RY, SIN, SX, SY, TYPE, UX, UY, UZ, VX, VY)
 
 # Where the components of a wrench, of a motion and of an inertia are in Workspace.body, angular
 # ones first: of the bias force, of U = IA S, of the acceleration, of the inertia.
@@ -36,7 +36,7 @@ INERTIAS = {(2, 2): IZZ, (2, 3): HX, (2, 4): HY, (3, 3): MXX, (3, 4): MXY, (4, 4
 _TURNING = (Z, X), (Z, Y)
 _HELD = {CUT_REVOLUTE: ((X, Y, Z), _TURNING), CUT_PRISMATIC: ((Y, Z), (*_TURNING, (X, Y))),
          CUT_FIXED: ((X, Y, Z), (*_TURNING, (X, Y))), CUT_DISTANCE: ((), ()),
-         CUT_POINT_ON_LINE: ((Y, Z), ()), CUT_COUPLING: ((), ())}
+         CUT_POINT_ON_LINE: ((Y, Z), ()), CUT_COUPLING: ((), ()), PRESCRIBED_PLACE: ((X,), ())}
 
 
 def structure(model):
@@ -103,15 +103,21 @@ def cuts(model, symbols):
     list of Cut
 
     """
-    return [_coupling(model, one, values, row) if one[CUT_TYPE] == CUT_COUPLING else
+    return [_coupling(model, one, values, row)
+            if one[CUT_TYPE] in (CUT_COUPLING, PRESCRIBED_JOINT) else
             Cut(*_HELD[one[CUT_TYPE]], (row[A_X], row[A_Y], 0.0), (row[B_X], row[B_Y], 0.0),
                 None, None, row[CUT_ANGLE], None,
-                length=row[CUT_LENGTH] if one[CUT_TYPE] == CUT_DISTANCE else None)
+                length=row[CUT_LENGTH] if one[CUT_TYPE] == CUT_DISTANCE else None,
+                motion=prescribed(one, row))
             for one, values, row in zip(model.cut, model.cut_point, symbols)]
 
 
 def _coupling(model, one, values, row):
-    """Return a coupling of joints."""
+    """Return a coupling of joints, or the prescribed motion of one."""
+    if one[CUT_TYPE] == PRESCRIBED_JOINT:
+        alone = 0.0, ((int(model.path_body[one[PATH_A]]), 1.0),)
+        return Cut((), (), ZERO, ZERO, None, None, 0.0, None, coupling=alone,
+                   motion=prescribed(one, row))
     read = np.where(values[FACTORS:] == 0.0, 0.0, row[FACTORS:])
     return Cut((), (), ZERO, ZERO, None, None, 0.0, None,
                coupling=coupling(model, one, np.concatenate([row[:FACTORS], read])))

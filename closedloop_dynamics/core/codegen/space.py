@@ -26,8 +26,8 @@ import numpy as np
 from .spatial import Body, Cut, X, Y, Z
 from .vectors import IDENTITY, is_zero, ZERO
 from ..types import (
-    AXIS, BALL, CUT_NUMBER, CUT_ROW, CUT_TYPE, FACTORS, HELD_SUM, HELICAL, KEPT, LENGTHS, PARENT,
-    PATH_A, PATH_END, PRISMATIC, ROW, ROWS, TYPE)
+    AXIS, BALL, CUT_NUMBER, CUT_ROW, CUT_TYPE, FACTORS, HELD_SUM, HELICAL, KEPT, LENGTHS,
+    MOTION_COLUMNS, PARENT, PATH_A, PATH_END, PRESCRIBED_JOINT, PRISMATIC, ROW, ROWS, TYPE)
 
 # Columns of Model.body, one row a body: mass; first moments; moments of inertia about the body's
 # origin, xx, yy, zz, xy, xz, yz; the joint's place in the parent's frame; its axes there, row by
@@ -72,6 +72,8 @@ HELD = (
     ('point_on_line', (X, Y), ()),
     ('point_on_plane', (Z,), ()),
     ('coupling', (), ()),
+    ('prescribed_joint', (), ()),
+    ('prescribed_place', (Z,), ()),
 )
 CUT_TYPES = tuple(name for name, _, _ in HELD)
 HELICAL_CUT, DISTANCE, COUPLING = map(CUT_TYPES.index, ('helical', 'distance', 'coupling'))
@@ -160,7 +162,8 @@ def equation_names(kind):
     name, along, perpendicular = HELD[kind]
     return [*(f'place along {"xyz"[axis]}' for axis in along),
             *(_TURNS[pair] for pair in perpendicular),
-            *{'helical': ['thread'], 'distance': ['distance'], 'coupling': ['sum']}.get(name, [])]
+            *{'helical': ['thread'], 'distance': ['distance'], 'coupling': ['sum'],
+              'prescribed_joint': ['motion']}.get(name, [])]
 
 
 def group_of(kind, number):
@@ -220,10 +223,11 @@ def structure(model):
 def _cut_structure(model):
     """Return the structural numbers of cut joints."""
     found = _structure(model.cut_point, slice(TURNED_A, LENGTH))
-    couplings = model.cut[:, CUT_TYPE] == COUPLING
+    couplings = np.isin(model.cut[:, CUT_TYPE], (COUPLING, PRESCRIBED_JOINT))
     found[couplings] = _structure(model.cut_point[couplings], slice(None))
-    # A sum may be zero now and another one later.
-    found[couplings, HELD_SUM] = np.nan
+    # A sum may be zero now and another one later; so may what is prescribed.
+    found[model.cut[:, CUT_TYPE] == COUPLING, HELD_SUM] = np.nan
+    found[model.cut[:, CUT_TYPE] >= PRESCRIBED_JOINT, -MOTION_COLUMNS:] = np.nan
     return found
 
 
@@ -317,8 +321,15 @@ def cuts(model, symbols):
             0.0, tuple(n for n in range(6) if cut[KEPT] >> n & 1),
             length=row[LENGTH] if cut[CUT_TYPE] == DISTANCE else None,
             lead=row[LENGTH] if cut[CUT_TYPE] == HELICAL_CUT else None,
-            coupling=coupling(model, cut, row) if cut[CUT_TYPE] == COUPLING else None))
+            coupling=coupling(model, cut, row)
+            if cut[CUT_TYPE] in (COUPLING, PRESCRIBED_JOINT) else None,
+            motion=prescribed(cut, row)))
     return found
+
+
+def prescribed(cut, row):
+    """Return what ``Cut.motion`` is; as for ``coupling``."""
+    return tuple(row[-MOTION_COLUMNS:]) if cut[CUT_TYPE] >= PRESCRIBED_JOINT else None
 
 
 def coupling(model, cut, row):

@@ -113,6 +113,9 @@ class Cut(NamedTuple):
     coupling : tuple or None
         Of a coupling of joints, which holds nothing else: the sum that is held, and pairs of a
         row of the tree and the factor of its coordinate in that sum.
+    motion : tuple of 3 or None
+        Of a prescribed motion, which holds nothing else: what its position, rate and acceleration
+        are to be.
 
     """
 
@@ -127,6 +130,7 @@ class Cut(NamedTuple):
     length: object = None
     lead: object = None
     coupling: tuple = None
+    motion: tuple = None
 
     def left(self, equations):
         """Return which of all equations are left, those apart that always hold."""
@@ -144,7 +148,13 @@ class Cut(NamedTuple):
             found.append(_distance(self, first, second, at_a, at_b))
         if self.lead is not None:
             found.append(_screw(self, first, second, at_a, at_b))
-        return found
+        return found if self.motion is None else [self.moved(one) for one in found]
+
+    def moved(self, equation):
+        """Return an equation whose sides are to differ by the prescribed motion."""
+        value, rate, acceleration = self.motion
+        return equation._replace(value=equation.value - value, rate=equation.rate - rate,
+                                 bias=equation.bias - acceleration)
 
 
 class Motion(NamedTuple):
@@ -507,7 +517,8 @@ class Recursion:
         """Return all equations of a cut joint."""
         cut = self.cuts[a]
         if cut.coupling is not None:
-            return [self._coupled(cut)]
+            equation = self._coupled(cut)
+            return [equation if cut.motion is None else cut.moved(equation)]
         return cut.equations(*(self.motion[model.cut[a, body]] for body in (BODY_A, BODY_B)))
 
     def _coupled(self, cut):

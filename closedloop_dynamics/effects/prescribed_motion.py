@@ -1,0 +1,364 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+A joint, or a point, that moves as a given function of the time, whatever that takes.
+
+    q = f(t)          of a joint
+    e . p = f(t)      of a named point, along a direction e in world axes
+
+One closure equation beside those of the loops, exact: its right-hand sides are f, f' and f''. Its
+multiplier is the torque of the drive, or its force along e, found with the accelerations; work
+done on the mechanism: the integral of that times f'. f may bend but not jump, nor may f'. When:
+cranks at constant speed, cams and programs of axes, torques of an inverse-dynamics run.
+
+"""
+
+from dataclasses import dataclass
+from functools import partial
+import math
+from typing import Optional, Tuple
+
+import numpy as np
+
+from . import course, expression
+from .effect import Effect
+from .table import (
+    build_table, DATA, FIRST, ForceElement, OWN, PRESCRIBED_MOTION, SECOND, STATE, State, WORK)
+from ..core.compiled import compiled, inlined
+from ..mechanism.checks import (
+    freedom, list_of, name, not_negative, number, one_of, positive, text, vector)
+from ..mechanism.fields import at, FieldError, shown
+from ..mechanism.mechanism import GROUND, Motion, Vector
+
+REST, MOVING = 'rest', 'moving'
+# Jumps of f and f', against the largest value and rate, that are rounding.
+NO_JUMP = 1e-9
+_RAMPS = (('amplitude', 'rise'), ('offset', 'start', 'hold', 'fall', 'period'))
+SHAPES = {
+    'constant': ((), ('offset',)),
+    'constant_speed': (('speed',), ('offset',)),
+    'sine': (('amplitude', 'frequency'), ('phase', 'offset')),
+    'trapezoid': (_RAMPS[0], (*_RAMPS[1], 'ramp')),
+    'cycloid': _RAMPS,
+    'table': (('times', 'values'), ('ends', 'period')),
+    'expression': (('expression',), ())}
+
+
+@dataclass(frozen=True)
+class PrescribedMotion(Effect):
+    """
+    A motion of a joint or a point that is given over time.
+
+    Attributes
+    ----------
+    shape : str
+        ``constant``, ``constant_speed``, ``sine``, ``trapezoid`` (of the speed), ``cycloid``,
+        ``table`` or ``expression``.
+    joint : str or None
+        What moves: a joint, or
+    point : str or None
+        a named point.
+    direction : tuple of 2 floats, or 3 in space, or None
+        Along which the point moves, in world axes; its length does not matter.
+    offset : float or None
+        Added; a trapezoid or cycloid rises from there [rad; m]; where the joint or point starts
+        in the scene when not given.
+    speed : float or None
+        Of a constant speed [rad/s; m/s].
+    amplitude : float or None
+        Height of a sine, of a trapezoid's or a cycloid's rise [rad; m].
+    frequency : float or None
+        Of a sine, positive [Hz].
+    phase : float or None
+        Of a sine [rad]; 0 when not given.
+    start : float or None
+        When a rise begins, zero or more [s]; 0 when not given.
+    rise : float or None
+        How long it takes, positive [s].
+    ramp : float or None
+        How long the speed of a trapezoid grows, and falls, at most half the rise [s]; a third of
+        the rise when not given, and of the fall.
+    hold : float or None
+        How long the rest on top takes, zero or more [s]; for good when not given.
+    fall : float or None
+        How long the way back takes, positive [s]; as long as the rise when not given.
+    period : float or None
+        After which a trapezoid, cycloid or table begins anew, positive [s]; never when not given.
+    times : tuple of floats or None
+        Of a table, growing [s].
+    values : tuple of floats or None
+        At these times [rad; m]; a cubic spline leads through them.
+    ends : str or None
+        Of a table: ``rest`` (when not given), where it rests before and after, or ``moving``,
+        where it goes on at the speed that it has there.
+    expression : str or None
+        Of the time ``t`` [s], such as ``4.7124*t`` [rad; m].
+
+    """
+
+    CHECKS = {
+        'joint': freedom, 'point': name, 'direction': vector, 'shape': one_of(tuple(SHAPES)),
+        'offset': number, 'speed': number, 'amplitude': number, 'frequency': positive,
+        'phase': number, 'start': not_negative, 'rise': positive, 'ramp': positive,
+        'hold': not_negative, 'fall': positive, 'period': positive, 'times': list_of(number),
+        'values': list_of(number), 'ends': one_of((REST, MOVING)), 'expression': text}
+    FILES = {'file': ('times', 'values')}
+    VECTORS = ('direction',)
+    STIFFENS = False
+    READINGS = ('force', 'power', 'position', 'velocity')
+
+    shape: str
+    joint: Optional[str] = None
+    point: Optional[str] = None
+    direction: Optional[Vector] = None
+    offset: Optional[float] = None
+    speed: Optional[float] = None
+    amplitude: Optional[float] = None
+    frequency: Optional[float] = None
+    phase: Optional[float] = None
+    start: Optional[float] = None
+    rise: Optional[float] = None
+    ramp: Optional[float] = None
+    hold: Optional[float] = None
+    fall: Optional[float] = None
+    period: Optional[float] = None
+    times: Optional[Tuple[float, ...]] = None
+    values: Optional[Tuple[float, ...]] = None
+    ends: Optional[str] = None
+    expression: Optional[str] = None
+
+    def __post_init__(self):
+        """Refuse what moves nothing or two things, and motions that jump."""
+        super().__post_init__()
+        if (self.joint is None) == (self.point is None):
+            raise FieldError('either joint or point', 'neither' if self.joint is None else 'both',
+                             path=('joint',))
+        if (self.point is None) != (self.direction is None):
+            raise FieldError('a direction for a point, and for no joint',
+                             shown(self.direction), path=('direction',))
+        if self.direction is not None and not math.hypot(*self.direction) > 0.0:
+            raise FieldError('a direction that is not zero', shown(self.direction),
+                             path=('direction',))
+        course.require_keys(self, SHAPES)
+        object.__setattr__(self, '_data', self._course())
+        if self.expression is None:
+            _require_smooth(self._data, self.period)
+        elif not np.isfinite(self.at(0.0)).all():
+            raise FieldError('position, rate and acceleration that are finite at t = 0',
+                             f'{shown(self.expression)}, whose are '
+                             f'{", ".join(f"{one:g}" for one in self.at(0.0))}',
+                             path=('expression',))
+
+    @property
+    def from_start(self):
+        """Whether the motion starts where the scene does: no offset is given."""
+        return self.offset is None and 'offset' in SHAPES[self.shape][1]
+
+    def _course(self):
+        """Return the entries of the table: pieces, from 0 on, or expression and derivatives."""
+        if self.shape == 'expression':
+            with at('expression'):
+                return expression.programs(self.expression)
+        if self.shape == 'constant':
+            return (_straight(0.0, 0.0, 0.0),)
+        if self.shape == 'constant_speed':
+            return (_straight(0.0, 0.0, self.speed),)
+        if self.shape == 'table':
+            return _of_table(self)
+        if self.shape == 'trapezoid':
+            return course.ramps(self, 0.0, self._trapezoid)
+        if self.shape == 'cycloid':
+            return course.ramps(self, 0.0, partial(course.ramp, shape='cycloid'))
+        return ((0.0, 0.0, 0.0, 0.0, 0.0, self.amplitude, 2.0 * math.pi * self.frequency,
+                 self.phase or 0.0),)
+
+    def _trapezoid(self, start, duration, level, height):
+        """Return the pieces of a rise whose speed grows, stays and falls."""
+        ramp = duration / 3.0 if self.ramp is None else self.ramp
+        if ramp > 0.5 * duration:
+            raise FieldError(f'at most half of the time that a rise or fall takes '
+                             f'({0.5 * duration:g} s)', f'{ramp:g}', path=('ramp',))
+        speed = height / (duration - ramp)
+        curve, climbed = 0.5 * speed / ramp, 0.5 * speed * ramp
+        return [(start, level, 0.0, curve, 0.0, 0.0, 0.0, 0.0),
+                _straight(start + ramp, level + climbed, speed),
+                (start + duration - ramp, level + height - climbed, speed, -curve,
+                 0.0, 0.0, 0.0, 0.0)]
+
+    @property
+    def ENDS_STEPS(self):  # noqa: N802
+        """Whether the course has corners."""
+        return self.expression is None and (len(self._data) > 1 or self.period is not None)
+
+    def fit(self, mechanism):
+        """Refuse, beside what no effect can do, to move what stands on the ground."""
+        super().fit(mechanism)
+        if self.point is not None:
+            body = next(each.body for each in mechanism.points if each.name == self.point)
+            if body == GROUND:
+                raise FieldError('a point of a body that moves', f'{self.point!r} on the ground',
+                                 path=('point',))
+
+    def motion(self, key):
+        """Return the closure equation, named by a key."""
+        if self.joint is not None:
+            return Motion(key, freedom=self.joint)
+        length = math.hypot(*self.direction)
+        return Motion(key, point=self.point,
+                      direction=tuple(one / length for one in self.direction))
+
+    def clock(self, time):
+        """Return the time, and which piece of the course is the present one."""
+        pieces = ((0.0,),) if self.expression is not None else self._data
+        return time, course.present(pieces, self.period, time)
+
+    def element(self, machine):
+        """Return the effect as a row of the table."""
+        return self._element(*machine.motion(self.motion('')))
+
+    def at(self, time, start=0.0):
+        """
+        Return where the motion is, its rate and its acceleration, shape (3,).
+
+        Parameters
+        ----------
+        time : float
+            [s].
+        start : float
+            Where the joint or point starts in the scene [rad; m].
+
+        """
+        held = np.zeros((1, 3))
+        table = build_table(
+            (self._element(0, 0, 0, start),), np.zeros(0), 0, 0, cut_point=held)
+        table.states[:2] = self.clock(time)
+        follow_all(table)
+        return held[0]
+
+    def _element(self, row, multiplier, place, start):
+        """Return the row of the table for an equation; see ``effect.Machine``."""
+        first, second = np.cumsum([len(entry) for entry in self._data[:2]]) if (
+            self.expression is not None) else (0, 0)
+        offset = start if self.from_start else self.offset or 0.0
+        return ForceElement(
+            PRESCRIBED_MOTION, (row, multiplier),
+            (self.period or 0.0, float(self.expression is not None), offset, float(place),
+             float(first), float(second)),
+            (State(OWN), State(OWN, 1.0, self.clock(0.0)[1]), State(WORK)), data=self._data)
+
+
+def _straight(start, level, slope):
+    return (start, level, slope, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+def _of_table(record):
+    """Return the pieces of a cubic spline through a table."""
+    times, values, period = course.require_table(record)
+    moving = record.ends == MOVING
+    if period is not None:
+        course.require_closed(values)
+        if record.ends is not None:
+            raise FieldError('this key only without period', shown(record.ends), path=('ends',))
+    # Not before it is wanted: it takes a third of the time that loading the package would.
+    from scipy.interpolate import CubicSpline
+    spline = CubicSpline(times, values, bc_type='periodic' if period is not None else (
+        'not-a-knot' if moving else 'clamped'))
+    rows = [(start, *spline.c[::-1, k], 0.0, 0.0, 0.0) for k, start in enumerate(times[:-1])]
+    if period is None:
+        slopes = spline(times[[0, -1]], 1) * moving
+        rows = [_straight(times[0] - 1.0, values[0] - slopes[0], slopes[0]), *rows,
+                _straight(times[-1], values[-1], slopes[1])]
+    return tuple(tuple(map(float, row)) for row in rows)
+
+
+def _require_smooth(pieces, period):
+    """Refuse pieces where position or speed jumps from one to the next."""
+    ends = [*(piece[0] for piece in pieces[1:]), *([] if period is None else [period])]
+    # Once around, where the course begins anew.
+    following = [*pieces[1:], *([] if period is None else [pieces[0]])]
+    met = [(*_at(one, end - one[0]), *_at(other, 0.0), end)
+           for one, other, end in zip(pieces, following, ends)]
+    inside = [_at(piece, share * (end - piece[0]))
+              for piece, end in zip(pieces, ends) for share in (0.25, 0.5, 1.0)]
+    for n, (what, unit) in enumerate((('position', 'rad or m'), ('speed', 'rad/s or m/s'))):
+        most = max((abs(each[n]) for each in inside), default=0.0)
+        for row in met:
+            if abs(row[n + 2] - row[n]) > NO_JUMP * most:
+                raise FieldError(
+                    'a motion without jumps of its position and speed',
+                    f'a {what} that jumps from {row[n]:.6g} to {row[n + 2]:.6g} {unit} at '
+                    f't = {row[4]:.6g} s')
+
+
+def _at(piece, u):
+    """Return value and rate of a piece after some time."""
+    _, level, slope, square, cube, height, turning, phase = piece
+    angle = turning * u + phase
+    return (level + u * (slope + u * (square + u * cube)) + height * math.sin(angle),
+            slope + u * (2.0 * square + 3.0 * u * cube) + height * turning * math.cos(angle))
+
+
+@inlined
+def follow(table, row):
+    """Set the right-hand sides of the equation to the time that the effect's state tells."""
+    values, state = table.values, table.index[row, STATE]
+    period, held = values[row, 0], table.motions[table.index[row, FIRST]]
+    place = int(values[row, 3])
+    if values[row, 1] == 1.0:
+        begin, time = table.index[row, DATA], table.states[state]
+        y = expression.value_at(table, begin, time)
+        rate = expression.value_at(table, begin + int(values[row, 4]), time)
+        change = expression.value_at(table, begin + int(values[row, 5]), time)
+    else:
+        y = course.value(table, row, period)
+        rate, change = course.derivatives(table, row, period)
+    held[place], held[place + 1], held[place + 2] = values[row, 2] + y, rate, change
+
+
+@compiled
+def follow_all(table):
+    """Set the right-hand sides of all prescribed motions to the time that their states tell."""
+    for row in range(table.kind.shape[0]):
+        if table.kind[row] == PRESCRIBED_MOTION:
+            follow(table, row)
+
+
+@inlined
+def apply(table, row):
+    """Take the time; see ``dispatch.apply``."""
+    follow(table, row)
+    table.rates[table.index[row, STATE]] = 1.0
+
+
+@compiled
+def tell(table, lam):
+    """
+    Tell the forces of all prescribed motions, their power and the rate of their work.
+
+    Parameters
+    ----------
+    table : EffectTable
+        After the evaluation.
+    lam : ndarray, shape (nc,)
+        Its multipliers.
+
+    """
+    for row in range(table.kind.shape[0]):
+        if table.kind[row] == PRESCRIBED_MOTION:
+            held, place = table.motions[table.index[row, FIRST]], int(table.values[row, 3])
+            force, rate = lam[table.index[row, SECOND]], held[place + 1]
+            table.rates[table.index[row, STATE] + 2] = force * rate
+            table.output[row, 1], table.output[row, 2] = force, force * rate
+            table.output[row, 3], table.output[row, 4] = held[place], rate

@@ -1,0 +1,298 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The prescribed motions of a scene: their equations, where they start, whether they can go on."""
+
+from dataclasses import replace
+import math
+
+import numpy as np
+
+from .errors import AssemblyError
+from ..core import kinematics, types as t
+from ..core.workspace import allocate
+from ..effects.prescribed_motion import PrescribedMotion
+from ..mechanism.fields import at, FieldError
+
+# Jumps, against the size of what jumps, or 1, that are rounding.
+NO_JUMP = 1e-9
+# A start that differs by more from the one of the scene is told [rad, m].
+OTHER_START = 1e-6
+# Against the largest: singular values of equations that depend on one another.
+DEPENDENT = 1e-7
+
+
+def with_motions(scene):
+    """
+    Return the mechanism of a scene with the equations of the motions that it prescribes.
+
+    Its joints that are moved take no command.
+
+    """
+    motions = tuple(filter(None, (
+        record.motion(key) for key, record in scene.effects.items())))
+    if not motions:
+        return scene.mechanism
+    moved = {motion.freedom for motion in motions}
+    return replace(scene.mechanism, motions=motions, joints=tuple(
+        replace(joint, actuated=joint.actuated and joint.name not in moved)
+        for joint in scene.mechanism.joints))
+
+
+def moving(scene, motion):
+    """
+    Return a scene that moves joints beside what it does already.
+
+    Parameters
+    ----------
+    scene : Scene
+        Any.
+    motion : mapping of str to str or PrescribedMotion
+        By joint: an expression in the time ``t`` [rad; m], or what the scene could list.
+
+    Raises
+    ------
+    FieldError
+
+    """
+    effects = dict(scene.effects)
+    for joint, law in motion.items():
+        with at('motion', joint):
+            if not isinstance(law, PrescribedMotion):
+                law = PrescribedMotion('expression', joint=joint, expression=law)
+            elif law.joint != joint:
+                raise FieldError(f'a motion of {joint!r}', f'one of {law.joint or law.point!r}')
+            law.fit(scene.mechanism)
+        name = f'motion_{joint.replace(".", "_")}'
+        while name in effects:
+            name += '_'
+        effects[name] = law
+    return replace(scene, effects=effects)
+
+
+class Motions:
+    """
+    What a scene prescribes.
+
+    Parameters
+    ----------
+    scene : Scene
+        With its effects.
+    mechanism : Mechanism
+        As ``with_motions`` returns it.
+    model : core.types.Model
+        Of that; the right-hand sides in ``cut_point`` are written.
+    place : callable, optional
+        Returns the world place of a named point at coordinates, in space.
+
+    Attributes
+    ----------
+    records : dict of str to Effect
+        Those of the scene, by name; may be replaced by others of the same equations.
+    rows : dict of Motion to tuple
+        For ``effects.effect.Machine``.
+
+    """
+
+    def __init__(self, scene, mechanism, model, place=None):
+        """Look up the equations."""
+        self.mechanism, self.model, self.records = mechanism, model, scene.effects
+        self._initial, self._coordinates = scene.initial, mechanism.coordinates
+        self._names = [motion.name for motion in mechanism.motions]
+        self._place = place or self._place_in_plane
+        column = model.cut_point.shape[1] - t.MOTION_COLUMNS
+        numbers = model.cut[:, t.CUT_NUMBER].tolist()
+        self.rows = {}
+        for number, motion in enumerate(
+                mechanism.motions, start=len(mechanism.closures) - len(mechanism.motions)):
+            row = numbers.index(number)
+            self.rows[replace(motion, name='')] = (
+                row, int(model.cut[row, t.CUT_ROW]), column, self._start(motion))
+
+    def __bool__(self):
+        """Return whether there are any."""
+        return bool(self._names)
+
+    def _start(self, motion):
+        """Return where a joint or point starts in the scene [rad; m]."""
+        position = np.array(self._initial.position)
+        if motion.freedom is not None:
+            return float(position[self._coordinate(motion)])
+        return float(np.dot(motion.direction, self._place(motion.point, position)))
+
+    def _coordinate(self, motion):
+        return self._coordinates.place[self._coordinates.index[motion.freedom]]
+
+    def _place_in_plane(self, name, position):
+        """Return the world place of a named point, in the plane."""
+        point = next(each for each in self.mechanism.points if each.name == name)
+        rows = {each.child: row for row, dof in enumerate(self.model.tree[1:, t.DOF], start=1)
+                for each in [self.mechanism.joints[dof]]}
+        work, out = allocate(self.model), np.zeros(2)
+        kinematics.outward(self.model, position, np.zeros_like(position), work)
+        kinematics.point_position(work, rows[point.body], *point.position, out)
+        return out
+
+    def at(self, time):
+        """
+        Return where the motions are, their rates and their accelerations.
+
+        Parameters
+        ----------
+        time : float
+            [s].
+
+        Returns
+        -------
+        ndarray, shape (number of motions, 3)
+
+        """
+        return np.array([
+            self.records[motion.name].at(time, self.rows[replace(motion, name='')][-1])
+            for motion in self.mechanism.motions]).reshape(-1, 3)
+
+    def follow(self, time):
+        """Set the right-hand sides to a time [s]; return them as ``at`` does."""
+        values = self.at(time)
+        for (row, _, column, _), each in zip(self.rows.values(), values):
+            self.model.cut_point[row, column:column + 3] = each
+        return values
+
+    def begin(self, assembler, time, q, qd):
+        """
+        Let an assembly begin where the motions are.
+
+        Parameters
+        ----------
+        assembler : Assembler
+            Its right-hand sides are set.
+        time : float
+            [s].
+        q, qd : ndarray
+            Coordinates and rates; those of joints that are moved are changed in place.
+
+        """
+        values = self.follow(time)
+        assembler.prescribed_rates[:] = values[:, 1]
+        for motion, (value, rate, _) in zip(self.mechanism.motions, values):
+            if motion.freedom is not None:
+                q[self._coordinate(motion)] = value
+                qd[self._coordinates.index[motion.freedom]] = rate
+
+    def require_independent(self, assembler, q):
+        """
+        Refuse motions that the loops, or other motions, decide already.
+
+        Raises
+        ------
+        AssemblyError
+
+        """
+        if not self:
+            return
+        jac = assembler.jacobian_of_largest_rank(q)
+        loops = len(jac) - len(self._names)
+        repeated = _rank(jac[:loops]) + len(self._names) - _rank(jac)
+        if repeated > 0:
+            raise AssemblyError(
+                f'{self.mechanism.name} is not free to move as prescribed by '
+                f'{", ".join(self._names)}: expected motions of as many joints and points as are '
+                f'independent, got {repeated} too many, or a start at a limit of the motion. '
+                'Prescribe fewer motions, or start beside the limit.')
+
+    def notes(self):
+        """Return sentences on joints that start elsewhere than the scene says."""
+        found = []
+        for motion, (value, _, _), (*_, start) in zip(
+                self.mechanism.motions, self.at(0.0), self.rows.values()):
+            if motion.freedom is not None and abs(value - start) > OTHER_START:
+                found.append(f'{motion.freedom} starts at {value:.6g}, where its prescribed '
+                             f'motion {motion.name} begins, not at {start:.6g} as the scene says.')
+        return found
+
+    def require_continued(self, name, record, enabled, time):
+        """
+        Refuse a change of a motion that is none, or that jumps.
+
+        Parameters
+        ----------
+        name : str
+            Of an effect.
+        record : Effect
+            As it is to become.
+        enabled : bool or None
+            As for ``Simulation.set_effect``.
+        time : float
+            [s].
+
+        Raises
+        ------
+        FieldError
+
+        """
+        if name not in self._names:
+            return
+        with at('effects', name):
+            if enabled is False:
+                raise FieldError('a prescribed motion that stays switched on', 'false',
+                                 'load a scene without it', ('enabled',))
+            motion = record.motion('')
+            if motion not in self.rows or self.records[name].motion('') != motion:
+                raise FieldError('the joint or point that was moved when the scene was loaded',
+                                 'another one', 'load a scene that moves it')
+            start = self.rows[motion][-1]
+            before, after = (each.at(time, start) for each in (self.records[name], record))
+            for what, one, other in zip(('position', 'speed'), before, after):
+                if not abs(other - one) <= NO_JUMP * max(1.0, abs(one)):
+                    raise FieldError(f'a motion that goes on without a jump of its {what}',
+                                     f'one from {one:.6g} to {other:.6g} at t = {time:.6g} s')
+
+    def advice_on_stopping(self, assembler, q, time, step_size):
+        """
+        Return why a run cannot go on where a motion leads beyond a limit; '' where it does not.
+
+        Parameters
+        ----------
+        assembler : Assembler
+            Of the mechanism.
+        q : ndarray, shape (nq,)
+            The last good position.
+        time, step_size : float
+            Of that position; the time of one step [s].
+
+        """
+        try:
+            for steps in (1.0, 10.0, 100.0) if self else ():
+                later = time + steps * step_size
+                values = self.follow(later)
+                try:
+                    assembler.positions(q)
+                except AssemblyError:
+                    wanted = ', '.join(
+                        f'{motion.freedom or motion.point} at {value:.6g}'
+                        for motion, value in zip(self.mechanism.motions, values[:, 0]))
+                    return (f'The prescribed motion leads beyond a limit of the mechanism: no '
+                            f'position near the present one closes the loops with {wanted} (rad '
+                            f'or m), as prescribed for t = {later:.9g} s. Prescribe a motion that '
+                            'stays within the reach of the mechanism.')
+        finally:
+            if self:
+                self.follow(time)
+        return ''
+
+
+def _rank(jac):
+    singular = np.linalg.svd(jac, compute_uv=False) if jac.size else np.zeros(1)
+    most = singular.max(initial=0.0)
+    return int(np.sum(singular > DEPENDENT * most)) if math.isfinite(most) else 0
