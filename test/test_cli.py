@@ -242,6 +242,14 @@ def test_a_file_that_cannot_be_written_is_named(capsys, output, words):
         assert word in errors
 
 
+def test_a_file_whose_name_is_no_text_is_written_with_its_report(capsys, tmp_path):
+    output = tmp_path / 'run_\udc81.csv'
+    assert call(capsys, 'simulate', 'four_bar', '--duration', '0.01', '--output', output)[0] == 0
+    assert read(output)['time'][-1] == 0.01
+    report = output.with_name(output.name + '.report.txt').read_text(encoding='utf-8')
+    assert 'run_\\udc81.csv' in report
+
+
 def test_a_failing_simulation_leaves_its_rows(capsys, tmp_path):
     output = tmp_path / 'run.csv'
     code, text, errors = call(

@@ -113,10 +113,12 @@ def _run(arguments):
     # The standard output belongs to the rows where they go there.
     print(summary, file=sys.stderr if arguments.output == STANDARD_OUTPUT else sys.stdout)
     if arguments.output not in (None, STANDARD_OUTPUT) and Path(arguments.output).is_file():
+        # Names of files are not always text.
         _report_path(arguments.output).write_text(summary + '\n' + (
             f'  FAILED    {failure}\n  Rows after t = {report.time:.9g} s are not to be trusted.\n'
             if failure else '' if report.finished else
-            f'  ended     at t = {report.time:.9g} s of {arguments.duration:g} s\n'))
+            f'  ended     at t = {report.time:.9g} s of {arguments.duration:g} s\n'),
+            encoding='utf-8', errors='backslashreplace')
     return 128 + received[0] if received else FAILED if failure else 0
 
 
