@@ -22,6 +22,7 @@ from . import kinematics, loop_closure, lu
 from .compiled import compiled
 from .forward_dynamics import to_user_order
 from .jacobian import constraint_jacobian
+from .manifold import move
 from .types import NO_RESPONSES
 
 # Partition.record: the pivot ratio when the set was chosen (0: none chosen yet), the latest
@@ -47,6 +48,8 @@ class Partition(NamedTuple):
         Factors of the dependent columns.
     pivots : ndarray of int, shape (nc,)
     right : ndarray, shape (nc,)
+    change : ndarray, shape (nv,)
+        Of the coordinates; zero for the independent ones.
     record : ndarray, shape (3,)
 
     """
@@ -57,6 +60,7 @@ class Partition(NamedTuple):
     matrix: np.ndarray
     pivots: np.ndarray
     right: np.ndarray
+    change: np.ndarray
     record: np.ndarray
 
 
@@ -78,7 +82,7 @@ def allocate_partition(model):
     return Partition(
         order=np.arange(nv), jac=np.zeros((nc, nv)), scaled=np.zeros((nc, nv)),
         matrix=np.zeros((nc, nc)), pivots=np.zeros(nc, dtype=np.int64), right=np.zeros(nc),
-        record=np.zeros(3))
+        change=np.zeros(nv), record=np.zeros(3))
 
 
 def forget(partition):
@@ -137,7 +141,7 @@ def choose(partition):
 
 
 @compiled
-def close(model, work, partition, q, qd, tolerance):
+def close(model, work, partition, manifold, q, qd, tolerance):
     """
     Move the dependent coordinates and rates so that the loops are closed.
 
@@ -149,7 +153,9 @@ def close(model, work, partition, q, qd, tolerance):
         Scratch.
     partition : Partition
         With a chosen set, or none yet: then it is chosen here.
-    q, qd : ndarray, shape (nv,)
+    manifold : Manifold or None
+        Of the mechanism.
+    q, qd : ndarray, shape (nq,), (nv,)
         Corrected in place; the independent ones stay.
     tolerance : float
         Closure error to reach [m, rad].
@@ -182,8 +188,11 @@ def close(model, work, partition, q, qd, tolerance):
             closed = True
             break
         lu.solve(matrix, partition.pivots, right)
+        for j in range(nv):
+            partition.change[j] = 0.0
         for k in range(nc):
-            q[order[k]] -= right[k]
+            partition.change[order[k]] = -right[k]
+        move(manifold, q, partition.change, 1.0, 1)
     for k in range(nc):
         total = 0.0
         for j in range(nc, nv):
@@ -196,7 +205,7 @@ def close(model, work, partition, q, qd, tolerance):
 
 
 @compiled
-def close_and_choose(partition, model, work, q, qd, tolerance):
+def close_and_choose(partition, model, work, manifold, q, qd, tolerance):
     """
     Close the loops after a step, and choose another set where the present one is worn.
 
@@ -204,7 +213,7 @@ def close_and_choose(partition, model, work, q, qd, tolerance):
     ----------
     partition : Partition or None
         None where independent coordinates are not used: then nothing is compiled or done.
-    model, work, q, qd, tolerance
+    model, work, manifold, q, qd, tolerance
         As for ``close``.
 
     Returns
@@ -215,9 +224,9 @@ def close_and_choose(partition, model, work, q, qd, tolerance):
     """
     if partition is None:
         return True
-    closed = close(model, work, partition, q, qd, tolerance)
+    closed = close(model, work, partition, manifold, q, qd, tolerance)
     record = partition.record
     if not record[RATIO] >= WORN * record[CHOSEN_RATIO]:
         choose(partition)
-        closed = close(model, work, partition, q, qd, tolerance)
+        closed = close(model, work, partition, manifold, q, qd, tolerance)
     return closed

@@ -213,8 +213,8 @@ def stabilise(system, stabilisation, state):
     follow_motions(system.effects, state, nq + nv)
     if stabilisation == INDEPENDENT:
         return independent.close_and_choose(
-            system.partition, system.model, system.work, state[:nq], state[nq:nq + nv],
-            system.settings[CLOSURE_TOLERANCE])
+            system.partition, system.model, system.work, system.manifold, state[:nq],
+            state[nq:nq + nv], system.settings[CLOSURE_TOLERANCE])
     return project(system, state[:nq], state[nq:nq + nv], stabilisation == PROJECTION)
 
 

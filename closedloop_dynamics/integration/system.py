@@ -41,8 +41,9 @@ from ..effects.table import build_table, EffectTable
 FORMULATION, BAUMGARTE_GAIN, CLOSURE_TOLERANCE, CLOSURE_LIMIT, ASIDE = range(5)
 
 # Unrolled code grows with the mechanism: beyond this number of bodies it takes too long to
-# compile and falls out of the fastest memory.
-MOST_UNROLLED_BODIES = 24
+# compile and falls out of the fastest memory; in space, where the loops do more in vain, beyond
+# this number of freedoms.
+MOST_UNROLLED_BODIES, MOST_UNROLLED_FREEDOMS = 24, 40
 # No evaluation takes so long, but compiling does [s].
 LONG = 3.0
 
@@ -140,7 +141,8 @@ def build_system(model, formulation=SUBSYSTEM, baumgarte=0.0, extent=1.0, indepe
     nv, nc = len(model.tree) - 1, len(model.column) - 1
     if unrolled is None:
         unrolled = (codegen.available() and formulation == SUBSYSTEM
-                    and (nv <= MOST_UNROLLED_BODIES or space.is_spatial(model)))
+                    and nv <= (MOST_UNROLLED_FREEDOMS if space.is_spatial(model)
+                               else MOST_UNROLLED_BODIES))
     # Closure errors of 1e-12 of the size are rounding; one of 1e-5 of it is an open loop.
     settings = np.array([
         formulation, baumgarte, 1e-12 * extent, 1e-5 * extent, rank_revealing.ASIDE])
@@ -313,10 +315,10 @@ def _accelerate_dense(dense, model, work, formulation, tau, baumgarte, qdd, lam)
 
 
 @compiled
-def _close(partition, model, work, q, qd, tolerance):
+def _close(partition, model, work, manifold, q, qd, tolerance):
     """Close the loops by the dependent coordinates, where a scene has such."""
     if partition is not None:
-        close(model, work, partition, q, qd, tolerance)
+        close(model, work, partition, manifold, q, qd, tolerance)
 
 
 @inlined
@@ -647,8 +649,8 @@ def derivative(system, state, out):
     nv = system.qdd.shape[0]
     nq = rates_begin(system.manifold, nv)
     # Independent coordinates: the others of a stage are first guesses only.
-    _close(system.partition, system.model, system.work, state[:nq], state[nq:nq + nv],
-           system.settings[CLOSURE_TOLERANCE])
+    _close(system.partition, system.model, system.work, system.manifold, state[:nq],
+           state[nq:nq + nv], system.settings[CLOSURE_TOLERANCE])
     take_states(system.effects, state, nq + nv)
     evaluate_only(system, state[:nq], state[nq:nq + nv])
     rates_of_coordinates(system.manifold, state, nv, out, 1)

@@ -371,10 +371,11 @@ class Assembler:
             Where a method needs them independent, and they are not.
 
         """
-        rank = _rank(self.jacobian(q))
-        if rank < self.nc:
+        kept = self._equations.kept
+        rank, count = _rank(self.jacobian(q)[kept]), np.count_nonzero(kept)
+        if rank < count:
             raise AssemblyError(
-                f'{self.nc - rank} of {self.nc} closure equations of {self.mechanism.name} depend '
+                f'{count - rank} of {count} closure equations of {self.mechanism.name} depend '
                 'on the others here (redundant cut joints, or a singular configuration), so that '
                 'no set of independent coordinates can be chosen by them. Take stabilisation: '
                 'projection.')

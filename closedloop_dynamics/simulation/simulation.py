@@ -35,7 +35,7 @@ from .scene import load_scene
 from .scene_records import Method, Scene
 from .space import SpatialGeometry
 from ..core import kinematics, types as t
-from ..core.codegen import available, later
+from ..core.codegen import later
 from ..core.equations import Equations
 from ..core.formulations import AUGMENTED, SUBSYSTEM, SYSTEM
 from ..core.independent import allocate_partition
@@ -100,7 +100,6 @@ class Simulation:
             self._prescribe(scene, self._geometry.model)
             self._geometry.leave_out_repeated(np.array(scene.initial.position))
             self._rows, model = self._geometry.rows, self._geometry.model
-            self._require_methods_of_space(scene.method)
         self._prescribe(scene, model)
         machine = Machine(self.mechanism, self._rows,
                           None if self._geometry is None else self._geometry.placements,
@@ -707,23 +706,6 @@ class Simulation:
             self._fresh = True
 
     # Motion.
-
-    def _require_planar(self, what):
-        """Refuse what cannot be asked for in space yet."""
-        if self._geometry is not None:
-            raise SimulationError(
-                f'{self.mechanism.name} is a mechanism in space: {what} can be had of planar '
-                'mechanisms only, so far.')
-
-    def _require_methods_of_space(self, method):
-        """Refuse methods that need the planar kernels; and to go without a compiler."""
-        if not available():
-            self._require_planar('motion without numba')
-        for key, only in (('formulation', ('subsystem',)),
-                          ('stabilisation', (
-                              'projection', 'velocity_projection', 'baumgarte', 'none'))):
-            if getattr(method, key) not in only:
-                self._require_planar(f'{key}: {getattr(method, key)}')
 
     def _require_known_steps(self, method):
         """Refuse solvers and coordinates that the effects leave no room for."""

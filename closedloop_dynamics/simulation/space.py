@@ -19,7 +19,7 @@ from contextlib import suppress
 import numpy as np
 
 from .assembly import Assembler, RANK_TOLERANCE
-from .errors import AssemblyError, SimulationError
+from .errors import AssemblyError
 from .spatial_modeling import build_spatial_model
 from ..core import types as t
 from ..core.codegen import space
@@ -27,8 +27,6 @@ from ..core.equations import Equations
 from ..mechanism.decomposition import decompose
 from ..mechanism.mechanism import FIXED
 
-# Code for a whole mechanism grows with it: beyond so many freedoms it compiles for minutes.
-MOST_FREEDOMS = 40
 # Relative rounding errors of a Jacobian, and what closure errors make of entries that are zero in
 # a closed position, are below this.
 ROUNDING = 1e-10
@@ -59,11 +57,6 @@ class SpatialGeometry:
 
     def __init__(self, mechanism, decomposition=None):
         """Build the model of all equations."""
-        if mechanism.coordinates.nv > MOST_FREEDOMS:
-            raise SimulationError(
-                f'The joints in the tree of {mechanism.name} have {mechanism.coordinates.nv} '
-                f'freedoms: mechanisms in space of more than {MOST_FREEDOMS} cannot be simulated '
-                'yet.')
         self.mechanism = mechanism
         self._decomposition = decomposition or decompose(mechanism)
         self.model = self._first = None

@@ -21,11 +21,11 @@ from closedloop_dynamics.core.types import RANK_REVEALING_COUNT
 from closedloop_dynamics.effects.gravity import Gravity
 from closedloop_dynamics.effects.joint_damping import JointDamping
 from closedloop_dynamics.effects.payload import Payload
+from closedloop_dynamics.integration import system
 from closedloop_dynamics.mechanism.fields import FieldError
 from closedloop_dynamics.mechanism.mechanism import Body, CutJoint, Joint, Mechanism, Point
 from closedloop_dynamics.recording.run import columns, Report, row, run
 from closedloop_dynamics.simulation import space
-from closedloop_dynamics.simulation.errors import SimulationError
 from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.simulation.scene_records import Initial, Method, Scene
 from closedloop_dynamics.simulation.scene_text import read_scene_text, scene_text
@@ -330,11 +330,26 @@ def test_check_tells_axes_and_equations(linkage):
     assert 'spherical' in describe(spatial_machines.rssr_four_bar()[0])
 
 
-def test_what_cannot_be_had_in_space_says_so(linkage):
-    mechanism, _ = linkage
-    for method in ({'formulation': 'augmented'}, {'stabilisation': 'independent'}):
-        with pytest.raises(SimulationError, match=next(iter(method.values()))):
-            Simulation(scene(mechanism, **method))
+@pytest.mark.parametrize('name', ['rssr_four_bar', 'stewart_platform'])
+@pytest.mark.parametrize('method', [
+    {'formulation': 'system'}, {'formulation': 'augmented'}, {'stabilisation': 'independent'}])
+def test_formulations_and_independent_coordinates_move_the_same(name, method):
+    ones = [Simulation.from_scene(name, integrator='rk4', step_size=1e-3, **more)
+            for more in ({}, method)]
+    for one in ones:
+        one.step(None, 0.1)
+    assert_agree(ones[1].position, ones[0].position, 1e-9)
+    assert_agree(ones[1].constraint_forces, ones[0].constraint_forces, 1e-7)
+
+
+def test_the_loops_over_bodies_move_what_is_too_large_to_be_unrolled(monkeypatch):
+    ones = [Simulation.from_scene('stewart_platform')]
+    monkeypatch.setattr(system, 'MOST_UNROLLED_FREEDOMS', 4)
+    ones.append(Simulation.from_scene('stewart_platform'))
+    assert ones[0].system.unrolled is not None and ones[1].system.unrolled is None
+    for one in ones:
+        one.step(None, 0.1)
+    assert_agree(ones[1].position, ones[0].position, 1e-9)
 
 
 def test_effects_with_vectors_of_the_plane_are_refused(linkage):
