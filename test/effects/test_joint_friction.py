@@ -130,6 +130,15 @@ def test_a_sudden_load_moves_the_block_only_beyond_the_static_limit(load, integr
         -np.sign(load) * min(3.0, abs(load)), rel=1e-12)
 
 
+@pytest.mark.parametrize('share, moved', [(0.999, False), (-0.999, False), (1.001, True)])
+def test_a_sudden_load_is_held_up_to_the_static_limit_with_defaults(share, moved):
+    simulation = simulated(
+        block(), {'friction': JointFriction('slide', 2.0, static_ratio=1.5)}, [0.0])
+    simulation.step([3.0 * share], 1.0)
+    # Once it slides, friction falls to 2 N.
+    assert simulation.position[0] > 0.1 if moved else simulation.position[0] == 0.0
+
+
 def test_a_ramped_load_breaks_away_at_the_static_limit():
     simulation = simulated(block(), {'friction': JointFriction('slide', 1.0)}, [0.0])
     for k in range(1500):
