@@ -57,9 +57,10 @@ ASIDE = 0.015
 PLACES = 8
 # Smallest singular value at which a place is asked. Where many loops come to lie in one line at
 # once, singular values grow slowly with the distance. The places are then taken farther away, at
-# most FARTHEST times as far, and asked if singular values there are BETTER times those here.
+# most FARTHEST times as far, asked if singular values there are BETTER times those here, and
+# believed if all but the outermost tell the same: up to APART of the largest acceleration.
 ENOUGH, LEAST_ENOUGH = 2.0 * CLOSE, 0.1 * CLOSE
-FARTHEST, BETTER = 8.0, 2.0
+FARTHEST, BETTER, APART = 8.0, 2.0, 1e-6
 
 
 @allocating
@@ -188,7 +189,8 @@ def accelerate(model, work, tau, baumgarte, aside, manifold, q, qd, qdd, lam):
     first = FZ if size_of_force == 3 else FORCE
     last = first + size_of_force
     beside = np.zeros(nc)
-    near, near_rate, total = np.empty(q.shape[0]), np.empty(nv), np.zeros(nv)
+    near, near_rate = np.empty(q.shape[0]), np.empty(nv)
+    total, inner = np.zeros(nv), np.zeros(nv)
     found, forces = np.empty(nv), np.empty(nc)
     update(model, work, NO_RESPONSES)
     for k in range(nc):
@@ -259,16 +261,22 @@ def accelerate(model, work, tau, baumgarte, aside, manifold, q, qd, qdd, lam):
                     needed / (weakest - weak))
                 farther, attempt = True, 1
                 for i in range(nv):
-                    total[i] = 0.0
+                    total[i] = inner[i] = 0.0
                 continue
             if weakest < ENOUGH and weakest < max(LEAST_ENOUGH, BETTER * weak):
                 break
-            share = _share(attempt - 2)
+            place = _place(attempt - 2)
             for i in range(nv):
-                total[i] += share * found[i]
+                total[i] += _share(place, PLACES // 2) * found[i]
+                inner[i] += _share(place, PLACES // 2 - 1) * found[i]
             if attempt == 1 + PLACES:
+                apart, most = 0.0, 0.0
                 for i in range(nv):
-                    qdd[i] = total[i]
+                    apart = max(apart, abs(total[i] - inner[i]))
+                    most = max(most, abs(total[i]))
+                if not farther or apart <= APART * most:
+                    for i in range(nv):
+                        qdd[i] = total[i]
     kinematics.outward(model, q, qd, work)
     update(model, work, NO_RESPONSES)
 
@@ -281,12 +289,11 @@ def _place(k):
 
 
 @allocating
-def _share(k):
-    """Return the weight of the k-th place around a state."""
-    half, share = PLACES // 2, -1.0
+def _share(place, half):
+    """Return the weight of a place around a state, of so many places on either side."""
+    share = -1.0
     # Lagrange's polynomial: (half!)^2 / ((half - n)! (half + n)!) for the places n and -n, with
-    # the sign of (-1)^(n + 1).
-    for i in range(1, half + 1):
-        if i <= abs(_place(k)):
-            share *= -(half - i + 1.0) / (half + i)
+    # the sign of (-1)^(n + 1); nothing for places farther away.
+    for i in range(1, int(abs(place)) + 1):
+        share *= -(half - i + 1.0) / (half + i)
     return share

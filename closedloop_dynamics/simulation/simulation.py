@@ -1056,7 +1056,6 @@ class Simulation:
         method = replace(self.scene.method, **changes)
         if method.formulation != self.scene.method.formulation:
             raise ValueError('method: the formulation is chosen when a scene is loaded, and stays')
-        self._require_methods_of_space(method)
         self._require_known_steps(method)
         self._require_closable(method.stabilisation)
         system = self.system._replace(partition=allocate_partition(
