@@ -58,9 +58,10 @@ PLACES = 8
 # Smallest singular value at which a place is asked. Where many loops come to lie in one line at
 # once, singular values grow slowly with the distance. The places are then taken farther away, at
 # most FARTHEST times as far, asked if singular values there are BETTER times those here, and
-# believed if all but the outermost tell the same: up to APART of the largest acceleration.
+# believed if all but the outermost tell the same: up to APART of the largest acceleration, or
+# what rounding, NOISE, makes of the state's own.
 ENOUGH, LEAST_ENOUGH = 2.0 * CLOSE, 0.1 * CLOSE
-FARTHEST, BETTER, APART = 8.0, 2.0, 1e-6
+FARTHEST, BETTER, APART, NOISE = 8.0, 2.0, 1e-6, 1e-18
 
 
 @allocating
@@ -274,7 +275,9 @@ def accelerate(model, work, tau, baumgarte, aside, manifold, q, qd, qdd, lam):
                 for i in range(nv):
                     apart = max(apart, abs(total[i] - inner[i]))
                     most = max(most, abs(total[i]))
-                if not farther or apart <= APART * most:
+                # Divided by s twice: the states are on the branch.
+                if not farther or (
+                        apart * weak * weak <= most * max(APART * weak * weak, NOISE)):
                     for i in range(nv):
                         qdd[i] = total[i]
     kinematics.outward(model, q, qd, work)
