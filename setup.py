@@ -74,7 +74,7 @@ setup(
         'test': ['hypothesis', 'mcap-ros2-support', 'pytest', 'pytest-timeout'],
     },
     zip_safe=False,
-    long_description=Path('README.md').read_text(encoding='utf-8'),
+    long_description=(Path(__file__).resolve().parent / 'README.md').read_text(encoding='utf-8'),
     long_description_content_type='text/markdown',
     classifiers=[
         'Intended Audience :: Science/Research',

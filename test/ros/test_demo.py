@@ -116,7 +116,9 @@ def test_short_demonstration_from_start_to_end(start):
     assert sum(int(number) for _, number, _ in rows) + len(once) == count > 200
     assert 'commands:' in text and '0 rejected' in text
     assert float(re.search(r'closed within (\S+) m', text)[1]) < 1e-10
-    assert text.rstrip().endswith(f'{run.output}/')
+    *_, where, live = text.rstrip().splitlines()
+    assert where.endswith(f'{run.output}/')
+    assert live.startswith('Live in the browser: closedloop view four_bar')
     check_pictures(run.output / 'four_bar')
     assert 'it ran in real time' in text or 'NOT representative' in text
     found = read_run(run.output / 'four_bar' / 'bag', '/demo_four_bar')
