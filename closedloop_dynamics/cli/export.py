@@ -12,14 +12,22 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""``closedloop export``: a mechanism with its loops in MJCF or URDF."""
+"""``closedloop export``: a mechanism with its loops in MJCF, URDF or SDF."""
 
 from dataclasses import asdict
 from pathlib import Path
 
+import numpy as np
+
 from .command import Command, require_free, UsageError
 from ..effects.registry import effect_type
-from ..formats.writing import JOINT_EFFECTS, WRITERS
+from ..formats.building import Imported
+from ..formats.registry import is_model, read_model
+from ..formats.writing import in_space, JOINT_EFFECTS, sdf, WRITERS
+from ..mechanism.mechanism import Mechanism, MechanismError
+from ..simulation.far_assembly import find_closed
+from ..simulation.model_scene import assembled
+from ..simulation.modeling import extent
 from ..simulation.scene import load_scene_or_mechanism
 
 
@@ -38,14 +46,22 @@ def _run(arguments):
         raise UsageError(f'--output: expected a name that ends with one of {", ".join(WRITERS)}, '
                          f'got {str(arguments.output)!r}')
     require_free(arguments, arguments.output)
-    subject = load_scene_or_mechanism(arguments.scene)
-    mechanism = getattr(subject, 'mechanism', subject)
-    effects = {name: {'type': effect_type(effect), **asdict(effect)}
-               for name, effect in getattr(subject, 'effects', {}).items()}
-    text = write(mechanism, effects)
+    mechanism, effects, position, hold, limits = _read(arguments.scene)
+    mechanism = in_space(mechanism)
+    start = _closed(mechanism, position, hold, limits)
+    drawn = mechanism.coordinates.start()
+    moved = start is not None and bool(mechanism.coordinates.apart(start, drawn).any())
+    if start is None and write is sdf:
+        raise MechanismError(f'{mechanism.name}: expected loops that are closed to write SDF, got '
+                             'no such position (give a scene with a start near one)')
+    text = write(mechanism, effects, start if moved else None)
     arguments.output.write_text(text, encoding='utf-8')
     print(f'{arguments.output}: {len(mechanism.bodies)} bodies, {len(mechanism.joints)} joints, '
           f'{len(mechanism.cut_joints)} that close loops')
+    if moved and write is sdf:
+        print('drawn where the loops are closed; coordinates count from there: ' + ', '.join(
+            f'{name} {value:.6g}' for name, value in zip(
+                mechanism.coordinates.names, mechanism.coordinates.apart(start, drawn))))
     left_out = [name for name, values in effects.items()
                 if values['type'] not in ('gravity', *JOINT_EFFECTS)]
     if left_out:
@@ -53,20 +69,48 @@ def _run(arguments):
     return 0
 
 
+def _read(name):
+    """Return a mechanism, its effects, and where it starts, with what is held and the limits."""
+    if is_model(name):
+        imported = read_model(name)
+        return imported.mechanism, imported.effects, imported.position, (), imported.limits
+    subject = load_scene_or_mechanism(name)
+    effects = {key: {'type': effect_type(effect), **asdict(effect)}
+               for key, effect in getattr(subject, 'effects', {}).items()}
+    if isinstance(subject, Mechanism):
+        return subject, effects, {}, (), {}
+    return (subject.mechanism, effects, np.array(subject.initial.position),
+            [one for one in subject.initial.hold if one in subject.mechanism.joint_names], {})
+
+
+def _closed(mechanism, position, hold, limits):
+    """Return coordinates that close the loops, near a position; None where there are none."""
+    size = extent(mechanism)
+    if isinstance(position, dict):
+        found, _ = assembled(Imported(mechanism, position, {}, limits, {}))
+    else:
+        found = find_closed(mechanism, size, position, hold, starts=0)
+        if not found.closed:
+            found = find_closed(mechanism, size, position)
+    return found.q if found.closed else None
+
+
 COMMAND = Command(
     name='export',
-    summary='write a mechanism with its loops in another format (MJCF, URDF)',
+    summary='write a mechanism with its loops in another format (MJCF, URDF, SDF)',
     description="""\
 Write a mechanism for other programs: MJCF, whose equalities close the loops in
-MuJoCo, or URDF with elements loop and constraint (URDF+, and proposed for URDF).
-Joints of several freedoms that a format does not have become several joints. Of the
-effects of a scene, gravity and what acts on joints is written. For a robot
-description without loops, to show it, see closedloop urdf.
+MuJoCo, URDF with elements loop and constraint (URDF+, and proposed for URDF), or
+SDF, whose joints form loops. SDF is drawn with its loops closed, and its coordinates
+count from there. Joints of several freedoms that a format does not have become several
+joints. Of the effects of a scene, gravity and what acts on joints is written. For a
+robot description without loops, to show it, see closedloop urdf.
 """,
     epilog="""\
 examples:
   closedloop export three_rrr --output three_rrr.xml
   closedloop export my_robot.yaml --output my_robot.urdf
+  closedloop export delta_robot --output delta_robot.sdf
 """,
     add_arguments=_add_arguments,
     run=_run)

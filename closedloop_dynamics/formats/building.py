@@ -30,8 +30,8 @@ from .model import Connection
 from .pose import IDENTITY, Pose, quaternion_of
 from ..mechanism.fields import FieldError
 from ..mechanism.mechanism import (
-    Body, COUPLED, Coupling, CUT_WITH_AXIS_A, CUT_WITH_AXIS_B, CutJoint, FIXED, FREE, GROUND,
-    HELICAL, Joint, JOINT_FREEDOMS, Mechanism, MechanismError, PLANAR, Point, PRISMATIC,
+    Body, COUPLED, Coupling, CUT_WITH_AXIS_A, CUT_WITH_AXIS_B, CUT_WITH_ORIENTATION, CutJoint,
+    FIXED, FREE, GROUND, HELICAL, Joint, JOINT_FREEDOMS, Mechanism, MechanismError, PLANAR, Point,
     SPATIAL_CUT_JOINT_EQUATIONS, UNIVERSAL, UNTURNED, WITH_AXIS)
 from ..mechanism.validation import checked
 
@@ -327,14 +327,15 @@ def _cut(joint, groups, frames, named, ignored):
     lost = [key for key in ('actuated', *JOINT_EFFECTS) if getattr(joint, key)]
     if lost:
         ignored[f'{", ".join(lost)} of {joint.name}'] = 'this joint closes a loop'
-    held = joint.type in (FIXED, PRISMATIC)
+    held = joint.type in CUT_WITH_ORIENTATION
     return CutJoint(
         named.joint(joint.name), joint.type, named.body(a), named.body(b),
         _vector(pose_a.position), _vector(pose_b.position),
         axis_a=_direction(pose_a.rotation @ joint.axis)
         if joint.type in CUT_WITH_AXIS_A else None,
         axis_b=_direction(pose_b.rotation @ other) if joint.type in CUT_WITH_AXIS_B else None,
-        orientation=_orientation(pose_b.rotation @ pose_a.rotation.T) if held else UNTURNED)
+        orientation=_orientation(pose_b.rotation @ pose_a.rotation.T) if held else UNTURNED,
+        lead=joint.lead)
 
 
 def _coupling(relation, tree, named):

@@ -26,7 +26,7 @@ import re
 
 import numpy as np
 
-from .model import Connection, Link, Model
+from .model import Connection, Link, Model, Relation
 from .pose import IDENTITY, of_angles, of_quaternion, Pose
 from .xml_file import read_xml
 from ..mechanism.fields import nearest
@@ -36,6 +36,8 @@ from ..mechanism.mechanism import (
 TYPES = {'revolute': REVOLUTE, 'continuous': REVOLUTE, 'prismatic': PRISMATIC, 'fixed': FIXED,
          'ball': SPHERICAL, 'universal': UNIVERSAL, 'revolute2': UNIVERSAL, 'screw': HELICAL}
 MODEL, WORLD = '__model__', 'world'
+# Types whose limit of effort tells whether they are driven.
+DRIVEN = (REVOLUTE, PRISMATIC, HELICAL, UNIVERSAL)
 # Limits beyond this are none.
 ENDLESS = 1e15
 # The version in which axes began to be given in the joint's frame.
@@ -44,7 +46,7 @@ REASONS = {
     'visual': 'for pictures', 'material': 'for pictures', 'collision': 'for contacts',
     'self_collide': 'for contacts', 'plugin': 'for a simulator', 'sensor': 'for sensors',
     'light': 'for pictures', 'scene': 'for pictures', 'gui': 'for pictures',
-    'physics': 'for a simulator', 'must_be_loop_joint': 'for a simulator',
+    'physics': 'for a simulator',
     'drake:linear_bushing_rpy': 'bushings close no loops', 'enable_wind': 'for a simulator',
     'allow_auto_disable': 'for a simulator', 'gravity': 'gravity acts on every link',
     'velocity_decay': 'for a simulator'}
@@ -145,7 +147,7 @@ class _Reader:
         self._float()
         if not any(joint.actuated for joint in model.joints.values()):
             for joint in model.joints.values():
-                joint.actuated = joint.type in (REVOLUTE, PRISMATIC) and bool(joint.effort)
+                joint.actuated = joint.type in DRIVEN and bool(joint.effort)
 
     def _end(self, joint, tag):
         """Return the name of a joint's parent or child."""
@@ -200,7 +202,8 @@ class _Reader:
                 link = self.given[link][1]
             links.append(GROUND if link == WORLD else link)
             poses.append(self._in(link, where=element).inverse @ place)
-        joint = Connection(element.attributes['name'], kind, *links, element.where, *poses)
+        joint = Connection(element.attributes['name'], kind, *links, element.where, *poses,
+                           closes=_must_close(element))
         first, second = element.child('axis'), element.child('axis2')
         if kind in (FIXED, SPHERICAL):
             return joint
@@ -211,6 +214,7 @@ class _Reader:
             if second is None:
                 raise element.error('a child <axis2>', 'none')
             joint.child_axis = self._axis(second, place)
+            joint.effort = _limits(first)[2]
             return joint
         if kind == HELICAL:
             joint.lead = _lead(element)
@@ -234,23 +238,24 @@ class _Reader:
         return place.rotation.T @ frame @ axis
 
     def _act(self, joint, element):
-        """Note what acts on a joint, and its limits."""
-        def value(parent, tag, default=None):
-            child = None if parent is None else parent.child(tag)
-            return default if child is None else child.values(child.text, 1, tag)[0]
-
-        dynamics, limit = element.child('dynamics'), element.child('limit')
+        """Note what acts on a joint, its limits and what it mimics."""
+        dynamics, mimic = element.child('dynamics'), element.child('mimic')
         joint.damping, joint.friction, joint.stiffness, joint.rest = (
-            value(dynamics, tag, 0.0)
+            _value(dynamics, tag, 0.0)
             for tag in ('damping', 'friction', 'spring_stiffness', 'spring_reference'))
         for name in ('damping', 'friction', 'stiffness'):
             if getattr(joint, name) < 0.0:
                 raise dynamics.error(f'{name} to be zero or more', f'{getattr(joint, name):g}')
-        limits = [value(limit, tag) for tag in ('lower', 'upper', 'effort', 'velocity')]
-        joint.lower, joint.upper, joint.effort, joint.speed = (
-            None if one is None or abs(one) > ENDLESS else one for one in limits)
-        if joint.effort is not None and joint.effort < 0.0:
-            joint.effort = None
+        joint.lower, joint.upper, joint.effort, joint.speed = _limits(element)
+        if mimic is not None:
+            if mimic.get('axis', 'axis') != 'axis':
+                raise mimic.error("axis to be 'axis'", repr(mimic.get('axis')))
+            other, factor = mimic.word('joint'), _value(mimic, 'multiplier', 1.0)
+            if factor == 0.0:
+                raise mimic.error('a multiplier that is not zero', '0')
+            self.model.relations.append(Relation(
+                f'{joint.name}_mimics_{other}', mimic.where, {joint.name: 1.0, other: -factor},
+                _value(mimic, 'offset', 0.0) - factor * _value(mimic, 'reference', 0.0)))
 
     def _float(self):
         """Carry each part that nothing joins to the world by a free joint, where it is drawn."""
@@ -304,6 +309,29 @@ def _link(element, pose_of):
     link.inertia = pose.rotation @ np.array(
         [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ pose.rotation.T
     return link
+
+
+def _value(parent, tag, default=None):
+    """Return the number in a child, where there is one."""
+    child = None if parent is None else parent.child(tag)
+    return default if child is None else child.values(child.text, 1, tag)[0]
+
+
+def _limits(element):
+    """Return lower, upper, effort and speed of an axis, None for those without end."""
+    found = [_value(element.child('limit'), tag) for tag in ('lower', 'upper', 'effort',
+                                                             'velocity')]
+    found = [None if one is None or abs(one) > ENDLESS else one for one in found]
+    if found[2] is not None and found[2] < 0.0:
+        found[2] = None
+    return found
+
+
+def _must_close(element):
+    """Tell whether a joint is to be cut where there is a choice."""
+    for tag in ('physics', 'simbody', 'must_be_loop_joint'):
+        element = element and element.child(tag)
+    return bool(element) and element.text in ('true', '1')
 
 
 def _lead(element):

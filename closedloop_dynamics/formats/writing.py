@@ -13,7 +13,7 @@
 # limitations under the License.
 
 """
-Mechanisms in MJCF and URDF: the same bodies, joints and loops for other programs.
+Mechanisms in MJCF, URDF and SDF: the same bodies, joints and loops for other programs.
 
 A joint of several freedoms that a format does not have becomes several of one freedom, with links
 without mass between them; they are called ``JOINT_1``, ``JOINT_2``. What a format cannot say
@@ -31,14 +31,19 @@ from .pose import angles_of, of_quaternion, Pose, quaternion_of
 from ..mechanism.couplings import in_tree
 from ..mechanism.mechanism import (
     Body, Coupling, CutJoint, CYLINDRICAL, DISTANCE, FIXED, FREE, GROUND, HELICAL, Joint,
-    MechanismError, PLANAR, Point, POINT_ON_LINE, PRISMATIC, REVOLUTE, SPHERICAL, UNIVERSAL)
+    JOINT_FREEDOMS, MechanismError, PLANAR, Point, POINT_ON_LINE, PRISMATIC, REVOLUTE, SPHERICAL,
+    UNIVERSAL)
 from ..mechanism.validation import checked
 
 X, Y, Z = (tuple(axis) for axis in np.eye(3).tolist())
-# Which way each effect on a joint is written: attribute of MJCF, and of dynamics in URDF.
-JOINT_EFFECTS = {'joint_damping': ('coefficient', 'damping', 'damping'),
-                 'joint_friction': ('coulomb', 'frictionloss', 'friction'),
-                 'joint_spring': ('stiffness', 'stiffness', None)}
+# Which way each effect on a joint is written: attribute of MJCF, and dynamics in URDF and in SDF.
+JOINT_EFFECTS = {'joint_damping': ('coefficient', 'damping', 'damping', 'damping'),
+                 'joint_friction': ('coulomb', 'frictionloss', 'friction', 'friction'),
+                 'joint_spring': ('stiffness', 'stiffness', None, 'spring_stiffness')}
+# What a driven joint is told by where it has no limit of its own [N m or N].
+EFFORT = '1e9'
+# SDF has no links without mass: theirs, in parts of the lightest body's.
+LEAST_MASS = 1e-12
 
 
 class _Single(NamedTuple):
@@ -93,7 +98,7 @@ def in_space(mechanism):
         points=tuple(points), couplings=tuple(couplings), source=None))
 
 
-def mjcf(mechanism, effects=None):
+def mjcf(mechanism, effects=None, start=None):
     """
     Return a mechanism as MJCF.
 
@@ -103,6 +108,8 @@ def mjcf(mechanism, effects=None):
         With cut joints that are spherical, revolute or fixed.
     effects : dict of str to dict, optional
         Keys of effects, of which gravity and those on joints are written.
+    start : ndarray, shape (nq,), optional
+        Coordinates, which become the key frame ``start``.
 
     Returns
     -------
@@ -160,7 +167,26 @@ def mjcf(mechanism, effects=None):
     for tag, section in sections.items():
         if not len(section):
             root.remove(section)
+    if start is not None:
+        _add_key_frame(root, mechanism, start)
     return _written(root)
+
+
+def _add_key_frame(root, mechanism, start):
+    """Add a position, its coordinates in the order in which MuJoCo has the joints."""
+    values = {}
+    for joint in mechanism.joints:
+        some = np.asarray(start, dtype=float)[mechanism.coordinates.coordinates[joint.name]]
+        if joint.type == HELICAL:
+            some = np.array([some[0], joint.lead * some[0]])
+        for single in _chain(mechanism, joint, balls=True):
+            count = 4 if single.type == SPHERICAL else 1
+            values[single.name] = np.roll(some[:count], 1) if count == 4 else some[:1]
+            some = some[count:]
+    order = [joint.get('name') for joint in root.find('worldbody').iter('joint')]
+    frame = ElementTree.SubElement(root, 'keyframe')
+    ElementTree.SubElement(frame, 'key', name='start',
+                           qpos=_numbers(*(one for name in order for one in values[name])))
 
 
 def _first(mechanism, joint, several, records):
@@ -191,7 +217,7 @@ def _add_body(bodies, parent, body, singles, place, acting):
         if single.axis is not None:
             added.set('axis', _numbers(*(there.rotation @ single.axis)))
         for kind, values in acting.get(single.name, {}).items():
-            key, attribute, _ = JOINT_EFFECTS[kind]
+            key, attribute, *_ = JOINT_EFFECTS[kind]
             added.set(attribute, _numbers(values[key]))
             if values.get('rest'):
                 added.set('springref', _numbers(values['rest']))
@@ -226,7 +252,7 @@ def _gear(sections, name, factors, offset):
                            tendon1=f'{name}_sum', polycoef=_numbers(offset, 0, 0, 0, 0))
 
 
-def urdf_with_loops(mechanism, effects=None):
+def urdf_with_loops(mechanism, effects=None, start=None):
     """
     Return a mechanism as URDF, its loops as elements loop and constraint.
 
@@ -236,6 +262,8 @@ def urdf_with_loops(mechanism, effects=None):
         With cut joints of common types, and couplings of two joints.
     effects : dict of str to dict, optional
         Keys of effects, of which damping and friction of joints are written.
+    start : ndarray, shape (nq,), optional
+        Coordinates, for which URDF has no place.
 
     Returns
     -------
@@ -259,7 +287,7 @@ def urdf_with_loops(mechanism, effects=None):
             ElementTree.SubElement(inertial, 'mass', value=_numbers(body.mass))
             ElementTree.SubElement(inertial, 'inertia', dict(zip(
                 ('ixx', 'iyy', 'izz', 'ixy', 'ixz', 'iyz'), map(_numbers, _moments(body)))))
-    mimics, acting = _mimics(mechanism), _acting(effects)
+    mimics, acting = _mimics(mechanism, 'URDF'), _acting(effects)
     for joint in mechanism.joints:
         parent, singles = joint.parent, _chain(mechanism, joint, balls=False)
         for number, single in enumerate(singles):
@@ -285,7 +313,7 @@ def urdf_with_loops(mechanism, effects=None):
 def _add_dynamics(element, single, joint, acting, mimics):
     """Add limits that URDF asks for, what acts on a joint, and what it mimics."""
     if single.type in (REVOLUTE, PRISMATIC):
-        limit = ElementTree.SubElement(element, 'limit', effort='1e9' if joint.actuated else '0',
+        limit = ElementTree.SubElement(element, 'limit', effort=EFFORT if joint.actuated else '0',
                                        velocity='1e9')
         if single.type == PRISMATIC:
             limit.set('lower', '-1e9')
@@ -304,7 +332,7 @@ def _add_dynamics(element, single, joint, acting, mimics):
                                offset=_numbers(offset))
 
 
-def _mimics(mechanism):
+def _mimics(mechanism, written):
     """Return by joint the other one that it mimics, the factor and the offset."""
     found = {}
     for coupling in mechanism.couplings:
@@ -312,7 +340,7 @@ def _mimics(mechanism):
         if len(coupling.joints) != 2 or not names:
             raise MechanismError(
                 f'{mechanism.name}: couplings.{coupling.name}: expected two joints, one of which '
-                'follows from no other coupling, to write URDF')
+                f'follows from no other coupling, to write {written}')
         name = names[0]
         other, = (one for one in coupling.joints if one != name)
         factor = coupling.joints[name]
@@ -350,6 +378,255 @@ def _loop(mechanism, robot, cut):
         _origin(end, 'origin', Pose(frame, np.array(point)))
     if axis is not None:
         ElementTree.SubElement(element, 'axis', xyz=_numbers(*axis))
+
+
+def sdf(mechanism, effects=None, start=None):
+    """
+    Return a mechanism as SDF: a world with a model whose joints form loops.
+
+    SDF draws a machine once, with its loops closed, and counts coordinates from there.
+
+    Parameters
+    ----------
+    mechanism : Mechanism
+        With cut joints of types that SDF has, and couplings of two joints.
+    effects : dict of str to dict, optional
+        Keys of effects, of which gravity and those on joints are written.
+    start : ndarray, shape (nq,), optional
+        Coordinates of the position that is drawn, which closes the loops; zero if not given.
+
+    Returns
+    -------
+    str
+        XML. Coordinates of joints are those of the mechanism less those of the start.
+
+    Raises
+    ------
+    MechanismError
+        Where SDF cannot say something.
+
+    """
+    mechanism = in_space(mechanism)
+    places = mechanism.coordinates
+    start = places.start() if start is None else np.asarray(start, dtype=float)
+    root = ElementTree.Element('sdf', version='1.11')
+    world = ElementTree.SubElement(root, 'world', name=mechanism.name)
+    ElementTree.SubElement(world, 'gravity').text = _numbers(*_gravity(effects))
+    writer = _Sdf(mechanism, ElementTree.SubElement(world, 'model', name=mechanism.name),
+                  _acting(effects))
+    zero = {joint.name: start[places.coordinates[joint.name]][0] for joint in mechanism.joints
+            if JOINT_FREEDOMS[joint.type] == 1}
+    shifted = replace(mechanism, couplings=tuple(replace(
+        one, offset=one.offset - sum(factor * zero[name] for name, factor in one.joints.items()))
+        for one in mechanism.couplings))
+    writer.mimics = _mimics(shifted, 'SDF')
+    for joint in mechanism.joints:
+        writer.add_joint(joint, start[places.coordinates[joint.name]])
+    for cut in mechanism.cut_joints:
+        writer.add_loop(cut)
+    for point in mechanism.points:
+        frame = ElementTree.SubElement(writer.model, 'frame', name=writer.links[point.name],
+                                       attached_to=writer.links[point.body])
+        writer.add_pose(frame, Pose(np.eye(3), np.array(point.position)))
+    return _written(root)
+
+
+class _Sdf:
+    """What is written into an element model, link by link and joint by joint."""
+
+    def __init__(self, mechanism, model, acting):
+        """Name the links, in SDF's one space of names for all, and write what they weigh."""
+        self.mechanism, self.model, self.acting, self.mimics = mechanism, model, acting, {}
+        taken = {one.name for one in (*mechanism.joints, *mechanism.cut_joints)} | {'world'}
+        taken |= {single.name for joint in mechanism.joints
+                  for single in self._singles(joint)}
+        self.links, self.elements, self.poses = {GROUND: '__model__'}, {}, {GROUND: Pose(
+            np.eye(3), np.zeros(3))}
+        names = [one.name for one in (*mechanism.bodies, *mechanism.points)]
+        for name in names:
+            word = name
+            while word in taken or (word != name and word in names):
+                word += '_link'
+            taken.add(word)
+            self.links[name] = word
+        self.taken = taken
+        massive = [body for body in mechanism.bodies if not body.massless]
+        self.least = LEAST_MASS * np.array([
+            min((body.mass for body in massive), default=1.0),
+            min((np.linalg.eigvalsh(_matrix(body))[-1] for body in massive), default=1.0)])
+        for body in mechanism.bodies:
+            self._add_link(body.name, body)
+
+    def _add_link(self, name, body=None):
+        """Add a link; one without mass gets next to nothing."""
+        self.elements[name] = link = ElementTree.SubElement(
+            self.model, 'link', name=self.links[name])
+        mass, moment = self.least
+        center, moments = np.zeros(3), (moment, moment, moment, 0.0, 0.0, 0.0)
+        if body is not None and not body.massless:
+            mass, center, moments = body.mass, body.center_of_mass, _moments(body)
+        inertial = ElementTree.SubElement(link, 'inertial')
+        self.add_pose(inertial, Pose(np.eye(3), np.array(center)))
+        _text(inertial, 'mass', mass)
+        inertia = ElementTree.SubElement(inertial, 'inertia')
+        for tag, value in zip(('ixx', 'iyy', 'izz', 'ixy', 'ixz', 'iyz'), moments):
+            _text(inertia, tag, value)
+
+    def add_pose(self, element, pose, relative_to=None):
+        """Add a pose, first of all children."""
+        child = ElementTree.Element('pose')
+        if relative_to:
+            child.set('relative_to', relative_to)
+        if np.array_equal(pose.rotation, np.eye(3)):
+            child.text = _numbers(*pose.position, 0, 0, 0)
+        else:
+            child.set('rotation_format', 'quat_xyzw')
+            child.text = _numbers(*pose.position, *quaternion_of(pose.rotation))
+        element.insert(0, child)
+
+    def _singles(self, joint):
+        """Return the joints that SDF has for a joint; none for one that floats."""
+        if joint.type == FREE and joint.parent == GROUND:
+            return []
+        if joint.type in (UNIVERSAL, HELICAL, FIXED):
+            return [_Single(joint.name, joint.type, joint.axis)]
+        return _chain(self.mechanism, joint, balls=True)
+
+    def add_joint(self, joint, q):
+        """Add a joint of the tree, drawn at its coordinates."""
+        singles, place = self._singles(joint), _pose(joint)
+        self.poses[joint.child] = self.poses[joint.parent] @ place @ _moved(joint, q)
+        if not singles:
+            if joint.actuated:
+                raise self._error('joints', joint, 'actuated', 'false', 'true')
+            self.add_pose(self.elements[joint.child], self.poses[joint.child])
+            return
+        parent = joint.parent
+        for number, single in enumerate(singles):
+            child = joint.child
+            if number < len(singles) - 1:
+                child = f'{joint.name}_link_{number + 1}'
+                while child in self.taken:
+                    child += '_'
+                self.taken.add(child)
+                self.links[child] = child
+                self._add_link(child)
+            count = {SPHERICAL: 4, UNIVERSAL: 2, FIXED: 0}.get(single.type, 1)
+            element = self._joint(single.name, single.type, parent, child)
+            before, after = _drawn(single, joint, q[:count])
+            self.add_pose(element, place @ before, self.links[parent])
+            self.add_pose(self.elements[child], after, single.name)
+            self._add_axes(element, single, joint, q[:count])
+            parent, place, q = child, Pose(np.eye(3), np.zeros(3)), q[count:]
+
+    def _joint(self, name, kind, parent, child):
+        """Add an element joint with its ends."""
+        element = ElementTree.SubElement(
+            self.model, 'joint', name=name,
+            type={SPHERICAL: 'ball', HELICAL: 'screw'}.get(kind, kind))
+        for tag, body in (('parent', parent), ('child', child)):
+            ElementTree.SubElement(element, tag).text = (
+                'world' if body == GROUND else self.links[body])
+        return element
+
+    def _add_axes(self, element, single, joint, q):
+        """Add axes and lead, what acts along them, and that a joint is driven."""
+        if joint.actuated and single.type == SPHERICAL:
+            raise self._error('joints', joint, 'actuated', 'false', 'true')
+        if joint.type == HELICAL:
+            _text(element, 'screw_thread_pitch', 2.0 * np.pi * joint.lead)
+        axes = [single.axis] if single.axis is not None else []
+        if joint.type == UNIVERSAL:
+            axes.append(joint.second_axis)
+        for number, axis in enumerate(axes):
+            child = _add_axis(element, number, axis)
+            if joint.actuated:
+                _text(ElementTree.SubElement(child, 'limit'), 'effort', EFFORT)
+            dynamics = ElementTree.Element('dynamics')
+            for kind, values in self.acting.get(single.name, {}).items():
+                key, *_, tag = JOINT_EFFECTS[kind]
+                if kind == 'joint_spring':
+                    _text(dynamics, 'spring_reference', values.get('rest', 0.0) - q[0])
+                _text(dynamics, tag, values[key])
+            if len(dynamics):
+                child.append(dynamics)
+            if single.name in self.mimics:
+                other, factor, offset = self.mimics[single.name]
+                mimic = ElementTree.SubElement(child, 'mimic', joint=other, axis='axis')
+                for tag, value in (('multiplier', factor), ('offset', offset), ('reference', 0)):
+                    _text(mimic, tag, value)
+
+    def add_loop(self, cut):
+        """Add a joint that closes a loop, where its second body has it."""
+        if cut.type not in (REVOLUTE, PRISMATIC, FIXED, SPHERICAL, UNIVERSAL, HELICAL):
+            raise self._error('cut_joints', cut, 'type',
+                              'a joint that SDF has, not cylindrical or planar,', repr(cut.type))
+        # SDF has joints in the world only as parents.
+        a, b = (cut.body_a, cut.point_a, cut.axis_a), (cut.body_b, cut.point_b, cut.axis_b)
+        (parent, _, first), (child, point, second) = (a, b) if cut.body_b != GROUND else (b, a)
+        element = self._joint(cut.name, cut.type, parent, child)
+        self.add_pose(element, Pose(np.eye(3), np.array(point)), self.links[child])
+        across = self.poses[child].rotation.T @ self.poses[parent].rotation
+        if cut.type == UNIVERSAL:
+            _add_axis(element, 0, across @ first)
+            _add_axis(element, 1, second)
+        elif cut.type not in (FIXED, SPHERICAL):
+            axis = across @ first if second is None else second
+            if cut.type == HELICAL:
+                _text(element, 'screw_thread_pitch', 2.0 * np.pi * cut.lead)
+            _add_axis(element, 0, axis)
+        physics = ElementTree.SubElement(ElementTree.SubElement(element, 'physics'), 'simbody')
+        _text(physics, 'must_be_loop_joint', 'true')
+
+    def _error(self, section, record, key, expected, got):
+        return MechanismError(f'{self.mechanism.name}: {section}.{record.name}.{key}: expected '
+                              f'{expected} to write SDF, got {got}')
+
+
+def _add_axis(element, number, axis):
+    child = ElementTree.SubElement(element, 'axis2' if number else 'axis')
+    ElementTree.SubElement(child, 'xyz').text = _numbers(*axis)
+    return child
+
+
+def _text(element, tag, value):
+    """Add a child with a number or a word."""
+    ElementTree.SubElement(element, tag).text = (
+        value if isinstance(value, str) else _numbers(value))
+
+
+def _turn(axis, angle):
+    return of_quaternion([*(np.sin(0.5 * angle) * np.array(axis)), np.cos(0.5 * angle)])
+
+
+def _drawn(single, joint, q):
+    """Return where a joint's frame is in the one before it, and its child in that, at q."""
+    frame, child, place, after = np.eye(3), np.eye(3), np.zeros(3), np.zeros(3)
+    if single.type == SPHERICAL:
+        frame = of_quaternion(q)
+    elif single.type == UNIVERSAL:
+        frame, child = _turn(joint.axis, q[0]), _turn(joint.second_axis, q[1])
+    elif single.type in (REVOLUTE, HELICAL):
+        child = _turn(single.axis, q[0])
+        if single.type == HELICAL:
+            after = joint.lead * q[0] * np.array(single.axis)
+    elif single.type == PRISMATIC:
+        after = q[0] * np.array(single.axis)
+    return Pose(frame, place), Pose(child, after)
+
+
+def _moved(joint, q):
+    """Return where a joint's child is in its frame."""
+    pose = Pose(np.eye(3), np.zeros(3))
+    if joint.type == FREE:
+        return Pose(of_quaternion(q[3:]), np.array(q[:3]))
+    kinds = {CYLINDRICAL: ((REVOLUTE, joint.axis), (PRISMATIC, joint.axis)),
+             PLANAR: ((PRISMATIC, X), (PRISMATIC, Y), (REVOLUTE, Z))}.get(
+                 joint.type, ((joint.type, joint.axis),))
+    for number, (kind, axis) in enumerate(kinds):
+        frame, child = _drawn(_Single('', kind, axis), joint, q[number:])
+        pose = pose @ frame @ child
+    return pose
 
 
 def _chain(mechanism, joint, balls):
@@ -425,6 +702,11 @@ def _moments(body):
     return (*body.inertia, 0.0, 0.0, 0.0)[:6]
 
 
+def _matrix(body):
+    xx, yy, zz, xy, xz, yz = _moments(body)
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+
 def _quaternion(rotation):
     """Return a rotation as MuJoCo writes it, w first."""
     x, y, z, w = quaternion_of(rotation)
@@ -441,4 +723,4 @@ def _written(root):
     return ElementTree.tostring(root, encoding='unicode') + '\n'
 
 
-WRITERS = {'.mjcf': mjcf, '.xml': mjcf, '.urdf': urdf_with_loops}
+WRITERS = {'.mjcf': mjcf, '.xml': mjcf, '.urdf': urdf_with_loops, '.sdf': sdf, '.world': sdf}

@@ -14,12 +14,14 @@
 
 """Mechanisms that are written in other formats and read again move as before."""
 
+from dataclasses import replace
+
 from closedloop_dynamics.cli import main
 from closedloop_dynamics.formats.registry import read_model
-from closedloop_dynamics.formats.writing import in_space, mjcf, urdf_with_loops
+from closedloop_dynamics.formats.writing import in_space, mjcf, sdf, urdf_with_loops
 from closedloop_dynamics.mechanism.config import shipped_path
 from closedloop_dynamics.mechanism.mechanism import (
-    Body, Coupling, CutJoint, Joint, Mechanism, MechanismError)
+    Body, Coupling, CutJoint, Joint, Mechanism, MechanismError, Point)
 from closedloop_dynamics.mechanism.reader import read_mechanism
 from closedloop_dynamics.mechanism.validation import validate_mechanism
 from closedloop_dynamics.simulation.far_assembly import find_closed, Loops
@@ -59,6 +61,7 @@ def closing(kind, body):
             'planar': {'axis_a': (0.6, 0.0, 0.8), 'axis_b': Z},
             'universal': {'axis_a': (0.6, 0.0, 0.8), 'axis_b': Z},
             'prismatic': {'axis_b': (0.0, 0.6, 0.8), 'orientation': TURNED},
+            'helical': {'axis_b': (0.0, 0.6, 0.8), 'orientation': TURNED, 'lead': 0.2},
             'fixed': {'orientation': TURNED}}
     return CutJoint('cut', kind, body, 'ground', (0.1, 0.2, 0.0), (0.5, 0.2, 0.1),
                     **keys.get(kind, {}))
@@ -79,16 +82,21 @@ def accelerations(mechanism, q, qd):
     return np.linalg.lstsq(whole, right, rcond=1e-12)[0][:len(qd)]
 
 
-def same_motion(mechanism, again, in_order=True):
-    """Compare two mechanisms of the same coordinates in a closed state."""
+def closed_state(mechanism):
+    """Return coordinates and rates of a mechanism with its loops closed."""
     loops, rng = Loops(mechanism, 1.0), np.random.default_rng(3)
     q = loops.moved(loops.start(), 0.3 * rng.normal(size=loops.nv))
     found = find_closed(mechanism, 1.0, q)
     assert found.closed
     jac = loops.residual(found.q)[1]
     qd = rng.normal(size=loops.nv)
-    qd -= np.linalg.pinv(jac, rcond=1e-9) @ jac @ qd
-    assert again.coordinates.nv == loops.nv
+    return found, qd - np.linalg.pinv(jac, rcond=1e-9) @ jac @ qd
+
+
+def same_motion(mechanism, again):
+    """Compare two mechanisms of the same coordinates in a closed state."""
+    found, qd = closed_state(mechanism)
+    assert again.coordinates.nv == mechanism.coordinates.nv
     np.testing.assert_allclose(accelerations(again, found.q, qd),
                                accelerations(mechanism, found.q, qd), rtol=1e-10, atol=1e-10)
 
@@ -123,6 +131,80 @@ def test_mjcf_with_every_joint_and_couplings(tmp_path):
                      'spherical', 'prismatic', couplings=[Coupling('c', {'j1': 2.0, 'j7': -1.0},
                                                                    0.3)])
     same_motion(mechanism, read_again(tmp_path, mjcf(mechanism, GRAVITY), '.xml'))
+
+
+@pytest.mark.parametrize('kinds, loop', [
+    (CHAIN, 'spherical'), (CHAIN, 'revolute'), (CHAIN, 'fixed'), (CHAIN, 'universal'),
+    (CHAIN, 'prismatic'), (CHAIN, 'helical'), (('revolute', 'universal', 'spherical'), 'revolute'),
+    (('spherical', 'helical', 'universal', 'revolute'), 'spherical'),
+    (('revolute', 'cylindrical', 'planar', 'fixed', 'prismatic'), 'universal'),
+])
+def test_sdf_with_every_loop_and_joint(tmp_path, kinds, loop):
+    mechanism = tree(*kinds, cuts=[closing(loop, f'b{len(kinds) - 1}')])
+    if kinds[0] == 'spherical':
+        mechanism = replace(mechanism, joints=tuple(
+            replace(joint, actuated=False) for joint in mechanism.joints))
+    found, qd = closed_state(mechanism)
+    again = read_again(tmp_path, sdf(mechanism, GRAVITY, found.q), '.sdf')
+    assert again.coordinates.nv == mechanism.coordinates.nv
+    assert again.actuated_joints == mechanism.actuated_joints
+    assert [cut.name for cut in again.cut_joints] == ['cut']
+    # Drawn with its loops closed, and there are its zeros.
+    drawn = again.coordinates.start()
+    assert max(Loops(again, 1.0).gaps(drawn).values()) < 1e-12
+    np.testing.assert_allclose(accelerations(again, drawn, qd),
+                               accelerations(mechanism, found.q, qd), rtol=1e-10, atol=1e-10)
+    # And from there both move alike.
+    loops = Loops(mechanism, 1.0)
+    moved = find_closed(mechanism, 1.0, loops.moved(found.q, 0.1 * qd))
+    coordinates = moved.q - found.q
+    if any(kind == 'spherical' for kind in kinds):
+        return
+    jac = loops.residual(moved.q)[1]
+    qd -= np.linalg.pinv(jac, rcond=1e-9) @ jac @ qd
+    np.testing.assert_allclose(accelerations(again, coordinates, qd),
+                               accelerations(mechanism, moved.q, qd), rtol=1e-10, atol=1e-10)
+
+
+def test_sdf_with_what_floats_couplings_and_effects(tmp_path):
+    mechanism = tree('free', 'revolute', 'prismatic', 'helical', couplings=[
+        Coupling('c', {'j1': 2.0, 'j2': -1.0}, 0.3), Coupling('d', {'j2': 1.0, 'j3': -1.0}, 0.1)])
+    mechanism = replace(mechanism, joints=tuple(
+        replace(joint, actuated=joint.name == 'j3') for joint in mechanism.joints),
+        points=(Point('tip', 'b3', (0.1, 0.2, 0.3)), Point('j1', 'b0', (0.0, 0.0, 0.5))))
+    found, qd = closed_state(mechanism)
+    effects = {**GRAVITY, 'a': {'type': 'joint_damping', 'joint': 'j1', 'coefficient': 0.5},
+               'b': {'type': 'joint_spring', 'joint': 'j2', 'stiffness': 3.0, 'rest': 0.2},
+               'e': {'type': 'joint_friction', 'joint': 'j3', 'coulomb': 0.7}}
+    (tmp_path / 'm.sdf').write_text(sdf(mechanism, effects, found.q))
+    imported = read_model(tmp_path / 'm.sdf')
+    again = imported.mechanism
+    # What floats comes last, named after its body, and is zero where it is drawn.
+    assert again.joint_names == ('j1', 'j2', 'j3', 'b0_free')
+    assert again.actuated_joints == ('j3',)
+    assert {point.name: point.body for point in again.points} == {'tip': 'b3', 'j1_link': 'b0'}
+    np.testing.assert_allclose(
+        np.roll(accelerations(again, again.coordinates.start(), np.roll(qd, 3)), 6)[6:],
+        accelerations(mechanism, found.q, qd)[6:], rtol=1e-10, atol=1e-10)
+    assert imported.effects['gravity']['acceleration'] == (0.0, 0.0, -9.81)
+    assert imported.effects['damping_j1']['coefficient'] == 0.5
+    assert imported.effects['friction_j3']['coulomb'] == 0.7
+    spring = imported.effects['stiffness_j2']
+    assert spring['stiffness'] == 3.0
+    assert spring['rest'] == pytest.approx(0.2 - found.q[mechanism.coordinates.coordinates['j2']])
+
+
+def test_mjcf_starts_where_the_loops_are_closed(tmp_path):
+    mujoco = pytest.importorskip('mujoco')
+    for mechanism in (tree(*CHAIN, cuts=[closing('spherical', 'b7')]),
+                      tree('free', 'revolute0', 'universal', 'spherical', 'planar', 'helical',
+                           cuts=[closing('spherical', 'b5')])):
+        found, _ = closed_state(mechanism)
+        model = mujoco.MjModel.from_xml_string(mjcf(mechanism, GRAVITY, found.q))
+        data = mujoco.MjData(model)
+        mujoco.mj_resetDataKeyframe(model, data, 0)
+        mujoco.mj_forward(model, data)
+        assert np.abs(data.efc_pos[:data.ne]).max() < 1e-9
 
 
 def test_urdf_with_joints_of_several_freedoms_and_couplings(tmp_path):
@@ -160,6 +242,14 @@ def test_scenes_are_exported_with_what_acts_on_joints(tmp_path, monkeypatch, cap
     assert main(['export', 'three_rrr', '--output', 'r.urdf']) == 2
     assert main(['export', 'three_rrr', '--output', 'r.step']) == 2
     assert 'expected a name that ends with one of .mjcf, .xml, .urdf' in capsys.readouterr().err
+    assert main(['export', 'rssr_four_bar', '--output', 'r.sdf']) == 0
+    # Links whose joints have their names are called otherwise.
+    assert [body.name for body in read_model('r.sdf').mechanism.bodies] == [
+        'crank_link', 'rocker_link', 'rod']
+    assert main(['export', 'geared_five_bar', '--output', 'g.sdf']) == 0
+    assert 'coordinates count from there: crank_1_joint 0, ' in capsys.readouterr().out
+    again = read_model('g.sdf').mechanism
+    assert max(Loops(again, 1.0).gaps(np.zeros(4)).values()) < 1e-10
     effects = {**GRAVITY, 'a': {'type': 'joint_damping', 'joint': 'j0', 'coefficient': 0.5},
                'b': {'type': 'joint_spring', 'joint': 'j1', 'stiffness': 3.0, 'rest': 0.2}}
     (tmp_path / 'm.xml').write_text(mjcf(tree('revolute', 'prismatic'), effects))
@@ -173,6 +263,9 @@ def test_what_formats_cannot_say_is_refused():
             (mjcf, tree(*CHAIN, cuts=[closing('planar', 'b7')]),
              'cut_joints.cut.type: expected spherical, revolute or fixed'),
             (mjcf, tree('revolute', 'revolute0'), 'bodies.b1: expected a mass'),
+            (sdf, tree(*CHAIN, cuts=[closing('planar', 'b7')]),
+             'cut_joints.cut.type: expected a joint that SDF has'),
+            (sdf, tree('spherical'), 'joints.j0.actuated: expected false to write SDF, got true'),
             (urdf_with_loops, tree('revolute', 'prismatic', 'revolute', couplings=[
                 Coupling('c', {'j0': 1.0, 'j1': 1.0, 'j2': 1.0})]),
              'couplings.c: expected two joints')):
