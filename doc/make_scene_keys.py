@@ -49,7 +49,7 @@ TYPES = {'str': 'text', 'bool': 'true or false', 'float': 'number', 'int': 'whol
          'float, or tuple of 3 or 6 floats in space': 'number, in space a list',
          'tuple of 3 floats or None': '[x, y, z]',
          'tuple of 4 floats': '{rpy: [r, p, y]} or {quaternion: [x, y, z, w]}',
-         'dict of str to float': 'number by joint name',
+         'dict of str to float': 'number by joint name', 'tuple of Visual': 'list of shapes',
          'tuple of nv floats': 'number by joint name',
          'tuple of nq floats': 'number by joint name'}
 CHOICES = {'integrator': (AUTO, *INTEGRATORS), 'stabilisation': STABILISATIONS,
@@ -117,7 +117,10 @@ def page():
               'in metres: a box has three lengths along the axes of the body, or of its own '
               '`orientation`; a cylinder an axis; `center` is its centre of mass, by default the '
               'origin of the body; a rod is a solid cylinder between two places, from the origin '
-              'and thin by default.', '', '### `parameters`', '',
+              'and thin by default. In `visual` a shape may be a `mesh`, too: a `file` (STL, OBJ, '
+              'PLY, GLB; from the file of the mechanism on) with `scale`, `center` and '
+              '`orientation`.',
+              '', '### `parameters`', '',
               'Numbers by name, of a mechanism and of a scene. Every other number may be an '
               'expression of them, as text: numbers, `pi`, + - * / ** and brackets, and the '
               'functions ' + ', '.join(f'`{name}`' for name in FUNCTIONS) + '. A scene gives '

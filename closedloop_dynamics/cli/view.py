@@ -115,6 +115,7 @@ def _live(arguments):
             runner = Runner(scene)
         except AssemblyError as error:
             raise UsageError(f'{arguments.what}: {error}') from None
+    _told(runner.described)
     with program_watch.noting() as received:
         server = _served(arguments, [live_page(scene.name)], [runner.feed])
         try:
@@ -136,6 +137,13 @@ def _play(arguments):
         finally:
             server.close()
     return 128 + received[0]
+
+
+def _told(described):
+    """Return a description; say on stderr which meshes cannot be shown."""
+    for text in described['missing']:
+        print(f'closedloop view: {text}; drawn as lines', file=sys.stderr)
+    return described
 
 
 def _served(arguments, pages, feeds):
@@ -170,8 +178,9 @@ def _recorded_page(arguments):
               file=sys.stderr)
     title = recording.scene.name
     return recorded_page(
-        title, describe(motion.mechanism, motion_columns(motion.mechanism), mode='recording',
-                        title=title),
+        title, _told(describe(
+            motion.mechanism, motion_columns(motion.mechanism), recording.scene.effects,
+            mode='recording', title=title)),
         motion.time[::every], motion_rows(part(motion, np.arange(count) % every == 0)))
 
 
@@ -197,7 +206,8 @@ def _simulated_page(arguments):
         columns, times, rows = simulated(
             simulation, arguments.duration, RATE, torque, lambda time: bar.update(time - bar.n))
     return recorded_page(
-        scene.name, describe(scene.mechanism, columns, mode='recording', title=scene.name),
+        scene.name, _told(describe(
+            scene.mechanism, columns, scene.effects, mode='recording', title=scene.name)),
         np.array(times), np.array(rows))
 
 

@@ -180,6 +180,11 @@ class BodyContact(Effect):
                              f'{self.radius:g}', path=('radius',))
         object.__setattr__(self, '_pieces', self._curve() if self.shape == 'curve' else ())
 
+    @property
+    def pieces(self):
+        """Pieces of the curve, a tuple of tuples of ``curve.COLUMNS`` floats; of others empty."""
+        return self._pieces
+
     def _require_keys(self):
         """Refuse keys that the shape does not have, and miss those that it needs."""
         required, optional = SHAPES[self.shape]

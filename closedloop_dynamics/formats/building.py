@@ -28,6 +28,7 @@ import numpy as np
 
 from .model import Connection
 from .pose import IDENTITY, Pose, quaternion_of
+from .visuals import placed
 from ..mechanism.fields import FieldError
 from ..mechanism.mechanism import (
     Body, COUPLED, Coupling, CUT_WITH_AXIS_A, CUT_WITH_AXIS_B, CUT_WITH_ORIENTATION, CutJoint,
@@ -110,6 +111,10 @@ def mechanism_of(model, end_stops=None):
         raise MechanismError(f'{model.path}: expected a joint that moves, got none')
     named = _Names(model)
     bodies, frames = _bodies(model, groups, tree, named)
+    still = [name for name in groups.links[GROUND] if name in model.links
+             and model.links[name].visual]
+    if still:
+        ignored[f'visual of {", ".join(still)}'] = 'the ground is not drawn'
     mechanism = Mechanism(
         name=_word(model.name), bodies=tuple(bodies),
         joints=tuple(_joint(joint, groups, frames, named) for joint in tree.joints),
@@ -272,13 +277,14 @@ def _bodies(model, groups, tree, named):
         if group == GROUND:
             continue
         mass, moment, about = 0.0, np.zeros(3), np.zeros((3, 3))
-        parts = []
+        parts, visual = [], []
         for name in groups.links[group]:
             link = model.links[name]
             pose = frames[group].inverse @ groups.of[name][1]
             _check_link(link)
             center = pose.place(link.center)
             parts.append((link.mass, center, pose.rotation @ link.inertia @ pose.rotation.T))
+            visual += [placed(one, pose) for one in link.visual]
             mass += link.mass
             moment += link.mass * center
         center = moment / mass if mass > 0.0 else moment
@@ -287,7 +293,7 @@ def _bodies(model, groups, tree, named):
             about += inertia + part * (offset @ offset * np.eye(3) - np.outer(offset, offset))
         bodies[group] = Body(
             named.body(group), mass, _vector(center), _inertia(about) if mass > 0.0 else 0.0,
-            massless=mass == 0.0)
+            massless=mass == 0.0, visual=tuple(visual))
     return [bodies[group] for group in groups.links if group in bodies], frames
 
 

@@ -50,6 +50,8 @@ class Link:
         Centre of mass in the link's frame [m].
     inertia : ndarray, shape (3, 3)
         About the centre of mass, along the axes of the link's frame [kg m^2].
+    visual : list of mechanism.Visual
+        Shapes that it is drawn as, in the link's frame.
 
     """
 
@@ -58,6 +60,7 @@ class Link:
     mass: float = 0.0
     center: np.ndarray = field(default_factory=lambda: np.zeros(3))
     inertia: np.ndarray = field(default_factory=lambda: np.zeros((3, 3)))
+    visual: list = field(default_factory=list)
 
 
 @dataclass

@@ -28,6 +28,7 @@ import numpy as np
 
 from .model import Connection, Link, Model, Relation
 from .pose import IDENTITY, of_angles, of_quaternion, Pose
+from .visuals import visuals
 from .xml_file import read_xml
 from ..mechanism.fields import nearest
 from ..mechanism.mechanism import (
@@ -130,6 +131,8 @@ class _Reader:
         self.found[WORLD] = self._pose(pose).inverse if pose is not None else IDENTITY
         for link in self.links:
             model.add(_link(link, self._pose))
+            model.links[link.attributes['name']].visual = visuals(
+                link, model.path.parent, lambda visual: self._pose(visual.child('pose')), _child)
             if link.attributes['name'] in (WORLD, GROUND):
                 raise link.error(f'any name but {WORLD!r} and {GROUND!r}', 'this one')
         for joint in self.joints:
@@ -325,6 +328,14 @@ def _limits(element):
     if found[2] is not None and found[2] < 0.0:
         found[2] = None
     return found
+
+
+def _child(element, key, count):
+    """Return numbers, or text, of a child."""
+    child = element.child(key)
+    if child is None or count is None:
+        return child and child.text
+    return child.values(child.text, count, key)
 
 
 def _must_close(element):

@@ -28,6 +28,7 @@ import numpy as np
 from .model import Connection, Link, Model, Relation
 from .parallel_yaml import add_parallel_yaml
 from .pose import IDENTITY, of_angles, Pose
+from .visuals import visuals
 from .xml_file import read_xml
 from ..mechanism.fields import nearest
 from ..mechanism.mechanism import (
@@ -74,6 +75,8 @@ def read_urdf(path):
     model = Model(robot.get('name') or path.stem, path)
     for link in robot.all('link'):
         model.add(_link(link))
+        model.links[link.attributes['name']].visual = visuals(
+            link, path.parent, lambda visual: _origin(visual.child('origin')), _attribute)
     mimics = []
     for joint in robot.all('joint'):
         model.add(_joint(joint, mimics))
@@ -141,6 +144,11 @@ def _link(element):
     link.inertia = pose.rotation @ np.array(
         [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ pose.rotation.T
     return link
+
+
+def _attribute(element, key, count):
+    """Return numbers, or text, of an attribute."""
+    return element.get(key) if count is None else element.numbers(key, count)
 
 
 def _origin(element):

@@ -17,7 +17,8 @@
 from dataclasses import fields, MISSING
 import json
 
-from ..mechanism.mechanism import UNTURNED
+from ..mechanism.mechanism import MESH, UNTURNED
+from ..mechanism.shapes import told
 from ..mechanism.validation import SECTIONS
 
 LONGEST_LINE = 110
@@ -47,7 +48,8 @@ def mechanism_text(mechanism, notes=()):
         records = getattr(mechanism, section)
         if records:
             parts += ['', f'{section}:', *(
-                line for record in records for line in _entry(record.name, _values(record)))]
+                line for record in records
+                for line in _entry(record.name, _values(record, not mechanism.planar)))]
     return '\n'.join(parts) + '\n'
 
 
@@ -81,16 +83,24 @@ def scene_text(imported, q, mechanism_path):
     return '\n'.join(parts) + '\n'
 
 
-def _values(record):
+def _values(record, spatial):
     """Return the keys of a record that differ from what they are when left out."""
     values = {
         field.name: value for field in fields(record) if field.name != 'name'
         and ((value := getattr(record, field.name)) != field.default or field.default is MISSING)}
     if values.get('massless'):
-        values = {'massless': True}
+        values = {key: values[key] for key in ('massless', 'visual') if key in values}
+    if 'visual' in values:
+        values['visual'] = [_quoted(told(visual, spatial)) for visual in values['visual']]
     if values.get('orientation', UNTURNED) != UNTURNED:
         values['orientation'] = {'quaternion': values['orientation']}
     return values
+
+
+def _quoted(shape):
+    """Return a shape with the path of a mesh as YAML has text."""
+    mesh = shape.get(MESH)
+    return {MESH: {**mesh, 'file': json.dumps(mesh['file'])}} if mesh else shape
 
 
 def _entry(name, values):

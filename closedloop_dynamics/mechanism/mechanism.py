@@ -42,6 +42,9 @@ from .coordinates import (
     UNIVERSAL)
 
 GROUND = 'ground'
+BOX, CYLINDER, SPHERE, MESH = 'box', 'cylinder', 'sphere', 'mesh'
+# How many lengths, or factors, the shapes have that bodies are drawn as.
+VISUAL_SIZES = {BOX: 3, CYLINDER: 2, SPHERE: 1, MESH: 3}
 DISTANCE = 'distance'
 POINT_ON_LINE = 'point_on_line'
 POINT_ON_PLANE = 'point_on_plane'
@@ -78,6 +81,34 @@ class MechanismError(ValueError):
 
 
 @dataclass(frozen=True)
+class Visual:
+    """
+    Shape that a body is drawn as; without mass.
+
+    Attributes
+    ----------
+    kind : str
+        One of ``VISUAL_SIZES``.
+    size : tuple of floats
+        Of a box its three lengths [m], of a cylinder along its z axis radius and length [m], of
+        a sphere its radius [m], of a mesh what its coordinates are multiplied with.
+    center : tuple of 3 floats
+        In the body's frame [m], of a mesh its origin; in the plane z is zero.
+    orientation : tuple of 4 floats
+        Of its axes in the body's frame, a unit quaternion.
+    file : str or None
+        Of a mesh.
+
+    """
+
+    kind: str
+    size: Tuple[float, ...]
+    center: Vector3 = (0.0, 0.0, 0.0)
+    orientation: Quaternion = UNTURNED
+    file: Optional[str] = None  # noqa: A003
+
+
+@dataclass(frozen=True)
 class Body:
     """
     One rigid body.
@@ -95,6 +126,9 @@ class Body:
     massless : bool
         Mass and inertia are zero on purpose: a link that only guides. The loops must then
         determine its motion.
+    visual : tuple of Visual
+        Shapes that it is drawn as, which follow from ``shape`` if that is given; otherwise it is
+        drawn through its joints and points. No part of what two bodies are compared by.
 
     """
 
@@ -103,6 +137,7 @@ class Body:
     center_of_mass: Vector
     inertia: Union[float, Tuple[float, ...]]
     massless: bool = False
+    visual: Tuple[Visual, ...] = field(default=(), compare=False)
 
 
 @dataclass(frozen=True)

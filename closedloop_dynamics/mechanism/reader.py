@@ -23,14 +23,15 @@ got the text 'uper_arm' (did you mean 'upper_arm'?)``.
 
 from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
 
 from .between import BETWEEN, link, with_tree
 from .checks import number
 from .document import Document
 from .expressions import Parameters, put_changes
 from .fields import among, at, FieldError, keys_of, mapping, nearest, normalise
-from .mechanism import Joint, Mechanism, MechanismError
-from .shapes import with_shape
+from .mechanism import Joint, Mechanism, MechanismError, MESH
+from .shapes import visuals, with_shape
 from .validation import checked, SECTIONS, SPATIAL_SECTIONS, validate_mechanism
 
 # What a massless body need not say, beside its centre of mass.
@@ -64,7 +65,19 @@ def read_mechanism(path, parameters=None):
     """
     document = Document(path, MechanismError)
     with document.errors():
-        return _mechanism(document.data, parameters or {})
+        return _mechanism(_located(document.data, Path(path).resolve().parent), parameters or {})
+
+
+def _located(data, folder):
+    """Return data with the paths of meshes, which are told from a folder on, as a whole."""
+    bodies = data.get('bodies') if isinstance(data, Mapping) else None
+    for body in bodies.values() if isinstance(bodies, Mapping) else ():
+        visual = body.get('visual') if isinstance(body, Mapping) else None
+        for shape in visual if isinstance(visual, list) else ():
+            mesh = shape.get(MESH) if isinstance(shape, Mapping) else None
+            if isinstance(mesh, dict) and isinstance(mesh.get('file'), str):
+                mesh['file'] = str(folder / mesh['file'])
+    return data
 
 
 def with_parameters(mechanism, parameters):
@@ -233,12 +246,33 @@ def _records(section, key, parameters, spatial, links, data):
     return tuple(records)
 
 
+def _evaluated(shapes, parameters):
+    """Return shapes with numbers in the place of expressions; paths of meshes are none."""
+    if not isinstance(shapes, list):
+        return shapes
+    found = []
+    for index, shape in enumerate(shapes):
+        mesh = shape.get(MESH) if isinstance(shape, Mapping) else None
+        with at(index):
+            if isinstance(mesh, Mapping) and 'file' in mesh:
+                with at(MESH):
+                    rest = parameters.evaluated(
+                        {key: value for key, value in mesh.items() if key != 'file'})
+                found.append({**shape, MESH: {**rest, 'file': mesh['file']}})
+            else:
+                found.append(parameters.evaluated(shape))
+    return found
+
+
 def _body(values, parameters, spatial):
     """Return the keys of a body with those that it need not say."""
     for key in _SHAPE_KEYS:
         if key in values:
             with at(key):
                 values[key] = parameters.evaluated(values[key])
+    if 'visual' in values:
+        with at('visual'):
+            values['visual'] = visuals(_evaluated(values['visual'], parameters), spatial)
     values = with_shape(values, spatial)
     if values.get('massless') is True:
         values = {**_NOTHING, 'center_of_mass': None, **values}

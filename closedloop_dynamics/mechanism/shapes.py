@@ -13,7 +13,7 @@
 # limitations under the License.
 
 """
-Centre of mass and inertia of bodies that are boxes, cylinders, spheres or rods of one material.
+Shapes of bodies: centre of mass and inertia of one material, and what they are drawn as.
 
 A shape is one in space, also of a body in the plane, where its inertia is the moment about z.
 
@@ -24,8 +24,10 @@ import math
 
 import numpy as np
 
-from .checks import direction, not_negative, numbers, orientation, positive, vector2, vector3
+from .checks import (
+    direction, not_negative, numbers, orientation, positive, text, vector2, vector3)
 from .fields import among, at, FieldError, mapping, shown
+from .mechanism import BOX, CYLINDER, MESH, SPHERE, UNTURNED, Visual
 
 # Shape -> required and optional keys.
 SHAPES = {
@@ -34,6 +36,8 @@ SHAPES = {
     'sphere': (('radius',), ('center',)),
     'rod': (('to',), ('from', 'radius')),
 }
+# The same of what bodies are drawn as.
+VISUALS = {**SHAPES, MESH: (('file',), ('scale', 'center', 'orientation'))}
 # What follows from a shape.
 DERIVED = ('center_of_mass', 'inertia')
 
@@ -52,7 +56,7 @@ def with_shape(values, spatial):
     Returns
     -------
     dict
-        With ``mass``, ``center_of_mass`` and ``inertia``.
+        With ``mass``, ``center_of_mass``, ``inertia`` and, unless it is given, ``visual``.
 
     Raises
     ------
@@ -76,7 +80,10 @@ def with_shape(values, spatial):
         raise FieldError('either mass or density with a shape',
                          'none' if density is None else 'both', path=('mass',))
     with at('shape'):
-        volume, center, inertia = _properties(shape, spatial)
+        kind, found = _read(shape, SHAPES, spatial)
+        with at(kind):
+            volume, center, inertia = _properties(kind, found, spatial)
+    values.setdefault('visual', (_visual(kind, found),))
     if density is not None:
         with at('density'):
             density = positive(density)
@@ -92,41 +99,123 @@ def with_shape(values, spatial):
         else float(inertia[2, 2]))}
 
 
-def _properties(shape, spatial):
-    """Return a shape's volume, its centre, and its inertia about it for a unit of mass."""
-    if not isinstance(shape, Mapping) or len(shape) != 1 or not set(shape) <= set(SHAPES):
-        raise FieldError(f'a mapping with one of {among(SHAPES)}', shown(shape) if not isinstance(
+def visuals(shapes, spatial):
+    """
+    Return what a body is drawn as.
+
+    Parameters
+    ----------
+    shapes : list of mappings
+        One of ``VISUALS`` each.
+    spatial : bool
+        Whether the body is one in space.
+
+    Returns
+    -------
+    tuple of Visual
+
+    Raises
+    ------
+    FieldError
+
+    """
+    if not isinstance(shapes, (list, tuple)):
+        raise FieldError('a list of shapes', shown(shapes))
+    found = []
+    for index, shape in enumerate(shapes):
+        with at(index):
+            kind, values = _read(shape, VISUALS, spatial)
+            with at(kind):
+                found.append(_visual(kind, values))
+    return tuple(found)
+
+
+def told(visual, spatial):
+    """Return a Visual as ``visuals`` reads it."""
+    size, center = visual.size, list(visual.center[:3 if spatial else 2])
+    if visual.kind == CYLINDER:
+        x, y, z, w = visual.orientation
+        axis = [2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)]
+        if not size[0]:
+            ends = [[one + sign * 0.5 * size[1] * along for one, along in zip(center, axis)]
+                    for sign in (-1.0, 1.0)]
+            return {'rod': dict(zip(('from', 'to'), ends))}
+        return {CYLINDER: {'radius': size[0], 'length': size[1], 'axis': axis, 'center': center}}
+    found = {BOX: lambda: {'size': list(size)}, SPHERE: lambda: {'radius': size[0]},
+             MESH: lambda: {'file': visual.file, 'scale': list(size)}}[visual.kind]()
+    found['center'] = center
+    if visual.kind != SPHERE:
+        found['orientation'] = {'quaternion': list(visual.orientation)}
+    return {visual.kind: found}
+
+
+def _read(shape, kinds, spatial):
+    """Return the kind of a shape, and its numbers, checked."""
+    if not isinstance(shape, Mapping) or len(shape) != 1 or not set(shape) <= set(kinds):
+        raise FieldError(f'a mapping with one of {among(kinds)}', shown(shape) if not isinstance(
             shape, Mapping) else f'one with {among(shape) or "nothing"}')
     kind, = shape
     with at(kind):
-        given = dict(mapping(shape[kind], *SHAPES[kind]))
+        given = dict(mapping(shape[kind], *kinds[kind]))
         place = vector3 if spatial else vector2
         found = {}
         for key, check in {
                 'size': _size, 'radius': not_negative if kind == 'rod' else positive,
                 'length': positive, 'axis': direction, 'center': place, 'to': place,
-                'from': place, 'orientation': orientation}.items():
+                'from': place, 'orientation': orientation, 'file': text, 'scale': _size}.items():
             if key in given:
                 with at(key):
                     found[key] = check(given[key])
-        if kind == 'box':
-            return _box(found, spatial)
-        if kind == 'sphere':
-            radius = found['radius']
-            return (4.0 / 3.0 * math.pi * radius ** 3, _center(found, spatial),
-                    0.4 * radius ** 2 * np.eye(3))
-        if kind == 'cylinder':
-            return _cylinder(found['radius'], found['length'], np.array(found['axis']),
-                             _center(found, spatial))
-        start = np.array(found.get('from', np.zeros(3 if spatial else 2)))
-        along = np.array(found['to']) - start
-        length = float(np.linalg.norm(along))
-        if not length > 0.0:
-            raise FieldError('another place than where the rod begins', shown(given['to']),
-                             path=('to',))
-        axis = np.zeros(3)
-        axis[:len(along)] = along / length
-        return _cylinder(found.get('radius', 0.0), length, axis, start + 0.5 * along)
+        if kind == 'rod':
+            found = _rod(found, given['to'], spatial)
+        found['center'] = np.array(found.get('center', np.zeros(3 if spatial else 2)))
+    return kind, found
+
+
+def _rod(found, to, spatial):
+    """Return the numbers of the cylinder that a rod is."""
+    start = np.array(found.get('from', np.zeros(3 if spatial else 2)))
+    along = np.array(found['to']) - start
+    length = float(np.linalg.norm(along))
+    if not length > 0.0:
+        raise FieldError('another place than where the rod begins', shown(to), path=('to',))
+    axis = np.zeros(3)
+    axis[:len(along)] = along / length
+    return {'radius': found.get('radius', 0.0), 'length': length, 'axis': axis,
+            'center': start + 0.5 * along}
+
+
+def _properties(kind, found, spatial):
+    """Return a shape's volume, its centre, and its inertia about it for a unit of mass."""
+    if kind == 'box':
+        return _box(found)
+    radius, center = found['radius'], found['center']
+    if kind == 'sphere':
+        return 4.0 / 3.0 * math.pi * radius ** 3, center, 0.4 * radius ** 2 * np.eye(3)
+    return _cylinder(radius, found['length'], np.array(found['axis']), center)
+
+
+def _visual(kind, found):
+    """Return what a shape is drawn as."""
+    center = tuple(found['center'].tolist()) + (0.0,) * (3 - len(found['center']))
+    turned = found.get('orientation', UNTURNED)
+    if kind == 'box':
+        return Visual(BOX, found['size'], center, turned)
+    if kind == 'sphere':
+        return Visual(SPHERE, (found['radius'],), center)
+    if kind == 'mesh':
+        return Visual(MESH, found.get('scale', (1.0, 1.0, 1.0)), center, turned, found['file'])
+    return Visual(CYLINDER, (float(found['radius']), found['length']), center,
+                  _from_z(found['axis']))
+
+
+def _from_z(axis):
+    """Return the quaternion of the shortest turn that leads from the z axis to another."""
+    x, y, z = map(float, axis)
+    if z < -1.0 + 1e-12:
+        return (1.0, 0.0, 0.0, 0.0)
+    w = math.sqrt(0.5 * (1.0 + z))
+    return (-0.5 * y / w, 0.5 * x / w, 0.0, w)
 
 
 def _size(value):
@@ -138,12 +227,7 @@ def _size(value):
     return found
 
 
-def _center(found, spatial):
-    """Return a shape's centre, the body's origin unless it is given."""
-    return np.array(found.get('center', np.zeros(3 if spatial else 2)))
-
-
-def _box(found, spatial):
+def _box(found):
     """Return what ``_properties`` does, of a box."""
     turned = np.eye(3)
     if 'orientation' in found:
@@ -152,7 +236,7 @@ def _box(found, spatial):
         turned = np.eye(3) + 2.0 * w * skew + 2.0 * skew @ skew
     squares = np.square(found['size'])
     moments = (squares.sum() - squares) / 12.0
-    return (math.prod(found['size']), _center(found, spatial),
+    return (math.prod(found['size']), found['center'],
             turned @ np.diag(moments) @ turned.T)
 
 

@@ -144,14 +144,17 @@ class Attached:
         self._commands = self._publish(JointState, f'{place}/joint_command', 1)
         gravity = next((name for name, record in scene.effects.items()
                         if effect_type(record) == 'gravity'), None)
-        self.feed = Feed(describe(
-            mechanism, motion_columns(mechanism), mode='node', title=self.name,
+        described = describe(
+            mechanism, motion_columns(mechanism), scene.effects, mode='node', title=self.name,
             drives=[{'joint': name, 'slides': bool(names.lengths[names.index[name]]),
                      'turns': True, 'torque': LARGEST, 'position': [0.0, 1.0]}
                     for name in mechanism.actuated_joints],
             integrators={name: INTEGRATORS[name].kind for name in LIVE_INTEGRATORS},
             stabilisations=list(STABILISATIONS), hand=False, gravity=gravity, poses=False,
-            speeds=[SLOWEST, FASTEST]))
+            speeds=[SLOWEST, FASTEST])
+        for text in described['missing']:
+            self._logger.warning(f'{self.name}: {text}; drawn as lines')
+        self.feed = Feed(described)
 
     # What the simulator publishes.
 

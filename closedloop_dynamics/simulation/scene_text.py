@@ -27,6 +27,7 @@ from tempfile import TemporaryDirectory
 
 from .scene import load_scene, SceneError
 from ..effects.registry import effect_type
+from ..mechanism.shapes import told
 from ..mechanism.validation import SECTIONS
 
 FORMAT = 1
@@ -107,15 +108,18 @@ def read_scene_text(text):
 
 def _mechanism(mechanism):
     return {'name': mechanism.name, 'description': mechanism.description, **{
-        key: {record.name: _record(record) for record in getattr(mechanism, key)}
+        key: {record.name: _record(record, not mechanism.planar)
+              for record in getattr(mechanism, key)}
         for key in SECTIONS}}
 
 
-def _record(record):
+def _record(record, spatial):
     """Return the fields of a part of a mechanism as a file has them."""
     values = _values(record, leave_out=('name',))
     if 'orientation' in values:
         values['orientation'] = {'quaternion': values['orientation']}
+    if 'visual' in values:
+        values['visual'] = [told(visual, spatial) for visual in values['visual']]
     return values
 
 

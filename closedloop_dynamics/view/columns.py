@@ -23,10 +23,17 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from .effect_shapes import normal_of, outline_of
+from ..core.codegen.spatial import rotation
 from ..core.types import SMALLEST_PIVOT
+from ..effects.body_contact import BodyContact
+from ..effects.cable import Cable
 from ..effects.contact import Contact
-from ..effects.external_force import ExternalForce
+from ..effects.external_force import BODY, ExternalForce
+from ..effects.force_table import ForceTable
 from ..effects.point_spring import PointSpring
+from ..effects.prescribed_force import PrescribedForce
+from ..mechanism.mechanism import GROUND
 from ..simulation.health import drive_sine, WARN_BELOW
 from ..visual.motion import body_poses, magnitudes
 
@@ -34,6 +41,13 @@ from ..visual.motion import body_poses, magnitudes
 POSE, ARROW = 7, 6
 # Sine of the angle to a parallel singularity below which its direction is shown.
 NEAR = 0.05
+# Steps along the velocity by which a place's is found [s].
+INSTANT = 1e-6
+# What effects with arrows or lines tell that is plotted.
+READINGS = {Contact: {'normal_force': 'normal', 'friction_force': 'friction'},
+            BodyContact: {'normal_force': 'normal', 'friction_force': 'friction'},
+            PointSpring: {'tension': 'tension'}, Cable: {'tension': 'tension'},
+            ForceTable: {'force': 'force'}}
 # How far the direction moves what moves most, as a share of the mechanism's size.
 SHOWN = 0.15
 
@@ -59,7 +73,7 @@ class Columns:
     bodies, cuts : int
         Poses of the bodies; forces on body A of the cut joints, without feet.
     loads : list of dict
-        What effects exert: name and kind; an arrow each.
+        What effects exert: name and kind (force, normal force or friction); an arrow each.
     direction : bool
         Whether poses moved along the singular direction follow.
     plots : list of Plot
@@ -166,13 +180,23 @@ class SimulationRows:
         """Decide on the columns."""
         self._simulation = simulation
         mechanism = simulation.mechanism
-        self._loads = {name: record for name, record in simulation.effects.items()
-                       if isinstance(record, (Contact, ExternalForce, PointSpring))
-                       and name not in hidden}
+        shown = {name: record for name, record in simulation.effects.items()
+                 if name not in hidden}
+        self._loads = {name: record for name, record in shown.items() if isinstance(
+            record, (BodyContact, Contact, ExternalForce, PointSpring))
+            or isinstance(record, PrescribedForce) and record.point is not None}
+        self._outlines = {name: outline_of(record) for name, record in self._loads.items()
+                          if isinstance(record, BodyContact)}
+        self._rows = {body.name: k for k, body in enumerate(mechanism.bodies)}
+        self._places = {point.name: point for point in mechanism.points}
         names = mechanism.coordinates
         self._passive = np.setdiff1d(np.arange(names.nv), names.actuated)
         self._numbers = names.place[names.place >= 0]
         plots = _joint_plots(mechanism)
+        self._read = [(name, reading) for name, record in shown.items()
+                      for reading in READINGS.get(type(record), ())]
+        plots += [Plot('force of effects', f'{name}, {READINGS[type(shown[name])][reading]}', 'N')
+                  for name, reading in self._read]
         plots += [Plot('energy', name, 'J')
                   for name in ('kinetic', 'stored', 'dissipated', 'work')]
         plots += [Plot('closure error', 'largest', 'm or rad'),
@@ -185,7 +209,8 @@ class SimulationRows:
                   Plot('cost', 'computing', '% of real time')]
         self.columns = Columns(
             len(mechanism.bodies), len(mechanism.cut_joints),
-            [{'name': name} for name in self._loads], True, plots)
+            [{'name': name, 'kind': kind} for name, record in self._loads.items()
+             for kind in _kinds(record)], True, plots)
         self._rarely = np.full(4, np.nan)
         self._direction = np.full(POSE * len(mechanism.bodies), np.nan)
         self._cost = None
@@ -270,40 +295,99 @@ class SimulationRows:
             poses.ravel(), _forces_in_space(forces).ravel(), self._arrows().ravel(),
             self._direction, simulation.position[self._numbers],
             simulation.velocity,
-            simulation.effort[self._actuated], magnitudes(forces),
+            simulation.effort[self._actuated], magnitudes(forces), self._readings(),
             [balance.kinetic, balance.stored, balance.dissipated, balance.work,
              simulation.closure, abs(balance.residual), np.sqrt(pivot)],
             [abs(sine)] * any(plot.name == 'held drives' for plot in self.columns.plots),
             [step, bound, share]]).astype(np.float32)
 
+    def _readings(self):
+        """Return what effects tell of their forces; NaN of those that are switched off."""
+        enabled, known = self._simulation.enabled_effects, {}
+        for name, _ in self._read:
+            if name in enabled and name not in known:
+                known[name] = self._simulation.effect_readings(name)
+        return [known[name][reading] if name in known else np.nan for name, reading in self._read]
+
     def _arrows(self):
         """Return foot and force of each load, shape (number of loads, 6)."""
-        arrows = np.full((len(self._loads), ARROW), np.nan)
-        enabled = self._simulation.enabled_effects
-        for arrow, name in zip(arrows, self._loads):
+        arrows = np.full((len(self.columns.loads), ARROW), np.nan)
+        enabled, row = self._simulation.enabled_effects, 0
+        for name, record in self._loads.items():
+            first, row = row, row + len(_kinds(record))
             if name not in enabled:
                 continue
-            record = self._simulation.effects[name]
             foot = self._simulation.point(getattr(record, 'point', None) or record.point_a)
-            arrow[:] = 0.0
-            arrow[:len(foot)] = foot
-            force = self._force(name, record, foot)
-            arrow[3:3 + len(force)] = force
+            record = self._simulation.effects[name]
+            feet, forces = self._force(name, record, foot)
+            arrows[first:row] = 0.0
+            arrows[first:row, :len(foot)] = feet
+            arrows[first:row, 3:3 + len(foot)] = forces
         return arrows
 
     def _force(self, name, record, foot):
+        """Return where the forces of an effect act, and the forces, one or two."""
         if isinstance(record, ExternalForce):
-            return record.force
+            return foot, self._in_world(record, record.force)
         readings = self._simulation.effect_readings(name)
         if isinstance(record, Contact):
-            along = readings['friction_force'] + readings['scraping_force']
-            normal, angle = readings['normal_force'], record.angle
-            if record.normal is not None:
-                # What rubs, rubs against the sliding: its direction is not told.
-                return normal * np.array(record.normal)
-            return (along * np.cos(angle) - normal * np.sin(angle),
-                    along * np.sin(angle) + normal * np.cos(angle))
+            return foot, self._contact(record, readings)
+        if isinstance(record, PrescribedForce):
+            direction = np.array(record.direction) / np.linalg.norm(record.direction)
+            return foot, self._in_world(record, readings['force'] * direction)
+        if isinstance(record, BodyContact):
+            return self._body_contact(name, record, readings, foot)
         end = (np.array(record.anchor) if record.point_b is None
                else self._simulation.point(record.point_b))
         length = readings['length']
-        return readings['tension'] * (end - foot) / length if length > 0.0 else 0.0 * foot
+        return foot, readings['tension'] * (end - foot) / length if length > 0.0 else 0.0 * foot
+
+    def _in_world(self, record, force):
+        """Return a force at an effect's point in world axes."""
+        body = self._places[record.point].body
+        if record.axes != BODY or body == GROUND:
+            return force
+        pose = poses_in_space(self._simulation.body_poses[self._rows[body]])
+        turn = np.array(rotation(tuple(pose[3:].tolist())))
+        return turn[:len(force), :len(force)] @ force
+
+    def _contact(self, record, readings):
+        """Return the normal force and what acts along the line or plane."""
+        normal = readings['normal_force']
+        along = readings['friction_force'] + readings['scraping_force']
+        if record.normal is None:
+            cosine, sine = np.cos(record.angle), np.sin(record.angle)
+            return np.array([[-normal * sine, normal * cosine], [along * cosine, along * sine]])
+        out = np.array(record.normal)
+        sliding = np.zeros(3)
+        if normal > 0.0:
+            velocity = self._velocity(record.point)
+            sliding = velocity - (velocity @ out) * out
+            sliding /= np.linalg.norm(sliding) or 1.0
+        return np.array([normal * out, along * sliding])
+
+    def _body_contact(self, name, record, readings, center):
+        """Return where a roller touches, the normal force on it and the friction."""
+        other = self._places[record.other]
+        pose = (np.zeros(3) if other.body == GROUND
+                else self._simulation.body_poses[self._rows[other.body]])
+        cosine, sine = np.cos(pose[2]), np.sin(pose[2])
+        turn = np.array([[cosine, -sine], [sine, cosine]])
+        x, y = turn @ normal_of(record, self._outlines[name], turn.T @ (
+            center - self._simulation.point(record.other)))
+        foot = center - record.radius * np.array([x, y])
+        return foot, np.array([readings['normal_force'] * np.array([x, y]),
+                               readings['friction_force'] * np.array([y, -x])])
+
+    def _velocity(self, name):
+        """Return the velocity of a named point [m/s]."""
+        simulation = self._simulation
+        moved, q = simulation.coordinates.moved, simulation.position
+        step = INSTANT * simulation.velocity
+        return (simulation.place(name, moved(q, step))
+                - simulation.place(name, moved(q, -step))) / (2.0 * INSTANT)
+
+
+def _kinds(record):
+    """Return what an effect's arrows are."""
+    return ('normal', 'friction') if isinstance(record, (BodyContact, Contact)) else ('force',)

@@ -20,10 +20,15 @@ layers above it.
 
 """
 
+from pathlib import Path
+
 import numpy as np
 
+from .effect_shapes import effect_lines, surfaces, wires
+from .meshes import MeshError, read_mesh
+from ..core.codegen.spatial import rotation
 from ..mechanism.decomposition import decompose
-from ..mechanism.mechanism import GROUND, PRISMATIC
+from ..mechanism.mechanism import BOX, CYLINDER, DISTANCE, GROUND, PRISMATIC, SPHERE
 from ..simulation.modeling import extent
 from ..visual.appearance import (
     body_colors, CONTACT_COLOR, CUT_COLOR, FORCE_COLOR, marked_points, outline, PATH_COLOR,
@@ -33,10 +38,12 @@ from ..visual.urdf import depths
 # Of links, as shares of the mechanism's size: radius of bars, thickness of plates and the distance
 # between layers, half the length of a block on a slide.
 BAR, THICKNESS, LAYER, BLOCK = 0.022, 0.016, 0.03, 0.05
+# Digits of the places of a mesh's points, below the size of the mesh.
+MESH_DIGITS = 4
 UNMOVED = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 
 
-def describe(mechanism, columns, **more):
+def describe(mechanism, columns, effects=None, **more):
     """
     Describe a mechanism for a page.
 
@@ -46,6 +53,8 @@ def describe(mechanism, columns, **more):
         What is shown.
     columns : columns.Columns
         Of the rows that the page gets.
+    effects : mapping of str to effect, optional
+        What acts: springs, cables and contacts are drawn.
     **more
         What else the page is to know, as JSON can.
 
@@ -55,10 +64,12 @@ def describe(mechanism, columns, **more):
         As JSON can.
 
     """
-    size = extent(mechanism)
+    size, effects, missing = extent(mechanism), effects or {}, []
     rows = {GROUND: -1, **{body.name: k for k, body in enumerate(mechanism.bodies)}}
     heights = _heights(mechanism, size)
     blocks, colors = sliders(mechanism), body_colors(mechanism)
+    outlines = wires(mechanism, effects, rows, heights, LAYER * size)
+    outlined = {wire['body'] for wire in outlines}
     trees = decompose(mechanism).subsystems
     child = {joint.name: joint.child for joint in mechanism.joints}
     subsystem = {child[name]: number for number, tree in enumerate(trees) for name in tree}
@@ -69,7 +80,9 @@ def describe(mechanism, columns, **more):
         'subsystems': [colors[child[tree[0]]] for tree in trees],
         'bodies': [{
             'name': body.name, 'color': colors[body.name], 'subsystem': subsystem[body.name],
-            'shapes': _shapes(mechanism, body.name, size, heights[body.name], blocks),
+            'shapes': (_visuals(body, size, heights[body.name], missing)
+                       or _shapes(mechanism, body.name, size, heights[body.name], blocks,
+                                  rows[body.name] in outlined)),
             'grabs': grabs(mechanism, body).tolist()} for body in mechanism.bodies],
         'joints': [{
             'name': joint.name, 'type': joint.type, 'parent': rows[joint.parent],
@@ -84,6 +97,10 @@ def describe(mechanism, columns, **more):
             'heights': sorted((heights[cut.body_a], heights[cut.body_b]))}
             for cut in mechanism.cut_joints],
         'rails': _rails(mechanism, rows),
+        'lines': [*_rods(mechanism, rows, heights),
+                  *effect_lines(mechanism, effects, rows, heights, LAYER * size)],
+        'surfaces': surfaces(effects),
+        'wires': outlines, 'missing': missing,
         'points': [{'name': point.name, 'body': rows[point.body],
                     'place': _in_space(point.position)} for point in mechanism.points],
         **columns.layout, **more}
@@ -138,7 +155,7 @@ def _heights(mechanism, size):
     return {name: LAYER * size * depth * mechanism.planar for name, depth in found.items()}
 
 
-def _shapes(mechanism, body, size, height, blocks):
+def _shapes(mechanism, body, size, height, blocks, outlined):
     """Return what a body is drawn as, in its frame [m]."""
     radius = BAR * size
     if not mechanism.planar:
@@ -151,10 +168,53 @@ def _shapes(mechanism, body, size, height, blocks):
         ends = [*corners, corners[0]] if len(corners) > 2 else corners
         shapes += [{'kind': 'bar', 'from': start, 'to': end, 'radius': radius,
                     'flat': THICKNESS * size} for start, end in zip(ends, ends[1:])]
-    if body in blocks or len(corners) == 1:
+    if body in blocks or len(corners) == 1 and not outlined:
         shapes.append({'kind': 'box', 'center': [0.0, 0.0, height],
                        'size': [2.0 * BLOCK * size, 1.2 * BLOCK * size, 1.2 * THICKNESS * size]})
     return shapes
+
+
+def _visuals(body, size, height, missing):
+    """Return the shapes that a body says it is drawn as; list the meshes that are missing."""
+    shapes = []
+    for visual in body.visual:
+        center = (np.array(visual.center) + (0.0, 0.0, height)).tolist()
+        axes = np.array(rotation(visual.orientation))
+        if visual.kind == BOX:
+            shapes.append({'kind': 'box', 'center': center, 'size': list(visual.size),
+                           'axes': axes.T.tolist()})
+        elif visual.kind == SPHERE:
+            shapes.append({'kind': 'ball', 'center': center, 'radius': visual.size[0]})
+        elif visual.kind == CYLINDER:
+            radius, length = visual.size
+            half = 0.5 * length * axes[:, 2]
+            # A thin rod is a line, drawn as wide as bars are.
+            shapes.append({'kind': 'cylinder', 'from': (center - half).tolist(),
+                           'to': (center + half).tolist(), 'radius': radius or BAR * size})
+        else:
+            try:
+                shapes.append(_mesh(visual, axes, center))
+            except MeshError as error:
+                missing.append(f'{body.name}: {error}')
+    return shapes
+
+
+def _mesh(visual, axes, center):
+    """Return a mesh in its body's frame."""
+    points, triangles = read_mesh(Path(visual.file))
+    points = (points * visual.size) @ axes.T + center
+    size = np.ptp(points, axis=0).max() or 1.0
+    digits = max(0, MESH_DIGITS - int(np.floor(np.log10(size))))
+    return {'kind': 'mesh', 'points': np.round(points, digits).tolist(),
+            'triangles': triangles.tolist()}
+
+
+def _rods(mechanism, rows, heights):
+    """Return the massless rods that keep two points apart."""
+    return [{'kind': 'rod', 'name': cut.name, 'ends': [
+        [rows[body], [*place, heights[body]][:3]]
+        for body, place in ((cut.body_a, cut.point_a), (cut.body_b, cut.point_b))]}
+        for cut in mechanism.cut_joints if cut.type == DISTANCE]
 
 
 def _bars(points, radius):

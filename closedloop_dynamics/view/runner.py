@@ -136,6 +136,8 @@ class Runner:
     ----------
     simulation : simulation.simulation.Simulation
     feed : feed.Feed
+    described : dict
+        By ``description.describe``.
     playing : bool
 
     """
@@ -156,8 +158,8 @@ class Runner:
         self._drives = {name: [TORQUE, 0.0] for name in simulation.actuated_joints}
         self._gains = self._find_gains()
         self._columns = SimulationRows(simulation, [self._hand.spring])
-        self.feed = Feed(describe(
-            scene.mechanism, self._columns.columns, mode='live', title=scene.name,
+        self.described = describe(
+            scene.mechanism, self._columns.columns, scene.effects, mode='live', title=scene.name,
             drives=[{
                 'joint': name, 'slides': bool(simulation.coordinates.lengths[place]),
                 'turns': bool(simulation.coordinates.place[place] < 0),
@@ -166,7 +168,8 @@ class Runner:
             integrators={name: one.kind for name, one in INTEGRATORS.items()
                          if one.family != SCIPY},
             stabilisations=list(STABILISATIONS), hand=True, poses=True,
-            gravity=self._hand.gravity, speeds=[SLOWEST, FASTEST]))
+            gravity=self._hand.gravity, speeds=[SLOWEST, FASTEST])
+        self.feed = Feed(self.described)
         self._before = self._now = (0.0, self._columns.row())
         self._looked, self._findings, self._changed = clock(), (), True
         self._tell()

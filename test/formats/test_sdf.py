@@ -167,3 +167,15 @@ def test_faults_name_file_line_and_element(tmp_path, fault):
     path = written(tmp_path, FOUR_BAR.replace(right, wrong, 1))
     with pytest.raises(MechanismError, match=rf'model\.sdf:\d+: .*{said}'):
         read_model(path)
+
+
+def test_what_links_are_drawn_as(tmp_path):
+    shapes = (
+        '<visual name="v"><pose>0 0 0.1 0 0 0</pose><geometry><cylinder><radius>0.1</radius>'
+        '<length>0.2</length></cylinder></geometry></visual><visual name="m"><geometry>'
+        '<mesh><uri>model://it/m.obj</uri><scale>1 2 3</scale></mesh></geometry></visual>')
+    text = FOUR_BAR.replace('<link name="crank">', f'<link name="crank">{shapes}')
+    crank = read_model(written(tmp_path, text)).mechanism.bodies[0]
+    pin, mesh = crank.visual
+    assert (pin.kind, pin.size, pin.center) == ('cylinder', (0.1, 0.2), (0.0, 0.0, 0.1))
+    assert mesh.file == str(tmp_path.resolve() / 'it' / 'm.obj') and mesh.size == (1.0, 2.0, 3.0)

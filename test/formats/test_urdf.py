@@ -72,14 +72,6 @@ def test_parallel_yaml_replaces_joints(tmp_path):
     assert mechanism.cut_joints[0].type == 'fixed'
 
 
-def test_joints_called_spherical_that_are_not_are_told(tmp_path):
-    written(tmp_path, 'closed_loop: [[coupler_tip, rocker_tip]]\ntype: [6d]\n', 'robot.yaml')
-    text = robot(LINKS, TREE, TIPS).replace('rocker_joint', 'spherical_rocker')
-    assert read(tmp_path, text).ignored[
-        'the names of 1 joint(s), spherical_rocker the first'] == (
-            'called spherical, but revolute: no joint_name of robot.yaml has them')
-
-
 def test_loops_of_a_scene(tmp_path):
     own = read_mechanism(written(tmp_path, machines.mechanism_text('revolute'), 'own.yaml'))
     mechanism = read(tmp_path, robot(LINKS, TREE, TIPS), loops={'pin': {
@@ -175,11 +167,33 @@ def test_limits_become_end_stops_where_asked_for(tmp_path):
 
 def test_what_is_not_read_is_told(tmp_path):
     text = four_bar().replace('</robot>', '<sensor name="s"/><colour/><colour/></robot>').replace(
-        '<link name="base"/>', '<link name="base"><visual/></link>')
+        '<link name="base"/>', '<link name="base"><collision/></link>')
     ignored = read(tmp_path, text).ignored
-    assert ignored['visual'] == 'for pictures'
+    assert ignored['collision'] == 'for contacts'
     assert ignored['sensor'] == 'for sensors'
     assert ignored['2 colour'] == 'not known to this reader'
+
+
+def test_what_links_are_drawn_as_goes_with_their_bodies(tmp_path):
+    box = ('<visual><origin xyz="0.1 0 0"/><geometry><box size="1 2 3"/></geometry></visual>')
+    mesh = ('<visual><geometry><mesh filename="package://{}/meshes/tip.stl"/></geometry></visual>'
+            '<visual><geometry><mesh filename="other.obj" scale="2 2 2"/></geometry></visual>')
+    (tmp_path / 'meshes').mkdir()
+    (tmp_path / 'meshes' / 'tip.stl').touch()
+    text = robot(LINKS, TREE, machines.TIPS, LOOPS['loop'][1])
+    for name, inside in (('crank', box), ('coupler_tip', mesh.format(tmp_path.name))):
+        text = text.replace(f'<link name="{name}">', f'<link name="{name}">{inside}').replace(
+            f'<link name="{name}"/>', f'<link name="{name}">{inside}</link>')
+    bodies = {body.name: body for body in read(tmp_path, text).mechanism.bodies}
+    drawn, = bodies['crank'].visual
+    assert (drawn.kind, drawn.size, drawn.center) == ('box', (1.0, 2.0, 3.0), (0.1, 0.0, 0.0))
+    # The tip is fixed to the coupler, 0.4 m along it.
+    tip, other = bodies['coupler'].visual
+    assert tip.file == str(tmp_path.resolve() / 'meshes' / 'tip.stl') and tip.size == (1, 1, 1)
+    assert other.file == str(tmp_path.resolve() / 'other.obj') and other.size == (2, 2, 2)
+    assert tip.center == pytest.approx((0.4, 0.0, 0.0))
+    with pytest.raises(MechanismError, match='size to be positive'):
+        read(tmp_path, text.replace('size="1 2 3"', 'size="1 2 0"'))
 
 
 def test_joints_of_several_freedoms(tmp_path):

@@ -17,7 +17,8 @@
 import math
 
 from closedloop_dynamics.mechanism.fields import FieldError
-from closedloop_dynamics.mechanism.shapes import with_shape
+from closedloop_dynamics.mechanism.reader import read_mechanism
+from closedloop_dynamics.mechanism.shapes import told, visuals, with_shape
 import numpy as np
 import pytest
 
@@ -111,3 +112,55 @@ def test_shapes_of_the_plane_turn_about_z():
 def test_mistakes_in_shapes_are_named(values, words):
     with pytest.raises(FieldError, match=words):
         with_shape(values, True)
+
+
+def test_a_body_is_drawn_as_its_shape_unless_told_otherwise():
+    rod = {'rod': {'from': [0.1, 0.0, 0.0], 'to': [0.1, 0.4, 0.0], 'radius': 0.01}}
+    drawn, = with_shape({'shape': rod, 'mass': 1.0}, True)['visual']
+    assert (drawn.kind, drawn.size, drawn.center) == ('cylinder', (0.01, 0.4), (0.1, 0.2, 0.0))
+    # The turn leads from z to the rod's direction.
+    x, y, z, w = drawn.orientation
+    axis = [2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)]
+    assert axis == pytest.approx([0.0, 1.0, 0.0], abs=1e-15)
+    ball = visuals([{'sphere': {'radius': 0.2}}], True)
+    assert with_shape({'shape': rod, 'mass': 1.0, 'visual': ball}, True)['visual'] == ball
+
+
+@pytest.mark.parametrize('spatial', [True, False])
+def test_what_is_drawn_is_read_again_as_it_was(spatial):
+    place = [0.1, 0.2, 0.3][:3 if spatial else 2]
+    shapes = visuals([
+        {'box': {'size': [1, 2, 3], 'center': place, 'orientation': {'rpy': [0.1, 0.2, 0.3]}}},
+        {'cylinder': {'radius': 1, 'length': 2, 'axis': [0, 0, -1]}},
+        {'sphere': {'radius': 1, 'center': place}}, {'rod': {'to': place}},
+        {'mesh': {'file': 'a/b.stl', 'scale': [1e-3, 1e-3, 1e-3], 'center': place}}], spatial)
+    again = visuals([told(shape, spatial) for shape in shapes], spatial)
+    for one, other in zip(shapes, again, strict=True):
+        assert (one.kind, one.file) == (other.kind, other.file)
+        assert one.size == pytest.approx(other.size) and one.center == pytest.approx(other.center)
+        assert one.orientation == pytest.approx(other.orientation, abs=1e-15)
+
+
+def test_paths_of_meshes_are_no_expressions_and_begin_at_the_file(tmp_path):
+    path = tmp_path / 'pendulum.yaml'
+    path.write_text("""
+name: pendulum
+parameters: {l: 0.5}
+bodies:
+  bob: {mass: 1, center_of_mass: [0, 0], inertia: 0.1,
+        visual: [{mesh: {file: parts/l-2.stl, scale: [l, l, l]}}, {sphere: {radius: l/5}}]}
+joints: {pivot: {type: revolute, parent: ground, child: bob, position: [0, 0]}}
+""")
+    mesh, ball = read_mechanism(path).bodies[0].visual
+    assert mesh.file == str(tmp_path / 'parts' / 'l-2.stl')
+    assert mesh.size == (0.5, 0.5, 0.5) and ball.size == (0.1,)
+
+
+@pytest.mark.parametrize('shapes, problem', [
+    ({'box': {}}, 'a list of shapes'), ([{'cone': {}}], r'\[0\]: expected a mapping with one of'),
+    ([{'box': {'size': [1, 2, 0]}}], r'\[0\].box.size\[2\]'),
+    ([{'mesh': {'file': 3}}], r'\[0\].mesh.file: expected text'),
+    ([{'mesh': {'file': 'a.stl', 'size': 1}}], "the unknown key 'size'")])
+def test_what_cannot_be_drawn_is_refused(shapes, problem):
+    with pytest.raises(FieldError, match=problem):
+        visuals(shapes, True)

@@ -65,6 +65,7 @@ class Page {
     this.legend();
     this.transport();
     this.handle();
+    for (const text of scene.missing) this.tell(`${text}; drawn as lines`);
   }
 
   recolor() {
@@ -78,7 +79,7 @@ class Page {
   }
 
   legend() {
-    const {subsystems, colors, cuts, points, loads, columns, joints} = this.scene;
+    const {subsystems, colors, cuts, points, loads, columns, joints, lines: drawn, surfaces} = this.scene;
     const lines = subsystems.map((color, k) => [`<i style="background:${color}"></i>subsystem ${k + 1}`]);
     if (joints.some((joint) => joint.actuated)) {
       lines.push(['<i class="dot" style="background:#2a2e33;outline:1px solid #9aa1ab"></i>driven joint']);
@@ -87,8 +88,14 @@ class Page {
       lines.push([`<i class="dot hollow" style="border-color:${colors.cut}"></i>cut joint`]);
       lines.push([`<i style="background:${colors.force}"></i>force on body A`, 'forces']);
     }
-    if (loads.length) lines.push([`<i style="background:${colors.load}"></i>${
-      escaped(loads.map((load) => load.name).join(', '))}`]);
+    const effects = [...new Set([...loads, ...drawn.filter((line) => line.kind !== 'rod'),
+                                 ...surfaces].map((one) => one.name))];
+    if (effects.length) {
+      lines.push([`<i style="background:${colors.load}"></i>${escaped(effects.join(', '))}`]);
+    }
+    if (drawn.some((line) => line.kind === 'rod')) {
+      lines.push([`<i style="background:${ROD}"></i>massless rod`]);
+    }
     if (points.length) lines.push([`<i style="background:${colors.path}"></i>path of ${
       escaped(points[0].name)}`, 'trails']);
     if (columns.direction !== columns.plots) {
@@ -231,7 +238,10 @@ class Page {
     this.speedSlider.follow(told.speed);
     this.drives.follow(told, (joint) => this.position(joint));
     this.gravity?.follow(told);
-    if (told.effects) this.effects.follow(told);
+    if (told.effects) {
+      this.effects.follow(told);
+      this.picture.effects = told.effects;
+    }
     if (this.method) this.method.follow(told);
     byId('dynamic').setAttribute('aria-pressed', !told.kinematic);
     byId('kinematic').setAttribute('aria-pressed', told.kinematic);

@@ -35,6 +35,7 @@ const FIELD_OF_VIEW = 0.5;
 const ARROW = 0.3;
 // A peak of the forces counts half after so long [ms].
 const HALF_LIFE = 1500;
+const ROD = '#8b929c';
 // Driven joints, in the colour that the theme has for them.
 const INK = [0.16, 0.18, 0.2];
 
@@ -118,6 +119,61 @@ function plateMesh(corners, thickness) {
   return {places, normals};
 }
 
+// A coil about the z axis from 0 to 1 with straight ends: a spring, to be stretched.
+const TURNS = 9, WIRE = 6, STEPS = 20;
+function springMesh() {
+  const places = [], normals = [], count = TURNS * STEPS;
+  const middle = (k) => {
+    const share = k / count, angle = 2 * Math.PI * TURNS * share;
+    const radius = Math.min(1, 12 * share, 12 * (1 - share));
+    return [radius * Math.cos(angle), radius * Math.sin(angle), share];
+  };
+  const at = (k, n) => {
+    // Round the wire: out of the axis, and along it, where it is thin as it will be stretched.
+    const angle = 2 * Math.PI * TURNS * k / count, turn = 2 * Math.PI * n / WIRE;
+    const [c, s] = [Math.cos(turn), Math.sin(turn)];
+    const out = [c * Math.cos(angle), c * Math.sin(angle), s];
+    const [x, y, z] = middle(k);
+    return [[x + 0.22 * out[0], y + 0.22 * out[1], z + 0.018 * s], out];
+  };
+  for (let k = 0; k < count; k++) {
+    for (let n = 0; n < WIRE; n++) {
+      for (const [i, j] of [[k, n], [k + 1, n], [k + 1, n + 1], [k, n], [k + 1, n + 1], [k, n + 1]]) {
+        const [place, normal] = at(i, j);
+        places.push(...place);
+        normals.push(...normal);
+      }
+    }
+  }
+  return {places, normals};
+}
+
+// The way of a cable in the plane: straight pieces between pulleys, and what lies on these.
+function cableWay(centers, radii) {
+  const pieces = [];
+  for (let k = 0; k + 1 < centers.length; k++) {
+    const [dx, dy] = minus(centers[k + 1], centers[k]), between = dx * dx + dy * dy;
+    const across = radii[k + 1] - radii[k], length = Math.sqrt(Math.max(0, between - across * across));
+    pieces.push(between > 0 ? [(length * dx + across * dy) / between,
+                               (length * dy - across * dx) / between] : [1, 0]);
+  }
+  const on = (k, [x, y]) => add(centers[k], [radii[k] * y, -radii[k] * x, 0]);
+  const way = [centers[0]];
+  for (let k = 1; k + 1 < centers.length; k++) {
+    const [a, b] = [pieces[k - 1], pieces[k]], sense = Math.sign(radii[k]);
+    if (!sense) { way.push(centers[k]); continue; }
+    let turn = sense * Math.atan2(a[0] * b[1] - a[1] * b[0], a[0] * b[0] + a[1] * b[1]);
+    if (turn < -0.5 * Math.PI) turn += 2 * Math.PI;
+    const steps = Math.max(1, Math.ceil(Math.abs(turn) / 0.2));
+    for (let n = 0; n <= steps; n++) {
+      const angle = sense * turn * n / steps, [c, s] = [Math.cos(angle), Math.sin(angle)];
+      way.push(on(k, [c * a[0] - s * a[1], s * a[0] + c * a[1]]));
+    }
+  }
+  way.push(centers[centers.length - 1]);
+  return way;
+}
+
 // Triangles in space with flat faces.
 function faceMesh(triangles) {
   const places = [], normals = [];
@@ -150,7 +206,10 @@ class Scene {
     if (!gl) throw new Error('This browser has no WebGL 2, which the picture needs.');
     this.program = this.build();
     this.meshes = {
-      cylinder: cylinderMesh(), cone: cylinderMesh(0), ball: ballMesh(), box: boxMesh()};
+      cylinder: cylinderMesh(), cone: cylinderMesh(0), ball: ballMesh(), box: boxMesh(),
+      spring: springMesh()};
+    // Of the effects, as they are told: which are off, and where their anchors are.
+    this.effects = {};
     this.items = [];
     this.arrowMeshes = {};
     this.compose();
@@ -216,10 +275,10 @@ class Scene {
     this.solids = [-1, ...this.described.bodies.keys()].map((body) => [
       body, this.load(this.items.filter((item) => item.body === body), theme)]);
     // Of arrows; as long as the unit, to be stretched.
-    for (const name of ['cylinder', 'cone']) {
+    for (const name of ['cylinder', 'cone', 'spring']) {
       for (const [key, color] of Object.entries({force: this.described.colors.force,
                                                  load: this.described.colors.load,
-                                                 loose: '#bf4dbf'})) {
+                                                 loose: '#bf4dbf', rod: ROD})) {
         this.arrowMeshes[name + key] = this.load(
           [{mesh: this.meshes[name], local: IDENTITY, color: rgb(color)}], theme);
       }
@@ -259,6 +318,11 @@ class Scene {
                                             times(z, axes[2]), shape.center), rgb(color));
     } else if (shape.kind === 'ball') {
       this.ball(body, shape.center, shape.radius, rgb(color));
+    } else if (shape.kind === 'cylinder') {
+      this.put(body, this.meshes.cylinder, between(shape.from, shape.to, shape.radius), rgb(color));
+    } else if (shape.kind === 'mesh') {
+      const mesh = faceMesh(shape.triangles.map((face) => face.map((k) => shape.points[k])));
+      this.put(body, mesh, IDENTITY, rgb(color));
     } else if (shape.kind === 'faces') {
       this.put(body, faceMesh(shape.triangles), IDENTITY,
                rgb(color).map((c) => 0.45 + 0.55 * c));
@@ -296,6 +360,22 @@ class Scene {
                       .filter(([body]) => body < 0).map(([, place]) => place)];
     for (const place of ground) this.foot(place);
     for (const rail of rails) this.rail(rail);
+    for (const surface of this.described.surfaces) this.surface(surface);
+    for (const {body, places} of this.described.wires) {
+      places.slice(1).forEach((place, k) => this.put(body, this.meshes.cylinder, between(
+        places[k], place, 0.004 * size), rgb(colors.load)));
+    }
+  }
+
+  // The line or plane of a contact; its free side is where the normal points.
+  surface({place, normal}) {
+    const size = this.size, z = unit(normal), gray = [0.62, 0.64, 0.66];
+    const aside = this.described.planar ? [z[1], -z[0], 0]
+      : unit(cross(Math.abs(z[2]) < 0.9 ? [0, 0, 1] : [0, 1, 0], z));
+    const wide = (this.described.planar ? 6 : 3) * size, thick = 0.02 * size;
+    this.put(-1, this.meshes.box, frame(
+      times(wide, aside), times(this.described.planar ? 0.06 * size : wide, cross(z, aside)),
+      times(thick, z), minus(place, times(thick / 2, z))), gray);
   }
 
   pin(body, place, {heights, type, axis, axis_a: axisA, more = 0}, radius, color) {
@@ -352,8 +432,10 @@ class Scene {
     this.row = row;
     const first = this.described.columns.poses;
     this.frames = this.described.bodies.map((_, k) => ofPose(row, first + 7 * k));
-    const places = this.described.bodies.flatMap((body, k) => (
-      body.grabs.map((place) => moved(this.frames[k], place))));
+    const places = [...this.described.bodies.flatMap((body, k) => (
+      body.grabs.map((place) => moved(this.frames[k], place)))),
+                    ...this.described.lines.flatMap((line) => line.ends.map(
+                      ([body, place]) => moved(this.frameOf(body), place)))];
     const low = [0, 1, 2].map((k) => Math.min(...places.map((place) => place[k])));
     const high = [0, 1, 2].map((k) => Math.max(...places.map((place) => place[k])));
     this.extent ??= {low: [...low], high: [...high]};
@@ -521,6 +603,7 @@ class Scene {
     gl.uniform1f(u.ambient, theme.ambient);
     if (this.baked !== theme) this.bake(theme);
     for (const [body, mesh] of this.solids) this.mesh(mesh, this.frameOf(body));
+    this.drawLines();
     if (this.shown.forces) this.drawArrows();
     this.drawDirection();
     this.grid(theme);
@@ -578,6 +661,28 @@ class Scene {
     const neck = add(foot, times(length - head, z));
     this.mesh(this.arrowMeshes['cylinder' + kind], between(foot, neck, width));
     this.mesh(this.arrowMeshes['cone' + kind], between(neck, add(foot, along), 2.6 * width));
+  }
+
+  // Springs, cables and massless rods between places that move.
+  drawLines() {
+    const {size} = this;
+    for (const line of this.described.lines) {
+      const effect = this.effects[line.name];
+      if (effect && !effect.enabled) continue;
+      const places = line.ends.map(([body, place]) => moved(this.frameOf(body), place));
+      if (line.anchor && effect?.values[line.anchor]) {
+        const last = places.length - 1;
+        places[last] = [...effect.values[line.anchor], places[last][2]].slice(0, 3);
+      }
+      const cable = line.kind === 'cable';
+      const way = cable && line.radii.some(Boolean) ? cableWay(places, line.radii) : places;
+      const mesh = this.arrowMeshes[line.kind === 'spring' ? 'springload'
+        : cable ? 'cylinderload' : 'cylinderrod'];
+      const width = {spring: 0.026, cable: 0.006, rod: 0.013}[line.kind] * size;
+      for (let k = 0; k + 1 < way.length; k++) {
+        if (norm(minus(way[k + 1], way[k])) > 0) this.mesh(mesh, between(way[k], way[k + 1], width));
+      }
+    }
   }
 
   drawArrows() {

@@ -1,0 +1,106 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""What links of URDF and SDF files are drawn as: boxes, cylinders, spheres and meshes."""
+
+from dataclasses import replace
+import os
+from pathlib import Path
+
+import numpy as np
+
+from .pose import of_quaternion, quaternion_of
+from ..mechanism.mechanism import BOX, CYLINDER, MESH, SPHERE, Visual
+
+# Variables of the environment that list folders of packages and models.
+SEARCHED = ('AMENT_PREFIX_PATH', 'GZ_SIM_RESOURCE_PATH')
+
+
+def visuals(link, folder, pose_of, values_of):
+    """
+    Read what a link is drawn as; geometry of other kinds is left unread.
+
+    Parameters
+    ----------
+    link : xml_file.Element
+        With elements ``visual``.
+    folder : pathlib.Path
+        Of the file, which paths of meshes begin from.
+    pose_of : callable
+        Returns the pose of an element ``visual`` in the link's frame.
+    values_of : callable
+        Returns numbers of an element by key and count, ``None`` where there are none; with the
+        count None text.
+
+    Returns
+    -------
+    list of Visual
+
+    Raises
+    ------
+    MechanismError
+        With file, line and element.
+
+    """
+    found, folder = [], folder.resolve()
+    for visual in link.all('visual'):
+        geometry = visual.child('geometry')
+        if geometry is None:
+            continue
+        pose = pose_of(visual)
+        placed_at = tuple(pose.position.tolist()), quaternion_of(pose.rotation)
+        for kind, keys in ((BOX, (('size', 3),)), (SPHERE, (('radius', 1),)),
+                           (CYLINDER, (('radius', 1), ('length', 1)))):
+            shape = geometry.child(kind)
+            if shape is not None:
+                size = [number for key, count in keys
+                        for number in _positive(shape, key, values_of(shape, key, count))]
+                found.append(Visual(kind, tuple(size), *placed_at))
+        mesh = geometry.child(MESH)
+        if mesh is not None:
+            scale = values_of(mesh, 'scale', 3)
+            found.append(Visual(
+                MESH, (1.0, 1.0, 1.0) if scale is None else tuple(map(float, scale)), *placed_at,
+                _path(values_of(mesh, 'uri' if mesh.get('filename') is None else 'filename', None)
+                      or '', folder)))
+    return found
+
+
+def _positive(shape, key, values):
+    if values is None or not min(values) > 0.0:
+        raise shape.error(f'{key} to be positive', 'none' if values is None else 'other numbers')
+    return map(float, values)
+
+
+def _path(uri, folder):
+    """Return the path of a mesh; where it is not found, one that is missing."""
+    scheme, found, rest = uri.partition('://')
+    if not found:
+        return str(folder / uri)
+    if scheme == 'file':
+        return rest
+    package, _, inside = rest.partition('/')
+    folders = [folder, *folder.parents]
+    for variable in SEARCHED:
+        for place in filter(None, os.environ.get(variable, '').split(os.pathsep)):
+            folders += [Path(place), Path(place, 'share')]
+    return str(next((place / package / inside for place in folders
+                     if (place / package / inside).is_file()), folder / package / inside))
+
+
+def placed(visual, pose):
+    """Return what is drawn in one frame in another that has it at a pose."""
+    rotation = pose.rotation @ of_quaternion(visual.orientation)
+    return replace(visual, center=tuple(pose.place(np.array(visual.center)).tolist()),
+                   orientation=quaternion_of(rotation))

@@ -1,0 +1,156 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Shapes of effects: springs and cables, and what contacts press on; places as a page has them."""
+
+import math
+
+import numpy as np
+
+from ..effects.body_contact import BodyContact
+from ..effects.cable import Cable
+from ..effects.contact import Contact
+from ..effects.force_table import ForceTable
+from ..effects.point_spring import PointSpring
+
+# Pieces of a circle, and of a piece of a spline.
+CIRCLE, SPLINE = 48, 4
+# Half the length of a line, in radii of its roller.
+SHORT = 6.0
+
+
+def effect_lines(mechanism, effects, rows, heights, above):
+    """
+    Return what pulls points together, with its ends.
+
+    Parameters
+    ----------
+    mechanism : mechanism.mechanism.Mechanism
+        Of the points.
+    effects : mapping of str to effect
+        All of a scene.
+    rows, heights : dict of str to number
+        By body: its number, -1 for the ground, and its layer above the plane [m].
+    above : float
+        Distance above the higher of two layers [m].
+
+    Returns
+    -------
+    list of dict
+        Kind, name, ends (number of a body, place in its frame [m]), of a cable radii, and under
+        ``anchor`` the key of the effect that the last end follows.
+
+    """
+    found = []
+    points = {point.name: point for point in mechanism.points}
+
+    def ends(names):
+        bodies = [points[name].body for name in names]
+        height = max(map(heights.get, bodies)) + above
+        return [[rows[body], [*points[name].position, height][:3]]
+                for body, name in zip(bodies, names)]
+
+    for name, record in effects.items():
+        if isinstance(record, Cable):
+            found.append({'kind': 'cable', 'name': name, 'ends': ends(record.points),
+                          'radii': list(record.radii or ())})
+        elif isinstance(record, (PointSpring, ForceTable)) and record.point_a is not None:
+            line = {'kind': 'spring', 'name': name, 'ends': ends(
+                [name for name in (record.point_a, record.point_b) if name is not None])}
+            if record.point_b is None:
+                height = line['ends'][0][1][2]
+                line['ends'].append([-1, [*record.anchor, height][:3]])
+                line['anchor'] = 'anchor'
+            found.append(line)
+    return found
+
+
+def surfaces(effects):
+    """Return the lines and planes that contacts press on: place, and normal to the free side."""
+    return [{'name': name, 'place': [*record.origin, 0.0][:3], 'normal': list(
+        record.normal or (-math.sin(record.angle), math.cos(record.angle), 0.0))}
+        for name, record in effects.items() if isinstance(record, Contact)]
+
+
+def wires(mechanism, effects, rows, heights, above):
+    """Return outlines of rollers and of what they roll on, in their bodies' frames."""
+    points, found = {point.name: point for point in mechanism.points}, []
+    for name, record in effects.items():
+        if not isinstance(record, BodyContact):
+            continue
+        for point, places in ((record.point, _circle(record.radius)),
+                              (record.other, outline_of(record))):
+            if len(places):
+                body = points[point].body
+                found.append({'name': name, 'body': rows[body], 'places': [
+                    [*place, heights[body] + above]
+                    for place in (places + points[point].position).tolist()]})
+    return found
+
+
+def outline_of(contact):
+    """Return the line, circle or curve of a body contact about its point, shape (n, 2) [m]."""
+    if contact.shape == 'line':
+        # How long it is, is not told: it is drawn short.
+        angle, half = contact.angle or 0.0, SHORT * (contact.radius or 1.0)
+        along = half * np.array([math.cos(angle), math.sin(angle)])
+        return np.array([-along, along])
+    if contact.shape == 'circle':
+        return _circle(contact.other_radius)
+    pieces = np.array(contact.pieces)
+    powers = (np.arange(SPLINE) / SPLINE)[:, None] ** np.arange(4)
+    places = np.stack([pieces[:, :4] @ powers.T, pieces[:, 4:] @ powers.T], axis=-1).reshape(-1, 2)
+    end = pieces[-1].reshape(2, 4).sum(axis=1)
+    return np.vstack([places, end])
+
+
+def normal_of(contact, outline, place):
+    """
+    Return the direction in which a body contact pushes its roller.
+
+    Parameters
+    ----------
+    contact : BodyContact
+        Any.
+    outline : ndarray, shape (n, 2)
+        By ``outline_of``.
+    place : ndarray, shape (2,)
+        Of the roller's centre from the other point on, in the other body's axes [m].
+
+    Returns
+    -------
+    ndarray, shape (2,)
+        Of length one, in the other body's axes.
+
+    """
+    if contact.shape == 'line':
+        angle = contact.angle or 0.0
+        return np.array([-math.sin(angle), math.cos(angle)])
+    if contact.shape == 'circle':
+        out = -place if contact.hollow else place
+        return out / (np.linalg.norm(out) or 1.0)
+    starts, along = outline[:-1], np.diff(outline, axis=0)
+    share = np.clip(np.sum((place - starts) * along, axis=1) / np.sum(along ** 2, axis=1), 0, 1)
+    away = place - starts - share[:, None] * along
+    nearest = int(np.argmin(np.sum(away ** 2, axis=1)))
+    # The free side is on the left.
+    x, y = along[nearest] / np.linalg.norm(along[nearest])
+    return np.array([-y, x])
+
+
+def _circle(radius):
+    if not radius:
+        return np.zeros((0, 2))
+    angles = 2.0 * np.pi * np.arange(CIRCLE + 1) / CIRCLE
+    return radius * np.column_stack([np.cos(angles), np.sin(angles)])

@@ -1,0 +1,90 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Meshes of bodies from their files, with no more triangles than a page shows well."""
+
+import numpy as np
+
+# Triangles of a mesh, at most; cells along its longest side that what has more is put into.
+MOST_TRIANGLES, CELLS = 6000, 128
+# Of a file [bytes].
+LARGEST = 200_000_000
+SUFFIXES = ('.stl', '.obj', '.ply', '.glb', '.gltf', '.off', '.dae')
+
+
+class MeshError(ValueError):
+    """A mesh that cannot be shown; the message names the file and says why."""
+
+
+def read_mesh(path):
+    """
+    Read a mesh.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        STL, OBJ, PLY, GLB or OFF; COLLADA where trimesh can read it.
+
+    Returns
+    -------
+    points : ndarray, shape (n, 3)
+        As the file has them.
+    triangles : ndarray of int, shape (m, 3)
+        Rows of ``points``; at most MOST_TRIANGLES.
+
+    Raises
+    ------
+    MeshError
+
+    """
+    if path.suffix.lower() not in SUFFIXES:
+        raise MeshError(f'{path}: expected a mesh ({", ".join(SUFFIXES)}), got another name')
+    try:
+        if path.stat().st_size > LARGEST:
+            raise MeshError(f'{path}: expected at most {LARGEST / 1e6:g} MB, got a larger file')
+    except OSError as error:
+        raise MeshError(f'{path}: {error.strerror}') from None
+    try:
+        import trimesh
+    except ImportError:
+        raise MeshError(f'{path}: meshes are read by trimesh: pip install trimesh') from None
+    try:
+        mesh = trimesh.load_mesh(path, skip_materials=True)
+        points = np.array(mesh.vertices, dtype=float)
+        triangles = np.array(mesh.faces, dtype=int).reshape(-1, 3)
+    except Exception as error:  # noqa: B902
+        # Readers of many formats, each with errors of its own.
+        raise MeshError(f'{path}: expected a mesh that can be read, got: {error}') from None
+    if not len(triangles) or not np.isfinite(points).all():
+        raise MeshError(f'{path}: expected triangles between finite places, got none')
+    cells = CELLS
+    found = points, triangles
+    while len(found[1]) > MOST_TRIANGLES:
+        found = _merged(points, triangles, cells)
+        cells = cells * 3 // 4
+    return found
+
+
+def _merged(points, triangles, cells):
+    """Return a mesh whose points that lie in one cell of a grid are one, in their middle."""
+    low, size = points.min(axis=0), np.ptp(points, axis=0).max()
+    places = np.floor((points - low) * (cells / size)).astype(int)
+    _, cell, counts = np.unique(places, axis=0, return_inverse=True, return_counts=True)
+    cell = cell.reshape(-1)
+    middles = np.zeros((len(counts), 3))
+    np.add.at(middles, cell, points)
+    triangles = cell[triangles]
+    a, b, c = triangles.T
+    kept = triangles[(a != b) & (b != c) & (c != a)]
+    return middles / counts[:, None], np.unique(kept, axis=0)

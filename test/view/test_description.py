@@ -1,0 +1,186 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""What a page is told of shapes, springs, cables and contacts, and the arrows of these."""
+
+from dataclasses import replace
+import struct
+import sys
+
+from closedloop_dynamics.effects.contact import Contact
+from closedloop_dynamics.effects.external_force import ExternalForce
+from closedloop_dynamics.mechanism.mechanism import Body, Joint, Mechanism, Point, Visual
+from closedloop_dynamics.simulation.scene import load_scene
+from closedloop_dynamics.simulation.scene_records import Initial, Scene
+from closedloop_dynamics.simulation.simulation import Simulation
+from closedloop_dynamics.view import meshes
+from closedloop_dynamics.view.columns import motion_columns, SimulationRows
+from closedloop_dynamics.view.description import describe
+from closedloop_dynamics.view.effect_shapes import normal_of, outline_of
+import numpy as np
+import pytest
+
+
+def described(name):
+    scene = load_scene(name)
+    return describe(scene.mechanism, motion_columns(scene.mechanism), scene.effects)
+
+
+def body(told, name):
+    return next(body for body in told['bodies'] if body['name'] == name)
+
+
+def test_bodies_with_shapes_are_drawn_as_these():
+    told = described('excavator_arm')
+    box, = body(told, 'rocker')['shapes']
+    assert (box['kind'], box['size'], box['center']) == (
+        'box', [0.62, 0.3, 0.12], [0.31, 0.0, 0.0])
+    rod, = body(told, 'boom_rod')['shapes']
+    assert rod['kind'] == 'cylinder' and rod['radius'] == 0.045
+    np.testing.assert_allclose(rod['to'], [-1.4, 0.0, 0.0], atol=1e-15)
+    np.testing.assert_allclose(rod['from'], [0.0, 0.0, 0.0], atol=1e-15)
+    # Others through their joints and points.
+    assert {'bar', 'faces'} == {shape['kind'] for shape in body(told, 'boom')['shapes']}
+
+
+def test_springs_and_cables_are_lines_between_their_points():
+    spring, tyre = described('double_wishbone')['lines']
+    assert (spring['kind'], spring['name'], tyre['name']) == ('spring', 'spring', 'tyre')
+    assert spring['ends'] == [[0, [0.0, 0.55, 0.25]], [1, [0.0, 0.28, 0.0]]]
+    rope, = described('rope_hoist')['lines']
+    assert rope['kind'] == 'cable' and rope['radii'] == [0.0, 0.1, -0.1, 0.0]
+    assert [number for number, _ in rope['ends']] == [-1, 0, -1, 1]
+
+
+def test_an_outline_leads_the_roller_that_it_touches():
+    told = described('cam_follower')
+    cam, roller = sorted(told['wires'], key=lambda wire: wire['body'])
+    np.testing.assert_allclose(cam['places'][0], cam['places'][-1], atol=1e-15)
+    radii = np.hypot(*np.array(cam['places'])[:, :2].T)
+    assert radii.min() == pytest.approx(0.04, abs=1e-4)
+    assert radii.max() == pytest.approx(0.052, abs=1e-4)
+    contact = load_scene('cam_follower').effects['outline']
+    outline = outline_of(contact)
+    for angle in np.linspace(0.0, 6.0, 13):
+        place = 0.07 * np.array([np.cos(angle), np.sin(angle)])
+        normal = normal_of(contact, outline, place)
+        # Outwards, and no more aslant than the cam rises.
+        assert normal @ place / 0.07 > 0.8
+
+
+def sliding(normal=(0.0, 0.6, 0.8)):
+    """Return a block that is pressed on a slope in space and slides along it."""
+    mechanism = Mechanism('block', (Body('block', 2.0, (0.0, 0.0, 0.0), (0.1, 0.1, 0.1)),), (
+        Joint('free', 'free', 'ground', 'block', (0.0, 0.0, 0.0)),), (),
+        (Point('foot', 'block', (0.0, 0.0, 0.0)),))
+    position = np.array([*(-0.01 * np.array(normal)), 0.0, 0.0, 0.0, 1.0])
+    effects = {
+        'slope': Contact(point='foot', origin=(0.0, 0.0, 0.0), normal=normal, stiffness=1e3,
+                         friction=0.5, slip_velocity=1e-4),
+        'push': ExternalForce(point='foot', force=(1.0, 0.0, 0.0), axes='body')}
+    velocity = np.array([0.3, 0.4, -0.3, 0.0, 0.0, 0.0])
+    return mechanism, effects, position, velocity
+
+
+def test_a_contact_in_space_has_arrows_along_its_normal_and_against_the_sliding():
+    mechanism, effects, position, velocity = sliding()
+    scene = Scene('block', None, '', mechanism, Initial(
+        tuple(position.tolist()), tuple(velocity.tolist())), effects)
+    simulation = Simulation(scene)
+    rows = SimulationRows(simulation)
+    assert rows.columns.loads == [
+        {'name': 'slope', 'kind': 'normal'}, {'name': 'slope', 'kind': 'friction'},
+        {'name': 'push', 'kind': 'force'}]
+    layout, row = rows.columns.layout, rows.row()
+    first = layout['columns']['loads']
+    normal, friction, push = row[first:first + 18].reshape(3, 6)[:, 3:]
+    np.testing.assert_allclose(normal, 10.0 * np.array([0.0, 0.6, 0.8]), rtol=1e-5)
+    # The coefficient times the normal force, against the velocity, which is along the slope.
+    sliding_along = velocity[:3] / np.linalg.norm(velocity[:3])
+    np.testing.assert_allclose(friction, -5.0 * sliding_along, atol=1e-4)
+    np.testing.assert_allclose(push, [1.0, 0.0, 0.0], atol=1e-6)
+    # What accelerates the block is the sum of the arrows.
+    np.testing.assert_allclose(
+        2.0 * simulation.acceleration[:3], normal + friction + push, rtol=1e-4)
+    plots = [(plot['group'], plot['name']) for plot in layout['plots']]
+    assert row[layout['columns']['plots'] + plots.index(('force of effects', 'slope, normal'))] \
+        == pytest.approx(10.0)
+    surface, = describe(mechanism, rows.columns, effects)['surfaces']
+    assert surface['normal'] == [0.0, 0.6, 0.8]
+
+
+def stl(path, triangles):
+    with open(path, 'wb') as file:
+        file.write(bytes(80) + struct.pack('<I', len(triangles)))
+        for triangle in triangles:
+            file.write(struct.pack('<12fH', 0, 0, 0, *np.ravel(triangle), 0))
+
+
+def globe(rings):
+    """Return the triangles of a sphere of radius one."""
+    u, v = np.meshgrid(np.linspace(0, np.pi, rings), np.linspace(0, 2 * np.pi, 2 * rings),
+                       indexing='ij')
+    places = np.stack([np.sin(u) * np.cos(v), np.sin(u) * np.sin(v), np.cos(u)], axis=-1)
+    corners = places[:-1, :-1], places[1:, :-1], places[1:, 1:], places[:-1, 1:]
+    return np.concatenate([np.stack([corners[k] for k in face], axis=2).reshape(-1, 3, 3)
+                           for face in ((0, 1, 2), (0, 2, 3))])
+
+
+def with_mesh(path, scale=(1.0, 1.0, 1.0)):
+    mechanism = load_scene('delta_robot').mechanism
+    first = replace(mechanism.bodies[0], visual=(Visual(
+        'mesh', scale, (0.0, 0.0, 0.5), (0.0, 0.0, 0.0, 1.0), str(path)),))
+    return replace(mechanism, bodies=(first, *mechanism.bodies[1:]))
+
+
+def test_meshes_are_shown_with_fewer_triangles(tmp_path):
+    pytest.importorskip('trimesh')
+    stl(tmp_path / 'globe.stl', globe(80))
+    mechanism = with_mesh(tmp_path / 'globe.stl', (2.0, 2.0, 2.0))
+    told = describe(mechanism, motion_columns(mechanism))
+    mesh, = told['bodies'][0]['shapes']
+    assert told['missing'] == []
+    assert 1000 < len(mesh['triangles']) <= meshes.MOST_TRIANGLES < len(globe(80))
+    away = np.linalg.norm(np.array(mesh['points']) - [0.0, 0.0, 0.5], axis=1)
+    assert 1.9 < away.min() and away.max() < 2.01
+    stl(tmp_path / 'globe.stl', globe(8))
+    few = describe(mechanism, motion_columns(mechanism))['bodies'][0]['shapes'][0]
+    # Without those at the poles, which are none.
+    assert len(few['triangles']) <= len(globe(8))
+
+
+@pytest.mark.parametrize('name, content, problem', [
+    ('none.stl', None, 'No such file'), ('mesh.step', b'', 'expected a mesh (.stl'),
+    ('mesh.stl', b'nonsense', 'expected triangles'),
+    ('mesh.obj', b'', 'expected')])
+def test_a_mesh_that_is_missing_is_told_and_drawn_as_lines(tmp_path, name, content, problem):
+    pytest.importorskip('trimesh')
+    if content is not None:
+        (tmp_path / name).write_bytes(content)
+    mechanism = with_mesh(tmp_path / name)
+    told = describe(mechanism, motion_columns(mechanism))
+    told_of, = told['missing']
+    assert told_of.startswith(f'{mechanism.bodies[0].name}: {tmp_path / name}: ')
+    assert problem in told_of
+    bare = replace(mechanism, bodies=(
+        replace(mechanism.bodies[0], visual=()), *mechanism.bodies[1:]))
+    assert told['bodies'][0]['shapes'] == describe(
+        bare, motion_columns(bare))['bodies'][0]['shapes']
+
+
+def test_without_trimesh_meshes_say_how_to_get_it(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, 'trimesh', None)
+    stl(tmp_path / 'globe.stl', globe(4))
+    with pytest.raises(meshes.MeshError, match='pip install trimesh'):
+        meshes.read_mesh(tmp_path / 'globe.stl')
