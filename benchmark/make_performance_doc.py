@@ -65,17 +65,24 @@ def measure(parts, output, quick, peers_python):
              *(['--quick'] if quick else [])], check=True, stdout=subprocess.DEVNULL)
 
 
-def peers_passages(result):
-    """Return the passages on the other simulators."""
-    uncertain = max(case['uncertainty'] for case in result['cases'])
-    return {
-        'peers agreement': peer_report.agreement_table(result),
-        'peers evaluation': peer_report.evaluation_table(result),
-        'peers motions': peer_report.motion_table(result),
-        'peers reference': 'The two methods behind the reference differ by '
-                           f'{uncertain:.0e} rad at most.',
-        'peers closure': peer_report.closure_table(
-            {**result, 'cases': result['cases'][:1]})}
+def peers_passages(results):
+    """Return the passages on the other simulators, of the groups that were measured."""
+    texts = {}
+    for group, result in results.items():
+        name = 'peers' if group == 'plane' else f'peers {group}'
+        uncertain = max(case['uncertainty'] for case in result['cases'])
+        texts.update({
+            f'{name} machine': f'{measured(result, result["date"])}\n{peer_report.busy(result)}',
+            f'{name} agreement': peer_report.agreement_table(result),
+            f'{name} evaluation': peer_report.evaluation_table(result),
+            f'{name} motions': peer_report.motion_table(result),
+            f'{name} reference': 'The two methods behind the reference differ by '
+                                 f'{uncertain:.0e} rad or m at most.',
+            f'{name} closure': peer_report.closure_table(
+                {**result, 'cases': result['cases'][:1]})})
+        if result['rollouts']:
+            texts[f'{name} rollouts'] = peer_report.rollout_table(result)
+    return texts
 
 
 def operation_passages(result):
@@ -103,18 +110,30 @@ def passages(output, parts):
     texts = {}
     for part, result in results.items():
         texts.update(builders[part](result))
-        texts[f'{part} machine'] = (
-            f'Measured on {datetime.date.today().isoformat()}: {result["machine"]}.' + (
-                ' Quick version: rough numbers.' if result['quick'] else ''))
+        if part != 'peers':
+            texts[f'{part} machine'] = measured(result, datetime.date.today().isoformat())
     return texts
+
+
+def measured(result, date):
+    """Return when and where something was measured."""
+    return f'Measured on {date}: {result["machine"]}.' + (
+        ' Quick version: rough numbers.' if result['quick'] else '')
 
 
 def copy_pictures(output, pictures, parts):
     """Copy pictures and CSV files to the document's."""
-    names = {'peers': ('peers.png', 'peers_evaluation.csv', 'peers_motions.csv'),
-             'size': ('size.png',)}
+    names = {'size': ['size.png']}
+    if 'peers' in parts:
+        names['peers'] = [peer_report.FILES[group] + end for group in groups(output)
+                          for end in peer_report.ENDS]
     for name in (name for part in parts for name in names.get(part, ())):
         shutil.copyfile(output / name, pictures / f'performance_{name}')
+
+
+def groups(output):
+    """Return the groups of mechanisms that peers.py has measured."""
+    return list(json.loads((output / 'peers.json').read_text()))
 
 
 def main(arguments=None):

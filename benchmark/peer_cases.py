@@ -28,13 +28,15 @@ import numpy as np
 
 sys.path.insert(0, str(ROOT))
 
-from closedloop_dynamics.core import kinematics, loop_closure, types as t  # noqa: E402,I100
+from closedloop_dynamics.core import kinematics, types as t  # noqa: E402,I100
 from closedloop_dynamics.integration.system import evaluate  # noqa: E402
-from closedloop_dynamics.simulation.scene import load_scene  # noqa: E402
+from closedloop_dynamics.simulation import scene as scenes  # noqa: E402
 from closedloop_dynamics.simulation.simulation import Simulation  # noqa: E402
 
 # What computes the answer, and what confirms it: an integrator and its tolerance.
 REFERENCES = (('dop853', 1e-13), ('dopri5', 1e-13))
+# Simulators without a cut hinge hold two points of its axis together, so far apart [m].
+HINGE = 1.0
 
 
 @dataclass(frozen=True)
@@ -48,15 +50,17 @@ class Case:
     scene : scene.Scene
         With gravity as its only effect.
     tau : ndarray, shape (nv,)
-        Constant joint torques [N m].
+        Constant joint torques and forces [N m, N].
     duration : float
         [s].
-    q, qd : ndarray, shape (nv,)
-        Start: assembled, the loops closed to rounding.
-    end : ndarray, shape (nv,)
-        Joint coordinates at the end, as exactly as it goes [rad].
+    q : ndarray, shape (nq,)
+        Start: assembled, the loops closed to rounding. Quaternions are x, y, z, w.
+    qd : ndarray, shape (nv,)
+        Rates there.
+    end : ndarray, shape (nq,)
+        Joint coordinates at the end, as exactly as it goes [rad, m].
     uncertainty : float
-        What two methods disagree by at the end [rad].
+        What two methods disagree by at the end [rad, m].
 
     """
 
@@ -68,6 +72,55 @@ class Case:
     qd: np.ndarray
     end: np.ndarray
     uncertainty: float
+
+    def error(self, q):
+        """Return how far coordinates are from the end [rad, m]."""
+        return float(np.abs(self.scene.mechanism.coordinates.apart(q, self.end)).max())
+
+
+@dataclass(frozen=True)
+class Element:
+    """
+    A joint of a tree, and the body that it carries, as all simulators in space take them.
+
+    Attributes
+    ----------
+    name, body : str
+        Of both.
+    parent : int
+        Number of the element that carries it, counted from 1; 0 for the ground.
+    type : str
+        ``'revolute'``, ``'prismatic'``, ``'universal'`` or ``'spherical'``.
+    axes : tuple of str
+        Of the first three: ``'x'``, ``'y'`` or ``'z'`` of the element's frame.
+    position : tuple of 3 floats
+        In the parent's frame [m].
+    orientation : tuple of 4 floats
+        There: a quaternion x, y, z, w.
+    mass : float
+        [kg].
+    center_of_mass : tuple of 3 floats
+        In the element's frame [m].
+    inertia : tuple of 3 floats
+        About it, along the frame's axes [kg m^2].
+
+    """
+
+    name: str
+    body: str
+    parent: int
+    type: str  # noqa: A003
+    axes: tuple
+    position: tuple
+    orientation: tuple
+    mass: float
+    center_of_mass: tuple
+    inertia: tuple
+
+    def __post_init__(self):
+        """Refuse what the others are not told."""
+        if self.type not in ('revolute', 'prismatic', 'universal', 'spherical'):
+            raise ValueError(f'{self.name}: no joint {self.type} here')
 
 
 @dataclass(frozen=True)
@@ -108,6 +161,90 @@ def simulation(scene, integrator, value, duration, adaptive=True):
         scene, method=replace(scene.method, integrator=integrator, **keys)))
 
 
+def load_scene(name):
+    """Return a shipped scene, the joints in the order that the others want: depth first."""
+    scene = scenes.load_scene(name)
+    mechanism, children = scene.mechanism, {}
+    for joint in mechanism.joints:
+        children.setdefault(joint.parent, []).append(joint)
+
+    def branch(body):
+        for joint in children.get(body, ()):
+            yield joint
+            yield from branch(joint.child)
+
+    joints = tuple(branch('ground'))
+    if joints == mechanism.joints:
+        return scene
+    ordered = replace(mechanism, joints=joints)
+    before, after = mechanism.coordinates, ordered.coordinates
+    start = scene.initial
+    return replace(scene, mechanism=ordered, initial=replace(
+        start,
+        position=tuple(after.filled(
+            'position', before.told('position', start.position), after.start())),
+        velocity=tuple(after.filled(
+            'velocity', before.told('velocity', start.velocity), np.zeros(after.nv)))))
+
+
+def elements(mechanism):
+    """Return the joints of a mechanism as a list of ``Element``; those of the plane, too."""
+    bodies = {body.name: body for body in mechanism.bodies}
+    numbers = {'ground': 0}
+    found = []
+    for number, joint in enumerate(mechanism.joints, start=1):
+        numbers[joint.child] = number
+        body, axes, orientation = bodies[joint.child], ('z',), joint.orientation
+        if mechanism.planar:
+            orientation = (0.0, 0.0, np.sin(0.5 * joint.angle), np.cos(0.5 * joint.angle))
+            inertia = 3 * (body.inertia,)
+        else:
+            axes = tuple(_letter(axis) for axis in (joint.axis, joint.second_axis) if axis)
+            if any(body.inertia[3:]):
+                raise ValueError(f'{body.name}: expected the principal axes of its frame')
+            inertia = body.inertia[:3]
+        found.append(Element(
+            joint.name, joint.child, numbers[joint.parent], joint.type, axes,
+            _in_space(joint.position), tuple(orientation), body.mass,
+            _in_space(body.center_of_mass), inertia))
+    return found
+
+
+def point_pairs(mechanism):
+    """
+    Return the points that loops hold together.
+
+    Returns
+    -------
+    list of (int, tuple of 3 floats, int, tuple of 3 floats)
+        Numbers of two elements, and a point in the frame of each [m]; of a hinge in space two.
+
+    """
+    numbers = {'ground': 0}
+    numbers.update((joint.child, k) for k, joint in enumerate(mechanism.joints, start=1))
+    found = []
+    for cut in mechanism.cut_joints:
+        if cut.type not in ('revolute', 'spherical'):
+            raise ValueError(f'{cut.name}: no cut joint {cut.type} here')
+        points = np.array([_in_space(cut.point_a), _in_space(cut.point_b)])
+        along = [np.zeros((2, 3))]
+        if cut.type == 'revolute' and not mechanism.planar:
+            half = 0.5 * HINGE * np.array([cut.axis_a, cut.axis_b])
+            along = [half, -half]
+        for step in along:
+            a, b = (tuple(point.tolist()) for point in points + step)
+            found.append((numbers[cut.body_a], a, numbers[cut.body_b], b))
+    return found
+
+
+def _in_space(vector):
+    return (*vector, 0.0)[:3]
+
+
+def _letter(axis):
+    return 'xyz'[[(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)].index(tuple(axis))]
+
+
 def build_case(name, scene_name, torque, duration):
     """Return a case with its answer, computed by two methods."""
     scene = load_scene(scene_name)
@@ -119,8 +256,8 @@ def build_case(name, scene_name, torque, duration):
         tau = run.joint_torques(torque)
         run.advance(tau, 1)
         ends.append(run.position)
-    return Case(name, scene, tau, duration, *start, ends[0],
-                float(np.abs(ends[0] - ends[1]).max()))
+    case = Case(name, scene, tau, duration, *start, ends[0], 0.0)
+    return replace(case, uncertainty=case.error(ends[1]))
 
 
 def random_states(scene, count, seed=1):
@@ -138,15 +275,16 @@ def random_states(scene, count, seed=1):
 
     Returns
     -------
-    list of (q, qd, tau), each of shape (nv,)
+    list of (q, qd, tau), of shapes (nq,), (nv,), (nv,)
 
     """
     rng = np.random.default_rng(seed)
     run = Simulation(scene)
-    nv = len(run.joint_names)
+    names = scene.mechanism.coordinates
+    nv, start = names.nv, np.array(scene.initial.position)
     states = []
     for _ in range(count):
-        guess = np.array(scene.initial.position) + rng.uniform(-0.1, 0.1, nv)
+        guess = names.moved(start, rng.uniform(-0.1, 0.1, nv))
         run.set_state(guess, rng.uniform(-2.0, 2.0, nv))
         states.append((run.position, run.velocity, rng.uniform(-5.0, 5.0, nv)))
     return states
@@ -168,14 +306,17 @@ class Referee:
         return system.qdd.copy()
 
     def closure(self, q):
-        """Return the largest closure error [m]."""
-        system = self.simulation.system
-        kinematics.outward(system.model, q, np.zeros(len(q)), system.work)
-        loop_closure.update(system.model, system.work, loop_closure.NO_RESPONSES)
-        return float(np.abs(system.work.closure).max())
+        """Return the largest closure error [m, rad]."""
+        state = self.simulation.integrated
+        state[:] = 0.0
+        names = self.mechanism.coordinates
+        # Quaternions of norm 1.
+        state[:len(q)] = names.moved(q, np.zeros(names.nv))
+        self.simulation.touch()
+        return self.simulation.closure
 
     def poses(self, q, qd):
-        """Return {body: (pose, velocity)} of the centres of mass: x, y, angle each."""
+        """Return {body: (pose, velocity)} of centres of mass in the plane: x, y, angle each."""
         system = self.simulation.system
         kinematics.outward(system.model, q, qd, system.work)
         result, row = {}, 0

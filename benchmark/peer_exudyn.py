@@ -48,7 +48,7 @@ class Engine:
     """
 
     name, version = NAME, importlib.metadata.version('exudyn')
-    softness = None
+    softness, others = None, {}
 
     def __init__(self, scene):
         """Remember the mechanism: systems are built in the state they start from."""

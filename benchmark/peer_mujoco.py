@@ -26,7 +26,7 @@ from xml.sax.saxutils import quoteattr
 
 import mujoco
 import numpy as np
-from peer_cases import gravity, Run
+from peer_cases import elements, gravity, point_pairs, Run
 
 NAME = 'MuJoCo'
 HARDEST = 0.9999
@@ -49,64 +49,74 @@ class Engine:
     Parameters
     ----------
     scene : scene.Scene
-        With gravity alone, all joints and cut joints revolute.
+        With gravity alone, joints and cut joints of the kinds that ``peer_cases`` knows.
+
+    Attributes
+    ----------
+    order : ndarray of int, shape (nq,)
+        Where in its coordinates ours are: its quaternions are w, x, y, z.
 
     """
 
     name, version = NAME, mujoco.__version__
     # Accelerations are off in proportion to this.
-    softness = 1.0 - HARDEST
+    softness, others = 1.0 - HARDEST, {}
 
     def __init__(self, scene):
         """Build the model."""
-        self._mechanism, self._gravity = scene.mechanism, gravity(scene)
-        self._model = self._build(1e-3, SPRINGS_AT_REST)
+        self._elements, self._pairs = elements(scene.mechanism), point_pairs(scene.mechanism)
+        self._gravity = (*gravity(scene), 0.0)[:3]
+        self.order = np.arange(scene.mechanism.coordinates.nq)
+        for first, _ in scene.mechanism.coordinates.balls:
+            self.order[first:first + 4] = first + np.array([1, 2, 3, 0])
+        self._model = self.build(1e-3, SPRINGS_AT_REST)
         self._data = mujoco.MjData(self._model)
 
-    def _build(self, step, frequency, integrator='Euler', hardness=HARDEST):
+    def build(self, step, frequency, integrator='Euler', hardness=HARDEST):
+        """Return a model with a step size [s] and a natural frequency of its loops [rad/s]."""
         model = mujoco.MjModel.from_xml_string(self._description(frequency, hardness))
         model.opt.timestep = step
         model.opt.integrator = getattr(
             mujoco.mjtIntegrator, 'mjINT_' + integrator.upper())
         # Given one anchor, MuJoCo finds the other at q = 0, where these loops are open.
-        for row, cut in zip(model.eq_data, self._mechanism.cut_joints):
-            row[:6] = *cut.point_a, 0.0, *cut.point_b, 0.0
+        for row, (_, point_a, _, point_b) in zip(model.eq_data, self._pairs):
+            row[:6] = *point_a, *point_b
         return model
 
     def _description(self, frequency, hardness):
         """Return the mechanism in MuJoCo's XML, with every digit."""
-        children, bodies = {}, {body.name: body for body in self._mechanism.bodies}
-        for joint in self._mechanism.joints:
-            children.setdefault(joint.parent, []).append(joint)
+        children = {}
+        for number, element in enumerate(self._elements, start=1):
+            children.setdefault(element.parent, []).append((number, element))
 
         def branch(parent):
             return ''.join(
-                f'<body name={quoteattr(joint.child)} pos="{_numbers(*joint.position, 0)}" '
-                f'euler="0 0 {joint.angle!r}">{_inertial(bodies[joint.child])}'
-                f'<joint name={quoteattr(joint.name)} type="hinge" axis="0 0 1"/>'
-                f'{branch(joint.child)}</body>' for joint in children.get(parent, []))
+                f'<body name={quoteattr(element.body)} pos="{_numbers(*element.position)}" '
+                f'quat="{_numbers(element.orientation[3], *element.orientation[:3])}">'
+                f'{_inertial(element)}{_joints(element)}{branch(number)}</body>'
+                for number, element in children.get(parent, []))
 
+        names = ['world', *(element.body for element in self._elements)]
         springs = (f'solref="{-frequency ** 2!r} {-2.0 * frequency!r}" '
                    f'solimp="{hardness!r} {hardness!r} 0.001 0.5 2"')
         loops = ''.join(
-            f'<connect body1={quoteattr(_body(cut.body_a))} body2={quoteattr(_body(cut.body_b))} '
-            f'anchor="{_numbers(*cut.point_a, 0)}" {springs}/>'
-            for cut in self._mechanism.cut_joints)
+            f'<connect body1={quoteattr(names[a])} body2={quoteattr(names[b])} '
+            f'anchor="{_numbers(*point)}" {springs}/>' for a, point, b, _ in self._pairs)
         return (
             '<mujoco><compiler angle="radian"/>'
-            f'<option gravity="{_numbers(*self._gravity, 0)}" solver="Newton" iterations="1" '
+            f'<option gravity="{_numbers(*self._gravity)}" solver="Newton" iterations="1" '
             'tolerance="1e-14" jacobian="dense"><flag contact="disable" refsafe="disable" '
             'limit="disable" frictionloss="disable" actuation="disable" spring="disable" '
             'damper="disable"/></option>'
-            f'<worldbody>{branch("ground")}</worldbody><equality>{loops}</equality></mujoco>')
+            f'<worldbody>{branch(0)}</worldbody><equality>{loops}</equality></mujoco>')
 
     def _start(self, model, data, q, qd, tau):
         mujoco.mj_resetData(model, data)
-        data.qpos[:], data.qvel[:], data.qfrc_applied[:] = q, qd, tau
+        data.qpos[self.order], data.qvel[:], data.qfrc_applied[:] = q, qd, tau
 
     def acceleration(self, q, qd, tau, softness=None):
         """Return joint accelerations, shape (nv,)."""
-        model = self._model if softness is None else self._build(
+        model = self._model if softness is None else self.build(
             1e-3, SPRINGS_AT_REST, hardness=1.0 - softness)
         self._start(model, self._data, q, qd, tau)
         mujoco.mj_forward(model, self._data)
@@ -114,17 +124,20 @@ class Engine:
 
     def timings(self, q, qd, tau):
         """Return {what: function of a number of evaluations or steps}."""
-        model, data = self._build(1e-3, 100.0), mujoco.MjData(self._model)
+        model, data = self.build(1e-3, 100.0), mujoco.MjData(self._model)
+        fourth_order = self.build(1e-3, 100.0, 'RK4')
 
         def forward(count):
             for _ in range(count):
                 mujoco.mj_forward(model, data)
 
-        def steps(count):
-            # Not further from the state than a thousandth of a second.
-            model.opt.timestep = 1e-3 / count
-            self._start(model, data, q, qd, tau)
-            mujoco.mj_step(model, data, count)
+        def several(model):
+            def steps(count):
+                # Not further from the state than a thousandth of a second.
+                model.opt.timestep = 1e-3 / count
+                self._start(model, data, q, qd, tau)
+                mujoco.mj_step(model, data, count)
+            return steps
 
         def single_steps(count):
             model.opt.timestep = 1e-3 / count
@@ -133,8 +146,9 @@ class Engine:
                 mujoco.mj_step(model, data)
 
         self._start(model, data, q, qd, tau)
-        return {'mj_forward, from Python': forward, 'mj_step (Euler), C loop': steps,
-                'mj_step (Euler), from Python': single_steps}
+        return {'mj_forward, from Python': forward, 'mj_step (Euler), C loop': several(model),
+                'mj_step (Euler), from Python': single_steps,
+                'mj_step (RK4), C loop': several(fourth_order)}
 
     def runs(self, case, quick):
         """Return the runs of a case."""
@@ -148,7 +162,7 @@ class Engine:
         return runs
 
     def _motion(self, case, step, frequency, integrator):
-        model = self._build(step, frequency, integrator)
+        model = self.build(step, frequency, integrator)
         data = mujoco.MjData(model)
 
         def execute():
@@ -157,18 +171,24 @@ class Engine:
             # On bad values MuJoCo starts anew by itself.
             if data.warning[mujoco.mjtWarning.mjWARN_BADQACC].number:
                 return np.full(len(case.q), np.nan)
-            return data.qpos.copy()
+            return data.qpos[self.order]
         return execute
 
 
-def _inertial(body):
-    return (f'<inertial mass="{body.mass!r}" pos="{_numbers(*body.center_of_mass, 0)}" '
-            f'diaginertia="{_numbers(*3 * [body.inertia])}"/>')
+def _inertial(element):
+    return (f'<inertial mass="{element.mass!r}" pos="{_numbers(*element.center_of_mass)}" '
+            f'diaginertia="{_numbers(*element.inertia)}"/>')
+
+
+def _joints(element):
+    """Return one joint, or the two hinges of a universal joint."""
+    if element.type == 'spherical':
+        return f'<joint name={quoteattr(element.name)} type="ball"/>'
+    kind = 'slide' if element.type == 'prismatic' else 'hinge'
+    return ''.join(
+        f'<joint name={quoteattr(f"{element.name}.{axis}")} type="{kind}" '
+        f'axis="{_numbers(*(axis == letter for letter in "xyz"))}"/>' for axis in element.axes)
 
 
 def _numbers(*values):
     return ' '.join(repr(float(value)) for value in values)
-
-
-def _body(name):
-    return 'world' if name == 'ground' else name

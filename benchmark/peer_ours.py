@@ -28,6 +28,8 @@ TOLERANCES = tuple(10.0 ** -k for k in range(2, 13))
 QUICK_TOLERANCES = tuple(10.0 ** -k for k in range(3, 13, 3))
 STEPS = (1e-2, 5e-3, 2e-3, 1e-3, 5e-4, 2e-4, 1e-4, 5e-5)
 QUICK_STEPS = (1e-2, 1e-3)
+# Of a step that is timed [s].
+STEP = 1e-5
 
 
 class Engine:
@@ -42,7 +44,7 @@ class Engine:
     """
 
     name, version = NAME, commit()
-    softness = None
+    softness, others = None, {}
 
     def __init__(self, scene):
         """Build the model."""
@@ -59,16 +61,25 @@ class Engine:
         """Return {what: function of a number of evaluations}."""
         one = self._simulation
         one.system.tau[:] = tau
-        actuated = np.array([joint.actuated for joint in one.mechanism.joints])
-        torque = tau[actuated]
+        torque = tau[list(one.coordinates.actuated)]
 
         def call(count):
             for _ in range(count):
                 one.forward_dynamics(q, qd, torque)
 
+        stepping = simulation(self._scene, 'rk4', STEP, STEP, adaptive=False)
+
+        def steps(count):
+            stepping.advance(tau, count)
+
+        def back():
+            stepping.set_state(q, qd)
+            stepping.monitor.sampling = False
+
+        steps.prepare = back
         return {'evaluation, compiled loop': lambda count: evaluate_again(
                     one.system, q, qd, count),
-                'evaluation, from Python': call}
+                'evaluation, from Python': call, 'RK4 step with projection': steps}
 
     def runs(self, case, quick):
         """Return the runs of a case."""

@@ -16,8 +16,9 @@
 Pinocchio (Carpentier et al.), for the comparison in peers.py.
 
 A library of rigid-body algorithms, without integrators of its own: constraintDynamics is called
-from Python (a time loop of our own, SciPy's DOP853) and, where a C++ compiler and the headers of
-Eigen are found, from loops in C++ (pinocchio_loop.cpp) with Boost's integrators.
+from Python (a time loop of our own, SciPy's DOP853; in the plane) and, where a C++ compiler and
+the headers of Eigen are found, from loops in C++ (pinocchio_loop.cpp) with Boost's integrators. In
+space lcaba, its algorithm over the bodies, too.
 
 """
 
@@ -29,15 +30,19 @@ import subprocess
 import tempfile
 
 import numpy as np
-from peer_cases import gravity, Run
+from peer_cases import elements, gravity, point_pairs, Run
 import pinocchio as pin
 from scipy.integrate import solve_ivp
 
 NAME = 'Pinocchio'
 SOURCE = Path(__file__).with_name('pinocchio_loop.cpp')
-# A closed loop in the plane has a third, empty row: mu must be positive. The accelerations are
-# off by about mu, relative; one iteration is then enough, and more cost more.
-MU, ACCURACY, ITERATIONS = 1e-14, 1e-12, 1
+ACCURACY = 1e-12
+# Regularisation mu and number of iterations. A closed loop in the plane has a third, empty row, a
+# hinge in space two that repeat others: mu must be positive. The accelerations are off by about
+# mu, relative; one iteration is then enough, and more cost more.
+SETTINGS = 1e-14, 1
+# The same for lcaba: the least error that one iteration leaves, and two.
+BY_BODIES = {'lcaba': (1e-8, 1), 'lcaba, 2 iterations': (1e-5, 2)}
 TOLERANCES = tuple(10.0 ** -k for k in range(2, 14))
 QUICK_TOLERANCES = tuple(10.0 ** -k for k in range(3, 13, 3))
 STEPS = (1e-2, 5e-3, 2e-3, 1e-3, 5e-4, 2e-4, 1e-4, 5e-5)
@@ -53,7 +58,7 @@ class Engine:
     Parameters
     ----------
     scene : scene.Scene
-        With gravity alone, all joints and cut joints revolute.
+        With gravity alone, joints and cut joints of the kinds that ``peer_cases`` knows.
 
     """
 
@@ -63,35 +68,37 @@ class Engine:
     def __init__(self, scene):
         """Build the model, and the loops in C++ where possible."""
         mechanism = scene.mechanism
-        self._number = {'ground': 0}
-        for k, joint in enumerate(mechanism.joints, start=1):
-            self._number[joint.child] = k
-        self._build(mechanism, gravity(scene))
+        self._planar = mechanism.planar
+        parts = elements(mechanism), point_pairs(mechanism), (*gravity(scene), 0.0)[:3]
+        self._build(*parts)
         library = compiled_loops()
-        self._loops = None if library is None else Loops(
-            library, mechanism, gravity(scene), self._number)
+        self._loops = library and Loops(library, *parts, SETTINGS)
+        # In the plane lcaba is slower and less exact.
+        self._by_bodies = {} if mechanism.planar or library is None else {
+            name: Loops(library, *parts, settings, by_bodies=True)
+            for name, settings in BY_BODIES.items()}
+        self.others = {name: loops.acceleration for name, loops in self._by_bodies.items()}
 
-    def _build(self, mechanism, acceleration):
-        model, bodies = pin.Model(), {body.name: body for body in mechanism.bodies}
-        for joint in mechanism.joints:
-            body = bodies[joint.child]
-            number = model.addJoint(self._number[joint.parent], pin.JointModelRZ(),
-                                    _placement(joint.position, joint.angle), joint.name)
+    def _build(self, parts, pairs, acceleration):
+        model = pin.Model()
+        for part in parts:
+            number = model.addJoint(part.parent, _joint(part), pin.SE3(
+                pin.Quaternion(np.array(part.orientation)), np.array(part.position)), part.name)
             model.appendBodyToJoint(number, pin.Inertia(
-                body.mass, np.array([*body.center_of_mass, 0.0]), body.inertia * np.eye(3)),
+                part.mass, np.array(part.center_of_mass), np.diag(part.inertia)),
                 pin.SE3.Identity())
-        model.gravity.linear = np.array([*acceleration, 0.0])
+        model.gravity.linear = np.array(acceleration)
         self._constraints = pin.StdVec_RigidConstraintModel()
         self._constraint_data = pin.StdVec_RigidConstraintData()
-        for cut in mechanism.cut_joints:
+        for number_a, point_a, number_b, point_b in pairs:
             constraint = pin.RigidConstraintModel(
-                pin.ContactType.CONTACT_3D, model,
-                self._number[cut.body_a], _placement(cut.point_a),
-                self._number[cut.body_b], _placement(cut.point_b), pin.ReferenceFrame.LOCAL)
+                pin.ContactType.CONTACT_3D, model, number_a, _at(point_a), number_b,
+                _at(point_b), pin.ReferenceFrame.LOCAL)
             self._constraints.append(constraint)
             self._constraint_data.append(constraint.createData())
         self._model, self._data = model, model.createData()
-        self._settings = pin.ProximalSettings(ACCURACY, MU, ITERATIONS)
+        mu, iterations = SETTINGS
+        self._proximal = pin.ProximalSettings(ACCURACY, mu, iterations)
         pin.initConstraintDynamics(
             model, self._data, self._constraints, self._constraint_data)
 
@@ -99,12 +106,12 @@ class Engine:
         """Return joint accelerations, shape (nv,)."""
         return pin.constraintDynamics(
             self._model, self._data, q, qd, tau, self._constraints, self._constraint_data,
-            self._settings).copy()
+            self._proximal).copy()
 
     def timings(self, q, qd, tau):
         """Return {what: function of a number of evaluations}."""
         arguments = (self._model, self._data, q, qd, tau, self._constraints,
-                     self._constraint_data, self._settings)
+                     self._constraint_data, self._proximal)
 
         def call(count):
             for _ in range(count):
@@ -114,24 +121,32 @@ class Engine:
         if self._loops:
             self._loops.set_state(q, qd, tau)
             result['evaluation, C++ loop'] = self._loops.evaluate
+            result['RK4 step, C++ loop'] = lambda count: self._loops.runge_kutta(1e-12, count)
+        for name, loops in self._by_bodies.items():
+            loops.set_state(q, qd, tau)
+            result[f'evaluation by {name}, C++ loop'] = loops.evaluate
         return result
 
     def runs(self, case, quick):
         """Return the runs of a case."""
         runs = []
         for value in QUICK_TOLERANCES if quick else TOLERANCES:
-            runs.append(Run(NAME, 'DOP853 of SciPy', f'tolerance {value:.0e}',
-                            self._scipy(case, value)))
+            setting = f'tolerance {value:.0e}'
+            if self._planar:
+                runs.append(Run(NAME, 'DOP853 of SciPy', setting, self._scipy(case, value)))
             if self._loops:
-                runs.append(Run(NAME, 'Fehlberg 7(8) in C++', f'tolerance {value:.0e}',
-                                self._loops.fehlberg(case, value)))
+                runs.append(Run(NAME, 'Fehlberg 7(8) in C++', setting,
+                                self._loops.motion(case, 'fehlberg', value)))
+            runs += [Run(NAME, f'Fehlberg 7(8) in C++, {name}', setting,
+                         loops.motion(case, 'fehlberg', value))
+                     for name, loops in self._by_bodies.items()]
         for value in QUICK_STEPS if quick else STEPS:
+            setting = f'step {value:g} s'
             if self._loops:
-                runs.append(Run(NAME, 'RK4 in C++', f'step {value:g} s',
-                                self._loops.runge_kutta(case, value)))
-            elif value in PYTHON_STEPS:
-                runs.append(Run(NAME, 'RK4 in Python', f'step {value:g} s',
-                                self._runge_kutta(case, value)))
+                runs.append(Run(NAME, 'RK4 in C++', setting,
+                                self._loops.motion(case, 'runge_kutta', value)))
+            elif self._planar and value in PYTHON_STEPS:
+                runs.append(Run(NAME, 'RK4 in Python', setting, self._runge_kutta(case, value)))
         return runs
 
     def _scipy(self, case, tolerance):
@@ -142,7 +157,7 @@ class Engine:
             # An array of its own each time: SciPy keeps the last one.
             return np.concatenate([state[n:], pin.constraintDynamics(
                 self._model, self._data, state[:n], state[n:], case.tau, self._constraints,
-                self._constraint_data, self._settings)])
+                self._constraint_data, self._proximal)])
 
         def execute():
             return solve_ivp(derivative, (0.0, case.duration), start, method='DOP853',
@@ -166,8 +181,28 @@ class Engine:
         return execute
 
 
-def _placement(position, angle=0.0):
-    return pin.SE3(pin.rpy.rpyToMatrix(0.0, 0.0, angle), np.array([*position, 0.0]))
+# The numbers of joints in pinocchio_loop.cpp; universal ones come last.
+KINDS = {('revolute', 'x'): 0, ('revolute', 'y'): 1, ('revolute', 'z'): 2, ('prismatic', 'x'): 3,
+         ('prismatic', 'y'): 4, ('prismatic', 'z'): 5, ('spherical',): 6}
+FIRST_UNIVERSAL = 10
+
+
+def _kind(part):
+    if part.type == 'universal':
+        first, second = ('xyz'.index(axis) for axis in part.axes)
+        return FIRST_UNIVERSAL + 3 * first + second
+    return KINDS[part.type, *part.axes]
+
+
+def _joint(part):
+    if part.type == 'universal':
+        return pin.JointModelUniversal(*(np.eye(3)['xyz'.index(axis)] for axis in part.axes))
+    name = {'revolute': 'R', 'prismatic': 'P', 'spherical': 'Spherical'}[part.type]
+    return getattr(pin, 'JointModel' + name + ''.join(part.axes).upper())()
+
+
+def _at(point):
+    return pin.SE3(np.eye(3), np.array(point))
 
 
 class Loops:
@@ -178,29 +213,33 @@ class Loops:
     ----------
     library : ctypes.CDLL
         Compiled.
-    mechanism : Mechanism
-        All joints and cut joints revolute.
-    acceleration : sequence of 2 floats
+    parts : sequence of Element
+        The tree.
+    pairs : sequence of tuples
+        Points that are held together, of ``peer_cases.point_pairs``.
+    acceleration : sequence of 3 floats
         Of gravity [m/s^2].
-    number : mapping
-        Of the joint that carries each body, 0 for the ground.
+    settings : tuple
+        Regularisation and number of iterations.
+    by_bodies : bool
+        Evaluate by lcaba.
 
     """
 
-    def __init__(self, library, mechanism, acceleration, number):
+    def __init__(self, library, parts, pairs, acceleration, settings, by_bodies=False):
         """Hand the mechanism over."""
-        joints, cuts = mechanism.joints, mechanism.cut_joints
-        bodies = {body.name: body for body in mechanism.bodies}
-        carried = [bodies[joint.child] for joint in joints]
-        library.create.restype, library.evaluations.restype = ctypes.c_void_p, ctypes.c_long
-        self._library, self._n = library, len(joints)
+        library.create.restype = ctypes.c_void_p
+        self._library, (mu, iterations) = library, settings
+        self._nq = sum(max(1, len(part.axes)) + 3 * (part.type == 'spherical') for part in parts)
+        self._nv = self._nq - sum(part.type == 'spherical' for part in parts)
         self._handle = ctypes.c_void_p(library.create(
-            len(joints), _pointer([number[joint.parent] for joint in joints], np.int32),
-            _pointer([[*joint.position, joint.angle] for joint in joints]),
-            _pointer([[b.mass, *b.center_of_mass, b.inertia] for b in carried]),
-            len(cuts), _pointer([[number[c.body_a], number[c.body_b]] for c in cuts], np.int32),
-            _pointer([[*c.point_a, *c.point_b] for c in cuts]), _pointer(acceleration),
-            ctypes.c_double(MU), ctypes.c_double(ACCURACY), ITERATIONS))
+            len(parts), _pointer([part.parent for part in parts], np.int32),
+            _pointer([_kind(part) for part in parts], np.int32),
+            _pointer([[*part.position, *part.orientation] for part in parts]),
+            _pointer([[part.mass, *part.center_of_mass, *part.inertia] for part in parts]),
+            len(pairs), _pointer([[pair[0], pair[2]] for pair in pairs], np.int32),
+            _pointer([[*pair[1], *pair[3]] for pair in pairs]), _pointer(acceleration),
+            ctypes.c_double(mu), ctypes.c_double(ACCURACY), iterations, int(by_bodies)))
 
     def set_state(self, q, qd, tau):
         """Go to a state under joint torques."""
@@ -208,32 +247,31 @@ class Loops:
 
     def evaluate(self, count):
         """Evaluate the present state again and again; return its accelerations."""
-        result = np.zeros(self._n)
+        result = np.zeros(self._nv)
         self._library.evaluate(self._handle, ctypes.c_long(count), _pointer(result))
         return result
 
-    def position(self):
-        """Return the present joint coordinates."""
-        q, qd = np.zeros(self._n), np.zeros(self._n)
-        self._library.get_state(self._handle, _pointer(q), _pointer(qd))
-        return q
+    def acceleration(self, q, qd, tau):
+        """Return joint accelerations, shape (nv,)."""
+        self.set_state(q, qd, tau)
+        return self.evaluate(1)
 
-    def runge_kutta(self, case, step):
-        """Return a function that computes the motion of a case by RK4."""
+    def runge_kutta(self, step, steps):
+        """Make steps of RK4."""
+        self._library.runge_kutta_4(self._handle, ctypes.c_double(step), ctypes.c_long(steps))
+
+    def motion(self, case, method, value):
+        """Return a function that computes a motion: by a step size [s], or by a tolerance."""
         def execute():
             self.set_state(case.q, case.qd, case.tau)
-            self._library.runge_kutta_4(self._handle, ctypes.c_double(step),
-                                        ctypes.c_long(round(case.duration / step)))
-            return self.position()
-        return execute
-
-    def fehlberg(self, case, tolerance):
-        """Return a function that computes the motion of a case by Fehlberg's pair."""
-        def execute():
-            self.set_state(case.q, case.qd, case.tau)
-            self._library.fehlberg_78(self._handle, ctypes.c_double(case.duration),
-                                      ctypes.c_double(tolerance), ctypes.c_double(1e-2))
-            return self.position()
+            if method == 'runge_kutta':
+                self.runge_kutta(value, round(case.duration / value))
+            else:
+                self._library.fehlberg_78(self._handle, ctypes.c_double(case.duration),
+                                          ctypes.c_double(value), ctypes.c_double(1e-2))
+            q = np.zeros(self._nq)
+            self._library.get_position(self._handle, _pointer(q))
+            return q
         return execute
 
 

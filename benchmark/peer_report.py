@@ -30,22 +30,39 @@ from closedloop_dynamics.visual.tables import (  # noqa: E402,I100
 OURS = 'closedloop_dynamics'
 # What marks lines that no simulator offers: loops written for this comparison.
 OWN_LOOP = 'in C++'
-TARGETS = (1e-2, 1e-3, 1e-4, 1e-6, 1e-8, 1e-10)
+TARGETS = (1e-2, 1e-3, 1e-4, 1e-6, 1e-8, 1e-9, 1e-10)
+# Load average of a machine that does little else.
+QUIET = 0.7
 # Okabe and Ito's palette, one colour an engine; markers and dashes tell its lines apart.
 COLORS = {OURS: '#0072B2', 'Pinocchio': '#D55E00', 'MuJoCo': '#009E73', 'Exudyn': '#CC79A7'}
-STYLES = (('o', '-'), ('s', '--'), ('D', ':'))
+STYLES = (('o', '-'), ('s', '--'), ('D', ':'), ('^', '-.'))
+# What the files of a group are called, and how their names end.
+FILES = {'plane': 'peers', 'space': 'peers_space'}
+ENDS = ('_evaluation.csv', '_motions.csv', '.png')
 BAND = '#e5e5e5'
 DOTS_PER_INCH = 120
 
 
-def write_csv_files(result, directory):
-    """Write what was measured as CSV files."""
-    write_csv(directory / 'peers_evaluation.csv', ('scene', 'engine', 'what', 'best', 'median'), [
+def write_files(result, directory, group):
+    """Write what was measured of a group as CSV files and as a picture; return their paths."""
+    name = FILES[group]
+    evaluations, runs, drawn = (directory / f'{name}{end}' for end in ENDS)
+    write_csv(evaluations, ('scene', 'engine', 'what', 'best', 'median'), [
         (scene, row['engine'], row['what'], row['best'], row['median'])
         for scene, rows in result['evaluation'].items() for row in rows])
     keys = ('case', 'engine', 'line', 'setting', 'error', 'closure', 'best', 'median')
-    write_csv(directory / 'peers_motions.csv', keys, [
-        tuple(row[key] for key in keys) for row in result['motions']])
+    write_csv(runs, keys, [tuple(row[key] for key in keys) for row in result['motions']])
+    picture(result).savefig(drawn)
+    return [evaluations, runs, drawn]
+
+
+def busy(result):
+    """Return how busy the machine was."""
+    before, after = result['load']
+    told = f'Load average before and after: {before:.1f} and {after:.1f}.'
+    if before > QUIET:
+        told += ' Other programs kept the machine busy: ratios tell more than times.'
+    return told
 
 
 def agreement_table(result, make=markdown_table):
@@ -99,8 +116,18 @@ def motion_table(result, make=markdown_table):
                 _motion_cell(best[engine]) for engine in engines),
                 _ratio(cheapest(others, target), best.get(OURS)),
                 _ratio(cheapest(plain, target), best.get(OURS))))
-    return make(('motion', 'error within [rad]', *engines, 'best of them / ours',
+    return make(('motion', 'error within', *engines, 'best of them / ours',
                  'the same without loops in C++ written for this'), rows)
+
+
+def rollout_table(result, make=markdown_table):
+    """Return how many steps per second rollouts make, and how exact they are."""
+    fastest = max((speed for row in result['rollouts'] if OURS not in row['what']
+                   for speed in row['speeds'].values()), default=math.nan)
+    return make(('rollouts of', 'steps per second', "times the fastest of MuJoCo's",
+                 'error at the end, median [rad, m]'), [
+        (row['what'], f'{row["speeds"]["1"]:,.0f}', f'{row["speeds"]["1"] / fastest:.1f}',
+         f'{row["error"]:.1e}') for row in result['rollouts']])
 
 
 def _ratio(other, ours):
@@ -124,22 +151,24 @@ def closure_table(result, make=markdown_table):
                       key=lambda row: row['error'])
             rows.append((case['name'], engine, line, row['setting'], f'{row["error"]:.1e}',
                          f'{row["closure"]:.1e}', seconds(row['best'])))
-    return make(('motion', 'simulator', 'integrator', 'its most exact run', 'error [rad]',
+    return make(('motion', 'simulator', 'integrator', 'its most exact run', 'error',
                  'loops open by [m]', 'CPU time per simulated second'), rows)
 
 
 def text(result):
     """Return everything for a terminal."""
-    uncertain = '; '.join(f'{case["name"]} {case["uncertainty"]:.0e} rad'
+    uncertain = '; '.join(f'{case["name"]} {case["uncertainty"]:.0e}'
                           for case in result['cases'])
     return '\n\n'.join((
-        result['machine'],
+        f'{result["machine"]}\n{busy(result)}',
         'Largest relative difference of accelerations at random states:\n'
         + agreement_table(result, text_table),
         'CPU time of one evaluation or step:\n' + evaluation_table(result, text_table),
         'CPU time per simulated second for an error at the end:\n'
         + motion_table(result, text_table),
-        f'Two methods differ in the reference by: {uncertain}.'))
+        f'Two methods differ in the reference by: {uncertain}.',
+        *(['Steps per second of many simulations at once, one thread:\n'
+           + rollout_table(result, text_table)] if result['rollouts'] else [])))
 
 
 def picture(result):
@@ -167,7 +196,7 @@ def picture(result):
     for axes in panels[-1]:
         axes.set_xlabel('CPU time for one simulated second')
     for axes in panels[:, 0]:
-        axes.set_ylabel('error at the end [rad]')
+        axes.set_ylabel('error at the end [rad or m]')
     handles, _ = panels[0, 0].get_legend_handles_labels()
     handles.append(Patch(color=BAND, label="below the reference's own error"))
     figure.legend(handles=handles, loc='outside lower center', ncols=4 if columns > 2 else 2,

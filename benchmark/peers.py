@@ -15,14 +15,18 @@
 """
 This simulator beside its peers: Pinocchio, MuJoCo and Exudyn on the same mechanisms.
 
-Builds the 3-RRR and the carpet scraper in each of them from the same description, shows that all
-compute the same accelerations, then measures in one run, in turn, on one thread: the time of
-an evaluation or a step, and error against CPU time of whole motions. Needs the packages of the
-extra ``bench``; a simulator that is not installed is left out.
+Builds mechanisms in each of them from the same description, shows that all compute the same
+accelerations, then measures in one run, in turn, on one thread: the time of an evaluation or a
+step, and error against CPU time of whole motions; in space also how many steps of many simulations
+at once a second has. In the plane the 3-RRR and the carpet scraper, in space a Stewart platform, a
+Delta robot and Bricard's linkage. Needs the packages of the extra ``bench``; a simulator that is
+not installed is left out.
 
 """
 
 import argparse
+from dataclasses import dataclass
+import datetime
 import importlib
 import json
 import math
@@ -40,22 +44,57 @@ from machine import description, ROOT  # noqa: E402,I100
 import numpy as np  # noqa: E402
 import peer_cases  # noqa: E402
 import peer_report  # noqa: E402
+import throughput  # noqa: E402
 from tqdm import tqdm  # noqa: E402
 
-SCENES = ('three_rrr', 'carpet_scraper')
 ENGINES = ('peer_ours', 'peer_pinocchio', 'peer_mujoco', 'peer_exudyn')
 BASE_TORQUES = {'theta_1': 5.0, 'theta_6': -3.0, 'theta_7': 2.0}
-# Name, scene, constant torques [N m], duration [s].
-CASES = (
-    ('3-RRR, driven, 1 s', 'three_rrr', BASE_TORQUES, 1.0),
-    ('3-RRR, released, 1 s', 'three_rrr', {}, 1.0),
-    ('scraper, driven, 1 s', 'carpet_scraper', {'theta_1': 2.0}, 1.0),
-    ('3-RRR, driven, 2 s', 'three_rrr', BASE_TORQUES, 2.0),
-    ('3-RRR, released, 2 s', 'three_rrr', {}, 2.0),
-    ('scraper, released, 1 s', 'carpet_scraper', {}, 1.0),
-)
-QUICK_CASES = CASES[:1]
+LEG_FORCES = {f'leg_{k}': 28.5 * share for k, share in enumerate(
+    (1.0, 1.1, 0.95, 1.05, 0.9, 1.0), start=1)}
+ARM_TORQUES = {'hip_1': 0.5, 'hip_3': -0.5}
+
+
+@dataclass(frozen=True)
+class Group:
+    """
+    Mechanisms of one kind.
+
+    Attributes
+    ----------
+    scenes : tuple of str
+    engines : tuple of str
+        Modules of the simulators.
+    cases : tuple of (str, str, dict, float)
+        Name, scene, constant torques and forces [N m, N], duration [s].
+    rollout : tuple of (str, dict) or None
+        Scene of many simulations at once, and torques and forces around which theirs are.
+
+    """
+
+    scenes: tuple
+    engines: tuple
+    cases: tuple
+    rollout: tuple = None
+
+
+GROUPS = {
+    'plane': Group(('three_rrr', 'carpet_scraper'), ENGINES, (
+        ('3-RRR, driven, 1 s', 'three_rrr', BASE_TORQUES, 1.0),
+        ('3-RRR, released, 1 s', 'three_rrr', {}, 1.0),
+        ('scraper, driven, 1 s', 'carpet_scraper', {'theta_1': 2.0}, 1.0),
+        ('3-RRR, driven, 2 s', 'three_rrr', BASE_TORQUES, 2.0),
+        ('3-RRR, released, 2 s', 'three_rrr', {}, 2.0),
+        ('scraper, released, 1 s', 'carpet_scraper', {}, 1.0))),
+    # Exudyn's models in ``peer_exudyn`` are planar.
+    'space': Group(('stewart_platform', 'delta_robot', 'bricard'), ENGINES[:3], (
+        ('Stewart platform, 0.6 s', 'stewart_platform', LEG_FORCES, 0.6),
+        ('Delta robot, 0.5 s', 'delta_robot', ARM_TORQUES, 0.5),
+        ("Bricard's linkage, 1 s", 'bricard', {}, 1.0)), ('stewart_platform', LEG_FORCES)),
+}
+QUICK_CASES = 1
 STATES, QUICK_STATES = 20, 3
+# Rollouts: samples, steps of 1 ms, repeats.
+ROLLOUT, QUICK_ROLLOUT = (256, 500, 3), (8, 20, 1)
 ROUNDS, QUICK_ROUNDS = 15, 3
 # Timing: calls at once take about this long [s].
 PORTION = 4e-3
@@ -67,7 +106,7 @@ LONG, LONG_ROUNDS = 0.08, 1
 LONGEST, QUICK_LONGEST = 0.4, 0.2
 
 
-def engines(scene, chosen=ENGINES):
+def engines(scene, chosen):
     """Return the simulators that are installed, holding the mechanism of a scene."""
     result = []
     for name in chosen:
@@ -110,6 +149,9 @@ def agreement(scene, built, count):
             row['extrapolated'] = _relative(
                 [2.0 * a - b for a, b in zip(values, softer)], truth)
         rows.append(row)
+        rows += [{**row, 'engine': f'{engine.name}, {name},', 'error': _relative(
+            [function(*state) for state in states], truth)}
+            for name, function in engine.others.items()]
     return rows
 
 
@@ -181,7 +223,7 @@ def motions(case, built, quick, progress):
     Returns
     -------
     list of dict
-        One row a run: error at the end [rad], closure there [m], CPU time per simulated second
+        One row a run: error at the end [rad, m], closure there, CPU time per simulated second
         (best and median).
 
     """
@@ -196,7 +238,7 @@ def motions(case, built, quick, progress):
             cost, end = _run(run)
         ended[name] = cost > (QUICK_LONGEST if quick else LONGEST)
         row = {'case': case.name, 'engine': run.engine, 'line': run.line, 'setting': run.setting,
-               'error': float(np.abs(end - case.end).max()), 'closure': math.nan, 'cost': [cost]}
+               'error': case.error(end), 'closure': math.nan, 'cost': [cost]}
         if math.isfinite(row['error']):
             row['closure'] = referee.closure(end)
         rows.append(row)
@@ -222,16 +264,18 @@ def _run(run):
     return time.process_time() - begin, end
 
 
-def measure(quick=False, chosen=ENGINES):
+def measure(group, quick=False, chosen=ENGINES):
     """
-    Measure everything.
+    Measure a group of mechanisms.
 
     Parameters
     ----------
+    group : str
+        Of ``GROUPS``.
     quick : bool
         To see that it runs: the numbers are rough.
     chosen : sequence of str
-        Modules of the simulators.
+        Modules of the simulators, those of others are left out.
 
     Returns
     -------
@@ -239,16 +283,19 @@ def measure(quick=False, chosen=ENGINES):
         As written to the JSON file.
 
     """
-    result = {'machine': description(), 'quick': quick, 'agreement': {}, 'evaluation': {},
-              'cases': [], 'motions': []}
-    built = {name: engines(peer_cases.load_scene(name), chosen) for name in SCENES}
+    group = GROUPS[group]
+    result = {'machine': description(), 'date': datetime.date.today().isoformat(),
+              'load': [os.getloadavg()[0]], 'quick': quick, 'agreement': {}, 'evaluation': {},
+              'cases': [], 'motions': [], 'rollouts': []}
+    built = {name: engines(peer_cases.load_scene(name), [
+        engine for engine in group.engines if engine in chosen]) for name in group.scenes}
     for name, simulators in built.items():
         scene = peer_cases.load_scene(name)
         result['agreement'][name] = agreement(scene, simulators,
                                               QUICK_STATES if quick else STATES)
         result['evaluation'][name] = evaluation_times(scene, simulators,
                                                       QUICK_ROUNDS if quick else ROUNDS)
-    cases = QUICK_CASES if quick else CASES
+    cases = group.cases[:QUICK_CASES] if quick else group.cases
     rounds = QUICK_MOTION_ROUNDS if quick else MOTION_ROUNDS
     with tqdm(total=len(cases) * rounds, desc='motions', disable=None) as bar:
         for arguments in cases:
@@ -256,6 +303,14 @@ def measure(quick=False, chosen=ENGINES):
             result['cases'].append({'name': case.name, 'duration': case.duration,
                                     'uncertainty': case.uncertainty})
             result['motions'] += motions(case, built[arguments[1]], quick, bar.update)
+    if group.rollout is not None:
+        name, forces = group.rollout
+        scene = peer_cases.load_scene(name)
+        samples, steps, repeats = QUICK_ROLLOUT if quick else ROLLOUT
+        result['rollouts'] = throughput.compared(
+            scene, throughput.torques_for(scene, samples, steps, forces), repeats,
+            'peer_mujoco' in chosen, clock=time.process_time)
+    result['load'].append(os.getloadavg()[0])
     return result
 
 
@@ -263,17 +318,20 @@ def main(arguments=None):
     """Run the comparison."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('--quick', action='store_true', help='see that it runs: rough numbers')
+    parser.add_argument('--only', action='append', choices=GROUPS,
+                        help='these mechanisms alone; what the file has of others stays')
     parser.add_argument('--output', type=Path, default=ROOT / 'benchmark_output',
                         metavar='DIR', help='where results go (default: %(default)s)')
     options = parser.parse_args(arguments)
-    result = measure(options.quick)
     options.output.mkdir(parents=True, exist_ok=True)
-    (options.output / 'peers.json').write_text(json.dumps(result, indent=1))
-    peer_report.write_csv_files(result, options.output)
-    peer_report.picture(result).savefig(options.output / 'peers.png')
-    print(peer_report.text(result))
-    print(f'\nwritten: {options.output}/peers.json, peers_evaluation.csv, peers_motions.csv, '
-          'peers.png')
+    path = options.output / 'peers.json'
+    results = json.loads(path.read_text()) if options.only and path.exists() else {}
+    for group in options.only or GROUPS:
+        results[group] = measure(group, options.quick)
+        path.write_text(json.dumps(results, indent=1))
+        for written in peer_report.write_files(results[group], options.output, group):
+            print(f'written: {written}')
+        print('\n' + peer_report.text(results[group]) + '\n')
     return 0
 
 

@@ -1,25 +1,12 @@
-// Copyright 2026 The closedloop_dynamics authors
-//
-// Licensed under the Apache License, Version 2.0 (the "License");
-// you may not use this file except in compliance with the License.
-// You may obtain a copy of the License at
-//
-//     http://www.apache.org/licenses/LICENSE-2.0
-//
-// Unless required by applicable law or agreed to in writing, software
-// distributed under the License is distributed on an "AS IS" BASIS,
-// WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-// See the License for the specific language governing permissions and
-// limitations under the License.
-
-// Pinocchio's constraintDynamics in loops of C++, without Python between two evaluations:
-// evaluations alone, the classical Runge-Kutta method, and the error-controlled
+// Pinocchio's constraintDynamics and lcaba in loops of C++, without Python between two
+// evaluations: evaluations alone, the classical Runge-Kutta method, and the error-controlled
 // Runge-Kutta-Fehlberg 7(8) of Boost.Numeric.Odeint. Called from peer_pinocchio.py.
 
 #define PINOCCHIO_ENABLE_TEMPLATE_INSTANTIATION
 #include <pinocchio/spatial.hpp>
 #include <pinocchio/multibody.hpp>
 #include <pinocchio/algorithm/constrained-dynamics.hpp>
+#include <pinocchio/algorithm/loop-constrained-aba.hpp>
 
 #include <boost/numeric/odeint/integrate/integrate_adaptive.hpp>
 #include <boost/numeric/odeint/stepper/generation.hpp>
@@ -27,6 +14,7 @@
 
 #include <cmath>
 #include <string>
+#include <utility>
 #include <vector>
 
 namespace odeint = boost::numeric::odeint;
@@ -35,10 +23,31 @@ using State = std::vector<double>;
 namespace
 {
 
-pinocchio::SE3 placement(double x, double y, double angle)
+using Vector3 = Eigen::Vector3d;
+
+// Three numbers of a place, four of a quaternion x, y, z, w.
+pinocchio::SE3 placement(const double * p)
 {
-  const Eigen::AngleAxisd turn(angle, Eigen::Vector3d::UnitZ());
-  return pinocchio::SE3(turn.toRotationMatrix(), Eigen::Vector3d(x, y, 0.0));
+  const Eigen::Quaterniond turn(p[6], p[3], p[4], p[5]);
+  return pinocchio::SE3(turn.normalized().toRotationMatrix(), Vector3(p[0], p[1], p[2]));
+}
+
+// Kinds: 0 to 2 revolute about x, y, z, 3 to 5 prismatic along them, 6 spherical, from 10 on
+// universal, 3 * first axis + second axis more.
+pinocchio::JointModel joint_of(int kind)
+{
+  switch (kind) {
+    case 0: return pinocchio::JointModelRX();
+    case 1: return pinocchio::JointModelRY();
+    case 2: return pinocchio::JointModelRZ();
+    case 3: return pinocchio::JointModelPX();
+    case 4: return pinocchio::JointModelPY();
+    case 5: return pinocchio::JointModelPZ();
+    case 6: return pinocchio::JointModelSpherical();
+    default:
+      return pinocchio::JointModelUniversal(
+        Vector3::Unit((kind - 10) / 3), Vector3::Unit((kind - 10) % 3));
+  }
 }
 
 struct Loop
@@ -48,26 +57,57 @@ struct Loop
   PINOCCHIO_ALIGNED_STD_VECTOR(pinocchio::RigidConstraintModel) constraints;
   PINOCCHIO_ALIGNED_STD_VECTOR(pinocchio::RigidConstraintData) constraint_data;
   pinocchio::ProximalSettings settings;
-  Eigen::VectorXd q, v, tau;
-  long evaluations = 0;
+  bool by_bodies;
+  Eigen::VectorXd q, v, tau, rates;
+  // First coordinate and first rate of each quaternion.
+  std::vector<std::pair<int, int>> balls;
 
   const Eigen::VectorXd & accelerate()
   {
-    ++evaluations;
+    if (by_bodies) {
+      return pinocchio::lcaba(model, data, q, v, tau, constraints, constraint_data, settings);
+    }
     return pinocchio::constraintDynamics(
       model, data, q, v, tau, constraints, constraint_data, settings);
   }
 
+  void normalise()
+  {
+    for (const auto & ball : balls) {
+      q.segment<4>(ball.first).normalize();
+    }
+  }
+
+  // Derivatives of the coordinates, a part of the rates where there are no quaternions.
+  const Eigen::VectorXd & coordinate_rates()
+  {
+    if (balls.empty()) {
+      return v;
+    }
+    for (pinocchio::JointIndex k = 1; k < pinocchio::JointIndex(model.njoints); ++k) {
+      const int iq = model.idx_qs[k], iv = model.idx_vs[k];
+      if (model.nqs[k] == model.nvs[k]) {
+        rates.segment(iq, model.nqs[k]) = v.segment(iv, model.nvs[k]);
+        continue;
+      }
+      const double x = q[iq], y = q[iq + 1], z = q[iq + 2], w = q[iq + 3];
+      const double a = 0.5 * v[iv], b = 0.5 * v[iv + 1], c = 0.5 * v[iv + 2];
+      rates[iq] = w * a + y * c - z * b;
+      rates[iq + 1] = w * b + z * a - x * c;
+      rates[iq + 2] = w * c + x * b - y * a;
+      rates[iq + 3] = -(x * a + y * b + z * c);
+    }
+    return rates;
+  }
+
   void operator()(const State & state, State & rate, double)
   {
-    const int n = model.nv;
-    q = Eigen::Map<const Eigen::VectorXd>(state.data(), n);
-    v = Eigen::Map<const Eigen::VectorXd>(state.data() + n, n);
-    const Eigen::VectorXd & a = accelerate();
-    for (int i = 0; i < n; ++i) {
-      rate[i] = v[i];
-      rate[n + i] = a[i];
-    }
+    const int nq = model.nq, nv = model.nv;
+    q = Eigen::Map<const Eigen::VectorXd>(state.data(), nq);
+    v = Eigen::Map<const Eigen::VectorXd>(state.data() + nq, nv);
+    normalise();
+    Eigen::Map<Eigen::VectorXd>(rate.data(), nq) = coordinate_rates();
+    Eigen::Map<Eigen::VectorXd>(rate.data() + nq, nv) = accelerate();
   }
 };
 
@@ -75,60 +115,67 @@ struct Loop
 
 extern "C" {
 
-// Per joint: parent (0 is the ground, joints count from 1), place and angle in the parent's
-// frame, mass, centre of mass, inertia about it. Per cut joint: two joints, two points.
-// All joints are revolute.
+// Per joint: parent (0 is the ground, joints count from 1), kind, place and orientation in the
+// parent's frame, mass, centre of mass, principal inertia about it. Per pair of points that is
+// held together: two joints, two points.
 void * create(
-  int joints, const int * parent, const double * place, const double * body, int cuts,
-  const int * ends, const double * points, const double * gravity, double mu, double accuracy,
-  int iterations)
+  int joints, const int * parent, const int * kind, const double * place, const double * body,
+  int pairs, const int * ends, const double * points, const double * gravity, double mu,
+  double accuracy, int iterations, int by_bodies)
 {
   using pinocchio::Model;
   Loop * loop = new Loop;
   Model & model = loop->model;
   for (int k = 0; k < joints; ++k) {
     const Model::JointIndex id = model.addJoint(
-      parent[k], pinocchio::JointModelRZ(),
-      placement(place[3 * k], place[3 * k + 1], place[3 * k + 2]), "joint_" + std::to_string(k));
-    const double * b = body + 4 * k;
+      parent[k], joint_of(kind[k]), placement(place + 7 * k), "joint_" + std::to_string(k));
+    const double * b = body + 7 * k;
     model.appendBodyToJoint(
       id, pinocchio::Inertia(
-        b[0], Eigen::Vector3d(b[1], b[2], 0.0), Eigen::Matrix3d(b[3] * Eigen::Matrix3d::Identity())));
+        b[0], Vector3(b[1], b[2], b[3]),
+        Eigen::Matrix3d(Vector3(b[4], b[5], b[6]).asDiagonal())));
+    if (model.nqs[id] != model.nvs[id]) {
+      loop->balls.emplace_back(model.idx_qs[id], model.idx_vs[id]);
+    }
   }
-  model.gravity.linear() << gravity[0], gravity[1], 0.0;
-  for (int k = 0; k < cuts; ++k) {
+  model.gravity.linear() << gravity[0], gravity[1], gravity[2];
+  for (int k = 0; k < pairs; ++k) {
+    const double * p = points + 6 * k;
     loop->constraints.emplace_back(
-      pinocchio::CONTACT_3D, model, ends[2 * k], placement(points[4 * k], points[4 * k + 1], 0.0),
-      ends[2 * k + 1], placement(points[4 * k + 2], points[4 * k + 3], 0.0), pinocchio::LOCAL);
+      pinocchio::CONTACT_3D, model,
+      ends[2 * k], pinocchio::SE3(Eigen::Matrix3d::Identity(), Vector3(p[0], p[1], p[2])),
+      ends[2 * k + 1], pinocchio::SE3(Eigen::Matrix3d::Identity(), Vector3(p[3], p[4], p[5])),
+      pinocchio::LOCAL);
   }
   for (const auto & constraint : loop->constraints) {
     loop->constraint_data.emplace_back(constraint);
   }
   loop->data = pinocchio::Data(model);
   loop->settings = pinocchio::ProximalSettings(accuracy, mu, iterations);
-  pinocchio::initConstraintDynamics(model, loop->data, loop->constraints, loop->constraint_data);
-  loop->q = loop->v = loop->tau = Eigen::VectorXd::Zero(model.nv);
+  loop->by_bodies = by_bodies != 0;
+  if (loop->by_bodies) {
+    pinocchio::computeJointMinimalOrdering(model, loop->data, loop->constraints);
+  } else {
+    pinocchio::initConstraintDynamics(model, loop->data, loop->constraints, loop->constraint_data);
+  }
+  loop->q = loop->rates = Eigen::VectorXd::Zero(model.nq);
+  loop->v = loop->tau = Eigen::VectorXd::Zero(model.nv);
   return loop;
 }
 
 void set_state(void * handle, const double * q, const double * v, const double * tau)
 {
   Loop & loop = *static_cast<Loop *>(handle);
-  const int n = loop.model.nv;
-  loop.q = Eigen::Map<const Eigen::VectorXd>(q, n);
-  loop.v = Eigen::Map<const Eigen::VectorXd>(v, n);
-  loop.tau = Eigen::Map<const Eigen::VectorXd>(tau, n);
-  loop.evaluations = 0;
+  loop.q = Eigen::Map<const Eigen::VectorXd>(q, loop.model.nq);
+  loop.v = Eigen::Map<const Eigen::VectorXd>(v, loop.model.nv);
+  loop.tau = Eigen::Map<const Eigen::VectorXd>(tau, loop.model.nv);
 }
 
-void get_state(void * handle, double * q, double * v)
+void get_position(void * handle, double * q)
 {
   Loop & loop = *static_cast<Loop *>(handle);
-  Eigen::Map<Eigen::VectorXd>(q, loop.model.nv) = loop.q;
-  Eigen::Map<Eigen::VectorXd>(v, loop.model.nv) = loop.v;
+  Eigen::Map<Eigen::VectorXd>(q, loop.model.nq) = loop.q;
 }
-
-long evaluations(void * handle) { return static_cast<Loop *>(handle)->evaluations; }
 
 void evaluate(void * handle, long count, double * acceleration)
 {
@@ -142,42 +189,46 @@ void evaluate(void * handle, long count, double * acceleration)
 void runge_kutta_4(void * handle, double step, long steps)
 {
   Loop & loop = *static_cast<Loop *>(handle);
-  const int n = loop.model.nv;
-  Eigen::VectorXd q0(n), v0(n), v_sum(n), a_sum(n);
+  const int nq = loop.model.nq, nv = loop.model.nv;
+  Eigen::VectorXd q0(nq), v0(nv), q_sum(nq), a_sum(nv), slope(nq);
   for (long k = 0; k < steps; ++k) {
     q0 = loop.q;
     v0 = loop.v;
-    v_sum.setZero();
+    q_sum.setZero();
     a_sum.setZero();
     for (int stage = 0; stage < 4; ++stage) {
       const double weight = (stage == 0 || stage == 3) ? 1.0 : 2.0;
       const Eigen::VectorXd & a = loop.accelerate();
-      v_sum += weight * loop.v;
+      slope = loop.coordinate_rates();
+      q_sum += weight * slope;
       a_sum += weight * a;
       if (stage < 3) {
         const double part = stage == 2 ? step : 0.5 * step;
-        loop.q = q0 + part * loop.v;
+        loop.q = q0 + part * slope;
         loop.v = v0 + part * a;
+        loop.normalise();
       }
     }
-    loop.q = q0 + step / 6.0 * v_sum;
+    loop.q = q0 + step / 6.0 * q_sum;
     loop.v = v0 + step / 6.0 * a_sum;
+    loop.normalise();
   }
 }
 
 void fehlberg_78(void * handle, double duration, double tolerance, double first_step)
 {
   Loop & loop = *static_cast<Loop *>(handle);
-  const int n = loop.model.nv;
-  State state(2 * n);
-  Eigen::Map<Eigen::VectorXd>(state.data(), n) = loop.q;
-  Eigen::Map<Eigen::VectorXd>(state.data() + n, n) = loop.v;
+  const int nq = loop.model.nq, nv = loop.model.nv;
+  State state(nq + nv);
+  Eigen::Map<Eigen::VectorXd>(state.data(), nq) = loop.q;
+  Eigen::Map<Eigen::VectorXd>(state.data() + nq, nv) = loop.v;
   odeint::integrate_adaptive(
     odeint::make_controlled(
       tolerance, tolerance, odeint::runge_kutta_fehlberg78<State>()),
     std::ref(loop), state, 0.0, duration, first_step);
-  loop.q = Eigen::Map<Eigen::VectorXd>(state.data(), n);
-  loop.v = Eigen::Map<Eigen::VectorXd>(state.data() + n, n);
+  loop.q = Eigen::Map<Eigen::VectorXd>(state.data(), nq);
+  loop.v = Eigen::Map<Eigen::VectorXd>(state.data() + nq, nv);
+  loop.normalise();
 }
 
 void destroy(void * handle) { delete static_cast<Loop *>(handle); }

@@ -26,6 +26,7 @@ steps ten times smaller.
 """
 
 import argparse
+from dataclasses import replace
 import os
 from pathlib import Path
 import sys
@@ -37,8 +38,8 @@ import numpy as np
 
 sys.path.insert(0, str(ROOT))
 
-from closedloop_dynamics.simulation.scene import load_scene  # noqa: E402,I100
-from closedloop_dynamics.simulation.simulation import Simulation  # noqa: E402
+from peer_cases import load_scene  # noqa: E402,I100
+from closedloop_dynamics.simulation.simulation import Simulation  # noqa: E402,I100
 from closedloop_dynamics.sweep import sweep  # noqa: E402
 
 STEP = 1e-3
@@ -48,72 +49,105 @@ METHODS = (('rk4', 'projection'), ('heun', 'projection'), ('semi_implicit_euler'
            ('semi_implicit_euler', 'velocity_projection'))
 
 
-def best(function, repeats):
-    """Return the shortest of several times [s]."""
-    times = []
-    for _ in range(repeats):
-        begin = time.perf_counter()
-        function()
-        times.append(time.perf_counter() - begin)
-    return min(times)
+def torques_for(scene, samples, steps, around=None):
+    """Return random torques and forces, shape (samples, steps, actuated joints)."""
+    names = scene.mechanism.actuated_joints
+    center = np.array([(around or {}).get(name, 0.0) for name in names])
+    return center + np.random.default_rng(0).normal(0.0, 2.0, (samples, steps, len(names)))
 
 
-def torques_for(scene, samples, steps):
-    """Return random torques, shape (samples, steps, actuated joints)."""
-    count = len(scene.mechanism.actuated_joints)
-    return np.random.default_rng(0).normal(0.0, 2.0, (samples, steps, count))
-
-
-def ours(scene, torques, threads, repeats):
-    """Yield (what, {threads: steps per second}, final positions) for each method."""
+def ours(scene, torques):
+    """Yield (what, function of a number of threads, final positions) for each method."""
     for integrator, stabilisation in METHODS:
-        simulation = Simulation.from_scene(
-            scene.name, integrator=integrator, stabilisation=stabilisation, step_size=STEP)
+        simulation = Simulation(replace(scene, method=replace(
+            scene.method, integrator=integrator, stabilisation=stabilisation, step_size=STEP)))
         final = simulation.rollout(torques).position[:, -1]
-        speeds = {count: torques.shape[0] * torques.shape[1] / best(
-            lambda: simulation.rollout(torques, threads=count), repeats) for count in threads}
-        yield f'closedloop_dynamics, {integrator}, {stabilisation}', speeds, final
+        yield (f'closedloop_dynamics, {integrator}, {stabilisation}',
+               lambda count, one=simulation: one.rollout(torques, threads=count), final)
 
 
-def mujocos(scene, torques, threads, repeats):
+def mujocos(scene, torques):
     """Yield the same for MuJoCo."""
     import mujoco
     from mujoco import rollout
     from peer_mujoco import Engine
     engine = Engine(scene)
     start = Simulation(scene)
-    places = [scene.mechanism.joint_names.index(name) for name in start.actuated_joints]
-    applied = np.zeros((*torques.shape[:2], len(start.joint_names)))
-    applied[:, :, places] = torques
+    applied = np.zeros((*torques.shape[:2], scene.mechanism.coordinates.nv))
+    applied[:, :, list(scene.mechanism.coordinates.actuated)] = torques
     for integrator, frequency in MUJOCO:
-        model = engine._build(STEP, frequency / STEP, integrator)
+        model = engine.build(STEP, frequency / STEP, integrator)
         spec = mujoco.mjtState.mjSTATE_FULLPHYSICS
         initial = np.zeros(mujoco.mj_stateSize(model, spec))
-        nv = model.nv
-        initial[1:1 + nv], initial[1 + nv:1 + 2 * nv] = start.position, start.velocity
+        nq, nv = model.nq, model.nv
+        places = 1 + engine.order
+        initial[places], initial[1 + nq:1 + nq + nv] = start.position, start.velocity
         initial = np.tile(initial, (len(torques), 1))
         # The arrays for the results are made before: only computing is timed.
         state = np.zeros((*torques.shape[:2], initial.shape[1]))
         sensors = np.zeros((*torques.shape[:2], model.nsensordata))
         control = int(mujoco.mjtState.mjSTATE_QFRC_APPLIED)
 
-        def run(count):
+        def run(count, model=model, initial=initial, state=state, sensors=sensors):
             rollout.rollout(
                 model, [mujoco.MjData(model) for _ in range(count)], initial, applied,
                 control_spec=control, state=state, sensordata=sensors, persistent_pool=True)
 
-        run(threads[0])
-        final = state[:, -1, 1:1 + nv].copy()
-        speeds = {count: torques.shape[0] * torques.shape[1] / best(lambda: run(count), repeats)
-                  for count in threads}
-        yield f'MuJoCo {mujoco.__version__} rollout, {integrator}', speeds, final
+        run(1)
+        yield (f'MuJoCo {mujoco.__version__} rollout, {integrator}', run,
+               state[:, -1, places].copy())
 
 
 def reference(scene, torques):
     """Return the final positions of steps ten times smaller."""
-    simulation = Simulation.from_scene(scene.name, step_size=STEP / 10)
+    simulation = Simulation(replace(scene, method=replace(
+        scene.method, integrator='rk4', stabilisation='projection', step_size=STEP / 10)))
     steps = 10 * torques.shape[1]
     return simulation.rollout(torques, steps=steps, every=steps).position[:, -1]
+
+
+def compared(scene, torques, repeats, mujoco=True, threads=(1,), clock=time.perf_counter):
+    """
+    Count the steps per second of rollouts, all in turn.
+
+    Parameters
+    ----------
+    scene : scene.Scene
+        With gravity alone.
+    torques : ndarray, shape (samples, steps, number of actuated joints)
+        [N m, N].
+    repeats : int
+        How often; the shortest time counts.
+    mujoco : bool
+        Whether MuJoCo does the same.
+    threads : sequence of int
+        One or more numbers of threads.
+    clock : callable
+        Time [s].
+
+    Returns
+    -------
+    list of dict
+        What, its steps per second by number of threads, and the median of the samples' errors in
+        the last positions [rad, m].
+
+    """
+    exact, names = reference(scene, torques), scene.mechanism.coordinates
+    tasks = [task for source in (ours, mujocos)[:2 if mujoco else 1]
+             for task in source(scene, torques)]
+    shortest = {what: dict.fromkeys(threads, np.inf) for what, _, _ in tasks}
+    for _ in range(repeats):
+        for what, run, _ in tasks:
+            for count in threads:
+                begin = clock()
+                run(count)
+                shortest[what][count] = min(shortest[what][count], clock() - begin)
+    return [{'what': what,
+             'speeds': {str(count): torques.shape[0] * torques.shape[1] / seconds
+                        for count, seconds in shortest[what].items()},
+             'error': float(np.median([np.abs(names.apart(*pair)).max()
+                                       for pair in zip(final, exact)]))}
+            for what, _, final in tasks]
 
 
 def sweeps(scene, samples, threads, repeats):
@@ -122,6 +156,14 @@ def sweeps(scene, samples, threads, repeats):
     masses = np.linspace(1.0, 5.0, samples)
     simulation = Simulation.from_scene(scene.name)
     steps = round(1.0 / simulation.step_size)
+
+    def best(function, times):
+        shortest = np.inf
+        for _ in range(times):
+            begin = time.perf_counter()
+            function()
+            shortest = min(shortest, time.perf_counter() - begin)
+        return shortest
 
     def threaded(count):
         simulation.rollout(steps=steps, every=steps, parameters={key: masses}, threads=count)
@@ -156,15 +198,12 @@ def main(argv=None):
           f'{arguments.steps} steps of {STEP:g} s\n')
     threads = arguments.threads
     print('| | ' + ' | '.join(f'{count} thread{"s" * (count > 1)} [steps/s]' for count in threads)
-          + ' | error of positions, median [rad] |')
+          + ' | error of positions, median [rad, m] |')
     print('|---|' + '---|' * (len(threads) + 1))
-    exact = reference(scene, torques)
-    sources = [ours] if arguments.without_mujoco else [ours, mujocos]
-    for source in sources:
-        for what, speeds, final in source(scene, torques, threads, arguments.repeats):
-            error = np.median(np.abs(final - exact).max(axis=1))
-            print(f'| {what} | ' + ' | '.join(f'{speeds[count]:,.0f}' for count in threads)
-                  + f' | {error:.1e} |', flush=True)
+    for row in compared(scene, torques, arguments.repeats, not arguments.without_mujoco, threads):
+        print(f'| {row["what"]} | ' + ' | '.join(
+            f'{row["speeds"][str(count)]:,.0f}' for count in threads)
+            + f' | {row["error"]:.1e} |', flush=True)
     if arguments.sweep:
         print('\n| | ' + ' | '.join(f'{count} [samples/s]' for count in threads) + ' |\n|---|'
               + '---|' * len(threads))

@@ -154,12 +154,12 @@ def quick_results(tmp_path_factory):
             ('operation_count', 'size', 'startup'), output, True, sys.executable)
         peers = importlib.import_module('peers')
         # The others need a minute, and may not be installed: test_peers_agree looks at them.
-        result = peers.measure(True, ('peer_ours',))
-        (output / 'peers.json').write_text(json.dumps(result))
+        results = {group: peers.measure(group, True, ('peer_ours',)) for group in peers.GROUPS}
+        (output / 'peers.json').write_text(json.dumps(results))
         report = importlib.import_module('peer_report')
-        report.write_csv_files(result, output)
-        report.picture(result).savefig(output / 'peers.png')
-        assert 'three_rrr' in report.text(result)
+        for group, result in results.items():
+            report.write_files(result, output, group)
+            assert peers.GROUPS[group].scenes[0] in report.text(result)
     finally:
         sys.path.remove(str(BENCHMARKS))
     return output
@@ -176,7 +176,7 @@ def test_performance_document_is_filled(benchmark, quick_results, tmp_path):
     assert text.count('<!-- begin') == len(texts)
     for name in texts:
         assert f'<!-- begin {name} -->' in text
-    for picture in ('peers', 'size'):
+    for picture in ('peers', 'peers_space', 'size'):
         assert (tmp_path / 'pictures' / f'performance_{picture}.png').stat().st_size > 10000
         assert f'(pictures/performance_{picture}.png)' in text
 
@@ -195,8 +195,8 @@ def test_quick_results_make_sense(quick_results):
     assert counts['three_rrr']['needed']['sine and cosine'] == 7
     start, = json.loads((quick_results / 'startup.json').read_text())['rows']
     assert start['import'] > 0.0 and start['memory'] > 2 ** 20
-    motions = json.loads((quick_results / 'peers.json').read_text())['motions']
-    assert min(row['error'] for row in motions) < 1e-8
+    for result in json.loads((quick_results / 'peers.json').read_text()).values():
+        assert min(row['error'] for row in result['motions']) < 1e-8
 
 
 def test_counted_numbers_are_folded(benchmark):
@@ -245,11 +245,13 @@ def test_peers_agree(benchmark, engine):
     pytest.importorskip({'peer_pinocchio': 'pinocchio', 'peer_mujoco': 'mujoco',
                          'peer_exudyn': 'exudyn'}[engine])
     peers = benchmark('peers')
-    for name in peers.SCENES:
+    for name in (name for group in peers.GROUPS.values() if engine in group.engines
+                 for name in group.scenes):
         scene = benchmark('peer_cases').load_scene(name)
-        row, = peers.agreement(scene, peers.engines(scene, (engine,)), 3)
+        row, *others = peers.agreement(scene, peers.engines(scene, (engine,)), 3)
         assert row.get('extrapolated', row['error']) < 1e-4
         assert row['error'] < 2e-2
+        assert all(other['error'] < 1e-5 for other in others)
 
 
 def test_throughput_counts_steps(benchmark, capsys):

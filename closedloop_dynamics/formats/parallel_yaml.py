@@ -30,7 +30,8 @@ from .pose import IDENTITY
 from ..mechanism.checks import list_of, one_of, text
 from ..mechanism.document import Document
 from ..mechanism.fields import at, FieldError, mapping, shown
-from ..mechanism.mechanism import FIXED, MechanismError, SPHERICAL, UNIVERSAL
+from ..mechanism.mechanism import (
+    FIXED, MechanismError, REVOLUTE, SPHERICAL, UNIVERSAL)
 
 KEYS = ('closed_loop', 'type'), ('name_mot', 'joint_name', 'joint_type')
 HELD = {'6d': FIXED, '3d': SPHERICAL}
@@ -63,6 +64,11 @@ def add_parallel_yaml(model):
     with document.errors():
         data = mapping(document.data, *KEYS)
         _replace_joints(model, data)
+        single = [joint.name for joint in model.joints.values()
+                  if 'spherical' in joint.name and joint.type == REVOLUTE]
+        if single:
+            model.ignored[f'the names of {len(single)} joint(s), {single[0]} the first'] = (
+                f'called spherical, but revolute: no joint_name of {path.name} has them')
         _close(model, data, path)
         if 'name_mot' in data:
             drives = _names(model, data, 'name_mot')

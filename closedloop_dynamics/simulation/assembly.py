@@ -36,6 +36,8 @@ MOST_ITERATIONS = 200
 # No single correction moves a coordinate further [rad, or in units of the size], so that
 # the solution found is the one on the branch of the guess.
 LARGEST_CORRECTION = 0.25
+# Damping of corrections at which they have become too short to go on with.
+MOST_DAMPING = 1e12
 # Singular values of the Jacobian below this times the largest belong to dependent equations.
 RANK_TOLERANCE = 1e-7
 # Inertia of a motion against the largest: less is none.
@@ -110,7 +112,7 @@ class Assembler:
 
     def _closed(self, q, free):
         """Return the coordinates where Newton's method ended, and psi there."""
-        psi, metric = self.closure(q), None
+        psi, metric, start = self.closure(q), None, q
         if self._is_closed(psi):
             # As it is, to the last digit.
             return q, psi
@@ -122,6 +124,34 @@ class Assembler:
             q, psi, better = self._correct(q, psi, free, metric)
             if not better:
                 break
+        if not self._is_closed(psi) and np.isfinite(psi).all():
+            return self._closed_with_damping(start, free, metric)
+        return q, psi
+
+    def _closed_with_damping(self, q, free, metric):
+        """
+        Return the same, found by Levenberg and Marquardt's method: slower, and more robust.
+
+        Equations that depend on one another where the loops are closed, and only there, lead
+        Newton's method astray. The damping goes as the square of the error, which keeps the
+        convergence quadratic there.
+
+        """
+        psi, damping = self.closure(q), 1.0
+        limit = LARGEST_CORRECTION * max(1.0, self.extent)
+        for _ in range(MOST_ITERATIONS):
+            error = np.linalg.norm(psi)
+            if np.abs(psi).max() <= 0.01 * TOLERANCE * self.extent or damping > MOST_DAMPING:
+                break
+            change = _least_change(
+                self.jacobian(q)[:, free], psi, metric, damping * error / self.extent)
+            largest = np.abs(change).max(initial=0.0)
+            trial = self._changed(q, free, -change * min(1.0, limit / max(largest, limit)))
+            trial_psi = self.closure(trial)
+            if np.linalg.norm(trial_psi) < error:
+                q, psi, damping = trial, trial_psi, 0.3 * damping
+            else:
+                damping *= 4.0
         return q, psi
 
     def _is_closed(self, psi):
@@ -539,10 +569,20 @@ def angle_notes(mechanism, position):
             'in degrees?'] if large else []
 
 
-def _least_change(jac, error, metric):
-    """Return the x with ``jac`` x = ``error`` that is least in the metric L L^T."""
+def _least_change(jac, error, metric, damping=0.0):
+    """
+    Return the x with ``jac`` x = ``error`` that is least in the metric L L^T.
+
+    With a ``damping``, as a share of the largest singular value, it is shorter, and no solution.
+
+    """
     weighted = np.linalg.solve(metric, jac.T).T
-    y = np.linalg.lstsq(weighted, error, rcond=RANK_TOLERANCE)[0]
+    if damping > 0.0:
+        left, singular, right = np.linalg.svd(weighted, full_matrices=False)
+        damped = singular ** 2 + (damping * singular.max(initial=0.0)) ** 2
+        y = right.T @ (singular / np.maximum(damped, 1e-300) * (left.T @ error))
+    else:
+        y = np.linalg.lstsq(weighted, error, rcond=RANK_TOLERANCE)[0]
     return np.linalg.solve(metric.T, y)
 
 

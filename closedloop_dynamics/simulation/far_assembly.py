@@ -18,12 +18,14 @@ Positions that close the loops of a mechanism in space, found from far away.
 Models of robots are often drawn open, by metres or radians. Here loops are closed by damped least
 squares in the mass metric: each joint that closes a loop asks that points and directions of two
 bodies coincide, so that axes cannot be met the wrong way round, as they can by equations that
-are sines of angles. Where that ends at a place that is not closed, the gaps are closed little by
-little (a homotopy), and then other starts around the first are tried. What is found is exact to
-some 1e-9 only, for Newton's method (``assembly``) to end with.
+are sines of angles. Where that ends at a place that is not closed, loops that share joints are
+searched together, apart from others: the gaps are closed little by little (a homotopy), and then
+other starts around the first are tried. What is found is exact to some 1e-9 only, for Newton's
+method (``assembly``) to end with.
 
 """
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -44,10 +46,13 @@ AMPLITUDES = (0.2, 0.5, 1.0, 1.5, 2.5, 3.1)
 STARTS_EACH = 4
 # Share of the largest inertia that every coordinate has at least in the metric.
 LEAST_INERTIA = 1e-4
+# From so many starts a loop is tried alone, to tell whether it can be closed at all.
+STARTS_ALONE = 12
 # How far away neighbours of a position are looked for [rad, and shares of the size], how many.
 NEARBY, NEIGHBOURS = 0.1, 2
 # Singular values below this times the largest belong to dependent equations.
 RANK_TOLERANCE = 1e-7
+FROM_THE_START = 'from the start'
 _UNIT = np.eye(3)
 
 
@@ -60,7 +65,7 @@ class Found(NamedTuple):
     q : ndarray, shape (nq,)
         Coordinates; orientations as unit quaternions x, y, z, w.
     gaps : dict of str to float
-        By joint that closes a loop: how far it is open [m or rad].
+        By joint that closes a loop, and coupling: how far it is open [m, and sines of angles].
     closed : bool
     how : str
         How it was found.
@@ -183,7 +188,7 @@ class Loops:
         # Where arms[k] moves with what its joint slides, the slide has no spin.
         return frames, origins, spins, slides - np.cross(spins, arms)
 
-    def residual(self, q, wanted=True):
+    def residual(self, q, wanted=True, size=None):
         """
         Return how far everything is from coinciding, and how that changes.
 
@@ -193,6 +198,8 @@ class Loops:
             Coordinates.
         wanted : bool
             Whether the change is wanted.
+        size : float, optional
+            Unit of lengths, the size of the mechanism if not given [m].
 
         Returns
         -------
@@ -204,6 +211,8 @@ class Loops:
 
         """
         frames, origins, spins, moments = self._move(q)
+        size = size or self.size
+        scale = np.where(self.coordinates.lengths, size, 1.0)
         values, rows, counts = [], [], []
 
         def velocity(body, point):
@@ -228,24 +237,24 @@ class Loops:
             a, b, before = cut.body_a, cut.body_b, len(values)
             point_a = origins[a] + frames[a] @ cut.point_a
             point_b = origins[b] + frames[b] @ cut.point_b
-            gap = (point_a - point_b) / self.size
+            gap = (point_a - point_b) / size
             if cut.type == DISTANCE:
-                values.append(0.5 * (gap @ gap * self.size / cut.length
-                                     - cut.length / self.size))
+                values.append(0.5 * (gap @ gap * size / cut.length
+                                     - cut.length / size))
                 if wanted:
                     rows.append((gap @ (velocity(a, point_a) - velocity(b, point_b))
                                  / cut.length)[None])
             elif across is None:
                 values += gap.tolist()
                 if wanted:
-                    rows.append((velocity(a, point_a) - velocity(b, point_b)) / self.size)
+                    rows.append((velocity(a, point_a) - velocity(b, point_b)) / size)
             else:
                 for normal in across:
                     world = frames[b] @ normal
                     values.append(float(world @ gap))
                     if wanted:
                         rows.append((
-                            world @ (velocity(a, point_a) - velocity(b, point_b)) / self.size
+                            world @ (velocity(a, point_a) - velocity(b, point_b)) / size
                             + gap @ turn(b, world))[None])
             for one, other in same:
                 one, other = frames[a] @ one, frames[b] @ other
@@ -263,20 +272,20 @@ class Loops:
                 angle = np.arctan2(-axis @ _vector_of(held), 0.5 * (
                     np.trace(held) - axis @ held @ axis))
                 # Whole turns count by the way that the thread has gone.
-                slide = float(axis @ gap) * self.size
+                slide = float(axis @ gap) * size
                 angle += 2.0 * np.pi * np.round((slide / cut.lead - angle) / (2.0 * np.pi))
-                values.append((slide - cut.lead * angle) / self.size)
+                values.append((slide - cut.lead * angle) / size)
                 if wanted:
                     rows.append(((
                         axis @ (velocity(a, point_a) - velocity(b, point_b))
-                        - cut.lead * axis @ (spin(a) - spin(b))) / self.size
+                        - cut.lead * axis @ (spin(a) - spin(b))) / size
                         + gap @ turn(b, axis))[None])
             counts.append(len(values) - before)
         for coupling in self.mechanism.couplings:
             row = np.zeros((1, self.nv))
             for name, factor in coupling.joints.items():
                 row[0, self._rate[name]] = factor
-            unit = np.abs(row * self.scale).max()
+            unit = np.abs(row * scale).max()
             q_here = [q[self._place[name]] for name in coupling.joints]
             held = np.dot(q_here, list(coupling.joints.values()))
             values.append((held - coupling.offset) / unit)
@@ -285,10 +294,10 @@ class Loops:
         for place, rate, lower, upper in self._limits:
             beyond = max(0.0, q[place] - upper) if upper is not None else 0.0
             beyond += min(0.0, q[place] - lower) if lower is not None else 0.0
-            values.append(beyond / self.scale[rate])
+            values.append(beyond / scale[rate])
             if wanted:
                 row = np.zeros((1, self.nv))
-                row[0, rate] = 1.0 / self.scale[rate] if beyond else 0.0
+                row[0, rate] = 1.0 / scale[rate] if beyond else 0.0
                 rows.append(row)
         jac = np.concatenate(rows) if rows else np.zeros((0, self.nv))
         return np.array(values), jac if wanted else None, counts
@@ -316,8 +325,8 @@ class Loops:
         return scaled / np.outer(self.scale, self.scale)
 
     def gaps(self, q):
-        """Return how far each joint that closes a loop is open [m or rad], by name."""
-        values, _, counts = self.residual(q, wanted=False)
+        """Return how far each joint that closes a loop is open [m, sines of angles], by name."""
+        values, _, counts = self.residual(q, wanted=False, size=1.0)
         found, first = {}, 0
         for cut, count in zip((*self.mechanism.cut_joints, *self.mechanism.couplings), counts):
             found[cut.name] = float(np.linalg.norm(values[first:first + count]))
@@ -361,7 +370,7 @@ def find_closed(mechanism, size, start, hold=(), limits=None, starts=STARTS_EACH
     start : ndarray, shape (nq,)
         Coordinates; orientations as unit quaternions x, y, z, w.
     hold : sequence of str
-        Joints that stay where they are.
+        Joints, or freedoms of joints, that stay where they are.
     limits : dict of str to tuple of 2, optional
         Least and largest coordinate of joints of one freedom.
     starts : int
@@ -374,17 +383,39 @@ def find_closed(mechanism, size, start, hold=(), limits=None, starts=STARTS_EACH
         the least open.
 
     """
-    loops = Loops(mechanism, size, limits)
-    held = [k for name in hold for k in range(loops.nv)[loops.coordinates.rates[name]]]
-    free = np.setdiff1d(np.arange(loops.nv), held)
-    best, how = _least_squares(loops, start, free), 'from the start'
-    if starts and not loops.is_closed(best):
+    loops, places = Loops(mechanism, size, limits), mechanism.coordinates
+    held = [k for name in hold for k in (
+        [places.index[name]] if name in places.index else range(loops.nv)[places.rates[name]])]
+    if not starts:
+        best = _least_squares(loops, start, np.setdiff1d(np.arange(loops.nv), held))
+        how = FROM_THE_START
+    else:
+        best, ways = np.array(start, dtype=float), {FROM_THE_START: 0.0}
+        for part, own in _parts(mechanism, limits or {}):
+            names = part.joint_names
+            some = Loops(part, size, {name: limit for name, limit in (limits or {}).items()
+                                      if name in names})
+            q, rates = (np.concatenate([np.arange(loops.nq)[where[name]] for name in names])
+                        for where in (places.coordinates, places.rates))
+            free = [k for k, rate in enumerate(rates) if rate not in held
+                    and some.coordinates.joint_of(some.coordinates.names[k]) in own]
+            best[q], way, amplitude = _search(some, best[q], np.array(free, dtype=int), starts)
+            ways[way] = amplitude
+        how = max(ways, key=ways.get)
+    best = loops.unwound(best, start)
+    return Found(best, loops.gaps(best), loops.is_closed(best), how)
+
+
+def _search(loops, start, free, starts):
+    """Return where loops that depend on one another close the best, how, and how far that is."""
+    best, how, far = _least_squares(loops, start, free), FROM_THE_START, 0.0
+    if not loops.is_closed(best):
         found = _homotopy(loops, start, free)
         if _openness(loops, found) < _openness(loops, best):
-            best, how = found, 'closing the gaps little by little'
+            best, how, far = found, 'closing the gaps little by little', 0.5 * AMPLITUDES[0]
     rng = np.random.default_rng(0)
     for amplitude in AMPLITUDES:
-        if loops.is_closed(best) or not starts:
+        if loops.is_closed(best):
             break
         found = []
         for _ in range(starts):
@@ -394,11 +425,108 @@ def find_closed(mechanism, size, start, hold=(), limits=None, starts=STARTS_EACH
         closed = [q for q in found if loops.is_closed(q)]
         if closed:
             best = min(closed, key=lambda q: np.linalg.norm(q - start))
-            how = f'from starts up to {amplitude:g} rad away'
+            how, far = f'from starts up to {amplitude:g} rad away', amplitude
         else:
             best = min([best, *found], key=lambda q: _openness(loops, q))
-    best = loops.unwound(best, start)
-    return Found(best, loops.gaps(best), loops.is_closed(best), how)
+    return best, how, far
+
+
+def never_closed(mechanism, size, q):
+    """
+    Return the loops that stay open by themselves, whatever all others do.
+
+    Each is tried alone, moved by nothing but its own joints, without limits.
+
+    Parameters
+    ----------
+    mechanism : Mechanism
+        In space.
+    size : float
+        Of the mechanism [m].
+    q : ndarray, shape (nq,)
+        Coordinates to start from.
+
+    Returns
+    -------
+    dict of str to float
+        By joint that closes a loop: the least that it is open [m, and sines of angles].
+
+    """
+    found, rng = {}, np.random.default_rng(0)
+    for cut in mechanism.cut_joints:
+        own = _around(mechanism, cut)
+        part = _with_joints(mechanism, own, (cut,))
+        loops = Loops(part, size)
+        start = np.concatenate([q[mechanism.coordinates.coordinates[name]] for name in own])
+        trials, free = [], np.arange(loops.nv)
+        for number in range(STARTS_ALONE):
+            change = rng.uniform(-np.pi, np.pi, loops.nv) * loops.scale * bool(number)
+            trials.append(_least_squares(loops, loops.moved(start, change), free))
+            if loops.is_closed(trials[-1]):
+                break
+        else:
+            found[cut.name] = min(loops.gaps(trial)[cut.name] for trial in trials)
+    return found
+
+
+def _around(mechanism, cut):
+    """Return the joints of a loop, in the mechanism's order."""
+    below = {joint.child: joint for joint in mechanism.joints}
+    sides = []
+    for body in (cut.body_a, cut.body_b):
+        side = set()
+        while body != GROUND:
+            side.add(below[body].name)
+            body = below[body].parent
+        sides.append(side)
+    return [name for name in mechanism.joint_names if name in sides[0] ^ sides[1]]
+
+
+def _with_joints(mechanism, names, cuts, couplings=()):
+    """Return some joints of a mechanism, what nothing of them carries being the ground."""
+    joints = [joint for joint in mechanism.joints if joint.name in names]
+    carried = {joint.child for joint in joints}
+
+    def body(name):
+        return name if name in carried else GROUND
+
+    return replace(
+        mechanism, source=None, tree=None, points=(), couplings=tuple(couplings),
+        bodies=tuple(one for one in mechanism.bodies if one.name in carried),
+        joints=tuple(replace(joint, parent=body(joint.parent)) for joint in joints),
+        cut_joints=tuple(replace(cut, body_a=body(cut.body_a), body_b=body(cut.body_b))
+                         for cut in cuts))
+
+
+def _parts(mechanism, limited):
+    """
+    Return the mechanism in parts whose loops share no joints.
+
+    Returns
+    -------
+    list of (Mechanism, set of str)
+        With the joints that carry a part's loops, and those of them that the loops move.
+
+    """
+    held = [({*_around(mechanism, cut)}, [cut], []) for cut in mechanism.cut_joints]
+    held += [(set(coupling.joints), [], [coupling]) for coupling in mechanism.couplings]
+    held += [({name}, [], []) for name in limited]
+    parts = []
+    for joints, cuts, couplings in held:
+        for part in [part for part in parts if part[0] & joints]:
+            parts.remove(part)
+            joints, cuts, couplings = part[0] | joints, part[1] + cuts, part[2] + couplings
+        parts.append((joints, cuts, couplings))
+    below = {joint.child: joint for joint in mechanism.joints}
+    found = []
+    for joints, cuts, couplings in parts:
+        carrying = set()
+        for joint in (one for one in mechanism.joints if one.name in joints):
+            while joint is not None and joint.name not in carrying:
+                carrying.add(joint.name)
+                joint = below.get(joint.parent)
+        found.append((_with_joints(mechanism, carrying, cuts, couplings), joints))
+    return found
 
 
 def _rank(jac):

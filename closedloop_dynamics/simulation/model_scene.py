@@ -25,7 +25,7 @@ import warnings
 import numpy as np
 
 from .errors import AssemblyError
-from .far_assembly import CLOSED, find_closed, Loops, STARTS_EACH
+from .far_assembly import CLOSED, find_closed, Loops, never_closed, STARTS_EACH
 from .modeling import extent
 from .scene_records import Initial, Scene
 from ..effects.registry import EFFECTS
@@ -151,10 +151,15 @@ def assembled(imported):
         tried.append(found)
     else:
         found = min(tried, key=lambda one: sum(one.gaps.values()))
+        never = never_closed(mechanism, size, start)
         return found, [f'{mechanism.name} cannot be assembled: ' + '; '.join(
             f'{name} stays open by {gap:.3g}' for name, gap in found.gaps.items()
-            if gap > CLOSED) + ' (m or rad), at the nearest place found. Give it a start nearer '
-            'to a closed one, or check lengths and frames.']
+            if gap > CLOSED * size) + ' (m, sines of angles), at the nearest place found. ' + (
+                'Whatever all others do, these stay open by themselves, each moved by its own '
+                'joints alone: ' + '; '.join(
+                    f'{name} by {gap:.3g}' for name, gap in never.items())
+                + '. Check the types of its joints, lengths and frames.' if never else
+                'Give it a start nearer to a closed one, or check lengths and frames.')]
     return found, _moves(mechanism, start, found, told, bool(imported.limits and not limits))
 
 

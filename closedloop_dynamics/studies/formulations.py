@@ -95,7 +95,7 @@ def evaluate_again(system, q, qd, count):
     for _ in range(count):
         evaluate_only(system, q, qd)
         # Nothing is added, but each evaluation waits for the one before, as in a simulation.
-        for k in range(q.shape[0]):
+        for k in range(qd.shape[0]):
             q[k] += 0.0 * system.qdd[k]
 
 

@@ -72,6 +72,14 @@ def test_parallel_yaml_replaces_joints(tmp_path):
     assert mechanism.cut_joints[0].type == 'fixed'
 
 
+def test_joints_called_spherical_that_are_not_are_told(tmp_path):
+    written(tmp_path, 'closed_loop: [[coupler_tip, rocker_tip]]\ntype: [6d]\n', 'robot.yaml')
+    text = robot(LINKS, TREE, TIPS).replace('rocker_joint', 'spherical_rocker')
+    assert read(tmp_path, text).ignored[
+        'the names of 1 joint(s), spherical_rocker the first'] == (
+            'called spherical, but revolute: no joint_name of robot.yaml has them')
+
+
 def test_loops_of_a_scene(tmp_path):
     own = read_mechanism(written(tmp_path, machines.mechanism_text('revolute'), 'own.yaml'))
     mechanism = read(tmp_path, robot(LINKS, TREE, TIPS), loops={'pin': {

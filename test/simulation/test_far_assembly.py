@@ -17,7 +17,7 @@
 from closedloop_dynamics.mechanism.mechanism import (
     Body, Coupling, CutJoint, Joint, Mechanism)
 from closedloop_dynamics.mechanism.validation import validate_mechanism
-from closedloop_dynamics.simulation.far_assembly import CLOSED, find_closed, Loops
+from closedloop_dynamics.simulation.far_assembly import CLOSED, find_closed, Loops, never_closed
 import numpy as np
 import pytest
 
@@ -145,6 +145,51 @@ def test_a_loop_that_cannot_close_is_told_with_its_gap():
     found = find_closed(triangle(2.5), 1.0, np.array([0.3, -0.2]), starts=1)
     assert not found.closed
     assert found.gaps == {'pin': pytest.approx(0.5, abs=1e-4)}
+
+
+def test_gaps_are_in_metres_whatever_the_size():
+    found = find_closed(triangle(2.5), 4.0, np.array([0.3, -0.2]), starts=1)
+    assert found.gaps == {'pin': pytest.approx(0.5, abs=1e-4)}
+
+
+def test_loops_that_no_motion_closes_are_told_apart_from_others():
+    # Beside a loop that closes: two bars in parallel planes, 0.04 m apart.
+    joints = [Joint(name, 'revolute', 'ground', body, place, axis=Z) for name, body, place in (
+        ('left', 'a', (0.0, 0.0, 0.0)), ('right', 'b', (1.0, 0.0, 0.0)),
+        ('low', 'c', (3.0, 0.0, 0.0)), ('high', 'd', (4.0, 0.0, 0.04)))]
+    cuts = [CutJoint(name, 'spherical', one, other, (1.0, 0.0, 0.0), (1.0, 0.0, 0.0))
+            for name, one, other in (('pin', 'a', 'b'), ('aside', 'c', 'd'))]
+    machine, start = mechanism(joints, cuts), np.array([1.3, 1.5, 0.2, 0.4])
+    found = find_closed(machine, 1.0, start)
+    assert not found.closed
+    # What can be closed is closed.
+    assert found.gaps == {'pin': pytest.approx(0.0, abs=1e-9), 'aside': pytest.approx(0.04)}
+    assert never_closed(machine, 1.0, start) == {'aside': pytest.approx(0.04)}
+
+
+def test_parts_that_share_no_joints_are_closed_one_by_one():
+    # A platform on the ground carries two triangles; a pair of gears stands beside.
+    joints = [Joint('base', 'spherical', 'ground', 'base', (0.5, 0.0, 0.0), actuated=True)]
+    cuts = []
+    for place in (0.0, 2.0):
+        joints += [Joint(f'left{place:g}', 'revolute', 'base', f'a{place:g}', (place, 0.0, 0.0),
+                         axis=Z),
+                   Joint(f'right{place:g}', 'revolute', 'base', f'b{place:g}',
+                         (place + 1.0, 0.0, 0.0), axis=Z)]
+        cuts.append(CutJoint(f'pin{place:g}', 'revolute', f'a{place:g}', f'b{place:g}',
+                             (1.0, 0.0, 0.0), (1.2, 0.0, 0.0), axis_a=Z, axis_b=Z))
+    joints += [Joint(name, 'revolute', 'ground', name, (0.0, 5.0, 0.0), axis=Z)
+               for name in ('big', 'small')]
+    machine = mechanism(joints, cuts, [Coupling('mesh', {'big': 2.0, 'small': 1.0}, 0.6)])
+    start = np.concatenate([machine.coordinates.start()[:4],
+                            [0.0, 0.0, 3.0, -3.0, 0.5, 0.5]])
+    found = find_closed(machine, 1.0, start, hold=['base.rx', 'base.ry', 'base.rz'],
+                        limits={'small': (0.0, 0.3)})
+    assert found.closed
+    np.testing.assert_array_equal(found.q[:4], start[:4])
+    np.testing.assert_allclose(np.cos(found.q[[4, 6]]), (1.0 + 1.0 - 1.44) / 2.0, atol=1e-8)
+    assert 2.0 * found.q[8] + found.q[9] == pytest.approx(0.6)
+    assert -1e-8 < found.q[9] < 0.3 + 1e-8
 
 
 def test_bodies_do_not_meet_the_wrong_way_round():

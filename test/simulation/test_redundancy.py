@@ -98,6 +98,17 @@ def test_simulate_tells_whose_forces_are_shared(capsys):
 STANDING_IN = {'bricard': 'universal', 'bennett': 'point_on_line', 'four_bar': 'point_on_line'}
 
 
+@pytest.mark.parametrize('name', ['bricard', 'bennett'])
+def test_loops_close_from_positions_where_repeated_equations_contradict(name):
+    # Beside closed positions all equations are independent, and Newton's method is led astray.
+    mechanism, position, *_ = linkages()[name]
+    assembler = Assembler(mechanism, SpatialGeometry(mechanism).equations)
+    rng = np.random.default_rng(1)
+    for _ in range(8):
+        q = assembler.positions(position + rng.uniform(-0.1, 0.1, len(position)))
+        assert np.abs(assembler.closure(q)).max() < 1e-13
+
+
 @pytest.mark.parametrize('name', STANDING_IN)
 def test_repeated_equations_cost_no_more_than_independent_ones(name):
     mechanism, guess, left, _ = linkages()[name]
