@@ -79,6 +79,8 @@ class Equations:
         Which equations the elimination works on, too, in the mechanism's order.
     groups : ndarray of int, shape (nc,)
         Numbers that the places, and the angles, that one cut joint holds have in common.
+    places : ndarray of bool, shape (nc,)
+        Which equations hold places.
 
     """
 
@@ -101,6 +103,7 @@ class Equations:
             possible = [n for n in range(6) if cut[POSSIBLE] >> n & 1]
             self.kept[len(groups):len(groups) + count] = [cut[KEPT] >> n & 1 for n in possible]
             groups += [(number, space.group_of(cut[CUT_TYPE], n)) for n in possible]
+        self.places = np.array([kind == 0 for _, kind in groups], dtype=bool)
         order = {group: number for number, group in enumerate(dict.fromkeys(groups))}
         self.groups = np.array([order[group] for group in groups], dtype=int)
         self._q, self._qd = np.zeros(number_of_coordinates(model)), np.zeros(self.nv)

@@ -20,7 +20,7 @@ import math
 import numpy as np
 
 from ..core.types import (
-    CLOSURE, CUT_ROW, DOF, EVALUATIONS, LENGTHS, PARENT, PRISMATIC,
+    CLOSURE, CUT_ROW, DOF, EVALUATIONS, PARENT, PRISMATIC,
     PROJECTION_ITERATIONS, RANK, RANK_REVEALING_COUNT, ROW, ROWS, SINGULAR_COUNT,
     SMALLEST_PIVOT, SMALLEST_PIVOT_EVER, TYPE)
 
@@ -72,8 +72,8 @@ class Health:
         Sine of the smallest angle between one of the closure equations and locked drives, and
         all others, with the sign of their determinant. 0: a parallel ("type-2")
         singularity, where locked drives would not hold the mechanism; the sign changes where it
-        is passed. NaN where the drives are not as many as the freedoms, for more than 40
-        closure equations, and in space.
+        is passed. NaN where the drives are not as many as the freedoms, and for more than 40
+        closure equations.
 
     """
 
@@ -142,8 +142,7 @@ def health_of(model, work, equations, passive=()):
     if 0 < nc <= MOST_FOR_CONDITION:
         jac = equations.jacobian()
         condition = block_condition(model, equations.inertia(), jac[equations.kept])
-        if len(model.gravity) == 2:
-            loose = drive_sine(model, jac, passive)
+        loose = drive_sine(model, equations, jac, passive)
     return Health(
         smallest_pivot=float(values[SMALLEST_PIVOT]),
         smallest_pivot_ever=float(values[SMALLEST_PIVOT_EVER]),
@@ -157,7 +156,7 @@ def health_of(model, work, equations, passive=()):
         drive_sine=loose)
 
 
-def drive_sine(model, jac, passive):
+def drive_sine(model, equations, jac, passive):
     """
     Return how far locked drives are from leaving the mechanism loose, as in ``Health``.
 
@@ -165,20 +164,23 @@ def drive_sine(model, jac, passive):
     ----------
     model : core.types.Model
         Of the mechanism.
+    equations : core.equations.Equations
+        Of the mechanism.
     jac : ndarray, shape (nc, nv)
-        Constraint Jacobian, of one equation or more.
+        Constraint Jacobian of all equations, one or more.
     passive : sequence of int
         Coordinates of the joints that are not actuated.
 
     Notes
     -----
-    Angles are those between rows of the rates of the bodies' angles, times the longest lever of
-    any, and of the slides: no unit plays a part, nor where the trees begin. The two equations
-    of a cut point share their scale, and with it the direction of the world's axes plays none.
+    Angles are those between rows of the rates of the bodies' angles, in space of the joints',
+    times the longest lever of any, and of the slides: no unit plays a part, nor, in the plane,
+    where the trees begin. The equations of places of a cut joint share their scale, and with it
+    the direction of the world's axes plays none.
 
     """
-    nv = jac.shape[1]
-    if len(passive) != len(jac):
+    kept, nv = equations.kept, jac.shape[1]
+    if len(passive) != np.count_nonzero(kept):
         return math.nan
     tree, joints, turning = model.tree, np.eye(nv), np.zeros(nv, dtype=bool)
     for i in range(1, nv + 1):
@@ -186,24 +188,17 @@ def drive_sine(model, jac, passive):
         while parent > 0 and tree[parent, TYPE] == PRISMATIC:
             parent = tree[parent, PARENT]
         turning[tree[i, DOF]] = tree[i, TYPE] != PRISMATIC
-        if turning[tree[i, DOF]] and parent > 0:
+        if turning[tree[i, DOF]] and parent > 0 and len(model.gravity) == 2:
             joints[tree[i, DOF], tree[parent, DOF]] = -1.0
-    places, angles = [], []
-    for cut in model.cut:
-        points = cut[LENGTHS]
-        # A coupling holds none.
-        if points > 0:
-            places.append(slice(cut[CUT_ROW], cut[CUT_ROW] + points))
-        angles += range(cut[CUT_ROW] + points, cut[CUT_ROW] + cut[ROWS])
-    by_angles = jac @ joints
-    lever = max((np.abs(by_angles[rows][:, turning]).max(initial=0.0) for rows in places),
-                default=0.0)
+    by_angles, groups = jac[kept] @ joints, equations.groups[kept]
+    lever = np.abs(by_angles[equations.places[kept]][:, turning]).max(initial=0.0)
     weight = np.where(turning, 1.0 / lever if lever > 0.0 else 1.0, 1.0)
     drives = np.setdiff1d(np.arange(nv), passive)
     rows = np.vstack([by_angles, joints[drives]]) * weight
     lengths = np.linalg.norm(rows, axis=1)
-    for place in places:
-        lengths[place] = lengths[place].max()
+    longest = np.zeros(groups.max() + 1)
+    np.maximum.at(longest, groups, lengths[:len(groups)])
+    lengths[:len(groups)] = longest[groups]
     # An equation that no motion can change has no length, and cannot be held.
     rows /= np.where(lengths > 0.0, lengths, 1.0)[:, None]
     try:

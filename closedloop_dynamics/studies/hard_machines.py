@@ -19,13 +19,17 @@ import math
 
 import numpy as np
 
+from ..core.codegen.spatial import rotation
 from ..effects.gravity import Gravity
-from ..mechanism.mechanism import Body, CutJoint, FIXED, Joint, Mechanism, REVOLUTE
+from ..mechanism.mechanism import (
+    Body, CutJoint, FIXED, GROUND, Joint, Mechanism, REVOLUTE, UNTURNED)
 from ..simulation.scene_records import Initial, Scene
 
 G = 9.81
 # Direction of the ground: the world's axes must play no part.
 DIRECTION = 0.7
+# Of a plane in space, a unit quaternion; along no axis of the world.
+TURN = tuple((np.array([1.0, 2.0, 3.0, 9.0]) / math.sqrt(95.0)).tolist())
 
 
 def bar(name, mass, length):
@@ -83,6 +87,43 @@ def off_the_branch(position):
     """Return how far the ladder's legs are from parallel [rad]."""
     legs, knees = position[::2], position[1::2]
     return max(np.abs(legs - legs[0]).max(), np.abs(knees + legs[0]).max())
+
+
+def in_space(mechanism, turn=TURN):
+    """
+    Return a planar mechanism of pins in a plane in space; of each pin three equations too many.
+
+    ``turn``: tuple of 4; unit quaternion x, y, z, w of the plane's axes in the world's.
+
+    """
+    axes = np.array(rotation(turn))
+    bodies = tuple(replace(
+        body, center_of_mass=(*body.center_of_mass, 0.0),
+        inertia=(0.5 * body.inertia, 0.5 * body.inertia, body.inertia))
+        for body in mechanism.bodies)
+    joints = tuple(replace(
+        joint, position=tuple(axes @ (*joint.position, 0.0)) if joint.parent == GROUND else (
+            *joint.position, 0.0), angle=0.0, axis=(0.0, 0.0, 1.0), orientation=_composed(
+                turn if joint.parent == GROUND else UNTURNED, joint.angle))
+        for joint in mechanism.joints)
+    cuts = tuple(replace(
+        cut, point_a=(*cut.point_a, 0.0), point_b=(*cut.point_b, 0.0), axis_a=(0.0, 0.0, 1.0),
+        axis_b=(0.0, 0.0, 1.0)) for cut in mechanism.cut_joints)
+    return replace(mechanism, bodies=bodies, joints=joints, cut_joints=cuts)
+
+
+def _composed(turn, angle):
+    """Return the quaternion of a turn about z, and of another one then."""
+    x, y, z, w = turn
+    sine, cosine = math.sin(0.5 * angle), math.cos(0.5 * angle)
+    return (x * cosine + y * sine, y * cosine - x * sine, z * cosine + w * sine,
+            w * cosine - z * sine)
+
+
+def gravity_in_space(strength=G, turn=TURN):
+    """Return gravity in space as ``gravity`` acts on a mechanism in its plane."""
+    one = gravity(strength=strength)['gravity']
+    return {'gravity': Gravity(tuple(np.array(rotation(turn)) @ (*one.acceleration, 0.0)))}
 
 
 def gravity(direction=DIRECTION, strength=G):

@@ -33,11 +33,12 @@ from closedloop_dynamics.simulation.scene_records import Initial, Method, Scene
 from closedloop_dynamics.simulation.scene_text import read_scene_text, scene_text
 from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.studies.check import describe
+from closedloop_dynamics.studies.spinning_bodies import (
+    free_body, LEAN, LEVER, MOMENTS, nutation, SPIN)
 from closedloop_dynamics.visual.motion import from_rows
 import numpy as np
 import pytest
 from scipy.integrate import quad, simpson
-from scipy.special import ellipj
 
 from ..reference import spatial_machines
 from ..reference.compare import assert_agree
@@ -82,43 +83,10 @@ def turning(one):
 
 # A free body, and a heavy symmetric top.
 
-MOMENTS = np.array([0.02, 0.03, 0.045])
-
-
-def free_body(turns=10.0, share=0.9999):
-    """
-    Return the closed form of a free body near its unstable axis (Landau and Lifshitz, section 37).
-
-    Parameters
-    ----------
-    turns : float
-        Angular velocity about the axis of the largest moment at the start [rad/s].
-    share : float
-        Parameter of the elliptic functions; 1 would never flip.
-
-    Returns
-    -------
-    rates : callable
-        Of time, angular velocity about the body's axes.
-    start : ndarray, shape (3,)
-
-    """
-    one, two, three = MOMENTS
-    rate = turns * np.sqrt((three - two) * (three - one) / (one * two))
-    # Of the first and second component, from Euler's equations.
-    first = turns * np.sqrt(share * three * (three - two) / (one * (two - one)))
-    second = (three - one) / two * turns * first / rate
-
-    def rates(time):
-        sn, cn, dn, _ = ellipj(rate * time, share)
-        return np.array([first * cn, second * sn, turns * dn])
-
-    return rates, rates(0.0)
-
-
 def check_free_body(duration, samples, tolerance):
     """Compare a free body whose frame is not at its center with the closed form."""
-    expected, start = free_body()
+    expected = free_body()
+    start = expected(0.0)
     center = np.array([0.1, -0.2, 0.05])
     origin = -np.cross(start, center)
     one = simulation(
@@ -152,7 +120,8 @@ def test_free_body_flips_for_a_thousand_turns():
 
 
 def test_free_body_precesses_as_the_quadrature_tells():
-    expected, start = free_body(share=0.7)
+    expected = free_body(share=0.7)
+    start = expected(0.0)
     one = simulation(body_on('spherical', inertia=tuple(MOMENTS)), gravity=(0.0, 0.0, 0.0),
                      velocity={'joint': {'angular_velocity': start}}, **TIGHT)
     length = np.linalg.norm(MOMENTS * start)
@@ -174,29 +143,12 @@ def test_free_body_precesses_as_the_quadrature_tells():
     assert_agree((np.cos(angle), np.sin(angle)), (np.cos(total), np.sin(total)), 1e-9)
 
 
-SPIN, LEAN, LEVER = 40.0, 1.0, 0.2
-
-
 def top(**method):
     """Return a symmetric top that is released leaning and spinning, at rest but for its spin."""
     return simulation(
         body_on('spherical', (0.0, 0.0, LEVER), (0.002, 0.002, 0.001)),
         {'joint': {'orientation': {'rpy': (LEAN, 0.0, 0.0)}}},
         {'joint': {'angular_velocity': (0.0, 0.0, SPIN)}}, **method)
-
-
-def nutation(time):
-    """Return the cosine of the top's lean and the rate of its precession (Goldstein, 5.7)."""
-    across = 0.002 + 0.5 * LEVER ** 2
-    a, beta, first = 0.001 * SPIN / across, 2.0 * 0.5 * 9.81 * LEVER / across, np.cos(LEAN)
-    # Released at a cusp: b = a u, alpha = beta u at the start.
-    low, high, above = np.sort(np.roots(
-        [beta, -(beta * first + a * a), 2.0 * a * a * first - beta,
-         beta * first - (a * first) ** 2]).real)
-    rate, share = 0.5 * np.sqrt(beta * (above - low)), (high - low) / (above - low)
-    _, cn, dn, _ = ellipj(rate * time, share)
-    u = low + (high - low) * (cn / dn) ** 2
-    return u, a * (first - u) / (1.0 - u * u)
 
 
 def check_top(one, duration, samples, tolerance):
