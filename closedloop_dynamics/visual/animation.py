@@ -20,22 +20,36 @@ import subprocess
 
 from matplotlib.animation import FFMpegWriter
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
+from matplotlib.font_manager import findfont, FontProperties
+from matplotlib.patches import Polygon
 import numpy as np
-from PIL import Image
+from PIL import Image, ImageDraw, ImageFont
 
-from .appearance import PATH_COLOR
-from .drawing import all_places, MechanismArtist
+from .appearance import FORCE_COLOR, PATH_COLOR
+from .drawing import all_places, AXIS_DASHES, MechanismArtist
+from .gif import Gif
 from .motion import body_poses, magnitudes, Motion, named_point
 from .pictures import COLORS
+from .raster import (
+    BEFORE, begin, canvas, DOTS, draw, draw_trail, hulls, lengthen, LINE, line, POLYGON, Shapes,
+    TILES, write_text)
 from .views import perspective, PLANE
 
 FRAME_DOTS_PER_INCH = 100
+# Pixels of a point of 1/72 inch, in which widths of lines are given.
+POINT = FRAME_DOTS_PER_INCH / 72.0
+# Half the width of the path, and half the diagonal of the mark at its end [pixels].
+TRAIL_HALF, MARK = 0.8 * POINT, 3.5 * POINT
+# Room at the foot of an arrow, and its head [pixels].
+ARROW_GAP, ARROW_HEAD = 4.0 * POINT, 4.8 * POINT
+# The time, and the line that shows it in the plot.
+CHARACTERS, CLOCK_SIZE, CURSOR_COLOR = ' 0123456789.-ts=', 10.0 * POINT, (77, 77, 77)
+# A layer above all bodies.
+TOP = 1e9
 # Length of path between two of its points that are drawn, as a share of the picture's extent.
 TRAIL = 0.003
-# A GIF counts the time of a frame in hundredths of a second.
-GIF_TICKS = 100
-COLORS_OF_A_GIF = 64
 
 
 class AnimationError(OSError):
@@ -78,26 +92,98 @@ def between(motion, times):
                                   motion.forces)))
 
 
-class _Moving(Figure):
-    """A figure that draws what moves over a picture of what stands still."""
+class _Pixels:
+    """Places in coordinates of matplotlib as pixels of a picture of some height."""
 
-    def __init__(self, background, **options):
-        super().__init__(**options)
-        self._background, self.artists_in_order = background, []
+    def __init__(self, height, transform):
+        self._height, self._transform = height, transform
 
-    def draw(self, renderer):
-        """Put the picture behind, and draw on it."""
-        renderer.restore_region(self._background)
-        for artist in self.artists_in_order:
-            artist.draw(renderer)
+    def __call__(self, places):
+        """Return pixels of places of shape (..., 2), y down."""
+        flat = self._transform.transform(np.reshape(places, (-1, 2))).reshape(places.shape)
+        return np.stack([flat[..., 0], self._height - flat[..., 1]], axis=-1)
+
+
+class _Found:
+    """Shapes that are found one by one."""
+
+    def __init__(self):
+        self._rows, self._vertices, self._layers = [], [], []
+
+    def add(self, kind, vertices, fill='white', edge='white', half=0.0, radius=0.0,
+            dashes=(0.0, 0.0, 0.0, 0.0), layer=0.0):
+        """Add one with its vertices in every frame, shape (frames, n, 2) [pixels]."""
+        self._rows.append((kind, _of(fill), _of(edge), half, radius, dashes))
+        self._vertices.append(vertices)
+        self._layers.append(layer)
+
+    def add_artist(self, artist, vertices, layers):
+        """Add what matplotlib would draw as an artist."""
+        layer = artist.get_zorder() if layers is None else layers
+        if isinstance(artist, Polygon):
+            self.add(POLYGON, vertices, artist.get_facecolor(), artist.get_edgecolor(),
+                     0.5 * POINT * artist.get_linewidth(), layer=layer)
+            return
+        if artist.get_linestyle() != 'None':
+            width = POINT * artist.get_linewidth()
+            dashed = artist.get_linestyle() == '--'
+            self.add(LINE, vertices, edge=artist.get_color(), half=0.5 * width, layer=layer,
+                     dashes=[width * part for part in AXIS_DASHES[1]] if dashed else 4 * [0.0])
+        if artist.get_marker() not in ('None', None, ''):
+            size = 0.5 * POINT * artist.get_markersize()
+            style = {'fill': artist.get_markerfacecolor(), 'edge': artist.get_markeredgecolor(),
+                     'half': 0.5 * POINT * artist.get_markeredgewidth(), 'layer': layer}
+            if artist.get_marker() == 's':
+                corners = size * np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])
+                for k in range(vertices.shape[1]):
+                    self.add(POLYGON, vertices[:, k:k + 1] + corners, **style)
+            else:
+                self.add(DOTS, vertices, radius=size, **style)
+
+    def arrays(self, frames):
+        """Return them as Shapes, with vertices (frames, n, 2) and layers (frames, shapes)."""
+        kinds, fills, edges, halves, radii, dashes = zip(*self._rows)
+        counts = [vertices.shape[1] for vertices in self._vertices]
+        shapes = Shapes(
+            np.array(kinds), np.concatenate([[0], np.cumsum(counts)]), np.array(fills),
+            np.array(edges), np.array(halves, dtype=float), np.array(radii, dtype=float),
+            np.array(dashes, dtype=float))
+        layers = np.stack([np.broadcast_to(layer, frames) for layer in self._layers], axis=1)
+        return shapes, np.ascontiguousarray(np.concatenate(self._vertices, axis=1)), layers
+
+
+def _of(color):
+    """Return a colour as three whole numbers from 0 to 255."""
+    return np.array([round(255.0 * part) for part in to_rgb(color)])
+
+
+def _hulls_of(places):
+    """Return the corners of the convex hulls of places, both of shape (frames, n, 2)."""
+    corners = np.empty_like(places)
+    hulls(places.copy(), corners, np.zeros(2 * places.shape[1], dtype=np.int64))
+    return corners
+
+
+def _arrow(start, end):
+    """Return shaft (frames, 2, 2) and head (frames, 3, 2) of arrows from start to end [pixels]."""
+    along = end - start
+    length = np.linalg.norm(along, axis=1, keepdims=True)
+    with np.errstate(invalid='ignore', divide='ignore'):
+        along = np.where(length > ARROW_GAP, along / length, np.nan)
+    aside = along[:, ::-1] * (-1.0, 1.0)
+    tip = end - 0.9 * POINT * along
+    neck = tip - ARROW_HEAD * along
+    shaft = np.stack([start + ARROW_GAP * along, neck], axis=1)
+    return shaft, np.stack([tip, neck + 0.5 * ARROW_HEAD * aside, neck - 0.5 * ARROW_HEAD * aside],
+                           axis=1)
 
 
 class Animation:
     """
     Draws the frames of a motion.
 
-    What stands still is drawn once, into a picture that lies behind all frames; a frame is what
-    moves alone. A mechanism in space is seen in perspective.
+    What stands still is drawn once, by matplotlib; what moves is drawn over it (``raster``). A
+    mechanism in space is seen in perspective.
 
     Parameters
     ----------
@@ -112,65 +198,55 @@ class Animation:
 
     Attributes
     ----------
-    figure : matplotlib.figure.Figure
-        Shows the frame that was drawn last.
+    canvas : raster.Canvas
+        Has the frame that was drawn last.
 
     """
 
     def __init__(self, motion, title, times, point=None):
         mechanism = motion.mechanism
-        self._shown = between(motion, times)
-        self._poses = body_poses(mechanism, self._shown.position)
+        shown = between(motion, times)
+        self._frame_times = times
+        poses = body_poses(mechanism, shown.position)
         if point is None and mechanism.points:
             point = mechanism.points[0].name
-        self._times, self._path = motion.time, None
-        view = PLANE if mechanism.planar else perspective(all_places(mechanism, self._poses))
-        if point is not None:
-            self._path, self._places = (
-                view.project(named_point(mechanism, poses, point))
-                for poses in (body_poses(mechanism, motion.position), self._poses))
+        view = PLANE if mechanism.planar else perspective(all_places(mechanism, poses))
         forces = magnitudes(motion.forces)
         known = np.isfinite(forces).any()
         # Of all that was recorded, not of the instants that frames happen to show.
-        self._largest = float(np.nanmax(forces)) if known else 0.0
+        largest = float(np.nanmax(forces)) if known else 0.0
         still = Figure(figsize=(8.0, 8.0), layout='constrained', dpi=FRAME_DOTS_PER_INCH)
         above, below = still.subplots(2, 1, height_ratios=[4, 1])
-        artist = MechanismArtist(above, mechanism, self._poses, view)
+        artist = MechanismArtist(above, mechanism, poses, view)
         artist.ground()
         (left, right), (low, high) = above.get_xlim(), above.get_ylim()
         above.set(xlim=(left, right), ylim=(low, high), autoscale_on=False)
         height = np.clip(6.5 * (high - low) / (right - left), 2.0, 7.0)
         # An even number of pixels, as video wants.
         still.set_size_inches(8.0, round(2.6 + height, 1))
-        self._plot_forces(below, motion, forces)
+        self._plot_forces(below, motion, forces, largest)
         still.suptitle(title, fontweight='bold', x=0.02, ha='left')
         still.legend(
             handles=artist.legend_handles(
-                point, f'force on body A, longest {self._largest:.3g} N' if known else None),
+                point, f'force on body A, longest {largest:.3g} N' if known else None),
             loc='outside lower center', ncols=4, fontsize=8, frameon=False)
-        canvas = FigureCanvasAgg(still)
-        canvas.draw()
-        self.figure = _Moving(canvas.copy_from_bbox(still.bbox), figsize=still.get_size_inches(),
-                              dpi=FRAME_DOTS_PER_INCH)
-        self._canvas = FigureCanvasAgg(self.figure)
-        axes, cursor = (self.figure.add_axes(
-            each.get_position(), xlim=each.get_xlim(), ylim=each.get_ylim(), autoscale_on=False)
-            for each in (above, below))
-        self._prepare(MechanismArtist(axes, mechanism, self._poses, view))
-        self._clock = axes.text(
-            0.99, 0.98, '', transform=axes.transAxes, ha='right', va='top', family='monospace',
-            parse_math=False)
-        self._cursor = cursor.axvline(motion.time[0], color='0.3', linewidth=1.0)
-        self.figure.artists_in_order = [*axes.lines, *axes.patches, *axes.texts, self._cursor]
-        self._sort()
+        drawn = FigureCanvasAgg(still)
+        drawn.draw()
+        self.canvas = canvas(np.asarray(drawn.buffer_rgba()))
+        self._pixels = _Pixels(self.canvas.still.shape[0], above.transData)
+        self._prepare(artist, shown, largest, point and view.project(
+            named_point(mechanism, poses, point)))
+        self._prepare_path(motion, artist, point and view.project(named_point(
+            mechanism, body_poses(mechanism, motion.position), point)))
+        self._prepare_clock(above, below)
 
     def __len__(self):
         """Return the number of frames."""
-        return len(self._shown.time)
+        return len(self._frame_times)
 
     def show(self, index):
         """
-        Put a frame into the figure.
+        Draw a frame.
 
         Parameters
         ----------
@@ -178,29 +254,18 @@ class Animation:
             From 0.
 
         """
-        time = self._shown.time[index]
-        for part, places, layers in self._parts:
-            part.place(places[index])
-            if layers is not None:
-                part.artist.set_zorder(layers[index])
-        if not self._artist.mechanism.planar:
-            self._sort()
-        if self._path is not None:
-            past = self._path[:np.searchsorted(self._times, time)]
-            self._trail.set_data(*np.vstack([past, self._places[index]]).T)
-            self._mark.set_data(*self._places[index:index + 1].T)
-        forces = self._shown.forces[index]
-        shown = bool(self._largest and np.isfinite(forces).all())
-        ends = self._artist.arrow_ends(index, np.nan_to_num(forces), self._largest)
-        for arrow, (start, end) in zip(self._arrows, ends):
-            arrow.xyann, arrow.xy = start, end
-            arrow.set_visible(shown)
-        self._clock.set_text(f't = {time:7.3f} s')
-        self._cursor.set_xdata([time, time])
+        begin(self.canvas)
+        draw(self.canvas, self._shapes, self._vertices[index], self._orders[index])
+        if len(self._path):
+            self._show_trail(index)
+        draw(self.canvas, self._shapes, self._vertices[index], self._topmost)
+        write_text(self.canvas, self._glyphs, self._codes[index], *self._clock_place)
+        x, (top, bottom) = self._cursor_places[index], self._cursor_ends
+        line(self.canvas, x, top, x, bottom, 0.5 * POINT, *CURSOR_COLOR)
 
     def frame(self, index):
         """
-        Draw a frame.
+        Draw a frame and return it.
 
         Parameters
         ----------
@@ -214,39 +279,98 @@ class Animation:
 
         """
         self.show(index)
-        self._canvas.draw()
-        return np.asarray(self._canvas.buffer_rgba())
+        return self.canvas.picture
 
-    def _prepare(self, artist):
-        """Make all that moves, as in the first frame."""
-        self._artist = artist
-        limits = artist.axes.get_xlim(), artist.axes.get_ylim()
-        self._parts = [
-            (part, artist.places(part), None if part.layer is None else artist.layers(part))
-            for part in artist.bodies(0)]
-        if self._path is not None:
-            # A point for each pixel or two of the path is enough.
-            steps = np.hypot(*np.diff(self._path, axis=0).T)
-            passed = np.concatenate([[0.0], np.cumsum(steps)]) // (TRAIL * artist.extent)
-            kept = np.unique(passed, return_index=True)[1]
-            self._path, self._times = self._path[kept], self._times[kept]
-            self._trail, = artist.axes.plot([], [], color=PATH_COLOR, linewidth=1.6, zorder=31)
-            self._mark = artist.mark(self._places[0])
-        self._arrows = artist.forces(0, np.nan_to_num(self._shown.forces[0]), self._largest)
-        artist.axes.set(xlim=limits[0], ylim=limits[1], autoscale_on=False)
+    def _show_trail(self, index):
+        """Let the path of the point go on to where it is."""
+        if index < self._trailed:
+            self.canvas.trail[:] = 0
+            self.canvas.tiles[BEFORE] = (1 << TILES) - 1
+            self.canvas.picture[:] = self.canvas.still
+            self._trailed, self._passed = -1, 0
+            draw(self.canvas, self._shapes, self._vertices[index], self._orders[index])
+        stop = int(np.searchsorted(self._path_times, self._frame_times[index], 'right')) - 1
+        stop = max(stop, 0)
+        lengthen(self.canvas, self._path, self._passed, stop, TRAIL_HALF)
+        self._trailed, self._passed = index, stop
+        draw_trail(self.canvas, _of(PATH_COLOR))
+        x, y = self._path[stop]
+        line(self.canvas, x, y, *self._places[index], TRAIL_HALF, *_of(PATH_COLOR))
 
-    def _sort(self):
-        """Let artists of higher layers be drawn over those of lower ones."""
-        self.figure.artists_in_order.sort(key=lambda each: each.get_zorder())
+    def _prepare(self, artist, shown, largest, places):
+        """Find what moves: its shapes, and where their corners are in every frame."""
+        parts = artist.bodies(0)
+        found = _Found()
+        for part in parts:
+            seen = artist.places(part)
+            if part.solid:
+                seen = _hulls_of(seen)
+            found.add_artist(part.artist, self._pixels(seen), None if part.layer is None
+                             else artist.layers(part))
+            part.artist.remove()
+        self._places = None
+        if places is not None:
+            self._places = self._pixels(places)
+            corners = MARK * np.array([(0.0, 1.0), (1.0, 0.0), (0.0, -1.0), (-1.0, 0.0)])
+            found.add(POLYGON, self._places[:, None] + corners, fill=PATH_COLOR, edge='white',
+                      half=0.4 * POINT, layer=TOP)
+        forces = np.moveaxis(shown.forces, 1, 0)
+        unknown = ~np.isfinite(shown.forces).all(axis=(1, 2)) | (largest <= 0.0)
+        for start, end in artist.arrow_ends(slice(None), np.nan_to_num(forces), largest):
+            start, end = (self._pixels(np.where(unknown[:, None], np.nan, each))
+                          for each in (start, end))
+            shaft, head = _arrow(start, end)
+            found.add(LINE, shaft, edge=FORCE_COLOR, half=0.9 * POINT, layer=TOP)
+            found.add(POLYGON, head, fill=FORCE_COLOR, edge=FORCE_COLOR, half=0.9 * POINT,
+                      layer=TOP)
+        self._shapes, self._vertices, layers = found.arrays(len(shown.time))
+        # The mark and the arrows are seen above the path.
+        self._topmost = np.flatnonzero(layers[0] == TOP)
+        self._orders = np.ascontiguousarray(np.argsort(layers, axis=1, kind='stable')[
+            :, :layers.shape[1] - len(self._topmost)])
 
-    def _plot_forces(self, axes, motion, magnitudes):
+    def _prepare_path(self, motion, artist, path):
+        """Find the path of the point, in all instants that are known."""
+        self._path, self._path_times = np.zeros((0, 2)), motion.time
+        self._trailed, self._passed = -1, 0
+        if path is None:
+            return
+        # A point for each pixel or two of the path is enough.
+        steps = np.hypot(*np.diff(path, axis=0).T)
+        passed = np.concatenate([[0.0], np.cumsum(steps)]) // (TRAIL * artist.extent)
+        kept = np.unique(passed, return_index=True)[1]
+        self._path, self._path_times = self._pixels(path[kept]), motion.time[kept]
+
+    def _prepare_clock(self, above, below):
+        """Find where the time is written, and where the line is that tells it."""
+        height = self.canvas.still.shape[0]
+        font = ImageFont.truetype(findfont(FontProperties(family='monospace')), CLOCK_SIZE)
+        size = round(font.getlength('0') + 1.0), sum(font.getmetrics())
+        self._glyphs = np.zeros((len(CHARACTERS), size[1], size[0]), dtype=np.uint8)
+        for k, character in enumerate(CHARACTERS):
+            picture = Image.new('L', size)
+            ImageDraw.Draw(picture).text((0, 0), character, fill=255, font=font)
+            self._glyphs[k] = np.asarray(picture)
+        texts = [f't = {time:7.3f} s' for time in self._frame_times]
+        longest = max(map(len, texts))
+        self._codes = np.array([[CHARACTERS.index(character) for character in text.rjust(longest)]
+                                for text in texts])
+        advance = font.getlength('0')
+        right, top = _Pixels(height, above.transAxes)(np.array([0.99, 0.98]))
+        self._clock_place = (int(right - advance * longest), int(top), advance, 0)
+        self._cursor_places = _Pixels(height, below.transData)(np.column_stack(
+            [self._frame_times, np.zeros(len(self._frame_times))]))[:, 0]
+        box = below.get_window_extent()
+        self._cursor_ends = height - box.y1, height - box.y0
+
+    def _plot_forces(self, axes, motion, magnitudes, largest):
         for k, cut in enumerate(motion.mechanism.cut_joints):
             axes.plot(motion.time, magnitudes[:, k], linewidth=1.2,
                       color=COLORS[k % len(COLORS)], label=cut.name)
         axes.set(xlabel='time [s]', ylabel='force [N]')
         axes.set_xlim(motion.time[0], max(motion.time[-1], motion.time[0] + 1e-3))
-        if self._largest:
-            axes.set_ylim(0.0, 1.05 * self._largest)
+        if largest:
+            axes.set_ylim(0.0, 1.05 * largest)
             axes.legend(loc='center left', bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize=8)
         axes.grid(color='0.92')
         axes.spines[['top', 'right']].set_visible(False)
@@ -309,29 +433,35 @@ def _replaced(path):
 
 
 def _write_gif(animation, path, rate, progress):
-    # Matplotlib's own writer keeps all frames in memory and chooses colours for each anew: they
-    # would flicker, and a long run would not fit.
-    # The last frame has all that is drawn, the whole path among it.
-    sample = Image.fromarray(animation.frame(len(animation) - 1)).convert('RGB')
-    palette = sample.quantize(COLORS_OF_A_GIF, Image.Quantize.MAXCOVERAGE)
-
-    def frames():
+    with open(path, 'wb') as file:
+        # The last frame has all that is drawn, the whole path among it.
+        gif = Gif(file, animation.frame(len(animation) - 1), rate)
         for index in range(len(animation)):
-            picture = Image.fromarray(animation.frame(index)).convert('RGB')
-            yield picture.quantize(palette=palette, dither=Image.Dither.NONE)
+            animation.show(index)
+            gif.add(animation.canvas, whole=index == 0)
             progress(index + 1)
+        gif.close()
 
-    pictures = frames()
-    tick = 1000 / GIF_TICKS
-    duration = max(2, round(1000 / rate / tick)) * tick
-    next(pictures).save(path, save_all=True, append_images=pictures, duration=duration, loop=0,
-                        optimize=False)
+
+class _Frames(Figure):
+    """What matplotlib takes for a figure: its picture is one that was drawn already."""
+
+    def __init__(self, animation):
+        height, width, _ = animation.canvas.picture.shape
+        super().__init__(figsize=(width / FRAME_DOTS_PER_INCH, height / FRAME_DOTS_PER_INCH),
+                         dpi=FRAME_DOTS_PER_INCH)
+        FigureCanvasAgg(self)
+        self._picture = animation.canvas.picture
+
+    def savefig(self, file, **options):
+        """Write the picture."""
+        file.write(self._picture.tobytes())
 
 
 def _write_mp4(animation, path, rate, progress):
     writer = FFMpegWriter(fps=rate, codec='h264')
     try:
-        with writer.saving(animation.figure, str(path), FRAME_DOTS_PER_INCH):
+        with writer.saving(_Frames(animation), str(path), FRAME_DOTS_PER_INCH):
             for index in range(len(animation)):
                 animation.show(index)
                 writer.grab_frame()
