@@ -241,7 +241,7 @@ class Equations:
         jac = self.jacobian()
         return np.linalg.lstsq(jac[self.kept].T, jac.T @ lam, rcond=DEPENDENT)[0]
 
-    def cut_wrenches(self, lam):
+    def cut_wrenches(self, lam, body):
         """
         Return what body B exerts on body A at each cut joint.
 
@@ -249,6 +249,8 @@ class Equations:
         ----------
         lam : ndarray, shape (nc,)
             Multipliers of all equations.
+        body : ndarray
+            As ``Workspace.body``; only poses are read.
 
         Returns
         -------
@@ -260,5 +262,5 @@ class Equations:
         model, work = self.model, self.work
         found = np.empty((len(model.cut), work.wrench.shape[1]))
         joint_wrenches.cut_wrenches(
-            model.cut, model.cut_point, work.cut_piece, work.body, lam, work.share, found)
+            model.cut, model.cut_point, work.cut_piece, body, lam, work.share, found)
         return found

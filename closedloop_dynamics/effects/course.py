@@ -34,17 +34,43 @@ from ..mechanism.fields import FieldError, shown
 # Columns of a piece: its start [s], c0 to c3, a, w, p.
 COLUMNS = 8
 # Shape -> the keys that it needs, and those that it may have.
-_RAMPS = (('amplitude', 'rise'), ('offset', 'start', 'hold', 'fall', 'period'))
+RAMPS = (('amplitude', 'rise'), ('offset', 'start', 'hold', 'fall', 'period'))
 SHAPES = {
     'constant': (('amplitude',), ()),
     'sine': (('amplitude', 'frequency'), ('phase', 'offset')),
-    'trapezoid': _RAMPS,
-    'cycloid': _RAMPS,
+    'trapezoid': RAMPS,
+    'cycloid': RAMPS,
     'table': (('times', 'values'), ('interpolation', 'period')),
     'expression': (('expression',), ())}
 INTERPOLATIONS = ('linear', 'cubic', 'step')
 # Times closer than this, relative to their size, are the same.
 SAME_TIME = 1e-12
+
+
+def require_joint_or_point(record, wanted):
+    """
+    Refuse a record of neither a joint nor a point, or of both, and a point without a direction.
+
+    Parameters
+    ----------
+    record : object
+        With ``joint``, ``point`` and ``direction``, None where not given.
+    wanted : str
+        Of the direction.
+
+    Raises
+    ------
+    FieldError
+
+    """
+    if (record.joint is None) == (record.point is None):
+        raise FieldError('either joint or point', 'neither' if record.joint is None else 'both',
+                         path=('joint',))
+    if (record.point is None) != (record.direction is None):
+        raise FieldError(wanted, shown(record.direction), path=('direction',))
+    if record.direction is not None and not math.hypot(*record.direction) > 0.0:
+        raise FieldError('a direction that is not zero', shown(record.direction),
+                         path=('direction',))
 
 
 def require_keys(record, shapes=SHAPES):
@@ -93,7 +119,7 @@ def pieces(record):
 
     """
     if record.shape == 'constant':
-        return (_piece(0.0, record.amplitude),)
+        return (piece(0.0, record.amplitude),)
     if record.shape == 'sine':
         return ((0.0, record.offset or 0.0, 0.0, 0.0, 0.0, record.amplitude,
                  2.0 * math.pi * record.frequency, record.phase or 0.0),)
@@ -102,7 +128,8 @@ def pieces(record):
     return ramps(record, record.offset or 0.0, partial(ramp, shape=record.shape))
 
 
-def _piece(start, level, slope=0.0):
+def piece(start, level, slope=0.0):
+    """Return a piece that is a straight line, from its start [s] on."""
     return (start, level, slope, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
@@ -121,16 +148,16 @@ def ramps(record, low, ramp):
 
     """
     fall = record.rise if record.fall is None else record.fall
-    found, now = [_piece(0.0, low)], record.start or 0.0
+    found, now = [piece(0.0, low)], record.start or 0.0
     top = low + record.amplitude
     found += ramp(now, record.rise, low, record.amplitude)
     now += record.rise
-    found.append(_piece(now, top))
+    found.append(piece(now, top))
     if record.hold is not None:
         now += record.hold
         found += ramp(now, fall, top, -record.amplitude)
         now += fall
-        found.append(_piece(now, low))
+        found.append(piece(now, low))
     elif record.fall is not None:
         raise FieldError('this key beside hold, after which it falls', 'it alone', path=('fall',))
     elif record.period is not None:
@@ -190,7 +217,7 @@ def _of_table(record):
     if period is not None and kind == 'cubic':
         require_closed(values)
     # Before the table, wherever that begins.
-    rows = [_piece(times[0] - 1.0, values[0])] if period is None else []
+    rows = [piece(times[0] - 1.0, values[0])] if period is None else []
     if kind == 'cubic':
         # Not before it is wanted: it takes a third of the time that loading the package would.
         from scipy.interpolate import CubicSpline
@@ -199,8 +226,8 @@ def _of_table(record):
                  for k, start in enumerate(times[:-1])]
     else:
         slopes = np.diff(values) / np.diff(times) * (kind == 'linear')
-        rows += map(_piece, times[:-1], values[:-1], slopes)
-    rows.append(_piece(times[-1], values[-1]))
+        rows += map(piece, times[:-1], values[:-1], slopes)
+    rows.append(piece(times[-1], values[-1]))
     return _without_empty(rows, period)
 
 

@@ -123,15 +123,8 @@ class PrescribedForce(Effect):
     def __post_init__(self):
         """Refuse what acts nowhere or in two places, and courses that make no sense."""
         super().__post_init__()
-        if (self.joint is None) == (self.point is None):
-            raise FieldError('either joint or point', 'neither' if self.joint is None else 'both',
-                             path=('joint',))
-        if (self.point is None) != (self.direction is None):
-            raise FieldError('a direction for a force at a point, and for no other',
-                             shown(self.direction), path=('direction',))
-        if self.direction is not None and not math.hypot(*self.direction) > 0.0:
-            raise FieldError('a direction that is not zero', shown(self.direction),
-                             path=('direction',))
+        course.require_joint_or_point(
+            self, 'a direction for a force at a point, and for no other')
         if self.axes is not None and self.point is None:
             raise FieldError('this key only beside point', shown(self.axes), path=('axes',))
         course.require_keys(self)

@@ -45,13 +45,12 @@ from ..mechanism.mechanism import GROUND, Motion, Vector
 REST, MOVING = 'rest', 'moving'
 # Jumps of f and f', against the largest value and rate, that are rounding.
 NO_JUMP = 1e-9
-_RAMPS = (('amplitude', 'rise'), ('offset', 'start', 'hold', 'fall', 'period'))
 SHAPES = {
     'constant': ((), ('offset',)),
     'constant_speed': (('speed',), ('offset',)),
     'sine': (('amplitude', 'frequency'), ('phase', 'offset')),
-    'trapezoid': (_RAMPS[0], (*_RAMPS[1], 'ramp')),
-    'cycloid': _RAMPS,
+    'trapezoid': (course.RAMPS[0], (*course.RAMPS[1], 'ramp')),
+    'cycloid': course.RAMPS,
     'table': (('times', 'values'), ('ends', 'period')),
     'expression': (('expression',), ())}
 
@@ -142,15 +141,7 @@ class PrescribedMotion(Effect):
     def __post_init__(self):
         """Refuse what moves nothing or two things, and motions that jump."""
         super().__post_init__()
-        if (self.joint is None) == (self.point is None):
-            raise FieldError('either joint or point', 'neither' if self.joint is None else 'both',
-                             path=('joint',))
-        if (self.point is None) != (self.direction is None):
-            raise FieldError('a direction for a point, and for no joint',
-                             shown(self.direction), path=('direction',))
-        if self.direction is not None and not math.hypot(*self.direction) > 0.0:
-            raise FieldError('a direction that is not zero', shown(self.direction),
-                             path=('direction',))
+        course.require_joint_or_point(self, 'a direction for a point, and for no joint')
         course.require_keys(self, SHAPES)
         object.__setattr__(self, '_data', self._course())
         if self.expression is None:
@@ -172,9 +163,9 @@ class PrescribedMotion(Effect):
             with at('expression'):
                 return expression.programs(self.expression)
         if self.shape == 'constant':
-            return (_straight(0.0, 0.0, 0.0),)
+            return (course.piece(0.0, 0.0, 0.0),)
         if self.shape == 'constant_speed':
-            return (_straight(0.0, 0.0, self.speed),)
+            return (course.piece(0.0, 0.0, self.speed),)
         if self.shape == 'table':
             return _of_table(self)
         if self.shape == 'trapezoid':
@@ -193,7 +184,7 @@ class PrescribedMotion(Effect):
         speed = height / (duration - ramp)
         curve, climbed = 0.5 * speed / ramp, 0.5 * speed * ramp
         return [(start, level, 0.0, curve, 0.0, 0.0, 0.0, 0.0),
-                _straight(start + ramp, level + climbed, speed),
+                course.piece(start + ramp, level + climbed, speed),
                 (start + duration - ramp, level + height - climbed, speed, -curve,
                  0.0, 0.0, 0.0, 0.0)]
 
@@ -206,8 +197,7 @@ class PrescribedMotion(Effect):
         """Refuse, beside what no effect can do, to move what stands on the ground."""
         super().fit(mechanism)
         if self.point is not None:
-            body = next(each.body for each in mechanism.points if each.name == self.point)
-            if body == GROUND:
+            if mechanism.point(self.point).body == GROUND:
                 raise FieldError('a point of a body that moves', f'{self.point!r} on the ground',
                                  path=('point',))
 
@@ -259,10 +249,6 @@ class PrescribedMotion(Effect):
             (State(OWN), State(OWN, 1.0, self.clock(0.0)[1]), State(WORK)), data=self._data)
 
 
-def _straight(start, level, slope):
-    return (start, level, slope, 0.0, 0.0, 0.0, 0.0, 0.0)
-
-
 def _of_table(record):
     """Return the pieces of a cubic spline through a table."""
     times, values, period = course.require_table(record)
@@ -278,8 +264,8 @@ def _of_table(record):
     rows = [(start, *spline.c[::-1, k], 0.0, 0.0, 0.0) for k, start in enumerate(times[:-1])]
     if period is None:
         slopes = spline(times[[0, -1]], 1) * moving
-        rows = [_straight(times[0] - 1.0, values[0] - slopes[0], slopes[0]), *rows,
-                _straight(times[-1], values[-1], slopes[1])]
+        rows = [course.piece(times[0] - 1.0, values[0] - slopes[0], slopes[0]), *rows,
+                course.piece(times[-1], values[-1], slopes[1])]
     return tuple(tuple(map(float, row)) for row in rows)
 
 

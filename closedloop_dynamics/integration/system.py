@@ -194,11 +194,14 @@ def _rank_revealing_routines(system):
         pieces.connect(model, work.piece, work.cut_piece)
         lam, kept = np.zeros(len(work.closure)), Equations(system.model)
 
+    def leave_to_kept(q):
+        system.lam[:] = kept.move(q).of_kept(lam)
+
     def acceleration(q, qd):
         _reveal_rank(qdd, rank_revealing_acceleration, model, work, effects, settings, tau,
                      applied, manifold, q, qd, qdd, lam)
         if kept is not None:
-            _or_nan(system.lam, lambda: system.lam.__setitem__(..., kept.move(q).of_kept(lam)))
+            _or_nan(system.lam, leave_to_kept, q)
 
     def position(q, qd):
         _reveal_rank(

@@ -96,7 +96,7 @@ def decompose(mechanism):
 def moved_body(mechanism, motion):
     """Return the name of the body whose joint, or whose point, moves as prescribed."""
     if motion.freedom is None:
-        return next(each.body for each in mechanism.points if each.name == motion.point)
+        return mechanism.point(motion.point).body
     joint = mechanism.coordinates.joint_of(motion.freedom)
     return next(each.child for each in mechanism.joints if each.name == joint)
 

@@ -354,6 +354,10 @@ class Mechanism:
         """Names and places of the numbers of a state, a ``coordinates.Coordinates``."""
         return Coordinates(self.joints)
 
+    def point(self, name):
+        """Return the named point of a name that there is."""
+        return next(point for point in self.points if point.name == name)
+
     @cached_property
     def closures(self):
         """Return what holds the coordinates, in the order of the multipliers."""

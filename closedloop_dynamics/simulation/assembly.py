@@ -249,13 +249,13 @@ class Assembler:
             on one another everywhere nearby.
 
         """
-        return self._largest_rank(q) - _rank(self.jacobian(q))
+        return self._largest_rank(q) - rank_of(self.jacobian(q))
 
     def _largest_rank(self, q):
         """Return the largest rank of the Jacobian at a closed position and near it."""
-        rank = _rank(self.jacobian(q))
+        rank = rank_of(self.jacobian(q))
         if rank < min(self.nc, self.nv):
-            rank = max([rank, *(_rank(self.jacobian(near)) for near in self._neighbours(q))])
+            rank = max([rank, *(rank_of(self.jacobian(near)) for near in self._neighbours(q))])
         return rank
 
     def jacobian_of_largest_rank(self, q):
@@ -273,9 +273,9 @@ class Assembler:
 
         """
         candidates = [self.jacobian(q)]
-        if _rank(candidates[0]) < min(self.nc, self.nv):
+        if rank_of(candidates[0]) < min(self.nc, self.nv):
             candidates += map(self.jacobian, self._neighbours(q))
-        return max(candidates, key=_rank)
+        return max(candidates, key=rank_of)
 
     def _neighbours(self, q):
         """Yield closed positions near a closed one."""
@@ -402,7 +402,7 @@ class Assembler:
 
         """
         kept = self._equations.kept
-        rank, count = _rank(self.jacobian(q)[kept]), np.count_nonzero(kept)
+        rank, count = rank_of(self.jacobian(q)[kept]), np.count_nonzero(kept)
         if rank < count:
             raise AssemblyError(
                 f'{count - rank} of {count} closure equations of {self.mechanism.name} depend '
@@ -497,7 +497,7 @@ class Assembler:
         # No number holds the idle spin of a rod: beside orientations the nearest state will do.
         if self._coordinates.with_orientation:
             return 0
-        return len(free) - _rank(self.jacobian(q)[:, free])
+        return len(free) - rank_of(self.jacobian(q)[:, free])
 
     def _open_loops(self, guess, psi, hold):
         """Return what to say of loops that do not close."""
@@ -586,7 +586,8 @@ def _least_change(jac, error, metric, damping=0.0):
     return np.linalg.solve(metric.T, y)
 
 
-def _rank(jac):
+def rank_of(jac):
+    """Return the number of independent rows of a matrix."""
     return _count(_singular(jac))
 
 

@@ -30,6 +30,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from .assembly import rank_of
 from ..core.codegen.spatial import rotation
 from ..mechanism.mechanism import (
     CUT_WITH_ORIENTATION, CYLINDRICAL, DISTANCE, FIXED, FREE, GROUND, HELICAL, PLANAR,
@@ -50,8 +51,6 @@ LEAST_INERTIA = 1e-4
 STARTS_ALONE = 12
 # How far away neighbours of a position are looked for [rad, and shares of the size], how many.
 NEARBY, NEIGHBOURS = 0.1, 2
-# Singular values below this times the largest belong to dependent equations.
-RANK_TOLERANCE = 1e-7
 FROM_THE_START = 'from the start'
 _UNIT = np.eye(3)
 
@@ -343,13 +342,13 @@ class Loops:
             Closing the loops.
 
         """
-        rng, ranks = np.random.default_rng(0), [_rank(self.residual(q)[1])]
+        rng, ranks = np.random.default_rng(0), [rank_of(self.residual(q)[1])]
         free = np.arange(self.nv)
         for _ in range(NEIGHBOURS if self._ends or self.mechanism.couplings else 0):
             near = _least_squares(self, self.moved(
                 q, NEARBY * self.scale * rng.uniform(-1.0, 1.0, self.nv)), free)
             if self.is_closed(near):
-                ranks.append(_rank(self.residual(near)[1]))
+                ranks.append(rank_of(self.residual(near)[1]))
         return max(ranks)
 
     def is_closed(self, q):
@@ -527,11 +526,6 @@ def _parts(mechanism, limited):
                 joint = below.get(joint.parent)
         found.append((_with_joints(mechanism, carrying, cuts, couplings), joints))
     return found
-
-
-def _rank(jac):
-    singular = np.linalg.svd(jac, compute_uv=False) if jac.size else np.zeros(1)
-    return int(np.sum(singular > RANK_TOLERANCE * singular.max(initial=1e-300)))
 
 
 def _openness(loops, q):

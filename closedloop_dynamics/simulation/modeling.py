@@ -133,7 +133,7 @@ def _sum_held(mechanism, one):
 def _held(mechanism, joint):
     """Return CUT_TYPE, ROWS, LENGTHS, both bodies and a row of ``Model.cut_point``."""
     if isinstance(joint, Motion):
-        point = next(each for each in mechanism.points if each.name == joint.point)
+        point = mechanism.point(joint.point)
         x, y = joint.direction
         return (t.PRESCRIBED_PLACE, 1, 1, point.body, GROUND, *point.position, 0.0, 0.0,
                 math.atan2(y, x))

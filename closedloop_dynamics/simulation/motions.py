@@ -15,13 +15,12 @@
 """The prescribed motions of a scene: their equations, where they start, whether they can go on."""
 
 from dataclasses import replace
-import math
 
 import numpy as np
 
+from .assembly import rank_of
 from .errors import AssemblyError
-from ..core import kinematics, types as t
-from ..core.workspace import allocate
+from ..core import types as t
 from ..effects.prescribed_motion import PrescribedMotion
 from ..mechanism.fields import at, FieldError
 
@@ -29,8 +28,6 @@ from ..mechanism.fields import at, FieldError
 NO_JUMP = 1e-9
 # A start that differs by more from the one of the scene is told [rad, m].
 OTHER_START = 1e-6
-# Against the largest: singular values of equations that depend on one another.
-DEPENDENT = 1e-7
 
 
 def with_motions(scene):
@@ -93,8 +90,8 @@ class Motions:
         As ``with_motions`` returns it.
     model : core.types.Model
         Of that; the right-hand sides in ``cut_point`` are written.
-    place : callable, optional
-        Returns the world place of a named point at coordinates, in space.
+    place : callable
+        Returns the world place of a named point at coordinates.
 
     Attributes
     ----------
@@ -105,12 +102,12 @@ class Motions:
 
     """
 
-    def __init__(self, scene, mechanism, model, place=None):
+    def __init__(self, scene, mechanism, model, place):
         """Look up the equations."""
         self.mechanism, self.model, self.records = mechanism, model, scene.effects
         self._initial, self._coordinates = scene.initial, mechanism.coordinates
         self._names = [motion.name for motion in mechanism.motions]
-        self._place = place or self._place_in_plane
+        self._place = place
         column = model.cut_point.shape[1] - t.MOTION_COLUMNS
         numbers = model.cut[:, t.CUT_NUMBER].tolist()
         self.rows = {}
@@ -133,16 +130,6 @@ class Motions:
 
     def _coordinate(self, motion):
         return self._coordinates.place[self._coordinates.index[motion.freedom]]
-
-    def _place_in_plane(self, name, position):
-        """Return the world place of a named point, in the plane."""
-        point = next(each for each in self.mechanism.points if each.name == name)
-        rows = {each.child: row for row, dof in enumerate(self.model.tree[1:, t.DOF], start=1)
-                for each in [self.mechanism.joints[dof]]}
-        work, out = allocate(self.model), np.zeros(2)
-        kinematics.outward(self.model, position, np.zeros_like(position), work)
-        kinematics.point_position(work, rows[point.body], *point.position, out)
-        return out
 
     def at(self, time):
         """
@@ -203,7 +190,7 @@ class Motions:
             return
         jac = assembler.jacobian_of_largest_rank(q)
         loops = len(jac) - len(self._names)
-        repeated = _rank(jac[:loops]) + len(self._names) - _rank(jac)
+        repeated = rank_of(jac[:loops]) + len(self._names) - rank_of(jac)
         if repeated > 0:
             raise AssemblyError(
                 f'{self.mechanism.name} is not free to move as prescribed by '
@@ -290,9 +277,3 @@ class Motions:
             if self:
                 self.follow(time)
         return ''
-
-
-def _rank(jac):
-    singular = np.linalg.svd(jac, compute_uv=False) if jac.size else np.zeros(1)
-    most = singular.max(initial=0.0)
-    return int(np.sum(singular > DEPENDENT * most)) if math.isfinite(most) else 0

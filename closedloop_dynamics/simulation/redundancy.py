@@ -19,7 +19,7 @@ from typing import NamedTuple, Tuple
 
 import numpy as np
 
-from .assembly import Assembler, RANK_TOLERANCE
+from .assembly import Assembler, rank_of, RANK_TOLERANCE
 from .errors import AssemblyError
 from .space import independent, scaled, SpatialGeometry
 from ..core.codegen.space import equation_names
@@ -75,11 +75,11 @@ def find_redundancy(mechanism, q):
         return Redundancy((), ())
     names = _names(mechanism, geometry)
     changed = _with_other_lengths(mechanism, q)
+    changed = None if changed is None else scaled(changed, groups)
     repeated = []
     for row in np.flatnonzero(~kept):
         always = changed is not None and len(changed) == len(jac) and (
-            _rank(changed, groups, kept | (np.arange(len(jac)) == row))
-            == _rank(changed, groups, kept))
+            rank_of(changed[kept | (np.arange(len(jac)) == row)]) == rank_of(changed[kept]))
         repeated.append((*names[row], ANY_LENGTHS if always else THESE_LENGTHS))
     left, singular, _ = np.linalg.svd(scaled(jac, groups))
     common = left[:, np.count_nonzero(singular > RANK_TOLERANCE * singular.max(initial=0.0)):]
@@ -115,8 +115,3 @@ def _with_other_lengths(mechanism, q):
         return assembler.jacobian_of_largest_rank(assembler.positions(q))
     except (AssemblyError, MechanismError):
         return None
-
-
-def _rank(jac, groups, some):
-    singular = np.linalg.svd(scaled(jac, groups)[some], compute_uv=False)
-    return int(np.sum(singular > RANK_TOLERANCE * singular.max(initial=0.0)))

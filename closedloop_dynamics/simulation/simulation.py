@@ -34,7 +34,7 @@ from .rollout import rollout
 from .scene import load_scene
 from .scene_records import Method, Scene
 from .space import SpatialGeometry
-from ..core import kinematics, types as t
+from ..core import energy, kinematics, types as t
 from ..core.codegen import later
 from ..core.equations import Equations
 from ..core.formulations import AUGMENTED, SUBSYSTEM, SYSTEM
@@ -92,14 +92,17 @@ class Simulation:
         self.mechanism = with_motions(scene)
         self.decomposition = decompose(self.mechanism)
         self._geometry, self._time_base, self._steps = None, 0.0, 0
+        self._points = {point.name: point for point in self.mechanism.points}
         if self.mechanism.planar:
             self._rows = body_rows(self.mechanism, self.decomposition)
             model = build_model(self.mechanism, decomposition=self.decomposition)
+            self._equations = Equations(model)
         else:
             self._geometry = SpatialGeometry(self.mechanism, self.decomposition)
             self._prescribe(scene, self._geometry.model)
             self._geometry.leave_out_repeated(np.array(scene.initial.position))
             self._rows, model = self._geometry.rows, self._geometry.model
+            self._equations = self._geometry.equations
         self._prescribe(scene, model)
         machine = Machine(self.mechanism, self._rows,
                           None if self._geometry is None else self._geometry.placements,
@@ -113,7 +116,6 @@ class Simulation:
             method.stabilisation == 'independent', self._effects.elements)
         self._table = self._effects.bind(self.system)
         self._motions.records = self._effects.records
-        self._equations = Equations(model) if self._geometry is None else self._geometry.equations
         self._balance = EnergyBalance(self._effects)
         self.coordinates = self.mechanism.coordinates
         *parts, states = parts_of_state(self.system)
@@ -122,7 +124,6 @@ class Simulation:
         self._assembler = Assembler(self.mechanism, self._equations)
         self._actuated = np.array(self.coordinates.actuated, dtype=int)
         self._passive = np.setdiff1d(np.arange(self.coordinates.nv), self._actuated)
-        self._points = {point.name: point for point in self.mechanism.points}
         self._initial = self._assembled(
             scene.initial.position, scene.initial.velocity, scene.initial.hold)
         self._motions.require_independent(self._assembler, self._initial[0])
@@ -142,14 +143,8 @@ class Simulation:
 
     def _prescribe(self, scene, model):
         """Look up the equations of prescribed motions in a model; let them start."""
-        self._motions = Motions(
-            scene, self.mechanism, model, None if self._geometry is None else self._geometry_place)
+        self._motions = Motions(scene, self.mechanism, model, self.place)
         self._motions.follow(0.0)
-
-    def _geometry_place(self, name, position):
-        """Return the world place of a named point in space."""
-        point = next(each for each in self.mechanism.points if each.name == name)
-        return self._geometry.point(position, point.body, point.position)
 
     @classmethod
     def from_scene(cls, scene, motion=None, **method):
@@ -357,8 +352,15 @@ class Simulation:
         shape (number of cuts, 6): moment x, y, z, force x, y, z.
 
         """
-        return self._moved_equations().cut_wrenches(
-            self._equations.of_all(self.system.lam))[:len(self.cut_joints)]
+        lam = self._all_multipliers()
+        return self._equations.cut_wrenches(lam, self.system.work.body)[:len(self.cut_joints)]
+
+    def _all_multipliers(self):
+        """Return the least multipliers of all equations in the present state."""
+        self._evaluate()
+        if not self.leaves_out:
+            return self.system.lam
+        return self._equations.move(self._q, self._qd).of_all(self.system.lam)
 
     def _moved_equations(self):
         """Return the equations in the present state, which is evaluated, too."""
@@ -380,7 +382,7 @@ class Simulation:
         Times a joint's factor: the torque [N m] or force [N] of the coupling in that joint.
 
         """
-        lam = self._moved_equations().of_all(self.system.lam)
+        lam = self._all_multipliers()
         first = len(lam) - len(self.mechanism.couplings) - len(self.mechanism.motions)
         return lam[first:first + len(self.mechanism.couplings)].copy()
 
@@ -518,8 +520,10 @@ class Simulation:
 
     def _energies(self):
         """Return kinetic and stored energy of the present state."""
-        kinetic, potential = self._moved_equations().energies()
-        return kinetic, potential + self._effects.stored()
+        self._evaluate()
+        found = np.empty(2)
+        energy.energies(self.system.model, self.system.work, self._qd, found)
+        return float(found[0]), float(found[1]) + self._effects.stored()
 
     @property
     def body_poses(self):

@@ -270,7 +270,7 @@ def _prescribed(mechanism, motion, one, tree, builder, entries):
         one[t.CUT_TYPE] = t.PRESCRIBED_JOINT
         return couple(one, tree, {int(np.flatnonzero(tree[1:, t.DOF] == dof)[0]) + 1: 1.0}, 0.0,
                       entries)
-    point = next(each for each in mechanism.points if each.name == motion.point)
+    point = mechanism.point(motion.point)
     placed = builder.placements[point.body]
     one[[t.CUT_TYPE, t.BODY_A]] = t.PRESCRIBED_PLACE, placed.row
     _pass(one, tree, entries)

@@ -206,7 +206,7 @@ def named_point(mechanism, poses, name):
     ``poses``: shape (..., nb, 3), in space (..., nb, 7); of the bodies.
 
     """
-    point = next(point for point in mechanism.points if point.name == name)
+    point = mechanism.point(name)
     return world_points(pose_of(mechanism, poses, point.body), point.position)
 
 

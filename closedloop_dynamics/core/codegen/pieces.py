@@ -279,7 +279,10 @@ class _Body:
         rate = sketch.row(SECOND, 1)[0]
         if body.armature is not None:
             energy = energy + body.armature * rate * rate
-        energy = energy + 2.0 * rate * dot(one.rotor[_BODY], one.motion[_PARENT].spin)
+        if not is_zero(body.rotor):
+            # Not as ``move`` left it: unrolled routines do not.
+            parent = one.motion[_PARENT]
+            energy = energy + 2.0 * rate * dot(times(parent.frame, body.rotor), parent.spin)
         moment = tuple(body.mass * x for x in motion.origin)
         moment = add(moment, times(motion.frame, body.moment))
         sketch.store(FIRST, {0: energy, **{1 + n: x for n, x in enumerate(moment)}})
