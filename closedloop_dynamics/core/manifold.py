@@ -83,11 +83,6 @@ def manifold_of(model):
     return Manifold(np.ascontiguousarray(balls), place, np.zeros(len(rows)))
 
 
-def number_of_coordinates(manifold, nv):
-    """Return nq, of a table or None and the number of rates."""
-    return nv if manifold is None else nv + len(manifold.balls)
-
-
 @inlined
 def rates_begin(manifold, nv):
     """
@@ -348,7 +343,7 @@ def weights(manifold, nv):
     ndarray, shape (nq,)
 
     """
-    found = np.ones(number_of_coordinates(manifold, nv))
+    found = np.ones(nv if manifold is None else nv + len(manifold.balls))
     if manifold is not None:
         for first in manifold.balls[:, QUATERNION]:
             found[first:first + 4] = 1.0 / HALF

@@ -72,20 +72,47 @@ def advance(system, tableau, stabilisation, state, step_size, steps, scratch):
             if not (closed and all_finite(out)):
                 _keep(effects, start, state)
                 return (OPEN_LOOP if all_finite(out) else NOT_FINITE), done
-            part = stick_slip.part(effects, system, state, out, size,
-                                   stick_slip.least(step_size, cuts))
-            if part < size:
-                size, cuts = part, cuts + 1
-                continue
-            stick_slip.rest(effects, system, out)
-            breaks.pass_corners(effects, system, out)
-            for i in range(state.shape[0]):
-                state[i] = out[i]
-            left -= size
-            if left <= stick_slip.LEAST_PART * step_size:
-                break
-            size = left
+            left, size, cuts = taken(system, state, out, step_size, left, size, cuts)
     return DONE, steps
+
+
+@inlined
+def taken(system, state, out, step_size, left, size, cuts):
+    """
+    Take a part of a step, or find that it must be shorter as a joint turns round within it.
+
+    Parameters
+    ----------
+    system : System
+        Model and workspace of the mechanism.
+    state, out : ndarray, shape (ns,)
+        Before and after the part; where it is taken, the state is advanced.
+    step_size : float
+        Of the whole step [s].
+    left, size : float
+        What is left of the step, and the part [s].
+    cuts : int
+        How often the step has been cut.
+
+    Returns
+    -------
+    left, size : float
+        What is left then, and the next part [s].
+    cuts : int
+
+    """
+    part = stick_slip.part(
+        system.effects, system, state, out, size, stick_slip.least(step_size, cuts))
+    if part < size:
+        return left, part, cuts + 1
+    stick_slip.rest(system.effects, system, out)
+    breaks.pass_corners(system.effects, system, out)
+    for i in range(state.shape[0]):
+        state[i] = out[i]
+    left -= size
+    if left <= stick_slip.LEAST_PART * step_size:
+        left = 0.0
+    return left, left, cuts
 
 
 @inlined

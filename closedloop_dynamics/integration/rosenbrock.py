@@ -32,7 +32,7 @@ from . import breaks, impacts, stick_slip
 from .adaptive import (
     ACCEPTED, ERROR, is_before, LARGEST_ERROR, LEAST, NEXT_STEP, REACHED, REJECTED, SAFETY,
     STIFFNESS, WORK)
-from .advance import DONE, NOT_FINITE, OPEN_LOOP, STEP_TOO_SMALL
+from .advance import DONE, NOT_FINITE, OPEN_LOOP, STEP_TOO_SMALL, taken
 from .projection import all_finite, stabilised
 from .system import rate_of_change
 from ..core import lu
@@ -223,19 +223,7 @@ def advance_fixed(system, stabilisation, state, step_size, steps, matrix, pivots
                 for i in range(state.shape[0]):
                     state[i] = start[i]
                 return (OPEN_LOOP if all_finite(out) else NOT_FINITE), done
-            part = stick_slip.part(system.effects, system, state, out, size,
-                                   stick_slip.least(step_size, cuts))
-            if part < size:
-                size, cuts = part, cuts + 1
-                continue
-            stick_slip.rest(system.effects, system, out)
-            breaks.pass_corners(system.effects, system, out)
-            for i in range(state.shape[0]):
-                state[i] = out[i]
-            left -= size
-            if left <= stick_slip.LEAST_PART * step_size:
-                break
-            size = left
+            left, size, cuts = taken(system, state, out, step_size, left, size, cuts)
     return DONE, steps
 
 

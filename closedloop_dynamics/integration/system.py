@@ -29,9 +29,8 @@ from ..core.formulations import accelerate_dense, allocate_dense, DenseWorkspace
 from ..core.independent import allocate_partition, close, Partition
 from ..core.joint_wrenches import bias_forces
 from ..core.manifold import (
-    fill_numbers, Manifold, manifold_of, number_of_coordinates, power_of_turns, rates_begin,
-    rates_of_coordinates)
-from ..core.types import Model, Workspace
+    fill_numbers, Manifold, manifold_of, power_of_turns, rates_begin, rates_of_coordinates)
+from ..core.types import Model, number_of_coordinates, Workspace
 from ..core.workspace import unconnected
 from ..effects import dispatch, joint_reaction, prescribed_motion, sticking
 from ..effects.table import build_table, EffectTable
@@ -171,8 +170,8 @@ def _linked(system):
          calls.LAM: system.lam, calls.HEALTH: work.health, calls.WORK_BODY: work.body,
          calls.CLOSURE: work.closure, calls.CLOSURE_RATE: work.closure_rate,
          calls.CORRECTIONS: system.corrections},
-        number_of_coordinates(system.manifold, len(system.qdd)),
-        _rank_revealing_routines(system), lambda: codegen.later(model))
+        number_of_coordinates(model), _rank_revealing_routines(system),
+        lambda: codegen.later(model))
     if system.unrolled is not None:
         codegen.relink(model, table)
     return system._replace(table=table)
@@ -274,7 +273,7 @@ def parts_of_state(system):
 
     """
     nv = len(system.qdd)
-    nq = number_of_coordinates(system.manifold, nv)
+    nq = nv if system.manifold is None else nv + len(system.manifold.balls)
     end = nq + nv + (0 if system.effects is None else len(system.effects.states))
     return (slice(nq), slice(nq, nq + nv), slice(nq + nv, end),
             end if system.manifold is None else end + 1)
@@ -611,7 +610,7 @@ class Probe:
     def __init__(self, system):
         """Allocate a state to evaluate."""
         self._system = system
-        self.q = np.zeros(number_of_coordinates(system.manifold, len(system.qdd)))
+        self.q = np.zeros(number_of_coordinates(system.model))
         self.qd = np.zeros(len(system.qdd))
         self._address, self._routine, self._pointers = 0, None, ()
         self._quick = system.unrolled is not None and system.effects is None

@@ -106,17 +106,9 @@ def _cut_arrays(mechanism, decomposition, tree, body_row):
             first += 1
             continue
         kind, rows, lengths, body_a, body_b, *numbers = _held(mechanism, joint)
-        a, b = body_row[body_a], body_row[body_b]
-        path_a, path_b = path(tree, a), path(tree, b)
-        shared = set(path_b)
-        common = [row for row in path_a if row in shared]
-        own_a = path_a[:len(path_a) - len(common)]
-        own_b = path_b[:len(path_b) - len(common)]
-        start = len(entries)
-        entries += own_a + own_b + common
-        middle = start + len(own_a)
-        cut[k] = (kind, a, b, rows, user_first[index], first, start, middle,
-                  middle + len(own_b), len(entries), index, 0, 0, lengths)
+        cut[k] = (kind, body_row[body_a], body_row[body_b], rows, user_first[index], first,
+                  0, 0, 0, 0, index, 0, 0, lengths)
+        pass_bodies(cut[k], tree, entries)
         points.append(numbers)
         first += rows
     return (cut, filled(points, t.CUT_POINT_COLUMNS, mechanism.motions),
@@ -195,6 +187,19 @@ def couple(cut, tree, factors, offset, entries):
         len(entries), *3 * (len(entries) + len(own),))
     entries += own
     return np.array([offset, *(factors.get(row, 0.0) for row in own)])
+
+
+def pass_bodies(cut, tree, entries):
+    """Add to ``Model.path_body`` the bodies that a cut joint's forces pass, as ``couple``."""
+    path_a, path_b = path(tree, cut[t.BODY_A]), path(tree, cut[t.BODY_B])
+    shared = set(path_b)
+    common = [row for row in path_a if row in shared]
+    own_a = path_a[:len(path_a) - len(common)]
+    own_b = path_b[:len(path_b) - len(common)]
+    start, middle = len(entries), len(entries) + len(own_a)
+    entries += own_a + own_b + common
+    cut[[t.PATH_A, t.PATH_B, t.PATH_COMMON, t.PATH_END]] = (
+        start, middle, middle + len(own_b), len(entries))
 
 
 def path(tree, row):

@@ -26,7 +26,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .modeling import (
-    block_arrays, couple, dependencies, extent, factor_arrays, filled, path)
+    block_arrays, couple, dependencies, extent, factor_arrays, filled, pass_bodies)
 from ..core import types as t
 from ..core.codegen import space
 from ..core.codegen.expression_graph import ExpressionGraph, LOAD
@@ -258,7 +258,7 @@ def _closures(mechanism, decomposition, tree, builder):
         points.append(np.concatenate([
             cleared(a.place(joint.point_a)), cleared(b.place(joint.point_b)),
             frame_a.ravel(), frame_b.ravel(), [joint.length or joint.lead or 0.0]]))
-        _pass(one, tree, entries)
+        pass_bodies(one, tree, entries)
     return (cut, filled(points, space.CUT_POINT_COLUMNS, mechanism.motions),
             np.array(entries, dtype=np.int64))
 
@@ -273,7 +273,7 @@ def _prescribed(mechanism, motion, one, tree, builder, entries):
     point = mechanism.point(motion.point)
     placed = builder.placements[point.body]
     one[[t.CUT_TYPE, t.BODY_A]] = t.PRESCRIBED_PLACE, placed.row
-    _pass(one, tree, entries)
+    pass_bodies(one, tree, entries)
     return np.concatenate([
         cleared(placed.place(point.position)), np.zeros(3), _UNIT.ravel(),
         _frame(np.array(motion.direction), np.zeros(3)).ravel()])
@@ -285,19 +285,6 @@ def _keep(cut, kept):
     for k in np.argsort(cut[:, t.CUT_NUMBER]):
         cut[k, t.KEPT] = sum(
             1 << n for n in range(6) if cut[k, t.POSSIBLE] >> n & 1 and next(kept))
-
-
-def _pass(one, tree, entries):
-    """Add the entries of a cut joint: the bodies that its forces pass."""
-    path_a, path_b = path(tree, one[t.BODY_A]), path(tree, one[t.BODY_B])
-    shared = set(path_b)
-    common = [row for row in path_a if row in shared]
-    own_a = path_a[:len(path_a) - len(common)]
-    own_b = path_b[:len(path_b) - len(common)]
-    start, middle = len(entries), len(entries) + len(own_a)
-    entries += own_a + own_b + common
-    one[[t.PATH_A, t.PATH_B, t.PATH_COMMON, t.PATH_END]] = (
-        start, middle, middle + len(own_b), len(entries))
 
 
 def _cut_frames(joint, a, b):
