@@ -132,10 +132,11 @@ class Unrolling:
         self.outputs = []
         # What the arrays hold, of a mechanism in space or in the plane.
         self.arrays = space if space.is_spatial(model) else plane
+        bodies = self.arrays.bodies(model, self.model.body)
+        cuts = self.arrays.cuts(model, self.model.cut_point)
         self.recursion = Recursion(
-            self.arrays.bodies(model, self.model.body),
-            self.arrays.cuts(model, self.model.cut_point),
-            (*self.model.gravity, *(3 - len(model.gravity)) * (0.0,)))
+            bodies, cuts, (*self.model.gravity, *(3 - len(model.gravity)) * (0.0,)),
+            space.hinges(model, bodies, cuts) if self.arrays is space else ())
         # The elimination and what leads up to it are the kernels' own.
         self.known = {stage.py_func: own for stage, own in (
             (kinematics.outward, self.recursion.outward),
@@ -173,6 +174,8 @@ class Unrolling:
 
     def outward(self):
         """Poses, velocities and forces of inertia: what effects work on."""
+        # They are told the axes of all joints.
+        self.recursion.hinges = ()
         self.recursion.outward(self.model, self.q, self.qd, self.work)
         self.write()
         self.store(WORK_BODY, self.work.body)
@@ -215,7 +218,8 @@ class Unrolling:
         self.store(CLOSURE_RATE, self.work.closure_rate)
 
     def refined_acceleration(self):
-        """Do as ``acceleration`` does, with refinement."""
+        """Do as ``acceleration`` does, with refinement, which looks at each joint."""
+        self.recursion.hinges = ()
         self.acceleration(refinement)
 
     def accelerate(self, by):
@@ -229,6 +233,7 @@ class Unrolling:
 
     def refined_correction(self):
         """Do as ``correction`` does, for links much lighter than others."""
+        self.recursion.hinges = ()
         self.correction(refinement)
 
     def correction(self, by=forward_dynamics):

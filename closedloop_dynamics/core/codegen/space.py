@@ -26,8 +26,9 @@ import numpy as np
 from .spatial import Body, Cut, X, Y, Z
 from .vectors import IDENTITY, is_zero, ZERO
 from ..types import (
-    AXIS, BALL, CUT_NUMBER, CUT_ROW, CUT_TYPE, FACTORS, HELD_SUM, HELICAL, KEPT, LENGTHS,
-    MOTION_COLUMNS, PARENT, PATH_A, PATH_END, PRESCRIBED_JOINT, PRISMATIC, ROW, ROWS, TYPE)
+    AXIS, BALL, BODY_A, BODY_B, CUT_NUMBER, CUT_ROW, CUT_TYPE, FACTORS, HELD_SUM, HELICAL, KEPT,
+    LENGTHS, MOTION_COLUMNS, PARENT, PATH_A, PATH_END, PRESCRIBED_JOINT, PRISMATIC, REVOLUTE, ROW,
+    ROWS, TYPE)
 
 # Columns of Model.body, one row a body: mass; first moments; moments of inertia about the body's
 # origin, xx, yy, zz, xy, xz, yz; the joint's place in the parent's frame; its axes there, row by
@@ -292,6 +293,52 @@ def bodies(model, symbols):
             inertia=((xx, xy, xz), (xy, yy, yz), (xz, yz, zz)),
             armature=None if is_zero((row[ARMATURE],)) else row[ARMATURE],
             rotor=tuple(row[ROTOR:ROTOR + 3])))
+    return found
+
+
+def hinges(model, some, cuts):
+    """
+    Return rows of three hinges through one place, without mass in between.
+
+    Parameters
+    ----------
+    model : Model
+        Constant arrays of the mechanism.
+    some : list of Body
+        As ``bodies`` returns them.
+    cuts : list of Cut
+        As ``cuts`` returns them: no loop is closed on a body in between, no equation holds one of
+        the three.
+
+    Returns
+    -------
+    list of tuples of 3 int
+
+    """
+    parents = model.tree[:, PARENT].tolist()
+    held = set(model.cut[:, [BODY_A, BODY_B]].ravel().tolist())
+    alone = {row for cut in cuts if cut.coupling is not None for row, _ in cut.coupling[1]}
+
+    def plain(i):
+        body = some[i]
+        return (i not in alone and model.tree[i, TYPE] == REVOLUTE and body.armature is None
+                and is_zero(body.rotor))
+
+    def between(i):
+        body = some[i]
+        return (i > 0 and plain(i) and parents.count(i) == 1 and i not in held
+                and is_zero((body.mass, *body.moment, *sum(body.inertia, ()))))
+
+    found, taken = [], set()
+    for last in range(len(some) - 1, 0, -1):
+        second = parents[last]
+        first = parents[second]
+        rows = first, second, last
+        if (between(first) and between(second) and plain(last) and taken.isdisjoint(rows)
+                and is_zero((*some[second].place, *some[last].place))
+                and some[second].turned is not None and some[last].turned is not None):
+            found.append(rows)
+            taken.update(rows)
     return found
 
 

@@ -246,6 +246,10 @@ class Recursion:
         In the model's order.
     gravity : tuple of 3
         [m/s^2].
+    hinges : sequence of tuples of 3 int
+        Rows of three joints through one place, without mass in between, outwards. They are
+        eliminated as a spherical joint is, which turns about the world's axes; ``inward`` and
+        ``outward_acceleration`` take torques and give accelerations of the three.
 
     Attributes
     ----------
@@ -262,16 +266,16 @@ class Recursion:
 
     """
 
-    def __init__(self, bodies, cuts, gravity):
+    def __init__(self, bodies, cuts, gravity, hinges=()):
         """Keep the description."""
-        self.bodies, self.cuts = bodies, cuts
+        self.bodies, self.cuts, self.hinges = bodies, cuts, hinges
         self.ground = Motion(
             IDENTITY, 0, True, 0.0, IDENTITY, ZERO, ZERO, ZERO, ZERO, ZERO, negate(gravity),
             2 * ZERO)
         self.motion, self.inertia, self.force = [], [], []
         self.rotor = len(bodies) * [ZERO]
         self.factors, self.acceleration = {}, {}
-        self._coordinates = {}
+        self._coordinates, self._across = {}, {}
 
     def take(self, model, q, qd):
         """Note the coordinates and rates that couplings read."""
@@ -296,6 +300,19 @@ class Recursion:
                 # What turns the rotors with their carrier.
                 turning = scale(cross(self.motion[p].spin, rotor), qd[dof])
                 self.force[p] = add(self.force[p], turning + ZERO)
+        self._join()
+
+    def _join(self):
+        """Let three hinges through one place turn about the world's axes."""
+        self._across = {}
+        for rows in self.hinges:
+            one, two, three = (self.motion[i].axis[:3] for i in rows)
+            across = cross(two, three), cross(three, one), cross(one, two)
+            # Rows of the inverse of the matrix whose columns are the axes.
+            self._across[rows] = [scale(row, 1.0 / dot(one, across[0])) for row in across], (
+                one, two, three)
+            for i, axis in zip(rows, IDENTITY):
+                self.motion[i] = self.motion[i]._replace(axis=axis + ZERO)
 
     def moved(self, i, p, coordinate, rate):
         """Return the motion of a body on its parent."""
@@ -345,7 +362,7 @@ class Recursion:
     def inward(self, model, tau, work, massless=False):
         """Do as ``articulated_inertia.inward`` does."""
         self.inertia, self.force = list(self.inertia), list(self.force)
-        tau = self._about_world(model, tau)
+        tau = self._about_world(model, self._between(model, tau))
         for i in range(len(self.bodies) - 1, 0, -1):
             work.body[i, DINV], work.body[i, RHS] = self.eliminate(
                 i, model.tree[i, PARENT], tau[model.tree[i, DOF]], massless)
@@ -474,17 +491,41 @@ class Recursion:
                 dof = model.tree[i, DOF]
                 yield self.motion[i].frame, slice(dof - 2, dof + 1)
 
+    def _between(self, model, tau):
+        """Return torques with what forces on the bodies between three hinges do to them."""
+        tau = list(tau)
+        for rows, (_, axes) in self._across.items():
+            first, second, _ = rows
+            beyond = add(self.force[first], self.force[second])
+            for i, axis, force in zip(rows, axes, (beyond, self.force[second])):
+                tau[model.tree[i, DOF]] = tau[model.tree[i, DOF]] - dot(axis, force[:3])
+            parent = model.tree[first, PARENT]
+            if parent > 0:
+                self.force[parent] = add(
+                    self.force[parent], at_parent(beyond, self.motion[first].offset))
+            self.force[first] = self.force[second] = 2 * ZERO
+        return tau
+
     def _about_world(self, model, tau):
-        """Return torques or accelerations, those of spherical joints about the world's axes."""
+        """Return torques, those of spherical joints and of three hinges about the world's axes."""
         tau = list(tau)
         for frame, places in self.balls(model):
             tau[places] = times(frame, tau[places])
+        for rows, (across, _) in self._across.items():
+            places = [model.tree[i, DOF] for i in rows]
+            turned = times(transpose(across), [tau[place] for place in places])
+            for place, value in zip(places, turned):
+                tau[place] = value
         return tau
 
     def _about_own(self, model, qdd):
-        """Turn the same from the world's axes into the body's, in place."""
+        """Turn accelerations from the world's axes into the body's, and the hinges', in place."""
         for frame, places in self.balls(model):
             qdd[places] = times(transpose(frame), qdd[places])
+        for rows, (across, _) in self._across.items():
+            places = [model.tree[i, DOF] for i in rows]
+            for place, value in zip(places, times(across, [qdd[place] for place in places])):
+                qdd[place] = value
 
     def _counts_angles(self, i):
         """Tell whether levers and accelerations are those of a body's angle, not its joint's."""
