@@ -116,7 +116,7 @@ def mechanism_of(model, end_stops=None):
     if still:
         ignored[f'visual of {", ".join(still)}'] = 'the ground is not drawn'
     mechanism = Mechanism(
-        name=_word(model.name), bodies=tuple(bodies),
+        name=word(model.name), bodies=tuple(bodies),
         joints=tuple(_joint(joint, groups, frames, named) for joint in tree.joints),
         cut_joints=tuple(_cut(joint, groups, frames, named, ignored) for joint in tree.cuts),
         couplings=tuple(_coupling(relation, tree, named) for relation in model.relations),
@@ -440,20 +440,20 @@ class _Names:
     def _name(self, kind, name):
         known, taken = self._of[kind], self._taken[kind]
         if name not in known:
-            word, number = _word(name), 1
-            while word in taken:
+            found, number = word(name), 1
+            while found in taken:
                 number += 1
-                word = f'{_word(name)}_{number}'
-            known[name] = word
-            taken.add(word)
-            self.changed += word != name
+                found = f'{word(name)}_{number}'
+            known[name] = found
+            taken.add(found)
+            self.changed += found != name
         return known[name]
 
 
-def _word(name):
+def word(name):
     """Return a name of letters, digits and underscores that starts with a letter."""
-    word = re.sub(r'[^A-Za-z0-9_]', '_', name)
-    return word if re.match('[A-Za-z]', word) else f'x{word}'
+    found = re.sub(r'[^A-Za-z0-9_]', '_', name)
+    return found if re.match('[A-Za-z]', found) else f'x{found}'
 
 
 def _told(error, model, named):
