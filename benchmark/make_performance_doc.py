@@ -15,9 +15,10 @@
 """
 Measure all that doc/performance.md shows, and put it there.
 
-Runs peers.py, operation_count.py, size.py and startup.py one after the other, each in a process of
-its own, then writes doc/pictures/performance_*.* and fills the passages of the document between
-``<!-- begin NAME -->`` and ``<!-- end NAME -->``; the text around them stays.
+Runs peers.py, operation_count.py, size.py, startup.py and, where a folder of models is given,
+models.py one after the other, each in a process of its own, then writes
+doc/pictures/performance_*.* and fills the passages of the document between ``<!-- begin NAME -->``
+and ``<!-- end NAME -->``; the text around them stays.
 
 """
 
@@ -31,17 +32,18 @@ import sys
 
 from machine import ROOT
 from make_accuracy_doc import filled
+import models
 import operation_count
 import peer_report
 import size
 import startup
 
-PARTS = ('peers', 'operation_count', 'size', 'startup')
+PARTS = ('peers', 'operation_count', 'size', 'startup', 'models')
 # The rows of the table of sizes that the document shows.
 SHOWN = 10
 
 
-def measure(parts, output, quick, peers_python):
+def measure(parts, output, quick, peers_python, folder=None):
     """
     Run the benchmarks.
 
@@ -55,14 +57,17 @@ def measure(parts, output, quick, peers_python):
         To see that they run.
     peers_python : str
         Interpreter that has the packages of the extra ``bench``.
+    folder : pathlib.Path, optional
+        With models, for that part.
 
     """
     for part in parts:
-        python = peers_python if part == 'peers' else sys.executable
+        python = peers_python if part in ('peers', 'models') else sys.executable
         print(f'{part} ...', file=sys.stderr, flush=True)
         subprocess.run(
             [python, str(ROOT / 'benchmark' / f'{part}.py'), '--output', str(output),
-             *(['--quick'] if quick else [])], check=True, stdout=subprocess.DEVNULL)
+             *([str(folder)] if part == 'models' else []), *(['--quick'] if quick else [])],
+            check=True, stdout=subprocess.DEVNULL)
 
 
 def peers_passages(results):
@@ -106,7 +111,9 @@ def passages(output, parts):
     results = {part: json.loads((output / f'{part}.json').read_text()) for part in parts}
     builders = {'peers': peers_passages, 'operation_count': operation_passages,
                 'size': size_passages,
-                'startup': lambda result: {'startup table': startup.table(result)}}
+                'startup': lambda result: {'startup table': startup.table(result)},
+                'models': lambda result: {'models closing': models.closing_table(result),
+                                          'models evaluation': models.evaluation_table(result)}}
     texts = {}
     for part, result in results.items():
         texts.update(builders[part](result))
@@ -123,7 +130,7 @@ def measured(result, date):
 
 def copy_pictures(output, pictures, parts):
     """Copy pictures and CSV files to the document's."""
-    names = {'size': ['size.png']}
+    names = {'size': ['size.png'], 'models': ['models.csv']}
     if 'peers' in parts:
         names['peers'] = [peer_report.FILES[group] + end for group in groups(output)
                           for end in peer_report.ENDS]
@@ -146,13 +153,18 @@ def main(arguments=None):
     parser.add_argument('--peers-python', default=sys.executable, metavar='PYTHON',
                         help='interpreter with the packages of the extra bench '
                         '(default: this one)')
+    parser.add_argument('--models', type=Path, metavar='DIR',
+                        help='folder of models that others have published, which are left out '
+                        'without it')
     parser.add_argument('--output', type=Path, default=ROOT / 'benchmark_output',
                         metavar='DIR', help='where results go (default: %(default)s)')
     parser.add_argument('--document', type=Path, default=ROOT / 'doc' / 'performance.md')
     options = parser.parse_args(arguments)
-    parts = options.only or PARTS
+    parts = options.only or [part for part in PARTS if part != 'models' or options.models]
+    if 'models' in parts and not (options.models or options.measured):
+        parser.error('--only models: expected --models DIR, got none')
     if not options.measured:
-        measure(parts, options.output, options.quick, options.peers_python)
+        measure(parts, options.output, options.quick, options.peers_python, options.models)
     texts = passages(options.output, parts)
     pictures = options.document.parent / 'pictures'
     pictures.mkdir(exist_ok=True)

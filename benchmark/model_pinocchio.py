@@ -22,10 +22,7 @@ reader found. Evaluations run in C++ (pinocchio_model.cpp) where there is a comp
 """
 
 import ctypes
-import hashlib
-import os
 from pathlib import Path
-import subprocess
 import sys
 import tempfile
 from xml.etree import ElementTree
@@ -33,6 +30,7 @@ from xml.etree import ElementTree
 from machine import ROOT
 import numpy as np
 import pinocchio as pin
+from pinocchio_code import compiled
 
 sys.path.insert(0, str(ROOT))
 
@@ -229,7 +227,7 @@ class Pinocchio:
         return None if self.merged else self.ours(result)
 
     def _compiled(self):
-        library = compiled(SOURCE)
+        library = compiled(SOURCE, '-lboost_serialization')
         if library is None:
             raise ValueError('no C++ compiler')
         library.create.restype = ctypes.c_void_p
@@ -300,40 +298,3 @@ def _balls(mechanism):
 
 def _pointer(values, kind=float):
     return np.ascontiguousarray(values, dtype=kind).ctypes.data_as(ctypes.c_void_p)
-
-
-def compiled(source):
-    """
-    Compile a file against the installed wheel, once for each version of both.
-
-    Returns
-    -------
-    ctypes.CDLL or None
-        None where there is no compiler, or the headers do not suffice.
-
-    """
-    prefix = Path(pin.__file__).resolve().parents[4]
-    options = ['-O3', '-DNDEBUG', '-std=c++17', '-shared', '-fPIC', '-w',
-               '-DBOOST_MPL_LIMIT_LIST_SIZE=30', '-DBOOST_MPL_CFG_NO_PREPROCESSED_HEADERS',
-               f'-I{prefix}/include', f'-I{prefix}/include/eigen3']
-    links = [f'-L{prefix}/lib', '-lpinocchio_default', '-lboost_serialization',
-             f'-Wl,-rpath,{prefix}/lib']
-    text = source.read_text() + ' '.join(options) + pin.__version__
-    cache = Path(os.environ.get('XDG_CACHE_HOME') or Path.home() / '.cache')
-    library = cache / 'closedloop_dynamics' / (
-        f'{source.stem}_{hashlib.sha256(text.encode()).hexdigest()[:16]}.so')
-    if not library.exists():
-        print(f'compiling {source.name} around Pinocchio (a minute, this time alone) ...',
-              file=sys.stderr)
-        library.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=library.parent) as scratch:
-            made = Path(scratch) / 'made.so'
-            try:
-                subprocess.run([os.environ.get('CXX', 'g++'), *options, str(source), '-o',
-                                str(made), *links], check=True, capture_output=True, text=True)
-            except (OSError, subprocess.CalledProcessError) as error:
-                lines = (getattr(error, 'stderr', '') or str(error)).strip().splitlines()
-                print(f'no loops in C++: {lines[0] if lines else error}', file=sys.stderr)
-                return None
-            made.replace(library)
-    return ctypes.CDLL(str(library))

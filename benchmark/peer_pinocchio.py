@@ -23,15 +23,12 @@ space lcaba, its algorithm over the bodies, too.
 """
 
 import ctypes
-import hashlib
-import os
 from pathlib import Path
-import subprocess
-import tempfile
 
 import numpy as np
 from peer_cases import elements, gravity, point_pairs, Run
 import pinocchio as pin
+from pinocchio_code import compiled
 from scipy.integrate import solve_ivp
 
 NAME = 'Pinocchio'
@@ -71,7 +68,7 @@ class Engine:
         self._planar = mechanism.planar
         parts = elements(mechanism), point_pairs(mechanism), (*gravity(scene), 0.0)[:3]
         self._build(*parts)
-        library = compiled_loops()
+        library = compiled(SOURCE)
         self._loops = library and Loops(library, *parts, SETTINGS)
         # In the plane lcaba is slower and less exact.
         self._by_bodies = {} if mechanism.planar or library is None else {
@@ -277,38 +274,3 @@ class Loops:
 
 def _pointer(values, kind=float):
     return np.ascontiguousarray(values, dtype=kind).ctypes.data_as(ctypes.c_void_p)
-
-
-def compiled_loops():
-    """
-    Compile pinocchio_loop.cpp against the installed wheel, once for each version of both.
-
-    Returns
-    -------
-    ctypes.CDLL or None
-        None where there is no compiler, or the headers do not suffice.
-
-    """
-    prefix = Path(pin.__file__).resolve().parents[4]
-    options = ['-O3', '-DNDEBUG', '-std=c++17', '-shared', '-fPIC', '-w',
-               '-DBOOST_MPL_LIMIT_LIST_SIZE=30', '-DBOOST_MPL_CFG_NO_PREPROCESSED_HEADERS',
-               f'-I{prefix}/include', f'-I{prefix}/include/eigen3']
-    links = [f'-L{prefix}/lib', '-lpinocchio_default', f'-Wl,-rpath,{prefix}/lib']
-    text = SOURCE.read_text() + ' '.join(options) + pin.__version__
-    cache = Path(os.environ.get('XDG_CACHE_HOME') or Path.home() / '.cache')
-    library = cache / 'closedloop_dynamics' / (
-        f'pinocchio_loop_{hashlib.sha256(text.encode()).hexdigest()[:16]}.so')
-    if not library.exists():
-        print('compiling the loops in C++ around Pinocchio (a minute, this time alone) ...')
-        library.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=library.parent) as scratch:
-            made = Path(scratch) / 'loop.so'
-            try:
-                subprocess.run([os.environ.get('CXX', 'g++'), *options, str(SOURCE), '-o',
-                                str(made), *links], check=True, capture_output=True, text=True)
-            except (OSError, subprocess.CalledProcessError) as error:
-                lines = (getattr(error, 'stderr', '') or str(error)).strip().splitlines()
-                print(f'no loops in C++: {lines[0] if lines else error}')
-                return None
-            made.replace(library)
-    return ctypes.CDLL(str(library))
