@@ -160,7 +160,8 @@ def main(arguments=None):
                         metavar='DIR', help='where results go (default: %(default)s)')
     parser.add_argument('--document', type=Path, default=ROOT / 'doc' / 'performance.md')
     options = parser.parse_args(arguments)
-    parts = options.only or [part for part in PARTS if part != 'models' or options.models]
+    known = options.models or options.measured and (options.output / 'models.json').exists()
+    parts = options.only or [part for part in PARTS if part != 'models' or known]
     if 'models' in parts and not (options.models or options.measured):
         parser.error('--only models: expected --models DIR, got none')
     if not options.measured:

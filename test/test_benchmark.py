@@ -25,6 +25,8 @@ import sys
 import numpy as np
 import pytest
 
+from .formats import machines
+
 ROOT = Path(__file__).resolve().parents[1]
 BENCHMARKS = ROOT / 'benchmark'
 
@@ -148,10 +150,14 @@ def test_watch_of_the_pivots_is_timed(tmp_path):
 def quick_results(tmp_path_factory):
     """Run every part of the performance document quickly; return where the results are."""
     output = tmp_path_factory.mktemp('benchmark_output')
+    folder = tmp_path_factory.mktemp('models')
+    (folder / 'four_bar.urdf').write_text(machines.four_bar())
+    (folder / 'arm.urdf').write_text(machines.robot(machines.LINKS, machines.TREE))
     sys.path.insert(0, str(BENCHMARKS))
     try:
         importlib.import_module('make_performance_doc').measure(
-            ('operation_count', 'size', 'startup'), output, True, sys.executable)
+            ('operation_count', 'size', 'startup', 'models'), output, True, sys.executable,
+            folder)
         peers = importlib.import_module('peers')
         # The others need a minute, and may not be installed: test_peers_agree looks at them.
         results = {group: peers.measure(group, True, ('peer_ours',)) for group in peers.GROUPS}
@@ -195,6 +201,11 @@ def test_quick_results_make_sense(quick_results):
     assert counts['three_rrr']['needed']['sine and cosine'] == 7
     start, = json.loads((quick_results / 'startup.json').read_text())['rows']
     assert start['import'] > 0.0 and start['memory'] > 2 ** 20
+    # One of the two has a loop.
+    model, = json.loads((quick_results / 'models.json').read_text())['models']
+    assert (model['name'], model['rank'], model['loops']) == ('four_bar', 2, 1)
+    assert model['times']['ours']['best'] > 0.0
+    assert all(error < 1e-8 for error in model['errors'].values())
     for result in json.loads((quick_results / 'peers.json').read_text()).values():
         assert min(row['error'] for row in result['motions']) < 1e-8
 
