@@ -14,7 +14,7 @@
 
 """The node ``closedloop_viewer``: running simulators in a browser, through their topics."""
 
-from dataclasses import fields
+from dataclasses import fields, replace
 import time
 
 from closedloop_dynamics.effects.registry import effect_type
@@ -24,13 +24,18 @@ from closedloop_dynamics.ros.auxiliary_publishers import LATCHED_QOS
 from closedloop_dynamics.ros.parameters import declare, Parameter, usage
 from closedloop_dynamics.ros.process import run
 from closedloop_dynamics.ros.simulator_parameters import LIVE_INTEGRATORS
+from closedloop_dynamics.simulation.errors import SimulationError
+from closedloop_dynamics.simulation.modeling import extent
 from closedloop_dynamics.simulation.scene import SceneError
 from closedloop_dynamics.simulation.scene_text import read_scene_text
+from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.view.columns import motion_columns, motion_rows
 from closedloop_dynamics.view.description import describe
 from closedloop_dynamics.view.feed import Feed
-from closedloop_dynamics.view.messages import FASTEST, SLOWEST
+from closedloop_dynamics.view.messages import FASTEST, POSITION, SLOWEST, TORQUE
 from closedloop_dynamics.view.page import live_page
+from closedloop_dynamics.view.posing import felt_inertia, joint_to, point_to
+from closedloop_dynamics.view.runner import Hand, round_up
 from closedloop_dynamics.view.server import Server
 from closedloop_dynamics.visual.motion import Motion
 from geometry_msgs.msg import WrenchStamped
@@ -57,9 +62,13 @@ RATE, LOOK_PERIOD, SILENCE = 60.0, 0.25, 3.0
 GATHERING = 2.0
 # The newest state is enough.
 QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
-# Parameters of a simulator that a page calls by other names, and the largest torques of sliders.
+# Parameters of a simulator that a page calls by other names.
 METHOD_KEYS = ('integrator', 'step_size', 'stabilisation')
-LARGEST = 50.0
+# A position drive moves its joint like a critically damped spring of this rate at most [1/s], of
+# less where states come rarely: so many times per second over the states per second. It answers
+# states that are a period or two old. What weight takes away, its integral gives back.
+DRIVE_RATE, DRIVE_SHARE, INTEGRAL = 50.0, 0.1, 0.3
+EARTH = 9.81
 VIEWER_PARAMETERS = (
     Parameter('nodes', '', 'Full names of the simulators to show, with commas between them; not '
                            'given: all that are found.'),
@@ -95,8 +104,10 @@ class Attached:
         self._topics, self._logger = topics, node.get_logger()
         self._subscribe, self._publish = node.create_subscription, node.create_publisher
         self._heard = time.monotonic()
-        self._next, self._fresh, self._start = 0.0, False, None
+        self._time, self._fresh, self._start = 0.0, False, None
         self._playing, self._speed = True, 1.0
+        self._kinematic, self._grabbed, self._busy = False, None, None
+        self._model, self._period = None, None
         self._subscriptions = [
             self._subscribe(String, topics['scene'], self._on_scene, LATCHED_QOS)]
         prefix = name.rstrip('/')
@@ -106,6 +117,7 @@ class Attached:
         self._set = node.create_client(
             SetParametersAtomically, f'{prefix}/set_parameters_atomically')
         self._commands = None
+        self._states = self._publish(JointState, f'{prefix}/set_state', 10)
 
     def _on_scene(self, message):
         try:
@@ -129,7 +141,8 @@ class Attached:
             self._position[first + 3] = 1.0
         self._velocity, self._effort = np.zeros(names.nv), np.zeros(names.nv)
         self._forces = np.full((len(mechanism.cut_joints), 3 if mechanism.planar else 6), np.nan)
-        self._torques = dict.fromkeys(mechanism.actuated_joints, 0.0)
+        # By actuated joint: what drives it, its value, and the integral of a position drive.
+        self._drives = {name: [TORQUE, 0.0, 0.0] for name in mechanism.actuated_joints}
         self._subscriptions.append(self._subscribe(
             JointState, self._topics['joint_states'], self._on_state, QOS))
         if 'multi_dof_joint_states' in self._topics:
@@ -146,15 +159,27 @@ class Attached:
                         if effect_type(record) == 'gravity'), None)
         described = describe(
             mechanism, motion_columns(mechanism), scene.effects, mode='node', title=self.name,
-            drives=[{'joint': name, 'slides': bool(names.lengths[names.index[name]]),
-                     'turns': True, 'torque': LARGEST, 'position': [0.0, 1.0]}
-                    for name in mechanism.actuated_joints],
+            drives=[self._drive_of(scene, name) for name in mechanism.actuated_joints],
             integrators={name: INTEGRATORS[name].kind for name in LIVE_INTEGRATORS},
-            stabilisations=list(STABILISATIONS), hand=False, gravity=gravity, poses=False,
+            stabilisations=list(STABILISATIONS), hand=False, gravity=gravity,
+            # Orientations have topics of their own.
+            poses=not len(names.balls),
             speeds=[SLOWEST, FASTEST])
         for text in described['missing']:
             self._logger.warning(f'{self.name}: {text}; drawn as lines')
         self.feed = Feed(described)
+
+    def _drive_of(self, scene, name):
+        """Describe a drive: its kind, and what its sliders reach."""
+        names, mechanism = self._names, self._mechanism
+        place, size = names.index[name], extent(mechanism)
+        slides, weight = bool(names.lengths[place]), EARTH * (
+            sum(body.mass for body in mechanism.bodies) or 1.0)
+        middle = float(names.by_freedom(np.array(scene.initial.position))[place])
+        reach = size if slides else np.pi
+        return {'joint': name, 'slides': slides, 'turns': bool(names.place[place] < 0),
+                'torque': round_up(2.0 * weight if slides else weight * size),
+                'position': [middle - reach, middle + reach]}
 
     # What the simulator publishes.
 
@@ -171,7 +196,12 @@ class Attached:
         stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
         if self._start is None or stamp < self._start:
             self._start = stamp
+        passed = stamp - self._start - self._time
         self._time, self._fresh = stamp - self._start, True
+        if passed > 0.0:
+            self._period = min(passed, self._period or passed)
+            if any(mode == POSITION for mode, *_ in self._drives.values()):
+                self._command(passed)
 
     def _on_turns(self, message):
         known = self._names.with_orientation
@@ -202,7 +232,7 @@ class Attached:
         for _, message in self.feed.messages():
             try:
                 self._follow(**message)
-            except ValueError as error:
+            except (ValueError, SimulationError) as error:
                 self.feed.refuse(error)
         if self._fresh and self.feed.pages:
             self._fresh = False
@@ -216,10 +246,11 @@ class Attached:
         silent = time.monotonic() - self._heard > SILENCE
         method = self._scene.method
         self.feed.tell(
-            playing=self._playing, speed=self._speed, kinematic=False, findings=[], busy=None,
-            grabbed=None, failure=f'{self.name} publishes no states.' if silent else None,
-            drives={name: {'mode': 'torque', 'value': value}
-                    for name, value in self._torques.items()},
+            playing=self._playing, speed=self._speed, kinematic=self._kinematic, findings=[],
+            busy=self._busy, grabbed=self._grabbed,
+            failure=f'{self.name} publishes no states.' if silent else None,
+            drives={name: {'mode': mode, 'value': value}
+                    for name, (mode, value, _) in self._drives.items()},
             method={key: getattr(method, key) for key in METHOD_KEYS},
             unused=['accuracy', 'tolerance'],
             effects={name: {
@@ -229,46 +260,151 @@ class Attached:
 
     def _follow(self, do, **asked):
         """Ask the simulator for what a page asks for."""
-        if do in ('play', 'pause'):
-            self._call(self._pause, SetBool.Request(data=do == 'pause'))
-            self._playing = do == 'play'
-        elif do in self._triggers:
-            self._call(self._triggers[do], Trigger.Request())
-        elif do == 'command':
-            if asked['joint'] not in self._torques:
-                raise FieldError(f'one of {", ".join(self._torques)}', repr(asked['joint']),
-                                 path=('joint',))
-            self._torques[asked['joint']] = asked['value']
-            self._commands.publish(JointState(
-                name=list(self._torques), effort=list(self._torques.values())))
-        elif do == 'speed':
-            self._change({'real_time_factor': asked['factor']})
-            self._speed = asked['factor']
-        elif do == 'method':
-            self._change(asked['values'])
-        elif do == 'effect':
-            name = asked['name']
-            changes = dict(asked.get('values') or {})
-            if 'enabled' in asked:
-                changes['enabled'] = asked['enabled']
-            self._change({f'effects.{name}.{key}': value for key, value in changes.items()})
-        elif do != 'release':
+        action = getattr(self, f'_do_{do}', None)
+        if action is None:
             raise FieldError('what a simulator can be asked for over topics', repr(do))
+        action(**asked)
 
-    def _change(self, values):
-        """Set parameters of the simulator."""
+    def _do_play(self):
+        self._kinematic, self._grabbed, self._playing = False, None, True
+        self._call(self._pause, SetBool.Request(data=False))
+
+    def _do_pause(self):
+        self._playing = False
+        self._call(self._pause, SetBool.Request(data=True))
+
+    def _do_step(self, count):
+        """Advance while it stands still, so many steps."""
+        if self._playing:
+            self._do_pause()
+        self._change({'step_count': count}, lambda: self._call(
+            self._triggers['step'], Trigger.Request()))
+
+    def _do_reset(self):
+        for drive in self._drives.values():
+            drive[:] = TORQUE, 0.0, 0.0
+        self._call(self._triggers['reset'], Trigger.Request())
+
+    def _do_speed(self, factor):
+        self._change({'real_time_factor': factor})
+        self._speed = factor
+
+    def _do_method(self, values):
+        self._change(values)
+
+    def _do_effect(self, name, enabled=None, values=None):
+        changes = dict(values or {})
+        if enabled is not None:
+            changes['enabled'] = enabled
+        self._change({f'effects.{name}.{key}': value for key, value in changes.items()})
+
+    def _do_release(self):
+        self._grabbed = None
+
+    # Drives.
+
+    def _drive(self, joint):
+        if joint not in self._drives:
+            raise FieldError(f'one of {", ".join(self._drives)}', repr(joint), path=('joint',))
+        return self._drives[joint]
+
+    def _do_drive(self, joint, mode):
+        drive, place = self._drive(joint), self._names.index[joint]
+        if mode == POSITION and self._names.place[place] < 0:
+            raise FieldError('a torque', 'a position', 'an orientation is not one number',
+                             ('mode',))
+        if drive[0] != mode:
+            if mode == POSITION:
+                self._update_model()
+            drive[:] = mode, 0.0 if mode == TORQUE else float(
+                self._position[self._names.place[place]]), 0.0
+            self._command()
+
+    def _do_command(self, joint, value):
+        self._drive(joint)[1] = value
+        self._command()
+
+    def _update_model(self):
+        """Bring a model of the machine into its present position; find what its drives feel."""
+        if self._model is None:
+            self._busy = 'preparing a model of the machine'
+            self._tell()
+            self._hand = Hand(self._scene, extent(self._mechanism))
+            # Forces do not matter to it.
+            self._model = Simulation(replace(self._hand.scene, effects={}))
+            self._busy = None
+        self._model.set_state(self._position)
+        felt = felt_inertia(self._model)[self._model.actuated]
+        self._felt = {name: float(inertia) if np.isfinite(inertia) else 1.0
+                      for name, inertia in zip(self._drives, felt)}
+
+    def _command(self, passed=0.0):
+        """Publish torques, ``passed`` seconds after the state before; of positions from this."""
+        rate = min(DRIVE_RATE, DRIVE_SHARE / (self._period or 1.0))
+        efforts = []
+        for name, drive in self._drives.items():
+            mode, value, integral = drive
+            if mode == TORQUE:
+                efforts.append(value)
+                continue
+            place, felt = self._names.index[name], self._felt[name]
+            error = value - self._position[self._names.place[place]]
+            drive[2] = integral + INTEGRAL * felt * rate ** 3 * error * passed
+            efforts.append(drive[2] + felt * rate * (
+                rate * error - 2.0 * self._velocity[place]))
+        self._commands.publish(JointState(name=list(self._drives), effort=efforts))
+
+    # Posing: by a model here, whose state the simulator is given.
+
+    def _do_kinematic(self, on):
+        if on and not self._kinematic:
+            self._do_pause()
+            self._update_model()
+        self._kinematic, self._grabbed = on, None
+
+    def _require_kinematic(self):
+        if not self._kinematic:
+            raise FieldError('kinematic mode', 'a pose while the mechanism moves by forces')
+
+    def _pose_as_model(self):
+        """Have the simulator take over the pose of the model."""
+        places = self._names.place
+        self._states.publish(JointState(
+            name=[name for name, place in zip(self._names.names, places) if place >= 0],
+            position=self._model.position[places[places >= 0]].tolist()))
+
+    def _do_pose(self, joint, value):
+        self._require_kinematic()
+        self._drive(joint)
+        joint_to(self._model, joint, value)
+        self._pose_as_model()
+
+    def _do_grab(self, body, place, at):
+        self._require_kinematic()
+        self._hand.point(body, place)
+        self._grabbed = [body, place]
+        self._do_pull(at)
+
+    def _do_pull(self, at):
+        if self._kinematic and self._grabbed is not None:
+            point_to(self._model, self._hand.point(*self._grabbed), at)
+            self._pose_as_model()
+
+    def _change(self, values, then=None):
+        """Set parameters of the simulator; do something if it has taken them."""
         self._call(self._set, SetParametersAtomically.Request(parameters=[
             RosParameter(key, value=list(value) if isinstance(value, tuple) else value)
             .to_parameter_msg() if value is not None else ParameterMessage(name=key)
-            for key, value in values.items()]))
+            for key, value in values.items()]), then)
 
-    def _call(self, client, request):
+    def _call(self, client, request, then=None):
         """Call a service, and notify the pages where it refuses or is not there."""
         if not client.service_is_ready():
             raise FieldError(f'the service {client.srv_name}', 'none: is the simulator running?')
-        client.call_async(request).add_done_callback(self._answered)
+        client.call_async(request).add_done_callback(
+            lambda future: self._take_answer(future, then))
 
-    def _answered(self, future):
+    def _take_answer(self, future, then):
         answer = future.result()
         answer = getattr(answer, 'result', answer)
         good = getattr(answer, 'successful', getattr(answer, 'success', True))
@@ -276,6 +412,8 @@ class Attached:
             self.feed.refuse(getattr(answer, 'reason', '') or getattr(answer, 'message', ''))
             # What was asked for is not how it stands.
             self.feed.version += 1
+        elif then is not None:
+            then()
 
 
 class ViewerNode(Node):

@@ -189,7 +189,7 @@ class Runner:
         for record in self.simulation.effects.values():
             if isinstance(record, Actuator) and record.joint == name and record.max_torque:
                 return record.max_torque
-        return _round(REACH[bool(self.simulation.coordinates.lengths[place])] * self._gains[name])
+        return round_up(REACH[bool(self.simulation.coordinates.lengths[place])] * self._gains[name])
 
     def _positions(self):
         """Return the number of each freedom, shape (nv,)."""
@@ -483,7 +483,7 @@ class Runner:
         point_to(self.simulation, self._hand.point(body, place), at)
 
 
-def _round(value):
+def round_up(value):
     """Round a positive number up to 1, 2 or 5 times a power of ten."""
     power = 10.0 ** math.floor(math.log10(value))
     return next(factor * power for factor in (1.0, 2.0, 5.0, 10.0) if factor * power >= value)

@@ -92,6 +92,54 @@ def test_a_running_simulator_is_shown_and_driven(spinning):
 
 
 @pytest.mark.timeout(300)
+def test_a_running_simulator_is_stepped_posed_and_held(spinning):
+    simulator = spinning(SimulatorNode, scene='three_rrr_vertical', step_size=0.002)
+    viewer = spinning(ViewerNode, nodes='/closedloop_simulator')
+    with Client(served(viewer)) as client:
+        client.until(lambda client: client.row is not None)
+        client.ask('pause')
+        client.until(lambda client: not client.controls['playing'])
+        while not simulator.paused:
+            threading.Event().wait(0.01)
+        time = simulator.simulation.time
+        # Loops are closed by a model of the viewer's own, and stay closed in the simulator.
+        client.ask('kinematic', on=True)
+        client.until(lambda client: client.controls['kinematic'])
+        goal = plotted(client, 'joint position', 'theta_1') - 0.2
+        client.ask('pose', joint='theta_1', value=float(goal))
+        client.until(lambda client: abs(
+            plotted(client, 'joint position', 'theta_1') - goal) < 1e-5)
+        assert simulator.simulation.closure < 1e-9 and simulator.simulation.time == time
+        # By hand, too.
+        body = next(k for k, one in enumerate(client.scene['bodies'])
+                    if one['name'] == 'platform')
+        place = next(k for k, grab in enumerate(client.scene['bodies'][body]['grabs'])
+                     if not any(grab))
+        at = client.row[7 * body:7 * body + 3] + np.float32([0.01, -0.02, 0.0])
+        client.ask('grab', body=body, place=place, at=at.tolist())
+        client.until(lambda client: np.abs(client.row[7 * body:7 * body + 3] - at).max() < 1e-5)
+        client.ask('release')
+        client.ask('kinematic', on=False)
+        client.ask('step', count=7)
+        client.until(lambda client: client.time > 0.0 and simulator.simulation.time > time)
+        assert simulator.simulation.time == pytest.approx(time + 7 * 0.002)
+        # Drives hold it against its weight.
+        for joint in ('theta_1', 'theta_6', 'theta_7'):
+            client.ask('drive', joint=joint, mode='position')
+        client.until(lambda client: all(
+            drive['mode'] == 'position' for drive in client.controls['drives'].values()))
+        wanted = client.controls['drives']['theta_1']['value']
+        client.ask('play')
+        start = client.time
+        client.until(lambda client: client.time > start + 3.0)
+        assert plotted(client, 'joint position', 'theta_1') == pytest.approx(wanted, abs=0.02)
+        assert plotted(client, 'drive torque or force', 'theta_1') != 0.0
+        refused = client.controls['refused']
+        client.ask('pose', joint='theta_1', value=1.0)
+        client.until(lambda client: client.controls['refused'] == refused + 1)
+
+
+@pytest.mark.timeout(300)
 def test_several_simulators_have_a_page_each(spinning):
     for space, scene in (('left', 'three_rrr'), ('right', 'four_bar')):
         spinning(SimulatorNode, namespace=space, scene=scene)

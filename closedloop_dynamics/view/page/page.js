@@ -246,7 +246,8 @@ class Page {
     byId('dynamic').setAttribute('aria-pressed', !told.kinematic);
     byId('kinematic').setAttribute('aria-pressed', told.kinematic);
     byId('hint').textContent = told.kinematic
-      ? 'Drag points, or the sliders of the drives: the loops stay closed. This becomes the start.'
+      ? `Drag points, or the sliders of the drives: the loops stay closed. ${
+        this.scene.mode === 'node' ? 'The simulator takes this state over.' : 'This becomes the start.'}`
       : this.scene.hand ? 'Drag a point: a spring pulls it to the pointer.' : '';
     byId('worth').textContent = (told.findings ?? []).join(' ');
     if (told.busy) this.complain(`${told.busy} …`, true);
