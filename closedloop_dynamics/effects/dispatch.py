@@ -115,11 +115,4 @@ def _apply_element(data, table, row, body, q, qd):
         elif kind == SPATIAL_CABLE:
             cable.apply_in_space(table, row, body)
         elif kind == PRESCRIBED_MOTION:
-            _apply_motion(table.motions, table, row)
-
-
-@compiled
-def _apply_motion(motions, table, row):
-    """Follow a prescribed motion, where a scene lists any: ``motions`` is None where not."""
-    if motions is not None:
-        prescribed_motion.apply(table, row)
+            prescribed_motion.apply(table, row)

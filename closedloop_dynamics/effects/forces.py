@@ -71,16 +71,14 @@ def in_contact(contacts, row, gap, rate):
 
     Parameters
     ----------
-    contacts : Contacts or None
-        Of the table; None where no effect is a contact.
+    contacts : Contacts
+        Of the table.
     row : int
         Of the effect.
     gap, rate : float
         Negative where bodies touch [m; rad]; its rate.
 
     """
-    if contacts is None:
-        return gap < 0.0
     contacts.gap[row, 0] = gap
     contacts.gap[row, 1] = rate
     mode = contacts.mode[row]

@@ -131,9 +131,9 @@ class EffectTable(NamedTuple):
     # Shape (nd,): entries of all machine elements; None where there are none, so that their laws
     # are not even compiled.
     data: Optional[np.ndarray]
-    # None where no effect is a contact.
-    contacts: Optional[Contacts]
-    # ``Model.cut_point``, whose rows the prescribed motions are set in; None where there are none.
+    contacts: Contacts
+    # ``Model.cut_point``, whose rows the prescribed motions are set in; of no length where there
+    # are none, and None where there are no machine elements.
     motions: Optional[np.ndarray] = None
 
 
@@ -159,6 +159,7 @@ def build_table(elements, tau, bodies, equations, spatial=False, cut_point=None)
     """
     count, most = len(elements), sum(element.sticks for element in elements)
     states = [state for element in elements for state in element.states]
+    with_data = any(element.data is not None for element in elements)
     table = EffectTable(
         kind=np.array([element.kind for element in elements], dtype=np.int64),
         enabled=np.ones(count, dtype=np.int64),
@@ -177,14 +178,13 @@ def build_table(elements, tau, bodies, equations, spatial=False, cut_point=None)
             right=np.zeros(most), bound=np.zeros(most), move=np.zeros(most),
             factor=np.zeros((most, most)), free=np.zeros(most, dtype=np.int64),
             share=np.zeros(most), impulse=np.zeros(most)),
-        data=np.zeros(sum(map(size_of_data, elements))) if any(
-            element.data is not None for element in elements) else None,
+        data=np.zeros(sum(map(size_of_data, elements))) if with_data else None,
         contacts=Contacts(
-            rows=np.array([row for row, element in enumerate(elements) if element.touches]),
-            gap=np.zeros((count, 4)), mode=np.zeros(count, dtype=np.int64)) if any(
-                element.touches for element in elements) else None,
-        motions=cut_point if any(
-            element.kind == PRESCRIBED_MOTION for element in elements) else None)
+            rows=np.array([row for row, element in enumerate(elements) if element.touches],
+                          dtype=np.int64),
+            gap=np.zeros((count, 4)), mode=np.zeros(count, dtype=np.int64)),
+        motions=None if not with_data else cut_point if any(
+            element.kind == PRESCRIBED_MOTION for element in elements) else np.zeros((0, 0)))
     first = begin = 0
     for row, element in enumerate(elements):
         table.index[row, [STATE, DATA]] = first, begin

@@ -36,17 +36,6 @@ MOST_CUTS, LEAST_PART = 12, 1e-6
 HALVINGS = 50
 
 
-# As in ``system``: numba drops the branches below for contacts that are None.
-
-@compiled
-def _begin(contacts, effects):
-    """Decide which bodies touch, where a scene has contacts."""
-    changed = False
-    if contacts is not None:
-        changed = _decide(contacts, effects.enabled)
-    return changed
-
-
 @compiled
 def _decide(contacts, enabled):
     """Decide which bodies touch; return whether any begin or cease to do so."""
@@ -83,22 +72,16 @@ def begin(effects):
     """
     if effects is None:
         return False
-    return _begin(effects.contacts, effects)
-
-
-@compiled
-def _end(contacts):
-    """Let gaps decide again."""
-    if contacts is not None:
-        for k in range(contacts.rows.shape[0]):
-            contacts.mode[contacts.rows[k]] = UNDECIDED
+    return _decide(effects.contacts, effects.enabled)
 
 
 @inlined
 def end(effects):
     """Let gaps decide again which bodies touch, after a step; ``effects`` as for ``begin``."""
     if effects is not None:
-        _end(effects.contacts)
+        contacts = effects.contacts
+        for k in range(contacts.rows.shape[0]):
+            contacts.mode[contacts.rows[k]] = UNDECIDED
 
 
 @inlined
@@ -139,15 +122,6 @@ def _crossing(gap, row, sign, size):
                 return after
             before = after
     return 1.0
-
-
-@compiled
-def _part(contacts, effects, system, out, scratch, size, sought, cuts):
-    """Return what ``part`` does, where a scene has contacts."""
-    found = size, sought
-    if contacts is not None:
-        found = _first_change(contacts, effects.enabled, system, out, scratch, size, sought, cuts)
-    return found
 
 
 @compiled
@@ -206,6 +180,9 @@ def part(effects, system, out, scratch, size, sought, cuts):
         As given, or found now.
 
     """
-    if effects is None:
-        return size, sought
-    return _part(effects.contacts, effects, system, out, scratch, size, sought, cuts)
+    found = size, sought
+    if effects is not None:
+        if effects.contacts.rows.shape[0] > 0:
+            found = _first_change(
+                effects.contacts, effects.enabled, system, out, scratch, size, sought, cuts)
+    return found

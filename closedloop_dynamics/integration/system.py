@@ -515,7 +515,8 @@ def _hold(effects, system, q, qd):
 def _tell_motions(motions, effects, lam):
     """Tell the forces of prescribed motions, where a scene lists any."""
     if motions is not None:
-        prescribed_motion.tell(effects, lam)
+        if motions.shape[0] > 0:
+            prescribed_motion.tell(effects, lam)
 
 
 @inlined
@@ -541,8 +542,9 @@ def follow_motions(effects, state, first):
 def _follow_motions(motions, effects, state, first):
     """Set right-hand sides, where a scene lists prescribed motions."""
     if motions is not None:
-        take_states(effects, state, first)
-        prescribed_motion.follow_all(effects)
+        if motions.shape[0] > 0:
+            take_states(effects, state, first)
+            prescribed_motion.follow_all(effects)
 
 
 @inlined
