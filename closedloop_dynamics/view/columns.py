@@ -34,7 +34,7 @@ from ..effects.force_table import ForceTable
 from ..effects.point_spring import PointSpring
 from ..effects.prescribed_force import PrescribedForce
 from ..mechanism.mechanism import GROUND
-from ..simulation.health import drive_sine, WARN_BELOW
+from ..simulation.health import WARN_BELOW
 from ..visual.motion import body_poses, magnitudes
 
 # Numbers of a pose: x, y, z [m], quaternion x, y, z, w; of an arrow: its foot [m], its force [N].
@@ -190,7 +190,6 @@ class SimulationRows:
         self._rows = {body.name: k for k, body in enumerate(mechanism.bodies)}
         self._places = {point.name: point for point in mechanism.points}
         names = mechanism.coordinates
-        self._passive = np.setdiff1d(np.arange(names.nv), names.actuated)
         self._numbers = names.place[names.place >= 0]
         plots = _joint_plots(mechanism)
         self._read = [(name, reading) for name, record in shown.items()
@@ -202,7 +201,7 @@ class SimulationRows:
         plots += [Plot('closure error', 'largest', 'm or rad'),
                   Plot('error of the energy balance', 'balance', 'J'),
                   Plot('angle from a singularity', 'loops', 'sine')]
-        if mechanism.planar and self._sine() == self._sine():
+        if not np.isnan(self._sine()):
             plots.append(Plot('angle from a singularity', 'held drives', 'sine'))
         plots += [Plot('estimated error', 'largest of a step', 'rad or m'),
                   Plot('estimated error', 'within a second', 'rad or m'),
@@ -243,11 +242,8 @@ class SimulationRows:
         return float(self._simulation.system.work.health[SMALLEST_PIVOT])
 
     def _sine(self):
-        """Return how far held drives are from leaving the mechanism loose; NaN in space."""
-        simulation = self._simulation
-        if not (simulation.mechanism.planar and simulation.cut_joints):
-            return np.nan
-        return drive_sine(simulation.system.model, simulation.constraint_jacobian, self._passive)
+        """Return how far held drives are from leaving the mechanism loose; NaN where unknown."""
+        return self._simulation.health.drive_sine
 
     def _moved(self, held):
         """Return poses moved along what the loops, and held drives, prevent least."""

@@ -159,7 +159,8 @@ class Runner:
         self._gains = self._find_gains()
         self._columns = SimulationRows(simulation, [self._hand.spring])
         self.described = describe(
-            scene.mechanism, self._columns.columns, scene.effects, mode='live', title=scene.name,
+            scene.mechanism, self._columns.columns, scene.effects, mode='live',
+            title=scene.name,
             drives=[{
                 'joint': name, 'slides': bool(simulation.coordinates.lengths[place]),
                 'turns': bool(simulation.coordinates.place[place] < 0),
