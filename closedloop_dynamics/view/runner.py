@@ -190,7 +190,8 @@ class Runner:
         for record in self.simulation.effects.values():
             if isinstance(record, Actuator) and record.joint == name and record.max_torque:
                 return record.max_torque
-        return round_up(REACH[bool(self.simulation.coordinates.lengths[place])] * self._gains[name])
+        slides = bool(self.simulation.coordinates.lengths[place])
+        return round_up(REACH[slides] * self._gains[name])
 
     def _positions(self):
         """Return the number of each freedom, shape (nv,)."""
