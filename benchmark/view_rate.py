@@ -15,11 +15,11 @@
 """
 How many frames per second a page of ``closedloop view`` shows, and what that costs.
 
-For each scene it starts the command, opens its page in Chromium without a window (which draws
-WebGL by the processor, at the price of a core) and lets it run in real time. Printed are the
-frames that a client without a browser gets when it asks for the next one at once, those that the page
-has drawn, the distances between them, and the shares of a core that the command and the browser
-took. It ends with 1 if the page has shown fewer frames than ``--least``.
+For each scene it starts the command, opens its page in Chromium without a window, which draws
+WebGL by the processor, and lets it run in real time. Printed are the frames that a client without
+a browser gets when it asks for the next one at once, those that the page has drawn, the distances
+between them, and the shares of a core that the command and the browser took. It ends with 1 if
+the page has shown fewer frames than ``--least``.
 
 """
 

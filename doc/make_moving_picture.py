@@ -50,7 +50,7 @@ PERIOD, RATE, FRAMES, SIZE, COLORS = 4.0, 40.0, 15, 330, 96
 STEP = 0.002
 # What is beside the picture is left out.
 STYLE = ('header, aside, #transport, #views, #legend {display: none !important} '
-         'main {grid-template-columns: 1fr} #back, #solid, #lines {inset: 0; height: 100%} '
+         'main {grid-template-columns: 1fr} #solid, #lines {inset: 0; height: 100%} '
          'html, body, #stage {background: #ffffff} '
          '#stage {height: 100vh; min-height: 0; border: 0}')
 
@@ -84,7 +84,7 @@ def motion(simulation, wanted):
 def pictures(tab, count):
     """Return the frames of a page that has a motion in it."""
     tab.wait('typeof page !== "undefined" && Boolean(page.shownRow)')
-    tab.ask('(() => { page.playing = false; page.picture.forget(); const s = '
+    tab.ask('(() => { page.playing = false; page.picture.forget(); page.theme.paper = [1, 1, 1]; const s = '
             f'document.createElement("style"); s.textContent = "{STYLE}"; '
             'document.head.append(s); })()')
     # Twice round: the path of the point is whole in the second.

@@ -6,9 +6,11 @@ const COLORS = {
   dark: ['#56A8E0', '#F28A3C', '#3CC79A', '#E39BC6', '#8FD0F5', '#D9C84A', '#D0D4DA']};
 const THEMES = {
   light: {ink: '#1d2127', muted: '#5b6470', line: '#e3e6ea', accent: '#0b62b0', path: '#6A3D9A',
-          force: '#B2182B', cut: '#B34E00', halo: '#f4f5f7', grid: '#d7dbe1', driven: [0.16, 0.18, 0.2], ambient: 0.3},
+          force: '#B2182B', cut: '#B34E00', halo: '#f4f5f7', grid: '#d7dbe1', paper: rgb('#f4f5f7'), driven: [0.16, 0.18, 0.2], ambient: 0.3},
   dark: {ink: '#e8ebef', muted: '#a2abb7', line: '#333944', accent: '#6cb2f5', path: '#b48ee6',
-         force: '#ff6b78', cut: '#ff9a4d', halo: '#15181d', grid: '#333944', driven: [0.42, 0.45, 0.5], ambient: 0.3}};
+         force: '#ff6b78', cut: '#ff9a4d', halo: '#15181d', grid: '#333944', paper: rgb('#15181d'), driven: [0.42, 0.45, 0.5], ambient: 0.3}};
+// Plots and the clock are drawn so often while time runs [ms]: nobody reads faster.
+const READING = 45;
 // A page that hears nothing for so long is not connected any more [ms].
 const PATIENCE = 1000;
 
@@ -50,7 +52,7 @@ class Page {
     byId('title').textContent = scene.title;
     document.title = scene.title;
     try {
-      this.picture = new Scene(byId('back'), byId('solid'), byId('lines'), scene);
+      this.picture = new Scene(byId('solid'), byId('lines'), scene);
     } catch (error) {
       this.complain(error.message);
       throw error;
@@ -421,6 +423,9 @@ class Page {
       this.ask('pull', {at: this.picture.handAt});
     }
     this.picture.draw(this.theme);
+    const now = performance.now();
+    if (this.playing && now - (this.readAt ?? 0) < READING) return;
+    this.readAt = now;
     this.plots.draw(this.history, this.now, this.theme);
     this.state();
   }

@@ -20,6 +20,8 @@ uniform float ambient;
 in vec3 turned, where, color;
 out vec4 result;
 void main() {
+  // Lines have no normals, and no light.
+  if (turned == vec3(0.0)) { result = vec4(color, 1.0); return; }
   vec3 n = normalize(turned), toEye = normalize(eye - where);
   if (dot(n, toEye) < 0.0) n = -n;
   float direct = max(dot(n, light), -0.4 * dot(n, light));
@@ -187,10 +189,18 @@ function faceMesh(triangles) {
 
 const rgb = (color) => [1, 3, 5].map((k) => parseInt(color.slice(k, k + 2), 16) / 255);
 
+// Whether WebGL has no graphics card here.
+function drawnByProcessor() {
+  const gl = document.createElement('canvas').getContext('webgl2');
+  const about = gl?.getExtension('WEBGL_debug_renderer_info');
+  const name = about ? gl.getParameter(about.UNMASKED_RENDERER_WEBGL) : '';
+  gl?.getExtension('WEBGL_lose_context')?.loseContext();
+  return /swiftshader|llvmpipe|softpipe|software/i.test(name);
+}
+
 class Scene {
-  constructor(back, solid, lines, described) {
+  constructor(solid, lines, described) {
     this.canvas = solid;
-    this.back = back;
     this.lines = lines;
     this.pen = lines.getContext('2d');
     this.described = described;
@@ -201,8 +211,8 @@ class Scene {
     this.forcePeak = this.peakAt = 0;
     this.hover = this.held = this.handAt = null;
     this.shown = {forces: true, names: false, trails: true};
-    const gl = this.gl = solid.getContext('webgl2', {antialias: true, alpha: true,
-                                                     premultipliedAlpha: true});
+    // Where the processor draws, smooth edges would cost half of the frames.
+    const gl = this.gl = solid.getContext('webgl2', {antialias: !drawnByProcessor(), alpha: false});
     if (!gl) throw new Error('This browser has no WebGL 2, which the picture needs.');
     this.program = this.build();
     this.meshes = {
@@ -254,6 +264,10 @@ class Scene {
         paints.push(...paint);
       }
     }
+    return this.stored(places, normals, paints);
+  }
+
+  stored(places, normals, paints) {
     const gl = this.gl, array = gl.createVertexArray();
     gl.bindVertexArray(array);
     [places, normals, paints].forEach((values, number) => {
@@ -583,14 +597,14 @@ class Scene {
 
   draw(theme) {
     const canvas = this.canvas, ratio = Math.min(window.devicePixelRatio || 1, 2);
-    for (const each of [this.back, canvas, this.lines]) {
+    for (const each of [canvas, this.lines]) {
       const width = Math.round(canvas.clientWidth * ratio);
       const height = Math.round(canvas.clientHeight * ratio);
       if (each.width !== width || each.height !== height) [each.width, each.height] = [width, height];
     }
     const gl = this.gl;
     gl.viewport(0, 0, canvas.width, canvas.height);
-    gl.clearColor(0, 0, 0, 0);
+    gl.clearColor(...theme.paper, 1);
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
     if (!this.row || !canvas.width) return;
     gl.enable(gl.DEPTH_TEST);
@@ -602,11 +616,11 @@ class Scene {
     gl.uniform3fv(u.light, unit(add(add(times(-0.45, right), times(0.6, top)), times(0.75, out))));
     gl.uniform1f(u.ambient, theme.ambient);
     if (this.baked !== theme) this.bake(theme);
+    this.grid(theme);
     for (const [body, mesh] of this.solids) this.mesh(mesh, this.frameOf(body));
     this.drawLines();
     if (this.shown.forces) this.drawArrows();
     this.drawDirection();
-    this.grid(theme);
     this.overlay(theme);
   }
 
@@ -617,41 +631,41 @@ class Scene {
     gl.drawArrays(gl.TRIANGLES, 0, mesh.count);
   }
 
-  // Lines behind everything, drawn anew where the camera has moved.
+  // Lines behind everything, which fade with the distance; made anew where the camera has moved far.
   grid(theme) {
-    const pen = this.back.getContext('2d'), step = this.gridStep = roundDown(0.3 * this.size);
-    const key = [...this.seen.matrix, this.back.width, this.back.height, theme.line].join();
-    if (key === this.gridKey) return;
-    this.gridKey = key;
-    const ratio = this.back.width / this.canvas.clientWidth;
-    pen.setTransform(ratio, 0, 0, ratio, 0, 0);
-    pen.clearRect(0, 0, this.canvas.clientWidth, this.canvas.clientHeight);
-    const count = 16, reach = count * step;
+    const gl = this.gl, step = this.gridStep = roundDown(0.3 * this.size);
     const [x, y] = [0, 1].map((k) => Math.round(this.target[k] / step) * step);
     const z = this.described.planar ? -0.06 * this.size
       : Math.min(this.extent.low[2], 0) - 0.07 * this.size;
-    pen.lineWidth = 1;
-    pen.strokeStyle = theme.grid;
-    const line = (a, b) => {
-      // In pieces, as what is behind the camera cannot be projected, and what is far fades.
-      for (let k = 0; k < 16; k++) {
-        const [from, to] = [k, k + 1].map((n) => add(a, times(n / 16, minus(b, a))));
-        const [p, q] = [this.project(from), this.project(to)];
-        if (p[2] < 0.05 * this.distance || q[2] < 0.05 * this.distance) continue;
-        const away = norm(minus(times(0.5, add(from, to)), this.target));
-        pen.globalAlpha = Math.max(0, 1 - away / Math.min(reach, 1.3 * this.distance));
-        if (pen.globalAlpha < 0.02) continue;
-        pen.beginPath();
-        pen.moveTo(p[0], p[1]);
-        pen.lineTo(q[0], q[1]);
-        pen.stroke();
-      }
+    const zoom = 1.25 ** Math.round(Math.log(this.distance) / Math.log(1.25));
+    const key = [x, y, z.toFixed(3), zoom, theme.grid].join();
+    if (key !== this.gridKey) {
+      this.gridKey = key;
+      this.gridMesh = this.gridLines([x, y, z], step, Math.min(16 * step, 1.3 * zoom), theme);
+    }
+    gl.uniformMatrix4fv(this.uniforms.model, false, IDENTITY);
+    gl.bindVertexArray(this.gridMesh.array);
+    gl.drawArrays(gl.LINES, 0, this.gridMesh.count);
+  }
+
+  gridLines([x, y, z], step, reach, theme) {
+    const places = [], paints = [], count = 16, pieces = 16, color = rgb(theme.grid);
+    const put = (place) => {
+      const strength = Math.max(0, 1 - Math.hypot(place[0] - x, place[1] - y) / reach);
+      places.push(...place);
+      paints.push(...color.map((c, k) => strength * c + (1 - strength) * theme.paper[k]));
     };
     for (let k = -count; k <= count; k++) {
-      line([x + k * step, y - reach, z], [x + k * step, y + reach, z]);
-      line([x - reach, y + k * step, z], [x + reach, y + k * step, z]);
+      for (let n = 0; n < pieces; n++) {
+        const [from, to] = [n, n + 1].map((m) => (2 * m / pieces - 1) * count * step);
+        if (Math.hypot(k * step, Math.min(Math.abs(from), Math.abs(to))) > reach) continue;
+        put([x + k * step, y + from, z]);
+        put([x + k * step, y + to, z]);
+        put([x + from, y + k * step, z]);
+        put([x + to, y + k * step, z]);
+      }
     }
-    pen.globalAlpha = 1;
+    return this.stored(places, new Array(places.length).fill(0), paints);
   }
 
   arrow(foot, along, kind, width) {
