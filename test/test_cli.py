@@ -150,7 +150,9 @@ def test_columns_and_digits_of_the_output(capsys, tmp_path):
                   for quantity in ('position', 'velocity', 'acceleration', 'effort')
                   for joint in joints),
         'force.cut_1.x', 'force.cut_1.y', 'force.cut_2.x', 'force.cut_2.y',
-        *(f'point.{point}.{axis}' for point in points for axis in 'xy'), 'closure', 'energy']
+        *(f'point.{point}.{axis}' for point in points for axis in 'xy'),
+        *(f'{quantity}.{cut}' for quantity in ('position', 'velocity', 'acceleration', 'effort')
+          for cut in ('cut_1', 'cut_2')), 'closure', 'energy']
     assert data['time'] == [k / 50 for k in range(6)]
     assert set(data['effort.theta_1']) == {5.0} and set(data['effort.theta_7']) == {-2.5}
     assert max(data['closure']) < 1e-10
@@ -164,7 +166,9 @@ def test_columns_and_digits_of_the_output(capsys, tmp_path):
         assert [[0.0, data[f'force.{cut}.x'][k], data[f'force.{cut}.y'][k]]
                 for cut in ('cut_1', 'cut_2')] == simulation.constraint_forces.tolist()
         assert data['energy'][k] == simulation.energy
-    assert f'{output}: 6 rows of 43 columns' in text
+        assert [data[f'position.{cut}'][k]
+                for cut in ('cut_1', 'cut_2')] == simulation.cut_position.tolist()
+    assert f'{output}: 6 rows of 51 columns' in text
     assert 'simulated 0.1 s' in text and 'CPU time' in text and 'energy' in text
 
 

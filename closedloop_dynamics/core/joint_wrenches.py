@@ -51,13 +51,13 @@ def cut_wrenches(cut, cut_point, cut_piece, body, lam, share, out):
 
     """
     for a in range(out.shape[0]):
-        _wrenches_of_cut(cut, cut_point, cut_piece, body, lam, share, a)
+        wrenches_of_cut(cut, cut_point, cut_piece, body, lam, share, a)
         for n in range(out.shape[1]):
             out[cut[a, CUT_NUMBER], n] = share[n]
 
 
 @inlined
-def _wrenches_of_cut(cut, cut_point, cut_piece, body, lam, share, a):
+def wrenches_of_cut(cut, cut_point, cut_piece, body, lam, share, a):
     """Write the wrenches of a cut joint: at its point, at the origins of bodies A and B."""
     run_piece(cut_piece[a, WRENCH], cut_point, a, body, cut[a, BODY_A], body, cut[a, BODY_B],
               lam, cut[a, CUT_ROW], share, 0)
@@ -84,7 +84,7 @@ def bias_forces(work, out):
 
 
 @inlined
-def _newton(model, work, qdd, wrench):
+def newton(model, work, qdd, wrench):
     """Add what accelerations take to the bias forces: Newton and Euler, outward."""
     tree, body, piece = model.tree, work.body, work.piece
     for i in range(qdd.shape[0]):
@@ -117,9 +117,9 @@ def joint_wrenches(model, work, qdd, lam, wrench):
     """
     tree, cut, body, piece, share = model.tree, model.cut, work.body, work.piece, work.share
     size = work.wrench.shape[1]
-    _newton(model, work, qdd, wrench)
+    newton(model, work, qdd, wrench)
     for a in range(cut.shape[0]):
-        _wrenches_of_cut(cut, model.cut_point, work.cut_piece, body, lam, share, a)
+        wrenches_of_cut(cut, model.cut_point, work.cut_piece, body, lam, share, a)
         for n in range(size):
             wrench[cut[a, BODY_A], n] -= share[size + n]
             wrench[cut[a, BODY_B], n] -= share[2 * size + n]
@@ -151,7 +151,7 @@ def tree_torque(model, work, qdd, out):
     """
     tree, body, piece, wrench = model.tree, work.body, work.piece, work.force
     bias_forces(work, wrench)
-    _newton(model, work, qdd, wrench)
+    newton(model, work, qdd, wrench)
     for i in range(tree.shape[0] - 1, 0, -1):
         run_piece(piece[i, TORQUE], model.body, i, body, i, body, i, wrench, i,
                   out, tree[i, DOF])

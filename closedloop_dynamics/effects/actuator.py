@@ -72,7 +72,7 @@ class Actuator(Effect):
 
     def joints(self, mechanism):
         """Return the names that ``joint`` may be: of actuated freedoms, but of balls."""
-        single = mechanism.coordinates.single_names
+        single = mechanism.coordinates.single_names + mechanism.measured_cuts
         return tuple(name for name in mechanism.actuated_joints if name in single)
 
     def element(self, machine):

@@ -20,11 +20,12 @@ A new law is one branch of ``apply``. Only listed effects are visited.
 """
 
 from . import (
-    actuator, body_contact, bushing, cable, contact, end_stop, external_force, force_table,
-    joint_damping, joint_friction, joint_spring, point_spring, prescribed_force, prescribed_motion)
+    actuator, body_contact, bushing, cable, contact, cut_coordinates, end_stop, external_force,
+    force_table, joint_damping, joint_friction, joint_spring, point_spring, prescribed_force,
+    prescribed_motion)
 from .table import (
     ACTUATOR, BUSHING, CABLE, CIRCLE_CONTACT, CONTACT, CURVE_CONTACT, END_STOP, EXTERNAL_FORCE,
-    JOINT_DAMPING, JOINT_FORCE_TABLE, JOINT_FRICTION, JOINT_SPRING, LINE_CONTACT,
+    FOLLOWED, JOINT_DAMPING, JOINT_FORCE_TABLE, JOINT_FRICTION, JOINT_SPRING, LINE_CONTACT,
     POINT_FORCE_TABLE, POINT_SPRING, PRESCRIBED_FORCE, PRESCRIBED_MOTION, PRESCRIBED_TORQUE,
     SPATIAL_BUSHING, SPATIAL_CABLE, SPATIAL_CONTACT, SPATIAL_FORCE, SPATIAL_POINT_SPRING,
     SPATIAL_PRESCRIBED_FORCE)
@@ -46,10 +47,41 @@ def apply(body, table, q, qd, tau):
         which joints stick are written.
     q, qd : ndarray, shape (nv,)
         Joint coordinates and rates.
-    tau : ndarray, shape (nv,)
-        Commanded joint torques [N m] and forces [N].
+    tau : ndarray, shape (nv + nk,)
+        Commanded joint torques [N m] and forces [N], those of cut joints behind.
 
     """
+    _apply(table.cuts, body, table, q, qd, tau)
+
+
+@compiled
+def _apply(cuts, body, table, q, qd, tau):
+    """Let laws see the cut joints that they act in, where there are any."""
+    if cuts is None:
+        _apply_laws(body, table, q, qd, tau)
+    if cuts is not None:
+        _apply_with_cuts(cuts, body, table, q, qd, tau)
+
+
+@compiled
+def _apply_with_cuts(cuts, body, table, q, qd, tau):
+    """Apply the laws to the joints of the tree and to cut joints behind them."""
+    nv = q.shape[0]
+    for i in range(nv):
+        cuts.q[i] = q[i]
+        cuts.qd[i] = qd[i]
+    cut_coordinates.measure(
+        cuts.index, cuts.values, body, table.states, nv, cuts.q, cuts.qd)
+    _apply_laws(body, table, cuts.q, cuts.qd, tau)
+    for k in range(cuts.index.shape[0]):
+        if cuts.index[k, FOLLOWED] >= 0:
+            table.rates[cuts.index[k, FOLLOWED]] = cuts.qd[nv + k]
+    cut_coordinates.exert(cuts.index, cuts.values, body, table.applied, nv)
+
+
+@compiled
+def _apply_laws(body, table, q, qd, tau):
+    """Apply the laws to the joints that the arrays have."""
     for i in range(tau.shape[0]):
         table.applied[i] = tau[i]
     for k in range(table.rates.shape[0]):

@@ -15,7 +15,8 @@
 """Interface of every effect, and lookup of the joints, bodies and points that it names."""
 
 from ..mechanism.checks import one_of, vector2, vector3
-from ..mechanism.fields import at, FieldError, normalise
+from ..mechanism.fields import among, at, FieldError, normalise
+from ..mechanism.mechanism import COUPLED
 
 
 class Machine:
@@ -34,19 +35,35 @@ class Machine:
         By the equation of a prescribed motion, without its name: its row of ``Model.cut``, its
         place among the multipliers, the first of its right-hand sides in ``Model.cut_point``, and
         where the scene starts [rad; m].
+    cuts : sequence of str
+        Names of the cut joints that anything acts in: their places are behind those of qd.
 
     """
 
-    def __init__(self, mechanism, rows, placements=None, motions=None):
+    def __init__(self, mechanism, rows, placements=None, motions=None, cuts=()):
         """Collect the names."""
         self.mechanism, self._rows, self._placements = mechanism, rows, placements
-        self._motions = motions
+        self._motions, self.cuts = motions, tuple(cuts)
         self._joints = {joint.name: joint for joint in mechanism.joints}
         self._points = {point.name: point for point in mechanism.points}
 
     def joint(self, name):
-        """Return the place of a joint, or of a number of one, in qd."""
-        return self.mechanism.coordinates.index[name]
+        """
+        Return the place of a joint, or of a number of one, in qd; of a cut joint behind them.
+
+        Raises
+        ------
+        FieldError
+
+        """
+        coordinates = self.mechanism.coordinates
+        if name in coordinates.index:
+            return coordinates.index[name]
+        if name not in self.cuts:
+            raise FieldError(
+                'a joint of the tree, or a cut joint that anything acted in when the scene was '
+                'loaded', repr(name), 'load a scene where it does', ('joint',))
+        return coordinates.nv + self.cuts.index(name)
 
     def description(self, name):
         """Return a joint as the mechanism has it."""
@@ -57,7 +74,9 @@ class Machine:
         return self._motions[equation]
 
     def joint_row(self, name):
-        """Return the row of the body that a joint carries."""
+        """Return the row of the body that a joint carries; 0 for a cut joint."""
+        if name in self.cuts:
+            return 0
         return self._rows[self._joints[self.mechanism.coordinates.joint_of(name)].child]
 
     def body(self, name):
@@ -170,23 +189,30 @@ class Effect:
                     (vector2 if mechanism.planar else vector3)(getattr(self, key))
         if getattr(self, 'joint', None) is not None:
             with at('joint'):
-                self._require_in_tree(mechanism)
-                one_of(self.joints(mechanism), self.JOINTS)(self.joint)
+                self._require_joint(mechanism)
         for key, require in REQUIRE.items():
             if getattr(self, key, None) is not None:
                 require(mechanism, key, getattr(self, key))
 
-    def _require_in_tree(self, mechanism):
-        """Refuse a joint that was cut."""
-        if self.joint in [cut.name for cut in mechanism.cut_joints]:
-            raise FieldError(
-                'a joint of the tree', f'{self.joint!r}, which closes a loop',
-                'cut another joint of that loop, or write joints `between` bodies and none as '
-                'cut: the program then keeps those that effects name')
+    def _require_joint(self, mechanism):
+        """Refuse what is no joint that the effect can act in."""
+        known = self.joints(mechanism)
+        cut = {cut.name: cut for cut in mechanism.cut_joints}.get(self.joint)
+        if cut is None or cut.name in known or (
+                cut.type in COUPLED and self.JOINTS != Effect.JOINTS):
+            one_of(known, self.JOINTS)(self.joint)
+            return
+        raise FieldError(
+            'a joint of the tree' if cut.type in COUPLED else
+            f'a joint of the tree, or a cut joint of one freedom ({among(COUPLED)})',
+            f'{self.joint!r}, which closes a loop' + (
+                '' if cut.type in COUPLED else f' and is {cut.type}'),
+            'cut another joint of that loop, or write joints `between` bodies and none as '
+            'cut: the program then keeps those that effects name')
 
     def joints(self, mechanism):
         """Return the names that ``joint`` may be: but of spherical and free joints."""
-        return mechanism.coordinates.single_names
+        return mechanism.coordinates.single_names + mechanism.measured_cuts
 
     def change(self, model, machine):
         """Change the constants of the model."""

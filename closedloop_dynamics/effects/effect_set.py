@@ -19,13 +19,17 @@ Nothing here knows a type of effect: each is asked what an ``effect.Effect`` can
 
 """
 
+from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
 
+from . import cut_coordinates
+from .sensor import Chain
 from .table import (
-    build_table, DISSIPATED, fill_row, FIRST, LOADED, OWN, size_of_data, STATE, STORED, WORK)
-from ..core import codegen
+    build_table, DISSIPATED, fill_row, FIRST, FOLLOWED, LOADED, OWN, size_of_data, STATE,
+    states_of, STORED, WORK)
+from ..core import codegen, kinematics
 from ..core.codegen import pieces
 from ..core.types import TYPE
 from ..mechanism.checks import boolean, one_of
@@ -84,12 +88,14 @@ class EffectSet:
         Which of these act back on the motion; the others are energies.
     drives : dict of int to float
         Delay of the command [s] of every joint whose command passes through a drive.
-    instruments : list
-        What measures.
+    sensors, sensors_at_cuts : sensor.Chain
+        What measures the joints of the tree, and cut joints.
+    cuts : tuple of 2 ndarrays or None
+        Of the cut joints that anything acts in, as for ``table.build_table``.
 
     """
 
-    def __init__(self, effects, model, machine):
+    def __init__(self, effects, model, machine, cuts=None):
         """Keep the bare model, change it, collect the force elements."""
         self.records, self.enabled = dict(effects), dict.fromkeys(effects, True)
         self._model, self._machine, self._table, self._system = model, machine, None, None
@@ -97,7 +103,7 @@ class EffectSet:
         elements = {name: record.element(machine) for name, record in effects.items()}
         self._rows = [name for name, element in elements.items() if element is not None]
         self.elements = tuple(elements[name] for name in self._rows)
-        states = [state for element in self.elements for state in element.states]
+        self.cuts, states = cuts, states_of(self.elements, cuts)
         self.initial = np.array([state.initial for state in states], dtype=float)
         roles = np.array([state.role for state in states], dtype=int)
         self._roles = roles
@@ -145,10 +151,10 @@ class EffectSet:
 
     def restart(self):
         """Let the instruments begin anew."""
-        instruments = [record.instrument() for name, record in self.records.items()
-                       if self.enabled[name]]
-        self.instruments = [each for each in instruments if each is not None]
-        self._measured_at = None
+        active = [record for name, record in self.records.items()
+                  if self.enabled[name] and record.instrument() is not None]
+        self.sensors = Chain(record.instrument() for record in active)
+        self.sensors_at_cuts = Chain(record.instrument_at_cuts() for record in active)
 
     @property
     def ending_steps(self):
@@ -158,32 +164,7 @@ class EffectSet:
     @property
     def remembers(self):
         """Whether what is measured depends on the states in between."""
-        return any(instrument.remembers for instrument in self.instruments)
-
-    def measure(self, time, position, velocity):
-        """
-        Return what is measured of a state; the same again for the same time.
-
-        Parameters
-        ----------
-        time : float
-            [s].
-        position, velocity : ndarray, shape (nv,)
-            The true ones.
-
-        Returns
-        -------
-        position, velocity : ndarray, shape (nv,)
-
-        """
-        if not self.instruments:
-            return position, velocity
-        if time != self._measured_at:
-            self._measured_at, self._measured = time, (position.copy(), velocity.copy())
-            for instrument in self.instruments:
-                instrument.show(time, *self._measured)
-                self._measured = instrument.read()
-        return self._measured
+        return self.sensors.remembers
 
     def checked(self, name, enabled, parameters):
         """
@@ -277,10 +258,44 @@ class EffectSet:
     def start_anew(self, states):
         """Set the own states, not the energies, back to those of the start, in place."""
         states[self.own] = self.initial[self.own]
-        self._measured_at = None
+        self.sensors.forget()
+        self.sensors_at_cuts.forget()
+
+    def rates(self, q, qd):
+        """
+        Return the rates of all joints, behind them those of cut joints that anything acts in.
+
+        Parameters
+        ----------
+        q : ndarray, shape (nq,)
+            Joint coordinates.
+        qd : ndarray, shape (nv,)
+            Rates.
+
+        Returns
+        -------
+        ndarray, shape (nv + nk,)
+
+        """
+        if self.cuts is None:
+            return qd
+        cuts, nv = self._table.cuts, len(qd)
+        kinematics.outward(self._system.model, q, qd, self._system.work)
+        cuts.qd[:nv] = qd
+        cut_coordinates.measure(
+            cuts.index, cuts.values, self._system.work.body, self._table.states, nv, cuts.q,
+            cuts.qd)
+        return cuts.qd.copy()
+
+    def follow_angles(self, states):
+        """Let the angles that are followed begin as at the latest evaluation, in place."""
+        cuts = self._table.cuts
+        for k, row in enumerate(() if cuts is None else cuts.index):
+            if row[FOLLOWED] >= 0:
+                states[row[FOLLOWED]] = cuts.q[len(cuts.q) - len(cuts.index) + k]
 
     def follow(self, states, qd):
-        """Let the own states begin with joint rates as they are, in place."""
+        """Let the own states begin with joint rates as they are, as ``rates``; in place."""
         for row, name in enumerate(self._rows):
             if self.enabled[name] and self.elements[row].sticks:
                 states[self._table.index[row, STATE]] = self.records[name].direction(
@@ -305,6 +320,16 @@ class EffectSet:
     def work(self, states):
         """Return the work that effects did from outside so far [J]."""
         return float(states[self._work].sum())
+
+    @contextmanager
+    def friction_held(self):
+        """Let friction act as in the latest evaluation where it holds cut joints at rest."""
+        sticking = self._table.sticking
+        stuck = sticking.rows[1:1 + sticking.rows[0]].copy()
+        if self.cuts is not None:
+            sticking.hold[stuck] = self._table.output[stuck, 1]
+        yield
+        sticking.hold[stuck] = 0.0
 
     def readings(self, name, states):
         """
@@ -351,9 +376,9 @@ class EffectSet:
         rows = np.flatnonzero(self._table.index[:, LOADED])
         return self._table.index[rows, STATE] + 1, self._table.output[rows, 2]
 
-    def steady(self, qd):
+    def steady(self, q, qd):
         """Set the table's states to those of a steady motion, and switch the drives off."""
-        self.follow(self._table.states, qd)
+        self.follow(self._table.states, self.rates(q, qd))
         rows, _ = self.drive_rows()
         self._table.enabled[rows] = 0
 

@@ -51,7 +51,7 @@ class JointDamping(Effect):
 
     def joints(self, mechanism):
         """Return the names that ``joint`` may be: of any freedom."""
-        return mechanism.coordinates.names
+        return mechanism.coordinates.names + mechanism.measured_cuts
 
     def element(self, machine):
         """Return the effect as a row of the table."""

@@ -12,15 +12,17 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The reactions in joints of the trees, for effects that are driven by them."""
+"""The reactions in joints, for effects that are driven by them."""
 
 import math
 
-from .table import LOAD_TIME, LOADED, SECOND, STATE
+from .cut_coordinates import direction
+from .table import (
+    AXIS as CUT_AXIS, CUT, FIRST, IN_PLANE, LOAD_TIME, LOADED, ROW_B, SECOND, SLIDES, STATE)
 from ..core import kinematics
 from ..core.codegen.space import FRAME
 from ..core.compiled import compiled, inlined
-from ..core.joint_wrenches import FORCE_X, FORCE_Y, joint_wrenches
+from ..core.joint_wrenches import FORCE_X, FORCE_Y, joint_wrenches, wrenches_of_cut
 from ..core.types import AXIS, PRISMATIC, SX, SY, TYPE
 
 
@@ -55,8 +57,14 @@ def load(model, work, table, q, qd, qdd, lam):
     for row in range(table.kind.shape[0]):
         if table.enabled[row] == 1 and table.index[row, LOADED] == 1:
             i, state = table.index[row, SECOND], table.index[row, STATE] + 1
-            size = _across(tree, body, reaction, i) if spatial else _in_plane(
-                tree, body, reaction, i)
+            size = 0.0
+            if table.index[row, FIRST] >= qd.shape[0]:
+                size = _of_cut(
+                    table.cuts, model, work, lam, table.index[row, FIRST] - qd.shape[0])
+            elif spatial:
+                size = _across(tree, body, reaction, i)
+            else:
+                size = _in_plane(tree, body, reaction, i)
             table.rates[state] = (size - table.states[state]) / table.values[row, LOAD_TIME]
             table.output[row, 2] = size
 
@@ -81,3 +89,24 @@ def _across(tree, body, reaction, i):
         along = body[i, axis] * fx + body[i, axis + 3] * fy + body[i, axis + 6] * fz
         square = max(0.0, square - along * along)
     return math.sqrt(square)
+
+
+@compiled
+def _of_cut(cuts, model, work, lam, k):
+    """Do as ``_in_plane`` does in a cut joint, where anything acts in such."""
+    size = 0.0
+    if cuts is not None:
+        share, body = work.share, work.body
+        wrenches_of_cut(model.cut, model.cut_point, work.cut_piece, body, lam, share,
+                        cuts.index[k, CUT])
+        planar = cuts.index[k, IN_PLANE] == 1
+        fx, fy, fz = share[1], share[2], 0.0
+        if not planar:
+            fx, fy, fz = share[3], share[4], share[5]
+        square = fx * fx + fy * fy + fz * fz
+        if cuts.index[k, SLIDES] == 1:
+            x, y, z = direction(body, cuts.index[k, ROW_B], planar, cuts.values, k, CUT_AXIS)
+            along = x * fx + y * fy + z * fz
+            square = max(0.0, square - along * along)
+        size = math.sqrt(square)
+    return size

@@ -36,7 +36,7 @@ from ..mechanism.fields import FieldError, shown
 @dataclass(frozen=True)
 class Sensor(Effect):
     """
-    Errors of the joint sensors, the same for all joints.
+    Errors of the joint sensors, the same for all joints, cut ones among them.
 
     Attributes
     ----------
@@ -92,14 +92,68 @@ class Sensor(Effect):
         """Return what measures, with the memory that a delay and a seed need."""
         return Instrument(self)
 
+    def instrument_at_cuts(self):
+        """Return the same for cut joints, whose noise is drawn from another sequence."""
+        return Instrument(self, (1,))
+
+
+class Chain:
+    """
+    Sensors, each of which measures what the one before it shows.
+
+    Parameters
+    ----------
+    instruments : sequence of Instrument
+        None: what is measured is the true state.
+
+    """
+
+    def __init__(self, instruments):
+        """Start with nothing measured."""
+        self.instruments, self._time, self._measured = list(instruments), None, None
+
+    @property
+    def remembers(self):
+        """Whether what is measured depends on the states in between."""
+        return any(instrument.remembers for instrument in self.instruments)
+
+    def forget(self):
+        """Measure anew, even at the time that was measured last."""
+        self._time = None
+
+    def measure(self, time, position, velocity):
+        """
+        Return what is measured of a state; the same again for the same time.
+
+        Parameters
+        ----------
+        time : float
+            [s].
+        position, velocity : ndarray, shape (nv,)
+            The true ones.
+
+        Returns
+        -------
+        position, velocity : ndarray, shape (nv,)
+
+        """
+        if not self.instruments:
+            return position, velocity
+        if time != self._time:
+            self._time, self._measured = time, (position.copy(), velocity.copy())
+            for instrument in self.instruments:
+                instrument.show(time, *self._measured)
+                self._measured = instrument.read()
+        return self._measured
+
 
 class Instrument:
     """A sensor at work."""
 
-    def __init__(self, record):
-        """Start with nothing remembered."""
+    def __init__(self, record, sequence=()):
+        """Start with nothing remembered; ``sequence``: numbers that tell noises of one seed."""
         self._record = record
-        self._random = np.random.default_rng(record.seed)
+        self._random = np.random.default_rng((record.seed, *sequence) if sequence else record.seed)
         self._past = deque()
 
     @property

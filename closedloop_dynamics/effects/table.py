@@ -31,10 +31,10 @@ import numpy as np
  PRESCRIBED_FORCE, JOINT_FORCE_TABLE, POINT_FORCE_TABLE, BUSHING, CABLE, LINE_CONTACT,
  CIRCLE_CONTACT, CURVE_CONTACT, SPATIAL_PRESCRIBED_FORCE, SPATIAL_BUSHING,
  SPATIAL_CABLE, PRESCRIBED_MOTION) = range(24)
-# Columns of EffectTable.index: first own state; joint (its place in q) or the row of the body
-# that carries the first point; the row of the second point's body, or of the joint's; whether the
-# law wants the reaction in its joint, as its second state; where its numbers begin among those of
-# all effects, and how many entries they are.
+# Columns of EffectTable.index: first own state; joint (its place in q, of a cut joint behind those
+# of the tree) or the row of the body that carries the first point; the row of the second point's
+# body, or of the joint's; whether the law wants the reaction in its joint, as its second state;
+# where its numbers begin among those of all effects, and how many entries they are.
 STATE, FIRST, SECOND, LOADED, DATA, ENTRIES = range(6)
 INDEX_COLUMNS = 6
 # Values of Contacts.mode: whether a contact is there while a step is made; undecided, its gap
@@ -46,6 +46,17 @@ LOAD_TIME = 11
 # First column of EffectTable.output: stored energy [J]. The others are the law's readings.
 STORED = 0
 OUTPUT_COLUMNS = 5
+
+# Columns of CutCoordinates.index: whether it slides; whether it is one in the plane; the rows of
+# bodies A and B; where among the effects' states its angle is followed, less than zero where it is
+# not: in space, angles are found within a turn; its row of ``Model.cut``.
+SLIDES, IN_PLANE, ROW_A, ROW_B, FOLLOWED, CUT = range(6)
+CUT_INDEX_COLUMNS = 6
+# Columns of CutCoordinates.values, in the frames of the rows: the cut point of A and of B; the
+# axis in B; a direction of A across it, and where that is in B at zero; what follows this in the
+# sense of the turn; coordinates per metre of a slide; the angle at zero, in the plane.
+POINT_A, POINT_B, AXIS, SIDE_A, SIDE_B, ACROSS_B, SCALE, ZERO = 0, 3, 6, 9, 12, 15, 18, 19
+CUT_VALUE_COLUMNS = 20
 
 # What a state of an effect is: a state of its own, energy dissipated, or work done on the
 # mechanism from outside (both integrated with the rest).
@@ -84,8 +95,8 @@ class Sticking(NamedTuple):
     # Shape (ne,): friction that ``dispatch.apply`` gives to a joint that sticks [N m; N]:
     # zero but while responses are computed.
     hold: np.ndarray
-    # Shape (nf + 1, nv + nc): what the limit of each friction changes of accelerations and
-    # multipliers; last, these without the friction of any joint at rest.
+    # Shape (nf + 1, nv + nk + nc): what the limit of each friction changes of accelerations, those
+    # of cut joints behind, and multipliers; last, these without the friction of any joint at rest.
     response: np.ndarray
     matrix: np.ndarray  # Shape (nf, nf)
     # Shape (nf,)
@@ -107,6 +118,20 @@ class Contacts(NamedTuple):
     mode: np.ndarray  # Shape (ne,): ``UNDECIDED``, ``FREE`` or ``TOUCHING``
 
 
+class CutCoordinates(NamedTuple):
+    """The coordinates of some cut joints, and what laws see of all joints."""
+
+    index: np.ndarray  # Shape (nk, CUT_INDEX_COLUMNS)
+    values: np.ndarray  # Shape (nk, CUT_VALUE_COLUMNS)
+    # Shape (nv + nk,): coordinates and rates of the tree, then of these joints, in the latest
+    # evaluation; rates before a step; accelerations.
+    q: np.ndarray
+    qd: np.ndarray
+    before: np.ndarray
+    qdd: np.ndarray
+    scratch: np.ndarray  # Shape (nb + 1, 6 or 12): of ``accelerations``
+
+
 class EffectTable(NamedTuple):
     """The listed effects, as the kernels read them."""
 
@@ -121,8 +146,8 @@ class EffectTable(NamedTuple):
     rates: np.ndarray
     scale: np.ndarray  # Shape (nz,): sizes for error control
     loaded: np.ndarray  # Shape (1,): how many effects want the reaction in their joint
-    # Shape (nv,): joint torques: commands and effects. The commands' own array where no
-    # effect is listed.
+    # Shape (nv + nk,): joint torques, of cut joints behind: commands and effects. The commands'
+    # own array where no effect is listed.
     applied: np.ndarray
     # Shape (nb + 1, 6 or 12): scratch of ``joint_reaction``; of no length
     # where no effect is listed.
@@ -135,9 +160,30 @@ class EffectTable(NamedTuple):
     # ``Model.cut_point``, whose rows the prescribed motions are set in; of no length where there
     # are none, and None where there are no machine elements.
     motions: Optional[np.ndarray] = None
+    # Cut joints that anything acts in, nk of them; None where there are none.
+    cuts: Optional[CutCoordinates] = None
 
 
-def build_table(elements, tau, bodies, equations, spatial=False, cut_point=None):
+def _allocate_cuts(index, values, nv, bodies):
+    """
+    Allocate what laws see of the joints.
+
+    Parameters
+    ----------
+    index, values : ndarray
+        As ``CutCoordinates`` has them.
+    nv : int
+        Number of rates of the tree.
+    bodies : int
+        Number of rows of bodies.
+
+    """
+    total, planar = nv + len(index), bool(index[:, IN_PLANE].all())
+    return CutCoordinates(index, values, *(np.zeros(total) for _ in range(4)),
+                          np.zeros((bodies + 1, 6 if planar else 12)))
+
+
+def build_table(elements, tau, bodies, equations, spatial=False, cut_point=None, cuts=None):
     """
     Allocate the table of the listed effects.
 
@@ -145,8 +191,8 @@ def build_table(elements, tau, bodies, equations, spatial=False, cut_point=None)
     ----------
     elements : sequence of ForceElement
         In the order of the scene.
-    tau : ndarray, shape (nv,)
-        The commanded joint torques.
+    tau : ndarray, shape (nv + nk,)
+        The commanded joint torques, those of cut joints behind.
     bodies : int
         Number of bodies.
     equations : int
@@ -155,10 +201,13 @@ def build_table(elements, tau, bodies, equations, spatial=False, cut_point=None)
         Whether the mechanism is one in space.
     cut_point : ndarray, optional
         Of the ``Model``.
+    cuts : tuple of 2 ndarrays, optional
+        Index and values of ``CutCoordinates``: of the cut joints that anything acts in.
 
     """
     count, most = len(elements), sum(element.sticks for element in elements)
-    states = [state for element in elements for state in element.states]
+    states = states_of(elements, cuts)
+    acts, cut_count = count > 0 or cuts is not None, 0 if cuts is None else len(cuts[0])
     with_data = any(element.data is not None for element in elements)
     table = EffectTable(
         kind=np.array([element.kind for element in elements], dtype=np.int64),
@@ -170,8 +219,8 @@ def build_table(elements, tau, bodies, equations, spatial=False, cut_point=None)
         rates=np.zeros(len(states)),
         scale=np.array([state.scale for state in states], dtype=float),
         loaded=np.zeros(1, dtype=np.int64),
-        applied=tau.copy() if count else tau,
-        reaction=np.zeros((bodies + 1 if count else 0, 12 if spatial else 6)),
+        applied=tau.copy() if acts else tau,
+        reaction=np.zeros((bodies + 1 if acts else 0, 12 if spatial else 6)),
         sticking=Sticking(
             rows=np.zeros(most + 1, dtype=np.int64), hold=np.zeros(count),
             response=np.zeros((most + 1, len(tau) + equations)), matrix=np.zeros((most, most)),
@@ -184,7 +233,8 @@ def build_table(elements, tau, bodies, equations, spatial=False, cut_point=None)
                           dtype=np.int64),
             gap=np.zeros((count, 4)), mode=np.zeros(count, dtype=np.int64)),
         motions=None if not with_data else cut_point if any(
-            element.kind == PRESCRIBED_MOTION for element in elements) else np.zeros((0, 0)))
+            element.kind == PRESCRIBED_MOTION for element in elements) else np.zeros((0, 0)),
+        cuts=None if cuts is None else _allocate_cuts(*cuts, len(tau) - cut_count, bodies))
     first = begin = 0
     for row, element in enumerate(elements):
         table.index[row, [STATE, DATA]] = first, begin
@@ -192,6 +242,30 @@ def build_table(elements, tau, bodies, equations, spatial=False, cut_point=None)
         first += len(element.states)
         begin += size_of_data(element)
     return table
+
+
+def states_of(elements, cuts=None):
+    """
+    Return the states that effects add: their own, then angles of cut joints that are followed.
+
+    Parameters
+    ----------
+    elements : sequence of ForceElement
+        In the order of the scene.
+    cuts : tuple of 2 ndarrays, optional
+        As for ``build_table``; where the angles are followed is written.
+
+    Returns
+    -------
+    list of State
+
+    """
+    states = [state for element in elements for state in element.states]
+    for row in () if cuts is None else cuts[0]:
+        if row[FOLLOWED] >= 0:
+            row[FOLLOWED] = len(states)
+            states.append(State(OWN))
+    return states
 
 
 def size_of_data(element):

@@ -24,13 +24,16 @@ would turn round is cut where it comes to rest; there it sticks, or sets out aga
 import math
 
 from .system import evaluate, take_states
+from ..core import kinematics
 from ..core.compiled import compiled, inlined
 from ..core.manifold import rates_begin
-from ..effects import sticking
+from ..effects import cut_coordinates, sticking
 from ..effects.table import FIRST, JOINT_FRICTION, STATE
 
 # A sliding joint has come to rest where its rate is less than this [rad/s; m/s].
 ARRIVED = 1e-9
+# A cut joint at rest has rates of rounding [rad/s; m/s].
+ROUNDING = 1e-12
 # Cuts of one step: beyond, it is taken as it is.
 MOST_CUTS = 200
 # The least part of a step that is made.
@@ -38,17 +41,46 @@ LEAST_PART = 1e-12
 
 
 @compiled
-def _first_rest(effects, before, after, nq, nv, size, floor):
+def _first_rest(effects, grips, before, after, size, floor):
     """Return when the first joint comes to rest, by the secant; ``size`` where none does."""
     shortest = size
     for row in range(effects.kind.shape[0]):
         if effects.kind[row] == JOINT_FRICTION and effects.enabled[row] == 1:
-            joint = nq + effects.index[row, FIRST]
-            grip = before[nq + nv + effects.index[row, STATE]]
+            joint = effects.index[row, FIRST]
+            grip = grips[effects.index[row, STATE]]
             start, end = max(0.0, grip * before[joint]), grip * after[joint]
             if end < -ARRIVED:
                 shortest = min(shortest, size * start / (start - end))
     return shortest if shortest > floor else size
+
+
+@compiled
+def _rates(cuts, effects, system, state, out):
+    """Find the rates of all joints in a state, those of cut joints behind."""
+    nv = system.qdd.shape[0]
+    nq = rates_begin(system.manifold, nv)
+    kinematics.outward(system.model, state[:nq], state[nq:nq + nv], system.work)
+    for i in range(nv):
+        out[i] = state[nq + i]
+    cut_coordinates.measure(
+        cuts.index, cuts.values, system.work.body, effects.states, nv, cuts.q, out)
+
+
+@compiled
+def _part(cuts, effects, system, before, after, size, floor):
+    """Return what ``part`` does, where anything acts in cut joints or not."""
+    nv, found = system.qdd.shape[0], size
+    nq = rates_begin(system.manifold, nv)
+    grips = before[nq + nv:]
+    if cuts is None:
+        found = _first_rest(
+            effects, grips, before[nq:nq + nv], after[nq:nq + nv], size, floor)
+    if cuts is not None:
+        if effects.sticking.response.shape[0] > 1:
+            _rates(cuts, effects, system, before, cuts.before)
+            _rates(cuts, effects, system, after, cuts.qd)
+            found = _first_rest(effects, grips, cuts.before, cuts.qd, size, floor)
+    return found
 
 
 @inlined
@@ -83,28 +115,53 @@ def part(effects, system, before, after, size, floor):
     """
     if effects is None:
         return size
-    nv = system.qdd.shape[0]
-    return _first_rest(effects, before, after, rates_begin(system.manifold, nv), nv, size, floor)
+    return _part(effects.cuts, effects, system, before, after, size, floor)
 
 
 @compiled
-def _rest(effects, system, state):
+def _rest(cuts, effects, system, state):
     """Let joints stick or slip, where a scene has dry friction."""
-    nv, slow = system.qdd.shape[0], False
+    nv = system.qdd.shape[0]
     nq = rates_begin(system.manifold, nv)
+    if cuts is None:
+        if _stick(effects, state[nq:nq + nv], state[nq + nv:]):
+            take_states(effects, state, nq + nv)
+            evaluate(system, state[:nq], state[nq:nq + nv])
+            sticking.stop(effects, state[nq:nq + nv])
+    if cuts is not None:
+        _rates(cuts, effects, system, state, cuts.qd)
+        if _stick(effects, cuts.qd, state[nq + nv:]):
+            take_states(effects, state, nq + nv)
+            evaluate(system, state[:nq], state[nq:nq + nv])
+            sticking.stop(effects, cuts.qd)
+            for i in range(nv):
+                state[nq + i] = cuts.qd[i]
+
+
+@compiled
+def _stick(effects, rates, own):
+    """Tell the effects which joints slide or rest; return whether one at rest still moves."""
+    slow = False
     for row in range(effects.kind.shape[0]):
         if effects.kind[row] == JOINT_FRICTION and effects.enabled[row] == 1:
-            rate = state[nq + effects.index[row, FIRST]]
-            place = nq + nv + effects.index[row, STATE]
+            joint, place = effects.index[row, FIRST], effects.index[row, STATE]
+            rate = rates[joint]
             if abs(rate) > sticking.REST:
-                state[place] = math.copysign(1.0, rate)
-            elif rate * state[place] <= ARRIVED:
-                state[place] = 0.0
-                slow = slow or rate != 0.0
-    if slow:
-        take_states(effects, state, nq + nv)
-        evaluate(system, state[:nq], state[nq:nq + nv])
-        sticking.stop(effects, state[nq:nq + nv])
+                own[place] = math.copysign(1.0, rate)
+            elif rate * own[place] <= ARRIVED:
+                own[place] = 0.0
+                slow = slow or abs(rate) > _left_over(effects.cuts, joint)
+    return slow
+
+
+@compiled
+def _left_over(cuts, joint):
+    """Return what rate of a joint at rest is rounding: none of a joint of the tree."""
+    most = 0.0
+    if cuts is not None:
+        if joint >= cuts.qd.shape[0] - cuts.index.shape[0]:
+            most = ROUNDING
+    return most
 
 
 @inlined
@@ -124,4 +181,4 @@ def rest(effects, system, state):
     """
     if effects is not None:
         if effects.sticking.response.shape[0] > 1:
-            _rest(effects, system, state)
+            _rest(effects.cuts, effects, system, state)

@@ -32,7 +32,8 @@ from ..core.manifold import (
     fill_numbers, Manifold, manifold_of, power_of_turns, rates_begin, rates_of_coordinates)
 from ..core.types import Model, number_of_coordinates, Workspace
 from ..core.workspace import unconnected
-from ..effects import dispatch, joint_reaction, prescribed_motion, sticking
+from ..effects import (
+    cut_coordinates, dispatch, joint_reaction, prescribed_motion, sticking)
 from ..effects.table import build_table, EffectTable
 
 # Columns of System.settings: which formulation, Baumgarte's decay rate [1/s] (0: none), the
@@ -64,8 +65,9 @@ class System(NamedTuple):
     partition : Partition or None
         Of the independent coordinates.
     settings : ndarray, shape (5,)
-    tau : ndarray, shape (nv,)
-        Commanded joint torques [N m] and forces [N].
+    tau : ndarray, shape (nv + nk,)
+        Commanded joint torques [N m] and forces [N], behind them those of the nk cut joints that
+        anything acts in.
     qdd : ndarray, shape (nv,)
         Joint accelerations of the latest evaluation.
     lam : ndarray, shape (nc,)
@@ -114,7 +116,7 @@ class System(NamedTuple):
 
 
 def build_system(model, formulation=SUBSYSTEM, baumgarte=0.0, extent=1.0, independent=False,
-                 elements=(), unrolled=None):
+                 elements=(), unrolled=None, cuts=None):
     """
     Allocate a system.
 
@@ -135,6 +137,8 @@ def build_system(model, formulation=SUBSYSTEM, baumgarte=0.0, extent=1.0, indepe
     unrolled : bool, optional
         Whether to unroll the kernels for this mechanism; where not said, if there is a compiler,
         few bodies, and the subsystem-level formulation.
+    cuts : tuple of 2 ndarrays, optional
+        Of the cut joints that anything acts in, as for ``effects.table.build_table``.
 
     """
     nv, nc = len(model.tree) - 1, len(model.column) - 1
@@ -145,15 +149,15 @@ def build_system(model, formulation=SUBSYSTEM, baumgarte=0.0, extent=1.0, indepe
     # Closure errors of 1e-12 of the size are rounding; one of 1e-5 of it is an open loop.
     settings = np.array([
         formulation, baumgarte, 1e-12 * extent, 1e-5 * extent, rank_revealing.ASIDE])
-    tau = np.zeros(nv)
-    effects = None if len(elements) == 0 else build_table(
-        elements, tau, nv, nc, space.is_spatial(model), model.cut_point)
+    tau = np.zeros(nv + (0 if cuts is None else len(cuts[0])))
+    effects = None if len(elements) == 0 and cuts is None else build_table(
+        elements, tau, nv, nc, space.is_spatial(model), model.cut_point, cuts)
     system = System(
         model=model, work=unconnected(model),
         dense=None if formulation == SUBSYSTEM else allocate_dense(model, formulation),
         partition=allocate_partition(model) if independent else None,
         settings=settings, tau=tau, qdd=np.zeros(nv), lam=np.zeros(nc),
-        applied=tau if effects is None else effects.applied, effects=effects, table=None,
+        applied=tau if effects is None else effects.applied[:nv], effects=effects, table=None,
         unrolled=_YES if unrolled else None, by_loops=None if unrolled else _YES,
         corrections=np.zeros((2, nv)), manifold=manifold_of(model))
     return _linked(system)
@@ -498,7 +502,16 @@ def _evaluate_among_effects(effects, system, q, qd):
 
 
 @compiled
-def _hold(effects, system, q, qd):
+def _hold(cuts, effects, system, q, qd):
+    """Find the friction that holds joints at rest, where it may be that of cut joints or not."""
+    if cuts is None:
+        _hold_joints(effects, system, q, qd)
+    if cuts is not None:
+        _hold_with_cuts(cuts, effects, system, q, qd)
+
+
+@compiled
+def _hold_joints(effects, system, q, qd):
     """Find the friction that holds joints at rest, by the response to that of each."""
     count = effects.sticking.rows[0]
     sticking.keep(effects, system.qdd, system.lam)
@@ -509,6 +522,43 @@ def _hold(effects, system, q, qd):
         _evaluate_by_loops(system.by_loops, system, q, qd)
         sticking.respond(effects, place, system.qdd, system.lam)
     sticking.balance(effects, system.qdd, system.lam)
+
+
+@compiled
+def _take_accelerations(cuts, system, q, qd):
+    """Put the accelerations of cut joints behind those of the tree."""
+    kinematics.outward(system.model, q, qd, system.work)
+    for i in range(qd.shape[0]):
+        cuts.qdd[i] = system.qdd[i]
+    cut_coordinates.accelerations(
+        cuts, system.model, system.work, system.qdd, True, cuts.qdd)
+
+
+@compiled
+def _hold_with_cuts(cuts, effects, system, q, qd):
+    """Do as ``_hold_joints`` does where cut joints may be at rest, too."""
+    stuck, hold = effects.sticking.rows, effects.sticking.hold
+    count = stuck[0]
+    _take_accelerations(cuts, system, q, qd)
+    sticking.keep(effects, cuts.qdd, system.lam)
+    for place in range(count):
+        row = stuck[place + 1]
+        hold[row] = effects.output[row, 3]
+        _evaluate_unrolled(system.unrolled, system, q, qd)
+        _evaluate_by_loops(system.by_loops, system, q, qd)
+        _take_accelerations(cuts, system, q, qd)
+        sticking.respond(effects, place, cuts.qdd, system.lam)
+    sticking.balance(effects, cuts.qdd, system.lam)
+    for i in range(qd.shape[0]):
+        system.qdd[i] = cuts.qdd[i]
+    if effects.loaded[0] > 0:
+        # Friction at a cut joint acts on bodies: it is part of what the reactions balance.
+        for place in range(count):
+            hold[stuck[place + 1]] = effects.output[stuck[place + 1], 1]
+        kinematics.outward(system.model, q, qd, system.work)
+        apply_effects(effects, system.manifold, system.work, q, qd, system.tau)
+        for place in range(count):
+            hold[stuck[place + 1]] = 0.0
 
 
 @compiled
@@ -552,7 +602,7 @@ def _complete(effects, system, q, qd):
     """Add what depends on the accelerations: friction at rest, forces, reactions in joints."""
     if effects is not None:
         if effects.sticking.rows[0] > 0:
-            _hold(effects, system, q, qd)
+            _hold(effects.cuts, effects, system, q, qd)
         _tell_motions(effects.motions, effects, system.lam)
         _feel_reactions(effects, system, q, qd)
 

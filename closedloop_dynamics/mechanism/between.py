@@ -26,13 +26,13 @@ from types import SimpleNamespace
 import numpy as np
 
 from .checks import boolean, listed, one_of
-from .fields import at, FieldError, mapping, normalise, shown
+from .fields import among, at, FieldError, mapping, normalise, shown
 from .mechanism import (
-    CUT_JOINT_EQUATIONS, CUT_WITH_AXIS_A, CUT_WITH_AXIS_B, CUT_WITH_ORIENTATION, CutJoint,
+    COUPLED, CUT_JOINT_EQUATIONS, CUT_WITH_AXIS_A, CUT_WITH_AXIS_B, CUT_WITH_ZERO, CutJoint,
     CYLINDRICAL, FIXED, FREE, GROUND, HELICAL, Joint, JOINT_FREEDOMS, PLANAR, PRISMATIC, REVOLUTE,
-    SPATIAL_CUT_JOINT_EQUATIONS, UNIVERSAL, UNTURNED)
+    SPATIAL_CUT_JOINT_EQUATIONS, UNIVERSAL)
 from .spanning_tree import choose_tree, Edge
-from .validation import check_axes, SECTIONS, SPATIAL_SECTIONS
+from .validation import check_axes, SECTIONS, SPATIAL_SECTIONS, turned_by
 
 BETWEEN = 'between'
 # Instead of parent, child and position.
@@ -116,8 +116,9 @@ def link(name, values, bodies, spatial):
     if cut is not None:
         with at('cut'):
             cut = boolean(cut)
-    if cut is True and joint.actuated:
-        raise FieldError('a joint that is not cut where it is actuated', 'both', path=('cut',))
+    if cut is True and joint.actuated and joint.type not in COUPLED:
+        raise FieldError(f'a joint that is not cut where it is actuated, but for {among(COUPLED)}',
+                         'both', path=('cut',))
     return joint, places[1], cut
 
 
@@ -186,21 +187,12 @@ def with_tree(mechanism, links, orders=None):
             cut, point_a=_moved(cut.point_a, shifts.get(cut.body_a)),
             point_b=_moved(cut.point_b, shifts.get(cut.body_b)))
             for cut in mechanism.cut_joints)),
-        couplings=tuple(_counted(coupling, found, {edges[index].name for index in chosen.cut})
-                        for coupling in mechanism.couplings),
         points=tuple(replace(point, position=_moved(point.position, shifts.get(point.body)))
                      for point in mechanism.points),
         tree=ChosenTree(tuple(edges[index].name for index in chosen.cut),
                         tuple(edges[index].name for index in first.cut) if orders is None
                         else (), tuple(free),
                         {body: tuple(shift.tolist()) for body, shift in shifts.items()}))
-
-
-def _counted(coupling, found, cut):
-    """Return a coupling with the angles of joints that are cut counted as if they were not."""
-    angles = {joint.name: joint.angle for joint, _ in found if joint.name in cut}
-    return replace(coupling, offset=coupling.offset + sum(
-        factor * angles.get(name, 0.0) for name, factor in coupling.joints.items()))
 
 
 def _moved(place, shift):
@@ -225,27 +217,23 @@ def _cut(joint, point, shifts, spatial):
     """Return a joint that is cut: body A is the second one."""
     keys = {}
     if not spatial:
-        keys = {'angle': joint.angle} if joint.type != REVOLUTE else {}
+        keys = {'angle': joint.angle}
     else:
         if joint.type in CUT_WITH_AXIS_B:
             keys['axis_b'] = tuple(_turned(joint).tolist())
         if joint.type in CUT_WITH_AXIS_A:
             keys['axis_a'] = {UNIVERSAL: joint.second_axis, PLANAR: (0.0, 0.0, 1.0)}.get(
                 joint.type, joint.axis)
-        if joint.type in CUT_WITH_ORIENTATION:
+        if joint.type in CUT_WITH_ZERO:
             keys['orientation'] = joint.orientation
         if joint.type == HELICAL:
             keys['lead'] = joint.lead
     return CutJoint(joint.name, joint.type, joint.child, joint.parent,
                     _moved(point, shifts[joint.child]),
-                    _moved(joint.position, shifts[joint.parent]), **keys)
+                    _moved(joint.position, shifts[joint.parent]), actuated=joint.actuated,
+                    **keys)
 
 
 def _turned(joint):
     """Return a joint's axis in the frame of the first body."""
-    axis = np.array((0.0, 0.0, 1.0) if joint.type == PLANAR else joint.axis)
-    if joint.orientation == UNTURNED:
-        return axis
-    x, y, z, w = joint.orientation
-    across = np.cross((x, y, z), axis)
-    return axis + 2.0 * w * across + 2.0 * np.cross((x, y, z), across)
+    return turned_by(joint.orientation, (0.0, 0.0, 1.0) if joint.type == PLANAR else joint.axis)

@@ -16,7 +16,7 @@
 Couplings in the coordinates of the spanning tree.
 
 In the plane angles add along a chain of bodies: the coordinate of a revolute cut joint, the angle
-of body A in body B, is a sum of the tree's coordinates and of constant angles.
+of body A in body B less its ``angle``, is a sum of the tree's coordinates and of constant angles.
 
 """
 
@@ -49,6 +49,7 @@ def in_tree(mechanism, coupling):
         if name not in cuts:
             factors[name] = factors.get(name, 0.0) + factor
             continue
+        offset += factor * cuts[name].angle
         for body, sign in ((cuts[name].body_a, factor), (cuts[name].body_b, -factor)):
             while body != GROUND:
                 joint = carrier[body]

@@ -63,6 +63,8 @@ CUT_WITH_AXIS_A = (REVOLUTE, CYLINDRICAL, UNIVERSAL, PLANAR)
 CUT_WITH_AXIS_B = (*CUT_WITH_AXIS_A, PRISMATIC, HELICAL, POINT_ON_LINE, POINT_ON_PLANE)
 # Cut joints that keep the orientation of body A in body B, or lead it back there.
 CUT_WITH_ORIENTATION = (PRISMATIC, FIXED, HELICAL)
+# Cut joints whose coordinate counts from an orientation of body A in body B.
+CUT_WITH_ZERO = (*CUT_WITH_ORIENTATION, REVOLUTE)
 # Cut joints that exert no moment about their point on body A.
 CUT_WITHOUT_MOMENT = (SPHERICAL, DISTANCE, POINT_ON_LINE, POINT_ON_PLANE)
 # Joints that can be coupled: they have one coordinate.
@@ -209,19 +211,23 @@ class CutJoint:
     point_a, point_b : tuple of 2 or 3 floats
         The cut point in the frames of body a and of body b [m].
     angle : float
-        Relative angle alpha_a - alpha_b, or of the line in body b [rad]; unused for
-        ``'revolute'`` and ``'distance'``; in the plane.
+        Relative angle alpha_a - alpha_b, of a revolute joint where its coordinate is zero, or of
+        the line in body b [rad]; unused for ``'distance'``; in the plane.
     axis_a, axis_b : tuple of 3 floats or None
         In space: the joint's axis in both bodies' frames, of a universal joint the axis fixed in
         each, of a planar joint the plane's normal. Prismatic and helical joints have ``axis_b``
         alone, as do a point on a line of body b (its direction) and one on a plane (its normal).
     orientation : tuple of 4 floats
         Of body a in body b, where the joint keeps it: prismatic and fixed ones in space; of a
-        helical one where it has not slid.
+        helical one where it has not slid; of a revolute one where its coordinate is zero (not
+        given: turned from there only so far that the axes meet).
     length : float or None
         Of ``'distance'``: how far apart the two points stay, as the ends of a massless rod [m].
     lead : float or None
         Of a helical joint [m/rad].
+    actuated : bool
+        Whether a torque (force, for a prismatic joint) command drives it; revolute, prismatic and
+        helical ones.
 
     """
 
@@ -237,6 +243,7 @@ class CutJoint:
     orientation: Quaternion = UNTURNED
     length: Optional[float] = None
     lead: Optional[float] = None
+    actuated: bool = False
 
 
 @dataclass(frozen=True)
@@ -252,7 +259,7 @@ class Coupling:
     joints : dict of str to float
         Factors by joint [rad or m]; joints of one freedom. The sum of the coordinates times their
         factors stays ``offset``. In the plane revolute cut joints, too, whose coordinate is
-        alpha_a - alpha_b.
+        alpha_a - alpha_b - ``angle``.
     offset : float
         That sum.
     radius : float or None
@@ -365,8 +372,19 @@ class Mechanism:
 
     @cached_property
     def actuated_joints(self):
-        """Names of the actuated joints' freedoms, in the order of qd: ``crank``, ``hip.1``."""
-        return tuple(self.coordinates.names[place] for place in self.coordinates.actuated)
+        """
+        Names of the actuated joints' freedoms, in the order of qd: ``crank``, ``hip.1``.
+
+        Behind them those of actuated cut joints.
+
+        """
+        return (*(self.coordinates.names[place] for place in self.coordinates.actuated),
+                *(cut.name for cut in self.cut_joints if cut.actuated))
+
+    @cached_property
+    def measured_cuts(self):
+        """Names of the cut joints of one freedom, whose coordinates are measured."""
+        return tuple(cut.name for cut in self.cut_joints if cut.type in COUPLED)
 
     @cached_property
     def planar(self):

@@ -28,7 +28,7 @@ from .couplings import in_tree
 from .fields import among, at, FieldError, mapping, nearest, normalise, shown
 from .mechanism import (
     Body, COUPLED, Coupling, CUT_JOINT_EQUATIONS, CUT_WITH_AXIS_A, CUT_WITH_AXIS_B,
-    CUT_WITH_ORIENTATION, CutJoint, DISTANCE, GROUND, HELICAL, Joint, JOINT_FREEDOMS, JOINT_TYPES,
+    CUT_WITH_ZERO, CutJoint, DISTANCE, GROUND, HELICAL, Joint, JOINT_FREEDOMS, JOINT_TYPES,
     Mechanism, MechanismError, Point, PRISMATIC, REVOLUTE, SPATIAL_CUT_JOINT_EQUATIONS,
     UNIVERSAL, UNTURNED, WITH_AXIS)
 
@@ -107,7 +107,7 @@ SECTIONS = {
         'orientation': partial(_left_out, UNTURNED, 'space')}),
     'cut_joints': (CutJoint, {
         'type': one_of(tuple(CUT_JOINT_EQUATIONS)), 'point_a': vector2, 'point_b': vector2,
-        'angle': number, 'length': partial(_given, positive),
+        'angle': number, 'length': partial(_given, positive), 'actuated': boolean,
         **dict.fromkeys(('axis_a', 'axis_b', 'lead'), partial(_left_out, None, 'space')),
         'orientation': partial(_left_out, UNTURNED, 'space')}),
     'points': (Point, {'position': vector2}),
@@ -127,7 +127,7 @@ SPATIAL_SECTIONS = {
         'type': one_of(tuple(SPATIAL_CUT_JOINT_EQUATIONS)), 'point_a': vector3,
         'point_b': vector3, 'angle': partial(_left_out, 0.0, 'the plane'),
         'axis_a': partial(_given, direction), 'axis_b': partial(_given, direction),
-        'orientation': orientation, 'length': partial(_given, positive),
+        'orientation': orientation, 'length': partial(_given, positive), 'actuated': boolean,
         'lead': partial(_given, _not_zero)}),
     'points': (Point, {'position': vector3}),
     'couplings': (Coupling, _COUPLING),
@@ -140,7 +140,9 @@ _KEYS_OF_JOINTS = {
 # Keys of joints and cut joints that only mechanisms in space have.
 KEYS_OF_SPACE = ('axis', 'second_axis', 'lead', 'axis_a', 'axis_b', 'orientation')
 # Cut joints in the plane that have no angle.
-_WITHOUT_ANGLE = (REVOLUTE, DISTANCE)
+_WITHOUT_ANGLE = (DISTANCE,)
+# Components of unit vectors along one axis may differ by so much.
+AXES_APART = 1e-6
 # Cosine of the angle between universal axes from which on they are parallel.
 PARALLEL = 0.999
 # Names that would stand for two things in one place: CSV columns and topics, frames.
@@ -309,6 +311,10 @@ def _check_references(mechanism):
         if cut.type in _WITHOUT_ANGLE and cut.angle != 0.0:
             raise FieldError(f'no angle in a {cut.type} cut joint, which leaves it free',
                              shown(cut.angle), path=('cut_joints', cut.name, 'angle'))
+        if cut.actuated and cut.type not in COUPLED:
+            raise FieldError(f'no drive of a cut joint, but of {among(COUPLED)}',
+                             f'one that is {cut.type}', 'cut another joint of that loop',
+                             ('cut_joints', cut.name, 'actuated'))
 
 
 def _check_couplings(mechanism):
@@ -386,6 +392,28 @@ def _require_key(section, joint, key, types):
             path=(section, joint.name, key))
 
 
+def turned_by(quaternion, vector):
+    """
+    Return a vector turned by a unit quaternion.
+
+    Parameters
+    ----------
+    quaternion : tuple of 4 floats
+        x, y, z, w.
+    vector : sequence of 3 floats
+        Any.
+
+    Returns
+    -------
+    ndarray, shape (3,)
+
+    """
+    if quaternion == UNTURNED:
+        return np.array(vector)
+    across = np.cross(quaternion[:3], vector)
+    return vector + 2.0 * quaternion[3] * across + 2.0 * np.cross(quaternion[:3], across)
+
+
 def check_axes(mechanism):
     """
     Refuse axes that a joint in space does not have, and ask for those that it has.
@@ -409,7 +437,13 @@ def check_axes(mechanism):
             raise FieldError('a second axis across the first', 'one that is parallel to it',
                              path=('joints', joint.name, 'second_axis'))
     for cut in mechanism.cut_joints:
-        if cut.type not in CUT_WITH_ORIENTATION and cut.orientation != UNTURNED:
+        if cut.type not in CUT_WITH_ZERO and cut.orientation != UNTURNED:
             raise FieldError(f'no orientation of a {cut.type} joint, which its axes tell',
                              shown(cut.orientation),
                              path=('cut_joints', cut.name, 'orientation'))
+        if cut.type == REVOLUTE and cut.orientation != UNTURNED:
+            apart = np.abs(turned_by(cut.orientation, cut.axis_a) - cut.axis_b).max()
+            if apart > AXES_APART:
+                raise FieldError('an orientation that turns axis_a to where axis_b is',
+                                 f'one that leaves them {apart:.3g} apart',
+                                 path=('cut_joints', cut.name, 'orientation'))

@@ -50,7 +50,8 @@ class Log:
     index: np.ndarray
     jumps: np.ndarray
     time: np.ndarray  # Shape (n,): simulated [s]
-    # Shape (n, nv): commands that acted from the entry before to this one [N m or N].
+    # Shape (n, nv), or more: commands that acted from the entry before to this one [N m or N],
+    # those of cut joints that anything acts in behind those of the tree.
     torque: np.ndarray
     # Shape (n,): index of the state at that time in the motion; -1 where there is none.
     state: np.ndarray
@@ -204,7 +205,8 @@ def _order(path, state, scene):
     """Return where the joints of the mechanism are in the states."""
     names, coordinates = list(state.name), scene.mechanism.coordinates
     expected = [coordinates.names[place] for place in coordinates.single]
-    if sorted(names) != sorted(expected):
+    known = set(scene.mechanism.measured_cuts)
+    if sorted(set(names) - known) != sorted(expected) or len(set(names)) != len(names):
         raise RecordingError(
             f'{path}: expected the joints of {scene.mechanism.name} '
             f'({", ".join(expected)}), got {", ".join(names)}')
@@ -251,6 +253,7 @@ def _log(entries, mechanism, stamps):
     place = {name: columns.index(name) for name in columns}
     try:
         joints = [place[name] for name in mechanism.coordinates.names]
+        joints += [place[name] for name in mechanism.measured_cuts if name in place]
     except KeyError as error:
         raise RecordingError(f'the replay_log is of another mechanism: no joint {error}') from None
     behind = max(joints) + 1

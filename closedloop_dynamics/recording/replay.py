@@ -210,7 +210,7 @@ class _Logged(_Player):
         torque, simulation = self._log.torque[k], self.simulation
         steps = duration / simulation.step_size
         if abs(steps - round(steps)) > STAMP_ROUNDING * max(1.0, steps):
-            simulation.step({name: torque[simulation.joint_names.index(name)]
+            simulation.step({name: torque[simulation.torque_names.index(name)]
                              for name in simulation.actuated_joints}, duration)
         elif round(steps):
             simulation.advance(torque, round(steps))

@@ -28,6 +28,8 @@ from ..simulation.monitor import ROSENBROCK_ORDER
 from ..simulation.rollout_run import TIME_ROUNDING
 from ..visual.motion import wrench_parts
 
+# What is told of the cut joints of one freedom.
+OF_CUTS = ('position', 'velocity', 'acceleration', 'effort')
 # Between two looks whether to go on; about 10 ms of computing.
 LARGEST_PORTION = 1000
 # Tolerance of the run that tells the error, against that of the run itself.
@@ -108,6 +110,8 @@ def columns(simulation, all_forces=False):
                   for place in _moving(simulation) for part in parts]
     names += [f'point.{point.name}.{axis}' for point in simulation.mechanism.points
               for axis in 'xyz'[:len(point.position)]]
+    names += [f'{quantity}.{name}' for quantity in OF_CUTS
+              for name in simulation.cut_joint_names]
     return [*names, 'closure', 'energy']
 
 
@@ -139,7 +143,12 @@ def row(simulation, seconds, all_forces=False):
     if all_forces:
         places = list(_force_parts(simulation).values())
         values += simulation.joint_forces[_moving(simulation)][:, places].ravel().tolist()
-    return [*values, *simulation.points.ravel().tolist(), simulation.closure, simulation.energy]
+    values += simulation.points.ravel().tolist()
+    if simulation.cut_joint_names:
+        for quantity in (simulation.cut_position, simulation.cut_velocity,
+                         simulation.cut_acceleration, simulation.cut_effort):
+            values += quantity.tolist()
+    return [*values, simulation.closure, simulation.energy]
 
 
 def _toothed(simulation):

@@ -93,7 +93,7 @@ class ReplayLog:
         self._jumps += 1
 
     def advancing(self, torque):
-        """Note the command of the steps that come now, shape (nv,) [N m or N]."""
+        """Note the command of the steps that come now, by ``torque_names`` [N m or N]."""
         if self._torque is None:
             self._torque = torque.copy()
         elif not np.array_equal(torque, self._torque):
@@ -126,7 +126,8 @@ class ReplayLog:
         if states == self._states:
             return
         self._states = states
-        columns = [*COLUMNS, *self._simulation.joint_names, *(f'state.{k}' for k in range(states))]
+        columns = [*COLUMNS, *self._simulation.torque_names,
+                   *(f'state.{k}' for k in range(states))]
         self._message.layout.dim = [MultiArrayDimension(
             label=' '.join(columns), size=len(columns), stride=len(columns))]
         self._message.data = array('d', bytes(8 * len(columns)))

@@ -153,17 +153,18 @@ class TorqueCommand:
         return f'the actuated joints are {", ".join(self.actuated_joints)}'
 
 
-def state_of(message, coordinates, position):
+def state_of(message, coordinates, position, measured=()):
     """
     Return the positions, velocities and held joints that a JointState asks for.
 
     ``coordinates`` are those of the mechanism; joints that the message does not name begin at
     ``position``, shape (nq,) [rad or m], and follow those it names, which are held. None is held
-    where all are named. Raises CommandError if the message makes no sense.
+    where all are named. The cut joints in ``measured`` may be named, too, as joint_states has
+    them: they follow from the others. Raises CommandError if the message makes no sense.
 
     """
     joints = [coordinates.names[place] for place in coordinates.single]
-    names = _known_joints(message.name, joints)
+    names = _known_joints(message.name, [*joints, *measured])
     if len(message.position) != len(names):
         raise CommandError(f'expected one position per name, got {len(message.position)} for '
                            f'{len(names)} names')
@@ -175,9 +176,15 @@ def state_of(message, coordinates, position):
         for name, value in zip(names, getattr(message, key)):
             if not math.isfinite(value):
                 raise CommandError(f"the {key} of '{name}' is {value}, not a finite number")
+            if name in measured:
+                continue
             place = coordinates.index[name]
             values[coordinates.place[place] if key == 'position' else place] = value
-    return *wanted.values(), tuple(names) if len(names) < coordinates.nv else ()
+    held = tuple(name for name in names if name not in measured)
+    if not held:
+        raise CommandError('it names no joint but cut ones, which follow from the others; the '
+                           f'joints are {", ".join(joints)}')
+    return *wanted.values(), held if len(held) < coordinates.nv else ()
 
 
 def poses_of(message, coordinates, position):

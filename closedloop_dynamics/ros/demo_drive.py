@@ -117,7 +117,7 @@ def _sines(scene):
     amplitude = [
         float(f'{SHARE_OF_WEIGHT * weight if joint.type == PRISMATIC else torque:.2g}')
         for torque in [SHARE_OF_TORQUE * weight * length]
-        for joint in mechanism.joints if joint.actuated]
+        for joint in (*mechanism.joints, *mechanism.cut_joints) if joint.actuated]
     shown = ', '.join(f'{value:g}' for value in amplitude)
     return Drive(f'sine torques of {shown} N m or N at {FREQUENCY} Hz',
                  {'mode': 'sine', 'amplitude': amplitude, 'frequency': [FREQUENCY]})

@@ -44,7 +44,7 @@ class LiveSimulation:
 
     Attributes
     ----------
-    torque : ndarray, shape (nv,)
+    torque : ndarray, shape (number of the simulation's ``torque_names``,)
         Command that acted in the latest steps [N m or N].
     on_published : list of callables
         Each is called with the stamp, a Time message, after a state was published.
@@ -59,7 +59,7 @@ class LiveSimulation:
         self.simulation, self.command, self.stamps, self.states = (
             simulation, command, stamps, states)
         self._pacer, self._logger = pacer, logger
-        self.torque = np.zeros(len(simulation.joint_names))
+        self.torque = simulation.joint_torques(None)
         self.on_published, self.on_advance, self.on_jump = [], [], []
         self._published_at = self._published_stamp = None
 
@@ -95,7 +95,10 @@ class LiveSimulation:
             raise NumericalError('the constraint forces are not finite numbers')
         # The clock first: who answers the state knows the time.
         self.stamps.publish()
-        self.states.publish(stamp, *simulation.measured(), simulation.effort, forces)
+        cuts = (*simulation.measured_cut_joints(), simulation.cut_effort) if (
+            simulation.cut_joint_names) else ()
+        self.states.publish(
+            stamp, *simulation.measured(), simulation.effort, forces, cuts)
         self._published_at, self._published_stamp = time.monotonic(), stamp
         for publish in self.on_published:
             publish(self.states.stamp)

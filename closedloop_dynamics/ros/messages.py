@@ -175,6 +175,8 @@ class StatePublisher:
         In the order of the constraint forces.
     frames : sequence of str
         Frames that these refer to.
+    measured : sequence of str
+        Names of the cut joints of one freedom, which follow those of the tree.
 
     Attributes
     ----------
@@ -190,12 +192,13 @@ class StatePublisher:
 
     """
 
-    def __init__(self, node, coordinates, cut_names, frames):
+    def __init__(self, node, coordinates, cut_names, frames, measured=()):
         self.stamp, self.published = Time(), 0
         self._stuck_since = None
         self._coordinates, self._single = coordinates, coordinates.single
         self._places = coordinates.place[self._single]
-        self._names = [coordinates.names[place] for place in self._single]
+        self._names = [*(coordinates.names[place] for place in self._single), *measured]
+        self._measured = len(measured)
         self._state = SerializedTemplate(self.joint_state, 3 * [len(self._names)])
         self._turned = None
         count = len(coordinates.with_orientation)
@@ -246,7 +249,7 @@ class StatePublisher:
             message.wrench.append(wrench)
         return message
 
-    def publish(self, nanoseconds, position, velocity, effort, constraint_forces):
+    def publish(self, nanoseconds, position, velocity, effort, constraint_forces, cuts=()):
         """
         Publish a state.
 
@@ -261,6 +264,8 @@ class StatePublisher:
         constraint_forces : ndarray, shape (number of cut joints, 3 or 6)
             What body B exerts on body A: torque about z [N m], force along x and y [N]; in space
             torque about and force along x, y and z.
+        cuts : tuple of 3 ndarrays, shape (number of measured cut joints,)
+            Positions, velocities and efforts of these; none where there are none.
 
         """
         sec, nanosec = divmod(nanoseconds, NANOSECONDS)
@@ -277,6 +282,9 @@ class StatePublisher:
                     names.poses(position), names.twists(velocity), names.twists(effort)))))
             position, velocity, effort = position[self._places], velocity[single], effort[single]
             self.published += 1
+        if self._measured:
+            position, velocity, effort = map(
+                np.concatenate, zip((position, velocity, effort), cuts))
         self._state_publisher.publish(
             self._state.filled(sec, nanosec, position, velocity, effort))
         self.published += 1 + len(self._force_publishers)

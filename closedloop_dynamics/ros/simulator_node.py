@@ -136,10 +136,12 @@ class SimulatorNode(Node):
         """Create what advances and publishes the simulation."""
         values, simulation = self._values, self.simulation
         self._frames = Frames(self, simulation)
-        self.states = StatePublisher(self, simulation.coordinates, [
-            cut.name for cut in simulation.cut_joints], self._frames.of_cuts)
+        self.states = StatePublisher(
+            self, simulation.coordinates, [cut.name for cut in simulation.cut_joints],
+            self._frames.of_cuts, simulation.cut_joint_names)
         self.command = TorqueCommand(
-            simulation.joint_names, simulation.actuated_joints, values['command_timeout'])
+            (*simulation.joint_names, *simulation.cut_joint_names), simulation.actuated_joints,
+            values['command_timeout'])
         self.pacer = Pacer(simulation.step_size, values['real_time_factor'])
         real_time = values['mode'] == REALTIME
         self.live = LiveSimulation(
@@ -325,7 +327,7 @@ class SimulatorNode(Node):
 
     def on_set_state(self, message):
         """Move to the nearest state that closes the loops, or refuse."""
-        self._set_state(state_of, message)
+        self._set_state(partial(state_of, measured=self.simulation.cut_joint_names), message)
 
     def on_set_multi_dof_state(self, message):
         """Do the same for joints with an orientation."""

@@ -341,7 +341,13 @@ class TorqueSourceNode(Node):
         if joints:
             raise StartError("mode 'computed_torque' drives all actuated joints of its scene: "
                              "leave parameter 'joints' out")
-        return load_simulation(self._values['scene'], self.get_logger())[0]
+        simulation = load_simulation(self._values['scene'], self.get_logger())[0]
+        driven = [cut.name for cut in simulation.cut_joints if cut.actuated]
+        if driven:
+            raise StartError("mode 'computed_torque' leads joints of the tree, and not "
+                             f"{driven[0]}, which closes a loop: take mode 'pd', or cut another "
+                             'joint of that loop')
+        return simulation
 
     def _create_command(self, by_name):
         if by_name:

@@ -142,7 +142,9 @@ class Attached:
         self._velocity, self._effort = np.zeros(names.nv), np.zeros(names.nv)
         self._forces = np.full((len(mechanism.cut_joints), 3 if mechanism.planar else 6), np.nan)
         # By actuated joint: what drives it, its value, and the integral of a position drive.
-        self._drives = {name: [TORQUE, 0.0, 0.0] for name in mechanism.actuated_joints}
+        # Cut joints are driven by commands: the page shows the joints of the tree.
+        self._drives = {name: [TORQUE, 0.0, 0.0] for name in mechanism.actuated_joints
+                        if name in names.index}
         self._subscriptions.append(self._subscribe(
             JointState, self._topics['joint_states'], self._on_state, QOS))
         if 'multi_dof_joint_states' in self._topics:
@@ -159,7 +161,7 @@ class Attached:
                         if effect_type(record) == 'gravity'), None)
         described = describe(
             mechanism, motion_columns(mechanism), scene.effects, mode='node', title=self.name,
-            drives=[self._drive_of(scene, name) for name in mechanism.actuated_joints],
+            drives=[self._drive_of(scene, name) for name in self._drives],
             integrators={name: INTEGRATORS[name].kind for name in LIVE_INTEGRATORS},
             stabilisations=list(STABILISATIONS), hand=False, gravity=gravity,
             # Orientations have topics of their own.
@@ -334,7 +336,7 @@ class Attached:
             self._model = Simulation(replace(self._hand.scene, effects={}))
             self._busy = None
         self._model.set_state(self._position)
-        felt = felt_inertia(self._model)[self._model.actuated]
+        felt = felt_inertia(self._model)[self._model.actuated_in_tree]
         self._felt = {name: float(inertia) if np.isfinite(inertia) else 1.0
                       for name, inertia in zip(self._drives, felt)}
 

@@ -26,12 +26,14 @@ from ..effects import dispatch, joint_reaction
 class InverseDynamics:
     """Solves tau + tau_effects + J^T lambda = I qdd + c, tau zero at joints without a drive."""
 
-    def __init__(self, mechanism, system, effects, table, equations):
-        """Find the freedoms that are actuated."""
+    def __init__(self, mechanism, system, effects, table, equations, cuts, actuated):
+        """Find the freedoms that are actuated, cut joints' behind those of the tree."""
         self._mechanism, self._system, self._equations = mechanism, system, equations
         self._effects, self._table = effects, table
-        self._actuated = np.array(mechanism.coordinates.actuated, dtype=int)
-        self._passive = np.setdiff1d(np.arange(mechanism.coordinates.nv), self._actuated)
+        self._cuts, nv = cuts, mechanism.coordinates.nv
+        self._actuated = actuated[actuated < nv]
+        self._driven = [cut.name for cut in mechanism.cut_joints if cut.actuated]
+        self._passive = np.setdiff1d(np.arange(nv), self._actuated)
 
     def solve(self, q, qd, qdd):
         """
@@ -95,18 +97,24 @@ class InverseDynamics:
         need, table, system = np.zeros(len(qd)), self._table, self._system
         kinematics.outward(system.model, q, qd, system.work)
         if len(table.kind):
-            self._effects.steady(qd)
+            self._effects.steady(q, qd)
+            kinematics.outward(system.model, q, qd, system.work)
             dispatch.apply(
                 system.work.body, table, self._mechanism.coordinates.by_freedom(q), qd,
-                np.zeros(len(qd)))
+                np.zeros(len(system.tau)))
             self._effects.unsteady()
             bias_forces(system.work, table.reaction)
         tree_torque(system.model, system.work, qdd, need)
-        return need - table.applied if len(table.kind) else need
+        return need - table.applied[:len(need)] if len(table.kind) else need
 
     def _least_torques(self, need, jac):
         """Return the least torques of the actuated joints, and multipliers, that add up to it."""
-        unknowns = np.concatenate([np.eye(len(need))[:, self._actuated], jac.T], axis=1)
+        # In cut joints they act through the tree.
+        levers = self._cuts.jacobian(
+            self._system.model, self._system.work, self._driven) if self._driven else (
+                np.zeros((0, len(need))))
+        unknowns = np.concatenate(
+            [np.eye(len(need))[:, self._actuated], levers.T, jac.T], axis=1)
         solution = np.linalg.lstsq(unknowns, need, rcond=1e-12)[0]
         left = np.abs(unknowns @ solution - need)[self._passive].max(initial=0.0)
         if left > 1e-8 * max(np.abs(need).max(), 1e-30):
@@ -114,5 +122,5 @@ class InverseDynamics:
                 f'The actuated joints ({", ".join(self._mechanism.actuated_joints)}) cannot '
                 f'produce this motion: {left:.3g} N m is missing at the others. Actuate more '
                 'joints, or give an acceleration that the loops allow.')
-        count = len(self._actuated)
+        count = len(self._actuated) + len(self._driven)
         return solution[:count], solution[count:]

@@ -131,7 +131,8 @@ def _held(mechanism, joint):
                 math.atan2(y, x))
     return (_CUT_TYPES[joint.type], CUT_JOINT_EQUATIONS[joint.type], _LENGTHS.get(joint.type, 2),
             joint.body_a, joint.body_b, *joint.point_a, *joint.point_b,
-            joint.length if joint.type == DISTANCE else joint.angle)
+            joint.length if joint.type == DISTANCE else
+            0.0 if joint.type == REVOLUTE else joint.angle)
 
 
 def filled(points, columns, motions=()):

@@ -158,8 +158,8 @@ def record(simulation, torques, schedule, quantities=QUANTITIES):
 
 
 def all_torques(simulation, torques):
-    """Return torques of actuated joints as those of all joints, shape (rows, nv)."""
-    tau = np.zeros((len(torques), len(simulation.joint_names)))
+    """Return torques of actuated joints as those of ``torque_names``, row by row."""
+    tau = np.zeros((len(torques), len(simulation.torque_names)))
     tau[:, simulation.actuated] = torques
     return tau
 

@@ -21,6 +21,7 @@ import warnings
 import numpy as np
 
 from .assembly import angle_notes, Assembler
+from .cut_joints import acted_in, coordinate_arrays, CutJoints
 from .errors import (
     AssemblyError, ClosureError, MotionError, NumericalError, SimulationError, StiffnessError)
 from .guards import CLOSING, ClosureGuard, EnergyGuard, StiffnessGuard
@@ -104,16 +105,19 @@ class Simulation:
             self._rows, model = self._geometry.rows, self._geometry.model
             self._equations = self._geometry.equations
         self._prescribe(scene, model)
-        machine = Machine(self.mechanism, self._rows,
-                          None if self._geometry is None else self._geometry.placements,
-                          self._motions.rows)
-        self._effects = EffectSet(scene.effects, model, machine)
+        placements = None if self._geometry is None else self._geometry.placements
+        acted = acted_in(self.mechanism, scene.effects)
+        machine = Machine(self.mechanism, self._rows, placements, self._motions.rows, acted)
+        self._effects = EffectSet(scene.effects, model, machine, coordinate_arrays(
+            self.mechanism, model, self._rows, placements, acted, True) if acted else None)
+        self._cuts = CutJoints(self.mechanism, model, self._rows, placements, acted)
         method = scene.method
         baumgarte = 1.0 / method.time_constant if method.stabilisation == 'baumgarte' else 0.0
         size = extent(self.mechanism)
         self.system = build_system(
             model, FORMULATIONS[method.formulation], baumgarte, size,
-            method.stabilisation == 'independent', self._effects.elements)
+            method.stabilisation == 'independent', self._effects.elements,
+            cuts=self._effects.cuts)
         self._table = self._effects.bind(self.system)
         self._motions.records = self._effects.records
         self._balance = EnergyBalance(self._effects)
@@ -122,7 +126,9 @@ class Simulation:
         self._parts, self._state = tuple(parts), np.zeros(states)
         self._q, self._qd, self._own = (self._state[part] for part in parts)
         self._assembler = Assembler(self.mechanism, self._equations)
-        self._actuated = np.array(self.coordinates.actuated, dtype=int)
+        self._places = {name: place for place, name in enumerate(self.torque_names)}
+        self._actuated = np.array(
+            [self._places[name] for name in self.actuated_joints], dtype=int)
         self._passive = np.setdiff1d(np.arange(self.coordinates.nv), self._actuated)
         self._initial = self._assembled(
             scene.initial.position, scene.initial.velocity, scene.initial.hold)
@@ -133,13 +139,17 @@ class Simulation:
         self._require_known_steps(method)
         self._driver = Monitor(build_driver(self.system, method), self.system, method)
         self._set_guards(StiffnessGuard(self.system, method, self._effects.own), method)
-        self._inverse = InverseDynamics(
-            self.mechanism, self.system, self._effects, self._table, self._equations)
+        self._inverse = self._inverse_dynamics()
         self._probe = Probe(self.system)
         # How often the equations that the elimination works on were exchanged; slow evaluations
         # when that was last looked at.
         self.exchanges, self._revealed_before = 0, 0.0
         self.reset()
+
+    def _inverse_dynamics(self):
+        """Return what solves for the torques of a motion, of the present equations."""
+        return InverseDynamics(self.mechanism, self.system, self._effects, self._table,
+                               self._equations, self._cuts, self._actuated)
 
     def _prescribe(self, scene, model):
         """Look up the equations of prescribed motions in a model; let them start."""
@@ -213,6 +223,21 @@ class Simulation:
         return self.mechanism.cut_joints
 
     @property
+    def cut_joint_names(self):
+        """Names of the cut joints of one freedom, whose coordinates are measured."""
+        return self._cuts.names
+
+    @property
+    def torque_names(self):
+        """
+        Names of the entries of the torques that ``advance`` takes.
+
+        Those of ``joint_names``, then of the cut joints that a drive or an effect acts in.
+
+        """
+        return (*self.joint_names, *(self._cuts.names[place] for place in self._cuts.acted))
+
+    @property
     def motion_names(self):
         """Names of the effects that prescribe motions, in the scene's order."""
         return tuple(motion.name for motion in self.mechanism.motions)
@@ -250,6 +275,47 @@ class Simulation:
 
         """
         return self._qd.copy()
+
+    @property
+    def cut_position(self):
+        """
+        Coordinates of the cut joints of one freedom, shape (number of them,) [rad or m].
+
+        Of a joint that turns the angle of body A in body B, of one that slides how far point A is
+        from point B along the axis. In space an angle is followed where a drive or an effect acts
+        in the joint; of others it is between -pi and pi. ``cut_joint_names`` has their order.
+
+        """
+        return self._cut_state()[0]
+
+    @property
+    def cut_velocity(self):
+        """Rates of ``cut_position``, shape (number of them,) [rad/s or m/s]."""
+        return self._cut_state()[1]
+
+    @property
+    def cut_acceleration(self):
+        """Accelerations of ``cut_position`` under the last torques [rad/s^2 or m/s^2]."""
+        if not self._cuts.count:
+            return np.zeros(0)
+        return self._cuts.accelerations(self._moved_equations(), self.system.qdd)
+
+    @property
+    def cut_effort(self):
+        """Efforts of commands in these cut joints, as ``effort``, shape (number of them,)."""
+        effort = np.zeros(self._cuts.count)
+        effort[self._cuts.acted] = self._efforts()[len(self.joint_names):]
+        return effort
+
+    def _cut_state(self):
+        """Return positions and velocities of the cut joints of one freedom."""
+        if not self._cuts.count:
+            return np.zeros(0), np.zeros(0)
+        self._evaluate()
+        position, velocity = self._cuts.measure(self.system.work.body)
+        if len(self._cuts.acted):
+            position[self._cuts.acted] = self._table.cuts.q[len(self._qd):]
+        return position, velocity
 
     @property
     def state(self):
@@ -307,8 +373,13 @@ class Simulation:
 
     @property
     def actuated(self):
-        """Return the indices of the actuated joints, shape (number of them,), in their order."""
+        """Return the places of the actuated joints among ``torque_names``, in their order."""
         return self._actuated
+
+    @property
+    def actuated_in_tree(self):
+        """Return those among ``joint_names`` alone: of actuated joints that are not cut."""
+        return self._actuated[self._actuated < len(self.joint_names)]
 
     def body_row(self, name):
         """Return the row of a body in the arrays of ``system``."""
@@ -322,13 +393,18 @@ class Simulation:
     @property
     def effort(self):
         """Joint torques applied last, behind the drives, shape (nv,) [N m or N]."""
+        tau = self._efforts()[:len(self.joint_names)]
+        for motion in self.mechanism.motions:
+            if motion.freedom is not None:
+                tau[self.coordinates.index[motion.freedom]] = self.motion_forces[motion.name]
+        return tau
+
+    def _efforts(self):
+        """Return the torques applied last, behind the drives, those of cut joints last."""
         tau = self.system.tau.copy()
         if self._effects.drives:
             self._evaluate()
             self._effects.efforts(tau)
-        for motion in self.mechanism.motions:
-            if motion.freedom is not None:
-                tau[self.coordinates.index[motion.freedom]] = self.motion_forces[motion.name]
         return tau
 
     @property
@@ -348,12 +424,17 @@ class Simulation:
         """
         Wrenches at the cut joints, shape (number of cuts, 3): moment, force x, force y.
 
-        What body B exerts on body A, in world axes, at body A's cut point [N m, N]. In space of
-        shape (number of cuts, 6): moment x, y, z, force x, y, z.
+        What body B exerts on body A, in world axes, at body A's cut point [N m, N]: the reaction,
+        and what the joint's drive, springs, dampers and friction hand over. In space of shape
+        (number of cuts, 6): moment x, y, z, force x, y, z.
 
         """
         lam = self._all_multipliers()
-        return self._equations.cut_wrenches(lam, self.system.work.body)[:len(self.cut_joints)]
+        found = self._equations.cut_wrenches(lam, self.system.work.body)[:len(self.cut_joints)]
+        if len(self._cuts.acted):
+            self._cuts.add_efforts(self.system.work.body,
+                                   self._table.applied[len(self._qd):], found)
+        return found
 
     def _all_multipliers(self):
         """Return the least multipliers of all equations in the present state."""
@@ -426,9 +507,10 @@ class Simulation:
         """
         self._evaluate()
         system, self._fresh = self.system, False
-        found = joint_forces(
-            system, system.tau[np.newaxis], 1, 1, self._state[np.newaxis],
-            system.qdd[np.newaxis], system.lam[np.newaxis])[0]
+        with self._effects.friction_held():
+            found = joint_forces(
+                system, system.tau[np.newaxis], 1, 1, self._state[np.newaxis],
+                system.qdd[np.newaxis], system.lam[np.newaxis])[0]
         return found if self._geometry is None else self._geometry.joint_wrenches_among(
             system.work.body, found)
 
@@ -491,7 +573,18 @@ class Simulation:
 
     def _add_work(self):
         """Add the work of the torques held up to here."""
-        self._balance.add_work(self.coordinates.by_freedom(self._q), self.system.tau)
+        self._balance.add_work(self._by_freedom(), self.system.tau)
+
+    def _by_freedom(self):
+        """Return the coordinate of each freedom, behind them those of ``torque_names``."""
+        own = self.coordinates.by_freedom(self._q)
+        if not len(self._cuts.acted):
+            return own
+        # Nor are these to be believed where only states beside the present one were looked at.
+        self._fresh = False
+        self._evaluate()
+        self._fresh = False
+        return np.concatenate((own, self._table.cuts.q[len(own):]))
 
     def _start_balance(self):
         """Find the energy at the start, when it is needed for the first time."""
@@ -507,7 +600,12 @@ class Simulation:
 
     def _feel_loads(self):
         """Let effects start with the rates and the reactions of their joints as they are."""
-        self._effects.follow(self._own, self._qd)
+        if self._effects.cuts is not None:
+            self._fresh = False
+            self._evaluate()
+            self._effects.follow_angles(self._own)
+            self._fresh = False
+        self._effects.follow(self._own, self._effects.rates(self._q, self._qd))
         self._effects.follow_time(self._own, self.time)
         if self._table.loaded[0] > 0:
             # A fixed point: friction changes the reactions a little.
@@ -607,7 +705,19 @@ class Simulation:
         velocity : ndarray, shape (nv,)
 
         """
-        position, velocity = self._effects.measure(self.time, self._q, self._qd)
+        position, velocity = self._effects.sensors.measure(self.time, self._q, self._qd)
+        return position.copy(), velocity.copy()
+
+    def measured_cut_joints(self):
+        """
+        Return the same of the cut joints of one freedom.
+
+        Returns
+        -------
+        position, velocity : ndarray, shape (number of them,)
+
+        """
+        position, velocity = self._effects.sensors_at_cuts.measure(self.time, *self._cut_state())
         return position.copy(), velocity.copy()
 
     def effect_readings(self, name):
@@ -765,7 +875,7 @@ class Simulation:
 
         Parameters
         ----------
-        tau : ndarray, shape (nv,)
+        tau : ndarray, shape (number of ``torque_names``,)
             Joint torques [N m or N], finite.
         steps : int
             Number of steps.
@@ -816,7 +926,7 @@ class Simulation:
         for guard in self._guards:
             guard.begin(self)
         if self._effects.remembers:
-            self.measured()
+            self._look()
         while steps > 0:
             portion = min((steps, *(guard.until_look for guard in self._guards)))
             if self._effects.remembers:
@@ -830,7 +940,7 @@ class Simulation:
                 self._stiffness.check(self._state, size)
                 raise
             if self._effects.remembers:
-                self.measured()
+                self._look()
             for guard in self._guards:
                 guard.look(self, portion)
             steps -= portion
@@ -838,6 +948,11 @@ class Simulation:
                     self.system.work.health[t.RANK_REVEALING_COUNT] > self._revealed_before):
                 self._watch_repeated()
         self._watch_repeated()
+
+    def _look(self):
+        """Let sensors that remember see the present state."""
+        self.measured()
+        self.measured_cut_joints()
 
     def _watch_repeated(self):
         """
@@ -871,8 +986,7 @@ class Simulation:
         self._effects.move(self.system)
         self._equations = self._geometry.equations
         self._assembler = Assembler(self.mechanism, self._equations)
-        self._inverse = InverseDynamics(
-            self.mechanism, self.system, self._effects, self._table, self._equations)
+        self._inverse = self._inverse_dynamics()
         self._probe = Probe(self.system)
         driver = build_driver(self.system, method)
         if isinstance(self._driver, Monitor):
@@ -942,7 +1056,7 @@ class Simulation:
 
     def joint_torques(self, torque):
         """
-        Return joint torques as an array from any form that ``step`` takes, shape (nv,).
+        Return joint torques as an array from any form that ``step`` takes, by ``torque_names``.
 
         Parameters
         ----------
@@ -954,7 +1068,7 @@ class Simulation:
         ValueError
 
         """
-        tau = np.zeros(len(self.joint_names))
+        tau = np.zeros(len(self._places))
         if torque is None:
             return tau
         if hasattr(torque, 'items'):
@@ -963,7 +1077,7 @@ class Simulation:
                 if name not in self.actuated_joints:
                     raise ValueError(f'torque: expected actuated joints '
                                      f'({", ".join(self.actuated_joints)}), got {name!r}')
-                tau[self.joint_names.index(name)] = value
+                tau[self._places[name]] = value
         else:
             values = np.array(torque, dtype=float)
             if values.shape != (len(self._actuated),):
@@ -972,7 +1086,7 @@ class Simulation:
                     f'{", ".join(self.actuated_joints)}; got shape {values.shape}')
             tau[self._actuated] = values
             for place in np.flatnonzero(tau):
-                self._require_unmoved(self.joint_names[place])
+                self._require_unmoved(self.torque_names[place])
         # The sum of squares is finite where all are, and quicker to tell; it may overflow alone.
         if not (math.isfinite(tau.dot(tau)) or np.isfinite(tau).all()):
             raise ValueError(f'torque: expected finite numbers, got {torque!r}')
@@ -1007,7 +1121,7 @@ class Simulation:
         self._feel_loads()
         if self.system.manifold is not None:
             self._state[-1] = 0.0
-        self._balance.restart(self.coordinates.by_freedom(self._q))
+        self._balance.restart(self._by_freedom())
         for guard in self._guards:
             guard.restart()
         self._stiffness.check(self._state, self.step_size)
@@ -1148,7 +1262,7 @@ class Simulation:
 
     def _jump_balance(self, energy):
         """Leave the energy of a change from outside out of the balance."""
-        self._balance.jump(self.coordinates.by_freedom(self._q), energy)
+        self._balance.jump(self._by_freedom(), energy)
 
     def _require_step_from(self, position, velocity):
         """Refuse a state from which a step cannot be made."""
@@ -1425,7 +1539,7 @@ class Simulation:
         tau, applied = self.joint_torques(torque), system.tau.copy()
         system.tau[:] = tau
         self._table.states[:] = self._own
-        self._effects.follow(self._table.states, probe.qd)
+        self._effects.follow(self._table.states, self._effects.rates(probe.q, probe.qd))
         probe.evaluate()
         system.tau[:] = applied
         self._fresh = False

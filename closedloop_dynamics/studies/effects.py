@@ -66,6 +66,9 @@ class RateControl:
         if set(rates) != set(names):
             raise ValueError(f'rate: expected one for every actuated joint ({", ".join(names)}), '
                              f'got {", ".join(rates) or "none"}')
+        if len(self._model.actuated_in_tree) < len(names):
+            raise ValueError('rate: expected actuated joints of the tree, got one that closes a '
+                             'loop: cut another joint of that loop')
         self._joints = [self._model.joint_names.index(name) for name in names]
         self._rates = np.array([rates[name] for name in names])
         self._names = names
@@ -277,7 +280,7 @@ def _times(scene, types):
         for k in shuffle.permutation(len(keys)):
             simulation = variants[keys[k]]
             simulation.reset()
-            tau = np.zeros(len(simulation.joint_names))
+            tau = simulation.joint_torques(None)
             simulation.advance(tau, RUN_IN)
             start = process_time()
             simulation.advance(tau, STEPS)

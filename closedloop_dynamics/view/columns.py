@@ -213,7 +213,7 @@ class SimulationRows:
         self._rarely = np.full(4, np.nan)
         self._direction = np.full(POSE * len(mechanism.bodies), np.nan)
         self._cost = None
-        self._actuated = simulation.actuated
+        self._actuated = simulation.actuated_in_tree
         self.look()
 
     def look(self):
@@ -250,8 +250,8 @@ class SimulationRows:
         simulation = self._simulation
         jac = simulation.constraint_jacobian.copy()
         if held:
-            jac[:, simulation.actuated] = 0.0
-            jac = np.vstack([jac, np.eye(jac.shape[1])[simulation.actuated]])
+            jac[:, simulation.actuated_in_tree] = 0.0
+            jac = np.vstack([jac, np.eye(jac.shape[1])[simulation.actuated_in_tree]])
         if not len(jac):
             return np.nan
         # Rates of joints, less those of the freedoms there are anyway.

@@ -109,7 +109,7 @@ def joint_to(simulation, name, value):
     """
     names = simulation.coordinates
     joint = names.index[name]
-    held = [joint, *(k for k in simulation.actuated.tolist() if k != joint)]
+    held = [joint, *(k for k in simulation.actuated_in_tree.tolist() if k != joint)]
     wanted = names.by_freedom(simulation.position)[held]
     wanted[0] = value
 

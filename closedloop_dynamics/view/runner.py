@@ -155,7 +155,10 @@ class Runner:
         self._pacer = Pacer(simulation.step_size, 1.0, clock)
         self._failure, self._holder, self._grabbed = None, None, None
         self._start = None
-        self._drives = {name: [TORQUE, 0.0] for name in simulation.actuated_joints}
+        # Cut joints are not driven by hand: the page shows the joints of the tree.
+        self._places = {simulation.joint_names[place]: place
+                        for place in simulation.actuated_in_tree.tolist()}
+        self._drives = {name: [TORQUE, 0.0] for name in self._places}
         self._gains = self._find_gains()
         self._columns = SimulationRows(simulation, [self._hand.spring])
         self.described = describe(
@@ -165,7 +168,7 @@ class Runner:
                 'joint': name, 'slides': bool(simulation.coordinates.lengths[place]),
                 'turns': bool(simulation.coordinates.place[place] < 0),
                 'torque': self._reach(name, place), 'position': self._range(place)}
-                for name, place in zip(simulation.actuated_joints, simulation.actuated.tolist())],
+                for name, place in self._places.items()],
             integrators={name: one.kind for name, one in INTEGRATORS.items()
                          if one.family != SCIPY},
             stabilisations=list(STABILISATIONS), hand=True, poses=True,
@@ -181,9 +184,9 @@ class Runner:
     def _find_gains(self):
         """Return, by actuated joint, the inertia that its drive feels at the start."""
         simulation = self.simulation
-        felt = felt_inertia(simulation)[simulation.actuated]
+        felt = felt_inertia(simulation)[list(self._places.values())]
         return {name: float(inertia) if math.isfinite(inertia) else 1.0
-                for name, inertia in zip(simulation.actuated_joints, felt)}
+                for name, inertia in zip(self._places, felt)}
 
     def _reach(self, name, place):
         """Return the largest torque of a slider: that of the drive, or what moves briskly."""
@@ -207,9 +210,9 @@ class Runner:
     def _torques(self):
         """Return the joint torques that the drives give now, shape (nv,)."""
         simulation = self.simulation
-        tau = np.zeros(len(simulation.joint_names))
+        tau = simulation.joint_torques(None)
         position, velocity = self._positions(), simulation.velocity
-        for (name, (mode, value)), place in zip(self._drives.items(), simulation.actuated):
+        for (name, (mode, value)), place in zip(self._drives.items(), self._places.values()):
             if mode == TORQUE:
                 tau[place] = value
             else:

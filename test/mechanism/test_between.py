@@ -196,8 +196,6 @@ def test_the_tree_of_fewest_operations_is_chosen_and_told(tmp_path):
      r':10: joints.tip.points\[1\]: expected a list of 2 finite numbers'),
     ({'type: revolute, between: [coupler': 'type: revolut, between: [coupler'},
      ':10: joints.tip.type: expected one of revolute, prismatic'),
-    ({'actuated: true}': 'actuated: true, cut: true}'},
-     'joints.crank_joint.cut: expected a joint that is not cut where it is actuated'),
     ({'[0, 0]]}': '[0, 0]], cut: true}', '[0.25, 0]]}': '[0.25, 0]], cut: true}'},
      'bodies.rocker: expected joints that lead to .ground., got none: the mechanism falls into'),
     ({'[0, 0]]}': '[0, 0]], cut: false}', '[0.25, 0]]}': '[0.25, 0]], cut: false}',

@@ -206,8 +206,14 @@ FAULTS = {
         'body_b: rocker', 'body_b: rockr', 11, 'cut_joints.cut_1.body_b',
         "the name of a body or 'ground'", "the text 'rockr'", "did you mean 'rocker'?"),
     'cut_angle_without_meaning': (
-        'point_b: [0.25, 0]', 'point_b: [0.25, 0], angle: 0.5', 11, 'cut_joints.cut_1.angle',
-        'no angle in a revolute cut joint, which leaves it free', '0.5', ''),
+        'type: revolute, body_a', 'type: distance, length: 1, angle: 0.5, body_a', 11,
+        'cut_joints.cut_1.angle', 'no angle in a distance cut joint, which leaves it free', '0.5',
+        ''),
+    'cut_drive_without_coordinate': (
+        'type: revolute, body_a', 'type: distance, length: 1, actuated: true, body_a', 11,
+        'cut_joints.cut_1.actuated',
+        'no drive of a cut joint, but of revolute, prismatic, helical', 'one that is distance',
+        'cut another joint of that loop'),
     'point_on_unknown_body': (
         'body: coupler, pos', 'body: couplr, pos', 13, 'points.tip.body',
         "the name of a body or 'ground'", "the text 'couplr'", "did you mean 'coupler'?"),

@@ -62,8 +62,9 @@ def slot(tmp_path):
 
 def test_a_slot_has_a_torque_column(slot):
     names = columns(slot)
-    assert names[-5:] == [
-        'force.slot.x', 'force.slot.y', 'force.slot.torque', 'closure', 'energy']
+    assert names[-9:] == [
+        'force.slot.x', 'force.slot.y', 'force.slot.torque', 'position.slot', 'velocity.slot',
+        'acceleration.slot', 'effort.slot', 'closure', 'energy']
     values = dict(zip(names, row(slot, 0.0)))
     moment, force_x, force_y = slot.constraint_forces[0]
     assert values['force.slot.torque'] == moment

@@ -44,7 +44,7 @@ def test_states_and_forces_come_at_the_rate_asked_for(processes, listener):
     forces = [listener.listen(f'constraint_forces/cut_{i}', WrenchStamped) for i in (1, 2)]
     simulator.wait_until_ready()
     listener.wait(lambda: min(map(len, [states, *forces])) > 200, '200 states')
-    assert states[0].name == [f'theta_{i}' for i in range(1, 8)]
+    assert states[0].name == [*(f'theta_{i}' for i in range(1, 8)), 'cut_1', 'cut_2']
     assert forces[0][0].header.frame_id == 'world'
     # On a busy machine a state may come early, after the steps there was time for, or not at all.
     periods = np.diff([stamp(message) for message in states]) * 200.0
@@ -210,8 +210,8 @@ def test_simulators_side_by_side_in_namespaces(processes, listener):
         'state on the left')
     seen = len(right)
     listener.wait(lambda: len(right) > seen + 10, 'states on the right')
-    assert len(left[0].name) == 7
-    assert right[0].name == ['crank_joint', 'rod_joint', 'slider_joint']
+    assert len(left[0].name) == 9
+    assert right[0].name == ['crank_joint', 'rod_joint', 'slider_joint', 'cut_1']
     assert not any(any(message.effort) for message in right)
     assert first.stop() == 0
     assert second.stop() == 0

@@ -98,10 +98,10 @@ def test_published_states_and_forces_are_those_of_the_library(make_node, listene
         stamp = node.states.stamp
         listener.wait(lambda: states[-1].header.stamp == stamp
                       and forces[-1].header.stamp == stamp, 'the state after the steps')
-        assert states[-1].name == list(mechanism.joint_names)
-        assert list(states[-1].position) == library.position.tolist()
-        assert list(states[-1].velocity) == library.velocity.tolist()
-        assert list(states[-1].effort) == library.effort.tolist()
+        assert states[-1].name == [*mechanism.joint_names, *library.cut_joint_names]
+        assert list(states[-1].position) == [*library.position, *library.cut_position]
+        assert list(states[-1].velocity) == [*library.velocity, *library.cut_velocity]
+        assert list(states[-1].effort) == [*library.effort, *library.cut_effort]
         force, torque = forces[-1].wrench.force, forces[-1].wrench.torque
         assert [torque.x, torque.y, torque.z, force.x, force.y, force.z] == (
             library.constraint_forces[0].tolist())

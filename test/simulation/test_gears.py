@@ -22,7 +22,7 @@ from closedloop_dynamics import Simulation
 from closedloop_dynamics.core.codegen import space
 from closedloop_dynamics.core.types import CUT_COUPLING, CUT_DISTANCE, CUT_POINT_ON_LINE
 from closedloop_dynamics.effects.gravity import Gravity
-from closedloop_dynamics.effects.joint_damping import JointDamping
+from closedloop_dynamics.effects.rotor import Rotor
 from closedloop_dynamics.mechanism.fields import FieldError
 from closedloop_dynamics.mechanism.mechanism import (
     Body, Coupling, CutJoint, Joint, Mechanism, MechanismError)
@@ -299,7 +299,7 @@ def test_what_acts_in_a_joint_may_act_in_any(tmp_path, joint):
     assert start - one.energy == pytest.approx(one.energy_balance.dissipated, abs=1e-7)
 
 
-def test_a_joint_that_was_cut_by_hand_carries_no_effect(tmp_path):
+def test_a_joint_that_was_cut_by_hand_carries_no_rotor(tmp_path):
     path = open_four_bar(tmp_path, **{name: {
         'type': 'joint_damping', 'joint': name, 'coefficient': 0.3}
         for name in ('near', 'far', 'hinge')})
@@ -307,4 +307,4 @@ def test_a_joint_that_was_cut_by_hand_carries_no_effect(tmp_path):
         load_scene(path)
     machine = four_bar()
     with pytest.raises(FieldError, match="effects.damper.joint: .*'far', which closes a loop"):
-        scene(machine, (0.7, 1.2, -0.3), ('driven',), {'damper': JointDamping('far', 0.1)})
+        scene(machine, (0.7, 1.2, -0.3), ('driven',), {'damper': Rotor('far', 0.1)})

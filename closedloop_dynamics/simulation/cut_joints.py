@@ -1,0 +1,260 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Cut joints of one freedom: their coordinates as arrays, and what is told of them."""
+
+import numpy as np
+
+from .spatial_modeling import Placement
+from ..core import types as t
+from ..effects import cut_coordinates
+from ..effects.table import (
+    ACROSS_B, AXIS, CUT_INDEX_COLUMNS, CUT_VALUE_COLUMNS, CutCoordinates, IN_PLANE, POINT_A,
+    POINT_B, ROW_B, SCALE, SIDE_A, SIDE_B, SLIDES, ZERO)
+from ..mechanism.mechanism import HELICAL, PRISMATIC, REVOLUTE, UNTURNED
+from ..mechanism.validation import turned_by
+
+# Sine of the angle between two axes below which they are parallel.
+PARALLEL = 1e-12
+
+
+def acted_in(mechanism, effects):
+    """
+    Return the names of the cut joints that anything acts in.
+
+    Parameters
+    ----------
+    mechanism : Mechanism
+        Of the scene.
+    effects : mapping of str to Effect
+        Of the scene.
+
+    Returns
+    -------
+    tuple of str
+        In the mechanism's order.
+
+    """
+    named = {getattr(record, 'joint', None) for record in effects.values()
+             if record.motion('') is None}
+    driven = {cut.name for cut in mechanism.cut_joints if cut.actuated}
+    return tuple(name for name in mechanism.measured_cuts if name in named | driven)
+
+
+def coordinate_arrays(mechanism, model, rows, placements, names, followed):
+    """
+    Return the coordinates of some cut joints as arrays.
+
+    Parameters
+    ----------
+    mechanism : Mechanism
+        In the plane or in space.
+    model : core.types.Model
+        Of it.
+    rows : dict of str to int
+        Row of each body.
+    placements : dict of str to Placement or None
+        Where their frames are in those of the rows, in space.
+    names : sequence of str
+        Of cut joints of one freedom.
+    followed : bool
+        Whether angles in space are followed, in the place of a number within half a turn.
+
+    Returns
+    -------
+    index : ndarray of int, shape (number of them, CUT_INDEX_COLUMNS)
+    values : ndarray, shape (number of them, CUT_VALUE_COLUMNS)
+        As ``effects.table.CutCoordinates`` has them.
+
+    """
+    index = np.zeros((len(names), CUT_INDEX_COLUMNS), dtype=np.int64)
+    values = np.zeros((len(names), CUT_VALUE_COLUMNS))
+    numbers = {cut.name: k for k, cut in enumerate(mechanism.cut_joints)}
+    for one, line, name in zip(index, values, names):
+        cut = mechanism.cut_joints[numbers[name]]
+        a, b = (Placement(rows[body], np.eye(3), np.zeros(3)) if placements is None
+                else placements[body] for body in (cut.body_a, cut.body_b))
+        slides = cut.type != REVOLUTE
+        turns = not (slides or mechanism.planar)
+        one[:] = (slides, mechanism.planar, a.row, b.row, 0 if turns and followed else -1,
+                  np.flatnonzero(model.cut[:, t.CUT_NUMBER] == numbers[name])[0])
+        line[POINT_A:POINT_A + 3] = a.place(_whole(cut.point_a))
+        line[POINT_B:POINT_B + 3] = b.place(_whole(cut.point_b))
+        axis = _axis(mechanism, cut)
+        line[AXIS:AXIS + 3] = b.axes @ axis
+        line[SCALE] = 1.0 / cut.lead if cut.type == HELICAL else 1.0
+        line[ZERO] = cut.angle
+        if turns:
+            side = _across(np.array(cut.axis_a))
+            there = _at_zero(cut, side)
+            line[SIDE_A:SIDE_A + 3] = a.axes @ side
+            line[SIDE_B:SIDE_B + 3] = b.axes @ there
+            line[ACROSS_B:ACROSS_B + 3] = b.axes @ np.cross(axis, there)
+    return index, values
+
+
+def _whole(vector):
+    """Return a vector with three numbers."""
+    return np.array((*vector, 0.0)[:3])
+
+
+def _axis(mechanism, cut):
+    """Return the axis of a cut joint in body B."""
+    if not mechanism.planar:
+        return np.array(cut.axis_b)
+    if cut.type == PRISMATIC:
+        return np.array((np.cos(cut.angle), np.sin(cut.angle), 0.0))
+    return np.array((0.0, 0.0, 1.0))
+
+
+def _across(axis):
+    """Return a direction across an axis."""
+    found = np.cross(np.eye(3)[np.argmin(np.abs(axis))], axis)
+    return found / np.linalg.norm(found)
+
+
+def _at_zero(cut, side):
+    """Return where a direction of body A, across its axis, is in body B at zero."""
+    if cut.orientation != UNTURNED:
+        return turned_by(cut.orientation, side)
+    # The shortest way from one axis to the other.
+    one, other = np.array(cut.axis_a), np.array(cut.axis_b)
+    normal = np.cross(one, other)
+    sine = np.linalg.norm(normal)
+    if sine < PARALLEL:
+        # Turned over about the direction itself where they are opposite.
+        return side
+    normal /= sine
+    along, beside = np.cross(one, normal), np.cross(other, normal)
+    return (side @ normal) * normal + (side @ along) * beside
+
+
+class CutJoints:
+    """
+    The coordinates of all cut joints of one freedom.
+
+    Parameters
+    ----------
+    mechanism : Mechanism
+        In the plane or in space.
+    model, rows, placements
+        As for ``coordinate_arrays``.
+    acted : sequence of str
+        Names of those that anything acts in.
+
+    Attributes
+    ----------
+    names : tuple of str
+    acted : ndarray of int
+        Places among them of those that anything acts in.
+
+    """
+
+    def __init__(self, mechanism, model, rows, placements, acted):
+        """Look up the bodies."""
+        self.names = mechanism.measured_cuts
+        self.acted = np.array([self.names.index(name) for name in acted], dtype=int)
+        self._index, self._values = coordinate_arrays(
+            mechanism, model, rows, placements, self.names, False)
+        self.count, numbers = len(self.names), [cut.name for cut in mechanism.cut_joints]
+        self._numbers = [numbers.index(name) for name in self.names]
+        nv, bodies = len(model.tree) - 1, len(model.tree)
+        self._arrays = CutCoordinates(
+            self._index, self._values, *(np.zeros(nv + self.count) for _ in range(4)),
+            np.zeros((bodies, 6 if mechanism.planar else 12)))
+        self._none = np.zeros(0)
+
+    def measure(self, body):
+        """
+        Return positions and velocities.
+
+        Parameters
+        ----------
+        body : ndarray, shape (nb + 1, WORK_COLUMNS)
+            Of ``Workspace``, after the outward recursion.
+
+        Returns
+        -------
+        position, velocity : ndarray, shape (number of them,)
+            Angles in space from -pi to pi [rad; m], [rad/s; m/s].
+
+        """
+        position, velocity = np.zeros(self.count), np.zeros(self.count)
+        cut_coordinates.measure(
+            self._index, self._values, body, self._none, 0, position, velocity)
+        return position, velocity
+
+    def accelerations(self, equations, qdd):
+        """
+        Return accelerations [rad/s^2; m/s^2].
+
+        Parameters
+        ----------
+        equations : core.equations.Equations
+            In the state.
+        qdd : ndarray, shape (nv,)
+            Accelerations of the tree.
+
+        """
+        cut_coordinates.accelerations(
+            self._arrays, equations.model, equations.work, qdd, True, self._arrays.qdd)
+        return self._arrays.qdd[len(qdd):].copy()
+
+    def add_efforts(self, body, efforts, wrenches):
+        """
+        Add what acts along the coordinates to the wrenches at cut joints, in place.
+
+        Parameters
+        ----------
+        body : ndarray, shape (nb + 1, WORK_COLUMNS)
+            Of ``Workspace``, after the outward recursion.
+        efforts : ndarray, shape (number of those acted in,)
+            [N m; N].
+        wrenches : ndarray, shape (number of cuts, 3 or 6)
+            In the mechanism's order.
+
+        """
+        for place, effort in zip(self.acted, efforts):
+            one, line = self._index[place], self._values[place]
+            wrench = wrenches[self._numbers[place]]
+            axis = np.array(cut_coordinates.direction(
+                body, one[ROW_B], bool(one[IN_PLANE]), self._values, place, AXIS))
+            along = line[SCALE] * effort * axis
+            if one[IN_PLANE]:
+                wrench[:] += (0.0, *along[:2]) if one[SLIDES] else (along[2], 0.0, 0.0)
+            else:
+                wrench[3 * one[SLIDES]:3 * one[SLIDES] + 3] += along
+
+    def jacobian(self, model, work, names):
+        """
+        Return the derivatives of coordinates by those of the tree.
+
+        Parameters
+        ----------
+        model, work : Model, Workspace
+            After the outward recursion.
+        names : sequence of str
+            Of the cut joints.
+
+        Returns
+        -------
+        ndarray, shape (number of names, nv)
+
+        """
+        nv, out = len(model.tree) - 1, self._arrays.qdd
+        columns = []
+        for unit in np.eye(nv):
+            cut_coordinates.accelerations(self._arrays, model, work, unit, False, out)
+            columns.append(out[[nv + self.names.index(name) for name in names]])
+        return np.array(columns).reshape(nv, len(names)).T

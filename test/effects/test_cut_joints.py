@@ -1,0 +1,288 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Effects and drives act at cut joints as in the tree, and their coordinates are measured."""
+
+from dataclasses import replace
+import math
+
+from closedloop_dynamics import Simulation
+from closedloop_dynamics.core.codegen.spatial import rotation
+from closedloop_dynamics.effects.actuator import Actuator
+from closedloop_dynamics.effects.end_stop import EndStop
+from closedloop_dynamics.effects.force_table import ForceTable
+from closedloop_dynamics.effects.gravity import Gravity
+from closedloop_dynamics.effects.joint_damping import JointDamping
+from closedloop_dynamics.effects.joint_friction import JointFriction
+from closedloop_dynamics.effects.joint_spring import JointSpring
+from closedloop_dynamics.effects.prescribed_force import PrescribedForce
+from closedloop_dynamics.effects.rotor import Rotor
+from closedloop_dynamics.effects.sensor import Sensor
+from closedloop_dynamics.mechanism.checks import orientation
+from closedloop_dynamics.mechanism.fields import FieldError
+from closedloop_dynamics.mechanism.mechanism import (
+    Body, CutJoint, Joint, Mechanism, MechanismError)
+from closedloop_dynamics.mechanism.reader import read_mechanism
+from closedloop_dynamics.simulation.scene_records import Initial, Method, Scene
+import numpy as np
+import pytest
+import yaml
+
+METHOD = Method(integrator='rk4', step_size=2e-4)
+# Joints of the four-bar with both bodies, their places in these, and angles at zero; the slide of
+# the slider-crank is along x.
+PINS = {'crank_joint': ('ground', 'crank', (0.0, 0.0), (0.0, 0.0), 0.0),
+        'near': ('crank', 'coupler', (0.1, 0.0), (-0.175, 0.0), 0.0),
+        'far': ('coupler', 'rocker', (0.175, 0.0), (0.25, 0.0), 0.3),
+        'rocker_joint': ('ground', 'rocker', (0.4, 0.0), (0.0, 0.0), 0.0)}
+GUIDE = {'crank_joint': PINS['crank_joint'], 'near': PINS['near'],
+         'far': ('coupler', 'rocker', (0.175, 0.0), (0.02, 0.01), 0.3),
+         'slide': ('ground', 'rocker', (0.1, 0.05), (0.0, 0.0), 0.2)}
+# The same with the coupler on the rocker.
+TURNING = {**PINS, 'far': ('rocker', 'coupler', (0.25, 0.0), (0.175, 0.0), -0.3)}
+START = {'crank_joint': 1.0, 'near': -0.5, 'far': 0.9, 'rocker_joint': 1.6, 'slide': 0.3}
+# What makes the table of effects of the same kind in all tests: each kind is compiled by itself.
+FURNITURE = {'stop': EndStop('crank_joint', 10.0, lower=-100.0),
+             'table': ForceTable((0.0, 1.0), (0.0, 0.0), 'crank_joint')}
+# The whole world is turned so, where a plane is in space.
+TURN = {'rpy': [0.4, -0.7, 1.1]}
+BASE = orientation(TURN)
+
+
+def mechanism(tmp_path, pins, cut, actuated, spatial=False):
+    """Return a machine that is described the same whichever of its joints is cut."""
+    masses = {'crank': (0.5, 0.05, 4e-4), 'coupler': (1.0, 0.0, 0.01),
+              'rocker': (0.8, 0.125, 4e-3)}
+    data = {'name': 'machine', 'bodies': {}, 'joints': {}}
+    for name, (mass, center, inertia) in masses.items():
+        data['bodies'][name] = {'mass': mass, 'center_of_mass': [center, 0.0], 'inertia': inertia}
+        if spatial:
+            data['bodies'][name]['center_of_mass'].append(0.0)
+            data['bodies'][name]['inertia'] = [1e-4, inertia, inertia]
+    for name, (first, second, *places, angle) in pins.items():
+        keys = {'type': 'prismatic' if name == 'slide' else 'revolute', 'between': [first, second],
+                'points': [list(place) for place in places], 'cut': name == cut,
+                'actuated': name == actuated}
+        if spatial:
+            keys['axis'] = [1, 0, 0] if name == 'slide' else [0, 0, 1]
+            keys['points'] = [[*place, 0.0] for place in keys['points']]
+            keys['orientation'] = {'rpy': [0.0, 0.0, angle]}
+            if first == 'ground':
+                keys['between'][0] = 'frame'
+        else:
+            keys['angle'] = angle
+        data['joints'][name] = keys
+    if spatial:
+        data['bodies']['frame'] = {
+            'mass': 1.0, 'center_of_mass': [0.0, 0.0, 0.0], 'inertia': [1.0, 1.0, 1.0]}
+        data['joints']['base'] = {'type': 'fixed', 'parent': 'ground', 'child': 'frame',
+                                  'position': [0.3, -0.2, 0.5], 'orientation': TURN}
+    path = tmp_path / f'{cut}_{spatial}.yaml'
+    path.write_text(yaml.safe_dump(data))
+    return read_mechanism(path)
+
+
+def simulation(machine, effects, spin=0.0, start=START):
+    """Return a simulation that starts with the crank held."""
+    names = machine.coordinates.names
+    return Simulation(Scene('scene', None, '', machine, Initial(
+        tuple(start[name] for name in names),
+        tuple(spin * (name == 'crank_joint') for name in names), ('crank_joint',)),
+        {**FURNITURE, **effects}, METHOD))
+
+
+def motion(sim, torque=None, duration=0.5, instants=10):
+    """Return positions, velocities, accelerations and efforts of all joints over time, by name."""
+    names = [*sim.joint_names, *sim.cut_joint_names]
+    order = [names.index(name) for name in START if name in names]
+    found = []
+    for instant in range(instants + 1):
+        if instant:
+            sim.step(torque, duration / instants)
+        found.append([np.concatenate(pair)[order] for pair in (
+            (sim.position, sim.cut_position), (sim.velocity, sim.cut_velocity),
+            (sim.acceleration, sim.cut_acceleration), (sim.effort, sim.cut_effort))])
+    return np.array(found)
+
+
+ALL = {'spring': JointSpring('far', 3.0, 1.0),
+       'damper': JointDamping('far', 0.05),
+       'stop': EndStop('far', 200.0, 0.7, 1.1, 0.1),
+       'friction': JointFriction('far', 0.1, 1.2, 0.01, 0.2, 0.02),
+       'drive': Actuator('far', 1.5, lag=0.01),
+       'force': PrescribedForce('sine', 'far', amplitude=0.5, frequency=2.0),
+       'table': ForceTable((0.0, 1.0, 2.0), (0.5, 0.0, -1.0), 'far', damping=0.01)}
+
+
+@pytest.mark.parametrize('pins, spatial', [
+    (PINS, False), (PINS, True), (GUIDE, False), (GUIDE, True)])
+def test_what_acts_at_a_cut_joint_acts_as_in_the_tree(tmp_path, pins, spatial):
+    joint = list(pins)[-1] if pins is GUIDE else 'far'
+    scale = 10.0 if joint == 'slide' else 1.0
+    effects = {name: replace(effect, joint=joint) for name, effect in ALL.items()}
+    if joint == 'slide':
+        effects['stop'] = EndStop('slide', 2000.0, 0.2, 0.32, 0.1)
+    # Gravity of the plane, in the frame that is turned.
+    effects['gravity'] = Gravity((0.0, -9.81))
+    sims = []
+    for cut in (joint, 'far' if joint == 'slide' else 'rocker_joint'):
+        machine = mechanism(tmp_path, pins, cut, joint, spatial)
+        if spatial:
+            effects['gravity'] = Gravity(tuple(-9.81 * np.array(rotation(BASE))[:, 1]))
+            # Forces across the plane are shared among the pins in no unique way.
+            effects['friction'] = replace(effects['friction'], friction_coefficient=0.0)
+        sims.append(simulation(machine, effects))
+    cut, tree = (motion(sim, {joint: 2.0 * scale}) for sim in sims)
+    assert sims[0].cut_joint_names == (joint,)
+    np.testing.assert_allclose(cut[:, :2], tree[:, :2], rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(cut[:, 2], tree[:, 2], rtol=1e-8, atol=1e-7)
+    np.testing.assert_allclose(cut[:, 3], tree[:, 3], rtol=0.0, atol=1e-9)
+    if not spatial:
+        # What the first body exerts on the second, with what acts in the joint.
+        np.testing.assert_allclose(*(sim.force(joint) for sim in sims), rtol=1e-7, atol=1e-7)
+    for sim in sims:
+        balance = sim.energy_balance
+        assert abs(balance.work) > 0.01 and balance.dissipated > 0.01
+        # What steps that end in no stop miss.
+        assert abs(balance.residual) < 1e-5
+    for name in effects:
+        for key, value in sims[0].effect_readings(name).items():
+            assert value == pytest.approx(sims[1].effect_readings(name)[key], rel=1e-6, abs=1e-7)
+
+
+def test_a_cut_joint_under_friction_rests_as_in_the_tree(tmp_path):
+    effects = {'gravity': Gravity((0.0, -9.81)), 'friction': JointFriction('far', 2.0, 1.2),
+               'other': JointFriction('rocker_joint', 0.01),
+               'spring': JointSpring('crank_joint', 40.0, 1.0)}
+    moved = {}
+    for cut in ('far', 'rocker_joint'):
+        sim = simulation(mechanism(tmp_path, PINS, cut, 'crank_joint'), effects, spin=3.0)
+        found = motion(sim, duration=1.0, instants=20)
+        readings = sim.effect_readings('friction')
+        moved[cut] = found[:, :3], readings['torque'], sim.force('rocker_joint')
+        place = [name for name in START if name in PINS].index('far')
+        # It comes to rest and stays there, while the drive's torque is less than friction.
+        rest = found[12:, :, place]
+        assert np.ptp(rest[:, 0]) < 1e-12 and np.abs(rest[:, 1:3]).max() < 1e-9
+        assert 0.1 < abs(readings['torque']) < 2.4
+        assert abs(sim.energy_balance.residual) < 1e-7
+    one, other = moved['far'], moved['rocker_joint']
+    np.testing.assert_allclose(one[0][:, :2], other[0][:, :2], rtol=0.0, atol=1e-9)
+    assert one[1] == pytest.approx(other[1], abs=1e-7)
+    np.testing.assert_allclose(one[2], other[2], rtol=0.0, atol=1e-6)
+
+
+@pytest.mark.parametrize('spatial', [False, True])
+def test_turns_of_a_cut_joint_are_counted_where_anything_acts(tmp_path, spatial):
+    effects = {'spring': JointSpring('near', 0.01, 0.0)}
+    machine = mechanism(tmp_path, TURNING, 'near', 'crank_joint', spatial)
+    sim, bare = (simulation(machine, each, 30.0, {**START, 'far': -0.9})
+                 for each in (effects, {}))
+    crank = sim.joint_names.index('crank_joint')
+    for _ in range(40):
+        sim.step(None, 0.025)
+        bare.step(None, 0.025)
+    turned = sim.position[crank]
+    assert turned > 4.0 * math.pi
+    # The coupler only swings: seen from the crank it has turned back.
+    assert sim.cut_position[0] + turned == pytest.approx(0.0, abs=math.pi)
+    assert sim.effect_readings('spring')['stored_energy'] == pytest.approx(
+        0.005 * sim.cut_position[0] ** 2, rel=1e-12)
+    assert abs(sim.energy_balance.residual) < 1e-6
+    # Where nothing acts, in space, the angle alone is told.
+    assert (abs(bare.cut_position[0]) <= math.pi) == spatial
+    before = sim.state
+    sim.step(None, 0.1)
+    sim.restore(before, 1.0)
+    assert sim.cut_position[0] + turned == pytest.approx(0.0, abs=math.pi)
+    sim.reset()
+    assert abs(sim.cut_position[0]) <= math.pi
+
+
+def test_inverse_dynamics_finds_the_torque_of_a_cut_joint(tmp_path):
+    machine = mechanism(tmp_path, PINS, 'far', 'far')
+    sim = simulation(machine, {'gravity': Gravity((0.0, -9.81)),
+                               'damper': JointDamping('far', 0.1)}, spin=2.0)
+    assert sim.actuated_joints == ('far',)
+    acceleration, multipliers = sim.forward_dynamics(sim.position, sim.velocity, [1.7])
+    torque, same = sim.inverse_dynamics(sim.position, sim.velocity, acceleration)
+    np.testing.assert_allclose(torque, [1.7], rtol=1e-9)
+    np.testing.assert_allclose(same, multipliers, rtol=1e-8, atol=1e-9)
+
+
+def test_a_screw_that_is_cut_is_a_screw():
+    lead, torque = 0.05, 0.3
+    body = Body('nut', 2.0, (0.0, 0.0, 0.0), (0.1, 0.1, 0.02))
+    guide = Joint('guide', 'cylindrical', 'ground', 'nut', (0.0, 0.0, 0.0), axis=(0.0, 0.0, 1.0))
+    screw = CutJoint('screw', 'helical', 'nut', 'ground', (0.0, 0.0, 0.0), (0.0, 0.0, 0.0),
+                     axis_b=(0.0, 0.0, 1.0), lead=lead, actuated=True)
+    machine = Mechanism('screw', (body,), (guide,), (screw,))
+    start = Initial((0.5, 0.5 * lead), (0.0, 0.0))
+    sim = Simulation(Scene('scene', None, '', machine, start, {
+        'stop': EndStop('guide.1', 10.0, lower=-100.0),
+        'table': ForceTable((0.0, 1.0), (0.0, 0.0), 'screw')}, METHOD))
+    for _ in range(4):
+        sim.step([torque], 0.25)
+    rate = torque / (0.02 + 2.0 * lead ** 2)
+    np.testing.assert_allclose(sim.cut_acceleration, [rate], rtol=1e-9)
+    np.testing.assert_allclose(sim.cut_velocity, [rate], rtol=1e-9)
+    np.testing.assert_allclose(sim.cut_position, [0.5 + 0.5 * rate], rtol=1e-9)
+    assert sim.cut_effort.tolist() == [torque]
+    assert sim.energy_balance.work == pytest.approx(torque * 0.5 * rate, rel=1e-9)
+
+
+def test_a_scene_that_names_no_cut_joint_computes_none(tmp_path):
+    machine = mechanism(tmp_path, PINS, 'far', 'crank_joint')
+    sim = simulation(machine, {'gravity': Gravity((0.0, -9.81))})
+    assert sim.system.effects.cuts is None and sim.torque_names == sim.joint_names
+    assert len(sim.integrated) == 2 * 3 + 2
+    assert sim.cut_joint_names == ('far',) and len(sim.cut_position) == 1
+
+
+def test_sensors_measure_cut_joints_with_noise_of_their_own(tmp_path):
+    machine = mechanism(tmp_path, PINS, 'far', 'crank_joint')
+    sim = simulation(machine, {'sensor': Sensor(position_noise=0.01, velocity_bias=0.5)})
+    tree, (position, velocity) = sim.measured(), sim.measured_cut_joints()
+    assert 1e-5 < abs(position[0] - sim.cut_position[0]) < 0.05
+    assert velocity[0] == sim.cut_velocity[0] + 0.5
+    # What is asked of the one does not change the other.
+    sim.reset()
+    assert all(np.array_equal(*pair) for pair in zip(tree, sim.measured()))
+
+
+@pytest.mark.parametrize('effect, said', [
+    (Rotor('far', 0.1), 'effects.one.joint: expected a joint of the tree, got .*closes a loop'),
+    (Actuator('far'), 'effects.one.joint: expected one of the actuated joints crank_joint'),
+    (JointSpring('fra', 1.0), "effects.one.joint: .*'fra'.*did you mean 'far'")])
+def test_what_cannot_act_at_a_cut_joint_is_refused(tmp_path, effect, said):
+    with pytest.raises(FieldError, match=said):
+        simulation(mechanism(tmp_path, PINS, 'far', 'crank_joint'), {'one': effect})
+
+
+def test_a_drive_of_several_freedoms_is_not_cut(tmp_path):
+    mechanism(tmp_path, PINS, 'near', 'near', spatial=True)
+    path = tmp_path / 'near_True.yaml'
+    data = yaml.safe_load(path.read_text())
+    data['joints']['near']['type'] = 'cylindrical'
+    path.write_text(yaml.safe_dump(data))
+    with pytest.raises(MechanismError, match='joints.near.cut: expected a joint that is not cut '
+                       'where it is actuated, but for revolute, prismatic, helical'):
+        read_mechanism(path)
+
+
+def test_effects_move_only_to_cut_joints_that_anything_acted_in(tmp_path):
+    sim = simulation(mechanism(tmp_path, PINS, 'far', 'crank_joint'), {
+        'spring': JointSpring('near', 1.0)})
+    with pytest.raises(FieldError, match='effects.spring.joint: .*load a scene where it does'):
+        sim.set_effect('spring', joint='far')
