@@ -38,10 +38,12 @@ def _factor_by_loops(by_loops, system, q, qd):
     if by_loops is not None:
         model, work = system.model, system.work
         kinematics.outward(model, q, qd, work)
-        if forward_dynamics.prepare(model, system.tau, work):
+        # Behind the joints of the tree are cut joints.
+        tau = system.tau[:system.qdd.shape[0]]
+        if forward_dynamics.prepare(model, tau, work):
             return True
         kinematics.outward(model, q, qd, work)
-        return refinement.prepare(model, system.tau, work)
+        return refinement.prepare(model, tau, work)
     return False
 
 

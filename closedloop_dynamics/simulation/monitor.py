@@ -221,7 +221,7 @@ class Monitor:
         statuses = (driver.advance(whole, 0.0, 0, step_size, 1)[0],
                     driver.advance(halves, 0.0, 0, 0.5 * step_size, 2)[0])
         if statuses == (DONE, DONE):
-            weight = weights(system.manifold, len(system.tau))
+            weight = weights(system.manifold, len(system.qdd))
             apart = whole[:len(weight)] - halves[:len(weight)]
             apart = float(np.abs(weight * apart).max(initial=0.0))
             error = apart / (1.0 - 0.5 ** self._order)
