@@ -36,6 +36,9 @@ def _add_arguments(parser):
     parser.add_argument('--end-stops', metavar='STIFFNESS', type=positive,
                         help='make limits of joints end stops of this stiffness, in the scene '
                              '[N m/rad; N/m] (default: leave them out)')
+    parser.add_argument('--mend-inertias', action='store_true',
+                        help='change moments of inertia that no body has, one being larger than '
+                             'the sum of the other two, by as little as makes them possible')
     parser.add_argument('--overwrite', action='store_true', help='replace files that exist')
 
 
@@ -45,7 +48,8 @@ def _run(arguments):
     require_free(arguments, arguments.output)
     if arguments.scene is not None:
         require_free(arguments, arguments.scene, option='--scene')
-    imported = read_model(arguments.model, arguments.end_stops)
+    imported = read_model(arguments.model, arguments.end_stops,
+                          mend_inertias=arguments.mend_inertias)
     notes = lines(imported.ignored)
     if arguments.scene is not None:
         with announced('Closing the loops ...'):

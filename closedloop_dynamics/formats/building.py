@@ -34,7 +34,7 @@ from ..mechanism.mechanism import (
     Body, COUPLED, Coupling, CUT_WITH_AXIS_A, CUT_WITH_AXIS_B, CUT_WITH_ORIENTATION, CutJoint,
     FIXED, FREE, GROUND, HELICAL, Joint, JOINT_FREEDOMS, Mechanism, MechanismError, PLANAR, Point,
     SPATIAL_CUT_JOINT_EQUATIONS, UNIVERSAL, UNTURNED, WITH_AXIS)
-from ..mechanism.validation import checked
+from ..mechanism.validation import checked, moments_told, POSSIBLE, possible
 
 # Entries of rotations this near to 0, 1 and -1 are what a file meant by them.
 ROUNDING = 1e-14
@@ -80,7 +80,7 @@ class _Tree(NamedTuple):
     cuts: list
 
 
-def mechanism_of(model, end_stops=None):
+def mechanism_of(model, end_stops=None, mend_inertias=False):
     """
     Return the mechanism that a model describes.
 
@@ -90,6 +90,9 @@ def mechanism_of(model, end_stops=None):
         As a reader of a format left it.
     end_stops : float, optional
         Stiffness that limits of joints become end stops with [N m/rad or N/m].
+    mend_inertias : bool
+        Whether moments of inertia of which one is larger than the sum of the other two are changed
+        by as little as makes them possible, not refused.
 
     Returns
     -------
@@ -110,7 +113,7 @@ def mechanism_of(model, end_stops=None):
     if not tree.joints:
         raise MechanismError(f'{model.path}: expected a joint that moves, got none')
     named = _Names(model)
-    bodies, frames = _bodies(model, groups, tree, named)
+    bodies, frames = _bodies(model, groups, tree, named, mend_inertias, ignored)
     still = [name for name in groups.links[GROUND] if name in model.links
              and model.links[name].visual]
     if still:
@@ -267,7 +270,7 @@ def _reversed(joint):
                    child_axis=None if other is None else -other)
 
 
-def _bodies(model, groups, tree, named):
+def _bodies(model, groups, tree, named, mend, ignored):
     """Return the bodies, and the pose of each body's frame in that of its group."""
     frames, bodies = {GROUND: IDENTITY}, {}
     for joint in tree.joints:
@@ -281,9 +284,9 @@ def _bodies(model, groups, tree, named):
         for name in groups.links[group]:
             link = model.links[name]
             pose = frames[group].inverse @ groups.of[name][1]
-            _check_link(link)
+            inertia = _inertia_of(link, mend, ignored)
             center = pose.place(link.center)
-            parts.append((link.mass, center, pose.rotation @ link.inertia @ pose.rotation.T))
+            parts.append((link.mass, center, pose.rotation @ inertia @ pose.rotation.T))
             visual += [placed(one, pose) for one in link.visual]
             mass += link.mass
             moment += link.mass * center
@@ -297,11 +300,26 @@ def _bodies(model, groups, tree, named):
     return [bodies[group] for group in groups.links if group in bodies], frames
 
 
-def _check_link(link):
-    """Refuse an inertia without mass."""
+def _inertia_of(link, mend, ignored):
+    """Return the inertia of a link, shape (3, 3); refuse, or mend, one that no body has."""
     if link.mass == 0.0 and link.inertia.any():
         raise MechanismError(f'{link.where}: expected a positive mass, got 0 with an inertia that '
                              'is not zero')
+    moments, axes = np.linalg.eigh(link.inertia)
+    if possible(moments):
+        return link.inertia
+    beyond = moments[2] - moments[0] - moments[1]
+    # The least change in the sum of squares; a negative moment is no matter of rounded digits.
+    mended = moments + beyond / 3.0 * np.array([1.0, 1.0, -1.0])
+    if not mend or moments[0] < 0.0:
+        hint = '' if moments[0] < 0.0 else (
+            ' (mend_inertias: true in a scene, or closedloop import --mend-inertias, takes '
+            f'{moments_told(mended)})')
+        raise MechanismError(f'{link.where}: expected {POSSIBLE}, got principal moments '
+                             f'{moments_told(moments)}{hint}')
+    ignored[f'moments {moments_told(moments)} of {link.name}, {moments_told(mended)} taken'] = (
+        'no body has them: one is larger than the sum of the other two')
+    return axes @ np.diag(mended) @ axes.T
 
 
 def _joint(joint, groups, frames, named):

@@ -41,7 +41,7 @@ def is_model(path):
     return Path(path).suffix.lower() in READERS
 
 
-def read_model(path, end_stops=None, loops=None):
+def read_model(path, end_stops=None, loops=None, mend_inertias=False):
     """
     Read a model in another format as a mechanism.
 
@@ -53,6 +53,8 @@ def read_model(path, end_stops=None, loops=None):
         Stiffness that limits of joints become end stops with [N m/rad or N/m].
     loops : mapping, optional
         Loops that the file does not tell (``loops``).
+    mend_inertias : bool
+        Whether moments of inertia that no body has are changed a little, not refused.
 
     Returns
     -------
@@ -73,4 +75,4 @@ def read_model(path, end_stops=None, loops=None):
     model = READERS[path.suffix.lower()](path)
     if loops is not None:
         add_loops(model, loops)
-    return mechanism_of(model, end_stops)
+    return mechanism_of(model, end_stops, mend_inertias)

@@ -34,6 +34,8 @@ from .mechanism import (
 
 # How far moments of inertia may miss the triangle inequality, against their sum.
 ROUNDED_INERTIA = 1e-6
+POSSIBLE = ('moments of inertia that a body can have: none negative, none larger than the sum of '
+            'the other two')
 
 
 def _mass(value):
@@ -77,6 +79,18 @@ def _factors(value):
     return found
 
 
+def possible(moments):
+    """Tell whether a body can have principal moments of inertia, the largest one last."""
+    slack = ROUNDED_INERTIA * abs(moments).sum()
+    # The sum of two is the third and twice the mass's extent along its axis.
+    return moments[0] >= -slack and moments[0] + moments[1] >= moments[2] - slack
+
+
+def moments_told(moments):
+    """Return moments of inertia in words."""
+    return ', '.join(f'{moment:.4g}' for moment in moments)
+
+
 def spatial_inertia(value):
     """Return moments of inertia in space, three or six; refuse those that no body has."""
     expected = ('a list of 3 finite numbers [xx, yy, zz] or 6 [xx, yy, zz, xy, xz, yz], about the '
@@ -85,13 +99,8 @@ def spatial_inertia(value):
     found = numbers(items, 6 if len(items) == 6 else 3, expected)
     xx, yy, zz, xy, xz, yz = (*found, 0.0, 0.0, 0.0)[:6]
     moments = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    slack = ROUNDED_INERTIA * abs(moments).sum()
-    # The sum of two is the third and twice the mass's extent along its axis.
-    if moments[0] < -slack or moments[0] + moments[1] < moments[2] - slack:
-        principal = ', '.join(f'{moment:.4g}' for moment in moments)
-        raise FieldError(
-            'moments of inertia that a body can have: none negative, none larger than the sum of '
-            'the other two', f'principal moments {principal}')
+    if not possible(moments):
+        raise FieldError(POSSIBLE, f'principal moments {moments_told(moments)}')
     return found
 
 

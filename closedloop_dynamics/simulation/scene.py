@@ -32,7 +32,7 @@ from .scene_records import Initial, Method, Scene
 from .tree_choice import cheapest
 from ..effects.registry import EFFECTS
 from ..formats.registry import is_model, read_model
-from ..mechanism.checks import list_of, name, NAME_PATTERN, one_of
+from ..mechanism.checks import boolean, list_of, name, NAME_PATTERN, one_of
 from ..mechanism.config import config_directory, shipped_names, shipped_path
 from ..mechanism.csv_columns import read_columns
 from ..mechanism.document import Document
@@ -47,7 +47,7 @@ __all__ = ['config_directory', 'Initial', 'load_scene', 'load_scene_or_mechanism
 # Required and optional keys.
 SCENE_KEYS = ('mechanism', 'initial'), ('description', 'effects', 'method', 'parameters')
 # Where the mechanism is a model in another format, which may start as it is drawn.
-MODEL_KEYS = ('mechanism',), ('initial', 'loops', *SCENE_KEYS[1])
+MODEL_KEYS = ('mechanism',), ('initial', 'loops', 'mend_inertias', *SCENE_KEYS[1])
 INITIAL_KEYS = ('position',), ('hold', 'velocity')
 
 
@@ -257,9 +257,11 @@ def _model(data, directory):
     path = data['mechanism']
     if not isinstance(path, str) or _is_name(path) or not is_model(path):
         return None
+    with at('mend_inertias'):
+        mend = boolean(data.get('mend_inertias', False))
     try:
         with at('loops'):
-            return read_model(directory / path, loops=data.get('loops'))
+            return read_model(directory / path, loops=data.get('loops'), mend_inertias=mend)
     except MechanismError as error:
         raise FieldError('a valid mechanism', f'this error in its file:\n{error}',
                          path=('mechanism',)) from None

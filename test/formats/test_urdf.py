@@ -88,6 +88,26 @@ def test_loops_of_a_scene(tmp_path):
     assert mechanism.cut_joints == own.cut_joints
 
 
+def test_inertias_that_no_body_has_are_refused_or_mended(tmp_path):
+    # Of a link that is fixed to another one, too: both together would hide it.
+    moments = '<inertia ixx="1e-3" iyy="2e-3" izz="3.3e-3" ixy="0" ixz="0" iyz="0"/>'
+    odd = f'<link name="odd"><inertial><mass value="0.1"/>{moments}</inertial></link>'
+    text = robot(LINKS, TREE, TIPS, LOOPS['loop'][1], odd,
+                 joint('glue', 'fixed', 'coupler', 'odd', '0.1 0 0'))
+    with pytest.raises(MechanismError, match=(
+            r'robot\.urdf:\d+: <link name=\'odd\'>: expected moments of inertia that a body can '
+            r'have: .*, got principal moments 0\.001, 0\.002, 0\.0033 \(mend_inertias: true .*'
+            r'takes 0\.0011, 0\.0021, 0\.0032\)')):
+        read(tmp_path, text)
+    imported = read(tmp_path, text, mend_inertias=True)
+    assert imported.ignored['moments 0.001, 0.002, 0.0033 of odd, 0.0011, 0.0021, 0.0032 taken']
+    coupler = next(body for body in imported.mechanism.bodies if body.name == 'coupler')
+    # About the y axis: both, and 1 kg and 0.1 kg that are 0.1 m apart.
+    assert coupler.inertia[1] == pytest.approx(1.49e-2 + 2.1e-3 + 0.1 / 1.1 * 0.01)
+    with pytest.raises(MechanismError, match=r'got principal moments -0\.001, [^(]*$'):
+        read(tmp_path, text.replace('ixx="1e-3"', 'ixx="-1e-3"'), mend_inertias=True)
+
+
 def test_links_fixed_together_are_one_body(tmp_path):
     turn = 'rpy="0.3 -0.2 1.1"'
     text = robot(
@@ -256,7 +276,7 @@ FAULTS = {
     'mass': ('mass value="0.5"', 'mass value="-1"',
              'expected a mass that is zero or more, got -1'),
     'inertia': ('iyy="0.00055"', 'iyy="-1"',
-                r"<link name='crank'>: bodies.crank.inertia: expected "
+                r"<link name='crank'>: expected "
                 'moments of inertia that a body can have'),
     'axis': ('axis xyz="0 1 0"', 'axis xyz="0 0 0"',
              'expected xyz to be a direction that is not zero'),

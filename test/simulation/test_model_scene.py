@@ -92,6 +92,21 @@ def test_loops_of_a_scene_that_are_none(files, loops, said):
         load_scene('bad.yaml')
 
 
+@pytest.mark.filterwarnings('ignore::closedloop_dynamics.simulation.model_scene.ModelWarning')
+def test_a_scene_mends_inertias(files):
+    text = machines.four_bar().replace('ixx="0.0002"', 'ixx="0.00005"')
+    assert text != machines.four_bar()
+    (files / 'robot.urdf').write_text(text)
+    for key, said in (('', "robot.urdf:.*<link name='coupler'>: expected moments"),
+                      ('mend_inertias: often\n', 'mend_inertias: expected true or false')):
+        (files / 'bad.yaml').write_text(f'mechanism: ./robot.urdf\n{key}')
+        with pytest.raises(SceneError, match=said):
+            load_scene('bad.yaml')
+    (files / 'good.yaml').write_text('mechanism: ./robot.urdf\nmend_inertias: true\n')
+    inertia = load_scene('good.yaml').mechanism.bodies[1].inertia
+    assert max(inertia) == pytest.approx(sum(inertia) / 2.0)
+
+
 def test_loops_belong_to_models(files):
     (files / 'bad.yaml').write_text(SCENE + 'loops: {}\n')
     with pytest.raises(SceneError, match='loops: expected one of the keys'):
