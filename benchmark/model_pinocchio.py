@@ -84,6 +84,10 @@ class Pinocchio:
         self.mechanism = mechanism
         ours = {joint.name: joint for joint in mechanism.joints}
         tree = _tree(path)
+        # What a YAML file beside the model makes rigid is none of our joints.
+        rigid = [number for number in range(1, tree.njoints)
+                 if word(tree.names[number]) not in ours]
+        tree = pin.buildReducedModel(tree, rigid, pin.neutral(tree))
         model, carrying = pin.Model(), {GROUND: 0}
         # By joint of ours: places of its coordinates and rates in Pinocchio's.
         self._places, self._balls = {}, []
@@ -91,8 +95,6 @@ class Pinocchio:
         numbers = {0: 0}
         for number in range(1, tree.njoints):
             name = word(tree.names[number])
-            if name not in ours:
-                raise ValueError(f'joint {name} is not one of ours')
             joint = ours[name]
             parent, placement = numbers[tree.parents[number]], tree.jointPlacements[number]
             if name in merged:

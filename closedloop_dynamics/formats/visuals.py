@@ -96,7 +96,15 @@ def _path(uri, folder):
         for place in filter(None, os.environ.get(variable, '').split(os.pathsep)):
             folders += [Path(place), Path(place, 'share')]
     return str(next((place / package / inside for place in folders
-                     if (place / package / inside).is_file()), folder / package / inside))
+                     if _is_file(place / package / inside)), folder / package / inside))
+
+
+def _is_file(path):
+    """Tell whether there is a file; a name that is too long is none."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False
 
 
 def placed(visual, pose):

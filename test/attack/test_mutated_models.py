@@ -40,8 +40,16 @@ VALUES = ('"1e999"', '"-1"', '"nan"', '"0"', '""', '"1e-320"', '"1 2"', '"1 2 3 
           '"base"', '"pin"', '"../x"', '"&lt;"', '"&x;"', '"&#0;"', '"' + 9 * '9' * 99 + '"')
 ATTRIBUTE = re.compile(r'"[^"<>]*"')
 ELEMENT = re.compile(r'<[a-z_:A-Z]+[^<>]*/>|<([a-z_:A-Z]+)[^<>]*>[^<>]*</\1>')
-FILES = {'urdf': [machines.four_bar(way) for way in machines.LOOPS],
-         'sdf': [test_sdf.FOUR_BAR],
+DRAWN = ('<visual><origin xyz="0 0 1"/><geometry><mesh filename="package://m/a.stl" '
+         'scale="1 1 1"/></geometry></visual><visual><geometry><cylinder radius="0.1" '
+         'length="0.5"/></geometry></visual>')
+DRAWN_IN_SDF = ('<visual name="v"><pose>0 0 1 0 0 0</pose><geometry><mesh><uri>model://m/a.stl'
+                '</uri></mesh></geometry></visual><visual name="w"><geometry><box><size>1 1 2'
+                '</size></box></geometry></visual>')
+FILES = {'urdf': [*(machines.four_bar(way) for way in machines.LOOPS),
+                  machines.four_bar().replace('<inertial>', f'{DRAWN}<inertial>')],
+         'sdf': [test_sdf.FOUR_BAR, test_sdf.FOUR_BAR.replace(
+             '<inertial>', f'{DRAWN_IN_SDF}<inertial>')],
          'mjcf': [test_mjcf.TREE, test_mjcf.LOOPS.replace(
              'EQUALITY', '\n'.join(test_mjcf.EQUALITIES.values()))] if test_mjcf else []}
 
