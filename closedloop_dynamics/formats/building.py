@@ -42,6 +42,8 @@ ROUNDING = 1e-14
 AGREEMENT = 1e-9
 # Gear ratio of rotors whose carrier's turning does not count.
 ENDLESS = 1e12
+# What YAML reads as something else than text.
+NO_NAMES = ('true', 'false', 'null', 'yes', 'no', 'on', 'off')
 # Effect by the attribute of a joint that asks for it, and the key of the number.
 JOINT_EFFECTS = {'damping': ('joint_damping', 'coefficient'),
                  'friction': ('joint_friction', 'coulomb'),
@@ -471,7 +473,8 @@ class _Names:
 def word(name):
     """Return a name of letters, digits and underscores that starts with a letter."""
     found = re.sub(r'[^A-Za-z0-9_]', '_', name)
-    return found if re.match('[A-Za-z]', found) else f'x{found}'
+    plain = re.match('[A-Za-z]', found) and found.lower() not in NO_NAMES
+    return found if plain else f'x{found}'
 
 
 def _told(error, model, named):

@@ -141,9 +141,7 @@ class _Reader:
             model.add(_ball_constraint(constraint, f'ball_constraint_{number}'))
         for name, (part, before) in self.given.items():
             if part.tag == 'frame':
-                link = before
-                while link in self.given and self.given[link][0].tag == 'frame':
-                    link = self.given[link][1]
+                link = self._carrier(before)
                 if link in model.links:
                     model.frames[name] = link, self._in(link).inverse @ self._in(name)
         model.check()
@@ -151,6 +149,18 @@ class _Reader:
         if not any(joint.actuated for joint in model.joints.values()):
             for joint in model.joints.values():
                 joint.actuated = joint.type in DRIVEN and bool(joint.effort)
+
+    def _carrier(self, name):
+        """Return the link that a frame is on, through others that it is attached to."""
+        passed = []
+        while name in self.given and self.given[name][0].tag == 'frame':
+            part, before = self.given[name]
+            if name in passed:
+                raise part.error('frames that are not attached to themselves',
+                                 ' -> '.join([*passed, name]))
+            passed.append(name)
+            name = before
+        return name
 
     def _end(self, joint, tag):
         """Return the name of a joint's parent or child."""
@@ -199,10 +209,7 @@ class _Reader:
         place = self._in(element.attributes['name'])
         poses, links = [], []
         for end in ends:
-            link = end
-            # A frame stands for the link that it is on.
-            while link in self.given and self.given[link][0].tag == 'frame':
-                link = self.given[link][1]
+            link = self._carrier(end)
             links.append(GROUND if link == WORLD else link)
             poses.append(self._in(link, where=element).inverse @ place)
         joint = Connection(element.attributes['name'], kind, *links, element.where, *poses,

@@ -70,6 +70,8 @@ def visuals(link, folder, pose_of, values_of):
         mesh = geometry.child(MESH)
         if mesh is not None:
             scale = values_of(mesh, 'scale', 3)
+            if scale is not None and 0.0 in scale:
+                raise mesh.error('scale without zeros', 'others')
             found.append(Visual(
                 MESH, (1.0, 1.0, 1.0) if scale is None else tuple(map(float, scale)), *placed_at,
                 _path(values_of(mesh, 'uri' if mesh.get('filename') is None else 'filename', None)

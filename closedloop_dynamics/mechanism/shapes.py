@@ -162,7 +162,8 @@ def _read(shape, kinds, spatial):
         for key, check in {
                 'size': _size, 'radius': not_negative if kind == 'rod' else positive,
                 'length': positive, 'axis': direction, 'center': place, 'to': place,
-                'from': place, 'orientation': orientation, 'file': text, 'scale': _size}.items():
+                'from': place, 'orientation': orientation, 'file': text,
+                'scale': _scale}.items():
             if key in given:
                 with at(key):
                     found[key] = check(given[key])
@@ -216,6 +217,16 @@ def _from_z(axis):
         return (1.0, 0.0, 0.0, 0.0)
     w = math.sqrt(0.5 * (1.0 + z))
     return (-0.5 * y / w, 0.5 * x / w, 0.0, w)
+
+
+def _scale(value):
+    """Return three factors of a mesh; negative ones mirror it."""
+    found = numbers(value, 3, 'a list of 3 numbers [x, y, z] that are not zero')
+    for index, factor in enumerate(found):
+        if factor == 0.0:
+            with at(index):
+                raise FieldError('a number that is not zero', shown(factor))
+    return found
 
 
 def _size(value):

@@ -203,6 +203,9 @@ def _mesh(visual, axes, center):
     """Return a mesh in its body's frame."""
     points, triangles = read_mesh(Path(visual.file))
     points = (points * visual.size) @ axes.T + center
+    if np.prod(visual.size) < 0.0:
+        # A mirrored mesh keeps its outside.
+        triangles = triangles[:, ::-1]
     size = np.ptp(points, axis=0).max() or 1.0
     digits = max(0, MESH_DIGITS - int(np.floor(np.log10(size))))
     return {'kind': 'mesh', 'points': np.round(points, digits).tolist(),

@@ -15,6 +15,7 @@
 """SDF: frames, axes and joints of every type, in loops; and what is refused."""
 
 from closedloop_dynamics.formats.registry import read_model
+from closedloop_dynamics.formats.yaml_text import mechanism_text
 from closedloop_dynamics.mechanism.mechanism import MechanismError
 from closedloop_dynamics.mechanism.reader import read_mechanism
 from closedloop_dynamics.simulation.far_assembly import Loops
@@ -129,6 +130,14 @@ def test_what_nothing_joins_to_the_world_floats_where_it_is_drawn(tmp_path):
     assert (joint.type, joint.child, joint.position) == ('free', 'base', (1.0, 2.0, 4.0))
 
 
+def test_names_that_yaml_reads_otherwise_are_changed(tmp_path):
+    text = FOUR_BAR.replace('<model name="four_bar">', '<model name="True">').replace(
+        '<link name="rocker">', '<link name="no">').replace('>rocker<', '>no<')
+    mechanism = read_model(written(tmp_path, text)).mechanism
+    assert (mechanism.name, mechanism.bodies[2].name) == ('xTrue', 'xno')
+    assert read_mechanism(written(tmp_path, mechanism_text(mechanism), 'a.yaml')) == mechanism
+
+
 def test_the_tree_keeps_what_is_driven_and_cuts_what_is_free_the_most(tmp_path):
     # The ball comes first in the file, and is cut nevertheless; the rest is turned about.
     ball = FOUR_BAR[FOUR_BAR.index('  <joint name="pin"'):FOUR_BAR.index('</model>')]
@@ -145,6 +154,9 @@ FAULTS = {
               r"expected the name of a frame, got 'joints' \(did you mean 'joint'\?\)"),
     'cycle': ('attached_to="crank"><pose>', 'attached_to="crank"><pose relative_to="coupler">',
               'expected frames that do not depend on themselves, got'),
+    'attached': ('<frame name="tip" attached_to="coupler"><pose>',
+                 '<frame name="tip" attached_to="tip"><pose relative_to="coupler">',
+                 'expected frames that are not attached to themselves, got tip -> tip'),
     'child': ('<child>crank</child>', '<child>krank</child>',
               r"expected the name of a frame, got 'krank' \(did you mean 'crank'\?\)"),
     'type': ('type="ball"', 'type="gearbox"', "expected type to be one of .* got 'gearbox'"),

@@ -205,7 +205,7 @@ def test_what_is_not_read_is_told(tmp_path):
 def test_what_links_are_drawn_as_goes_with_their_bodies(tmp_path):
     box = ('<visual><origin xyz="0.1 0 0"/><geometry><box size="1 2 3"/></geometry></visual>')
     mesh = ('<visual><geometry><mesh filename="package://{}/meshes/tip.stl"/></geometry></visual>'
-            '<visual><geometry><mesh filename="other.obj" scale="2 2 2"/></geometry></visual>')
+            '<visual><geometry><mesh filename="other.obj" scale="2 -2 2"/></geometry></visual>')
     (tmp_path / 'meshes').mkdir()
     (tmp_path / 'meshes' / 'tip.stl').touch()
     text = robot(LINKS, TREE, machines.TIPS, LOOPS['loop'][1])
@@ -218,7 +218,7 @@ def test_what_links_are_drawn_as_goes_with_their_bodies(tmp_path):
     # The tip is fixed to the coupler, 0.4 m along it.
     tip, other = bodies['coupler'].visual
     assert tip.file == str(tmp_path.resolve() / 'meshes' / 'tip.stl') and tip.size == (1, 1, 1)
-    assert other.file == str(tmp_path.resolve() / 'other.obj') and other.size == (2, 2, 2)
+    assert other.file == str(tmp_path.resolve() / 'other.obj') and other.size == (2, -2, 2)
     assert tip.center == pytest.approx((0.4, 0.0, 0.0))
     with pytest.raises(MechanismError, match='size to be positive'):
         read(tmp_path, text.replace('size="1 2 3"', 'size="1 2 0"'))
