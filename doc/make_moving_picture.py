@@ -84,7 +84,8 @@ def motion(simulation, wanted):
 def pictures(tab, count):
     """Return the frames of a page that has a motion in it."""
     tab.wait('typeof page !== "undefined" && Boolean(page.shownRow)')
-    tab.ask('(() => { page.playing = false; page.picture.forget(); page.theme.paper = [1, 1, 1]; const s = '
+    tab.ask('(() => { page.playing = false; page.picture.forget(); '
+            'page.theme.paper = [1, 1, 1]; const s = '
             f'document.createElement("style"); s.textContent = "{STYLE}"; '
             'document.head.append(s); })()')
     # Twice round: the path of the point is whole in the second.
@@ -108,7 +109,7 @@ def main(scenes):
             page.write_text(recorded_page(
                 name, describe(scene.mechanism, columns, mode='recording', title=name),
                 np.arange(len(shown)) / FRAMES, shown), encoding='utf-8')
-            tab = open_page(page.as_uri(), width=SIZE, height=SIZE)
+            tab = open_page(f'{page.as_uri()}?smooth', width=SIZE, height=SIZE)
             rows.append(pictures(tab, len(shown)))
             tab.close()
             print(f'{name}: {len(shown)} frames', flush=True)

@@ -43,7 +43,7 @@ def main():
     thread.start()
     try:
         with browser() as open_page:
-            tab = open_page(server.url, width=1520, height=860)
+            tab = open_page(f'{server.url}?smooth', width=1520, height=860)
             tab.wait('typeof page !== "undefined" && Boolean(page.shownRow)')
             for joint, torque in (('theta_1', 4.0), ('theta_6', -2.0), ('theta_7', 3.0)):
                 tab.ask(f'page.ask("command", {{joint: "{joint}", value: {torque}}})')

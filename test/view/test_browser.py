@@ -17,6 +17,11 @@
 from test.view.browser import browser, program
 
 from closedloop_dynamics.cli import main
+from closedloop_dynamics.simulation.scene import load_scene
+from closedloop_dynamics.view.columns import motion_columns, poses_in_space
+from closedloop_dynamics.view.description import describe
+from closedloop_dynamics.view.page import recorded_page
+from closedloop_dynamics.visual.motion import body_poses
 import numpy as np
 import pytest
 
@@ -119,6 +124,40 @@ def test_the_page_comes_back_with_its_server(open_page, live):
     again.close()
     assert live.runner.playing and not tab.errors
     tab.close()
+
+
+def colored(tab, color):
+    """Return how much of the stage has about a colour, lit or in the shade."""
+    direction = np.array(color) / np.linalg.norm(color)
+    seen = stage(tab)
+    along = seen @ direction
+    away = np.linalg.norm(seen - along[..., None] * direction, axis=2)
+    return ((away < 0.12 * along) & (along > 60.0)).mean()
+
+
+@pytest.mark.parametrize('name, least', [
+    # A rope over pulleys; the outline of a cam; springs, and a road that is a box.
+    ('rope_hoist', 0.005), ('cam_follower', 0.002), ('double_wishbone', 0.001)])
+def test_ropes_outlines_and_springs_are_drawn(open_page, tmp_path, name, least):
+    scene = load_scene(name)
+    columns, count = motion_columns(scene.mechanism), 2
+    bodies = len(scene.mechanism.bodies)
+    rows = np.zeros((count, columns.width), dtype=np.float32)
+    rows[:, :7 * bodies] = poses_in_space(body_poses(
+        scene.mechanism, np.array([scene.initial.position] * count))).reshape(count, -1)
+    described = describe(scene.mechanism, columns, scene.effects, mode='recording', title=name)
+    shares = []
+    for lines in (described, {**described, 'lines': [], 'wires': [], 'surfaces': []}):
+        path = tmp_path / f'{len(shares)}.html'
+        path.write_text(recorded_page(name, lines, np.array([0.0, 1.0]), rows))
+        tab = open_page(path.as_uri())
+        tab.wait('typeof page !== "undefined" && Boolean(page.shownRow)')
+        tab.ask('page.picture.view("slanted"); page.playing = false;'
+                'new Promise((done) => setTimeout(done, 200))')
+        shares.append(colored(tab, (140, 109, 49)))
+        assert not tab.errors
+        tab.close()
+    assert shares[0] > shares[1] + least
 
 
 def test_a_saved_page_plays_without_a_server(open_page, tmp_path, capsys):

@@ -211,8 +211,9 @@ class Scene {
     this.forcePeak = this.peakAt = 0;
     this.hover = this.held = this.handAt = null;
     this.shown = {forces: true, names: false, trails: true};
-    // Where the processor draws, smooth edges would cost half of the frames.
-    const gl = this.gl = solid.getContext('webgl2', {antialias: !drawnByProcessor(), alpha: false});
+    // Where the processor draws, smooth edges would cost half of the frames; pictures may ask.
+    const smooth = location.search.includes('smooth') || !drawnByProcessor();
+    const gl = this.gl = solid.getContext('webgl2', {antialias: smooth, alpha: false});
     if (!gl) throw new Error('This browser has no WebGL 2, which the picture needs.');
     this.program = this.build();
     this.meshes = {
