@@ -107,7 +107,8 @@ def main(scenes):
             columns, shown = motion(Simulation(scene), MOTIONS[name])
             page = Path(folder, 'page.html')
             page.write_text(recorded_page(
-                name, describe(scene.mechanism, columns, mode='recording', title=name),
+                name, describe(
+                    scene.mechanism, columns, scene.effects, mode='recording', title=name),
                 np.arange(len(shown)) / FRAMES, shown), encoding='utf-8')
             tab = open_page(f'{page.as_uri()}?smooth', width=SIZE, height=SIZE)
             rows.append(pictures(tab, len(shown)))

@@ -51,7 +51,7 @@ def main():
             tab.wait('page.now > 2.0')
             tab.ask('page.ask("pause")')
             tab.wait('!page.playing')
-            picture = Image.fromarray(tab.picture())
+            picture = Image.fromarray(tab.picture()).quantize(128)
             picture.save(ROOT / 'doc' / 'pictures' / 'view.png', optimize=True)
     finally:
         over.set()

@@ -25,10 +25,10 @@ from pathlib import Path
 import numpy as np
 
 from .effect_shapes import effect_lines, surfaces, wires
-from .meshes import MeshError, read_mesh
+from .meshes import MeshError, MOST_OF_ALL, MOST_TRIANGLES, read_mesh
 from ..core.codegen.spatial import rotation
 from ..mechanism.decomposition import decompose
-from ..mechanism.mechanism import BOX, CYLINDER, DISTANCE, GROUND, PRISMATIC, SPHERE
+from ..mechanism.mechanism import BOX, CYLINDER, DISTANCE, GROUND, MESH, PRISMATIC, SPHERE
 from ..simulation.modeling import extent
 from ..visual.appearance import (
     body_colors, CONTACT_COLOR, CUT_COLOR, FORCE_COLOR, marked_points, outline, PATH_COLOR,
@@ -69,6 +69,8 @@ def describe(mechanism, columns, effects=None, **more):
     heights = _heights(mechanism, size)
     blocks, colors = sliders(mechanism), body_colors(mechanism)
     outlines = wires(mechanism, effects, rows, heights, LAYER * size)
+    meshes = sum(visual.kind == MESH for body in mechanism.bodies for visual in body.visual)
+    most = min(MOST_TRIANGLES, MOST_OF_ALL // max(meshes, 1))
     outlined = {wire['body'] for wire in outlines}
     trees = decompose(mechanism).subsystems
     child = {joint.name: joint.child for joint in mechanism.joints}
@@ -80,7 +82,7 @@ def describe(mechanism, columns, effects=None, **more):
         'subsystems': [colors[child[tree[0]]] for tree in trees],
         'bodies': [{
             'name': body.name, 'color': colors[body.name], 'subsystem': subsystem[body.name],
-            'shapes': (_visuals(body, size, heights[body.name], missing)
+            'shapes': (_visuals(body, size, heights[body.name], most, missing)
                        or _shapes(mechanism, body.name, size, heights[body.name], blocks,
                                   rows[body.name] in outlined)),
             'grabs': grabs(mechanism, body).tolist()} for body in mechanism.bodies],
@@ -174,7 +176,7 @@ def _shapes(mechanism, body, size, height, blocks, outlined):
     return shapes
 
 
-def _visuals(body, size, height, missing):
+def _visuals(body, size, height, most, missing):
     """Return the shapes that a body says it is drawn as; list the meshes that are missing."""
     shapes = []
     for visual in body.visual:
@@ -193,15 +195,15 @@ def _visuals(body, size, height, missing):
                            'to': (center + half).tolist(), 'radius': radius or BAR * size})
         else:
             try:
-                shapes.append(_mesh(visual, axes, center))
+                shapes.append(_mesh(visual, axes, center, most))
             except MeshError as error:
                 missing.append(f'{body.name}: {error}')
     return shapes
 
 
-def _mesh(visual, axes, center):
+def _mesh(visual, axes, center, most):
     """Return a mesh in its body's frame."""
-    points, triangles = read_mesh(Path(visual.file))
+    points, triangles = read_mesh(Path(visual.file), most)
     points = (points * visual.size) @ axes.T + center
     if np.prod(visual.size) < 0.0:
         # A mirrored mesh keeps its outside.

@@ -16,8 +16,9 @@
 
 import numpy as np
 
-# Triangles of a mesh, at most; cells along its longest side that what has more is put into.
-MOST_TRIANGLES, CELLS = 6000, 128
+# Triangles of a mesh, and of all meshes of a machine, at most; cells along its longest side that
+# the points of one with more are put into.
+MOST_TRIANGLES, MOST_OF_ALL, CELLS = 6000, 24_000, 128
 # Of a file [bytes].
 LARGEST = 200_000_000
 SUFFIXES = ('.stl', '.obj', '.ply', '.glb', '.gltf', '.off', '.dae')
@@ -27,7 +28,7 @@ class MeshError(ValueError):
     """A mesh that cannot be shown; the message names the file and says why."""
 
 
-def read_mesh(path):
+def read_mesh(path, most=MOST_TRIANGLES):
     """
     Read a mesh.
 
@@ -35,13 +36,15 @@ def read_mesh(path):
     ----------
     path : pathlib.Path
         STL, OBJ, PLY, GLB or OFF; COLLADA where trimesh can read it.
+    most : int
+        Number of triangles, at most.
 
     Returns
     -------
     points : ndarray, shape (n, 3)
         As the file has them.
     triangles : ndarray of int, shape (m, 3)
-        Rows of ``points``; at most MOST_TRIANGLES.
+        Rows of ``points``.
 
     Raises
     ------
@@ -70,15 +73,16 @@ def read_mesh(path):
         raise MeshError(f'{path}: expected triangles between finite places, got none')
     cells = CELLS
     found = points, triangles
-    while len(found[1]) > MOST_TRIANGLES:
+    while len(found[1]) > most:
         found = _merged(points, triangles, cells)
+        # In the end there is one cell, and no triangle.
         cells = cells * 3 // 4
     return found
 
 
 def _merged(points, triangles, cells):
     """Return a mesh whose points that lie in one cell of a grid are one, in their middle."""
-    low, size = points.min(axis=0), np.ptp(points, axis=0).max()
+    low, size = points.min(axis=0), np.ptp(points, axis=0).max() or 1.0
     places = np.floor((points - low) * (cells / size)).astype(int)
     _, cell, counts = np.unique(places, axis=0, return_inverse=True, return_counts=True)
     cell = cell.reshape(-1)
