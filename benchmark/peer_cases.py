@@ -20,11 +20,14 @@ Everything is read from the shipped scenes, nothing is copied by hand.
 """
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 import sys
+import tempfile
 from typing import Callable
 
 from machine import ROOT
 import numpy as np
+import yaml
 
 sys.path.insert(0, str(ROOT))
 
@@ -35,6 +38,8 @@ from closedloop_dynamics.simulation.simulation import Simulation  # noqa: E402
 
 # What computes the answer, and what confirms it: an integrator and its tolerance.
 REFERENCES = (('dop853', 1e-13), ('dopri5', 1e-13))
+# Behind the name of a scene: the program is given all joints, and no tree.
+TREE_IS_CHOSEN = ', tree chosen'
 # Simulators without a cut hinge hold two points of its axis together, so far apart [m].
 HINGE = 1.0
 
@@ -162,8 +167,20 @@ def simulation(scene, integrator, value, duration, adaptive=True):
 
 
 def load_scene(name):
-    """Return a shipped scene, the joints in the order that the others want: depth first."""
+    """
+    Return a shipped scene, the joints in the order that the others want: depth first.
+
+    With ``TREE_IS_CHOSEN`` behind its name in its drawn position, with the tree that the program
+    chooses.
+
+    """
+    name, chosen, _ = name.partition(TREE_IS_CHOSEN)
     scene = scenes.load_scene(name)
+    if chosen:
+        mechanism = _with_chosen_tree(name)
+        at_rest = (0.0,) * len(mechanism.joints)
+        scene = replace(scene, mechanism=mechanism,
+                        initial=replace(scene.initial, position=at_rest, velocity=at_rest))
     mechanism, children = scene.mechanism, {}
     for joint in mechanism.joints:
         children.setdefault(joint.parent, []).append(joint)
@@ -185,6 +202,31 @@ def load_scene(name):
             'position', before.told('position', start.position), after.start())),
         velocity=tuple(after.filled(
             'velocity', before.told('velocity', start.velocity), np.zeros(after.nv)))))
+
+
+def _with_chosen_tree(name):
+    """Return a mechanism of hinges that has all frames parallel in its drawn position."""
+    data = yaml.safe_load(scenes.shipped_path('mechanisms', name).read_text())
+    for joint in data['joints'].values():
+        joint.update(between=[joint.pop('parent'), joint.pop('child')],
+                     points=[joint.pop('position'), [0, 0, 0]])
+    for key, cut in data.pop('cut_joints').items():
+        data['joints'][key] = {'type': cut['type'], 'axis': cut['axis_a'],
+                               'between': [cut['body_a'], cut['body_b']],
+                               'points': [cut['point_a'], cut['point_b']]}
+    with tempfile.TemporaryDirectory() as scratch:
+        path = Path(scratch) / f'{name}.yaml'
+
+        def read():
+            path.write_text(yaml.safe_dump(data, sort_keys=False))
+            return scenes.load_scene_or_mechanism(path)
+
+        # Joints that carry the other one of their bodies now: the others take no negative axes.
+        for joint in read().joints:
+            if sum(joint.axis) < 0.0:
+                values = data['joints'][joint.name]
+                values['axis'] = [-number for number in values['axis']]
+        return read()
 
 
 def elements(mechanism):

@@ -23,6 +23,8 @@ from closedloop_dynamics.core import cache
 from closedloop_dynamics.core.codegen import available, emit, function_table, pieces, relink
 from closedloop_dynamics.core.codegen.expression_graph import (
     cosine, ExpressionGraph, LOAD, Routine, sine)
+from closedloop_dynamics.core.codegen.packed_writer import (
+    by_number, PackedWriter, Packing, WORTH)
 from closedloop_dynamics.core.types import ALPHA, AY, REVOLUTE_ARMATURE, TYPE
 from closedloop_dynamics.integration.projection import stabilised
 from closedloop_dynamics.integration.system import (
@@ -118,6 +120,43 @@ def test_linkages_let_go_of_what_they_call():
     assert len(function_table._callbacks) == before + 1
     del system
     assert len(function_table._callbacks) == before
+
+
+def branches(seed, number=5, length=150):
+    """Return a routine that does the same with the numbers of several branches, and sums up."""
+    graph = ExpressionGraph()
+    results = []
+    for branch in range(number):
+        random = np.random.default_rng(seed)
+        values = [graph.put(LOAD, emit.Q, 6 * branch + k) for k in range(6)]
+        for _ in range(length):
+            one, other = (values[k] for k in random.integers(0, len(values), 2))
+            kind = random.integers(0, 5)
+            values.append((one * other + other, one - other, one * other, -one,
+                           one / (other * other + 3.0))[kind])
+        results.append(values[-8:])
+    total = [sum(column[1:], column[0]) for column in zip(*results)]
+    products = [one[0] * other[1] - one[2] * other[3] for one, other in zip(results, results[1:])]
+    outputs = [value for part in (*results, total, products) for value in part]
+    return Routine('whole', graph, [(0, place, value) for place, value in enumerate(outputs)])
+
+
+@pytest.mark.parametrize('seed', range(8))
+def test_vectors_of_branches_round_as_single_numbers_do(seed):
+    made = branches(seed)
+    assert max(Packing(made, [], first).saved for first in (by_number, max)) > WORTH * len(
+        made.needed())
+    random, found = np.random.default_rng(seed), []
+    inputs = [random.normal(size=30) for _ in range(20)]
+    for writer in (emit.Writer, PackedWriter):
+        address = emit.machine_code(('branches', seed), lambda: [branches(seed)], writer)('whole')
+        run = ctypes.CFUNCTYPE(ctypes.c_int64, *3 * [ctypes.c_void_p])(address)
+        out = np.zeros((len(inputs), len(made.outputs)))
+        for q, row in zip(inputs, out):
+            table = np.array([row.ctypes.data])
+            run(table.ctypes.data, q.ctypes.data, q.ctypes.data)
+        found.append(out)
+    np.testing.assert_array_equal(*found)
 
 
 def test_machine_code_is_read_back(tmp_path, monkeypatch):

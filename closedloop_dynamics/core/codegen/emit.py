@@ -85,11 +85,15 @@ class Writer:
         for place, operation in enumerate(operations):
             if place in use and place not in self.values:
                 self.values[place] = self.operation(*operation)
+        self.finish()
+
+    def finish(self):
+        """Store the outputs, and return whether the branches taken were right."""
         for source, place, value in self.routine.outputs:
             known = value.place if hasattr(value, 'place') else float(value)
             self.builder.store(self.number(known), self.address(source, place))
         guard = self.routine.graph.guard
-        good = _WORD(1) if guard is None else self.builder.zext(self.values[guard.place], _WORD)
+        good = _WORD(1) if guard is None else self.builder.zext(self.number(guard.place), _WORD)
         self.builder.ret(good)
 
     def turn(self, operations, angles):
@@ -109,7 +113,11 @@ class Writer:
         builder = self.builder
         if kind == LOAD:
             return builder.load(self.address(*operands))
-        numbers = [self.number(operand) for operand in operands]
+        return self.arithmetic(kind, *(self.number(operand) for operand in operands))
+
+    def arithmetic(self, kind, *numbers):
+        """Return the result of an operation on values."""
+        builder = self.builder
         if kind in _ARITHMETIC:
             return getattr(builder, _ARITHMETIC[kind])(*numbers, flags=_FLAGS)
         if kind == NEGATE:

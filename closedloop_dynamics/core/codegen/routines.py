@@ -23,6 +23,7 @@ from .function_table import (
     ACCELERATION, BAUMGARTE, BODY, CLOSURE, CLOSURE_RATE, CORRECTION, CORRECTIONS, CUT_POINT,
     EVALUATION, GRAVITY, HEALTH, LAM, OUTWARD, QDD, REFINED_ACCELERATION, REFINED_CORRECTION, TAU,
     WORK_BODY)
+from .packed_writer import PackedWriter
 from .spatial import Recursion
 from .. import (
     articulated_inertia, elimination, forward_dynamics, kinematics, loop_closure, refinement)
@@ -77,6 +78,8 @@ def addresses(model, which, writer=emit.Writer):
     dict of int to int
 
     """
+    if writer is emit.Writer and space.is_spatial(model):
+        writer = PackedWriter
     key = topology(model), which, writer.__name__
     if key not in _addresses:
         find = emit.machine_code(
