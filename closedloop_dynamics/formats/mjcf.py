@@ -23,6 +23,7 @@ hold exactly here.
 """
 
 from collections import Counter
+import math
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
@@ -68,6 +69,7 @@ def read_mjcf(path):
     """
     path = Path(path)
     root = _included(read_xml(path, ('mujoco',)), path.parent.resolve(), [path.resolve()])
+    _refuse_infinite(root)
     try:
         import mujoco
     except ImportError:
@@ -86,6 +88,20 @@ def read_mjcf(path):
                              ) from None
     _Reader(mujoco, compiled, model).read()
     return model
+
+
+def _refuse_infinite(element):
+    """Refuse numbers that are not finite, on which MuJoCo may compute without an end."""
+    for key, value in element.attributes.items():
+        for part in value.split():
+            try:
+                finite = math.isfinite(float(part))
+            except ValueError:
+                continue
+            if not finite:
+                raise element.error(f'{key} to be finite', repr(value))
+    for child in element.children:
+        _refuse_infinite(child)
 
 
 def _included(element, folder, files):

@@ -207,6 +207,15 @@ def test_meshes_are_needed_for_masses_only(tmp_path):
         read_model(written(tmp_path, text.replace('BODY', '')))
 
 
+@pytest.mark.parametrize('number', ['nan', '1e999', '-inf'])
+def test_numbers_that_mujoco_might_compute_on_without_an_end_are_refused(tmp_path, number):
+    text = ('<mujoco><worldbody>\n<body><joint/><inertial pos="0 0 0" mass="1" '
+            f'fullinertia="{number}"/></body></worldbody></mujoco>')
+    with pytest.raises(MechanismError, match=(
+            rf':2: <inertial>: expected fullinertia to be finite, got .{number}')):
+        read_model(written(tmp_path, text))
+
+
 def test_what_mujoco_refuses_is_told(tmp_path):
     for text, said in (
             ('<mujoco><worldbody><body><joint/></body></worldbody></mujoco>', 'mass and inertia'),
