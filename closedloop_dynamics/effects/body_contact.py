@@ -15,7 +15,8 @@
 """
 Contact of a point or roller of one body with a line, a circle or a curve of another.
 
-The roller is a circle of radius r about a named point (0: the point itself). With depth d, by
+The roller is a circle of radius r about a named point (0: the point itself), in space a ball,
+which touches a plane, a sphere or a cylinder of the other body. With depth d, by
 which it reaches beyond the line or curve, its rate d', and the sliding rate v:
 
     normal     N = k d^n max(0, 1 + c d')               pushes apart, never pulls
@@ -28,6 +29,8 @@ impact rate w, exactly for a free impact:
 
     x - ln(1 + x) + e x + ln(1 - e x) = 0,    x = c w
 
+In space friction acts against the sliding velocity, v being its size.
+
 When: cams with followers, Geneva drives, ratchets, rollers, grippers.
 
 """
@@ -36,21 +39,31 @@ from dataclasses import dataclass
 import math
 from typing import Optional, Tuple
 
+import numpy as np
+
 from . import curve
-from .effect import Effect, require_plane, require_point
-from .forces import elastic_force, in_contact, place, push_at, velocity
+from .effect import Effect, require_point
+from .forces import (
+    elastic_force, in_contact, place, place_in_space, push_at, push_there, turned, velocity,
+    velocity_at)
 from .table import (
-    CIRCLE_CONTACT, CURVE_CONTACT, DISSIPATED, FIRST, ForceElement, LINE_CONTACT, SECOND, STATE,
-    State, STORED)
+    CIRCLE_CONTACT, CURVE_CONTACT, DATA, DISSIPATED, FIRST, ForceElement, LINE_CONTACT, SECOND,
+    SPATIAL_BODY_CONTACT, STATE, State, STORED)
 from ..core.compiled import inlined
 from ..core.types import COS, SIN
 from ..mechanism.checks import (
-    boolean, list_of, name, not_negative, number, one_of, positive, text)
+    boolean, direction, list_of, name, not_negative, number, one_of, positive, text)
 from ..mechanism.fields import at, FieldError, shown
+from ..mechanism.mechanism import Vector3
 
 # Shape -> the keys that it needs, and those that it may have.
-SHAPES = {'line': ((), ('angle',)), 'circle': (('other_radius',), ('hollow',)),
-          'curve': ((), ('x', 'y', 'radii', 'polar', 'closed', 'interpolation', 'hollow'))}
+IN_PLANE = {'line': ((), ('angle',)), 'circle': (('other_radius',), ('hollow',)),
+            'curve': ((), ('x', 'y', 'radii', 'polar', 'closed', 'interpolation', 'hollow'))}
+IN_SPACE = {'plane': (('normal',), ()), 'sphere': (('other_radius',), ('hollow',)),
+            'cylinder': (('other_radius', 'axis'), ('hollow',))}
+SHAPES = {**IN_PLANE, **IN_SPACE}
+# Entries of one in space: both places, normal or axis, 1 for a plane, 1 for a cylinder.
+PLACE_B, DIRECTION, FLAT, ROUND = 3, 6, 9, 10
 
 
 def damping(restitution, rate):
@@ -90,18 +103,23 @@ class BodyContact(Effect):
     point : str
         A named point: the centre of the roller.
     other : str
-        A named point of the other body: on the line, the centre of the circle, or where the
-        curve's coordinates begin; its axes are those of its body.
+        A named point of the other body: on the line or plane, the centre of the circle or
+        sphere, on a cylinder's axis, or where the curve's coordinates begin; its axes are those
+        of its body.
     shape : str
-        ``line``, ``circle`` or ``curve``.
+        ``line``, ``circle`` or ``curve``; in space ``plane``, ``sphere`` or ``cylinder``.
     stiffness : float
         k, positive [N/m^n].
     radius : float
         r of the roller, zero or more [m].
     angle : float or None
         Of a line, in the other body's axes [rad]; free on its left; 0 when not given.
+    normal : tuple of 3 floats or None
+        Of a plane, towards its free side, in the other body's axes.
+    axis : tuple of 3 floats or None
+        Of a cylinder, which has no ends, in the other body's axes.
     other_radius : float or None
-        Of a circle, positive [m].
+        Of a circle, sphere or cylinder, positive [m].
     x, y : tuple of floats or None
         Points of a curve [m]; the first one of a closed curve is not repeated.
     radii : tuple of floats or None
@@ -113,7 +131,8 @@ class BodyContact(Effect):
     interpolation : str or None
         Of a curve: ``cubic`` (a spline, when not given) or ``linear``.
     hollow : bool or None
-        Whether a circle or closed curve is free inside; an open curve, on its right.
+        Whether a circle, sphere, cylinder or closed curve is free inside; an open curve, on its
+        right.
     exponent : float
         n, one or more; 1 linear, 1.5 Hertz.
     damping : float or None
@@ -131,7 +150,8 @@ class BodyContact(Effect):
 
     CHECKS = {
         'point': name, 'other': name, 'shape': one_of(tuple(SHAPES)), 'stiffness': positive,
-        'radius': not_negative, 'angle': number, 'other_radius': positive, 'x': list_of(number),
+        'radius': not_negative, 'angle': number, 'normal': direction,
+        'axis': direction, 'other_radius': positive, 'x': list_of(number),
         'y': list_of(number), 'radii': list_of(positive), 'polar': text, 'closed': boolean,
         'interpolation': one_of(('cubic', 'linear')), 'hollow': boolean, 'exponent': positive,
         'damping': not_negative, 'restitution': positive, 'impact_velocity': positive,
@@ -145,6 +165,8 @@ class BodyContact(Effect):
     stiffness: float
     radius: float = 0.0
     angle: Optional[float] = None
+    normal: Optional[Vector3] = None
+    axis: Optional[Vector3] = None
     other_radius: Optional[float] = None
     x: Optional[Tuple[float, ...]] = None
     y: Optional[Tuple[float, ...]] = None
@@ -175,7 +197,7 @@ class BodyContact(Effect):
         if self.restitution is not None and self.damping is not None:
             raise FieldError('this key or restitution', 'both', path=('damping',))
         self._require_keys()
-        if self.shape == 'circle' and self.hollow and self.radius >= self.other_radius:
+        if self.hollow and self.other_radius and self.radius >= self.other_radius:
             raise FieldError(f'less than the radius around it ({self.other_radius:g})',
                              f'{self.radius:g}', path=('radius',))
         object.__setattr__(self, '_pieces', self._curve() if self.shape == 'curve' else ())
@@ -191,12 +213,11 @@ class BodyContact(Effect):
         for key in required:
             if getattr(self, key) is None:
                 raise FieldError(f'this required key of shape: {self.shape}', 'none', path=(key,))
-        for shape, keys in SHAPES.items():
-            for key in keys[0] + keys[1]:
-                if key not in required + optional and getattr(self, key) is not None:
-                    raise FieldError(f'this key only with shape: {shape}',
-                                     shown(getattr(self, key)),
-                                     f'remove it, as the shape is {self.shape}', (key,))
+        for key in sorted({key for keys in SHAPES.values() for key in keys[0] + keys[1]}):
+            if key not in required + optional and getattr(self, key) is not None:
+                raise FieldError(
+                    f'this key only with shape: {" or ".join(_shapes_with(key))}',
+                    shown(getattr(self, key)), f'remove it, as the shape is {self.shape}', (key,))
 
     def _curve(self):
         """Return the pieces of the curve."""
@@ -217,9 +238,13 @@ class BodyContact(Effect):
                             bool(self.hollow))
 
     def fit(self, mechanism):
-        """Refuse a mechanism without the points, one in space, and points of one body."""
+        """Refuse a mechanism without the points, other shapes than its, and points of one body."""
         super().fit(mechanism)
-        require_plane(mechanism, 'point')
+        shapes = IN_PLANE if mechanism.planar else IN_SPACE
+        if self.shape not in shapes:
+            raise FieldError(
+                f'{" or ".join(shapes)} in {"the plane" if mechanism.planar else "space"}',
+                repr(self.shape), path=('shape',))
         require_point(mechanism, 'other', self.other)
         bodies = {point.name: point.body for point in mechanism.points}
         if bodies[self.point] == bodies[self.other]:
@@ -232,6 +257,8 @@ class BodyContact(Effect):
         loss = self.damping or 0.0
         if self.restitution is not None:
             loss = damping(self.restitution, self.impact_velocity)
+        if not machine.mechanism.planar:
+            return self._in_space(machine, loss)
         kind, one, other = {
             'line': (LINE_CONTACT, math.cos(self.angle or 0.0), math.sin(self.angle or 0.0)),
             'circle': (CIRCLE_CONTACT, self.other_radius, -1.0 if self.hollow else 1.0),
@@ -240,6 +267,42 @@ class BodyContact(Effect):
             *place_a, *place_b, self.radius, one, self.stiffness, self.exponent, loss,
             self.friction, self.slip_velocity, other), (State(DISSIPATED),), touches=True,
             data=self._pieces)
+
+    def _in_space(self, machine, loss):
+        """Return the effect as a row of the table in space."""
+        bodies = {point.name: point.body for point in machine.mechanism.points}
+        (a, place_a), (b, place_b) = machine.point(self.point), machine.point(self.other)
+        # A sphere has none.
+        along = machine.placement(bodies[self.other]).axes @ np.array(
+            self.normal or self.axis or (0.0, 0.0, 0.0))
+        return ForceElement(SPATIAL_BODY_CONTACT, (a, b), (
+            0.0, 0.0, 0.0, 0.0, self.radius, self.other_radius or 0.0, self.stiffness,
+            self.exponent, loss, self.friction, self.slip_velocity,
+            -1.0 if self.hollow else 1.0), (State(DISSIPATED),), touches=True,
+            data=((*place_a, *place_b, *along.tolist(), float(self.shape == 'plane'),
+                   float(self.shape == 'cylinder')),))
+
+
+def _shapes_with(key):
+    """Return the shapes that have a key."""
+    return [shape for shape, keys in SHAPES.items() if key in keys[0] + keys[1]]
+
+
+@inlined
+def _law(table, row, gap, rate, slip):
+    """Return the forces apart and along the sliding, and note them."""
+    values, output = table.values, table.output
+    elastic = elastic_force(values[row, 6], values[row, 7], gap)
+    normal = elastic * max(0.0, 1.0 + values[row, 8] * rate)
+    along = -values[row, 9] * normal * slip / math.sqrt(
+        slip * slip + values[row, 10] * values[row, 10])
+    table.rates[table.index[row, STATE]] = (normal - elastic) * rate - along * slip
+    output[row, STORED] = -elastic * gap / (values[row, 7] + 1.0)
+    output[row, 1] = -gap
+    output[row, 2] = normal
+    output[row, 3] = along
+    output[row, 4] = slip
+    return normal, along
 
 
 @inlined
@@ -263,8 +326,7 @@ def _press(table, row, body, x, y, nx, ny, distance):
         Of the centre from the line or curve, negative beyond it [m].
 
     """
-    values, output, state = table.values, table.output, table.index[row, STATE]
-    radius = values[row, 4]
+    output, radius = table.output, table.values[row, 4]
     gap, px, py = distance - radius, x - radius * nx, y - radius * ny
     a, b = table.index[row, FIRST], table.index[row, SECOND]
     for k in range(output.shape[1]):
@@ -276,19 +338,10 @@ def _press(table, row, body, x, y, nx, ny, distance):
     # Along the free side's boundary: (ny, -nx).
     rate, slip = -(nx * vx + ny * vy), ny * vx - nx * vy
     if in_contact(table.contacts, row, gap, -rate):
-        elastic = elastic_force(values[row, 6], values[row, 7], gap)
-        normal = elastic * max(0.0, 1.0 + values[row, 8] * rate)
-        along = -values[row, 9] * normal * slip / math.sqrt(
-            slip * slip + values[row, 10] * values[row, 10])
+        normal, along = _law(table, row, gap, rate, slip)
         fx, fy = normal * nx + along * ny, normal * ny - along * nx
         push_at(body, a, px, py, fx, fy)
         push_at(body, b, px, py, -fx, -fy)
-        table.rates[state] = (normal - elastic) * rate - along * slip
-        output[row, STORED] = -elastic * gap / (values[row, 7] + 1.0)
-        output[row, 1] = -gap
-        output[row, 2] = normal
-        output[row, 3] = along
-        output[row, 4] = slip
 
 
 @inlined
@@ -336,3 +389,47 @@ def apply_on_curve(table, row, body):
     mx, my, distance = curve.nearest(
         table, row, cos * dx + sin * dy, cos * dy - sin * dx, values[row, 5] == 1.0)
     _press(table, row, body, x, y, cos * mx - sin * my, sin * mx + cos * my, distance)
+
+
+@inlined
+def apply_in_space(table, row, body):
+    """Apply the forces of a ball on a plane, sphere or cylinder; see ``dispatch.apply``."""
+    values, data, at, output = table.values, table.data, table.index[row, DATA], table.output
+    a, b, side = table.index[row, FIRST], table.index[row, SECOND], values[row, 11]
+    x, y, z = place_in_space(body, a, data[at], data[at + 1], data[at + 2])
+    ox, oy, oz = place_in_space(
+        body, b, data[at + PLACE_B], data[at + PLACE_B + 1], data[at + PLACE_B + 2])
+    ux, uy, uz = turned(
+        body, b, data[at + DIRECTION], data[at + DIRECTION + 1], data[at + DIRECTION + 2])
+    nx, ny, nz = x - ox, y - oy, z - oz
+    height = ux * nx + uy * ny + uz * nz
+    # What lies along a cylinder's axis does not count.
+    nx -= data[at + ROUND] * height * ux
+    ny -= data[at + ROUND] * height * uy
+    nz -= data[at + ROUND] * height * uz
+    between = math.sqrt(nx * nx + ny * ny + nz * nz)
+    if data[at + FLAT] == 1.0:
+        nx, ny, nz, distance = ux, uy, uz, height
+    elif between > 0.0:
+        distance = side * (between - values[row, 5])
+        nx, ny, nz = side * nx / between, side * ny / between, side * nz / between
+    else:
+        # Where the centres meet there is no direction, and inside no contact.
+        distance = values[row, 5] + 2.0 * values[row, 4]
+    radius = values[row, 4]
+    gap, px, py, pz = distance - radius, x - radius * nx, y - radius * ny, z - radius * nz
+    for k in range(output.shape[1]):
+        output[row, k] = 0.0
+    vx, vy, vz = velocity_at(body, a, px, py, pz)
+    wx, wy, wz = velocity_at(body, b, px, py, pz)
+    vx, vy, vz = vx - wx, vy - wy, vz - wz
+    rate = -(nx * vx + ny * vy + nz * vz)
+    if in_contact(table.contacts, row, gap, -rate):
+        # What is left of the velocity slides.
+        vx, vy, vz = vx + rate * nx, vy + rate * ny, vz + rate * nz
+        slip = math.sqrt(vx * vx + vy * vy + vz * vz)
+        normal, along = _law(table, row, gap, rate, slip)
+        drag = along / slip if slip > 0.0 else 0.0
+        fx, fy, fz = (normal * nx + drag * vx, normal * ny + drag * vy, normal * nz + drag * vz)
+        push_there(body, a, px, py, pz, fx, fy, fz)
+        push_there(body, b, px, py, pz, -fx, -fy, -fz)

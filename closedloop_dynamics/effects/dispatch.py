@@ -27,8 +27,8 @@ from .table import (
     ACTUATOR, BUSHING, CABLE, CIRCLE_CONTACT, CONTACT, CURVE_CONTACT, END_STOP, EXTERNAL_FORCE,
     FOLLOWED, JOINT_DAMPING, JOINT_FORCE_TABLE, JOINT_FRICTION, JOINT_SPRING, LINE_CONTACT,
     POINT_FORCE_TABLE, POINT_SPRING, PRESCRIBED_FORCE, PRESCRIBED_MOTION, PRESCRIBED_TORQUE,
-    SPATIAL_BUSHING, SPATIAL_CABLE, SPATIAL_CONTACT, SPATIAL_FORCE, SPATIAL_POINT_SPRING,
-    SPATIAL_PRESCRIBED_FORCE)
+    SPATIAL_BODY_CONTACT, SPATIAL_BUSHING, SPATIAL_CABLE, SPATIAL_CONTACT, SPATIAL_FORCE,
+    SPATIAL_POINT_SPRING, SPATIAL_PRESCRIBED_FORCE)
 from ..core.compiled import compiled
 
 
@@ -146,5 +146,7 @@ def _apply_element(data, table, row, body, q, qd):
             bushing.apply_in_space(table, row, body)
         elif kind == SPATIAL_CABLE:
             cable.apply_in_space(table, row, body)
+        elif kind == SPATIAL_BODY_CONTACT:
+            body_contact.apply_in_space(table, row, body)
         elif kind == PRESCRIBED_MOTION:
             prescribed_motion.apply(table, row)

@@ -30,7 +30,7 @@ import numpy as np
  ACTUATOR, SPATIAL_POINT_SPRING, SPATIAL_FORCE, SPATIAL_CONTACT, PRESCRIBED_TORQUE,
  PRESCRIBED_FORCE, JOINT_FORCE_TABLE, POINT_FORCE_TABLE, BUSHING, CABLE, LINE_CONTACT,
  CIRCLE_CONTACT, CURVE_CONTACT, SPATIAL_PRESCRIBED_FORCE, SPATIAL_BUSHING,
- SPATIAL_CABLE, PRESCRIBED_MOTION) = range(24)
+ SPATIAL_CABLE, PRESCRIBED_MOTION, SPATIAL_BODY_CONTACT) = range(25)
 # Columns of EffectTable.index: first own state; joint (its place in q, of a cut joint behind those
 # of the tree) or the row of the body that carries the first point; the row of the second point's
 # body, or of the joint's; whether the law wants the reaction in its joint, as its second state;

@@ -23,10 +23,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from .effect_shapes import normal_of, outline_of
+from .effect_shapes import normal_in_space, normal_of, outline_of
 from ..core.codegen.spatial import rotation
 from ..core.types import SMALLEST_PIVOT
-from ..effects.body_contact import BodyContact
+from ..effects.body_contact import BodyContact, IN_SPACE
 from ..effects.cable import Cable
 from ..effects.contact import Contact
 from ..effects.external_force import BODY, ExternalForce
@@ -186,7 +186,7 @@ class SimulationRows:
             record, (BodyContact, Contact, ExternalForce, PointSpring))
             or isinstance(record, PrescribedForce) and record.point is not None}
         self._outlines = {name: outline_of(record) for name, record in self._loads.items()
-                          if isinstance(record, BodyContact)}
+                          if isinstance(record, BodyContact) and mechanism.planar}
         self._rows = {body.name: k for k, body in enumerate(mechanism.bodies)}
         self._places = {point.name: point for point in mechanism.points}
         names = mechanism.coordinates
@@ -363,8 +363,16 @@ class SimulationRows:
         return np.array([normal * out, along * sliding])
 
     def _body_contact(self, name, record, readings, center):
-        """Return where a roller touches, the normal force on it and the friction."""
+        """Return where a roller touches, the normal force on it and, in the plane, friction."""
         other = self._places[record.other]
+        if not self._simulation.mechanism.planar:
+            turn = np.eye(3)
+            if other.body != GROUND:
+                pose = self._simulation.body_poses[self._rows[other.body]]
+                turn = np.array(rotation(tuple(pose[3:].tolist())))
+            normal = turn @ normal_in_space(
+                record, turn.T @ (center - self._simulation.point(record.other)))
+            return center - record.radius * normal, readings['normal_force'] * normal
         pose = (np.zeros(3) if other.body == GROUND
                 else self._simulation.body_poses[self._rows[other.body]])
         cosine, sine = np.cos(pose[2]), np.sin(pose[2])
@@ -386,4 +394,6 @@ class SimulationRows:
 
 def _kinds(record):
     """Return what an effect's arrows are."""
+    if isinstance(record, BodyContact) and record.shape in IN_SPACE:
+        return ('normal',)
     return ('normal', 'friction') if isinstance(record, (BodyContact, Contact)) else ('force',)

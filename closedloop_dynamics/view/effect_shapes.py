@@ -89,6 +89,12 @@ def wires(mechanism, effects, rows, heights, above):
     for name, record in effects.items():
         if not isinstance(record, BodyContact):
             continue
+        if not mechanism.planar:
+            found += [{'name': name, 'body': rows[points[point].body],
+                       'places': (ring + points[point].position).tolist()}
+                      for point, some in ((record.point, _ball(record.radius)),
+                                          (record.other, rings_of(record))) for ring in some]
+            continue
         for point, places in ((record.point, _circle(record.radius)),
                               (record.other, outline_of(record))):
             if len(places):
@@ -113,6 +119,42 @@ def outline_of(contact):
     places = np.stack([pieces[:, :4] @ powers.T, pieces[:, 4:] @ powers.T], axis=-1).reshape(-1, 2)
     end = pieces[-1].reshape(2, 4).sum(axis=1)
     return np.vstack([places, end])
+
+
+def rings_of(contact):
+    """
+    Return lines of the plane, sphere or cylinder of a body contact about its point [m].
+
+    Returns
+    -------
+    list of ndarrays, shape (n, 3)
+        How large a plane is, and how long a cylinder, is not told: they are drawn short.
+
+    """
+    if contact.shape == 'sphere':
+        return _ball(contact.other_radius)
+    along = np.array(contact.normal or contact.axis)
+    across = np.linalg.svd(along[np.newaxis])[2][1:]
+    if contact.shape == 'plane':
+        half = SHORT * (contact.radius or 1.0)
+        return [half * np.array([[1, 1], [-1, 1], [-1, -1], [1, -1], [1, 1]]) @ across]
+    ring = _circle(contact.other_radius) @ across
+    return [ring + share * contact.other_radius * along for share in (-1.0, 0.0, 1.0)]
+
+
+def _ball(radius):
+    """Return three circles of a ball."""
+    return [_circle(radius) @ np.delete(np.eye(3), k, axis=0) for k in range(3) if radius]
+
+
+def normal_in_space(contact, place):
+    """Do as ``normal_of`` for contacts in space; vectors have three numbers."""
+    if contact.shape == 'plane':
+        return np.array(contact.normal)
+    out = -place if contact.hollow else place
+    if contact.axis is not None:
+        out = out - (out @ contact.axis) * np.array(contact.axis)
+    return out / (np.linalg.norm(out) or 1.0)
 
 
 def normal_of(contact, outline, place):
