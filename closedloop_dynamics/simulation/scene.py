@@ -49,6 +49,8 @@ SCENE_KEYS = ('mechanism', 'initial'), ('description', 'effects', 'method', 'par
 # Where the mechanism is a model in another format, which may start as it is drawn.
 MODEL_KEYS = ('mechanism',), ('initial', 'loops', 'mend_inertias', *SCENE_KEYS[1])
 INITIAL_KEYS = ('position',), ('hold', 'velocity')
+# Effects that act in joints of the tree alone.
+IN_TREE = ('prescribed_motion', 'rotor')
 
 
 class SceneError(ValueError):
@@ -150,7 +152,7 @@ def _read(document):
     mapping(data, *(SCENE_KEYS if model is None else MODEL_KEYS))
     if model is None:
         with at('mechanism'):
-            mechanism = _mechanism(data['mechanism'], document.path.parent, _acted_on(data))
+            mechanism = _mechanism(data['mechanism'], document.path.parent, *_acted_on(data))
     else:
         mechanism = model.mechanism
         if 'initial' not in data:
@@ -227,27 +229,48 @@ def _section(data, key):
 
 
 def _acted_on(data):
-    """Return the names of joints that a scene's effects name, or its start holds or moves."""
-    found = []
+    """
+    Return the names of joints that a scene acts on.
+
+    Returns
+    -------
+    kept : set of str
+        Those that its start holds or moves, and those with effects that act in no cut joint.
+    named : set of str
+        Those that other effects name.
+
+    """
+    found, named = [], []
     for key, place in (('initial', 'hold'), ('initial', 'velocity')):
         section = data.get(key)
-        named = section.get(place) if isinstance(section, Mapping) else None
-        found += named if isinstance(named, (list, Mapping)) else []
+        held = section.get(place) if isinstance(section, Mapping) else None
+        found += held if isinstance(held, (list, Mapping)) else []
     effects = data.get('effects')
     for values in effects.values() if isinstance(effects, Mapping) else ():
         if isinstance(values, Mapping):
-            found.append(values.get('joint'))
-    return {name.partition('.')[0] for name in found if isinstance(name, str)}
+            (found if values.get('type') in IN_TREE else named).append(values.get('joint'))
+    return tuple({name.partition('.')[0] for name in names if isinstance(name, str)}
+                 for names in (found, named))
 
 
-def _mechanism(value, directory, kept):
-    """Return the mechanism that ``value`` names or is the path of, some joints not cut."""
+def _mechanism(value, directory, kept, named):
+    """
+    Return the mechanism that ``value`` names or is the path of, some joints not cut.
+
+    Those that are only named are cut where a loop leaves no other.
+
+    """
     if isinstance(value, str) and not _is_name(value):
         path = directory / value
     else:
         path = _shipped('mechanisms', value)
     try:
-        return cheapest(with_kept(read_mechanism(path), kept))
+        read = read_mechanism(path)
+        try:
+            found = with_kept(read, kept | named)
+        except FieldError:
+            found = with_kept(read, kept)
+        return cheapest(found)
     except MechanismError as error:
         raise FieldError('a valid mechanism', f'this error in its file:\n{error}') from None
 
