@@ -87,7 +87,7 @@ def in_space(mechanism):
                 PRISMATIC: {'orientation': turned(cut.angle), **along}, POINT_ON_LINE: along,
                 DISTANCE: {'length': cut.length}}[cut.type]
         cuts.append(CutJoint(cut.name, cut.type, cut.body_a, cut.body_b, (*cut.point_a, 0.0),
-                             (*cut.point_b, 0.0), **keys))
+                             (*cut.point_b, 0.0), actuated=cut.actuated, **keys))
     points = [Point(point.name, point.body, (*point.position, 0.0)) for point in mechanism.points]
     couplings = []
     for coupling in mechanism.couplings:
@@ -129,7 +129,7 @@ def mjcf(mechanism, effects=None, start=None):
     bodies = {GROUND: ElementTree.SubElement(root, 'worldbody')}
     sections = {tag: ElementTree.SubElement(root, tag)
                 for tag in ('tendon', 'equality', 'actuator')}
-    acting, carried = _acting(effects), _children(mechanism)
+    acting, carried = _acting(mechanism, effects), _children(mechanism)
     waiting = [(joint, (), Pose(np.eye(3), np.zeros(3))) for joint in carried.get(GROUND, ())]
     records = {body.name: body for body in mechanism.bodies}
     while waiting:
@@ -287,7 +287,7 @@ def urdf_with_loops(mechanism, effects=None, start=None):
             ElementTree.SubElement(inertial, 'mass', value=_numbers(body.mass))
             ElementTree.SubElement(inertial, 'inertia', dict(zip(
                 ('ixx', 'iyy', 'izz', 'ixy', 'ixz', 'iyz'), map(_numbers, _moments(body)))))
-    mimics, acting = _mimics(mechanism, 'URDF'), _acting(effects)
+    mimics, acting = _mimics(mechanism, 'URDF'), _acting(mechanism, effects)
     for joint in mechanism.joints:
         parent, singles = joint.parent, _chain(mechanism, joint, balls=False)
         for number, single in enumerate(singles):
@@ -413,7 +413,7 @@ def sdf(mechanism, effects=None, start=None):
     world = ElementTree.SubElement(root, 'world', name=mechanism.name)
     ElementTree.SubElement(world, 'gravity').text = _numbers(*_gravity(effects))
     writer = _Sdf(mechanism, ElementTree.SubElement(world, 'model', name=mechanism.name),
-                  _acting(effects))
+                  _acting(mechanism, effects))
     zero = {joint.name: start[places.coordinates[joint.name]][0] for joint in mechanism.joints
             if JOINT_FREEDOMS[joint.type] == 1}
     shifted = replace(mechanism, couplings=tuple(replace(
@@ -663,9 +663,23 @@ def _children(mechanism):
     return found
 
 
-def _acting(effects):
-    """Return the effects on joints that formats know, by joint and type."""
+def _acting(mechanism, effects):
+    """
+    Return the effects on joints that formats know, by joint and type.
+
+    Raises
+    ------
+    MechanismError
+        Where something acts at a cut joint, which is no joint of theirs.
+
+    """
     found = {}
+    named = {values.get('joint') for values in (effects or {}).values()}
+    for cut in mechanism.cut_joints:
+        if cut.actuated or cut.name in named:
+            raise MechanismError(
+                f'{mechanism.name}: cut_joints.{cut.name}: expected no drive and no effect where '
+                'a loop is closed, to write it in this format; cut another joint of that loop')
     for values in (effects or {}).values():
         if values['type'] in JOINT_EFFECTS:
             found.setdefault(values['joint'], {})[values['type']] = values

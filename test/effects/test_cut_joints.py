@@ -33,6 +33,7 @@ from closedloop_dynamics.effects.joint_spring import JointSpring
 from closedloop_dynamics.effects.prescribed_force import PrescribedForce
 from closedloop_dynamics.effects.rotor import Rotor
 from closedloop_dynamics.effects.sensor import Sensor
+from closedloop_dynamics.formats.writing import mjcf, sdf, urdf_with_loops
 from closedloop_dynamics.mechanism.checks import orientation
 from closedloop_dynamics.mechanism.fields import FieldError
 from closedloop_dynamics.mechanism.mechanism import (
@@ -308,3 +309,13 @@ def test_effects_move_only_to_cut_joints_that_anything_acted_in(tmp_path):
         'spring': JointSpring('near', 1.0)})
     with pytest.raises(FieldError, match='effects.spring.joint: .*load a scene where it does'):
         sim.set_effect('spring', joint='far')
+
+
+@pytest.mark.parametrize('write', [mjcf, sdf, urdf_with_loops])
+def test_other_formats_have_no_drive_where_a_loop_is_closed(tmp_path, write):
+    with pytest.raises(MechanismError, match='cut_joints.far: expected no drive and no effect'):
+        write(mechanism(tmp_path, PINS, 'far', 'far'))
+    machine = mechanism(tmp_path, PINS, 'far', 'crank_joint')
+    with pytest.raises(MechanismError, match='cut_joints.far: expected no drive and no effect'):
+        write(machine, {'spring': {'type': 'joint_spring', 'joint': 'far', 'stiffness': 1.0}})
+    assert write(machine).startswith('<')
