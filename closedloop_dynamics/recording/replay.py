@@ -288,18 +288,20 @@ class _Stamped(_Player):
             self.notes.append('the scene was changed on the way, which is left out')
         if any(effect.drive() is not None for effect in recording.scene.effects.values()):
             self.notes.append('the scene has drives: the efforts behind them are commanded')
+        if any(cut.actuated for cut in recording.scene.mechanism.cut_joints):
+            self.notes.append('torques at cut joints are left out')
 
     def states(self):
         """Go from stamp to stamp; yield at each."""
         motion, simulation = self._motion, self.simulation
         simulation.set_state(motion.position[0], motion.velocity[0])
         self._start(simulation.state, 0.0)
-        names = motion.mechanism.coordinates
-        actuated = np.isin(np.arange(names.nv), names.actuated)
+        tau, driven = simulation.joint_torques(None), simulation.actuated_in_tree
         done = 0
         for time, effort in zip(motion.time, motion.effort):
             due = round(time / simulation.step_size)
-            simulation.advance(np.where(actuated, effort, 0.0), max(0, due - done))
+            tau[driven] = effort[driven]
+            simulation.advance(tau, max(0, due - done))
             done = max(due, done)
             yield True
 
