@@ -132,6 +132,30 @@ def test_a_position_drive_arrives(shown):
     assert np.abs(shown.simulation.velocity).max() < 0.02
 
 
+def test_what_accuracy_costs_is_told_while_it_runs(shown):
+    def run():
+        shown.ask('reset')
+        shown.ask('command', joint='theta_1', value=5.0)
+        shown.ask('play')
+        # The estimate and the cost are looked at four times a second.
+        shown.run(40)
+        told, row = json.loads(shown.feed.description), shown.runner._columns.row()
+        return {plot['group']: row[told['columns']['plots'] + k]
+                for k, plot in enumerate(told['plots'])}
+
+    before = controls(shown)['method']
+    try:
+        shown.ask('method', values={'accuracy': 1e-3})
+        rough = run()
+        shown.ask('method', values={'accuracy': 1e-9})
+        fine = run()
+        assert controls(shown)['method']['accuracy'] == 1e-9
+    finally:
+        shown.ask('method', values={'accuracy': before['accuracy']})
+    assert 0.0 < fine['estimated error'] < rough['estimated error']
+    assert fine['cost'] > 0.0 and rough['cost'] > 0.0
+
+
 def test_gravity_turns_and_is_switched_off(shown):
     shown.ask('effect', name='gravity', values={'acceleration': [9.81, 0.0]})
     shown.ask('play')
