@@ -91,7 +91,8 @@ GROUPS = {
         ('Stewart platform, 0.6 s', 'stewart_platform', LEG_FORCES, 0.6),
         ('Delta robot, 0.5 s', 'delta_robot', ARM_TORQUES, 0.5),
         ("Bricard's linkage, 1 s", 'bricard', {}, 1.0),
-        ("Bricard's linkage, tree chosen, 1 s", 'bricard, tree chosen', {}, 1.0)), ('stewart_platform', LEG_FORCES)),
+        ("Bricard's linkage, tree chosen, 1 s", 'bricard, tree chosen', {}, 1.0)),
+        ('stewart_platform', LEG_FORCES)),
 }
 QUICK_CASES = 1
 STATES, QUICK_STATES = 20, 3
