@@ -236,10 +236,11 @@ def motions(case, built, quick, progress):
         if ended.get(name):
             continue
         cost, end = _run(run)
-        if name not in ended:
-            # The first run of a line may compile.
+        longest = QUICK_LONGEST if quick else LONGEST
+        if name not in ended or cost > longest:
+            # It may have compiled.
             cost, end = _run(run)
-        ended[name] = cost > (QUICK_LONGEST if quick else LONGEST)
+        ended[name] = cost > longest
         row = {'case': case.name, 'engine': run.engine, 'line': run.line, 'setting': run.setting,
                'error': case.error(end), 'closure': math.nan, 'cost': [cost]}
         if math.isfinite(row['error']):
