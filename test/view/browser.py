@@ -46,6 +46,7 @@ def browser():
         process = subprocess.Popen(
             [program(), '--headless=new', '--no-sandbox', '--disable-gpu-sandbox',
              '--use-angle=swiftshader', '--enable-unsafe-swiftshader', '--no-first-run',
+             '--disable-gpu-rasterization', '--disable-accelerated-2d-canvas',
              '--disable-extensions', '--disable-background-networking', '--hide-scrollbars',
              '--remote-debugging-port=0', f'--user-data-dir={home}', 'about:blank'],
             stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
