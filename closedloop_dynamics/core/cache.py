@@ -44,7 +44,7 @@ import numpy as np
 
 PACKAGE = Path(__file__).resolve().parents[1]
 # Where compiled functions are that others call. One elsewhere depends on its own file, too.
-COMPILED_FOLDERS = ('core', 'effects', 'integration')
+COMPILED_FOLDERS = ('core', 'effects', 'integration', 'visual')
 # Code of sources that nobody has used for so long is removed [s].
 UNUSED = 30 * 86400.0
 _DIGEST_SIZE = 32

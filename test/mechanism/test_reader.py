@@ -112,7 +112,7 @@ FAULTS = {
         'the truth value false', ''),
     'key_misspelt': (
         'mass: 0.5', 'mas: 0.5', 3, 'bodies.crank.mas',
-        'one of the keys mass, center_of_mass, inertia, massless, shape, density',
+        'one of the keys mass, center_of_mass, inertia, massless, visual, shape, density',
         "the unknown key 'mas'",
         "did you mean 'mass'?"),
     'key_missing': (

@@ -52,10 +52,10 @@ def node(make_node, monkeypatch):
     publish = node.states.publish
     node.wrenches = []
 
-    def note(stamp, position, velocity, effort, forces):
+    def note(stamp, position, velocity, effort, forces, cuts):
         node.seen.append((position.tolist(), velocity.tolist(), effort.tolist()))
         node.wrenches = forces.tolist()
-        publish(stamp, position, velocity, effort, forces)
+        publish(stamp, position, velocity, effort, forces, cuts)
 
     monkeypatch.setattr(node.states, 'publish', note)
     monkeypatch.setattr(node, 'warn', lambda throttle, text: node.warnings.append(text))
