@@ -289,9 +289,14 @@ class Effect:
 
         """
 
-    def instrument(self):
+    def instrument(self, sequence=()):
         """
         Return what measures.
+
+        Parameters
+        ----------
+        sequence : tuple of int
+            Numbers that tell noises of one seed.
 
         Returns
         -------

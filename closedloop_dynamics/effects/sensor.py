@@ -88,13 +88,9 @@ class Sensor(Effect):
                 'a mechanism without spherical and free joints in its tree, as sensors measure '
                 'joints of one number', mechanism.name)
 
-    def instrument(self):
+    def instrument(self, sequence=()):
         """Return what measures, with the memory that a delay and a seed need."""
-        return Instrument(self)
-
-    def instrument_at_cuts(self):
-        """Return the same for cut joints, whose noise is drawn from another sequence."""
-        return Instrument(self, (1,))
+        return Instrument(self, sequence)
 
 
 class Chain:
@@ -103,14 +99,18 @@ class Chain:
 
     Parameters
     ----------
-    instruments : sequence of Instrument
-        None: what is measured is the true state.
+    records : sequence of Effect
+        Those that do not measure are passed over; without any the true state is measured.
+    sequence : tuple of int
+        Numbers that tell noises of one seed.
 
     """
 
-    def __init__(self, instruments):
+    def __init__(self, records, sequence=()):
         """Start with nothing measured."""
-        self.instruments, self._time, self._measured = list(instruments), None, None
+        instruments = (record.instrument(sequence) for record in records)
+        self.instruments = [each for each in instruments if each is not None]
+        self._time = self._measured = None
 
     @property
     def remembers(self):

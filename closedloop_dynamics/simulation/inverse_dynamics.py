@@ -98,7 +98,6 @@ class InverseDynamics:
         kinematics.outward(system.model, q, qd, system.work)
         if len(table.kind):
             self._effects.steady(q, qd)
-            kinematics.outward(system.model, q, qd, system.work)
             dispatch.apply(
                 system.work.body, table, self._mechanism.coordinates.by_freedom(q), qd,
                 np.zeros(len(system.tau)))

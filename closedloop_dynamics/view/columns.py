@@ -194,6 +194,7 @@ class SimulationRows:
         plots = _joint_plots(mechanism)
         self._read = [(name, reading) for name, record in shown.items()
                       for reading in READINGS.get(type(record), ())]
+        self._telling = dict.fromkeys([*self._loads, *(name for name, _ in self._read)])
         plots += [Plot('force of effects', f'{name}, {READINGS[type(shown[name])][reading]}', 'N')
                   for name, reading in self._read]
         plots += [Plot('energy', name, 'J')
@@ -284,48 +285,49 @@ class SimulationRows:
         simulation = self._simulation
         forces = simulation.constraint_forces
         poses = poses_in_space(simulation.body_poses)
-        balance = simulation.energy_balance
+        balance, told = simulation.energy_balance, self._told()
         pivot = max(self._pivot(), 0.0)
         sine, step, bound, share = self._rarely
         return np.concatenate([
-            poses.ravel(), _forces_in_space(forces).ravel(), self._arrows().ravel(),
+            poses.ravel(), _forces_in_space(forces).ravel(), self._arrows(told).ravel(),
             self._direction, simulation.position[self._numbers],
             simulation.velocity,
-            simulation.effort[self._actuated], magnitudes(forces), self._readings(),
+            simulation.effort[self._actuated], magnitudes(forces), self._readings(told),
             [balance.kinetic, balance.stored, balance.dissipated, balance.work,
              simulation.closure, abs(balance.residual), np.sqrt(pivot)],
             [abs(sine)] * any(plot.name == 'held drives' for plot in self.columns.plots),
             [step, bound, share]]).astype(np.float32)
 
-    def _readings(self):
-        """Return what effects tell of their forces; NaN of those that are switched off."""
-        enabled, known = self._simulation.enabled_effects, {}
-        for name, _ in self._read:
-            if name in enabled and name not in known:
-                known[name] = self._simulation.effect_readings(name)
-        return [known[name][reading] if name in known else np.nan for name, reading in self._read]
+    def _told(self):
+        """Return what effects tell of themselves, by name; nothing of those switched off."""
+        enabled = self._simulation.enabled_effects
+        return {name: self._simulation.effect_readings(name)
+                for name in self._telling if name in enabled}
 
-    def _arrows(self):
+    def _readings(self, told):
+        """Return what is plotted of what effects tell; NaN of those that are switched off."""
+        return [told[name][reading] if name in told else np.nan for name, reading in self._read]
+
+    def _arrows(self, told):
         """Return foot and force of each load, shape (number of loads, 6)."""
         arrows = np.full((len(self.columns.loads), ARROW), np.nan)
-        enabled, row = self._simulation.enabled_effects, 0
+        row = 0
         for name, record in self._loads.items():
             first, row = row, row + len(_kinds(record))
-            if name not in enabled:
+            if name not in told:
                 continue
             foot = self._simulation.point(getattr(record, 'point', None) or record.point_a)
             record = self._simulation.effects[name]
-            feet, forces = self._force(name, record, foot)
+            feet, forces = self._force(name, record, foot, told[name])
             arrows[first:row] = 0.0
             arrows[first:row, :len(foot)] = feet
             arrows[first:row, 3:3 + len(foot)] = forces
         return arrows
 
-    def _force(self, name, record, foot):
+    def _force(self, name, record, foot, readings):
         """Return where the forces of an effect act, and the forces, one or two."""
         if isinstance(record, ExternalForce):
             return foot, self._in_world(record, record.force)
-        readings = self._simulation.effect_readings(name)
         if isinstance(record, Contact):
             return foot, self._contact(record, readings)
         if isinstance(record, PrescribedForce):
