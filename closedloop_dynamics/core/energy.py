@@ -19,17 +19,25 @@ from .compiled import compiled
 from .types import DOF, MEASURE, PARENT
 
 
+def parts(model, work):
+    """
+    Return what ``energies`` needs of a model and a workspace.
+
+    A call from Python that hands over all of them takes several times as long as the kernel.
+
+    """
+    return model.tree, model.body, model.gravity, work.piece, work.body, work.equation
+
+
 @compiled
-def energies(model, work, qd, out):
+def energies(tree, constant, gravity, piece, body, moment, qd, out):
     """
     Compute the kinetic energy of all bodies and rotors, and the potential energy in gravity.
 
     Parameters
     ----------
-    model : Model
-        Constant arrays of the mechanism.
-    work : Workspace
-        After ``kinematics.outward``.
+    tree, constant, gravity, piece, body, moment : ndarray
+        What ``parts`` returns, after ``kinematics.outward``.
     qd : ndarray, shape (nv,)
         Joint rates, for the rotors.
     out : ndarray, shape (2,)
@@ -37,11 +45,10 @@ def energies(model, work, qd, out):
         origin [J].
 
     """
-    moment, gravity = work.equation, model.gravity
     out[0] = out[1] = 0.0
-    for i in range(1, model.tree.shape[0]):
-        run_piece(work.piece[i, MEASURE], model.body, i, work.body, i, work.body,
-                  model.tree[i, PARENT], moment, 0, qd, model.tree[i, DOF])
+    for i in range(1, tree.shape[0]):
+        run_piece(piece[i, MEASURE], constant, i, body, i, body, tree[i, PARENT], moment, 0, qd,
+                  tree[i, DOF])
         out[0] += 0.5 * moment[0]
         for k in range(gravity.shape[0]):
             out[1] -= gravity[k] * moment[1 + k]

@@ -200,7 +200,7 @@ class Equations:
 
         """
         found = np.zeros(2)
-        energy.energies(self.model, self.work, self._qd, found)
+        energy.energies(*energy.parts(self.model, self.work), self._qd, found)
         return float(found[0]), float(found[1])
 
     def of_all(self, lam):

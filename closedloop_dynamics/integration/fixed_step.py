@@ -93,6 +93,13 @@ def _copy(values, out):
         out[k] = values[k]
 
 
+@inlined
+def _energies(model, work, qd, out):
+    """Compute the energies of a state after its evaluation."""
+    energy.energies(
+        model.tree, model.body, model.gravity, work.piece, work.body, work.equation, qd, out)
+
+
 @compiled
 def _note(system, state, buffer, instant):
     """Write one instant."""
@@ -106,7 +113,7 @@ def _note(system, state, buffer, instant):
     _copy(system.qdd, buffer.qdd[instant])
     _copy(system.lam, buffer.lam[instant])
     buffer.scalars[instant, 0] = largest(work.closure)
-    energy.energies(system.model, work, state[nv:2 * nv], buffer.scalars[instant, 1:3])
+    _energies(system.model, work, state[nv:2 * nv], buffer.scalars[instant, 1:3])
     _take_output(system.effects, buffer.output[instant])
     cut_wrenches(system.model.cut, system.model.cut_point, work.cut_piece, work.body, system.lam,
                  work.share,
@@ -261,4 +268,4 @@ def energies(system, state, out):
     nv = system.qdd.shape[0]
     for k in range(state.shape[0]):
         evaluate(system, state[k, :nv], state[k, nv:2 * nv])
-        energy.energies(system.model, system.work, state[k, nv:2 * nv], out[k])
+        _energies(system.model, system.work, state[k, nv:2 * nv], out[k])

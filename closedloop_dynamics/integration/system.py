@@ -657,32 +657,48 @@ class Probe:
     A compiled kernel called from Python spends several times its own time on unpacking the
     system; an unrolled routine is handed three addresses.
 
+    Attributes
+    ----------
+    q, qd : ndarray, shape (nq,), (nv,)
+        The state that is evaluated: views of one that moves or, where none are given, its own.
+
     """
 
-    def __init__(self, system):
-        """Allocate a state to evaluate."""
-        self._system = system
-        self.q = np.zeros(number_of_coordinates(system.model))
-        self.qd = np.zeros(len(system.qdd))
-        self._address, self._routine, self._pointers = 0, None, ()
+    def __init__(self, system, q=None, qd=None):
+        """Look up where everything is."""
+        self._system, self._routines = system, {}
+        self.q = np.zeros(number_of_coordinates(system.model)) if q is None else q
+        self.qd = np.zeros(len(system.qdd)) if qd is None else qd
         self._quick = system.unrolled is not None and system.effects is None
+        self._pointers = tuple(array.ctypes.data for array in (system.table, self.q, self.qd))
 
     def evaluate(self):
-        """Evaluate the state in ``q`` and ``qd`` into ``system.qdd`` and ``system.lam``."""
-        system = self._system
+        """Do as the kernel ``evaluate`` does."""
         if not self._quick:
-            evaluate(system, self.q, self.qd)
+            evaluate(self._system, self.q, self.qd)
             return
-        if self._address != system.table[calls.EVALUATION]:
-            self._address = int(system.table[calls.EVALUATION])
-            self._routine = calls.function(system.table, calls.EVALUATION)
-            self._pointers = tuple(
-                array.ctypes.data for array in (system.table, self.q, self.qd))
-        if not self._routine(*self._pointers):
-            for which in (calls.OUTWARD, calls.REFINED_ACCELERATION):
-                good = calls.function(system.table, which)(*self._pointers)
-            if not good:
-                calls.run(system.table, calls.RANK_REVEALING_ACCELERATION, self.q, self.qd)
+        self._call(calls.OUTWARD)
+        if not self._call(calls.ACCELERATION):
+            self._accelerate_anew()
+
+    def evaluate_only(self):
+        """Do the same, but leave nothing else behind where that is quicker."""
+        if not self._quick:
+            evaluate(self._system, self.q, self.qd)
+        elif not self._call(calls.EVALUATION):
+            self._call(calls.OUTWARD)
+            self._accelerate_anew()
+
+    def _accelerate_anew(self):
+        if not self._call(calls.REFINED_ACCELERATION):
+            calls.run(self._system.table, calls.RANK_REVEALING_ACCELERATION, self.q, self.qd)
+
+    def _call(self, which):
+        """Call a routine, whose address may have changed since."""
+        address = int(self._system.table[which])
+        if address not in self._routines:
+            self._routines[address] = calls.function(self._system.table, which)
+        return self._routines[address](*self._pointers)
 
 
 @merged

@@ -29,7 +29,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .checks import number, orientation, vector3
+from .checks import number, orientation, UNIT_NORM, vector3
 from .fields import at, FieldError, mapping
 
 REVOLUTE = 'revolute'
@@ -155,6 +155,7 @@ class Coordinates:
         self.nv, self.index = len(names), {name: k for k, name in enumerate(names)}
         self.lengths, self.place = np.array(lengths, dtype=bool), np.array(place, dtype=int)
         self.balls = np.array(balls, dtype=int).reshape(-1, 2)
+        self._numbered = np.flatnonzero(self.place >= 0)
         turned = [joint for joint in joints if joint.type in WITH_ORIENTATION]
         self.with_orientation = tuple(joint.name for joint in turned)
         self.single = np.array([
@@ -342,11 +343,11 @@ class Coordinates:
 
         """
         q = np.array(q, dtype=float)
-        for name, joint in self._joints.items():
-            if joint.type in WITH_ORIENTATION:
-                place = slice(self.coordinates[name].stop - 4, self.coordinates[name].stop)
-                with at(name, 'orientation'):
-                    q[place] = orientation(tuple(q[place].tolist()))
+        for first, rate in self.balls.tolist():
+            turn = tuple(q[first:first + 4].tolist())
+            if not abs(math.hypot(*turn) - 1.0) <= UNIT_NORM:
+                with at(self.joint_of(self.names[rate]), 'orientation'):
+                    q[first:first + 4] = orientation(turn)
         return q
 
     def moved(self, q, change):
@@ -396,7 +397,9 @@ class Coordinates:
         """Return the number of each freedom, shape (nv,): 0 for those of rotations."""
         if not len(self.balls):
             return q
-        return np.where(self.place >= 0, q[self.place], 0.0)
+        found = np.zeros(self.nv)
+        found[self._numbered] = q[self.place[self._numbered]]
+        return found
 
     def poses(self, q):
         """

@@ -51,7 +51,7 @@ from ..integration.drivers import build_driver
 from ..integration.fixed_step import joint_forces
 from ..integration.registry import INTEGRATORS, SCIPY
 from ..integration.system import (
-    BAUMGARTE_GAIN, build_system, CLOSURE_LIMIT, evaluate, parts_of_state, Probe, with_equations)
+    BAUMGARTE_GAIN, build_system, CLOSURE_LIMIT, parts_of_state, Probe, with_equations)
 from ..mechanism.decomposition import decompose
 from ..mechanism.fields import at, keys_of, mapping
 
@@ -140,7 +140,7 @@ class Simulation:
         self._driver = Monitor(build_driver(self.system, method), self.system, method)
         self._set_guards(StiffnessGuard(self.system, method, self._effects.own), method)
         self._inverse = self._inverse_dynamics()
-        self._probe = Probe(self.system)
+        self._set_probes()
         # How often the equations that the elimination works on were exchanged; slow evaluations
         # when that was last looked at.
         self.exchanges, self._revealed_before = 0, 0.0
@@ -150,6 +150,11 @@ class Simulation:
         """Return what solves for the torques of a motion, of the present equations."""
         return InverseDynamics(self.mechanism, self.system, self._effects, self._table,
                                self._equations, self._cuts, self._actuated)
+
+    def _set_probes(self):
+        """Evaluate the present state, and any other, of the present system."""
+        self._present = Probe(self.system, self._q, self._qd)
+        self._probe = Probe(self.system)
 
     def _prescribe(self, scene, model):
         """Look up the equations of prescribed motions in a model; let them start."""
@@ -593,10 +598,12 @@ class Simulation:
         present = self._state.copy()
         self._q[:], self._qd[:] = self._initial
         self._own[:] = self._effects.initial
-        self._fresh = False
+        moved = not np.array_equal(self._state, present)
+        self._fresh = self._fresh and not moved
         self._balance.start(self.energy)
-        self._state[:] = present
-        self._fresh = False
+        if moved:
+            self._state[:] = present
+            self._fresh = False
 
     def _feel_loads(self):
         """Let effects start with the rates and the reactions of their joints as they are."""
@@ -620,7 +627,7 @@ class Simulation:
         """Return kinetic and stored energy of the present state."""
         self._evaluate()
         found = np.empty(2)
-        energy.energies(self.system.model, self.system.work, self._qd, found)
+        energy.energies(*energy.parts(self.system.model, self.system.work), self._qd, found)
         return float(found[0]), float(found[1]) + self._effects.stored()
 
     @property
@@ -763,6 +770,8 @@ class Simulation:
     def _taken(self, position):
         """Return joint coordinates as an array, quaternions of norm 1."""
         q = vector('position', position, self.coordinates.nq)
+        if self.system.manifold is None:
+            return q
         with at('position'):
             return self.coordinates.unit(q)
 
@@ -816,7 +825,7 @@ class Simulation:
         """Evaluate the present state once for all that is asked of it."""
         if not self._fresh:
             self._table.states[:] = self._own
-            evaluate(self.system, self._q, self._qd)
+            self._present.evaluate()
             self._fresh = True
 
     # Motion.
@@ -987,7 +996,7 @@ class Simulation:
         self._equations = self._geometry.equations
         self._assembler = Assembler(self.mechanism, self._equations)
         self._inverse = self._inverse_dynamics()
-        self._probe = Probe(self.system)
+        self._set_probes()
         driver = build_driver(self.system, method)
         if isinstance(self._driver, Monitor):
             self._driver = Monitor(driver, self.system, method)
@@ -1540,7 +1549,7 @@ class Simulation:
         system.tau[:] = tau
         self._table.states[:] = self._own
         self._effects.follow(self._table.states, self._effects.rates(probe.q, probe.qd))
-        probe.evaluate()
+        probe.evaluate_only()
         system.tau[:] = applied
         self._fresh = False
         return system.qdd.copy(), system.lam.copy()

@@ -113,7 +113,7 @@ class Engine:
         """Return (kinetic, potential) energy."""
         self.move(q, qd)
         out = np.empty(2)
-        energy.energies(self.model, self.work, qd, out)
+        energy.energies(*energy.parts(self.model, self.work), qd, out)
         return tuple(out.tolist())
 
     def constraint_matrix(self, q):

@@ -93,7 +93,7 @@ def test_inverse_dynamics(loops):
 
 def test_energies(loops):
     found = np.empty(2)
-    energy.energies(*loops.outward(), loops.qd, found)
+    energy.energies(*energy.parts(*loops.outward()), loops.qd, found)
     assert_agree(found, loops.numbers.energies(), IDENTITY)
 
 
