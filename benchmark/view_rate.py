@@ -16,10 +16,10 @@
 How many frames per second a page of ``closedloop view`` shows, and what that costs.
 
 For each scene it starts the command, opens its page in Chromium without a window, which draws
-WebGL by the processor, and lets it run in real time. Printed are the frames that a client without
-a browser gets when it asks for the next one at once, those that the page has drawn, the distances
-between them, and the shares of a core that the command and the browser took. It ends with 1 if
-the page has shown fewer frames than ``--least``.
+WebGL by the processor, and lets it run in real time, its drives held. Printed are the frames that
+a client without a browser gets when it asks for the next one at once, those that the page has
+drawn, the distances between them, and the shares of a core that the command and the browser took.
+It ends with 1 if the page has shown fewer frames than ``--least``.
 
 """
 
@@ -94,6 +94,10 @@ def measured(scene, duration, open_page, size):
     try:
         url = next(line for line in server.stdout if line.startswith('http')).strip()
         with Client(url) as client:
+            client.until(lambda client: client.controls.get('drives'))
+            # Held, it stays in the middle of the picture.
+            for joint in client.controls['drives']:
+                client.ask('drive', joint=joint, mode='position')
             client.ask('play')
             client.until(lambda client: client.controls.get('playing'))
         begin = cpu_time(server.pid), time.monotonic()

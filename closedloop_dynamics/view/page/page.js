@@ -98,8 +98,13 @@ class Page {
     if (drawn.some((line) => line.kind === 'rod')) {
       lines.push([`<i style="background:${ROD}"></i>massless rod`]);
     }
-    if (points.length) lines.push([`<i style="background:${colors.path}"></i>path of ${
-      escaped(points[0].name)}`, 'trails']);
+    const path = `<i style="background:${colors.path}"></i>path`;
+    if (points.length) lines.push([`${path} of ${escaped(points[0].name)}`, 'path']);
+    if (points.length > 1) {
+      lines.push([`${path}${points.length > 2 ? 's' : ''} of ${
+        points.length > 4 ? `${points.length - 1} other points`
+          : points.slice(1).map(({name}) => escaped(name)).join(', ')}`, 'paths']);
+    }
     if (columns.direction !== columns.plots) {
       lines.push(['<i style="background:#bf4dbf"></i>direction that is loose', null, 'direction']);
     }

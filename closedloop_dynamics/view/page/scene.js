@@ -3,36 +3,67 @@
 const VERTEX = `#version 300 es
 uniform mat4 model, view;
 in vec3 place, normal, paint;
-out vec3 turned, where, color;
+out vec3 turned, color;
 void main() {
   color = paint;
-  vec4 world = model * vec4(place, 1.0);
-  where = world.xyz;
   // Normals of what is stretched: each axis by the square of its length.
   vec3 square = vec3(dot(model[0], model[0]), dot(model[1], model[1]), dot(model[2], model[2]));
   turned = mat3(model) * (normal / square);
-  gl_Position = view * world;
+  gl_Position = view * (model * vec4(place, 1.0));
 }`;
+// Without branches and with few numbers from corner to corner, which a processor draws faster.
 const FRAGMENT = `#version 300 es
 precision highp float;
-uniform vec3 eye, light;
+uniform vec3 toEye, light;
 uniform float ambient;
-in vec3 turned, where, color;
+in vec3 turned, color;
 out vec4 result;
 void main() {
-  // Lines have no normals, and no light.
-  if (turned == vec3(0.0)) { result = vec4(color, 1.0); return; }
-  vec3 n = normalize(turned), toEye = normalize(eye - where);
-  if (dot(n, toEye) < 0.0) n = -n;
-  float direct = max(dot(n, light), -0.4 * dot(n, light));
-  float fill = 0.5 + 0.5 * n.y;
-  float glint = pow(max(dot(reflect(-light, n), toEye), 0.0), 32.0);
+  vec3 n = turned * inversesqrt(max(dot(turned, turned), 1e-30));
+  n = gl_FrontFacing ? n : -n;
+  float along = dot(n, light), direct = max(along, -0.4 * along), fill = 0.5 + 0.5 * n.y;
+  float glint = max(2.0 * along * dot(n, toEye) - dot(light, toEye), 0.0);
+  glint *= glint; glint *= glint; glint *= glint; glint *= glint; glint *= glint;
   vec3 lit = color * (ambient + 0.22 * fill + 0.62 * direct) + 0.12 * glint;
-  result = vec4(lit, 1.0);
+  // Lines have no normals, and no light.
+  result = vec4(turned == vec3(0.0) ? color : lit, 1.0);
+}`;
+// Paths: each piece a rectangle about two places next to each other, as wide as it is seen.
+const PATH_VERTEX = `#version 300 es
+uniform mat4 view;
+uniform vec2 window;
+uniform float radius;
+in vec3 from, to;
+out vec2 a, b;
+void main() {
+  vec4 first = view * vec4(from, 1.0), second = view * vec4(to, 1.0);
+  a = (0.5 + 0.5 * first.xy / first.w) * window;
+  b = (0.5 + 0.5 * second.xy / second.w) * window;
+  vec2 along = b - a;
+  along = dot(along, along) > 0.0 ? normalize(along) : vec2(1.0, 0.0);
+  bool ahead = gl_VertexID > 1;
+  vec2 side = vec2(-along.y, along.x) * (gl_VertexID % 2 == 0 ? 1.0 : -1.0);
+  vec2 place = (ahead ? b : a) + (radius + 1.0) * (side + (ahead ? along : -along));
+  gl_Position = first.w > 0.0 && second.w > 0.0
+    ? vec4(2.0 * place / window - 1.0, 0.0, 1.0) : vec4(2.0, 2.0, 2.0, 1.0);
+}`;
+const PATH_FRAGMENT = `#version 300 es
+precision highp float;
+uniform vec3 paint;
+uniform float radius;
+in vec2 a, b;
+out vec4 result;
+void main() {
+  vec2 along = b - a, away = gl_FragCoord.xy - a;
+  away -= clamp(dot(away, along) / max(dot(along, along), 1e-6), 0.0, 1.0) * along;
+  result = vec4(paint, clamp(radius + 0.5 - length(away), 0.0, 1.0));
 }`;
 
 const ROUND = 24;
 const FIELD_OF_VIEW = 0.5;
+// Half the width of a path, and the radius of the dot at its end [CSS pixels]; how many places of
+// it are kept, and forgotten at once.
+const PATH = 0.9, DOT = 3.2, PATH_LENGTH = 1500, FORGOTTEN = 300;
 // A force arrow of the largest force seen lately, as a share of the size.
 const ARROW = 0.3;
 // A peak of the forces counts half after so long [ms].
@@ -40,6 +71,23 @@ const HALF_LIFE = 1500;
 const ROD = '#8b929c';
 // Driven joints, in the colour that the theme has for them.
 const INK = [0.16, 0.18, 0.2];
+
+// Each corner once, with the triangles as numbers of corners: drivers without a graphics card take
+// longest for corners.
+function indexed({places, normals}) {
+  const known = new Map(), mesh = {places: [], normals: [], corners: []};
+  for (let k = 0; k < places.length; k += 3) {
+    const corner = [...places.slice(k, k + 3), ...normals.slice(k, k + 3)];
+    const key = corner.map((value) => value.toFixed(6)).join();
+    if (!known.has(key)) {
+      known.set(key, known.size);
+      mesh.places.push(...corner.slice(0, 3));
+      mesh.normals.push(...corner.slice(3));
+    }
+    mesh.corners.push(known.get(key));
+  }
+  return mesh;
+}
 
 function cylinderMesh(top = 1) {
   const places = [], normals = [];
@@ -60,24 +108,24 @@ function cylinderMesh(top = 1) {
       for (let i = 0; i < 3; i++) normals.push(0, 0, z ? 1 : -1);
     }
   }
-  return {places, normals};
+  return indexed({places, normals});
 }
 
-function ballMesh() {
-  const places = [], normals = [], rings = ROUND / 2;
+function ballMesh(round = ROUND) {
+  const places = [], normals = [], rings = round / 2;
   const p = (i, k) => {
-    const a = Math.PI * i / rings, b = 2 * Math.PI * k / ROUND;
+    const a = Math.PI * i / rings, b = 2 * Math.PI * k / round;
     return [Math.sin(a) * Math.cos(b), Math.sin(a) * Math.sin(b), Math.cos(a)];
   };
   for (let i = 0; i < rings; i++) {
-    for (let k = 0; k < ROUND; k++) {
+    for (let k = 0; k < round; k++) {
       for (const [u, v] of [[0, 0], [1, 0], [1, 1], [0, 0], [1, 1], [0, 1]]) {
         places.push(...p(i + u, k + v));
         normals.push(...p(i + u, k + v));
       }
     }
   }
-  return {places, normals};
+  return indexed({places, normals});
 }
 
 function boxMesh() {
@@ -95,7 +143,7 @@ function boxMesh() {
       }
     }
   }
-  return {places, normals};
+  return indexed({places, normals});
 }
 
 // A flat convex polygon with a thickness along z.
@@ -118,7 +166,7 @@ function plateMesh(corners, thickness) {
       normals.push(...normal);
     }
   }
-  return {places, normals};
+  return {places, normals, corners: [...places.keys()].slice(0, places.length / 3)};
 }
 
 // A coil about the z axis from 0 to 1 with straight ends: a spring, to be stretched.
@@ -147,7 +195,7 @@ function springMesh() {
       }
     }
   }
-  return {places, normals};
+  return indexed({places, normals});
 }
 
 // The way of a cable in the plane: straight pieces between pulleys, and what lies on these.
@@ -176,7 +224,7 @@ function cableWay(centers, radii) {
   return way;
 }
 
-// Triangles in space with flat faces.
+// Triangles in space with flat faces, which may be seen from both sides.
 function faceMesh(triangles) {
   const places = [], normals = [];
   for (const [a, b, c] of triangles) {
@@ -184,7 +232,8 @@ function faceMesh(triangles) {
     places.push(...a, ...b, ...c);
     for (let k = 0; k < 3; k++) normals.push(...normal);
   }
-  return {places, normals};
+  return {places, normals, open: true,
+          corners: [...places.keys()].slice(0, places.length / 3)};
 }
 
 const rgb = (color) => [1, 3, 5].map((k) => parseInt(color.slice(k, k + 2), 16) / 255);
@@ -207,17 +256,22 @@ class Scene {
     this.size = described.size;
     this.row = null;
     this.frames = [];
-    this.trails = described.points.map(() => []);
+    this.trails = described.points.map(() => (
+      {places: new Float32Array(3 * (PATH_LENGTH + 1)), count: 0}));
     this.forcePeak = this.peakAt = 0;
     this.hover = this.held = this.handAt = null;
-    this.shown = {forces: true, names: false, trails: true};
+    this.shown = {forces: true, names: false, path: true, paths: false};
     // Where the processor draws, smooth edges would cost half of the frames; pictures may ask.
     const smooth = location.search.includes('smooth') || !drawnByProcessor();
     const gl = this.gl = solid.getContext('webgl2', {antialias: smooth, alpha: false});
     if (!gl) throw new Error('This browser has no WebGL 2, which the picture needs.');
-    this.program = this.build();
+    this.solid = this.build(VERTEX, FRAGMENT, ['place', 'normal', 'paint']);
+    this.path = this.build(PATH_VERTEX, PATH_FRAGMENT, ['from', 'to']);
+    this.pathBuffer = gl.createBuffer();
     this.meshes = {
-      cylinder: cylinderMesh(), cone: cylinderMesh(0), ball: ballMesh(), box: boxMesh(),
+      cylinder: cylinderMesh(), cone: cylinderMesh(0), ball: ballMesh(),
+      // Ends of bars are small.
+      knob: ballMesh(16), box: boxMesh(),
       spring: springMesh()};
     // Of the effects, as they are told: which are off, and where their anchors are.
     this.effects = {};
@@ -230,45 +284,53 @@ class Scene {
     solid.addEventListener('webglcontextrestored', () => location.reload());
   }
 
-  build() {
+  // A program with its attributes, numbered in this order, and its uniforms by name.
+  build(vertex, fragment, attributes) {
     const gl = this.gl, program = gl.createProgram();
-    for (const [kind, text] of [[gl.VERTEX_SHADER, VERTEX], [gl.FRAGMENT_SHADER, FRAGMENT]]) {
+    for (const [kind, text] of [[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, fragment]]) {
       const shader = gl.createShader(kind);
       gl.shaderSource(shader, text);
       gl.compileShader(shader);
       gl.attachShader(program, shader);
     }
-    gl.bindAttribLocation(program, 0, 'place');
-    gl.bindAttribLocation(program, 1, 'normal');
-    gl.bindAttribLocation(program, 2, 'paint');
+    attributes.forEach((name, number) => gl.bindAttribLocation(program, number, name));
     gl.linkProgram(program);
     if (!gl.getProgramParameter(program, gl.LINK_STATUS)) {
       throw new Error('WebGL: ' + gl.getProgramInfoLog(program));
     }
-    this.uniforms = {};
-    for (const name of ['model', 'view', 'eye', 'light', 'ambient']) {
-      this.uniforms[name] = gl.getUniformLocation(program, name);
+    const uniforms = {};
+    for (let k = 0; k < gl.getProgramParameter(program, gl.ACTIVE_UNIFORMS); k++) {
+      const {name} = gl.getActiveUniform(program, k);
+      uniforms[name] = gl.getUniformLocation(program, name);
     }
-    return program;
+    return {program, uniforms};
   }
 
   // What a body is drawn as, in one piece: a driver's calls cost more than its triangles.
   load(parts, theme) {
-    const places = [], normals = [], paints = [];
+    const places = [], normals = [], paints = [], closed = [], open = [];
+    const place = (corner) => places.slice(3 * corner, 3 * corner + 3);
     for (const {mesh, local, color} of parts) {
       const squares = [0, 4, 8].map((k) => local[k] ** 2 + local[k + 1] ** 2 + local[k + 2] ** 2);
-      const paint = color === INK ? theme.driven : color;
+      const paint = color === INK ? theme.driven : color, first = places.length / 3;
       for (let k = 0; k < mesh.places.length; k += 3) {
         places.push(...moved(local, mesh.places.slice(k, k + 3)));
         normals.push(...unit(turned(local, mesh.normals.slice(k, k + 3).map(
           (value, axis) => value / squares[axis]))));
         paints.push(...paint);
       }
+      for (let k = 0; k < mesh.corners.length; k += 3) {
+        const [a, b, c] = mesh.corners.slice(k, k + 3).map((corner) => first + corner);
+        // Seen from its normal's side a triangle turns left.
+        const out = cross(minus(place(b), place(a)), minus(place(c), place(a)));
+        const left = dot(out, normals.slice(3 * a, 3 * a + 3)) >= 0;
+        (mesh.open ? open : closed).push(a, ...(left ? [b, c] : [c, b]));
+      }
     }
-    return this.stored(places, normals, paints);
+    return this.stored(places, normals, paints, closed, open);
   }
 
-  stored(places, normals, paints) {
+  stored(places, normals, paints, closed, open) {
     const gl = this.gl, array = gl.createVertexArray();
     gl.bindVertexArray(array);
     [places, normals, paints].forEach((values, number) => {
@@ -277,12 +339,17 @@ class Scene {
       gl.enableVertexAttribArray(number);
       gl.vertexAttribPointer(number, 3, gl.FLOAT, false, 0, 0);
     });
-    return {array, count: places.length / 3};
+    gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, gl.createBuffer());
+    gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, new Uint32Array([...closed, ...open]), gl.STATIC_DRAW);
+    return {array, closed: closed.length, count: closed.length + open.length};
   }
 
-  // What is drawn: a mesh with a place on a body, -1 for the ground.
+  // What is drawn: a mesh with a place on a body, -1 for the ground; the same again is not.
   put(body, mesh, local, color) {
-    this.items.push({body, mesh, local, color});
+    if (!this.items.some((item) => item.body === body && item.mesh === mesh
+        && item.color.join() === color.join() && item.local.every((x, k) => x === local[k]))) {
+      this.items.push({body, mesh, local, color});
+    }
   }
 
   bake(theme) {
@@ -305,12 +372,12 @@ class Scene {
                                                  flat ? flat / 2 : radius), rgb(color));
     for (const place of [start, end]) {
       if (flat) this.disk(body, place, radius, flat, rgb(color));
-      else this.ball(body, place, radius, rgb(color));
+      else this.ball(body, place, radius, rgb(color), this.meshes.knob);
     }
   }
 
-  ball(body, place, radius, color) {
-    this.put(body, this.meshes.ball,
+  ball(body, place, radius, color, mesh = this.meshes.ball) {
+    this.put(body, mesh,
              frame([radius, 0, 0], [0, radius, 0], [0, 0, radius], place), color);
   }
 
@@ -470,16 +537,22 @@ class Scene {
   follow() {
     this.described.points.forEach((point, k) => {
       const trail = this.trails[k], place = moved(this.frameOf(point.body), point.place);
-      const last = trail[trail.length - 1];
-      if (!last || norm(minus(place, last)) > 0.004 * this.size) {
-        trail.push(place);
-        if (trail.length > 1500) trail.splice(0, 300);
+      const {places, count} = trail, last = places.subarray(3 * count - 3, 3 * count);
+      if (!count || norm(minus(place, last)) > 0.004 * this.size) {
+        trail.count += 1;
+        if (trail.count === PATH_LENGTH) {
+          places.copyWithin(0, 3 * FORGOTTEN);
+          trail.count -= FORGOTTEN;
+        }
+        places.set(place, 3 * trail.count - 3);
       }
+      // The last one is where it is now.
+      places.set(place, 3 * trail.count);
     });
   }
 
   forget() {
-    for (const trail of this.trails) trail.length = 0;
+    for (const trail of this.trails) trail.count = 0;
     this.forcePeak = 0;
   }
 
@@ -609,11 +682,11 @@ class Scene {
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
     if (!this.row || !canvas.width) return;
     gl.enable(gl.DEPTH_TEST);
-    gl.useProgram(this.program);
+    gl.useProgram(this.solid.program);
     this.seen = this.camera();
-    const {matrix, eye, right, top, out} = this.seen, u = this.uniforms;
+    const {matrix, right, top, out} = this.seen, u = this.solid.uniforms;
     gl.uniformMatrix4fv(u.view, false, matrix);
-    gl.uniform3fv(u.eye, eye);
+    gl.uniform3fv(u.toEye, out);
     gl.uniform3fv(u.light, unit(add(add(times(-0.45, right), times(0.6, top)), times(0.75, out))));
     gl.uniform1f(u.ambient, theme.ambient);
     if (this.baked !== theme) this.bake(theme);
@@ -622,14 +695,20 @@ class Scene {
     this.drawLines();
     if (this.shown.forces) this.drawArrows();
     this.drawDirection();
+    this.drawPaths(theme, ratio);
     this.overlay(theme);
   }
 
-  mesh(mesh, model) {
+  mesh(mesh, model, kind = this.gl.TRIANGLES) {
     const gl = this.gl;
-    gl.uniformMatrix4fv(this.uniforms.model, false, model);
+    gl.uniformMatrix4fv(this.solid.uniforms.model, false, model);
     gl.bindVertexArray(mesh.array);
-    gl.drawArrays(gl.TRIANGLES, 0, mesh.count);
+    // Of what is closed the inside is never seen.
+    gl.enable(gl.CULL_FACE);
+    if (mesh.closed) gl.drawElements(kind, mesh.closed, gl.UNSIGNED_INT, 0);
+    gl.disable(gl.CULL_FACE);
+    const open = mesh.count - mesh.closed;
+    if (open) gl.drawElements(kind, open, gl.UNSIGNED_INT, 4 * mesh.closed);
   }
 
   // Lines behind everything, which fade with the distance; made anew where the camera has moved far.
@@ -644,9 +723,7 @@ class Scene {
       this.gridKey = key;
       this.gridMesh = this.gridLines([x, y, z], step, Math.min(16 * step, 1.3 * zoom), theme);
     }
-    gl.uniformMatrix4fv(this.uniforms.model, false, IDENTITY);
-    gl.bindVertexArray(this.gridMesh.array);
-    gl.drawArrays(gl.LINES, 0, this.gridMesh.count);
+    this.mesh(this.gridMesh, IDENTITY, gl.LINES);
   }
 
   gridLines([x, y, z], step, reach, theme) {
@@ -666,7 +743,8 @@ class Scene {
         put([x + to, y + k * step, z]);
       }
     }
-    return this.stored(places, new Array(places.length).fill(0), paints);
+    return this.stored(places, new Array(places.length).fill(0), paints,
+                       [], [...Array(places.length / 3).keys()]);
   }
 
   arrow(foot, along, kind, width) {
@@ -723,12 +801,44 @@ class Scene {
     }
   }
 
+  // Above everything, with a dot where each is now.
+  drawPaths(theme, ratio) {
+    const gl = this.gl, {program, uniforms} = this.path;
+    gl.useProgram(program);
+    gl.disable(gl.DEPTH_TEST);
+    gl.enable(gl.BLEND);
+    gl.blendFunc(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA);
+    gl.uniformMatrix4fv(uniforms.view, false, this.seen.matrix);
+    gl.uniform2f(uniforms.window, this.canvas.width, this.canvas.height);
+    gl.uniform3fv(uniforms.paint, rgb(theme.path));
+    gl.bindVertexArray(this.pathArray ??= gl.createVertexArray());
+    gl.bindBuffer(gl.ARRAY_BUFFER, this.pathBuffer);
+    this.trails.forEach(({places, count}, k) => {
+      if (!count || !this.shown[k ? 'paths' : 'path']) return;
+      gl.bufferData(gl.ARRAY_BUFFER, places.subarray(0, 3 * count + 3), gl.STREAM_DRAW);
+      // The pieces, each from a place to the next; the dot, from the last place to itself.
+      for (const [first, step, pieces, radius] of [[0, 12, count, PATH], [12 * count, 0, 1, DOT]]) {
+        [first, first + step].forEach((offset, number) => {
+          gl.enableVertexAttribArray(number);
+          gl.vertexAttribPointer(number, 3, gl.FLOAT, false, 12, offset);
+          gl.vertexAttribDivisor(number, 1);
+        });
+        gl.uniform1f(uniforms.radius, ratio * radius);
+        gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, pieces);
+      }
+    });
+    gl.disable(gl.BLEND);
+  }
+
   overlay(theme) {
+    this.scale();
+    const touched = this.held ?? this.hover;
+    this.lines.hidden = !touched && !this.shown.names;
+    if (this.lines.hidden) return;
     const pen = this.pen, ratio = this.lines.width / this.canvas.clientWidth;
     pen.setTransform(ratio, 0, 0, ratio, 0, 0);
     pen.clearRect(0, 0, this.canvas.clientWidth, this.canvas.clientHeight);
     pen.lineJoin = pen.lineCap = 'round';
-    if (this.shown.trails) this.drawTrails(theme);
     if (this.held && this.handAt) {
       const [a, b] = [this.grabbed(this.held), this.handAt].map((place) => this.project(place));
       pen.strokeStyle = theme.accent;
@@ -741,32 +851,8 @@ class Scene {
       pen.setLineDash([]);
       this.ring(b, 6, theme.accent);
     }
-    const touched = this.held ?? this.hover;
     if (touched) this.ring(this.project(this.grabbed(touched)), 9, theme.accent);
     if (this.shown.names) this.drawNames(theme);
-    if (this.shown.forces && this.forceScale > 0) this.drawScale(theme);
-  }
-
-  drawTrails(theme) {
-    const pen = this.pen;
-    pen.lineWidth = 1.8;
-    this.trails.forEach((trail, k) => {
-      if (trail.length < 2 || (k > 0 && !this.shown.allTrails)) return;
-      pen.strokeStyle = theme.path;
-      pen.beginPath();
-      for (const place of trail) {
-        const [x, y] = this.project(place);
-        pen.lineTo(x, y);
-      }
-      const point = this.described.points[k];
-      const [x, y] = this.project(moved(this.frameOf(point.body), point.place));
-      pen.lineTo(x, y);
-      pen.stroke();
-      pen.fillStyle = theme.path;
-      pen.beginPath();
-      pen.arc(x, y, 3.2, 0, 7);
-      pen.fill();
-    });
   }
 
   ring([x, y], radius, color) {
@@ -806,29 +892,20 @@ class Scene {
   }
 
   // How long an arrow is for a round force, and the grid's step.
-  drawScale(theme) {
-    const pen = this.pen, x = 14, y = this.canvas.clientHeight - 16;
+  scale() {
     const [a, b] = [this.target, add(this.target, times(ARROW * this.size, this.seen.right))]
       .map((place) => this.project(place)[0]);
     let force = roundDown(0.75 * this.forceScale);
-    let length = (b - a) * force / this.forceScale;
-    while (length > 150) { force = roundDown(0.6 * force); length = (b - a) * force / this.forceScale; }
-    pen.strokeStyle = pen.fillStyle = theme.force;
-    pen.lineWidth = 3;
-    pen.beginPath();
-    pen.moveTo(x, y);
-    pen.lineTo(x + length - 5, y);
-    pen.stroke();
-    pen.beginPath();
-    pen.moveTo(x + length, y);
-    pen.lineTo(x + length - 9, y - 4.5);
-    pen.lineTo(x + length - 9, y + 4.5);
-    pen.fill();
-    pen.font = '12px system-ui, sans-serif';
-    pen.fillStyle = theme.ink;
-    pen.fillText(`${short(force)} N`, x + length + 8, y + 4);
-    const text = `grid ${short(this.gridStep)} m`;
-    pen.fillStyle = theme.muted;
-    pen.fillText(text, this.canvas.clientWidth - 14 - pen.measureText(text).width, y + 4);
+    const length = () => (b - a) * force / this.forceScale;
+    while (length() > 150) force = roundDown(0.6 * force);
+    const told = this.shown.forces && this.forceScale > 0
+      ? `${short(force)} N` : '', wide = `${Math.round(length())}px`;
+    const grid = `grid ${short(this.gridStep)} m`, key = [told, wide, grid].join();
+    if (key === this.scaled) return;
+    this.scaled = key;
+    byId('unit').hidden = !told;
+    byId('unit').firstElementChild.style.width = wide;
+    byId('unit').lastElementChild.textContent = told;
+    byId('grid').textContent = grid;
   }
 }
