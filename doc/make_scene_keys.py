@@ -37,6 +37,7 @@ from closedloop_dynamics.simulation.scene_records import AUTO, FORMULATIONS, Ini
 
 PAGE = Path(__file__).with_name('scene_keys.md')
 TYPES = {'str': 'text', 'bool': 'true or false', 'float': 'number', 'int': 'whole number',
+         'int or None': 'whole number',
          'tuple of 2 floats': '[x, y]', 'float or None': 'number', 'str or None': 'text',
          'tuple of 2 floats or None': '[x, y]', 'tuple of str': 'list of names',
          'tuple of floats': 'list of numbers', 'tuple of floats or None': 'list of numbers',

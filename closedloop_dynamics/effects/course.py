@@ -13,9 +13,9 @@
 # limitations under the License.
 
 """
-Courses over time: a quantity as a chain of pieces, each a cubic and a sine.
+Courses over time: a quantity as a chain of pieces, each a polynomial and a sine.
 
-    y(t) = c0 + u (c1 + u (c2 + u c3)) + a sin(w u + p),     u = t - (start of the piece)
+    y(t) = c0 + u (c1 + ... u c5) + a sin(w u + p),     u = t - (start of the piece)
 
 A state of the effect counts the pieces, so that within a step one formula holds; steps end where
 the next begins (``integration.breaks``). With a period the chain begins anew again and again.
@@ -31,8 +31,8 @@ from .table import DATA, ENTRIES, STATE
 from ..core.compiled import inlined
 from ..mechanism.fields import FieldError, shown
 
-# Columns of a piece: its start [s], c0 to c3, a, w, p.
-COLUMNS = 8
+# Columns of a piece: its start [s], c0 to c5, a, w, p.
+COEFFICIENTS, COLUMNS = 6, 10
 # Shape -> the keys that it needs, and those that it may have.
 RAMPS = (('amplitude', 'rise'), ('offset', 'start', 'hold', 'fall', 'period'))
 SHAPES = {
@@ -121,16 +121,32 @@ def pieces(record):
     if record.shape == 'constant':
         return (piece(0.0, record.amplitude),)
     if record.shape == 'sine':
-        return ((0.0, record.offset or 0.0, 0.0, 0.0, 0.0, record.amplitude,
-                 2.0 * math.pi * record.frequency, record.phase or 0.0),)
+        return (piece(0.0, record.offset or 0.0, wave=wave(record)),)
     if record.shape == 'table':
         return _of_table(record)
     return ramps(record, record.offset or 0.0, partial(ramp, shape=record.shape))
 
 
-def piece(start, level, slope=0.0):
-    """Return a piece that is a straight line, from its start [s] on."""
-    return (start, level, slope, 0.0, 0.0, 0.0, 0.0, 0.0)
+def piece(start, *coefficients, wave=(0.0, 0.0, 0.0)):
+    """
+    Return a piece.
+
+    Parameters
+    ----------
+    start : float
+        [s].
+    *coefficients : float
+        c0, c1, ...; zero where not given.
+    wave : tuple of 3 floats
+        a, w, p.
+
+    """
+    return (start, *coefficients, *(COEFFICIENTS - len(coefficients)) * (0.0,), *wave)
+
+
+def wave(record):
+    """Return a, w and p of a sine."""
+    return record.amplitude, 2.0 * math.pi * record.frequency, record.phase or 0.0
 
 
 def ramps(record, low, ramp):
@@ -175,7 +191,7 @@ def ramp(start, duration, level, height, shape):
         return []
     wave = (0.0, 0.0, 0.0) if shape == 'trapezoid' else (
         -height / (2.0 * math.pi), 2.0 * math.pi / duration, 0.0)
-    return [(start, level, height / duration, 0.0, 0.0, *wave)]
+    return [piece(start, level, height / duration, wave=wave)]
 
 
 def require_table(record):
@@ -222,7 +238,7 @@ def _of_table(record):
         # Not before it is wanted: it takes a third of the time that loading the package would.
         from scipy.interpolate import CubicSpline
         spline = CubicSpline(times, values, bc_type='not-a-knot' if period is None else 'periodic')
-        rows += [(start, *spline.c[::-1, k], 0.0, 0.0, 0.0)
+        rows += [piece(start, *spline.c[::-1, k])
                  for k, start in enumerate(times[:-1])]
     else:
         slopes = np.diff(values) / np.diff(times) * (kind == 'linear')
@@ -291,9 +307,10 @@ def value(table, row, period):
     """
     data = table.data
     at, u = _present(table, row, period)
-    y = data[at + 1] + u * (data[at + 2] + u * (data[at + 3] + u * data[at + 4]))
-    if data[at + 5] != 0.0:
-        y += data[at + 5] * math.sin(data[at + 6] * u + data[at + 7])
+    y = data[at + 1] + u * (data[at + 2] + u * (data[at + 3] + u * (
+        data[at + 4] + u * (data[at + 5] + u * data[at + 6]))))
+    if data[at + 7] != 0.0:
+        y += data[at + 7] * math.sin(data[at + 8] * u + data[at + 9])
     return y
 
 
@@ -302,12 +319,16 @@ def derivatives(table, row, period):
     """Return the first and the second derivative by the time; as for ``value``."""
     data = table.data
     at, u = _present(table, row, period)
+    fourth, fifth = data[at + 5], data[at + 6]
     rate = data[at + 2] + u * (2.0 * data[at + 3] + 3.0 * u * data[at + 4])
     change = 2.0 * data[at + 3] + 6.0 * u * data[at + 4]
-    if data[at + 5] != 0.0:
-        turning, angle = data[at + 6], data[at + 6] * u + data[at + 7]
-        rate += data[at + 5] * turning * math.cos(angle)
-        change -= data[at + 5] * turning * turning * math.sin(angle)
+    if fourth != 0.0 or fifth != 0.0:
+        rate += u * u * u * (4.0 * fourth + 5.0 * u * fifth)
+        change += u * u * (12.0 * fourth + 20.0 * u * fifth)
+    if data[at + 7] != 0.0:
+        turning, angle = data[at + 8], data[at + 8] * u + data[at + 9]
+        rate += data[at + 7] * turning * math.cos(angle)
+        change -= data[at + 7] * turning * turning * math.sin(angle)
     return rate, change
 
 

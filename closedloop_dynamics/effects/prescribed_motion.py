@@ -38,11 +38,15 @@ from .table import (
     build_table, DATA, FIRST, ForceElement, OWN, PRESCRIBED_MOTION, SECOND, STATE, State, WORK)
 from ..core.compiled import compiled, inlined
 from ..mechanism.checks import (
-    freedom, list_of, name, not_negative, number, one_of, positive, text, vector)
+    count, freedom, list_of, name, not_negative, number, one_of, positive, text, vector)
 from ..mechanism.fields import at, FieldError, shown
 from ..mechanism.mechanism import GROUND, Motion, Vector
 
 REST, MOVING = 'rest', 'moving'
+COMMANDED = 'commanded'
+RATES = ('values', 'rates', 'accelerations')
+# Most points of a course that is commanded, where a scene does not say.
+ROOM = 200
 # Jumps of f and f', against the largest value and rate, that are rounding.
 NO_JUMP = 1e-9
 SHAPES = {
@@ -52,7 +56,8 @@ SHAPES = {
     'trapezoid': (course.RAMPS[0], (*course.RAMPS[1], 'ramp')),
     'cycloid': course.RAMPS,
     'table': (('times', 'values'), ('ends', 'period')),
-    'expression': (('expression',), ())}
+    'expression': (('expression',), ()),
+    COMMANDED: ((), ('times', 'values', 'rates', 'accelerations', 'ends', 'room'))}
 
 
 @dataclass(frozen=True)
@@ -64,7 +69,7 @@ class PrescribedMotion(Effect):
     ----------
     shape : str
         ``constant``, ``constant_speed``, ``sine``, ``trapezoid`` (of the speed), ``cycloid``,
-        ``table`` or ``expression``.
+        ``table``, ``expression``, or ``commanded``: told while it runs.
     joint : str or None
         What moves: a joint, or
     point : str or None
@@ -96,12 +101,17 @@ class PrescribedMotion(Effect):
     period : float or None
         After which a trapezoid, cycloid or table begins anew, positive [s]; never when not given.
     times : tuple of floats or None
-        Of a table, growing [s].
+        Of a table or a course that was commanded, growing [s].
     values : tuple of floats or None
-        At these times [rad; m]; a cubic spline leads through them.
+        At these times [rad; m]; through a table a cubic spline leads.
+    rates, accelerations : tuple of floats or None
+        Of a course that was commanded, at these times [rad/s; m/s], [rad/s^2; m/s^2]: polynomials
+        of the third degree, with accelerations of the fifth.
     ends : str or None
         Of a table: ``rest`` (when not given), where it rests before and after, or ``moving``,
-        where it goes on at the speed that it has there.
+        where it goes on at the speed that it has there. So does a commanded course after its end.
+    room : int or None
+        Most points of a course that is commanded, one or more; 200 when not given.
     expression : str or None
         Of the time ``t`` [s], such as ``4.7124*t`` [rad; m].
 
@@ -112,7 +122,8 @@ class PrescribedMotion(Effect):
         'offset': number, 'speed': number, 'amplitude': number, 'frequency': positive,
         'phase': number, 'start': not_negative, 'rise': positive, 'ramp': positive,
         'hold': not_negative, 'fall': positive, 'period': positive, 'times': list_of(number),
-        'values': list_of(number), 'ends': one_of((REST, MOVING)), 'expression': text}
+        'values': list_of(number), 'rates': list_of(number), 'accelerations': list_of(number),
+        'ends': one_of((REST, MOVING)), 'room': count, 'expression': text}
     FILES = {'file': ('times', 'values')}
     VECTORS = ('direction',)
     STIFFENS = False
@@ -137,6 +148,9 @@ class PrescribedMotion(Effect):
     values: Optional[Tuple[float, ...]] = None
     ends: Optional[str] = None
     expression: Optional[str] = None
+    rates: Optional[Tuple[float, ...]] = None
+    accelerations: Optional[Tuple[float, ...]] = None
+    room: Optional[int] = None
 
     def __post_init__(self):
         """Refuse what moves nothing or two things, and motions that jump."""
@@ -145,7 +159,9 @@ class PrescribedMotion(Effect):
         course.require_keys(self, SHAPES)
         object.__setattr__(self, '_data', self._course())
         if self.expression is None:
-            _require_smooth(self._data, self.period)
+            # What was commanded begins where the course before it was.
+            _require_smooth([piece for piece in self._data if piece[0] < math.inf][
+                self.shape == COMMANDED and self.times is not None:], self.period)
         elif not np.isfinite(self.at(0.0)).all():
             raise FieldError('position, rate and acceleration that are finite at t = 0',
                              f'{shown(self.expression)}, whose are '
@@ -154,7 +170,9 @@ class PrescribedMotion(Effect):
 
     @property
     def from_start(self):
-        """Whether the motion starts where the scene does: no offset is given."""
+        """Whether the motion starts where the scene does: no offset, or no course, is given."""
+        if self.shape == COMMANDED:
+            return self.times is None
         return self.offset is None and 'offset' in SHAPES[self.shape][1]
 
     def _course(self):
@@ -168,12 +186,13 @@ class PrescribedMotion(Effect):
             return (course.piece(0.0, 0.0, self.speed),)
         if self.shape == 'table':
             return _of_table(self)
+        if self.shape == COMMANDED:
+            return _commanded(self)
         if self.shape == 'trapezoid':
             return course.ramps(self, 0.0, self._trapezoid)
         if self.shape == 'cycloid':
             return course.ramps(self, 0.0, partial(course.ramp, shape='cycloid'))
-        return ((0.0, 0.0, 0.0, 0.0, 0.0, self.amplitude, 2.0 * math.pi * self.frequency,
-                 self.phase or 0.0),)
+        return (course.piece(0.0, 0.0, wave=course.wave(self)),)
 
     def _trapezoid(self, start, duration, level, height):
         """Return the pieces of a rise whose speed grows, stays and falls."""
@@ -183,10 +202,9 @@ class PrescribedMotion(Effect):
                              f'({0.5 * duration:g} s)', f'{ramp:g}', path=('ramp',))
         speed = height / (duration - ramp)
         curve, climbed = 0.5 * speed / ramp, 0.5 * speed * ramp
-        return [(start, level, 0.0, curve, 0.0, 0.0, 0.0, 0.0),
+        return [course.piece(start, level, 0.0, curve),
                 course.piece(start + ramp, level + climbed, speed),
-                (start + duration - ramp, level + height - climbed, speed, -curve,
-                 0.0, 0.0, 0.0, 0.0)]
+                course.piece(start + duration - ramp, level + height - climbed, speed, -curve)]
 
     @property
     def ENDS_STEPS(self):  # noqa: N802
@@ -212,6 +230,67 @@ class PrescribedMotion(Effect):
         length = math.hypot(*self.direction)
         return Motion(key, point=self.point,
                       direction=tuple(one / length for one in self.direction))
+
+    def commanded(self, now, start, times, values, rates=None, accelerations=None):
+        """
+        Return the keys of another course, from the present state on through points.
+
+        Parameters
+        ----------
+        now : float
+            The time [s].
+        start : float
+            Where the joint or point starts in the scene [rad; m].
+        times, values : sequence of float
+            Of the points, the first not before now, and growing [s], [rad; m].
+        rates, accelerations : sequence of float or None
+            At the points [rad/s; m/s], [rad/s^2; m/s^2]; without rates those of the cubic spline
+            through the points, at rest at the last one.
+
+        Returns
+        -------
+        dict of str to tuple of floats
+
+        Raises
+        ------
+        FieldError
+            For points in the past, for those that are no numbers, and for jumps away from the
+            present state.
+
+        """
+        if self.shape != COMMANDED:
+            raise FieldError(f'a motion of the shape {COMMANDED}, which follows commands',
+                             f'one of the shape {self.shape}', path=('shape',))
+        if accelerations is not None and rates is None:
+            raise FieldError('accelerations only beside rates', 'them alone',
+                             path=('accelerations',))
+        given = {key: self.CHECKS[key](values) for key, values in (
+            ('times', times), ('values', values), ('rates', rates),
+            ('accelerations', accelerations)) if values is not None}
+        for key, numbers in given.items():
+            if len(numbers) != len(given['times']) or not numbers:
+                raise FieldError(f'{len(given["times"]) or "one or more"} numbers',
+                                 f'{len(numbers)}', path=(key,))
+        knots = np.array([given[key] for key in RATES if key in given])
+        times, same = np.array(given['times']), course.SAME_TIME * max(1.0, abs(now))
+        present = self.at(now, start)
+        if times[0] < now - same:
+            raise FieldError(f'times from now on, which is {now:.9g} s', f'{times[0]:.9g} s',
+                             path=('times', 0))
+        if times[0] <= now + same:
+            for what, one, other in zip(('position', 'rate'), present, knots[:, 0]):
+                if not abs(other - one) <= NO_JUMP * max(1.0, abs(one)):
+                    raise FieldError(f'a course that begins at the present {what}, {one:.9g}',
+                                     f'a jump to {other:.9g}', path=(what,))
+            present[2] = knots[2, 0] if len(knots) > 2 else present[2]
+            times, knots = times[1:], knots[:, 1:]
+        times = np.concatenate(([now], times))
+        knots = np.column_stack((present[:len(knots)], knots))
+        if rates is None:
+            knots = np.array((knots[0], _slopes(times, knots[0], present[1])))
+        found = dict(zip(RATES, knots))
+        return {key: tuple(map(float, found[key])) if key in found else None
+                for key in RATES} | {'times': tuple(map(float, times))}
 
     def clock(self, time):
         """Return the time, and which piece of the course is the present one."""
@@ -265,12 +344,84 @@ def _of_table(record):
     from scipy.interpolate import CubicSpline
     spline = CubicSpline(times, values, bc_type='periodic' if period is not None else (
         'not-a-knot' if moving else 'clamped'))
-    rows = [(start, *spline.c[::-1, k], 0.0, 0.0, 0.0) for k, start in enumerate(times[:-1])]
+    rows = [course.piece(start, *spline.c[::-1, k]) for k, start in enumerate(times[:-1])]
     if period is None:
         slopes = spline(times[[0, -1]], 1) * moving
         rows = [course.piece(times[0] - 1.0, values[0] - slopes[0], slopes[0]), *rows,
                 course.piece(times[-1], values[-1], slopes[1])]
     return tuple(tuple(map(float, row)) for row in rows)
+
+
+def _commanded(record):
+    """Return the pieces of a course that was commanded, and room for those of others."""
+    room = record.room or ROOM
+    if record.times is None:
+        for key in RATES:
+            if getattr(record, key) is not None:
+                raise FieldError('this key beside times', 'it alone', path=(key,))
+        rows = [course.piece(0.0, 0.0)]
+    else:
+        rows = _through(record)
+    if len(rows) > room + 2:
+        raise FieldError(f'at most {room} points, which there is room for',
+                         f'{len(rows) - 2}', 'give it more `room` in the scene', ('times',))
+    # Pieces that never begin.
+    rows += (room + 2 - len(rows)) * [course.piece(math.inf)]
+    return tuple(tuple(map(float, row)) for row in rows)
+
+
+def _through(record):
+    """Return polynomials through what a course was commanded; it rests before its first point."""
+    given = [(key, getattr(record, key)) for key in RATES]
+    for key, numbers in given[:2] + [one for one in given[2:] if one[1] is not None]:
+        if numbers is None or len(numbers) != len(record.times):
+            raise FieldError(f'{len(record.times)} numbers, one for each time',
+                             'none' if numbers is None else f'{len(numbers)}', path=(key,))
+    times = np.array(record.times)
+    if len(times) < 1 or not (np.diff(times) > course.SAME_TIME * np.maximum(
+            1.0, np.abs(times[1:]))).all():
+        raise FieldError('one time or more, growing', shown(record.times), path=('times',))
+    knots = np.array([numbers for _, numbers in given if numbers is not None]).T
+    last_rate = knots[-1, 1]
+    if record.ends != MOVING and last_rate != 0.0:
+        raise FieldError('rest at the end (a rate of 0)', f'a rate of {last_rate:g}',
+                         'or `ends: moving` in the scene', ('rates', len(times) - 1))
+    rows = [course.piece(times[0] - 1.0, knots[0, 0])]
+    with np.errstate(all='ignore'):
+        for start, duration, one, other in zip(times, np.diff(times), knots, knots[1:]):
+            row = course.piece(start, *_polynomial(duration, one, other))
+            if not np.isfinite(row).all():
+                raise FieldError('a course that can be followed',
+                                 f'rates or accelerations beyond all bounds at t = {start:.6g} s')
+            rows.append(row)
+    return [*rows, course.piece(times[-1], knots[-1, 0], last_rate)]
+
+
+def _slopes(times, values, rate):
+    """Return the slopes of the cubic spline through points, with a rate at first, then rest."""
+    if len(times) < 3:
+        return np.array([rate, *(len(times) - 1) * (0.0,)])
+    if not (np.diff(times) > 0.0).all():
+        raise FieldError('times that grow', shown(times.tolist()), path=('times',))
+    from scipy.interpolate import CubicSpline
+    found = CubicSpline(times, values, bc_type=((1, rate), (1, 0.0)))(times, 1)
+    # Not even by rounding.
+    found[-1] = 0.0
+    return found
+
+
+def _polynomial(duration, one, other):
+    """Return the coefficients of the polynomial between two points: value, rate, acceleration."""
+    h, way = duration, other[0] - one[0]
+    if len(one) == 2:
+        slope = way / h
+        return (*one, (3.0 * slope - 2.0 * one[1] - other[1]) / h,
+                (one[1] + other[1] - 2.0 * slope) / h ** 2)
+    rate, last, curve, end = one[1] * h, other[1] * h, one[2] * h * h, other[2] * h * h
+    return (*one[:2], 0.5 * one[2],
+            (20.0 * way - 12.0 * rate - 8.0 * last - 3.0 * curve + end) / (2.0 * h ** 3),
+            (-30.0 * way + 16.0 * rate + 14.0 * last + 3.0 * curve - 2.0 * end) / (2.0 * h ** 4),
+            (12.0 * way - 6.0 * rate - 6.0 * last - curve + end) / (2.0 * h ** 5))
 
 
 def _require_smooth(pieces, period):
@@ -294,10 +445,11 @@ def _require_smooth(pieces, period):
 
 def _at(piece, u):
     """Return value and rate of a piece after some time."""
-    _, level, slope, square, cube, height, turning, phase = piece
-    angle = turning * u + phase
-    return (level + u * (slope + u * (square + u * cube)) + height * math.sin(angle),
-            slope + u * (2.0 * square + 3.0 * u * cube) + height * turning * math.cos(angle))
+    height, turning, phase = piece[-3:]
+    angle, value, rate = turning * u + phase, 0.0, 0.0
+    for factor in piece[-4:0:-1]:
+        value, rate = factor + u * value, value + u * rate
+    return value + height * math.sin(angle), rate + height * turning * math.cos(angle)
 
 
 @inlined

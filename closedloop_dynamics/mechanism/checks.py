@@ -56,6 +56,13 @@ def not_negative(value):
     return result
 
 
+def count(value):
+    """Return ``value``; refuse what is no whole number above zero."""
+    if type(value) is not int or value < 1:
+        raise FieldError('a whole number, one or more', shown(value))
+    return value
+
+
 def listed(value, expected='a list'):
     """Return ``value`` as a tuple; refuse what is no list, tuple or array."""
     if isinstance(value, (str, bytes, Mapping, Set)):

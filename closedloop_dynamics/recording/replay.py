@@ -186,9 +186,12 @@ class _Logged(_Player):
     def _go_to(self, k):
         """Advance to the time of an entry, or start there anew."""
         log, before = self._log, max(k - 1, 0)
+        jump = log.jumps[k] != log.jumps[before]
+        if jump and log.time[k] < log.time[before]:
+            # Which forgets the motions that were commanded before it.
+            self.simulation.reset()
         if k:
             self._change(log.index[before])
-        jump = log.jumps[k] != log.jumps[before]
         gap = log.index[k] - log.index[before] - 1
         if k == 0 and log.jumps[0] == 0 and (log.index[0] == 1 or log.time[0] == 0.0):
             self._reset(k, 'from the initial state of the scene')

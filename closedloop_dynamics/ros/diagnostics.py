@@ -28,6 +28,7 @@ from typing import Dict
 
 from closedloop_dynamics.core.types import SMALLEST_PIVOT
 from closedloop_dynamics.effects.registry import effect_type
+from closedloop_dynamics.ros.motion_command import LOST, REFUSED
 from closedloop_dynamics.ros.pacing import COMPUTING_SHARE, REALTIME, Throttle
 from closedloop_dynamics.simulation.health import WARN_BELOW
 from diagnostic_msgs.msg import DiagnosticArray
@@ -287,8 +288,8 @@ def commands_finding(counts, before, sources, zero_after_timeout):
 
     """
     level, message = OK, f'from {", ".join(sources)}' if sources else 'nobody commands'
-    refused = sum(counts[key] - before.get(key, 0) for key in ('rejected', 'states refused'))
-    lost = counts['lost'] - before.get('lost', 0)
+    refused, lost = (sum(counts.get(key, 0) - before.get(key, 0) for key in keys) for keys in (
+        ('rejected', 'states refused', REFUSED), ('lost', LOST)))
     if refused:
         level, message = WARN, f'{refused} refused in the last second; the log says why'
     elif lost:

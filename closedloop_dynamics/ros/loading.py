@@ -16,18 +16,20 @@
 
 import time
 
+from closedloop_dynamics.effects.prescribed_motion import COMMANDED, PrescribedMotion
 from closedloop_dynamics.ros.process import leaving_at_once, StartError
 from closedloop_dynamics.simulation.errors import SimulationError
 from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.simulation.simulation import Simulation
 
 
-def load_simulation(scene, logger, **method):
+def load_simulation(scene, logger, moved='', **method):
     """
     Return the simulation of a scene, compiled, and the scene's own method; say so.
 
-    ``method`` is what differs from the scene's own; None: nothing. Raises StartError if the scene
-    cannot be read or simulated.
+    ``moved`` names joints, with commas between them, whose motion is commanded beside those of
+    the scene; ``method`` is what differs from the scene's own; None: nothing. Raises StartError
+    if the scene cannot be read or simulated.
 
     """
     logger.info(f"loading scene '{scene}' and compiling (a quarter of a minute at the very first "
@@ -36,7 +38,9 @@ def load_simulation(scene, logger, **method):
     try:
         with leaving_at_once():
             read = load_scene(scene)
-            simulation = Simulation.from_scene(read, **method)
+            joints = [name.strip() for name in moved.split(',') if name.strip()]
+            simulation = Simulation.from_scene(read, {
+                joint: PrescribedMotion(COMMANDED, joint=joint) for joint in joints}, **method)
             simulation.warm_up()
     except (ValueError, OSError, SimulationError) as error:
         raise StartError(f"scene '{scene}': {error}") from None

@@ -124,11 +124,12 @@ class Points:
     derivatives: list
 
 
-def points_of(message, joints):
+def points_of(message, joints, held=True):
     """
     Return the Points of a JointTrajectory of all the joints, in their order.
 
-    Raises TrajectoryError for what cannot be followed.
+    Of what is ``held`` at the last point the velocity must be zero there. Raises TrajectoryError
+    for what cannot be followed.
 
     """
     names = list(message.joint_names)
@@ -161,7 +162,7 @@ def points_of(message, joints):
     if times[0] < 0.0 or np.any(np.diff(times) <= 0.0):
         raise TrajectoryError(
             f'time_from_start: expected increasing times from 0 s on, got {times.tolist()}')
-    if len(derivatives) > 1 and np.any(derivatives[1][-1]):
+    if held and len(derivatives) > 1 and np.any(derivatives[1][-1]):
         raise TrajectoryError('velocities: expected 0 in the last point, which is held')
     return Points(_seconds(message.header.stamp), times, derivatives)
 

@@ -37,6 +37,7 @@ from closedloop_dynamics.ros.live import LiveSimulation
 from closedloop_dynamics.ros.loading import load_simulation
 from closedloop_dynamics.ros.markers import MARKER_PARAMETERS, Markers
 from closedloop_dynamics.ros.messages import Stamps, StatePublisher
+from closedloop_dynamics.ros.motion_command import LOST, MotionCommand
 from closedloop_dynamics.ros.pacing import (
     LOCKSTEP, MODES, period_steps, PORTION, REALTIME, Throttle)
 from closedloop_dynamics.ros.parameters import accept_whole_numbers, declare, declare_fact, usage
@@ -56,6 +57,7 @@ from sensor_msgs.msg import MultiDOFJointState
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import SetBool
 from std_srvs.srv import Trigger
+from trajectory_msgs.msg import JointTrajectory
 
 NAME = 'closedloop_simulator'
 # As many commands may wait while this process is held up.
@@ -76,6 +78,7 @@ class SimulatorNode(Node):
         None while the node wants to go on.
     simulation : Simulation
     command : commands.TorqueCommand
+    motion : motion_command.MotionCommand
     states : messages.StatePublisher
         Joint states and constraint forces.
     live : live.LiveSimulation
@@ -98,9 +101,10 @@ class SimulatorNode(Node):
         self._values = values = declare(self, SIMULATOR_PARAMETERS)
         lockstep = values['mode'] == LOCKSTEP
         self.simulation, self._own_method = load_simulation(
-            values['scene'], self.get_logger(), **{key: values[key] or None for key in METHOD})
+            values['scene'], self.get_logger(), values['motion_joints'],
+            **{key: values[key] or None for key in METHOD})
         self._throttles = {key: Throttle(MESSAGE_PERIOD) for key in (
-            'rejected', 'lost', 'refused', 'overload')}
+            'rejected', 'motion', 'lost', 'refused', 'overload')}
         self._told_not_actuated, self._method_prepared = False, None
         self.paused, self.waiting = False, values['wait_for_command'] and not lockstep
         self.counts = {'states set': 0, 'states refused': 0}
@@ -130,6 +134,8 @@ class SimulatorNode(Node):
             f"simulating '{self.simulation.scene.name}' in steps of "
             f'{self.simulation.step_size:g} s, {pace}; torque_command takes '
             f'{", ".join(self.simulation.actuated_joints) or "no joint"}'
+            + (f'; motion_command moves {", ".join(self.simulation.commanded_motions)}'
+               if self.simulation.commanded_motions else '') +
             f'{"; waiting for the first command" if self.waiting else ""}')
 
     def _create_simulation(self):
@@ -144,11 +150,11 @@ class SimulatorNode(Node):
             values['command_timeout'])
         self.pacer = Pacer(simulation.step_size, values['real_time_factor'])
         real_time = values['mode'] == REALTIME
-        self.live = LiveSimulation(
-            simulation, self.command,
-            Stamps(self, simulation, values['publish_clock'] or not real_time,
-                   values['publish_clock']),
-            self.states, self.pacer if real_time else None, self.get_logger())
+        stamps = Stamps(self, simulation, values['publish_clock'] or not real_time,
+                        values['publish_clock'])
+        self.live = LiveSimulation(simulation, self.command, stamps, self.states,
+                                   self.pacer if real_time else None, self.get_logger())
+        self.motion = MotionCommand(simulation, stamps, self.pacer)
         self.mode = MODES[values['mode']](self.live, self.pacer)
         try:
             self.mode.set_rate(values['publish_rate'])
@@ -177,6 +183,9 @@ class SimulatorNode(Node):
                 (Float64MultiArray, 'torque_command', self.on_torque_command),
                 (JointState, 'joint_command', self.on_joint_command)):
             subscribe(self, kind, topic, follow, qos, partial(self._note_lost, topic))
+        if self.simulation.commanded_motions:
+            subscribe(self, JointTrajectory, 'motion_command', self.on_motion_command,
+                      QoSProfile(depth=COMMAND_DEPTH), self._note_lost_motion)
         self.create_subscription(JointState, '~/set_state', self.on_set_state, 10)
         if self.simulation.coordinates.with_orientation:
             self.create_subscription(
@@ -224,17 +233,34 @@ class SimulatorNode(Node):
         except CommandError as error:
             self.warn('rejected', f'{topic} rejected: {error}')
             return
+        self._end_waiting()
+        self._guarded(self.mode.take_command)
+
+    def on_motion_command(self, message):
+        """Let motions that are commanded follow a trajectory, or refuse it."""
+        try:
+            self.motion.accept(message)
+        except CommandError as error:
+            self.warn('motion', f'motion_command refused: {error}')
+            return
+        self._end_waiting()
+
+    def _end_waiting(self):
+        """Let time run if it has waited for a command."""
         if self.waiting:
             self.waiting = False
             if not self.paused:
                 self.mode.start()
                 self._renew_timer()
-        self._guarded(self.mode.take_command)
 
     def _note_lost(self, topic, number):
         self.command.counts['lost'] += number
         self.warn('lost', f'{topic}: {number} commands were lost on the way, or came faster '
                           'than they could be taken in')
+
+    def _note_lost_motion(self, number):
+        self.motion.counts[LOST] += number
+        self.warn('lost', f'motion_command: {number} trajectories were lost on the way')
 
     def tick(self):
         """Let the mode advance the simulation, and what depends on the clock happen."""
@@ -261,11 +287,17 @@ class SimulatorNode(Node):
     def look_after(self):
         """Publish diagnostics, and get ahead with what is compiled in the background."""
         self.diagnostics.publish(
-            self.standing, {**self.command.counts, **self.counts}, tuple(sorted(
+            self.standing, {**self.command.counts, **self.counts, **self._motion_counts},
+            tuple(sorted(
                 f'{info.node_namespace.rstrip("/")}/{info.node_name}'
                 for topic in ('torque_command', 'joint_command')
                 for info in self.get_publishers_info_by_topic(topic))))
         self._preparation.look()
+
+    @property
+    def _motion_counts(self):
+        """Return the counts of trajectories, where any may be followed."""
+        return self.motion.counts if self.simulation.commanded_motions else {}
 
     # Services.
 
@@ -466,6 +498,7 @@ class SimulatorNode(Node):
             f'{pacer.achieved:.3f} x real time, {pacer.dropped:.3f} s dropped; commands: '
             + ', '.join(f'{counts[key]} {key}' for key in (
                 'accepted', 'rejected', 'timed out', 'lost'))
+            + ''.join(f', {number} {key}' for key, number in self._motion_counts.items())
             + f'; {self.states.published} messages published'
             + (f', {self.mode.left_out} states left out' if self.mode.left_out else ''))
 
@@ -476,7 +509,7 @@ class SimulatorNode(Node):
         Parameters
         ----------
         kind : str
-            Of message: ``'rejected'``, ``'lost'`` or ``'refused'``.
+            Of message: ``'rejected'``, ``'motion'``, ``'lost'`` or ``'refused'``.
         message : str
             What to say.
 

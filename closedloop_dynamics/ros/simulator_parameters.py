@@ -65,6 +65,10 @@ SIMULATOR_PARAMETERS = (
         'Keep the initial state, and publish it, until the first command arrives; otherwise a '
         'machine with weight falls while its controller is starting.'),
     Parameter(
+        'motion_joints', '',
+        'Joints, with commas between them, whose motion follows motion_command, beside those of '
+        'the scene; they take no torques.'),
+    Parameter(
         'publish_clock', False,
         'Publish simulated time on /clock, and stamp all messages with it.'),
     Parameter(

@@ -21,7 +21,8 @@ import numpy as np
 from .assembly import rank_of
 from .errors import AssemblyError
 from ..core import types as t
-from ..effects.prescribed_motion import PrescribedMotion
+from ..effects.prescribed_motion import COMMANDED, PrescribedMotion
+from ..mechanism.checks import one_of
 from ..mechanism.fields import at, FieldError
 
 # Jumps, against the size of what jumps, or 1, that are rounding.
@@ -244,6 +245,56 @@ class Motions:
                 if not abs(other - one) <= NO_JUMP * max(1.0, abs(one)):
                     raise FieldError(f'a motion that goes on without a jump of its {what}',
                                      f'one from {one:.6g} to {other:.6g} at t = {time:.6g} s')
+
+    @property
+    def commanded(self):
+        """
+        Effects whose course is told while it runs, by what a command calls them.
+
+        Returns
+        -------
+        dict of str to str
+            By the joint that moves, or the effect's own name where a point moves.
+
+        """
+        return {motion.freedom or motion.name: motion.name for motion in self.mechanism.motions
+                if self.records[motion.name].shape == COMMANDED}
+
+    def courses(self, commands, time):
+        """
+        Return what commands make of the courses, as ``Simulation.set_effect`` takes it.
+
+        Parameters
+        ----------
+        commands : mapping of str to tuple
+            As for ``Simulation.command_motion``.
+        time : float
+            [s].
+
+        Returns
+        -------
+        dict of str to dict
+            Keys by effect.
+
+        Raises
+        ------
+        FieldError
+
+        """
+        found, known = {}, self.commanded
+        for key, points in commands.items():
+            one_of(tuple(known), 'one of the joints, or effects that move a point, whose course '
+                                 'is commanded')(key)
+            record = self.records[known[key]]
+            with at(key):
+                found[known[key]] = record.commanded(
+                    time, self.rows[record.motion('')][-1], *points)
+        return found
+
+    def forget_commands(self, records):
+        """Return those of the records, as the scene has them, whose course is commanded."""
+        return {name: records[name] for name in self.commanded.values()
+                if self.records[name] != records[name]}
 
     def advice_on_stopping(self, assembler, q, time, step_size):
         """

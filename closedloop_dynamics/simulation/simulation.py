@@ -53,7 +53,7 @@ from ..integration.registry import INTEGRATORS, SCIPY
 from ..integration.system import (
     BAUMGARTE_GAIN, build_system, CLOSURE_LIMIT, parts_of_state, Probe, with_equations)
 from ..mechanism.decomposition import decompose
-from ..mechanism.fields import at, keys_of, mapping
+from ..mechanism.fields import at, FieldError, keys_of, mapping
 
 FORMULATIONS = {'subsystem': SUBSYSTEM, 'system': SYSTEM, 'augmented': AUGMENTED}
 # Closure errors of equations that were left out, of the size, and pivots from which on others are
@@ -1115,6 +1115,8 @@ class Simulation:
         self.exchanges, self._revealed_before = 0, 0.0
         self._time_base, self._steps = 0.0, 0
         if self._motions:
+            for name, record in self._motions.forget_commands(self.scene.effects).items():
+                self._effects.put(name, record, True)
             # They may have been changed since.
             initial = self.scene.initial
             self._initial = self._assembled(initial.position, initial.velocity, initial.hold)
@@ -1477,6 +1479,46 @@ class Simulation:
             self._feel_loads()
         self._jump_balance(self.energy - before)
 
+    @property
+    def commanded_motions(self):
+        """
+        Names that ``command_motion`` takes: of joints, and of effects that move points.
+
+        Of prescribed motions of the shape ``commanded``, in the scene's order.
+
+        """
+        return tuple(self._motions.commanded)
+
+    def command_motion(self, commands):
+        """
+        Let motions that are commanded go on through other points, from the present state.
+
+        Parameters
+        ----------
+        commands : mapping of str to tuple
+            By name of ``commanded_motions``: times [s], from ``time`` on, and positions
+            [rad; m] of the points, optional rates, and beside these optional accelerations.
+            Motions that are not named go on as before.
+
+        Raises
+        ------
+        ValueError
+            For what no motion can follow: unknown names, times in the past, numbers that are not
+            finite, jumps of position or rate; nothing is changed.
+
+        """
+        courses = self._motions.courses(commands, self.time)
+        for name, keys in courses.items():
+            record = self._effects.checked(name, None, keys)
+            fastest = max(abs(record.at(time)[1]) for time in instants(keys['times']))
+            if not fastest * self.step_size <= LARGEST_MOTION:
+                with at('effects', name):
+                    raise FieldError(
+                        f'a rate of at most {LARGEST_MOTION / self.step_size:g} rad/s or m/s',
+                        f'{fastest:.3g}', path=('rates',))
+        for name, keys in courses.items():
+            self.set_effect(name, **keys)
+
     def check_effect(self, name, enabled=None, **parameters):
         """
         Refuse, as ``set_effect`` would, a change that makes no sense; change nothing.
@@ -1588,6 +1630,13 @@ class Simulation:
         self._fresh = False
         self._effects.follow_time(self._table.states, self.time)
         return self._inverse.solve(q, qd, qdd)
+
+
+def instants(times):
+    """Return times and some between them [s]."""
+    times = np.array(times)
+    between = [times[:-1] + share * np.diff(times) for share in (0.0, 0.25, 0.5, 0.75)]
+    return np.concatenate([*between, times[-1:]])
 
 
 def vector(name, values, length):

@@ -39,7 +39,9 @@ EXAMPLES = {
                   'fall': 0.3, 'offset': 0.1, 'period': 1.3},
     'cycloid': {'amplitude': 0.9, 'rise': 0.5, 'start': 0.13, 'hold': 0.2, 'offset': 0.1},
     'table': {'times': (0.05, 0.4, 0.7, 1.1), 'values': (0.1, 0.9, -0.4, 0.2)},
-    'expression': {'expression': 'sin(2*t)**2*exp(-t/3) + t**2.5/(1 + t)'}}
+    'expression': {'expression': 'sin(2*t)**2*exp(-t/3) + t**2.5/(1 + t)'},
+    'commanded': {'times': (0.0, 0.4, 1.1), 'values': (0.1, 0.9, -0.4), 'rates': (0.5, -1.0, 0.0),
+                  'accelerations': (1.0, 2.0, -3.0)}}
 
 
 def with_effects(name, **effects):

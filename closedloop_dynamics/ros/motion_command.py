@@ -1,0 +1,79 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Courses of prescribed motions from outside, checked on arrival."""
+
+from closedloop_dynamics.ros.commands import CommandError
+from closedloop_dynamics.ros.messages import NANOSECONDS
+from closedloop_dynamics.ros.references import points_of, TrajectoryError
+
+FOLLOWED, REFUSED, LOST = 'motions followed', 'motions refused', 'motions lost'
+
+
+class MotionCommand:
+    """
+    Lets the motions that are commanded follow trajectories, or refuses these as a whole.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        Its ``commanded_motions`` are what a trajectory may name.
+    stamps : messages.Stamps
+        The time that stamps of trajectories refer to.
+    pacer : pacing.Pacer
+        How fast simulated time follows that, where it is not the same.
+
+    Attributes
+    ----------
+    counts : dict of str to int
+        Trajectories followed, refused, and lost on the way, counted by who receives them.
+
+    """
+
+    def __init__(self, simulation, stamps, pacer):
+        self._simulation, self._stamps, self._pacer = simulation, stamps, pacer
+        self.counts = dict.fromkeys((FOLLOWED, REFUSED, LOST), 0)
+
+    def accept(self, message):
+        """Follow a JointTrajectory from the present state on; raise CommandError if refused."""
+        try:
+            self._simulation.command_motion(self._commands(message))
+        except (TrajectoryError, ValueError) as error:
+            self.counts[REFUSED] += 1
+            raise CommandError(str(error)) from None
+        self.counts[FOLLOWED] += 1
+
+    def _commands(self, message):
+        """Return what ``Simulation.command_motion`` takes."""
+        names, known = list(message.joint_names), self._simulation.commanded_motions
+        unknown = [name for name in names if name not in known]
+        if unknown or not names:
+            raise CommandError(
+                (f"'{unknown[0]}' is not commanded" if unknown else 'it names no joint')
+                + f'; what may be named: {", ".join(known)}')
+        # Whether a course may go on after its last point depends on what it moves.
+        points = points_of(message, list(dict.fromkeys(names)), held=False)
+        begin = self._simulation.time
+        if message.header.stamp.sec or message.header.stamp.nanosec:
+            begin = self._simulated(message.header.stamp)
+        return {name: (begin + points.times, *(values[:, k] for values in points.derivatives))
+                for k, name in enumerate(names)}
+
+    def _simulated(self, stamp):
+        """Return the simulated time that a stamp stands for [s]."""
+        stamp = stamp.sec * NANOSECONDS + stamp.nanosec
+        if self._stamps.simulated:
+            return stamp / NANOSECONDS
+        later = (stamp - self._stamps.now()) / NANOSECONDS
+        return self._simulation.time + later * self._pacer.real_time_factor
