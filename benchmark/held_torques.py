@@ -16,8 +16,9 @@
 What accuracy costs where torques are sampled and held, as by every digital controller.
 
 Each method starts anew at every new torque, so that its steps are no longer than the period in
-which torques are held. The cost is the number of evaluations of the accelerations, which does not
-depend on how busy the machine is.
+which torques are held. Two costs are measured: evaluations of the accelerations, which do not
+depend on the machine, and CPU time of a loop in Python that calls ``Simulation.advance`` once a
+period.
 
 """
 
@@ -26,7 +27,9 @@ import csv
 from dataclasses import dataclass
 import math
 from pathlib import Path
+from statistics import median
 import sys
+import time
 import warnings
 
 from machine import ROOT
@@ -54,8 +57,9 @@ ACCURACIES = tuple(10.0 ** -k for k in range(3, 10))
 FINEST = 1e-13
 # Steps of fixed size in a period; the shortest step is 0.1 ms.
 STEPS, MOST = (1, 2, 5, 10, 20, 50, 100), 10000
+ROUNDS, QUICK_ROUNDS = 7, 1
 HEADER = ('scene', 'rate', 'integrator', 'step_size', 'tolerance', 'position_error',
-          'evaluations_per_second', 'failure')
+          'evaluations_per_second', 'cpu_time_per_second', 'failure')
 
 
 @dataclass(frozen=True)
@@ -69,6 +73,7 @@ class Run:
     tolerance: float
     position_error: float = math.nan  # Largest of any coordinate at any period's end [rad or m]
     evaluations: float = math.nan  # Per simulated second
+    cost: float = math.nan  # CPU time per simulated second [s]
     failure: str = ''
 
 
@@ -77,9 +82,9 @@ def controls_error(integrator):
     return integrator == AUTO or INTEGRATORS[integrator].kind == ADAPTIVE
 
 
-def motion(scene, rate, integrator, value):
+def motion(scene, rate, integrator, value, rounds=0):
     """
-    Return positions at the ends of all periods, and evaluations per simulated second.
+    Return positions at the ends of all periods, and what a simulated second costs.
 
     Parameters
     ----------
@@ -91,6 +96,14 @@ def motion(scene, rate, integrator, value):
         Of the registry.
     value : float
         Its tolerance or accuracy, or its steps in a period.
+    rounds : int
+        How often the motion is repeated to be timed.
+
+    Returns
+    -------
+    positions : ndarray, shape (periods, nv)
+    evaluations, cost : float
+        Evaluations and CPU time [s] per simulated second, the median of the rounds; NaN without.
 
     Raises
     ------
@@ -98,18 +111,40 @@ def motion(scene, rate, integrator, value):
 
     """
     adaptive = controls_error(integrator)
-    method = {'step_size': 1.0 / rate / (1 if adaptive else value)}
+    steps = 1 if adaptive else int(value)
+    method = {'step_size': 1.0 / rate / steps}
     if adaptive:
         method['accuracy' if integrator == AUTO else 'tolerance'] = value
     simulation = Simulation.from_scene(scene, integrator=integrator, **method)
     simulation.monitor.sampling = False
+    torques = _torques(simulation, scene, rate)
     positions = []
+    for torque in torques:
+        simulation.advance(torque, steps)
+        positions.append(simulation.position.copy())
+    evaluations = simulation.system.work.health[EVALUATIONS] / DURATION
+    costs = [_time_once(simulation, torques, steps) for _ in range(rounds)]
+    return np.array(positions), evaluations, median(costs) if costs else math.nan
+
+
+def _torques(simulation, scene, rate):
+    """Return the torques of all joints in each period, as ``advance`` takes them."""
+    torques = []
     for period in range(round(DURATION * rate)):
         swing = 1.0 + math.cos(2.0 * math.pi * SWING * period / rate)
-        torques = {joint: mean * swing for joint, mean in MOTIONS[scene].items()}
-        simulation.advance(simulation.joint_torques(torques), 1 if adaptive else int(value))
-        positions.append(simulation.position.copy())
-    return np.array(positions), simulation.system.work.health[EVALUATIONS] / DURATION
+        torques.append(simulation.joint_torques(
+            {joint: mean * swing for joint, mean in MOTIONS[scene].items()}))
+    return torques
+
+
+def _time_once(simulation, torques, steps):
+    """Return the CPU time of a simulated second [s]."""
+    simulation.reset()
+    simulation.monitor.sampling = False
+    begin = time.thread_time()
+    for torque in torques:
+        simulation.advance(torque, steps)
+    return (time.thread_time() - begin) / DURATION
 
 
 def study(scenes=tuple(MOTIONS), rates=RATES, quick=False):
@@ -120,8 +155,9 @@ def study(scenes=tuple(MOTIONS), rates=RATES, quick=False):
         warnings.simplefilter('ignore', InaccuracyWarning)
         for scene in scenes:
             for rate in rates:
-                reference, _ = motion(scene, rate, 'dop853', FINEST)
-                runs += [_run(scene, rate, integrator, value, reference)
+                reference, *_ = motion(scene, rate, 'dop853', FINEST)
+                runs += [_run(scene, rate, integrator, value, reference,
+                              QUICK_ROUNDS if quick else ROUNDS)
                          for integrator in LINES for value in _values(integrator, rate, quick)]
     return runs
 
@@ -132,29 +168,29 @@ def _values(integrator, rate, quick):
     return [steps for steps in STEPS[:3 if quick else None] if steps * rate <= MOST]
 
 
-def _run(scene, rate, integrator, value, reference):
+def _run(scene, rate, integrator, value, reference, rounds):
     adaptive = controls_error(integrator)
     start = (scene, rate, integrator, math.nan if adaptive else 1.0 / rate / value,
              value if adaptive else math.nan)
     try:
-        positions, evaluations = motion(scene, rate, integrator, value)
+        positions, evaluations, cost = motion(scene, rate, integrator, value, rounds)
     except SimulationError as error:
         return Run(*start, failure=str(error))
-    return Run(*start, float(np.abs(positions - reference).max()), evaluations)
+    return Run(*start, float(np.abs(positions - reference).max()), evaluations, cost)
 
 
 def write(runs, path):
     """Write the runs as a CSV file."""
     write_csv(path, HEADER, [
         (run.scene, run.rate, run.integrator, run.step_size, run.tolerance, run.position_error,
-         run.evaluations, run.failure) for run in runs])
+         run.evaluations, run.cost, run.failure) for run in runs])
 
 
 def read(path):
     """Return the runs of a CSV file."""
     with open(path, newline='', encoding='utf-8') as file:
         return [Run(row['scene'], int(float(row['rate'])), row['integrator'],
-                    *(float(row[name] or 'nan') for name in HEADER[3:7]), row['failure'])
+                    *(float(row[name] or 'nan') for name in HEADER[3:8]), row['failure'])
                 for row in csv.DictReader(file)]
 
 

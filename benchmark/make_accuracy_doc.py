@@ -30,14 +30,17 @@ from pathlib import Path
 import re
 import sys
 import time
+import warnings
 
 import energy_study
 import held_torques
 from machine import description, ROOT
+import sentences
 
 sys.path.insert(0, str(ROOT))
 
-from closedloop_dynamics.simulation.scene import load_scene  # noqa: E402,I100
+from closedloop_dynamics.simulation.errors import InaccuracyWarning  # noqa: E402,I100
+from closedloop_dynamics.simulation.scene import load_scene  # noqa: E402
 from closedloop_dynamics.simulation.scene_records import AUTO  # noqa: E402
 from closedloop_dynamics.studies import accuracy_report, formulations_report  # noqa: E402
 from closedloop_dynamics.studies.accuracy import default_lines, Line, study_accuracy  # noqa: E402
@@ -46,8 +49,9 @@ from closedloop_dynamics.visual.tables import markdown_table, seconds  # noqa: E
 
 TARGETS = (1e-3, 1e-6, 1e-9)
 BASE_TORQUES = {'theta_1': 5.0, 'theta_6': -3.0, 'theta_7': 2.0}
-USUAL = 'rk4'
-NOT_REACHED = 'not reached'
+NOT_REACHED = '-'
+# The columns of the tables.
+METHODS = ('rk4', 'dopri5', 'dop853', AUTO)
 
 
 @dataclass(frozen=True)
@@ -114,13 +118,13 @@ def settings_of_study(path):
 
 
 def settings_of_runs(runs):
-    """Return the same of runs of ``held_torques``, which have no CPU time."""
+    """Return the same of runs of ``held_torques``."""
     found = {}
     for run in runs:
         if not run.failure:
             found.setdefault(run.integrator, []).append(Setting(
                 run.integrator, run.step_size, run.tolerance, run.position_error,
-                run.evaluations, float('nan')))
+                run.evaluations, run.cost))
     return found
 
 
@@ -134,67 +138,62 @@ def holding(settings, target):
     return kept[::-1]
 
 
-def cheapest(settings, target, key):
-    """Return the cheapest setting of some methods that holds a target; None: there is none."""
-    return min((setting for of_one in settings.values() for setting in holding(of_one, target)),
-               key=key, default=None)
+def cheapest(settings, target):
+    """Return the cheapest setting of one method that holds a target; None: there is none."""
+    return min(holding(settings, target), key=lambda setting: setting.cost, default=None)
 
 
-def free_table(pictures):
-    """Return the table of constant torques: the cheapest method for each error."""
-    rows = []
-    for case in CASES:
-        settings = settings_of_study(pictures / f'accuracy_{case.name}.csv')
-        rows.append((case.text, *(_free_cell(settings, target) for target in TARGETS)))
-    return _table('motion, 1 s', rows)
+def free_settings(pictures):
+    """Return {what moves: {integrator: settings}} under constant torques."""
+    return {case.text: settings_of_study(pictures / f'accuracy_{case.name}.csv')
+            for case in CASES}
 
 
-def _free_cell(settings, target):
-    def cost(setting):
-        return setting.cost
-
-    best = cheapest(settings, target, cost)
-    usual = cheapest({USUAL: settings[USUAL]}, target, cost)
-    if best is None:
-        return NOT_REACHED
-    text = f'{best}: {seconds(best.cost)}'
-    if usual is None:
-        return f'{text}; {USUAL} {NOT_REACHED}'
-    return text if usual == best else f'{text}; {USUAL} {usual.cost / best.cost:.1f} times that'
-
-
-def held_table(pictures):
-    """Return the table of torques that are held: the method of fewest evaluations."""
+def held_settings(pictures):
+    """Return the same where torques are held."""
     runs = held_torques.read(pictures / 'accuracy_held.csv')
+    return {f'{HELD[scene]}, {rate} Hz': settings_of_runs(
+        [run for run in runs if (run.scene, run.rate) == (scene, rate)])
+        for scene, rate in dict.fromkeys((run.scene, run.rate) for run in runs)}
+
+
+def table(first, motions):
+    """Return a table of what each method costs for each error, the cheapest one named."""
     rows = []
-    for scene, rate in dict.fromkeys((run.scene, run.rate) for run in runs):
-        settings = settings_of_runs(
-            [run for run in runs if (run.scene, run.rate) == (scene, rate)])
-        rows.append((f'{HELD[scene]}, {rate} Hz',
-                     *(_held_cell(settings, target) for target in TARGETS)))
-    return _table('torques held', rows)
+    for text, settings in motions.items():
+        for target in TARGETS:
+            found = {name: cheapest(settings.get(name, []), target) for name in METHODS}
+            best = min(filter(None, found.values()), key=lambda setting: setting.cost,
+                       default=None)
+            rows.append((text, f'{target:.0e}', str(best) if best else NOT_REACHED,
+                         *(_cell(setting, best) for setting in found.values())))
+    return markdown_table((first, 'error', 'cheapest', *METHODS), rows)
 
 
-def _held_cell(settings, target):
-    def count(setting):
-        return setting.evaluations
-
-    found = sorted(filter(None, (cheapest({name: of_one}, target, count)
-                                 for name, of_one in settings.items())), key=count)
-    return '; '.join(f'{setting}: {setting.evaluations:.0f}' for setting in found) or NOT_REACHED
-
-
-def _table(first, rows):
-    return markdown_table((first, *(f'error {target:.0e}' for target in TARGETS)), rows)
+def _cell(setting, best):
+    if setting is None:
+        return NOT_REACHED
+    text = f'{seconds(setting.cost)} / {setting.evaluations:.0f}'
+    return f'**{text}**' if setting is best else text
 
 
 def passages(pictures):
     """Return {name of a passage: its text}, from the files of the studies."""
-    return {'free': free_table(pictures), 'held': held_table(pictures)}
+    free, held = free_settings(pictures), held_settings(pictures)
+    return {'free': table('motion, 1 s', free), 'held': table('torques held', held),
+            'short': sentences.accuracy_advice(free, held, pictures, cheapest)}
+
+
+def readme_passages(pictures):
+    """Return the passage of README.md on accuracy."""
+    settings = settings_of_study(pictures / 'accuracy_three_rrr_driven.csv')
+    return {'accuracy': sentences.accuracy_costs(settings, cheapest)}
 
 
 def measure(pictures, quick, only):
     """Measure, and write pictures and CSV files."""
+    # How far off each method is stands in the tables.
+    warnings.simplefilter('ignore', InaccuracyWarning)
     for case in CASES:
         if case.name in only:
             study = study_accuracy(load_scene(case.scene), case.torque, 1.0, quick,
@@ -233,7 +232,7 @@ def filled(text, parts):
     """
     for name, part in parts.items():
         begin, end = (f'<!-- {word} {re.escape(name)} -->' for word in ('begin', 'end'))
-        pattern = re.compile(f'({begin}\n).*?({end})', re.DOTALL)
+        pattern = re.compile(f'({begin}\n).*?([ ]*{end})', re.DOTALL)
         if not pattern.search(text):
             raise KeyError(f'the document has no passage {name!r}')
         text = pattern.sub(lambda match: f'{match[1]}{part}\n{match[2]}', text)

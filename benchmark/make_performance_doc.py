@@ -35,6 +35,7 @@ from make_accuracy_doc import filled
 import models
 import operation_count
 import peer_report
+import sentences
 import size
 import startup
 
@@ -170,6 +171,8 @@ def main(arguments=None):
     pictures = options.document.parent / 'pictures'
     pictures.mkdir(exist_ok=True)
     copy_pictures(options.output, pictures, parts)
+    if 'peers' in parts:
+        texts['space speed'] = sentences.space_speed(pictures)
     options.document.write_text(filled(options.document.read_text(), texts))
     return 0
 

@@ -68,6 +68,42 @@ def test_tables_of_the_accuracy_document_are_those_of_its_files(benchmark):
         assert f'(pictures/accuracy_{case.name}.png)' in text
 
 
+def test_figures_of_the_readme_and_of_sentences_are_those_of_the_files(benchmark):
+    documents, sentences = benchmark('make_documents'), benchmark('sentences')
+    pictures = ROOT / 'doc' / 'pictures'
+    for page, parts in (('README.md', documents.readme_passages(pictures)),
+                        ('doc/performance.md', {'space speed': sentences.space_speed(pictures)})):
+        text = (ROOT / page).read_text()
+        assert benchmark('make_accuracy_doc').filled(text, parts) == text, (
+            'python benchmark/make_documents.py --measured makes them anew')
+    assert (ROOT / 'README.md').read_text().count('<!-- begin') == 2
+
+
+def test_what_sentences_recommend_is_borne_out(benchmark):
+    document = benchmark('make_accuracy_doc')
+    pictures = ROOT / 'doc' / 'pictures'
+
+    def evaluations(settings, target):
+        best = document.cheapest(settings, target)
+        return best.evaluations if best else math.inf
+
+    for of in document.free_settings(pictures).values():
+        # Below 1e-6 none is cheaper than DOP853.
+        counts = {name: evaluations(of[name], 1e-9) for name in ('rk4', 'dopri5', 'dop853')}
+        assert min(counts, key=counts.get) == 'dop853'
+    for text, of in document.held_settings(pictures).items():
+        ratio = evaluations(of['rk4'], 1e-6) / evaluations(of['dop853'], 1e-6)
+        assert ratio > 3.0 if '100 Hz' in text else ratio < 1.0
+
+
+def test_measuring_begins_at_a_clean_commit(benchmark, monkeypatch, capsys):
+    documents = benchmark('make_documents')
+    monkeypatch.setattr(documents, 'commit', lambda: 'abc1234-dirty')
+    with pytest.raises(SystemExit):
+        documents.main([])
+    assert 'expected a clean checkout, got abc1234-dirty' in capsys.readouterr().err
+
+
 def test_document_parts_are_measured(benchmark, tmp_path, monkeypatch):
     document = benchmark('make_accuracy_doc')
     chosen = [document.Line(name) for name in ('rk4', 'dop853')]
@@ -90,9 +126,10 @@ def test_document_parts_are_measured(benchmark, tmp_path, monkeypatch):
 
 def test_held_torques_cost_what_the_tableaus_say(benchmark):
     held = benchmark('held_torques')
-    position, evaluations = held.motion('three_rrr', 1000, 'rk4', 1)
-    finer, twice = held.motion('three_rrr', 1000, 'rk4', 2)
-    finest, _ = held.motion('three_rrr', 1000, 'rk4', 4)
+    position, evaluations, cost = held.motion('three_rrr', 1000, 'rk4', 1, rounds=1)
+    finer, twice, untimed = held.motion('three_rrr', 1000, 'rk4', 2)
+    finest, *_ = held.motion('three_rrr', 1000, 'rk4', 4)
+    assert cost > 0.0 and math.isnan(untimed)
     # Four evaluations a step, and some where the energy is looked at.
     assert 4000 <= evaluations <= 4040 and 8000 <= twice <= 8040
     # Fourth order, although the torques jump at every period.
@@ -179,7 +216,8 @@ def test_performance_document_is_filled(benchmark, quick_results, tmp_path):
                           '--document', str(path)]) == 0
     text = path.read_text()
     texts = document.passages(quick_results, document.PARTS)
-    assert text.count('<!-- begin') == len(texts)
+    # The sentence on speed in space comes from the files of the peers.
+    assert text.count('<!-- begin') == len({*texts, 'space speed'})
     for name in texts:
         assert f'<!-- begin {name} -->' in text
     for picture in ('peers', 'peers_space', 'size'):

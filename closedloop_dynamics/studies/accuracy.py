@@ -21,7 +21,7 @@ import time
 
 from .reference import compute_reference, difference, record, Reference
 from ..core.types import EVALUATIONS
-from ..integration.registry import ADAPTIVE, INTEGRATORS, STABILISATIONS
+from ..integration.registry import ADAPTIVE, AUTO, INTEGRATORS, STABILISATIONS
 from ..simulation.errors import SimulationError
 from ..simulation.scene_records import FORMULATIONS
 from ..simulation.simulation import Simulation
@@ -46,8 +46,15 @@ class Line:
 
     @property
     def adaptive(self):
-        """Whether the integrator takes a tolerance instead of a step size."""
+        """Whether the integrator controls its error instead of taking a step size."""
         return INTEGRATORS[self.integrator].kind == ADAPTIVE
+
+    @property
+    def key(self):
+        """Return the key of a scene's method that is varied along the line."""
+        if self.integrator == AUTO:
+            return 'accuracy'
+        return 'tolerance' if self.adaptive else 'step_size'
 
     def __str__(self):
         """Return the names of what the line is made of."""
@@ -76,7 +83,7 @@ class Setting:
     """A method to be measured."""
 
     line: Line
-    value: float  # Its step size [s], or its tolerance
+    value: float  # Its step size [s], tolerance or accuracy
     # Steps from one compared output to the next, and outputs that lie between these (1: all
     # of them are compared).
     steps: int
@@ -85,8 +92,7 @@ class Setting:
     def method(self, scene, interval):
         """Return the scene's method with this setting; ``interval`` is that of outputs [s]."""
         line = self.line
-        keys = {'step_size': interval, 'tolerance': self.value} if line.adaptive else {
-            'step_size': self.value}
+        keys = {'step_size': interval, line.key: self.value}
         return replace(
             scene.method, integrator=line.integrator, stabilisation=line.stabilisation,
             formulation=line.formulation, baumgarte_time_constant=None, **keys)

@@ -17,8 +17,7 @@
 from dataclasses import dataclass
 from typing import Optional
 
-from .accuracy import Row
-from ..integration.registry import ADAPTIVE, INTEGRATORS
+from .accuracy import Line, Row
 from ..visual.tables import seconds, share
 
 
@@ -72,8 +71,7 @@ def for_budget(study, budget):
 def yaml_lines(method):
     """Return the lines of a scene that choose a method."""
     lines = ['method:', f'  integrator: {method.integrator}']
-    adaptive = INTEGRATORS[method.integrator].kind == ADAPTIVE
-    key = 'tolerance' if adaptive else 'step_size'
+    key = Line(method.integrator).key
     lines += [f'  {key}: {_yaml_number(getattr(method, key))}',
               f'  stabilisation: {method.stabilisation}', f'  formulation: {method.formulation}']
     return '\n'.join(lines)
@@ -90,8 +88,7 @@ def _advice(wanted, row, study):
 
 
 def _named(row):
-    kind = 'tolerance' if row.line.adaptive else 'step size'
-    return f'{row.line} at {kind} {row.setting.value:g}'
+    return f'{row.line} at {row.line.key.replace("_", " ")} {row.setting.value:g}'
 
 
 def _why(best, study):

@@ -46,6 +46,13 @@ def study():
     return study_accuracy(load_scene('four_bar'), {'crank_joint': 2.0}, 0.2, True, LINES)
 
 
+def test_default_method_is_varied_by_its_accuracy():
+    scene = load_scene('four_bar')
+    methods = [setting.method(scene, 0.01) for setting in settings(Line('auto'), 0.01)]
+    assert [method.accuracy for method in methods] == pytest.approx(
+        [10.0 ** -k for k in range(2, 14)])
+
+
 def test_every_method_is_tried_by_default():
     lines = default_lines()
     assert {line.integrator for line in lines} == set(INTEGRATORS)
@@ -193,6 +200,7 @@ def test_advice_can_be_pasted_into_a_scene(study, tmp_path):
     wrong = simulation.position - study.reference.trajectory.position[-1]
     assert np.abs(wrong).max() <= 1e-6
     assert 'tolerance: 1.0e-07' in yaml_lines(Method(integrator='dop853', tolerance=1e-7))
+    assert 'accuracy: 1.0e-05' in yaml_lines(Method(integrator='auto', accuracy=1e-5))
 
 
 def test_picture_and_title(study, tmp_path):

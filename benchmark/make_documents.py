@@ -1,0 +1,82 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Measure every figure of doc/accuracy.md, doc/performance.md and README.md, from one clean commit.
+
+Runs make_accuracy_doc.py and make_performance_doc.py one after the other, then puts the figures of
+README.md in. The commit is told as it was when this began: the files that are written along the
+way do not make it another one. To be run on a machine that does nothing else.
+
+"""
+
+import argparse
+import os
+from pathlib import Path
+import sys
+
+from machine import COMMIT, commit, ROOT
+import make_accuracy_doc
+import make_performance_doc
+import sentences
+
+
+def readme_passages(pictures):
+    """Return {name of a passage of README.md: its text}, from the CSV files."""
+    return {'speed': sentences.speed(pictures), **make_accuracy_doc.readme_passages(pictures)}
+
+
+def write_readme(checkout):
+    """Put the figures into README.md."""
+    page = checkout / 'README.md'
+    page.write_text(make_accuracy_doc.filled(
+        page.read_text(), readme_passages(checkout / 'doc' / 'pictures')))
+
+
+def main(arguments=None):
+    """Measure and write."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument('--quick', action='store_true', help='see that it runs: rough numbers')
+    parser.add_argument('--measured', action='store_true',
+                        help='measure nothing, make the tables and sentences from the files')
+    parser.add_argument('--peers-python', default=sys.executable, metavar='PYTHON',
+                        help='interpreter with the packages of the extra bench '
+                        '(default: this one)')
+    parser.add_argument('--models', type=Path, metavar='DIR',
+                        help='folder of models that others have published, which are left out '
+                        'without it')
+    parser.add_argument('--output', type=Path, default=ROOT / 'benchmark_output', metavar='DIR',
+                        help='where results go that no page shows (default: %(default)s)')
+    parser.add_argument('--checkout', type=Path, default=ROOT, metavar='DIR',
+                        help='whose pages to fill (default: this one)')
+    options = parser.parse_args(arguments)
+    name = commit()
+    if name.endswith('-dirty') and not (options.quick or options.measured):
+        parser.error(f'expected a clean checkout, got {name}: commit first, so that the figures '
+                     'belong to a commit')
+    os.environ[COMMIT] = name
+    doc = options.checkout / 'doc'
+    how = [f'--{name}' for name in ('quick', 'measured') if getattr(options, name)]
+    make_accuracy_doc.main([*how, '--document', str(doc / 'accuracy.md')])
+    if not options.measured or (options.output / 'peers.json').exists():
+        make_performance_doc.main([
+            *how, '--document', str(doc / 'performance.md'), '--output', str(options.output),
+            '--peers-python', options.peers_python,
+            *(['--models', str(options.models)] if options.models else [])])
+    write_readme(options.checkout)
+    return 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,211 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Sentences of the documents, with numbers from the CSV files of doc/pictures.
+
+What a sentence recommends is written by hand: read it again where its numbers change much.
+
+"""
+
+import csv
+from math import inf, log10
+from statistics import median
+import sys
+from textwrap import fill
+
+from machine import ROOT
+
+sys.path.insert(0, str(ROOT))
+
+from closedloop_dynamics.visual.tables import seconds, share  # noqa: E402,I100
+
+OURS = 'closedloop_dynamics'
+WIDTH = 120
+STABILISED, SPATIAL = ('three_rrr', 'carpet_scraper'), ('stewart_platform', 'delta_robot')
+
+
+def read(path):
+    """Return the rows of a CSV file."""
+    with open(path, newline='', encoding='utf-8') as file:
+        return list(csv.DictReader(file))
+
+
+def spread(values, digits=2):
+    """Return the range of some numbers in words, as ``7 to 11``; ``-`` of none."""
+    values = list(values)
+    if not values:
+        return '-'
+    ends = [f'{value:.0f}' if value >= 4.95 else f'{value:.{digits}g}'
+            for value in (min(values), max(values))]
+    return ends[0] if ends[0] == ends[1] else ' to '.join(ends)
+
+
+def paragraph(text, first='', others=''):
+    """Return a text in lines as the documents have them, in Markdown."""
+    return fill(' '.join(text.split()), WIDTH, initial_indent=first, subsequent_indent=others,
+                break_long_words=False, break_on_hyphens=False)
+
+
+def accuracy_advice(free, held, pictures, cheapest):
+    """
+    Return the advice of doc/accuracy.md.
+
+    Parameters
+    ----------
+    free, held : dict
+        {what moves: {integrator: settings}}, by ``make_accuracy_doc``.
+    pictures : pathlib.Path
+        Where the CSV files are.
+    cheapest : callable
+        Of settings and an error.
+
+    """
+    def growth(name):
+        pairs = [(cheapest(of[name], 1e-3), cheapest(of[name], 1e-9)) for of in free.values()]
+        return spread([fine.cost / coarse.cost for coarse, fine in pairs if coarse and fine])
+
+    def at(rate, attribute, target, name, other=None):
+        found = []
+        for text, of in held.items():
+            one = cheapest(of[name], target)
+            if text.endswith(f', {rate} Hz') and one:
+                against = getattr(cheapest(of[other], target), attribute) if other else 1.0
+                found.append(getattr(one, attribute) / against)
+        return found
+
+    energy = {(row['scene'], row['integrator'], row['step_size'] or row['tolerance']):
+              float(row['largest_relative_energy_error'] or 'nan')
+              for row in read(pictures / 'accuracy_energy.csv')}
+    kept, lost = ([energy[scene, *method] for scene in STABILISED]
+                  for method in (('dop853', '1e-10'), ('rk4', '0.001')))
+    steps = stabilisation_costs(pictures)
+    auto = [at(rate, 'evaluations', 1e-6, 'auto', 'dop853') for rate in (100, 1000)]
+    advice = (
+        f"""**Torques that are constant or change slowly: take `dop853`**, or `auto`, which steps
+        by it. From an error of 1e-3 to 1e-9 the cost of `dop853` grows {growth('dop853')} times,
+        that of `rk4` {growth('rk4')} times.""",
+        f"""**Torques held at 100 Hz: take `dop853`**, or `dopri5`, which makes fewer evaluations
+        for coarse errors. For 1e-6 `rk4` needs
+        {spread(at(100, 'evaluations', 1e-6, 'rk4', 'dop853'))} times as many evaluations.""",
+        f"""**Torques held at 1 kHz: take any.** Called from Python, most of the time is the call
+        of each period: `rk4` takes {spread(at(1000, 'cost', 1e-6, 'rk4', 'dop853'))} times the
+        CPU time of `dop853` for an error of 1e-6. Where only evaluations count, as in rollouts, a
+        period takes 4 (`rk4`), 7 (`dopri5`) or 12 (`dop853`) of them.""",
+        f"""**`auto` checks its error in the first second by a second run**: with held torques it
+        makes {spread(auto[0] + auto[1])} times the evaluations of `dop853` in that second. For a
+        machine behind a fast controller name the method:
+        `{{integrator: rk4, step_size: 1.0e-3}}`.""",
+        """**Tolerance is not error.** It bounds the local error of each step. Begin with a
+        tolerance ten times smaller than the error you want: the 3-RRR released from rest
+        amplifies a small error 65 times within a second.""",
+        f"""**Keep `projection`.** A step of RK4 costs {spread(steps['projection'])} times one
+        without stabilisation, whose drift costs accuracy. `independent` (coordinates) closes the
+        loops equally well for {spread(steps['independent'])} times that cost.""",
+        f"""**Energy** of undriven, frictionless motion over 10 s: `dop853` at tolerance 1e-10
+        keeps it to {kept[0]:.0e} (3-RRR) and {kept[1]:.0e} (scraper), RK4 with 1 ms to
+        {lost[0]:.0e} and {lost[1]:.0e}.""")
+    return '\n'.join(paragraph(text, '* ', '  ') for text in advice)
+
+
+def stabilisation_costs(pictures):
+    """Return what RK4's steps cost with each stabilisation, in those without, of both machines."""
+    found = {}
+    for scene in STABILISED:
+        costs = {}
+        for row in read(pictures / f'accuracy_{scene}.csv'):
+            if (row['integrator'], row['formulation']) == ('rk4', 'subsystem') and not row[
+                    'failure']:
+                costs.setdefault(row['stabilisation'], {})[row['step_size']] = float(
+                    row['cpu_time_per_second'])
+        for name, of in costs.items():
+            common = of.keys() & costs['none'].keys()
+            found.setdefault(name, []).append(
+                median(of[size] / costs['none'][size] for size in common))
+    return found
+
+
+def accuracy_costs(settings, cheapest):
+    """Return the sentences of README.md on what accuracy costs, of the driven 3-RRR."""
+    coarse, fine = (cheapest(settings['dop853'], target) for target in (1e-6, 1e-9))
+    auto = min(settings['auto'], key=lambda setting: abs(log10(setting.tolerance) + 6.0))
+    return paragraph(f"""
+        On the 3-RRR an error of 1e-6 rad after one second costs {seconds(coarse.cost)} of CPU time
+        with `dop853`, {share(coarse.cost)}; an error of 1e-9 rad costs
+        {spread([fine.cost / coarse.cost])} times that. The default, `auto`, chooses the steps for
+        an accuracy of 1e-6 and checks it by a second run beside the first: it was
+        {auto.error:.0e} rad off for {seconds(auto.cost)} ([doc/accuracy.md](doc/accuracy.md)).""")
+
+
+def evaluation_ratios(pictures, name, scenes=None):
+    """Return {(engine, what): times as slow as ours} of each scene of a group."""
+    rows = read(pictures / f'performance_{name}_evaluation.csv')
+    found = {}
+    for row in rows:
+        if scenes is None or row['scene'] in scenes:
+            ours = min(float(other['best']) for other in rows
+                       if (other['scene'], other['engine']) == (row['scene'], OURS))
+            found.setdefault(row['scene'], {})[row['engine'], row['what']] = (
+                float(row['best']) / ours)
+    return found
+
+
+def motion_ratios(pictures, name, target):
+    """Return {motion: cost of the best of the others in ours} for an error."""
+    best = {}
+    for row in read(pictures / f'performance_{name}_motions.csv'):
+        if float(row['error'] or 'nan') <= target:
+            kind = best.setdefault(row['case'], {})
+            ours = row['engine'] == OURS
+            kind[ours] = min(kind.get(ours, inf), float(row['best']))
+    return {case: of[False] / of[True] for case, of in best.items() if len(of) == 2}
+
+
+def _of(ratios, engine, *parts):
+    """Return the least ratio in each scene of some ways of an engine, where it was measured."""
+    found = [[value for (name, what), value in of.items() if name == engine and what in parts]
+             for of in ratios.values()]
+    return [min(values) for values in found if values]
+
+
+def speed(pictures):
+    """Return the sentences of README.md on speed."""
+    plane = evaluation_ratios(pictures, 'peers')
+    space = evaluation_ratios(pictures, 'peers_space', SPATIAL)
+    pinocchio = ('evaluation, C++ loop', 'evaluation by lcaba, C++ loop')
+    mujoco = ('mj_forward, from Python', 'mj_step (Euler), C loop')
+    best = motion_ratios(pictures, 'peers', 1e-6).values()
+    return paragraph(f"""
+        An evaluation of the two planar machines takes
+        {spread(_of(plane, 'Pinocchio', *pinocchio))} times less time than Pinocchio's in a C++
+        loop and {spread(_of(plane, 'MuJoCo', *mujoco))} times less than MuJoCo's; of a Stewart
+        platform and a Delta robot
+        {spread(_of(space, 'Pinocchio', *pinocchio) + _of(space, 'MuJoCo', *mujoco))} times less
+        than either. A whole planar motion with an error of 1e-6 rad costs {spread(best)} times
+        less than with the best of them.""", '  ', '  ')
+
+
+def space_speed(pictures):
+    """Return the sentences of doc/performance.md on machines in space."""
+    ratios = evaluation_ratios(pictures, 'peers_space')
+    coarse, fine = (motion_ratios(pictures, 'peers_space', target).values()
+                    for target in (1e-6, 1e-9))
+    mujoco = ('mj_forward, from Python', 'mj_step (Euler), C loop')
+    constraint, lcaba = 'evaluation, C++ loop', 'evaluation by lcaba, C++ loop'
+    return paragraph(f"""
+        An evaluation takes {spread(_of(ratios, 'Pinocchio', constraint))} times less time than
+        with `constraintDynamics`, {spread(_of(ratios, 'Pinocchio', lcaba))} times less than with
+        `lcaba` and one iteration, and {spread(_of(ratios, 'MuJoCo', *mujoco))} times less than
+        with MuJoCo. Whole motions cost {spread(coarse)} times less than with the best of the
+        others for an error of 1e-6, and {spread(fine)} times less for 1e-9.""")
