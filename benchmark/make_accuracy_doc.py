@@ -253,10 +253,12 @@ def main(arguments=None):
     pictures.mkdir(exist_ok=True)
     parts = {}
     if not options.measured:
+        # What is written from here on makes the checkout no other one.
+        machine = description()
         measure(pictures, options.quick, options.only or PARTS)
         if not options.only:
             parts['machine'] = (
-                f'Measured on {datetime.date.today().isoformat()}: {description()}.' + (
+                f'Measured on {datetime.date.today().isoformat()}: {machine}.' + (
                     ' Quick version: fewer settings.' if options.quick else ''))
     parts.update(passages(pictures))
     options.document.write_text(filled(options.document.read_text(), parts))

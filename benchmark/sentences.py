@@ -87,7 +87,8 @@ def accuracy_advice(free, held, pictures, cheapest):
 
     energy = {(row['scene'], row['integrator'], row['step_size'] or row['tolerance']):
               float(row['largest_relative_energy_error'] or 'nan')
-              for row in read(pictures / 'accuracy_energy.csv')}
+              for row in read(pictures / 'accuracy_energy.csv')
+              if row['stabilisation'] == 'projection'}
     kept, lost = ([energy[scene, *method] for scene in STABILISED]
                   for method in (('dop853', '1e-10'), ('rk4', '0.001')))
     steps = stabilisation_costs(pictures)

@@ -40,6 +40,7 @@ import time
 
 from closedloop_dynamics.cli import main
 from closedloop_dynamics.ros.programs import FUNCTIONS, Program
+from closedloop_dynamics.studies.hard_cases import CASES
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -242,6 +243,12 @@ def test_pages_are_found():
 
 def test_readme_fits_on_a_few_screens():
     assert len((ROOT / 'README.md').read_text().splitlines()) <= 120
+
+
+def test_hard_cases_are_as_many_as_the_pages_say():
+    assert len(CASES) == 50
+    assert 'Fifty hard cases' in (ROOT / 'README.md').read_text()
+    assert 'fifty hard cases' in (ROOT / 'doc' / 'stability.md').read_text()
 
 
 def test_folders_and_files_that_the_pages_name_exist():
