@@ -41,7 +41,7 @@ import startup
 
 PARTS = ('peers', 'operation_count', 'size', 'startup', 'models')
 # The rows of the table of sizes that the document shows.
-SHOWN = 10
+SHOWN = 2
 
 
 def measure(parts, output, quick, peers_python, folder=None):
@@ -83,9 +83,7 @@ def peers_passages(results):
             f'{name} evaluation': peer_report.evaluation_table(result),
             f'{name} motions': peer_report.motion_table(result),
             f'{name} reference': 'The two methods behind the reference differ by '
-                                 f'{uncertain:.0e} rad or m at most.',
-            f'{name} closure': peer_report.closure_table(
-                {**result, 'cases': result['cases'][:1]})})
+                                 f'{uncertain:.0e} rad or m at most.'})
         if result['rollouts']:
             texts[f'{name} rollouts'] = peer_report.rollout_table(result)
     return texts
@@ -113,8 +111,8 @@ def passages(output, parts):
     builders = {'peers': peers_passages, 'operation_count': operation_passages,
                 'size': size_passages,
                 'startup': lambda result: {'startup table': startup.table(result)},
-                'models': lambda result: {'models closing': models.closing_table(result),
-                                          'models evaluation': models.evaluation_table(result)}}
+                'models': lambda result: {
+                    'models evaluation': models.evaluation_table(result)}}
     texts = {}
     for part, result in results.items():
         texts.update(builders[part](result))

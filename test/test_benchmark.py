@@ -79,6 +79,27 @@ def test_figures_of_the_readme_and_of_sentences_are_those_of_the_files(benchmark
     assert (ROOT / 'README.md').read_text().count('<!-- begin') == 2
 
 
+@pytest.mark.parametrize('group, passage', [('plane', 'peers'), ('space', 'peers space')])
+def test_tables_of_the_peers_are_those_of_their_files(benchmark, group, passage):
+    report, sentences = benchmark('peer_report'), benchmark('sentences')
+    evaluations, runs, _ = (
+        ROOT / 'doc' / 'pictures' / f'performance_{report.FILES[group]}{end}'
+        for end in report.ENDS)
+    by_scene = {}
+    for row in sentences.read(evaluations):
+        by_scene.setdefault(row['scene'], []).append({**row, 'best': float(row['best'])})
+    motions = [{**row, 'best': float(row['best'] or 'nan'), 'error': float(row['error'] or 'nan')}
+               for row in sentences.read(runs)]
+    # No error in the table is one that the reference cannot tell.
+    result = {'evaluation': by_scene, 'motions': motions, 'cases': [
+        {'name': name, 'uncertainty': 0.0}
+        for name in dict.fromkeys(row['case'] for row in motions)]}
+    parts = {f'{passage} evaluation': report.evaluation_table(result),
+             f'{passage} motions': report.motion_table(result)}
+    text = (ROOT / 'doc' / 'performance.md').read_text()
+    assert benchmark('make_accuracy_doc').filled(text, parts) == text
+
+
 def test_what_sentences_recommend_is_borne_out(benchmark):
     document = benchmark('make_accuracy_doc')
     pictures = ROOT / 'doc' / 'pictures'
