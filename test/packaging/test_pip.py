@@ -107,7 +107,7 @@ def test_nodes_without_ros_say_what_is_missing(wheel, tmp_path):
             [tmp_path / 'bare' / 'bin' / program], cwd=tmp_path, text=True, capture_output=True,
             env={'PATH': os.environ['PATH']})
         assert done.returncode == 2
-        assert done.stderr.count('\n') == 1 and "'closedloop_dynamics[ros]'" in done.stderr
+        assert done.stderr.count('\n') == 1 and "'ros-jazzy-rclpy[fastrtps]'" in done.stderr
 
 
 def test_config_is_found_in_the_environment(environment):
