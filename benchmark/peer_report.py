@@ -168,6 +168,8 @@ def picture(result):
     panels = figure.subplots(lines, columns, sharex=True, sharey=True, squeeze=False)
     for axes, case in zip(panels.flat, cases):
         _panel(axes, case, [row for row in result['motions'] if row['case'] == case['name']])
+    for axes in panels.flat[len(cases):]:
+        axes.set_visible(False)
     for axes in panels[-1]:
         axes.set_xlabel('CPU time for one simulated second')
     for axes in panels[:, 0]:

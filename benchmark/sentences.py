@@ -181,20 +181,21 @@ def _of(ratios, engine, *parts):
 
 
 def speed(pictures):
-    """Return the sentences of README.md on speed."""
+    """Return the item of README.md on speed."""
     plane = evaluation_ratios(pictures, 'peers')
     space = evaluation_ratios(pictures, 'peers_space', SPATIAL)
     pinocchio = ('evaluation, C++ loop', 'evaluation by lcaba, C++ loop')
     mujoco = ('mj_forward, from Python', 'mj_step (Euler), C loop')
     best = motion_ratios(pictures, 'peers', 1e-6).values()
     return paragraph(f"""
+        **Fast**: code is generated for the mechanism at hand ([measurements](doc/performance.md)).
         An evaluation of the two planar machines takes
         {spread(_of(plane, 'Pinocchio', *pinocchio))} times less time than Pinocchio's in a C++
         loop and {spread(_of(plane, 'MuJoCo', *mujoco))} times less than MuJoCo's; of a Stewart
         platform and a Delta robot
         {spread(_of(space, 'Pinocchio', *pinocchio) + _of(space, 'MuJoCo', *mujoco))} times less
         than either. A whole planar motion with an error of 1e-6 rad costs {spread(best)} times
-        less than with the best of them.""", '  ', '  ')
+        less than with the best of them.""", '- ', '  ')
 
 
 def space_speed(pictures):

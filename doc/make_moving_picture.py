@@ -47,7 +47,8 @@ MOTIONS = {
 }
 # Of a motion and of a drive's answer [s, 1/s]; frames per second; pixels.
 PERIOD, RATE, FRAMES, SIZE, COLORS = 4.0, 40.0, 15, 330, 96
-STEP = 0.002
+# Rows of a motion in each frame, for smooth paths; of the simulation [s].
+FINER, STEP = 4, 0.002
 # What is beside the picture is left out.
 STYLE = ('header, aside, #transport, #views, #legend {display: none !important} '
          'main {grid-template-columns: 1fr} #solid, #lines {inset: 0; height: 100%} '
@@ -62,7 +63,7 @@ def motion(simulation, wanted):
     drives = [(name, names.index[name], felt[names.index[name]], start[names.index[name]], *how)
               for name, how in wanted.items()]
     shown, rows = SimulationRows(simulation), []
-    steps, frame = round(PERIOD / STEP), 1.0 / (FRAMES * STEP)
+    steps, frame = round(PERIOD / STEP), 1.0 / (FRAMES * FINER * STEP)
     for step in range(2 * steps):
         if step >= steps and len(rows) * frame <= step - steps:
             rows.append(shown.row())
@@ -90,11 +91,12 @@ def pictures(tab, count):
             'document.head.append(s); })()')
     # Twice round: the path of the point is whole in the second.
     for k in [*range(count), *range(count)]:
-        tab.ask(f'new Promise((done) => {{ page.now = {k} / {FRAMES}; '
+        tab.ask(f'new Promise((done) => {{ page.now = {k} / {FRAMES * FINER}; '
                 'requestAnimationFrame(() => requestAnimationFrame(done)); })')
         if k == 0:
             found = []
-        found.append(Image.fromarray(tab.picture()))
+        if k % FINER == 0:
+            found.append(Image.fromarray(tab.picture()))
     return found
 
 
@@ -109,11 +111,11 @@ def main(scenes):
             page.write_text(recorded_page(
                 name, describe(
                     scene.mechanism, columns, scene.effects, mode='recording', title=name),
-                np.arange(len(shown)) / FRAMES, shown), encoding='utf-8')
+                np.arange(len(shown)) / (FRAMES * FINER), shown), encoding='utf-8')
             tab = open_page(f'{page.as_uri()}?smooth', width=SIZE, height=SIZE)
             rows.append(pictures(tab, len(shown)))
             tab.close()
-            print(f'{name}: {len(shown)} frames', flush=True)
+            print(f'{name}: {len(rows[-1])} frames', flush=True)
     frames = []
     for parts in zip(*rows):
         frames.append(Image.new('RGB', (SIZE * len(parts), SIZE)))
