@@ -26,7 +26,7 @@ import numpy as np
 from .effect_shapes import normal_in_space, normal_of, outline_of
 from ..core.codegen.spatial import rotation
 from ..core.types import SMALLEST_PIVOT
-from ..effects.body_contact import BodyContact, IN_SPACE
+from ..effects.body_contact import BodyContact
 from ..effects.cable import Cable
 from ..effects.contact import Contact
 from ..effects.external_force import BODY, ExternalForce
@@ -357,24 +357,25 @@ class SimulationRows:
             cosine, sine = np.cos(record.angle), np.sin(record.angle)
             return np.array([[-normal * sine, normal * cosine], [along * cosine, along * sine]])
         out = np.array(record.normal)
-        sliding = np.zeros(3)
-        if normal > 0.0:
-            velocity = self._velocity(record.point)
-            sliding = velocity - (velocity @ out) * out
-            sliding /= np.linalg.norm(sliding) or 1.0
-        return np.array([normal * out, along * sliding])
+        point = self._places[record.point]
+        return np.array([normal * out, along * self._sliding(
+            out, self._simulation.point(record.point), point.body) if normal > 0.0 else 0.0 * out])
 
     def _body_contact(self, name, record, readings, center):
-        """Return where a roller touches, the normal force on it and, in the plane, friction."""
+        """Return where a roller touches, and the normal force and friction on it."""
         other = self._places[record.other]
         if not self._simulation.mechanism.planar:
             turn = np.eye(3)
             if other.body != GROUND:
                 pose = self._simulation.body_poses[self._rows[other.body]]
                 turn = np.array(rotation(tuple(pose[3:].tolist())))
-            normal = turn @ normal_in_space(
+            out = turn @ normal_in_space(
                 record, turn.T @ (center - self._simulation.point(record.other)))
-            return center - record.radius * normal, readings['normal_force'] * normal
+            foot, friction = center - record.radius * out, np.zeros(3)
+            if readings['friction_force']:
+                friction = readings['friction_force'] * self._sliding(
+                    out, foot, self._places[record.point].body, other.body)
+            return foot, np.array([readings['normal_force'] * out, friction])
         pose = (np.zeros(3) if other.body == GROUND
                 else self._simulation.body_poses[self._rows[other.body]])
         cosine, sine = np.cos(pose[2]), np.sin(pose[2])
@@ -385,17 +386,23 @@ class SimulationRows:
         return foot, np.array([readings['normal_force'] * np.array([x, y]),
                                readings['friction_force'] * np.array([y, -x])])
 
-    def _velocity(self, name):
-        """Return the velocity of a named point [m/s]."""
-        simulation = self._simulation
-        moved, q = simulation.coordinates.moved, simulation.position
-        step = INSTANT * simulation.velocity
-        return (simulation.place(name, moved(q, step))
-                - simulation.place(name, moved(q, -step))) / (2.0 * INSTANT)
+    def _sliding(self, normal, place, body, other=GROUND):
+        """Return the direction in which a body slides on another at a place, across a normal."""
+        mechanism, q = self._simulation.mechanism, self._simulation.position
+        step, now = INSTANT * self._simulation.velocity, self._simulation.body_poses
+        velocity = np.zeros(3)
+        for sign in (1.0, -1.0):
+            moved = body_poses(mechanism, mechanism.coordinates.moved(q, sign * step))
+            for name, of in ((body, sign), (other, -sign)):
+                if name != GROUND:
+                    before, after = (poses[self._rows[name]] for poses in (now, moved))
+                    there, here = (np.array(rotation(tuple(pose[3:].tolist())))
+                                   for pose in (after, before))
+                    velocity += of * (after[:3] + there @ here.T @ (place - before[:3]))
+        velocity -= (velocity @ normal) * normal
+        return velocity / (np.linalg.norm(velocity) or 1.0)
 
 
 def _kinds(record):
     """Return what an effect's arrows are."""
-    if isinstance(record, BodyContact) and record.shape in IN_SPACE:
-        return ('normal',)
     return ('normal', 'friction') if isinstance(record, (BodyContact, Contact)) else ('force',)

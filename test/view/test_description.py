@@ -18,6 +18,7 @@ from dataclasses import replace
 import struct
 import sys
 
+from closedloop_dynamics.effects.body_contact import BodyContact
 from closedloop_dynamics.effects.contact import Contact
 from closedloop_dynamics.effects.external_force import ExternalForce
 from closedloop_dynamics.mechanism.mechanism import Body, Joint, Mechanism, Point, Visual
@@ -118,6 +119,43 @@ def test_a_contact_in_space_has_arrows_along_its_normal_and_against_the_sliding(
         == pytest.approx(10.0)
     surface, = describe(mechanism, rows.columns, effects)['surfaces']
     assert surface['normal'] == [0.0, 0.6, 0.8]
+
+
+@pytest.mark.parametrize('shape', [
+    {'shape': 'plane', 'normal': (0.0, 0.6, 0.8)}, {'shape': 'sphere', 'other_radius': 0.3},
+    {'shape': 'cylinder', 'other_radius': 0.3, 'axis': (1.0, 0.0, 0.0)}])
+def test_a_contact_of_bodies_in_space_has_arrows_along_its_normal_and_against_the_sliding(shape):
+    mechanism = Mechanism(
+        'balls', (Body('ball', 2.0, (0.0, 0.0, 0.0), (0.1, 0.2, 0.3)),
+                  Body('other', 3.0, (0.1, 0.0, 0.0), (0.3, 0.2, 0.2))),
+        (Joint('free', 'free', 'ground', 'ball', (0.0, 0.0, 0.0)),
+         Joint('other_free', 'free', 'ground', 'other', (0.0, 0.0, 0.0))), (),
+        (Point('center', 'ball', (0.0, 0.0, 0.0)), Point('base', 'other', (0.1, 0.0, 0.0))))
+    effects = {'touch': BodyContact(
+        point='center', other='base', stiffness=1e3, radius=0.1, friction=0.5,
+        slip_velocity=1e-4, **shape)}
+    reach = 0.39 if 'other_radius' in shape else 0.09
+    velocity = np.array([0.3, 0.4, -0.3, 1.0, -2.0, 0.5, -0.2, 0.1, 0.3, -0.4, 0.6, 1.5])
+    # Both are turned by no angle; the other one's point is at 0.1, 0, 0.
+    position = np.array([0.1, *(reach * np.array([0.6, 0.8])), 0.0, 0.0, 0.0, 1.0,
+                         *np.zeros(6), 1.0])
+    simulation = Simulation(Scene('balls', None, '', mechanism, Initial(
+        tuple(position.tolist()), tuple(velocity.tolist())), effects))
+    rows = SimulationRows(simulation)
+    assert [load['kind'] for load in rows.columns.loads] == ['normal', 'friction']
+    first = rows.columns.layout['columns']['loads']
+    (foot, normal), (_, friction) = rows.row()[first:first + 12].reshape(2, 2, 3)
+    np.testing.assert_allclose(normal, 10.0 * np.array([0.0, 0.6, 0.8]), rtol=1e-5, atol=1e-5)
+    assert friction @ normal == pytest.approx(0.0, abs=1e-4)
+    assert np.linalg.norm(friction) == pytest.approx(5.0, rel=1e-4)
+    # What accelerates the ball, and turns it, are the arrows, where their feet are.
+    np.testing.assert_allclose(
+        2.0 * simulation.acceleration[:3], normal + friction, atol=1e-4)
+    turning = np.cross(foot - position[:3], friction)
+    spin = velocity[3:6]
+    np.testing.assert_allclose(
+        np.array([0.1, 0.2, 0.3]) * simulation.acceleration[3:6]
+        + np.cross(spin, np.array([0.1, 0.2, 0.3]) * spin), turning, atol=1e-4)
 
 
 def stl(path, triangles):
