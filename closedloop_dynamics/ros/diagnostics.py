@@ -28,6 +28,7 @@ from typing import Dict
 
 from closedloop_dynamics.core.types import SMALLEST_PIVOT
 from closedloop_dynamics.effects.registry import effect_type
+from closedloop_dynamics.ros.external_wrench import WRENCHES_REFUSED
 from closedloop_dynamics.ros.motion_command import LOST, REFUSED
 from closedloop_dynamics.ros.pacing import COMPUTING_SHARE, REALTIME, Throttle
 from closedloop_dynamics.simulation.health import WARN_BELOW
@@ -289,7 +290,7 @@ def commands_finding(counts, before, sources, zero_after_timeout):
     """
     level, message = OK, f'from {", ".join(sources)}' if sources else 'nobody commands'
     refused, lost = (sum(counts.get(key, 0) - before.get(key, 0) for key in keys) for keys in (
-        ('rejected', 'states refused', REFUSED), ('lost', LOST)))
+        ('rejected', 'states refused', REFUSED, WRENCHES_REFUSED), ('lost', LOST)))
     if refused:
         level, message = WARN, f'{refused} refused in the last second; the log says why'
     elif lost:

@@ -16,6 +16,7 @@
 
 import time
 
+from closedloop_dynamics.ros.external_wrench import ExternalWrench
 from closedloop_dynamics.simulation.errors import NumericalError
 import numpy as np
 
@@ -45,7 +46,9 @@ class LiveSimulation:
     Attributes
     ----------
     torque : ndarray, shape (number of the simulation's ``torque_names``,)
-        Command that acted in the latest steps [N m or N].
+        Command, and what external wrenches are in joints, in the latest steps [N m or N].
+    wrench : external_wrench.ExternalWrench
+        What acts from outside.
     on_published : list of callables
         Each is called with the stamp, a Time message, after a state was published.
     on_advance : list of callables
@@ -59,7 +62,7 @@ class LiveSimulation:
         self.simulation, self.command, self.stamps, self.states = (
             simulation, command, stamps, states)
         self._pacer, self._logger = pacer, logger
-        self.torque = simulation.joint_torques(None)
+        self.torque, self.wrench = simulation.joint_torques(None), ExternalWrench(simulation)
         self.on_published, self.on_advance, self.on_jump = [], [], []
         self._published_at = self._published_stamp = None
 
@@ -76,7 +79,9 @@ class LiveSimulation:
             self.expire()
             self.command.held += (
                 steps * self.simulation.step_size / self._pacer.real_time_factor)
+        self.torque[:] = 0.0
         self.torque[self.simulation.actuated] = self.command.torque
+        self.wrench.act(self.torque)
         for note in self.on_advance:
             note(self.torque)
         self.simulation.advance(self.torque, steps)
@@ -97,8 +102,8 @@ class LiveSimulation:
         self.stamps.publish()
         cuts = (*simulation.measured_cut_joints(), simulation.cut_effort) if (
             simulation.cut_joint_names) else ()
-        self.states.publish(
-            stamp, *simulation.measured(), simulation.effort, forces, cuts)
+        self.states.publish(stamp, *simulation.measured(),
+                            self.wrench.without(simulation.effort), forces, cuts)
         self._published_at, self._published_stamp = time.monotonic(), stamp
         for publish in self.on_published:
             publish(self.states.stamp)

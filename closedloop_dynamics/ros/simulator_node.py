@@ -46,6 +46,7 @@ from closedloop_dynamics.ros.simulator_parameters import (
     CHANGEABLE, METHOD, method_changes, SIMULATOR_PARAMETERS)
 from closedloop_dynamics.simulation.errors import SimulationError
 from closedloop_dynamics.simulation.pacer import Pacer
+from geometry_msgs.msg import WrenchStamped
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock
 from rclpy.clock import ClockType
@@ -62,6 +63,8 @@ from trajectory_msgs.msg import JointTrajectory
 NAME = 'closedloop_simulator'
 # As many commands may wait while this process is held up.
 COMMAND_DEPTH = 1000
+# Wrenches on different bodies that come together.
+WRENCH_DEPTH = 10
 # Between two messages of one kind [s].
 MESSAGE_PERIOD = 5.0
 # Between two rounds of diagnostics [s].
@@ -104,7 +107,7 @@ class SimulatorNode(Node):
             values['scene'], self.get_logger(), values['motion_joints'],
             **{key: values[key] or None for key in METHOD})
         self._throttles = {key: Throttle(MESSAGE_PERIOD) for key in (
-            'rejected', 'motion', 'lost', 'refused', 'overload')}
+            'rejected', 'motion', 'wrench', 'lost', 'refused', 'overload')}
         self._told_not_actuated, self._method_prepared = False, None
         self.paused, self.waiting = False, values['wait_for_command'] and not lockstep
         self.counts = {'states set': 0, 'states refused': 0}
@@ -186,6 +189,10 @@ class SimulatorNode(Node):
         if self.simulation.commanded_motions:
             subscribe(self, JointTrajectory, 'motion_command', self.on_motion_command,
                       QoSProfile(depth=COMMAND_DEPTH), self._note_lost_motion)
+        # The newest counts: what is late is of no use.
+        self.create_subscription(
+            WrenchStamped, 'external_wrench', self.on_external_wrench,
+            QoSProfile(depth=WRENCH_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT))
         self.create_subscription(JointState, '~/set_state', self.on_set_state, 10)
         if self.simulation.coordinates.with_orientation:
             self.create_subscription(
@@ -245,6 +252,13 @@ class SimulatorNode(Node):
             return
         self._end_waiting()
 
+    def on_external_wrench(self, message):
+        """Let a wrench act on a body for a while, or refuse it."""
+        try:
+            self.live.wrench.accept(message)
+        except CommandError as error:
+            self.warn('wrench', f'external_wrench refused: {error}')
+
     def _end_waiting(self):
         """Let time run if it has waited for a command."""
         if self.waiting:
@@ -287,7 +301,8 @@ class SimulatorNode(Node):
     def look_after(self):
         """Publish diagnostics, and get ahead with what is compiled in the background."""
         self.diagnostics.publish(
-            self.standing, {**self.command.counts, **self.counts, **self._motion_counts},
+            self.standing, {**self.command.counts, **self.counts, **self._motion_counts,
+                            **self.live.wrench.counts},
             tuple(sorted(
                 f'{info.node_namespace.rstrip("/")}/{info.node_name}'
                 for topic in ('torque_command', 'joint_command')
@@ -315,6 +330,7 @@ class SimulatorNode(Node):
         self.mode.stop()
         self.simulation.reset()
         self.command.forget()
+        self.live.wrench.forget()
         self.waiting = self._values['wait_for_command'] and self.mode.name != LOCKSTEP
         if self.running:
             self.mode.start()
@@ -509,7 +525,7 @@ class SimulatorNode(Node):
         Parameters
         ----------
         kind : str
-            Of message: ``'rejected'``, ``'motion'``, ``'lost'`` or ``'refused'``.
+            Of message: ``'rejected'``, ``'motion'``, ``'wrench'``, ``'lost'`` or ``'refused'``.
         message : str
             What to say.
 

@@ -14,9 +14,13 @@
 
 """The node ``closedloop_viewer``: running simulators in a browser, through their topics."""
 
+from collections import deque
+from contextlib import suppress
 from dataclasses import fields, replace
 import time
 
+from closedloop_dynamics.core.codegen.spatial import rotation
+from closedloop_dynamics.effects.actuator import Actuator
 from closedloop_dynamics.effects.registry import effect_type
 from closedloop_dynamics.integration.registry import INTEGRATORS, STABILISATIONS
 from closedloop_dynamics.mechanism.fields import FieldError
@@ -29,15 +33,15 @@ from closedloop_dynamics.simulation.modeling import extent
 from closedloop_dynamics.simulation.scene import SceneError
 from closedloop_dynamics.simulation.scene_text import read_scene_text
 from closedloop_dynamics.simulation.simulation import Simulation
-from closedloop_dynamics.view.columns import motion_columns, motion_rows
-from closedloop_dynamics.view.description import describe
+from closedloop_dynamics.view.columns import motion_columns, motion_rows, poses_in_space
+from closedloop_dynamics.view.description import describe, grabs
 from closedloop_dynamics.view.feed import Feed
 from closedloop_dynamics.view.messages import FASTEST, POSITION, SLOWEST, TORQUE
 from closedloop_dynamics.view.page import live_page
-from closedloop_dynamics.view.posing import felt_inertia, joint_to, point_to
+from closedloop_dynamics.view.posing import felt_inertia, felt_mass, joint_to, point_to
 from closedloop_dynamics.view.runner import Hand, round_up
 from closedloop_dynamics.view.server import Server
-from closedloop_dynamics.visual.motion import Motion
+from closedloop_dynamics.visual.motion import body_poses, Motion, world_points
 from geometry_msgs.msg import WrenchStamped
 import numpy as np
 from rcl_interfaces.msg import Parameter as ParameterMessage
@@ -68,6 +72,10 @@ METHOD_KEYS = ('integrator', 'step_size', 'stabilisation')
 # less where states come rarely: so many times per second over the states per second. It answers
 # states that are a period or two old. What weight takes away, its integral gives back.
 DRIVE_RATE, DRIVE_SHARE, INTEGRAL = 50.0, 0.1, 0.3
+# So does the spring that a hand pulls with, by the middle one of so many periods, for the mass that
+# the point feels, which is found anew so often in simulated time [s].
+PERIODS = 9
+HAND_RATE, HAND_SHARE, FEEL_PERIOD = 30.0, 0.12, 0.1
 EARTH = 9.81
 VIEWER_PARAMETERS = (
     Parameter('nodes', '', 'Full names of the simulators to show, with commas between them; not '
@@ -91,6 +99,8 @@ class Attached:
     topics : dict of str to str
         Its topics by their last names: ``scene``, ``joint_states``, ``constraint_forces/CUT``,
         ``multi_dof_joint_states``.
+    wrenches : str or None
+        The topic on which it takes wrenches.
 
     Attributes
     ----------
@@ -99,15 +109,17 @@ class Attached:
 
     """
 
-    def __init__(self, node, name, topics):
+    def __init__(self, node, name, topics, wrenches):
         self.name, self.feed = name, None
         self._topics, self._logger = topics, node.get_logger()
         self._subscribe, self._publish = node.create_subscription, node.create_publisher
         self._heard = time.monotonic()
         self._time, self._fresh, self._start = 0.0, False, None
         self._playing, self._speed = True, 1.0
-        self._kinematic, self._grabbed, self._busy = False, None, None
-        self._model, self._period = None, None
+        self._kinematic, self._busy = False, None
+        # Who has taken hold of what: a page, the numbers of a body and of its place, where to.
+        self._holder = self._grabbed = self._at = None
+        self._model, self._period, self._passed = None, None, deque(maxlen=PERIODS)
         self._subscriptions = [
             self._subscribe(String, topics['scene'], self._on_scene, LATCHED_QOS)]
         prefix = name.rstrip('/')
@@ -117,6 +129,7 @@ class Attached:
         self._set = node.create_client(
             SetParametersAtomically, f'{prefix}/set_parameters_atomically')
         self._commands = None
+        self._wrenches = None if wrenches is None else self._publish(WrenchStamped, wrenches, 1)
         self._states = self._publish(JointState, f'{prefix}/set_state', 10)
 
     def _on_scene(self, message):
@@ -157,13 +170,17 @@ class Attached:
                     WrenchStamped, topic, lambda message, k=k: self._on_force(k, message), QOS))
         place = self._topics['joint_states'].rpartition('/')[0]
         self._commands = self._publish(JointState, f'{place}/joint_command', 1)
+        # Limits of drives would act on what pulls, too.
+        if any(isinstance(record, Actuator) for record in scene.effects.values()):
+            self._wrenches = None
         gravity = next((name for name, record in scene.effects.items()
                         if effect_type(record) == 'gravity'), None)
         described = describe(
             mechanism, motion_columns(mechanism), scene.effects, mode='node', title=self.name,
             drives=[self._drive_of(scene, name) for name in self._drives],
             integrators={name: INTEGRATORS[name].kind for name in LIVE_INTEGRATORS},
-            stabilisations=list(STABILISATIONS), hand=False, gravity=gravity,
+            stabilisations=list(STABILISATIONS), hand=self._wrenches is not None,
+            gravity=gravity,
             # Orientations have topics of their own.
             poses=not len(names.balls),
             speeds=[SLOWEST, FASTEST])
@@ -202,8 +219,11 @@ class Attached:
         self._time, self._fresh = stamp - self._start, True
         if passed > 0.0:
             self._period = min(passed, self._period or passed)
+            self._passed.append(passed)
             if any(mode == POSITION for mode, *_ in self._drives.values()):
                 self._command(passed)
+            if self._pulling:
+                self._tug(passed)
 
     def _on_turns(self, message):
         known = self._names.with_orientation
@@ -231,9 +251,9 @@ class Attached:
         """Show what is new, follow what the pages ask for."""
         if self.feed is None:
             return
-        for _, message in self.feed.messages():
+        for page, message in self.feed.messages():
             try:
-                self._follow(**message)
+                self._follow(page, **message)
             except (ValueError, SimulationError) as error:
                 self.feed.refuse(error)
         if self._fresh and self.feed.pages:
@@ -260,15 +280,15 @@ class Attached:
                 'values': {each.name: getattr(record, each.name) for each in fields(record)}}
                 for name, record in self._scene.effects.items()})
 
-    def _follow(self, do, **asked):
+    def _follow(self, page, do, **asked):
         """Ask the simulator for what a page asks for."""
-        action = getattr(self, f'_do_{do}', None)
-        if action is None:
-            raise FieldError('what a simulator can be asked for over topics', repr(do))
-        action(**asked)
+        if do in ('grab', 'pull', 'release'):
+            asked['page'] = page
+        getattr(self, f'_do_{do}')(**asked)
 
     def _do_play(self):
-        self._kinematic, self._grabbed, self._playing = False, None, True
+        self._let_go()
+        self._kinematic, self._playing = False, True
         self._call(self._pause, SetBool.Request(data=False))
 
     def _do_pause(self):
@@ -299,9 +319,6 @@ class Attached:
         if enabled is not None:
             changes['enabled'] = enabled
         self._change({f'effects.{name}.{key}': value for key, value in changes.items()})
-
-    def _do_release(self):
-        self._grabbed = None
 
     # Drives.
 
@@ -362,7 +379,8 @@ class Attached:
         if on and not self._kinematic:
             self._do_pause()
             self._update_model()
-        self._kinematic, self._grabbed = on, None
+        self._let_go()
+        self._kinematic = on
 
     def _require_kinematic(self):
         if not self._kinematic:
@@ -381,16 +399,73 @@ class Attached:
         joint_to(self._model, joint, value)
         self._pose_as_model()
 
-    def _do_grab(self, body, place, at):
-        self._require_kinematic()
-        self._hand.point(body, place)
-        self._grabbed = [body, place]
-        self._do_pull(at)
+    # What is taken hold of: posed, or pulled by a wrench.
 
-    def _do_pull(self, at):
-        if self._kinematic and self._grabbed is not None:
+    @property
+    def _pulling(self):
+        return self._grabbed is not None and not self._kinematic
+
+    def _do_grab(self, page, body, place, at):
+        if not self._kinematic and self._wrenches is None:
+            raise FieldError('kinematic mode, or a simulator that takes external_wrench', 'neither')
+        self._let_go()
+        if not self._kinematic:
+            self._update_model()
+        name = self._hand.point(body, place)
+        self._hand.require_near(at)
+        if not self._kinematic:
+            self._mass, self._felt_at, self._was = felt_mass(self._model, name), self._time, None
+        self._holder, self._grabbed = page, [body, place]
+        self._do_pull(page, at)
+
+    def _do_pull(self, page, at):
+        if page is not self._holder:
+            return
+        self._hand.require_near(at)
+        self._at = at
+        if self._kinematic:
             point_to(self._model, self._hand.point(*self._grabbed), at)
             self._pose_as_model()
+
+    def _do_release(self, page):
+        if page is self._holder:
+            self._let_go()
+
+    def _let_go(self):
+        if self._pulling:
+            self._push(np.zeros(3))
+        self._holder = self._grabbed = None
+
+    def _tug(self, passed):
+        """Pull like a critically damped spring on the mass that the point feels."""
+        body, place = self._grabbed
+        mechanism = self._mechanism
+        pose = body_poses(mechanism, self._position, (mechanism.bodies[body].name,))[0]
+        now = world_points(pose, grabs(mechanism, mechanism.bodies[body])[
+            place, :2 if mechanism.planar else 3])
+        was, self._was = now if self._was is None else self._was, now
+        if not 0.0 <= self._time - self._felt_at < FEEL_PERIOD:
+            self._felt_at = self._time
+            with suppress(SimulationError):
+                self._model.set_state(self._position)
+                self._mass = felt_mass(self._model, self._hand.point(body, place))
+        rate = min(HAND_RATE, HAND_SHARE / sorted(self._passed)[len(self._passed) // 2])
+        force = self._mass @ (rate * (rate * (np.array(self._at)[:len(now)] - now)
+                                      - 2.0 * (now - was) / passed))
+        turn = np.array(rotation(tuple(poses_in_space(pose)[3:].tolist())))
+        self._push(turn.T[:, :len(now)] @ force)
+
+    def _push(self, force):
+        """Publish a force, along the axes of the body that is held, on its place [N]."""
+        body, place = self._grabbed
+        body = self._mechanism.bodies[body]
+        message = WrenchStamped()
+        message.header.frame_id = body.name
+        for part, values in (
+                (message.wrench.force, force),
+                (message.wrench.torque, np.cross(grabs(self._mechanism, body)[place], force))):
+            part.x, part.y, part.z = values.tolist()
+        self._wrenches.publish(message)
 
     def _change(self, values, then=None):
         """Set parameters of the simulator; do something if it has taken them."""
@@ -456,7 +531,7 @@ class ViewerNode(Node):
                 continue
             topics = self._topics(name, space)
             if {'scene', 'joint_states'} <= set(topics):
-                self._shown[full] = Attached(self, full, topics)
+                self._shown[full] = Attached(self, full, topics, self._wrenches(name, space))
         known = [one for one in self._shown.values() if one.feed is not None]
         if self._wanted:
             ready = len(known) == len(self._wanted)
@@ -484,6 +559,14 @@ class ViewerNode(Node):
             elif last in ('scene', 'joint_states', 'multi_dof_joint_states'):
                 found[last] = topic
         return found
+
+    def _wrenches(self, name, space):
+        """Return the topic on which a node takes wrenches, whatever it is called; or None."""
+        with suppress(RuntimeError):
+            for topic, kinds in self.get_subscriber_names_and_types_by_node(name, space):
+                if 'geometry_msgs/msg/WrenchStamped' in kinds:
+                    return topic
+        return None
 
     def _serve(self, shown):
         names = [one.name for one in shown]

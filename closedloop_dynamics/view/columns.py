@@ -35,14 +35,12 @@ from ..effects.point_spring import PointSpring
 from ..effects.prescribed_force import PrescribedForce
 from ..mechanism.mechanism import GROUND
 from ..simulation.health import WARN_BELOW
-from ..visual.motion import body_poses, magnitudes
+from ..visual.motion import body_poses, body_velocities, magnitudes
 
 # Numbers of a pose: x, y, z [m], quaternion x, y, z, w; of an arrow: its foot [m], its force [N].
 POSE, ARROW = 7, 6
 # Sine of the angle to a parallel singularity below which its direction is shown.
 NEAR = 0.05
-# Steps along the velocity by which a place's is found [s].
-INSTANT = 1e-6
 # What effects with arrows or lines tell that is plotted.
 READINGS = {Contact: {'normal_force': 'normal', 'friction_force': 'friction'},
             BodyContact: {'normal_force': 'normal', 'friction_force': 'friction'},
@@ -388,17 +386,15 @@ class SimulationRows:
 
     def _sliding(self, normal, place, body, other=GROUND):
         """Return the direction in which a body slides on another at a place, across a normal."""
-        mechanism, q = self._simulation.mechanism, self._simulation.position
-        step, now = INSTANT * self._simulation.velocity, self._simulation.body_poses
+        simulation = self._simulation
+        names = [name for name in (body, other) if name != GROUND]
+        found = body_velocities(simulation.mechanism, simulation.position,
+                                simulation.velocity[np.newaxis], names)[0]
         velocity = np.zeros(3)
-        for sign in (1.0, -1.0):
-            moved = body_poses(mechanism, mechanism.coordinates.moved(q, sign * step))
-            for name, of in ((body, sign), (other, -sign)):
-                if name != GROUND:
-                    before, after = (poses[self._rows[name]] for poses in (now, moved))
-                    there, here = (np.array(rotation(tuple(pose[3:].tolist())))
-                                   for pose in (after, before))
-                    velocity += of * (after[:3] + there @ here.T @ (place - before[:3]))
+        for name, twist in zip(names, found):
+            arm = place - simulation.body_poses[self._rows[name]][:3]
+            velocity += (1.0 if name == body else -1.0) * (
+                twist[:3] + np.cross(twist[3:], arm))
         velocity -= (velocity @ normal) * normal
         return velocity / (np.linalg.norm(velocity) or 1.0)
 

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Move a mechanism by one of its points, along its closed loops."""
+"""What hands feel: moving a mechanism along its closed loops, and the inertia against that."""
 
 import numpy as np
 
@@ -22,6 +22,8 @@ CORRECTIONS, FARTHEST, DAMPING = 12, 0.2, 0.05
 # Singular values of the loops' Jacobian below this times the largest leave their motion free.
 FREE = 1e-9
 DIFFERENCE = 1e-6
+# A point that loops hold in one direction feels no heavier in it than so many times as in others.
+HEAVIEST = 20.0
 # What is missing counts no more below this [m or rad].
 NEAR = 1e-9
 
@@ -50,6 +52,41 @@ def felt_inertia(simulation):
         return 1.0 / np.where(response > 0.0, response, 0.0)
 
 
+def felt_mass(simulation, name):
+    """
+    Return the mass that who pulls a point feels in the present position, all joints free.
+
+    Parameters
+    ----------
+    simulation : simulation.simulation.Simulation
+        Read.
+    name : str
+        Of a named point.
+
+    Returns
+    -------
+    ndarray, shape (2, 2), in space (3, 3)
+        Symmetric [kg]; zero where the loops hold the point in all directions.
+
+    """
+    free = _free(simulation)
+    moves = _moves(simulation, name, free)
+    mobility = moves @ np.linalg.pinv(free.T @ simulation.inertia @ free) @ moves.T
+    values, axes = np.linalg.eigh(mobility)
+    if not values[-1] > 0.0:
+        return np.zeros_like(mobility)
+    return axes / np.maximum(values, values[-1] / HEAVIEST) @ axes.T
+
+
+def _moves(simulation, name, free):
+    """Return how a named point moves with each of some motions, shape (2 or 3, number)."""
+    moved, q = simulation.coordinates.moved, simulation.position
+    return np.array([(simulation.place(name, moved(q, DIFFERENCE * motion))
+                      - simulation.place(name, moved(q, -DIFFERENCE * motion)))
+                     / (2.0 * DIFFERENCE) for motion in free.T]).reshape(
+                         -1, len(simulation.point(name))).T
+
+
 def _free(simulation):
     """Return motions that the loops allow, shape (nv, number of freedoms)."""
     _, values, rows = np.linalg.svd(simulation.constraint_jacobian)
@@ -76,14 +113,9 @@ def point_to(simulation, name, place):
         Where the loops cannot be closed there; the last state that could be is kept.
 
     """
-    moved = simulation.coordinates.moved
-
     def goal(free):
-        start, q = simulation.point(name), simulation.position
-        moves = [(simulation.place(name, moved(q, DIFFERENCE * motion))
-                  - simulation.place(name, moved(q, -DIFFERENCE * motion))) / (2.0 * DIFFERENCE)
-                 for motion in free.T]
-        return np.array(place)[:len(start)] - start, np.array(moves).T
+        start = simulation.point(name)
+        return np.array(place)[:len(start)] - start, _moves(simulation, name, free)
 
     _follow(simulation, goal)
 

@@ -105,7 +105,7 @@ class Hand:
         self.scene = replace(
             scene, effects=effects,
             mechanism=replace(mechanism, points=(*mechanism.points, *added)))
-        self.dimensions = len(down)
+        self.dimensions, self._size = len(down), size
 
     def point(self, body, place):
         """Return the name of the point at a place of a body, by their numbers."""
@@ -113,6 +113,12 @@ class Hand:
             raise FieldError('the number of a body, and of a place of it',
                              shown([body, place]), path=('grab',))
         return self._points[body, place]
+
+    def require_near(self, at):
+        """Refuse a place so far away that the spring would have energy beyond all bounds."""
+        if max(map(abs, at)) > FARTHEST * self._size:
+            raise FieldError(f'a place within {FARTHEST:g} sizes of the mechanism',
+                             shown(list(at)), path=('at',))
 
 
 def _unused(name, taken):
@@ -144,8 +150,7 @@ class Runner:
 
     def __init__(self, scene, clock=time.monotonic):
         """Build the simulation, compiled, standing still at its start."""
-        self._size = extent(scene.mechanism)
-        self._hand = Hand(scene, self._size)
+        self._hand = Hand(scene, extent(scene.mechanism))
         self.simulation = simulation = Simulation(self._hand.scene)
         for name in self._hand.off:
             simulation.set_effect(name, enabled=False)
@@ -424,14 +429,8 @@ class Runner:
             if running:
                 self._pacer.start()
 
-    def _require_near(self, at):
-        """Refuse a place so far away that the spring would have energy beyond all bounds."""
-        if max(map(abs, at)) > FARTHEST * self._size:
-            raise FieldError(f'a place within {FARTHEST:g} sizes of the mechanism',
-                             shown(list(at)), path=('at',))
-
     def _do_grab(self, page, body, place, at):
-        self._require_near(at)
+        self._hand.require_near(at)
         name = self._hand.point(body, place)
         if self._kinematic:
             self._holder, self._grabbed = page, [body, place]
@@ -443,7 +442,7 @@ class Runner:
     def _do_pull(self, page, at):
         if self._holder is not page:
             return
-        self._require_near(at)
+        self._hand.require_near(at)
         if self._kinematic:
             self._pose_to(at)
         else:

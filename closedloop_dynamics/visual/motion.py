@@ -24,6 +24,8 @@ from ..mechanism.mechanism import (
     POINT_ON_LINE, POINT_ON_PLANE, PRISMATIC, REVOLUTE, SPHERICAL, UNIVERSAL, UNTURNED)
 
 _AXES = np.eye(3)
+# Change of coordinates by which velocities are found, by central differences [s].
+_INSTANT = 1e-6
 
 
 @dataclass(frozen=True)
@@ -75,7 +77,7 @@ def from_rows(mechanism, names, rows):
         np.array(forces).reshape(len(forces), len(parts), len(rows)).transpose(2, 0, 1))
 
 
-def body_poses(mechanism, position):
+def body_poses(mechanism, position, names=None):
     """
     Place the bodies.
 
@@ -87,11 +89,13 @@ def body_poses(mechanism, position):
         Joint coordinates [rad or m]; in space (..., nq), joint after joint: of a spherical joint
         the quaternion x, y, z, w, of a free one x, y, z before it, of a planar one x, y and
         angle, of a cylindrical one angle and displacement.
+    names : sequence of str, optional
+        Of the bodies that are wanted; all in the mechanism's order when not given.
 
     Returns
     -------
     ndarray, shape (..., nb, 3)
-        x, y [m] and angle [rad] of each body, in the mechanism's order of bodies. In space
+        x, y [m] and angle [rad] of each body. In space
         (..., nb, 7): x, y, z [m] and the unit quaternion x, y, z, w.
 
     """
@@ -107,7 +111,86 @@ def body_poses(mechanism, position):
             placed[body] = moved(pose(joint.parent), joint, coordinates)
         return placed[body]
 
-    return np.stack([pose(body.name) for body in mechanism.bodies], axis=-2)
+    if names is None:
+        names = [body.name for body in mechanism.bodies]
+    return np.stack([pose(name) for name in names], axis=-2)
+
+
+def body_velocities(mechanism, position, rates, names):
+    """
+    Return how bodies move.
+
+    Parameters
+    ----------
+    mechanism : mechanism.mechanism.Mechanism
+        Whose bodies these are.
+    position : ndarray, shape (nq,)
+        Joint coordinates, as for ``body_poses``.
+    rates : ndarray, shape (n, nv)
+        Joint rates [rad/s or m/s], n times others.
+    names : sequence of str
+        Of the bodies.
+
+    Returns
+    -------
+    ndarray, shape (n, number of names, 6)
+        Velocity of the frame's origin [m/s] and angular velocity [rad/s], in world axes; to about
+        1e-9 of their size.
+
+    """
+    moved = mechanism.coordinates.moved
+    after, before = (body_poses(mechanism, np.array(
+        [moved(position, step * rate) for rate in rates]), names)
+        for step in (_INSTANT, -_INSTANT))
+    found = np.zeros((len(rates), len(names), 6))
+    if mechanism.planar:
+        found[..., [0, 1, 5]] = (after - before) / (2.0 * _INSTANT)
+        return found
+    found[..., :3] = (after[..., :3] - before[..., :3]) / (2.0 * _INSTANT)
+    turn = composed(after[..., 3:], before[..., 3:] * (-1.0, -1.0, -1.0, 1.0))
+    found[..., 3:] = turn[..., :3] * np.sign(turn[..., 3:]) / _INSTANT
+    return found
+
+
+def wrench_in_joints(mechanism, position, body, place, wrench):
+    """
+    Return the joint torques that do what a wrench on a body does.
+
+    Parameters
+    ----------
+    mechanism : mechanism.mechanism.Mechanism
+        Of the body.
+    position : ndarray, shape (nq,)
+        Joint coordinates, as for ``body_poses``.
+    body : str
+        Its name.
+    place : ndarray, shape (3,)
+        That the force acts on, in the body's frame [m]; in the plane the last one is zero.
+    wrench : ndarray, shape (6,)
+        Force [N] and torque [N m] along the body's axes.
+
+    Returns
+    -------
+    ndarray, shape (nv,)
+        [N m or N].
+
+    """
+    names, carrying = mechanism.coordinates, {joint.child: joint for joint in mechanism.joints}
+    places, link = [], body
+    while link != GROUND:
+        joint = carrying[link]
+        places += range(*names.rates[joint.name].indices(names.nv))
+        link = joint.parent
+    torques, rates = np.zeros(names.nv), np.zeros((len(places), names.nv))
+    rates[range(len(places)), places] = 1.0
+    pose = body_poses(mechanism, position, (body,))[0]
+    if mechanism.planar:
+        pose = np.array([*pose[:2], 0.0, 0.0, 0.0, np.sin(0.5 * pose[2]), np.cos(0.5 * pose[2])])
+    arm, force, torque = (rotated(pose[3:], np.asarray(vector)) for vector in (
+        place, wrench[:3], wrench[3:]))
+    velocities = body_velocities(mechanism, position, rates, (body,))[:, 0]
+    torques[places] = velocities @ np.concatenate([force, torque + np.cross(arm, force)])
+    return torques
 
 
 def _ground(mechanism, shape):

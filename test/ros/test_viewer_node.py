@@ -140,6 +140,41 @@ def test_a_running_simulator_is_stepped_posed_and_held(spinning):
 
 
 @pytest.mark.timeout(300)
+def test_a_point_of_a_running_simulator_is_pulled(spinning):
+    simulator = spinning(SimulatorNode, scene='three_rrr')
+    viewer = spinning(ViewerNode, nodes='/closedloop_simulator')
+    wrench = simulator.live.wrench
+    with Client(served(viewer)) as client, Client(viewer.server.url) as other:
+        assert client.scene['hand']
+        client.ask('effect', name='gravity', enabled=False)
+        client.ask('reset')
+        client.until(lambda client: client.row is not None
+                     and not client.controls['effects']['gravity']['enabled'])
+        body = next(k for k, one in enumerate(client.scene['bodies'])
+                    if one['name'] == 'platform')
+        place = next(k for k, grab in enumerate(client.scene['bodies'][body]['grabs'])
+                     if not any(grab))
+        at = client.row[7 * body:7 * body + 3] + np.float32([0.02, -0.03, 0.0])
+        client.ask('grab', body=body, place=place, at=at.tolist())
+        client.until(lambda client: client.controls['grabbed'] == [body, place])
+        # Who does not hold it moves nothing, and lets nothing go.
+        other.ask('pull', at=[9.0, 9.0, 0.0])
+        other.ask('release')
+        start = client.time
+        client.until(lambda client: client.time > start + 1.0 and np.abs(
+            client.row[7 * body:7 * body + 3] - at).max() < 5e-3)
+        assert wrench.counts['wrenches taken'] > 20 and not wrench.counts['wrenches refused']
+        assert client.controls['grabbed'] == [body, place]
+        refused = client.controls['refused']
+        client.ask('pull', at=[1e6, 0.0, 0.0])
+        client.until(lambda client: client.controls['refused'] == refused + 1)
+    # The page that held it is closed.
+    while wrench.torques.any():
+        threading.Event().wait(0.01)
+    assert simulator.exit_code is None
+
+
+@pytest.mark.timeout(300)
 def test_several_simulators_have_a_page_each(spinning):
     for space, scene in (('left', 'three_rrr'), ('right', 'four_bar')):
         spinning(SimulatorNode, namespace=space, scene=scene)
