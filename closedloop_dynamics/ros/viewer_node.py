@@ -72,8 +72,8 @@ METHOD_KEYS = ('integrator', 'step_size', 'stabilisation')
 # less where states come rarely: so many times per second over the states per second. It answers
 # states that are a period or two old. What weight takes away, its integral gives back.
 DRIVE_RATE, DRIVE_SHARE, INTEGRAL = 50.0, 0.1, 0.3
-# So does the spring that a hand pulls with, by the middle one of so many periods, for the mass that
-# the point feels, which is found anew so often in simulated time [s].
+# So does the spring that a hand pulls with, by the middle one of so many periods, for the mass
+# that the point feels, which is found anew so often in simulated time [s].
 PERIODS = 9
 HAND_RATE, HAND_SHARE, FEEL_PERIOD = 30.0, 0.12, 0.1
 EARTH = 9.81
@@ -407,7 +407,7 @@ class Attached:
 
     def _do_grab(self, page, body, place, at):
         if not self._kinematic and self._wrenches is None:
-            raise FieldError('kinematic mode, or a simulator that takes external_wrench', 'neither')
+            raise FieldError('kinematic mode, or a simulator that takes wrenches', 'neither')
         self._let_go()
         if not self._kinematic:
             self._update_model()
