@@ -53,7 +53,7 @@ FINER, STEP = 4, 0.002
 STYLE = ('header, aside, #transport, #views, #legend {display: none !important} '
          'main {grid-template-columns: 1fr} #solid, #lines {inset: 0; height: 100%} '
          'html, body, #stage {background: #ffffff} '
-         '#stage {height: 100vh; min-height: 0; border: 0}')
+         '#stage {height: 100vh; min-height: 0; border: 0} #unit, #grid {bottom: 8px}')
 
 
 def motion(simulation, wanted):

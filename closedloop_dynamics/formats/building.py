@@ -425,7 +425,7 @@ def _effects(model, tree, named, end_stops, ignored):
     if limits:
         ignored[f'limits of {len(limits)} joint(s)'] = 'no end stops unless they are asked for'
     if drives:
-        ignored[f'limits of {len(drives)} drive(s)'] = 'give them as effects of the type actuator'
+        ignored[f'limits of {len(drives)} drive(s)'] = 'give them as effects of type actuator'
     return effects, position
 
 

@@ -61,6 +61,16 @@ def test_everything_imported_at_run_time_is_in_the_manifest():
     assert needed - {'setuptools'} <= present
 
 
+def test_every_ros_package_that_is_imported_is_in_the_manifest():
+    keys = {depend.name for depend in manifest().exec_depends}
+    sources = [*(ROOT / PACKAGE).rglob('*.py'), *(ROOT / 'launch').glob('*.py')]
+    imported = {name for path in sources for name in re.findall(
+        r'^\s*(?:from|import) (\w+)', path.read_text(), flags=re.M)}
+    ros = {name for name in imported if re.search(
+        r'_(msgs|srvs|interfaces|ros)$|^(rclpy|launch|ament_\w+)$', name)}
+    assert len(ros) > 10 and ros <= keys
+
+
 def test_container_recipe_names_what_exists():
     recipe = (ROOT / 'Containerfile').read_text()
     inside = re.findall(rf'src/{PACKAGE}/(requirements/[\w.-]+\.txt)', recipe)

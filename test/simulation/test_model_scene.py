@@ -129,7 +129,7 @@ def test_check_tells_loops_and_freedoms(files, capsys):
     output = capsys.readouterr().out
     assert 'degrees of freedom    1 = 3 joints - 2 equations\n' in output
     assert '\nLoops: 1\n' in output
-    assert '\n  left out, give them as effects of the type actuator: limits of 1 drive(s)' in output
+    assert '\n  left out, give them as effects of type actuator: limits of 1 drive(s)' in output
 
 
 def test_import_writes_what_runs(files, capsys):
