@@ -120,7 +120,8 @@ def page():
               'origin of the body; a rod is a solid cylinder between two places, from the origin '
               'and thin by default. In `visual` a shape may be a `mesh`, too: a `file` (STL, OBJ, '
               'PLY, GLB; from the file of the mechanism on) with `scale`, `center` and '
-              '`orientation`.',
+              '`orientation`. All of these may have a `color`: red, green and blue, 0 to 1. '
+              '`ground_visual` of a mechanism is such a list for the ground.',
               '', '### `parameters`', '',
               'Numbers by name, of a mechanism and of a scene. Every other number may be an '
               'expression of them, as text: numbers, `pi`, + - * / ** and brackets, and the '

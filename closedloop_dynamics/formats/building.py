@@ -116,17 +116,16 @@ def mechanism_of(model, end_stops=None, mend_inertias=False):
         raise MechanismError(f'{model.path}: expected a joint that moves, got none')
     named = _Names(model)
     bodies, frames = _bodies(model, groups, tree, named, mend_inertias, ignored)
-    still = [name for name in groups.links[GROUND] if name in model.links
-             and model.links[name].visual]
-    if still:
-        ignored[f'visual of {", ".join(still)}'] = 'the ground is not drawn'
+    ground = [*model.ground_visual, *(
+        placed(one, groups.of[name][1]) for name in groups.links[GROUND] if name in model.links
+        for one in model.links[name].visual)]
     mechanism = Mechanism(
         name=word(model.name), bodies=tuple(bodies),
         joints=tuple(_joint(joint, groups, frames, named) for joint in tree.joints),
         cut_joints=tuple(_cut(joint, groups, frames, named, ignored) for joint in tree.cuts),
         couplings=tuple(_coupling(relation, tree, named) for relation in model.relations),
         points=tuple(_points(model, groups, frames, named)),
-        description=f'From {model.path.name}.')
+        description=f'From {model.path.name}.', ground_visual=tuple(ground))
     try:
         mechanism = checked(mechanism)
     except FieldError as error:

@@ -29,6 +29,7 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
+from .mjcf_pictures import read_pictures
 from .model import Connection, Link, Model, Relation
 from .pose import of_quaternion, Pose
 from .xml_file import read_bytes, read_xml
@@ -43,6 +44,9 @@ SECTIONS = {
     'custom': 'for programs', 'deformable': 'not rigid', 'extension': 'for programs'}
 PARTS = {'camera': 'for pictures', 'light': 'for pictures', 'plugin': 'for programs'}
 _SOFT = ('material', 'hfield')
+# What pictures are made of, and what would open files in it.
+DRAWN = ('compiler', 'default', 'asset', 'worldbody')
+NOT_DRAWN = (*PARTS, 'attach', 'composite', 'flexcomp', 'hfield', 'model', 'skin', 'texture')
 # Names of MuJoCo's types of joints, in its order.
 TYPES = (FREE, SPHERICAL, PRISMATIC, REVOLUTE)
 CONNECT, WELD, JOINT, TENDON = range(4)
@@ -77,7 +81,9 @@ def read_mjcf(path):
             f'{path}: an MJCF file needs MuJoCo: pip install mujoco') from None
     model = Model(root.get('model') or path.stem, path)
     left_out = Counter()
-    assets = _stripped(root, path.parent.resolve(), left_out)
+    folder = path.parent.resolve()
+    drawn = ''.join(_text(part, NOT_DRAWN) for part in root.children if part.tag in DRAWN)
+    assets = _stripped(root, folder, left_out)
     model.ignored.update({f'{count} {tag}' if count > 1 else tag: {**SECTIONS, **PARTS}.get(
         tag, 'for contacts') for tag, count in left_out.items()})
     try:
@@ -87,6 +93,7 @@ def read_mjcf(path):
         raise MechanismError(f'{path}: expected a model that MuJoCo compiles, got: {told}'
                              ) from None
     _Reader(mujoco, compiled, model).read()
+    read_pictures(mujoco, f'<mujoco>{drawn}</mujoco>', folder, model)
     return model
 
 
@@ -183,11 +190,12 @@ def _strip_below(element, geoms, needed, left_out):
     element.children = kept
 
 
-def _text(element):
-    """Return an element as XML again."""
+def _text(element, left_out=()):
+    """Return an element as XML again, without elements of some names."""
     attributes = ''.join(f' {key}={quoteattr(value)}'
                          for key, value in element.attributes.items())
-    inside = ''.join(map(_text, element.children))
+    inside = ''.join(_text(child, left_out) for child in element.children
+                     if child.tag not in left_out)
     return f'<{element.tag}{attributes}>{inside}</{element.tag}>'
 
 

@@ -163,6 +163,8 @@ class Model:
     relations : list of Relation
     frames : dict of str to tuple (str, Pose)
         Named frames on links, or on ``'ground'``.
+    ground_visual : list of mechanism.Visual
+        What is drawn beside the links, in the frame of the ground.
     gravity : tuple of 3 floats
         [m/s^2].
     ignored : dict of str to str
@@ -176,6 +178,7 @@ class Model:
     joints: dict = field(default_factory=dict)
     relations: list = field(default_factory=list)
     frames: dict = field(default_factory=dict)
+    ground_visual: list = field(default_factory=list)
     gravity: tuple = GRAVITY
     ignored: dict = field(default_factory=dict)
 

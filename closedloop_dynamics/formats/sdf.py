@@ -28,7 +28,7 @@ import numpy as np
 
 from .model import Connection, Link, Model, Relation
 from .pose import IDENTITY, of_angles, of_quaternion, Pose
-from .visuals import visuals
+from .visuals import color_in, visuals
 from .xml_file import read_xml
 from ..mechanism.fields import nearest
 from ..mechanism.mechanism import (
@@ -132,7 +132,8 @@ class _Reader:
         for link in self.links:
             model.add(_link(link, self._pose))
             model.links[link.attributes['name']].visual = visuals(
-                link, model.path.parent, lambda visual: self._pose(visual.child('pose')), _child)
+                link, model.path.parent, lambda visual: self._pose(visual.child('pose')), _child,
+                _color)
             if link.attributes['name'] in (WORLD, GROUND):
                 raise link.error(f'any name but {WORLD!r} and {GROUND!r}', 'this one')
         for joint in self.joints:
@@ -343,6 +344,11 @@ def _child(element, key, count):
     if child is None or count is None:
         return child and child.text
     return child.values(child.text, count, key)
+
+
+def _color(visual):
+    material = visual.child('material')
+    return material and color_in(_child(material, 'diffuse', None))
 
 
 def _must_close(element):

@@ -28,7 +28,7 @@ import numpy as np
 from .model import Connection, Link, Model, Relation
 from .parallel_yaml import add_parallel_yaml
 from .pose import IDENTITY, of_angles, Pose
-from .visuals import visuals
+from .visuals import color_in, visuals
 from .xml_file import read_xml
 from ..mechanism.fields import nearest
 from ..mechanism.mechanism import (
@@ -73,10 +73,12 @@ def read_urdf(path):
     path = Path(path)
     robot = read_xml(path, ('robot',), _expanded(path) if path.suffix == '.xacro' else None)
     model = Model(robot.get('name') or path.stem, path)
+    colors = {material.get('name'): _color(material) for material in robot.all('material')}
     for link in robot.all('link'):
         model.add(_link(link))
         model.links[link.attributes['name']].visual = visuals(
-            link, path.parent, lambda visual: _origin(visual.child('origin')), _attribute)
+            link, path.parent, lambda visual: _origin(visual.child('origin')), _attribute,
+            lambda visual: _color_of(visual, colors))
     mimics = []
     for joint in robot.all('joint'):
         model.add(_joint(joint, mimics))
@@ -149,6 +151,17 @@ def _link(element):
 def _attribute(element, key, count):
     """Return numbers, or text, of an attribute."""
     return element.get(key) if count is None else element.numbers(key, count)
+
+
+def _color(material):
+    color = material.child('color')
+    return None if color is None else color_in(color.get('rgba'))
+
+
+def _color_of(visual, colors):
+    """Return the colour of a visual, its own or one that has a name."""
+    material = visual.child('material')
+    return material and (_color(material) or colors.get(material.get('name')))
 
 
 def _origin(element):

@@ -27,7 +27,7 @@ from ..mechanism.mechanism import BOX, CYLINDER, MESH, SPHERE, Visual
 SEARCHED = ('AMENT_PREFIX_PATH', 'GZ_SIM_RESOURCE_PATH')
 
 
-def visuals(link, folder, pose_of, values_of):
+def visuals(link, folder, pose_of, values_of, color_of):
     """
     Read what a link is drawn as; geometry of other kinds is left unread.
 
@@ -42,6 +42,8 @@ def visuals(link, folder, pose_of, values_of):
     values_of : callable
         Returns numbers of an element by key and count, ``None`` where there are none; with the
         count None text.
+    color_of : callable
+        Returns the colour of an element ``visual``, as ``Visual`` has it.
 
     Returns
     -------
@@ -60,13 +62,14 @@ def visuals(link, folder, pose_of, values_of):
             continue
         pose = pose_of(visual)
         placed_at = tuple(pose.position.tolist()), quaternion_of(pose.rotation)
+        color = color_of(visual)
         for kind, keys in ((BOX, (('size', 3),)), (SPHERE, (('radius', 1),)),
                            (CYLINDER, (('radius', 1), ('length', 1)))):
             shape = geometry.child(kind)
             if shape is not None:
                 size = [number for key, count in keys
                         for number in _positive(shape, key, values_of(shape, key, count))]
-                found.append(Visual(kind, tuple(size), *placed_at))
+                found.append(Visual(kind, tuple(size), *placed_at, color=color))
         mesh = geometry.child(MESH)
         if mesh is not None:
             scale = values_of(mesh, 'scale', 3)
@@ -75,8 +78,17 @@ def visuals(link, folder, pose_of, values_of):
             found.append(Visual(
                 MESH, (1.0, 1.0, 1.0) if scale is None else tuple(map(float, scale)), *placed_at,
                 _path(values_of(mesh, 'uri' if mesh.get('filename') is None else 'filename', None)
-                      or '', folder)))
+                      or '', folder), color))
     return found
+
+
+def color_in(text):
+    """Return red, green and blue in a text that begins with them; None: that has no such."""
+    try:
+        found = tuple(map(float, (text or '').split()[:3]))
+    except ValueError:
+        return None
+    return found if len(found) == 3 and all(0.0 <= share <= 1.0 for share in found) else None
 
 
 def _positive(shape, key, values):

@@ -44,6 +44,10 @@ def mechanism_text(mechanism, notes=()):
     parts = [*(f'# {note}' for note in notes), f'name: {mechanism.name}']
     if mechanism.description:
         parts.append(f'description: {json.dumps(mechanism.description, ensure_ascii=False)}')
+    if mechanism.ground_visual:
+        parts += ['', 'ground_visual:', *(
+            f'  - {_value(_quoted(told(visual, not mechanism.planar)))}'
+            for visual in mechanism.ground_visual)]
     for section in SECTIONS:
         records = getattr(mechanism, section)
         if records:

@@ -100,6 +100,8 @@ class Visual:
         Of its axes in the body's frame, a unit quaternion.
     file : str or None
         Of a mesh.
+    color : tuple of 3 floats or None
+        Red, green and blue, 0 to 1; None: that of its body's subsystem.
 
     """
 
@@ -108,6 +110,7 @@ class Visual:
     center: Vector3 = (0.0, 0.0, 0.0)
     orientation: Quaternion = UNTURNED
     file: Optional[str] = None  # noqa: A003
+    color: Optional[Vector3] = None
 
 
 @dataclass(frozen=True)
@@ -329,6 +332,7 @@ class Mechanism:
     The order of ``joints`` is the order of the joint coordinates q (``coordinates``), that of
     ``cut_joints``, then of ``couplings``, then of ``motions``, the order of the Lagrange
     multipliers. No file has ``motions``: a simulation adds those that its scene prescribes.
+    ``ground_visual`` is what the ground is drawn as, as ``Body.visual`` of bodies.
 
     ``parameters`` are the named numbers that a file's expressions were computed with, ``source``
     is what ``reader.with_parameters`` computes them with others from, ``tree`` tells which joints
@@ -347,6 +351,7 @@ class Mechanism:
     source: Optional[tuple] = field(default=None, compare=False, repr=False)
     tree: Optional[object] = field(default=None, compare=False, repr=False)
     motions: Tuple[Motion, ...] = ()
+    ground_visual: Tuple[Visual, ...] = field(default=(), compare=False)
 
     # Set on what validation.checked returns; a copy with other values has not been checked.
     valid = False

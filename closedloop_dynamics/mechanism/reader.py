@@ -71,8 +71,11 @@ def read_mechanism(path, parameters=None):
 def _located(data, folder):
     """Return data with the paths of meshes, which are told from a folder on, as a whole."""
     bodies = data.get('bodies') if isinstance(data, Mapping) else None
-    for body in bodies.values() if isinstance(bodies, Mapping) else ():
-        visual = body.get('visual') if isinstance(body, Mapping) else None
+    drawn = [body.get('visual') for body in (
+        bodies.values() if isinstance(bodies, Mapping) else ()) if isinstance(body, Mapping)]
+    if isinstance(data, Mapping):
+        drawn.append(data.get('ground_visual'))
+    for visual in drawn:
         for shape in visual if isinstance(visual, list) else ():
             mesh = shape.get(MESH) if isinstance(shape, Mapping) else None
             if isinstance(mesh, dict) and isinstance(mesh.get('file'), str):
@@ -175,10 +178,15 @@ def _mechanism(data, given, orders=None):
             with at(key):
                 number(value)
     spatial, links = _is_spatial(data), {}
+    ground = ()
+    if 'ground_visual' in data:
+        with at('ground_visual'):
+            ground = visuals(_evaluated(data['ground_visual'], parameters), spatial)
     mechanism = Mechanism(**{**{
         key: _records(value, key, parameters, spatial, links, data) if key in SECTIONS else value
         for key, value in data.items()},
-        'parameters': dict(parameters.values), 'source': (data, dict(given), orders)})
+        'parameters': dict(parameters.values), 'source': (data, dict(given), orders),
+        'ground_visual': ground})
     origin = (0.0, 0.0, 0.0) if spatial else (0.0, 0.0)
     bodies = tuple(
         replace(body, center_of_mass=origin)

@@ -37,7 +37,8 @@ SHAPES = {
     'rod': (('to',), ('from', 'radius')),
 }
 # The same of what bodies are drawn as.
-VISUALS = {**SHAPES, MESH: (('file',), ('scale', 'center', 'orientation'))}
+VISUALS = {kind: (required, (*optional, 'color')) for kind, (required, optional) in {
+    **SHAPES, MESH: (('file',), ('scale', 'center', 'orientation'))}.items()}
 # What follows from a shape.
 DERIVED = ('center_of_mass', 'inertia')
 
@@ -133,17 +134,19 @@ def visuals(shapes, spatial):
 def told(visual, spatial):
     """Return a Visual as ``visuals`` reads it."""
     size, center = visual.size, list(visual.center[:3 if spatial else 2])
+    color = {} if visual.color is None else {'color': list(visual.color)}
     if visual.kind == CYLINDER:
         x, y, z, w = visual.orientation
         axis = [2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)]
         if not size[0]:
             ends = [[one + sign * 0.5 * size[1] * along for one, along in zip(center, axis)]
                     for sign in (-1.0, 1.0)]
-            return {'rod': dict(zip(('from', 'to'), ends))}
-        return {CYLINDER: {'radius': size[0], 'length': size[1], 'axis': axis, 'center': center}}
+            return {'rod': {**dict(zip(('from', 'to'), ends)), **color}}
+        return {CYLINDER: {'radius': size[0], 'length': size[1], 'axis': axis, 'center': center,
+                           **color}}
     found = {BOX: lambda: {'size': list(size)}, SPHERE: lambda: {'radius': size[0]},
              MESH: lambda: {'file': visual.file, 'scale': list(size)}}[visual.kind]()
-    found['center'] = center
+    found.update(center=center, **color)
     if visual.kind != SPHERE:
         found['orientation'] = {'quaternion': list(visual.orientation)}
     return {visual.kind: found}
@@ -163,7 +166,7 @@ def _read(shape, kinds, spatial):
                 'size': _size, 'radius': not_negative if kind == 'rod' else positive,
                 'length': positive, 'axis': direction, 'center': place, 'to': place,
                 'from': place, 'orientation': orientation, 'file': text,
-                'scale': _scale}.items():
+                'scale': _scale, 'color': _color}.items():
             if key in given:
                 with at(key):
                     found[key] = check(given[key])
@@ -199,15 +202,16 @@ def _properties(kind, found, spatial):
 def _visual(kind, found):
     """Return what a shape is drawn as."""
     center = tuple(found['center'].tolist()) + (0.0,) * (3 - len(found['center']))
-    turned = found.get('orientation', UNTURNED)
+    turned, color = found.get('orientation', UNTURNED), found.get('color')
     if kind == 'box':
-        return Visual(BOX, found['size'], center, turned)
+        return Visual(BOX, found['size'], center, turned, color=color)
     if kind == 'sphere':
-        return Visual(SPHERE, (found['radius'],), center)
+        return Visual(SPHERE, (found['radius'],), center, color=color)
     if kind == 'mesh':
-        return Visual(MESH, found.get('scale', (1.0, 1.0, 1.0)), center, turned, found['file'])
+        return Visual(MESH, found.get('scale', (1.0, 1.0, 1.0)), center, turned, found['file'],
+                      color)
     return Visual(CYLINDER, (float(found['radius']), found['length']), center,
-                  _from_z(found['axis']))
+                  _from_z(found['axis']), color=color)
 
 
 def _from_z(axis):
@@ -226,6 +230,16 @@ def _scale(value):
         if factor == 0.0:
             with at(index):
                 raise FieldError('a number that is not zero', shown(factor))
+    return found
+
+
+def _color(value):
+    """Return three shares of light."""
+    found = numbers(value, 3, 'a list of 3 numbers from 0 to 1 [red, green, blue]')
+    for index, share in enumerate(found):
+        if not 0.0 <= share <= 1.0:
+            with at(index):
+                raise FieldError('a number from 0 to 1', shown(share))
     return found
 
 

@@ -107,7 +107,9 @@ def read_scene_text(text):
 
 
 def _mechanism(mechanism):
-    return {'name': mechanism.name, 'description': mechanism.description, **{
+    drawn = {'ground_visual': [told(visual, not mechanism.planar) for visual in (
+        mechanism.ground_visual)]} if mechanism.ground_visual else {}
+    return {'name': mechanism.name, 'description': mechanism.description, **drawn, **{
         key: {record.name: _record(record, not mechanism.planar)
               for record in getattr(mechanism, key)}
         for key in SECTIONS}}

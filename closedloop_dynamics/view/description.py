@@ -69,7 +69,8 @@ def describe(mechanism, columns, effects=None, **more):
     heights = _heights(mechanism, size)
     blocks, colors = sliders(mechanism), body_colors(mechanism)
     outlines = wires(mechanism, effects, rows, heights, LAYER * size)
-    meshes = sum(visual.kind == MESH for body in mechanism.bodies for visual in body.visual)
+    drawn = [mechanism.ground_visual, *(body.visual for body in mechanism.bodies)]
+    meshes = sum(visual.kind == MESH for some in drawn for visual in some)
     most = min(MOST_TRIANGLES, MOST_OF_ALL // max(meshes, 1))
     outlined = {wire['body'] for wire in outlines}
     trees = decompose(mechanism).subsystems
@@ -82,10 +83,11 @@ def describe(mechanism, columns, effects=None, **more):
         'subsystems': [colors[child[tree[0]]] for tree in trees],
         'bodies': [{
             'name': body.name, 'color': colors[body.name], 'subsystem': subsystem[body.name],
-            'shapes': (_visuals(body, size, heights[body.name], most, missing)
+            'shapes': (_visuals(body.name, body.visual, size, heights[body.name], most, missing)
                        or _shapes(mechanism, body.name, size, heights[body.name], blocks,
                                   rows[body.name] in outlined)),
             'grabs': grabs(mechanism, body).tolist()} for body in mechanism.bodies],
+        'ground': _visuals(GROUND, mechanism.ground_visual, size, 0.0, most, missing),
         'joints': [{
             'name': joint.name, 'type': joint.type, 'parent': rows[joint.parent],
             'child': rows[joint.child], 'actuated': joint.actuated,
@@ -176,10 +178,10 @@ def _shapes(mechanism, body, size, height, blocks, outlined):
     return shapes
 
 
-def _visuals(body, size, height, most, missing):
-    """Return the shapes that a body says it is drawn as; list the meshes that are missing."""
+def _visuals(name, visuals, size, height, most, missing):
+    """Return the shapes that a body is to be drawn as; list the meshes that are missing."""
     shapes = []
-    for visual in body.visual:
+    for visual in visuals:
         center = (np.array(visual.center) + (0.0, 0.0, height)).tolist()
         axes = np.array(rotation(visual.orientation))
         if visual.kind == BOX:
@@ -197,7 +199,11 @@ def _visuals(body, size, height, most, missing):
             try:
                 shapes.append(_mesh(visual, axes, center, most))
             except MeshError as error:
-                missing.append(f'{body.name}: {error}')
+                missing.append(f'{name}: {error}')
+                continue
+        if visual.color is not None:
+            shapes[-1]['color'] = '#' + ''.join(f'{round(255 * part):02x}' for part in (
+                visual.color))
     return shapes
 
 

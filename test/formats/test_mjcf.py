@@ -15,7 +15,9 @@
 """MJCF: the same accelerations and closures as MuJoCo has them, and what is refused."""
 
 from closedloop_dynamics.formats.registry import read_model
+from closedloop_dynamics.formats.yaml_text import mechanism_text
 from closedloop_dynamics.mechanism.mechanism import MechanismError
+from closedloop_dynamics.mechanism.reader import read_mechanism
 from closedloop_dynamics.simulation.far_assembly import Loops
 from closedloop_dynamics.simulation.spatial_modeling import build_spatial_model
 import numpy as np
@@ -205,6 +207,59 @@ def test_meshes_are_needed_for_masses_only(tmp_path):
     assert read_model(written(tmp_path, text.replace('BODY', heavy))).mechanism.bodies[0].mass == 1
     with pytest.raises(MechanismError, match='m.stl: expected a file that can be read'):
         read_model(written(tmp_path, text.replace('BODY', '')))
+
+
+DRAWN = """\
+<mujoco>
+  <compiler meshdir="parts"/>
+  <default><default class="seen"><geom group="2" rgba="0.1 0.2 0.3 1"/></default>
+  <default class="contacts"><geom group="3"/></default></default>
+  <asset>
+    <texture name="wood" type="2d" file="wood.png"/><material name="red" rgba="1 0 0 1"/>
+    <material name="wooden" texture="wood" rgba="0.5 0.4 0.2 1"/>
+    <mesh name="cover" file="cover.obj" scale="2 2 2"/><hfield name="hill" file="hill.png"
+    size="1 1 1 1"/>
+  </asset>
+  <worldbody>
+    <geom type="plane" size="1 2 0.1" pos="0 0 -1"/><geom type="hfield" hfield="hill"/>
+    <body name="foot" pos="0 0 0.1"><geom type="box" size="0.1 0.2 0.3" material="red"/>
+    <body name="arm" pos="1 0 0"><joint name="j" axis="0 1 0"/>
+      <inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>
+      <geom class="seen" type="capsule" size="0.1" fromto="0 0 0 0 0 1"/>
+      <geom class="contacts" type="sphere" size="0.5"/>
+      <geom class="seen" type="mesh" mesh="cover" pos="0 0 0.5" euler="90 0 0" material="wooden"/>
+      <geom type="cylinder" size="0.1 0.4"/><geom type="sphere" size="0.2" rgba="1 1 1 0"/>
+      <geom type="ellipsoid" size="0.1 0.2 0.3"/></body></body>
+  </worldbody>
+</mujoco>
+"""
+
+
+def test_bodies_and_the_world_are_drawn_as_mujoco_draws_them(tmp_path):
+    imported = read_model(written(tmp_path, DRAWN))
+    plane, box = imported.mechanism.ground_visual
+    assert (plane.kind, plane.size[:2], plane.color) == ('box', (2.0, 4.0), None)
+    # The upper side is the plane.
+    assert plane.center[2] + 0.5 * plane.size[2] == pytest.approx(-1.0)
+    # What is fixed to the ground is drawn with it.
+    assert (box.size, box.center, box.color) == (
+        (0.2, 0.4, 0.6), (0.0, 0.0, 0.1), (1.0, 0.0, 0.0))
+    rod, end, start, mesh, cylinder = imported.mechanism.bodies[0].visual
+    assert (rod.kind, rod.size, rod.center) == ('cylinder', (0.1, 1.0), (0.0, 0.0, 0.5))
+    assert {end.center[2], start.center[2]} == {0.0, 1.0} and end.kind == 'sphere'
+    assert rod.color == end.color == (0.1, 0.2, 0.3)
+    assert (mesh.file, mesh.size) == (
+        str(tmp_path.resolve() / 'parts/cover.obj'), (2.0, 2.0, 2.0))
+    assert mesh.orientation == pytest.approx((np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)))
+    assert mesh.color == (0.5, 0.4, 0.2)
+    assert (cylinder.size, cylinder.color) == ((0.1, 0.8), None)
+    assert imported.ignored['pictures of kind ellipsoid'] == 'not drawn'
+    # As a file, and read again.
+    text = mechanism_text(imported.mechanism)
+    again = read_mechanism(written(tmp_path, text, 'again.yaml'))
+    assert again.ground_visual == imported.mechanism.ground_visual
+    assert [one.color for one in again.bodies[0].visual] == [
+        one.color for one in imported.mechanism.bodies[0].visual]
 
 
 @pytest.mark.parametrize('number', ['nan', '1e999', '-inf'])

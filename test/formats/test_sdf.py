@@ -184,10 +184,12 @@ def test_faults_name_file_line_and_element(tmp_path, fault):
 def test_what_links_are_drawn_as(tmp_path):
     shapes = (
         '<visual name="v"><pose>0 0 0.1 0 0 0</pose><geometry><cylinder><radius>0.1</radius>'
-        '<length>0.2</length></cylinder></geometry></visual><visual name="m"><geometry>'
+        '<length>0.2</length></cylinder></geometry><material><diffuse>0.1 0.2 0.3 1</diffuse>'
+        '</material></visual><visual name="m"><geometry>'
         '<mesh><uri>model://it/m.obj</uri><scale>1 2 3</scale></mesh></geometry></visual>')
     text = FOUR_BAR.replace('<link name="crank">', f'<link name="crank">{shapes}')
     crank = read_model(written(tmp_path, text)).mechanism.bodies[0]
     pin, mesh = crank.visual
     assert (pin.kind, pin.size, pin.center) == ('cylinder', (0.1, 0.2), (0.0, 0.0, 0.1))
+    assert (pin.color, mesh.color) == ((0.1, 0.2, 0.3), None)
     assert mesh.file == str(tmp_path.resolve() / 'it' / 'm.obj') and mesh.size == (1.0, 2.0, 3.0)

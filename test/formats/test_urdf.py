@@ -203,23 +203,31 @@ def test_what_is_not_read_is_told(tmp_path):
 
 
 def test_what_links_are_drawn_as_goes_with_their_bodies(tmp_path):
-    box = ('<visual><origin xyz="0.1 0 0"/><geometry><box size="1 2 3"/></geometry></visual>')
+    box = ('<visual><origin xyz="0.1 0 0"/><geometry><box size="1 2 3"/></geometry>'
+           '<material name="red"/></visual>')
     mesh = ('<visual><geometry><mesh filename="package://{}/meshes/tip.stl"/></geometry></visual>'
-            '<visual><geometry><mesh filename="other.obj" scale="2 -2 2"/></geometry></visual>')
+            '<visual><geometry><mesh filename="other.obj" scale="2 -2 2"/></geometry>'
+            '<material><color rgba="0.1 0.2 0.3 1"/></material></visual>')
     (tmp_path / 'meshes').mkdir()
     (tmp_path / 'meshes' / 'tip.stl').touch()
     text = robot(LINKS, TREE, machines.TIPS, LOOPS['loop'][1])
-    for name, inside in (('crank', box), ('coupler_tip', mesh.format(tmp_path.name))):
+    text = text.replace('</robot>', '<material name="red"><color rgba="1 0 0 1"/></material>'
+                        '</robot>')
+    for name, inside in (('crank', box), ('coupler_tip', mesh.format(tmp_path.name)),
+                         ('base', box)):
         text = text.replace(f'<link name="{name}">', f'<link name="{name}">{inside}').replace(
             f'<link name="{name}"/>', f'<link name="{name}">{inside}</link>')
-    bodies = {body.name: body for body in read(tmp_path, text).mechanism.bodies}
+    mechanism = read(tmp_path, text).mechanism
+    bodies = {body.name: body for body in mechanism.bodies}
     drawn, = bodies['crank'].visual
+    assert mechanism.ground_visual == (drawn,) and drawn.color == (1.0, 0.0, 0.0)
     assert (drawn.kind, drawn.size, drawn.center) == ('box', (1.0, 2.0, 3.0), (0.1, 0.0, 0.0))
     # The tip is fixed to the coupler, 0.4 m along it.
     tip, other = bodies['coupler'].visual
     assert tip.file == str(tmp_path.resolve() / 'meshes' / 'tip.stl') and tip.size == (1, 1, 1)
     assert other.file == str(tmp_path.resolve() / 'other.obj') and other.size == (2, -2, 2)
     assert tip.center == pytest.approx((0.4, 0.0, 0.0))
+    assert (tip.color, other.color) == (None, (0.1, 0.2, 0.3))
     with pytest.raises(MechanismError, match='size to be positive'):
         read(tmp_path, text.replace('size="1 2 3"', 'size="1 2 0"'))
 

@@ -132,11 +132,11 @@ def test_what_is_drawn_is_read_again_as_it_was(spatial):
     shapes = visuals([
         {'box': {'size': [1, 2, 3], 'center': place, 'orientation': {'rpy': [0.1, 0.2, 0.3]}}},
         {'cylinder': {'radius': 1, 'length': 2, 'axis': [0, 0, -1]}},
-        {'sphere': {'radius': 1, 'center': place}}, {'rod': {'to': place}},
+        {'sphere': {'radius': 1, 'center': place, 'color': [0.1, 0, 1]}}, {'rod': {'to': place}},
         {'mesh': {'file': 'a/b.stl', 'scale': [1e-3, 1e-3, 1e-3], 'center': place}}], spatial)
     again = visuals([told(shape, spatial) for shape in shapes], spatial)
     for one, other in zip(shapes, again, strict=True):
-        assert (one.kind, one.file) == (other.kind, other.file)
+        assert (one.kind, one.file, one.color) == (other.kind, other.file, other.color)
         assert one.size == pytest.approx(other.size) and one.center == pytest.approx(other.center)
         assert one.orientation == pytest.approx(other.orientation, abs=1e-15)
 
@@ -160,6 +160,7 @@ joints: {pivot: {type: revolute, parent: ground, child: bob, position: [0, 0]}}
     ({'box': {}}, 'a list of shapes'), ([{'cone': {}}], r'\[0\]: expected a mapping with one of'),
     ([{'box': {'size': [1, 2, 0]}}], r'\[0\].box.size\[2\]'),
     ([{'mesh': {'file': 3}}], r'\[0\].mesh.file: expected text'),
+    ([{'sphere': {'radius': 1, 'color': [0, 0, 2]}}], r'\[0\].sphere.color\[2\]'),
     ([{'mesh': {'file': 'a.stl', 'size': 1}}], "the unknown key 'size'")])
 def test_what_cannot_be_drawn_is_refused(shapes, problem):
     with pytest.raises(FieldError, match=problem):

@@ -55,6 +55,14 @@ def test_bodies_with_shapes_are_drawn_as_these():
     assert {'bar', 'faces'} == {shape['kind'] for shape in body(told, 'boom')['shapes']}
 
 
+def test_the_ground_is_drawn_and_shapes_have_colors_of_their_own():
+    mechanism = load_scene('four_bar').mechanism
+    drawn = (Visual('box', (1.0, 2.0, 3.0), color=(1.0, 0.5, 0.0)), Visual('sphere', (0.1,)))
+    told = describe(replace(mechanism, ground_visual=drawn), motion_columns(mechanism))
+    assert [shape.get('color') for shape in told['ground']] == ['#ff8000', None]
+    assert describe(mechanism, motion_columns(mechanism))['ground'] == []
+
+
 def test_springs_and_cables_are_lines_between_their_points():
     spring, tyre = described('double_wishbone')['lines']
     assert (spring['kind'], spring['name'], tyre['name']) == ('spring', 'spring', 'tyre')

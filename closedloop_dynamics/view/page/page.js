@@ -81,8 +81,12 @@ class Page {
   }
 
   legend() {
-    const {subsystems, colors, cuts, points, loads, columns, joints, lines: drawn, surfaces} = this.scene;
-    const lines = subsystems.map((color, k) => [`<i style="background:${color}"></i>subsystem ${k + 1}`]);
+    const {bodies, subsystems, colors, cuts, points, loads, columns, joints, lines: drawn,
+           surfaces} = this.scene;
+    // Those that have no colours of their own.
+    const lines = subsystems.map((color, k) => [
+      `<i style="background:${color}"></i>subsystem ${k + 1}`]).filter((_, k) => bodies.some(
+      (body) => body.subsystem === k && !body.shapes.every((shape) => shape.color)));
     if (joints.some((joint) => joint.actuated)) {
       lines.push(['<i class="dot" style="background:#2a2e33;outline:1px solid #9aa1ab"></i>driven joint']);
     }

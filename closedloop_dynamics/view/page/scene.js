@@ -418,8 +418,9 @@ class Scene {
       const shade = [0, 0.16, -0.12][number % 3];
       const color = '#' + rgb(body.color).map((c) => Math.round(255 * (
         shade > 0 ? c + shade * (1 - c) : c * (1 + shade))).toString(16).padStart(2, '0')).join('');
-      for (const shape of body.shapes) this.shape(number, shape, color);
+      for (const shape of body.shapes) this.shape(number, shape, shape.color ?? color);
     });
+    for (const shape of this.described.ground) this.shape(-1, shape, shape.color ?? '#9aa0a8');
     const pin = 0.026 * size, white = [0.95, 0.95, 0.95];
     for (const joint of joints) {
       const color = joint.actuated ? INK : white;
@@ -440,8 +441,10 @@ class Scene {
                     ...cuts.filter((cut) => cut.type !== 'prismatic')
                       .flatMap((cut) => [[cut.body_a, cut.point_a], [cut.body_b, cut.point_b]])
                       .filter(([body]) => body < 0).map(([, place]) => place)];
-    for (const place of ground) this.foot(place);
-    for (const rail of rails) this.rail(rail);
+    if (!this.described.ground.length) {
+      for (const place of ground) this.foot(place);
+      for (const rail of rails) this.rail(rail);
+    }
     for (const surface of this.described.surfaces) this.surface(surface);
     for (const {body, places} of this.described.wires) {
       places.slice(1).forEach((place, k) => this.put(body, this.meshes.cylinder, between(

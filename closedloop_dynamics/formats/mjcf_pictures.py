@@ -1,0 +1,136 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+What the bodies and the world of an MJCF file are drawn as.
+
+MuJoCo reads the file a second time, with its defaults and materials, but without meshes, of which
+only the names of the files count, and without textures.
+
+"""
+
+import numpy as np
+
+from .pose import of_quaternion, quaternion_of
+from ..mechanism.mechanism import BOX, CYLINDER, MESH, SPHERE, Visual
+
+# Of groups from this one on MuJoCo's viewer shows nothing: geometry for contacts.
+HIDDEN = 3
+# How thick a plane is drawn, and how wide one without an end, as shares of the model's extent.
+THICK, WIDE = 0.005, 2.0
+# The colour of what has none.
+UNTOLD = (0.5, 0.5, 0.5)
+
+
+def read_pictures(mujoco, text, folder, model):
+    """
+    Give the links of a model, and its ground, what they are drawn as.
+
+    Parameters
+    ----------
+    mujoco : module
+        As it was imported.
+    text : str
+        MJCF that opens no other file as it is read.
+    folder : pathlib.Path
+        Of the file.
+    model : model.Model
+        With its links. What cannot be drawn is noted under ``ignored``.
+
+    """
+    try:
+        spec = mujoco.MjSpec.from_string(text)
+        meshes = _without_files(mujoco, spec, folder)
+        geoms = list(spec.geoms)
+        names = [geom.meshname for geom in geoms]
+        for geom in geoms:
+            if geom.meshname:
+                # Its frame stays that of the file.
+                geom.type, geom.meshname, geom.size = mujoco.mjtGeom.mjGEOM_SPHERE, '', (1, 0, 0)
+        compiled = spec.compile()
+    except (ValueError, RuntimeError, AttributeError, TypeError, mujoco.FatalError) as error:
+        told = ' '.join(str(error).split())
+        model.ignored['what bodies are drawn as'] = f'MuJoCo does not read it: {told}'
+        return
+    left_out = set()
+    for geom, name in zip(geoms, names):
+        number = geom.id
+        body = int(compiled.geom_bodyid[number])
+        link = model.ground_visual if body == 0 else model.links[mujoco.mj_id2name(
+            compiled, mujoco.mjtObj.mjOBJ_BODY, body) or f'body_{body}'].visual
+        if compiled.geom_group[number] < HIDDEN:
+            found = None if name and name not in meshes else _visuals(
+                mujoco, compiled, number, meshes.get(name))
+            if found is None:
+                left_out.add('mesh' if name else mujoco.mjtGeom(
+                    int(compiled.geom_type[number])).name.removeprefix('mjGEOM_').lower())
+            link += found or ()
+    if left_out:
+        model.ignored[f'pictures of kind {", ".join(sorted(left_out))}'] = 'not drawn'
+
+
+def _without_files(mujoco, spec, folder):
+    """Take out of a file what needs others; return path and scale of the meshes, by name."""
+    meshes = {mesh.name: ((folder / spec.meshdir / mesh.file), tuple(map(float, mesh.scale)))
+              for mesh in spec.meshes if mesh.file and not np.any(mesh.refpos)
+              and tuple(mesh.refquat) == (1.0, 0.0, 0.0, 0.0)}
+    for geom in list(spec.geoms):
+        if geom.type in (mujoco.mjtGeom.mjGEOM_HFIELD, mujoco.mjtGeom.mjGEOM_SDF):
+            spec.delete(geom)
+    for material in spec.materials:
+        material.textures = [''] * len(material.textures)
+    for mesh in list(spec.meshes):
+        spec.delete(mesh)
+    return meshes
+
+
+def _visuals(mujoco, compiled, number, mesh):
+    """Return the shapes that a geometry is drawn as; None: it is of another kind."""
+    kinds, kind = mujoco.mjtGeom, compiled.geom_type[number]
+    x, y, z = compiled.geom_size[number].tolist()
+    w, *vector = compiled.geom_quat[number].tolist()
+    center, turned = compiled.geom_pos[number].copy(), (*vector, w)
+    axes = of_quaternion(turned)
+    material = int(compiled.geom_matid[number])
+    *color, opacity = (compiled.geom_rgba[number] if material < 0
+                       else compiled.mat_rgba[material]).tolist()
+    color = tuple(round(share, 4) for share in color)
+    if material < 0 and np.allclose(color, UNTOLD):
+        color = None
+
+    def at(place, shape, size, file=None):
+        return Visual(shape, size, tuple((center + axes @ place).tolist()),
+                      quaternion_of(axes), file, color)
+
+    nowhere = np.zeros(3)
+    if not opacity > 0.0:
+        return []
+    if mesh is not None:
+        file, scale = mesh
+        return [at(nowhere, MESH, scale, str(file))]
+    if kind == kinds.mjGEOM_BOX:
+        return [at(nowhere, BOX, (2.0 * x, 2.0 * y, 2.0 * z))]
+    if kind == kinds.mjGEOM_SPHERE:
+        return [at(nowhere, SPHERE, (x,))]
+    if kind == kinds.mjGEOM_CYLINDER:
+        return [at(nowhere, CYLINDER, (x, 2.0 * y))]
+    if kind == kinds.mjGEOM_CAPSULE:
+        ends = (np.array([0.0, 0.0, side * y]) for side in (-1.0, 1.0))
+        return [at(nowhere, CYLINDER, (x, 2.0 * y)), *(at(end, SPHERE, (x,)) for end in ends)]
+    if kind == kinds.mjGEOM_PLANE:
+        extent = float(compiled.stat.extent)
+        thick = THICK * extent
+        return [at(np.array([0.0, 0.0, -0.5 * thick]), BOX, (
+            *(2.0 * half or WIDE * extent for half in (x, y)), thick))]
+    return None
