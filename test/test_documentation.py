@@ -47,7 +47,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = 'closedloop_dynamics'
 PAGES = [ROOT / 'README.md', *sorted((ROOT / 'doc').glob('*.md'))]
 BLOCK = re.compile(
-    r'(?:^<!-- (?P<note>.*?) -->\n)?^```(?P<kind>\w+)\n(?P<text>.*?)^```$', re.M | re.S)
+    r'(?:^<!-- (?P<note>[^\n]*?) -->\n)?^```(?P<kind>\w+)\n(?P<text>.*?)^```$', re.M | re.S)
 TERMINALS = 'each in a terminal of its own'
 AFTERWARDS = 'with what was recorded above'
 # How long a recording may take to grow on disk, which it does once a second [s].
