@@ -14,23 +14,22 @@
 
 """The sub-commands of ``closedloop``, and its command line made of them."""
 
+from importlib import import_module
 import os
 import sys
 import warnings
 
-from . import (
-    accuracy, animate, check, effects, export, formulations, import_model, plot, recover, replay,
-    simulate, stability, sweep, urdf, view)
 from .command import FAILED, HelpfulParser, UsageError
 from ..mechanism.mechanism import MechanismError
 from ..simulation.errors import SimulationError
 from ..simulation.scene import SceneError
 from ..simulation.signals import Interrupted, program_watch
 
-COMMANDS = (
-    accuracy.COMMAND, animate.COMMAND, check.COMMAND, effects.COMMAND, export.COMMAND,
-    formulations.COMMAND, import_model.COMMAND, plot.COMMAND, recover.COMMAND, replay.COMMAND,
-    simulate.COMMAND, stability.COMMAND, sweep.COMMAND, urdf.COMMAND, view.COMMAND)
+# Command -> its module, imported when it is needed: each one needs libraries of its own.
+COMMANDS = {**{name: name for name in (
+    'accuracy', 'animate', 'check', 'effects', 'export', 'formulations')}, 'import': 'import_model',
+    **{name: name for name in (
+        'plot', 'recover', 'replay', 'simulate', 'stability', 'sweep', 'urdf', 'view')}}
 
 USAGE, BROKEN_PIPE = 2, 141
 DESCRIPTION = """\
@@ -48,12 +47,13 @@ Exit codes: 0 done; 1 the simulation failed; 2 a wrong option, scene or mechanis
 """
 
 
-def parser():
-    """Return the parser of the whole command line."""
+def parser(names=tuple(COMMANDS)):
+    """Return the parser of the whole command line, with some commands only."""
     whole = HelpfulParser(prog='closedloop', description=DESCRIPTION, epilog=EPILOG)
     commands = whole.add_subparsers(
         title='commands', metavar='COMMAND', required=True, parser_class=HelpfulParser)
-    for command in COMMANDS:
+    for name in names:
+        command = import_module(f'.{COMMANDS[name]}', __package__).COMMAND
         one = commands.add_parser(
             command.name, help=command.summary, description=command.description,
             epilog=command.epilog)
@@ -75,7 +75,9 @@ def run(argv):
     for stream in (sys.stdout, sys.stderr):
         # Names of files and texts of scenes need not be what the terminal can show.
         stream.reconfigure(errors='backslashreplace')
-    arguments = parser().parse_args(argv)
+    argv = sys.argv[1:] if argv is None else argv
+    names = [name for name in argv[:1] if name in COMMANDS]
+    arguments = parser(names or COMMANDS).parse_args(argv)
     with warnings.catch_warnings():
         warnings.showwarning = lambda message, *where: _complain(arguments.prog, message, None)
         with program_watch.interrupting():

@@ -16,9 +16,9 @@
 
 from contextlib import contextmanager
 import math
+import shutil
 import subprocess
 
-from matplotlib.animation import FFMpegWriter
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
@@ -387,7 +387,7 @@ def require_writable(path):
     """
     if path.suffix.lower() not in ('.gif', '.mp4'):
         raise AnimationError(f'{path}: expected a name that ends in .gif or .mp4')
-    if path.suffix.lower() == '.mp4' and not FFMpegWriter.isAvailable():
+    if path.suffix.lower() == '.mp4' and shutil.which('ffmpeg') is None:
         raise AnimationError(
             f'{path}: the program ffmpeg makes MP4 files, and it is not installed; install it '
             f'(sudo apt install ffmpeg), or write {path.with_suffix(".gif").name}')
@@ -459,6 +459,8 @@ class _Frames(Figure):
 
 
 def _write_mp4(animation, path, rate, progress):
+    # Only here, as it takes a tenth of a second.
+    from matplotlib.animation import FFMpegWriter
     writer = FFMpegWriter(fps=rate, codec='h264')
     try:
         with writer.saving(_Frames(animation), str(path), FRAME_DOTS_PER_INCH):

@@ -22,7 +22,6 @@ apart; all of them can be told apart by colour-blind readers, too.
 """
 
 import numpy as np
-from scipy.spatial import ConvexHull
 
 from ..mechanism.decomposition import decompose
 from ..mechanism.mechanism import CYLINDRICAL, GROUND, HELICAL, PRISMATIC, REVOLUTE
@@ -114,6 +113,8 @@ def solid(points):
     if depth == 0:
         return [], []
     if depth == 3:
+        # Takes a tenth of a second, and not all have bodies in space.
+        from scipy.spatial import ConvexHull
         faces = [tuple(face) for face in ConvexHull(points).simplices.tolist()]
         pairs = {tuple(sorted(pair)) for a, b, c in faces for pair in ((a, b), (b, c), (c, a))}
         return sorted(pairs), faces
