@@ -16,15 +16,20 @@
 Measure every figure of doc/accuracy.md, doc/performance.md and README.md, from one clean commit.
 
 Runs make_accuracy_doc.py and make_performance_doc.py one after the other, then puts the figures of
-README.md in. The commit is told as it was when this began: the files that are written along the
-way do not make it another one. To be run on a machine that does nothing else.
+README.md in; with ``--stability`` it runs the hard cases for doc/stability_cases.md, too. The
+commit is told as it was when this began: the files that are written along the way do not make it
+another one. To be run on a machine that does nothing else.
 
 """
 
 import argparse
 import os
 from pathlib import Path
+import runpy
+import shutil
+import subprocess
 import sys
+from tempfile import TemporaryDirectory
 
 from machine import COMMIT, commit, ROOT
 import make_accuracy_doc
@@ -44,6 +49,16 @@ def write_readme(checkout):
         page.read_text(), readme_passages(checkout / 'doc' / 'pictures')))
 
 
+def measure_stability(checkout, quick):
+    """Run the hard cases with every method, and write doc/stability_cases.md and its picture."""
+    with TemporaryDirectory() as folder:
+        subprocess.run(
+            [sys.executable, '-m', 'closedloop_dynamics.cli', 'stability', '--output', folder,
+             *(['--quick'] if quick else [])], cwd=ROOT, check=True, stdout=subprocess.DEVNULL)
+        shutil.copy(Path(folder, 'stability.csv'), checkout / 'doc' / 'pictures')
+    runpy.run_path(str(checkout / 'doc' / 'make_stability_cases.py'), run_name='__main__')
+
+
 def main(arguments=None):
     """Measure and write."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -56,6 +71,8 @@ def main(arguments=None):
     parser.add_argument('--models', type=Path, metavar='DIR',
                         help='folder of models that others have published, which are left out '
                         'without it')
+    parser.add_argument('--stability', action='store_true',
+                        help='run the hard cases, too: a quarter of an hour')
     parser.add_argument('--output', type=Path, default=ROOT / 'benchmark_output', metavar='DIR',
                         help='where results go that no page shows (default: %(default)s)')
     parser.add_argument('--checkout', type=Path, default=ROOT, metavar='DIR',
@@ -75,6 +92,8 @@ def main(arguments=None):
             '--peers-python', options.peers_python,
             *(['--models', str(options.models)] if options.models else [])])
     write_readme(options.checkout)
+    if options.stability:
+        measure_stability(options.checkout, options.quick)
     return 0
 
 
