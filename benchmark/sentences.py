@@ -110,7 +110,7 @@ def accuracy_advice(free, held, pictures, cheapest):
         `{{integrator: rk4, step_size: 1.0e-3}}`.""",
         """**Tolerance is not error.** It bounds the local error of each step. Begin with a
         tolerance ten times smaller than the error you want: the 3-RRR released from rest
-        amplifies a small error 65 times within a second.""",
+        amplifies a small error in a base joint up to 32 times within a second.""",
         f"""**Keep `projection`.** A step of RK4 costs {spread(steps['projection'])} times one
         without stabilisation, whose drift costs accuracy. `independent` (coordinates) closes the
         loops equally well for {spread(steps['independent'])} times that cost.""",

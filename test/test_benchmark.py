@@ -22,6 +22,7 @@ import re
 import subprocess
 import sys
 
+from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest
 
@@ -115,6 +116,27 @@ def test_what_sentences_recommend_is_borne_out(benchmark):
     for text, of in document.held_settings(pictures).items():
         ratio = evaluations(of['rk4'], 1e-6) / evaluations(of['dop853'], 1e-6)
         assert ratio > 3.0 if '100 Hz' in text else ratio < 1.0
+
+
+def test_released_manipulator_amplifies_errors_as_the_pages_say():
+    simulation = Simulation.from_scene('three_rrr', integrator='dop853', tolerance=1e-13)
+    drives = list(simulation.actuated_joints)
+    start = [simulation.position[simulation.joint_names.index(name)] for name in drives]
+
+    def motion(moved):
+        simulation.reset()
+        simulation.set_state(dict(zip(drives, np.add(start, moved))), hold=drives)
+        positions = [simulation.position.copy()]
+        for _ in range(2):
+            simulation.step(duration=1.0)
+            positions.append(simulation.position.copy())
+        return np.array(positions)
+
+    apart = np.abs([motion(1e-7 * one) - motion(np.zeros(3)) for one in np.eye(3)]).max(axis=2)
+    _, one, two = (apart / apart[:, :1]).max(axis=0)
+    assert one == pytest.approx(32.0, rel=0.02) and two == pytest.approx(29e3, rel=0.02)
+    pages = [(ROOT / 'doc' / f'{name}.md').read_text() for name in ('accuracy', 'performance')]
+    assert all('up to 32 times' in ' '.join(page.split()) for page in pages)
 
 
 def test_measuring_begins_at_a_clean_commit(benchmark, monkeypatch, capsys):
