@@ -107,13 +107,13 @@ def motion_table(result, make=markdown_table):
                     for engine in engines}
             others = [row for row in chosen if row['engine'] != OURS]
             plain = [row for row in others if OWN_LOOP not in row['line']]
-            rows.append((case['name'], f'{target:.0e}', *(
-                seconds(best[engine]['best']) if best[engine] else 'not reached'
-                for engine in engines),
-                _ratio(cheapest(others, target), best.get(OURS)),
-                _ratio(cheapest(plain, target), best.get(OURS))))
-    return make(('motion', 'error within', *engines, 'best of the others, times ours',
-                 'without our loops in C++'), rows)
+            rows.append((case['name'], f'{target:.0e}',
+                         _ratio(cheapest(others, target), best.get(OURS)),
+                         _ratio(cheapest(plain, target), best.get(OURS)),
+                         *(seconds(best[engine]['best']) if best[engine] else 'not reached'
+                           for engine in engines)))
+    return make(('motion', 'error within', 'best of the others, times ours',
+                 'without our loops in C++', *engines), rows)
 
 
 def rollout_table(result, make=markdown_table):
