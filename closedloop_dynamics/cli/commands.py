@@ -26,10 +26,9 @@ from ..simulation.scene import SceneError
 from ..simulation.signals import Interrupted, program_watch
 
 # Command -> its module, imported when it is needed: each one needs libraries of its own.
-COMMANDS = {**{name: name for name in (
-    'accuracy', 'animate', 'check', 'effects', 'export', 'formulations')}, 'import': 'import_model',
-    **{name: name for name in (
-        'plot', 'recover', 'replay', 'simulate', 'stability', 'sweep', 'urdf', 'view')}}
+COMMANDS = {name: {'import': 'import_model'}.get(name, name) for name in (
+    'accuracy', 'animate', 'check', 'effects', 'export', 'formulations', 'import', 'plot',
+    'recover', 'replay', 'simulate', 'stability', 'sweep', 'urdf', 'view')}
 
 USAGE, BROKEN_PIPE = 2, 141
 DESCRIPTION = """\
