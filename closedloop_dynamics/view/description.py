@@ -31,8 +31,7 @@ from ..mechanism.decomposition import decompose
 from ..mechanism.mechanism import BOX, CYLINDER, DISTANCE, GROUND, MESH, PRISMATIC, SPHERE
 from ..simulation.modeling import extent
 from ..visual.appearance import (
-    body_colors, CONTACT_COLOR, CUT_COLOR, FORCE_COLOR, marked_points, outline, PATH_COLOR,
-    sliders, solid)
+    body_colors, CONTACT_COLOR, CUT_COLOR, marked_points, outline, sliders, solid)
 from ..visual.urdf import depths
 
 # Of links, as shares of the mechanism's size: radius of bars, thickness of plates and the distance
@@ -78,8 +77,7 @@ def describe(mechanism, columns, effects=None, **more):
     subsystem = {child[name]: number for number, tree in enumerate(trees) for name in tree}
     return {
         'name': mechanism.name, 'planar': mechanism.planar, 'size': size,
-        'colors': {'cut': CUT_COLOR, 'force': FORCE_COLOR, 'path': PATH_COLOR,
-                   'load': CONTACT_COLOR},
+        'colors': {'cut': CUT_COLOR, 'load': CONTACT_COLOR},
         'subsystems': [colors[child[tree[0]]] for tree in trees],
         'bodies': [{
             'name': body.name, 'color': colors[body.name], 'subsystem': subsystem[body.name],

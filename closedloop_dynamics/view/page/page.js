@@ -92,7 +92,7 @@ class Page {
     }
     if (cuts.length) {
       lines.push([`<i class="dot hollow" style="border-color:${colors.cut}"></i>cut joint`]);
-      lines.push([`<i style="background:${colors.force}"></i>force on body A`, 'forces']);
+      lines.push(['<i style="background:var(--force)"></i>force on body A', 'forces']);
     }
     const effects = [...new Set([...loads, ...drawn.filter((line) => line.kind !== 'rod'),
                                  ...surfaces].map((one) => one.name))];
@@ -102,7 +102,7 @@ class Page {
     if (drawn.some((line) => line.kind === 'rod')) {
       lines.push([`<i style="background:${ROD}"></i>massless rod`]);
     }
-    const path = `<i style="background:${colors.path}"></i>path`;
+    const path = '<i style="background:var(--path)"></i>path';
     if (points.length) lines.push([`${path} of ${escaped(points[0].name)}`, 'path']);
     if (points.length > 1) {
       lines.push([`${path}${points.length > 2 ? 's' : ''} of ${

@@ -187,7 +187,8 @@ class Plot {
     }
     pen.textAlign = 'center';
     pen.textBaseline = 'top';
-    const period = tickStep(to - from, 4);
+    // So few that they have room.
+    const period = tickStep(to - from, 2.4);
     if (!(period > 0)) return;
     for (let t = Math.ceil(from / period - 1e-9) * period; t <= to + 1e-9 * period; t += period) {
       if (x(t) < left + 8 || x(t) > right - 14) continue;

@@ -40,10 +40,12 @@ void main() {
   a = (0.5 + 0.5 * first.xy / first.w) * window;
   b = (0.5 + 0.5 * second.xy / second.w) * window;
   vec2 along = b - a;
-  along = dot(along, along) > 0.0 ? normalize(along) : vec2(1.0, 0.0);
+  // Pieces end where the next ones begin: what is drawn twice would show. A dot is round.
+  float cap = dot(along, along) > 0.0 ? 0.0 : 1.0;
+  along = cap > 0.0 ? vec2(1.0, 0.0) : normalize(along);
   bool ahead = gl_VertexID > 1;
   vec2 side = vec2(-along.y, along.x) * (gl_VertexID % 2 == 0 ? 1.0 : -1.0);
-  vec2 place = (ahead ? b : a) + (radius + 1.0) * (side + (ahead ? along : -along));
+  vec2 place = (ahead ? b : a) + (radius + 1.0) * (side + cap * (ahead ? along : -along));
   gl_Position = first.w > 0.0 && second.w > 0.0
     ? vec4(2.0 * place / window - 1.0, 0.0, 1.0) : vec4(2.0, 2.0, 2.0, 1.0);
 }`;
@@ -358,7 +360,7 @@ class Scene {
       body, this.load(this.items.filter((item) => item.body === body), theme)]);
     // Of arrows; as long as the unit, to be stretched.
     for (const name of ['cylinder', 'cone', 'spring']) {
-      for (const [key, color] of Object.entries({force: this.described.colors.force,
+      for (const [key, color] of Object.entries({force: theme.force,
                                                  load: this.described.colors.load,
                                                  loose: '#bf4dbf', rod: ROD})) {
         this.arrowMeshes[name + key] = this.load(
