@@ -13,16 +13,17 @@
 # limitations under the License.
 
 """
-Measure every figure of doc/accuracy.md, doc/performance.md and README.md, from one clean commit.
+Measure every figure of the pages on accuracy, performance and sweeps, from one clean commit.
 
-Runs make_accuracy_doc.py and make_performance_doc.py one after the other, then puts the figures of
-README.md in; with ``--stability`` it runs the hard cases for doc/stability_cases.md, too. The
-commit is told as it was when this began: the files that are written along the way do not make it
-another one. To be run on a machine that does nothing else.
+Runs make_accuracy_doc.py, make_performance_doc.py and throughput.py (for doc/sweep.md) one after
+the other, then puts the figures of README.md in; with ``--stability`` it runs the hard cases for
+doc/stability_cases.md, too. The commit is told as it was when this began: the files that are
+written along the way do not make it another one. To be run on a machine that does nothing else.
 
 """
 
 import argparse
+import datetime
 import os
 from pathlib import Path
 import runpy
@@ -47,6 +48,18 @@ def write_readme(checkout):
     page = checkout / 'README.md'
     page.write_text(make_accuracy_doc.filled(
         page.read_text(), readme_passages(checkout / 'doc' / 'pictures')))
+
+
+def measure_throughput(checkout, quick, python):
+    """Measure many simulations at once, and fill doc/sweep.md."""
+    few = ['--samples', '4', '--steps', '20', '--repeats', '1'] if quick else ['--samples', '64']
+    done = subprocess.run([python, str(ROOT / 'benchmark' / 'throughput.py'), *few], check=True,
+                          stdout=subprocess.PIPE, text=True)
+    machine, *lines = done.stdout.splitlines()
+    page = checkout / 'doc' / 'sweep.md'
+    page.write_text(make_accuracy_doc.filled(page.read_text(), {
+        'throughput machine': f'Measured on {datetime.date.today().isoformat()}: {machine}.',
+        'throughput': '\n'.join(line for line in lines if line.startswith('|'))}))
 
 
 def measure_stability(checkout, quick):
@@ -91,6 +104,8 @@ def main(arguments=None):
             *how, '--document', str(doc / 'performance.md'), '--output', str(options.output),
             '--peers-python', options.peers_python,
             *(['--models', str(options.models)] if options.models else [])])
+    if not options.measured:
+        measure_throughput(options.checkout, options.quick, options.peers_python)
     write_readme(options.checkout)
     if options.stability:
         measure_stability(options.checkout, options.quick)
