@@ -41,7 +41,7 @@ from closedloop_dynamics.view.page import live_page
 from closedloop_dynamics.view.posing import felt_inertia, felt_mass, joint_to, point_to
 from closedloop_dynamics.view.runner import Hand, round_up
 from closedloop_dynamics.view.server import Server
-from closedloop_dynamics.visual.motion import body_poses, Motion, world_points
+from closedloop_dynamics.visual.motion import body_poses, body_velocities, Motion
 from geometry_msgs.msg import WrenchStamped
 import numpy as np
 from rcl_interfaces.msg import Parameter as ParameterMessage
@@ -223,7 +223,7 @@ class Attached:
             if any(mode == POSITION for mode, *_ in self._drives.values()):
                 self._command(passed)
             if self._pulling:
-                self._tug(passed)
+                self._tug()
 
     def _on_turns(self, message):
         known = self._names.with_orientation
@@ -414,7 +414,7 @@ class Attached:
         name = self._hand.point(body, place)
         self._hand.require_near(at)
         if not self._kinematic:
-            self._mass, self._felt_at, self._was = felt_mass(self._model, name), self._time, None
+            self._mass, self._felt_at = felt_mass(self._model, name), self._time
         self._holder, self._grabbed = page, [body, place]
         self._do_pull(page, at)
 
@@ -436,24 +436,28 @@ class Attached:
             self._push(np.zeros(3))
         self._holder = self._grabbed = None
 
-    def _tug(self, passed):
+    def _tug(self):
         """Pull like a critically damped spring on the mass that the point feels."""
         body, place = self._grabbed
         mechanism = self._mechanism
-        pose = body_poses(mechanism, self._position, (mechanism.bodies[body].name,))[0]
-        now = world_points(pose, grabs(mechanism, mechanism.bodies[body])[
-            place, :2 if mechanism.planar else 3])
-        was, self._was = now if self._was is None else self._was, now
+        names = (mechanism.bodies[body].name,)
+        pose = poses_in_space(body_poses(mechanism, self._position, names)[0])
+        turn = np.array(rotation(tuple(pose[3:].tolist())))
+        arm = turn @ grabs(mechanism, mechanism.bodies[body])[place]
+        twist = body_velocities(
+            mechanism, self._position, self._velocity[np.newaxis], names)[0, 0]
+        size = len(self._mass)
+        now, velocity = pose[:3] + arm, twist[:3] + np.cross(twist[3:], arm)
         if not 0.0 <= self._time - self._felt_at < FEEL_PERIOD:
             self._felt_at = self._time
             with suppress(SimulationError):
                 self._model.set_state(self._position)
                 self._mass = felt_mass(self._model, self._hand.point(body, place))
-        rate = min(HAND_RATE, HAND_SHARE / sorted(self._passed)[len(self._passed) // 2])
-        force = self._mass @ (rate * (rate * (np.array(self._at)[:len(now)] - now)
-                                      - 2.0 * (now - was) / passed))
-        turn = np.array(rotation(tuple(poses_in_space(pose)[3:].tolist())))
-        self._push(turn.T[:, :len(now)] @ force)
+        # Stamps may be those of the clock, which simulated time outruns.
+        period = max(1.0, self._speed) * sorted(self._passed)[len(self._passed) // 2]
+        rate = min(HAND_RATE, HAND_SHARE / period)
+        force = self._mass @ (rate * (rate * (np.array(self._at) - now) - 2.0 * velocity))[:size]
+        self._push(turn.T[:, :size] @ force)
 
     def _push(self, force):
         """Publish a force, along the axes of the body that is held, on its place [N]."""
