@@ -27,7 +27,7 @@ else:
     from .cache import KernelCache
 
 
-def _compile(function, allocates=False, **options):
+def _compile(function, allocates=False, from_c=False, **options):
     """Return ``function`` compiled, or without numba as it is."""
     if numba is None:
         return function
@@ -35,10 +35,10 @@ def _compile(function, allocates=False, **options):
     # arrays of a model and a workspace takes longer than many a kernel.
     options['_nrt'] = allocates
     # Unpacking a model and a workspace from Python is as much code as many a kernel: private
-    # kernels, which only kernels call, go without; and nothing is called from C.
+    # kernels, which only kernels call, go without.
     kernel = numba.njit(
-        error_model='numpy', no_cfunc_wrapper=True,
-        no_cpython_wrapper=function.__name__.startswith('_'), **options)(function)
+        error_model='numpy', no_cfunc_wrapper=not from_c,
+        no_cpython_wrapper=from_c or function.__name__.startswith('_'), **options)(function)
     if not numba.config.DISABLE_JIT:
         # Numba has no public way to bring a cache of one's own.
         kernel._cache = KernelCache(function)
@@ -83,6 +83,11 @@ def inlined(function):
 
     """
     return _compile(function, forceinline=True)
+
+
+def addressed(function):
+    """Compile like ``compiled`` what is called by its address (``codegen.records``)."""
+    return _compile(function, from_c=True)
 
 
 def released(function):

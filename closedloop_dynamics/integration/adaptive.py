@@ -16,12 +16,10 @@
 
 import math
 
-from . import breaks, impacts, runge_kutta, stick_slip
+from . import motion, runge_kutta, stick_slip
 from .advance import DONE, NOT_FINITE, OPEN_LOOP, STEP_TOO_SMALL, TOO_MUCH_WORK
-from .projection import all_finite, stabilised
-from .system import rate_of_change
+from .projection import all_finite
 from ..core.compiled import compiled, inlined, merged
-from ..core.manifold import normalise
 
 # Columns of the control record: the time reached by whole steps; the step to try next (0: to be
 # guessed); the start and the size of the latest step (0: there is none to interpolate); whether
@@ -108,7 +106,7 @@ def first_step(system, tableau, state, slopes, scale, stage, out):
     guess = 1e-6 if size < 1e-5 or slope < 1e-5 else 0.01 * size / slope
     for i in range(count):
         stage[i] = state[i] + guess * slopes[0, i]
-    rate_of_change(system, stage, slopes[1])
+    motion.rate_of_change(system, stage, slopes[1])
     for i in range(count):
         weight = 1.0 / (scale[0, i] + scale[1, i] * abs(state[i]))
         bend += ((slopes[1, i] - slopes[0, i]) * weight) ** 2
@@ -202,7 +200,7 @@ def advance(system, tableau, stabilisation, state, origin, done, step_size, step
         control[STEP_SIZE] = 0.0
         return status
     interpolate(system, tableau, target, control, scratch, state)
-    if is_before(target, control[REACHED]) and not stabilised(system, stabilisation, state):
+    if is_before(target, control[REACHED]) and not motion.stabilised(system, stabilisation, state):
         return OPEN_LOOP
     return DONE
 
@@ -236,7 +234,7 @@ def interpolate(system, tableau, time, control, scratch, out):
         control[EXTENDED] = 1.0
     share = (time - control[STEP_START]) / control[STEP_SIZE]
     runge_kutta.interpolate(tableau, scratch[BEFORE], control[STEP_SIZE], slopes, share, out)
-    normalise(system.manifold, out, 1)
+    motion.normalise(system, out)
 
 
 @compiled
@@ -263,8 +261,8 @@ def accepted_step(system, tableau, stabilisation, control, scale, scratch):
         scratch[STAGE], scratch[OUT], scratch[BEFORE], scratch[AFTER], scratch[LAST_STAGE],
         scratch[FIRST_SLOPE:])
     count, stages = after.shape[0], tableau.b.shape[0]
-    rate_of_change(system, after, slopes[0])
-    landed, sought = impacts.begin(system.effects), -1
+    motion.rate_of_change(system, after, slopes[0])
+    landed, sought = motion.begin_contacts(system, after), -1
     if control[STEP_SIZE] > 0.0:
         turned, moved = 0.0, 0.0
         for i in range(count):
@@ -282,10 +280,10 @@ def accepted_step(system, tableau, stabilisation, control, scale, scratch):
         # Two steps of a half rather than one and a crumb.
         size = rest if size >= rest else min(size, 0.5 * rest) if size > 0.5 * rest else size
     rejected, closed, cuts = False, True, 0
-    size = min(size, breaks.until_next(system.effects, system, after))
+    size = min(size, motion.until_corner(system, after))
     while True:
         if not size > LEAST * max(abs(control[REACHED]), 1e-3):
-            impacts.end(system.effects)
+            motion.end_contacts(system, after)
             return (NOT_FINITE if not all_finite(slopes[0]) else
                     STEP_TOO_SMALL if closed else OPEN_LOOP)
         runge_kutta.step(system, tableau, after, size, slopes, stage, out)
@@ -293,22 +291,21 @@ def accepted_step(system, tableau, stabilisation, control, scale, scratch):
         for i in range(count):
             last[i] = stage[i]
         if tableau.error[0, stages] != 0.0:
-            rate_of_change(system, out, slopes[stages])
+            motion.rate_of_change(system, out, slopes[stages])
         error = error_norm(tableau, size, slopes, after, out, scale)
         # Written so that a NaN counts as an error too large.
         if error <= 1.0:
-            part = stick_slip.part(
-                system.effects, system, after, out, size, max(
+            part = motion.until_rest(
+                system, after, out, size, max(
                     stick_slip.least(max(size, wanted), cuts), LEAST * abs(control[REACHED])))
             if part < size:
                 size, cuts, sought = part, cuts + 1, -1
                 continue
-            part, sought = impacts.part(
-                system.effects, system, out, stage, size, sought, cuts)
+            part, sought = motion.until_contact(system, out, stage, size, sought, cuts)
             if part != size:
                 size, cuts = part if sought >= -1 else size, cuts + 1
                 continue
-            if stabilised(system, stabilisation, out):
+            if motion.stabilised(system, stabilisation, out):
                 break
         rejected, sought = True, -1
         control[REJECTED] += 1.0
@@ -321,9 +318,9 @@ def accepted_step(system, tableau, stabilisation, control, scale, scratch):
     for i in range(count):
         before[i] = after[i]
         after[i] = out[i]
-    impacts.end(system.effects)
-    stick_slip.rest(system.effects, system, after)
-    breaks.pass_corners(system.effects, system, after)
+    motion.end_contacts(system, after)
+    motion.rest(system, after)
+    motion.pass_corners(system, after)
     growth = LARGEST_GROWTH if error < 1e-10 else min(
         LARGEST_GROWTH, SAFETY * error ** (-1.0 / (tableau.error_order + 1)))
     if rejected:

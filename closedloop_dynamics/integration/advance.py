@@ -14,9 +14,8 @@
 
 """Whole steps of a chosen scheme with a chosen stabilisation, compiled as one loop."""
 
-from . import breaks, runge_kutta, semi_implicit_euler, stick_slip
-from .projection import all_finite, stabilise
-from .system import derivative
+from . import motion, runge_kutta, stick_slip
+from .projection import all_finite
 from ..core.compiled import compiled, inlined
 
 # Status of ``advance`` and ``adaptive.advance``.
@@ -54,23 +53,23 @@ def advance(system, tableau, stabilisation, state, step_size, steps, scratch):
 
     """
     stage, out, start, slopes = scratch[0], scratch[1], scratch[2], scratch[3:]
-    effects = system.effects
     for done in range(steps):
         left, size, cuts = step_size, step_size, 0
-        _keep(effects, state, start)
+        for i in range(state.shape[0]):
+            start[i] = state[i]
         # Once, but where a joint under dry friction comes to rest within the step, or a force over
         # time has a corner.
         while left > 0.0:
-            size = min(size, breaks.until_next(effects, system, state))
-            derivative(system, state, slopes[0])
+            size = min(size, motion.until_corner(system, state))
+            motion.derivative(system, state, slopes[0])
             if tableau.b.shape[0] == 0:
-                semi_implicit_euler.step(
-                    system.manifold, state, system.qdd.shape[0], size, slopes[0], out, 1)
+                motion.semi_implicit_step(system, state, size, slopes[0], out)
             else:
                 runge_kutta.step(system, tableau, state, size, slopes, stage, out)
-            closed = stabilise(system, stabilisation, out)
+            closed = motion.stabilise(system, stabilisation, out)
             if not (closed and all_finite(out)):
-                _keep(effects, start, state)
+                for i in range(state.shape[0]):
+                    state[i] = start[i]
                 return (OPEN_LOOP if all_finite(out) else NOT_FINITE), done
             left, size, cuts = taken(system, state, out, step_size, left, size, cuts)
     return DONE, steps
@@ -101,23 +100,15 @@ def taken(system, state, out, step_size, left, size, cuts):
     cuts : int
 
     """
-    part = stick_slip.part(
-        system.effects, system, state, out, size, stick_slip.least(step_size, cuts))
+    part = motion.until_rest(
+        system, state, out, size, stick_slip.least(step_size, cuts))
     if part < size:
         return left, part, cuts + 1
-    stick_slip.rest(system.effects, system, out)
-    breaks.pass_corners(system.effects, system, out)
+    motion.rest(system, out)
+    motion.pass_corners(system, out)
     for i in range(state.shape[0]):
         state[i] = out[i]
     left -= size
     if left <= stick_slip.LEAST_PART * step_size:
         left = 0.0
     return left, left, cuts
-
-
-@inlined
-def _keep(effects, state, out):
-    """Copy a state, where steps may be made in parts."""
-    if effects is not None:
-        for i in range(state.shape[0]):
-            out[i] = state[i]

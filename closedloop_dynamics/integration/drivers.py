@@ -19,13 +19,14 @@ import numpy as np
 from . import adaptive, advance, rosenbrock, switching
 from .registry import ADAPTIVE, INTEGRATORS, ROSENBROCK, SCIPY, STABILISATIONS, SWITCHING
 from .scipy_solvers import SciPySolver
-from .system import narrowed, number_of_states, parts_of_state
+from .motion import narrowed
+from .system import number_of_states, parts_of_state
 from ..core.manifold import weights
 
 
 def build_driver(system, method):
     """Build the driver of a scene's method."""
-    system, integrator = narrowed(system), INTEGRATORS[method.integrator]
+    integrator = INTEGRATORS[method.integrator]
     stabilisation = STABILISATIONS[method.stabilisation]
     if integrator.family == SCIPY:
         return SciPySolver(system, integrator.solver, stabilisation, method.tolerance)
@@ -44,6 +45,8 @@ class FixedSteps:
 
     Attributes
     ----------
+    moving : System
+        What kernels see of the system.
     tableau : Tableau
     stabilisation : int
     scratch : ndarray, shape (stages + 3, ns)
@@ -53,7 +56,9 @@ class FixedSteps:
 
     def __init__(self, system, integrator, stabilisation):
         """Allocate the scratch of the method."""
-        self._system, self.tableau = system, integrator.tableau
+        # The system is kept, as what the kernels see of it may be addresses alone.
+        self._system, self.moving = system, narrowed(system)
+        self.tableau = integrator.tableau
         self.stabilisation = stabilisation
         self.scratch = np.zeros((len(self.tableau.a) + 3, number_of_states(system)))
 
@@ -83,7 +88,7 @@ class FixedSteps:
 
         """
         status, made = advance.advance(
-            self._system, self.tableau, self.stabilisation, state, step_size, steps,
+            self.moving, self.tableau, self.stabilisation, state, step_size, steps,
             self.scratch)
         return status, made * step_size
 
@@ -117,7 +122,8 @@ class ErrorControlled:
 
     def __init__(self, system, integrator, stabilisation, tolerance):
         """Allocate the scratch of the method."""
-        self._system, self._tableau = system, integrator.tableau
+        self._system, self._moving = system, narrowed(system)
+        self._tableau = integrator.tableau
         self._stabilisation, self._tolerance = stabilisation, tolerance
         self._scale = _error_scale(system, tolerance)
         self._scratch = np.zeros(
@@ -127,7 +133,7 @@ class ErrorControlled:
     def advance(self, state, origin, done, step_size, steps):
         """Advance a state by ``steps`` times ``step_size``; see ``FixedSteps.advance``."""
         status = adaptive.advance(
-            self._system, self._tableau, self._stabilisation, state, origin, done, step_size,
+            self._moving, self._tableau, self._stabilisation, state, origin, done, step_size,
             steps, self.control, self._scale, self._scratch)
         if status == advance.DONE:
             return status, steps * step_size
@@ -165,7 +171,8 @@ class Switching:
 
     def __init__(self, system, integrator, stabilisation, accuracy):
         """Allocate the run and its companion."""
-        self._system, self._tableau = system, integrator.tableau
+        self._system, self._moving = system, narrowed(system)
+        self._tableau = integrator.tableau
         self._stabilisation, self._accuracy = stabilisation, accuracy
         self._runs = switching.allocate_runs(
             self._tableau, number_of_states(system), weights(system.manifold, len(system.qdd)))
@@ -176,7 +183,7 @@ class Switching:
     def advance(self, state, origin, done, step_size, steps):
         """Advance a state by ``steps`` times ``step_size``; see ``FixedSteps.advance``."""
         status = switching.advance(
-            self._system, self._tableau, self._stabilisation, state, origin, done, step_size,
+            self._moving, self._tableau, self._stabilisation, state, origin, done, step_size,
             steps, self._runs)
         if status == advance.DONE:
             return status, steps * step_size
@@ -213,8 +220,8 @@ class Stiff:
 
     def __init__(self, system, integrator, stabilisation, tolerance):
         """Allocate the scratch of the method."""
-        self._system, self._stabilisation = system, stabilisation
-        self._tolerance = tolerance
+        self._system, self._moving = system, narrowed(system)
+        self._stabilisation, self._tolerance = stabilisation, tolerance
         self._adaptive = integrator.kind == ADAPTIVE
         self._scale = _error_scale(system, tolerance)
         states = self._scale.shape[1]
@@ -226,12 +233,12 @@ class Stiff:
         """Advance a state by ``steps`` times ``step_size``; see ``FixedSteps.advance``."""
         if not self._adaptive:
             status, made = rosenbrock.advance_fixed(
-                self._system, self._stabilisation, state, step_size, steps, self._matrix,
+                self._moving, self._stabilisation, state, step_size, steps, self._matrix,
                 self._pivots, self._scratch)
             return status, made * step_size
         begin = self.control[adaptive.REACHED] = origin + done * step_size
         status = rosenbrock.advance_adaptive(
-            self._system, self._stabilisation, state, origin + (done + steps) * step_size,
+            self._moving, self._stabilisation, state, origin + (done + steps) * step_size,
             self.control, self._scale, self._matrix, self._pivots, self._scratch)
         if status == advance.DONE:
             return status, steps * step_size

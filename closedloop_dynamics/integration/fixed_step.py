@@ -190,8 +190,8 @@ def fill_joint_forces(system, torque, zero_order_hold, decimation, state, qdd, l
 
 
 @released
-def run(system, tableau, stabilisation, state, step_size, torque, zero_order_hold, decimation,
-        steps, scratch, buffer):
+def run(system, moving, tableau, stabilisation, state, step_size, torque, zero_order_hold,
+        decimation, steps, scratch, buffer):
     """
     Make a whole run of fixed steps.
 
@@ -199,6 +199,8 @@ def run(system, tableau, stabilisation, state, step_size, torque, zero_order_hol
     ----------
     system : System
         Model and workspace of the mechanism; ``tau`` is set from ``torque``.
+    moving : System
+        What integrators see of it (``motion.narrowed``).
     tableau, stabilisation, step_size, scratch
         As for ``advance.advance``.
     state : ndarray, shape (ns,)
@@ -233,7 +235,7 @@ def run(system, tableau, stabilisation, state, step_size, torque, zero_order_hol
             _copy(torque[done // zero_order_hold], system.tau)
         portion = min(zero_order_hold - done % zero_order_hold, decimation - done % decimation)
         status, made = advance(
-            system, tableau, stabilisation, state, step_size, min(portion, steps - done), scratch)
+            moving, tableau, stabilisation, state, step_size, min(portion, steps - done), scratch)
         done += made
         if status != DONE:
             return status, done

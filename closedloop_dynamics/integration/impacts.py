@@ -24,7 +24,6 @@ next step begins at once with the size that suits the new motion.
 
 import math
 
-from .system import rate_of_change
 from ..core.compiled import compiled, inlined
 from ..effects.table import FREE, TOUCHING, UNDECIDED
 
@@ -125,11 +124,8 @@ def _crossing(gap, row, sign, size):
 
 
 @compiled
-def _first_change(contacts, enabled, system, out, scratch, size, sought, cuts):
+def _first_change(contacts, enabled, size, sought):
     """Return when the first contact begins or ends, and its row."""
-    if cuts >= MOST_CUTS:
-        return size, sought
-    rate_of_change(system, out, scratch)
     least, first = 1.0, -1
     for k in range(contacts.rows.shape[0]):
         row = contacts.rows[k]
@@ -152,24 +148,26 @@ def _first_change(contacts, enabled, system, out, scratch, size, sought, cuts):
 
 
 @inlined
-def part(effects, system, out, scratch, size, sought, cuts):
+def may_end_a_step(effects, cuts):
+    """Return whether a contact may end a step that has been cut so often, before ``part``."""
+    if effects is None:
+        return False
+    return effects.contacts.rows.shape[0] > 0 and cuts < MOST_CUTS
+
+
+@inlined
+def part(effects, size, sought):
     """
     Return the part of a step on which no contact begins or ends.
 
     Parameters
     ----------
     effects : EffectTable or None
-        Of the system.
-    system : System
-        Model and workspace of the mechanism.
-    out, scratch : ndarray, shape (ns,)
-        State after the step; overwritten.
+        Of the system, after the evaluation of the state after the step.
     size : float
         Of the step [s].
     sought : int
         Row of the contact at whose change the step is to end; less than zero where none is.
-    cuts : int
-        How often the step has been cut.
 
     Returns
     -------
@@ -182,7 +180,5 @@ def part(effects, system, out, scratch, size, sought, cuts):
     """
     found = size, sought
     if effects is not None:
-        if effects.contacts.rows.shape[0] > 0:
-            found = _first_change(
-                effects.contacts, effects.enabled, system, out, scratch, size, sought, cuts)
+        found = _first_change(effects.contacts, effects.enabled, size, sought)
     return found

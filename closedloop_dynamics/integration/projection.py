@@ -220,12 +220,6 @@ def stabilise(system, stabilisation, state):
     return project(system, state[:nq], state[nq:nq + nv], stabilisation == PROJECTION)
 
 
-@compiled
-def stabilised(system, stabilisation, state):
-    """Do as ``stabilise`` does, compiled once: for kernels where it is not most of the work."""
-    return stabilise(system, stabilisation, state)
-
-
 @inlined
 def all_finite(values):
     """Return whether no value is infinite or NaN."""

@@ -28,13 +28,12 @@ import math
 
 import numpy as np
 
-from . import breaks, impacts, stick_slip
+from . import motion, stick_slip
 from .adaptive import (
     ACCEPTED, ERROR, is_before, LARGEST_ERROR, LEAST, NEXT_STEP, REACHED, REJECTED, SAFETY,
     STIFFNESS, WORK)
 from .advance import DONE, NOT_FINITE, OPEN_LOOP, STEP_TOO_SMALL, taken
-from .projection import all_finite, stabilised
-from .system import rate_of_change
+from .projection import all_finite
 from ..core import lu
 from ..core.compiled import compiled, merged
 
@@ -100,7 +99,7 @@ def factor_jacobian(system, state, slope, step_size, matrix, pivots, direction, 
         stage[j] = state[j] + change
         # The change that the rounded sum really made.
         change = stage[j] - state[j]
-        rate_of_change(system, stage, moved)
+        motion.rate_of_change(system, stage, moved)
         stage[j] = state[j]
         for i in range(n):
             matrix[i, j] = (slope[i] - moved[i]) / change
@@ -165,7 +164,7 @@ def step(system, state, step_size, matrix, pivots, slopes, stage, out):
         for m in range(k):
             for i in range(n):
                 stage[i] += A[k, m] * slopes[m, i]
-        rate_of_change(system, stage, slopes[k])
+        motion.rate_of_change(system, stage, slopes[k])
         for m in range(k):
             for i in range(n):
                 slopes[k, i] += C[k, m] / step_size * slopes[m, i]
@@ -214,11 +213,11 @@ def advance_fixed(system, stabilisation, state, step_size, steps, matrix, pivots
         # Once, but where a joint under dry friction comes to rest within the step, or a force over
         # time has a corner.
         while left > 0.0:
-            size = min(size, breaks.until_next(system.effects, system, state))
-            rate_of_change(system, state, slope)
+            size = min(size, motion.until_corner(system, state))
+            motion.rate_of_change(system, state, slope)
             factor_jacobian(system, state, slope, size, matrix, pivots, direction, stage, moved)
             step(system, state, size, matrix, pivots, slopes, stage, out)
-            closed = stabilised(system, stabilisation, out)
+            closed = motion.stabilised(system, stabilisation, out)
             if not (closed and all_finite(out)):
                 for i in range(state.shape[0]):
                     state[i] = start[i]
@@ -279,18 +278,18 @@ def accepted_step(system, stabilisation, state, limit, control, scale, matrix, p
     n, rest = state.shape[0], limit - control[REACHED]
     # A smaller step, at whose end a joint under dry friction comes to rest, or a force over time
     # has a corner.
-    cut, cuts = breaks.until_next(system.effects, system, state), 0
+    cut, cuts = motion.until_corner(system, state), 0
     size = control[NEXT_STEP] if control[NEXT_STEP] > 0.0 else 1e-4
-    rate_of_change(system, state, slope)
+    motion.rate_of_change(system, state, slope)
     if not all_finite(slope):
         return NOT_FINITE
-    impacts.begin(system.effects)
+    motion.begin_contacts(system, state)
     closed, sought = True, -1
     while True:
         whole = min(size, rest)
         last, used = size >= rest and not cut < whole, min(whole, cut)
         if not used > LEAST * max(abs(limit), 1e-3):
-            impacts.end(system.effects)
+            motion.end_contacts(system, state)
             return STEP_TOO_SMALL if closed else OPEN_LOOP
         rate = factor_jacobian(
             system, state, slope, used, matrix, pivots, direction, stage, moved)
@@ -304,11 +303,11 @@ def accepted_step(system, stabilisation, state, limit, control, scale, matrix, p
         factor = SAFETY * max(error, 1e-10) ** -0.25 if error < 1e30 else 0.0
         factor = min(6.0, max(0.2, factor))
         # Written so that a NaN counts as an error too large.
-        if error <= 1.0 and stabilised(system, stabilisation, out):
-            part = stick_slip.part(system.effects, system, state, out, used, max(
+        if error <= 1.0 and motion.stabilised(system, stabilisation, out):
+            part = motion.until_rest(system, state, out, used, max(
                 stick_slip.least(whole, cuts), LEAST * max(abs(limit), 1e-3)))
             if not part < used:
-                part, sought = impacts.part(system.effects, system, out, stage, used, sought, cuts)
+                part, sought = motion.until_contact(system, out, stage, used, sought, cuts)
                 if part == used:
                     break
                 part = part if sought >= -1 else used
@@ -317,9 +316,9 @@ def accepted_step(system, stabilisation, state, limit, control, scale, matrix, p
         closed, sought = not error <= 1.0, -1
         control[REJECTED] += 1.0
         size = used * (min(factor, SAFETY) if closed else 0.5)
-    impacts.end(system.effects)
-    stick_slip.rest(system.effects, system, out)
-    breaks.pass_corners(system.effects, system, out)
+    motion.end_contacts(system, state)
+    motion.rest(system, out)
+    motion.pass_corners(system, out)
     for i in range(n):
         state[i] = out[i]
     control[REACHED] = limit if last else control[REACHED] + used

@@ -14,7 +14,7 @@
 
 """One step of any explicit Runge-Kutta method, its error estimate and its dense output."""
 
-from .system import derivative, rate_of_change
+from . import motion
 from ..core.compiled import inlined, merged
 
 
@@ -44,7 +44,7 @@ def step(system, tableau, state, step_size, slopes, stage, out):
     steps = tableau.b.shape[0]
     for k in range(1, steps):
         combine(tableau.a[k], k, state, step_size, slopes, stage)
-        derivative(system, stage, slopes[k])
+        motion.derivative(system, stage, slopes[k])
     combine(tableau.b, steps, state, step_size, slopes, out)
 
 
@@ -67,7 +67,7 @@ def extend(system, tableau, state, step_size, slopes, stage, first):
     """Evaluate the slopes from number ``first`` on that only dense output needs."""
     for k in range(first, tableau.a.shape[0]):
         combine(tableau.a[k], k, state, step_size, slopes, stage)
-        rate_of_change(system, stage, slopes[k])
+        motion.rate_of_change(system, stage, slopes[k])
 
 
 @merged

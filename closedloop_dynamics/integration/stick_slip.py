@@ -23,7 +23,6 @@ would turn round is cut where it comes to rest; there it sticks, or sets out aga
 
 import math
 
-from .system import evaluate, take_states
 from ..core import kinematics
 from ..core.compiled import compiled, inlined
 from ..core.manifold import rates_begin
@@ -119,26 +118,6 @@ def part(effects, system, before, after, size, floor):
 
 
 @compiled
-def _rest(cuts, effects, system, state):
-    """Let joints stick or slip, where a scene has dry friction."""
-    nv = system.qdd.shape[0]
-    nq = rates_begin(system.manifold, nv)
-    if cuts is None:
-        if _stick(effects, state[nq:nq + nv], state[nq + nv:]):
-            take_states(effects, state, nq + nv)
-            evaluate(system, state[:nq], state[nq:nq + nv])
-            sticking.stop(effects, state[nq:nq + nv])
-    if cuts is not None:
-        _rates(cuts, effects, system, state, cuts.qd)
-        if _stick(effects, cuts.qd, state[nq + nv:]):
-            take_states(effects, state, nq + nv)
-            evaluate(system, state[:nq], state[nq:nq + nv])
-            sticking.stop(effects, cuts.qd)
-            for i in range(nv):
-                state[nq + i] = cuts.qd[i]
-
-
-@compiled
 def _stick(effects, rates, own):
     """Tell the effects which joints slide or rest; return whether one at rest still moves."""
     slow = False
@@ -164,8 +143,21 @@ def _left_over(cuts, joint):
     return most
 
 
+@compiled
+def _stick_or_slip(cuts, effects, system, state):
+    """Do as ``stick`` does, where anything acts in cut joints or not."""
+    nv, slow = system.qdd.shape[0], False
+    nq = rates_begin(system.manifold, nv)
+    if cuts is None:
+        slow = _stick(effects, state[nq:nq + nv], state[nq + nv:])
+    if cuts is not None:
+        _rates(cuts, effects, system, state, cuts.qd)
+        slow = _stick(effects, cuts.qd, state[nq + nv:])
+    return slow
+
+
 @inlined
-def rest(effects, system, state):
+def stick(effects, system, state):
     """
     Let joints stick that have come to rest, and slip that have broken away, after a step.
 
@@ -178,7 +170,33 @@ def rest(effects, system, state):
     state : ndarray, shape (ns,)
         Corrected in place.
 
+    Returns
+    -------
+    bool
+        Whether any that stick still move: the state is to be evaluated before ``stop``.
+
     """
+    if effects is None:
+        return False
+    return effects.sticking.response.shape[0] > 1 and _stick_or_slip(
+        effects.cuts, effects, system, state)
+
+
+@compiled
+def _stop(cuts, effects, system, state):
+    """Do as ``stop`` does, where anything acts in cut joints or not."""
+    nv = system.qdd.shape[0]
+    nq = rates_begin(system.manifold, nv)
+    if cuts is None:
+        sticking.stop(effects, state[nq:nq + nv])
+    if cuts is not None:
+        sticking.stop(effects, cuts.qd)
+        for i in range(nv):
+            state[nq + i] = cuts.qd[i]
+
+
+@inlined
+def stop(effects, system, state):
+    """Take what is left of their rates from joints that stick; all as for ``stick``."""
     if effects is not None:
-        if effects.sticking.response.shape[0] > 1:
-            _rest(effects.cuts, effects, system, state)
+        _stop(effects.cuts, effects, system, state)

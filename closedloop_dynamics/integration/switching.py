@@ -31,14 +31,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from . import adaptive, rosenbrock
+from . import adaptive, motion, rosenbrock
 from .adaptive import (
     AFTER, CONTROL_COLUMNS, FIRST_SLOPE, HOLD, is_before, LEAST, MOST_EVALUATIONS, NEXT_STEP,
     OUT, REACHED, RESTARTED, STEP_SIZE, STIFFNESS, WORK)
 from .advance import DONE, OPEN_LOOP, TOO_MUCH_WORK
-from .projection import stabilised
 from ..core.compiled import compiled, merged
-from ..core.manifold import rates_begin
 
 # Columns that follow those of ``adaptive`` in the control record: whether the stiff method steps;
 # explicit steps in a row that stability seems to limit and those that it does not; how many of the
@@ -180,7 +178,7 @@ def advance(system, tableau, stabilisation, state, origin, done, step_size, step
         control[RUN, STEP_SIZE] = 0.0
         return status
     adaptive.interpolate(system, tableau, target, control[RUN], scratch[RUN], state)
-    if is_before(target, control[RUN, REACHED]) and not stabilised(system, stabilisation, state):
+    if is_before(target, control[RUN, REACHED]) and not motion.stabilised(system, stabilisation, state):
         return OPEN_LOOP
     return DONE
 
@@ -322,7 +320,7 @@ def _distance(system, tableau, runs):
     adaptive.interpolate(
         system, tableau, runs.control[RUN, REACHED], runs.control[COMPANION], scratch[COMPANION],
         scratch[COMPANION, OUT])
-    for i in range(rates_begin(system.manifold, system.qdd.shape[0])):
+    for i in range(runs.weight.shape[0]):
         apart = max(apart, runs.weight[i] * abs(
             scratch[COMPANION, OUT, i] - scratch[RUN, AFTER, i]))
     return apart

@@ -52,6 +52,14 @@ LONG = 3.0
 _YES = np.zeros(0)
 
 
+class Routine(NamedTuple):
+    """What a system does, behind an address; see ``motion``."""
+
+    addresses: np.ndarray  # Of code and record
+    numbers: np.ndarray  # Shape (3,): what is handed over and returned
+    record: np.ndarray  # What the second address is that of
+
+
 class System(NamedTuple):
     """
     One mechanism with all that an evaluation of its motion reads and writes.
@@ -85,6 +93,10 @@ class System(NamedTuple):
         Of coordinates and rates, as unrolled routines leave them.
     manifold : Manifold or None
         Where quaternions are among the coordinates; None where there are none.
+    direct : ndarray of no length, or None
+        Whether integrators call the functions below; else they ask the routine.
+    routine : Routine or None
+        Of what integrators see of a system that they are not compiled for.
 
     Notes
     -----
@@ -109,6 +121,8 @@ class System(NamedTuple):
     by_loops: Optional[np.ndarray]
     corrections: np.ndarray
     manifold: Optional[Manifold]
+    direct: Optional[np.ndarray]
+    routine: Optional[Routine]
 
     def __reduce__(self):
         """Copy and pickle without addresses, which hold for these very arrays."""
@@ -159,7 +173,7 @@ def build_system(model, formulation=SUBSYSTEM, baumgarte=0.0, extent=1.0, indepe
         settings=settings, tau=tau, qdd=np.zeros(nv), lam=np.zeros(nc),
         applied=tau if effects is None else effects.applied[:nv], effects=effects, table=None,
         unrolled=_YES if unrolled else None, by_loops=None if unrolled else _YES,
-        corrections=np.zeros((2, nv)), manifold=manifold_of(model))
+        corrections=np.zeros((2, nv)), manifold=manifold_of(model), direct=_YES, routine=None)
     return _linked(system)
 
 
@@ -237,26 +251,6 @@ def _or_nan(out, kernel, *arguments):
     # No decomposition is found of numbers that are not finite, or nearly so.
     with suppress(ValueError, np.linalg.LinAlgError):
         kernel(*arguments)
-
-
-def narrowed(system):
-    """
-    Leave out of a system what the steps of an unrolled mechanism never touch.
-
-    Every compiled kernel is handed all arrays of its system: with a third of them it is compiled
-    in less than half the time.
-
-    Returns
-    -------
-    System
-        With the same arrays; itself where nothing can be left out.
-
-    """
-    if system.unrolled is None or system.partition is not None or system.effects:
-        return system
-    used = Workspace(*(None for _ in Workspace._fields))._replace(
-        closure=system.work.closure, health=system.work.health)
-    return system._replace(model=None, work=used, lam=None)
 
 
 def parts_of_state(system):
@@ -650,55 +644,23 @@ def evaluate_only(system, q, qd):
     _complete(system.effects, system, q, qd)
 
 
-class Probe:
+@merged
+def evaluate_state(system, state):
     """
-    Evaluations asked for from Python, one at a time.
+    Evaluate a state vector, shape (ns,), as ``evaluate_only`` does; its effects' states, too.
 
-    A compiled kernel called from Python spends several times its own time on unpacking the
-    system; an unrolled routine is handed three addresses.
-
-    Attributes
+    Parameters
     ----------
-    q, qd : ndarray, shape (nq,), (nv,)
-        The state that is evaluated: views of one that moves or, where none are given, its own.
+    system : System
+        What moves.
+    state : ndarray, shape (ns,)
+        As ``System`` tells.
 
     """
-
-    def __init__(self, system, q=None, qd=None):
-        """Look up where everything is."""
-        self._system, self._routines = system, {}
-        self.q = np.zeros(number_of_coordinates(system.model)) if q is None else q
-        self.qd = np.zeros(len(system.qdd)) if qd is None else qd
-        self._quick = system.unrolled is not None and system.effects is None
-        self._pointers = tuple(array.ctypes.data for array in (system.table, self.q, self.qd))
-
-    def evaluate(self):
-        """Do as the kernel ``evaluate`` does."""
-        if not self._quick:
-            evaluate(self._system, self.q, self.qd)
-            return
-        self._call(calls.OUTWARD)
-        if not self._call(calls.ACCELERATION):
-            self._accelerate_anew()
-
-    def evaluate_only(self):
-        """Do the same, but leave nothing else behind where that is quicker."""
-        if not self._quick:
-            evaluate(self._system, self.q, self.qd)
-        elif not self._call(calls.EVALUATION):
-            self._call(calls.OUTWARD)
-            self._accelerate_anew()
-
-    def _accelerate_anew(self):
-        if not self._call(calls.REFINED_ACCELERATION):
-            calls.run(self._system.table, calls.RANK_REVEALING_ACCELERATION, self.q, self.qd)
-
-    def _call(self, which):
-        """Call a routine, whose address may have changed since."""
-        address = int(self._system.table[which])
-        if address not in self._routines:
-            self._routines[address] = calls.function(self._system.table, which)
-        return self._routines[address](*self._pointers)
+    nv = system.qdd.shape[0]
+    nq = rates_begin(system.manifold, nv)
+    take_states(system.effects, state, nq + nv)
+    evaluate_only(system, state[:nq], state[nq:nq + nv])
 
 
 @merged
@@ -716,21 +678,27 @@ def derivative(system, state, out):
         Written in place.
 
     """
+    close_stage(system, state)
+    evaluate_state(system, state)
+    take_derivative(system, state, out)
+
+
+@merged
+def close_stage(system, state):
+    """Close the loops of independent coordinates: the others are first guesses only."""
     nv = system.qdd.shape[0]
     nq = rates_begin(system.manifold, nv)
-    # Independent coordinates: the others of a stage are first guesses only.
     _close(system.partition, system.model, system.work, system.manifold, state[:nq],
            state[nq:nq + nv], system.settings[CLOSURE_TOLERANCE])
-    take_states(system.effects, state, nq + nv)
-    evaluate_only(system, state[:nq], state[nq:nq + nv])
+
+
+@merged
+def take_derivative(system, state, out):
+    """Put together the derivative of a state that has been evaluated."""
+    nv = system.qdd.shape[0]
+    nq = rates_begin(system.manifold, nv)
     rates_of_coordinates(system.manifold, state, nv, out, 1)
     for i in range(nv):
         out[nq + i] = system.qdd[i]
     _give_rates(system.effects, nq + nv, out)
     power_of_turns(system.manifold, system.tau, state, nv, out, 1)
-
-
-@compiled
-def rate_of_change(system, state, out):
-    """Do as ``derivative`` does, compiled once: for kernels where it is not most of the work."""
-    derivative(system, state, out)

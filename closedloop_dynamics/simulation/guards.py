@@ -36,7 +36,8 @@ from .errors import (
     ClosureError, InaccuracyWarning, NumericalError, SingularityError, StiffnessError)
 from ..core.types import SINGULAR_COUNT
 from ..integration.registry import ADAPTIVE, AUTO, EXPLICIT, FIXED, INTEGRATORS
-from ..integration.system import parts_of_state, rate_of_change
+from ..integration.motion import narrowed, rate_of_change
+from ..integration.system import parts_of_state
 
 # Step size times fastest rate at which the explicit methods leave stability, along the
 # imaginary axis (springs without damping) or the negative real one (dampers).
@@ -93,13 +94,14 @@ def fastest_rate(system, state, own=()):
     silent[:of_effects.start] = False
     silent[of_effects.start + np.array(own, dtype=int)] = False
     slope, moved = np.zeros_like(state), np.zeros_like(state)
-    rate_of_change(system, state.copy(), slope)
+    moving = narrowed(system)
+    rate_of_change(moving, state.copy(), slope)
     direction = np.random.default_rng(0).normal(size=len(state))
     direction[silent] = 0.0
 
     def turned(vector):
         size = DIFFERENCE / max(np.abs(vector).max(), 1e-300)
-        rate_of_change(system, state + size * vector, moved)
+        rate_of_change(moving, state + size * vector, moved)
         result = (moved - slope) / size
         result[silent] = 0.0
         return result

@@ -179,8 +179,8 @@ def _in_one_loop(simulation, tau, schedule, steps, quantities):
     system, driver = simulation.system, simulation.monitor.driver
     buffer = buffer_for(simulation, schedule, quantities)
     status, _ = run(
-        system, driver.tableau, driver.stabilisation, simulation.integrated, simulation.step_size,
-        tau, *schedule.in_steps(steps), driver.scratch, buffer)
+        system, driver.moving, driver.tableau, driver.stabilisation, simulation.integrated,
+        simulation.step_size, tau, *schedule.in_steps(steps), driver.scratch, buffer)
     simulation.touch()
     if status != DONE:
         return None

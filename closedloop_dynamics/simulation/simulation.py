@@ -50,8 +50,9 @@ from ..integration.advance import DONE, NOT_FINITE, OPEN_LOOP, TOO_MUCH_WORK
 from ..integration.drivers import build_driver
 from ..integration.fixed_step import joint_forces
 from ..integration.registry import INTEGRATORS, SCIPY
+from ..integration.motion import Probe
 from ..integration.system import (
-    BAUMGARTE_GAIN, build_system, CLOSURE_LIMIT, parts_of_state, Probe, with_equations)
+    BAUMGARTE_GAIN, build_system, CLOSURE_LIMIT, parts_of_state, with_equations)
 from ..mechanism.decomposition import decompose
 from ..mechanism.fields import at, FieldError, keys_of, mapping
 
@@ -153,7 +154,7 @@ class Simulation:
 
     def _set_probes(self):
         """Evaluate the present state, and any other, of the present system."""
-        self._present = Probe(self.system, self._q, self._qd)
+        self._present = Probe(self.system, self._state)
         self._probe = Probe(self.system)
 
     def _prescribe(self, scene, model):
@@ -824,7 +825,6 @@ class Simulation:
     def _evaluate(self):
         """Evaluate the present state once for all that is asked of it."""
         if not self._fresh:
-            self._table.states[:] = self._own
             self._present.evaluate()
             self._fresh = True
 
@@ -1591,6 +1591,7 @@ class Simulation:
         system.tau[:] = tau
         self._table.states[:] = self._own
         self._effects.follow(self._table.states, self._effects.rates(probe.q, probe.qd))
+        probe.own[:] = self._table.states
         probe.evaluate_only()
         system.tau[:] = applied
         self._fresh = False

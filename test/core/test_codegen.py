@@ -26,9 +26,8 @@ from closedloop_dynamics.core.codegen.expression_graph import (
 from closedloop_dynamics.core.codegen.packed_writer import (
     by_number, PackedWriter, Packing, WORTH)
 from closedloop_dynamics.core.types import ALPHA, AY, REVOLUTE_ARMATURE, TYPE
-from closedloop_dynamics.integration.projection import stabilised
-from closedloop_dynamics.integration.system import (
-    build_system, evaluate, narrowed, rate_of_change)
+from closedloop_dynamics.integration.motion import narrowed, rate_of_change, stabilised
+from closedloop_dynamics.integration.system import build_system, evaluate
 from closedloop_dynamics.simulation.modeling import build_model
 import numpy as np
 import pytest
