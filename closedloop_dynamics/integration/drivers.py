@@ -17,9 +17,9 @@
 import numpy as np
 
 from . import adaptive, advance, rosenbrock, switching
+from .motion import narrowed
 from .registry import ADAPTIVE, INTEGRATORS, ROSENBROCK, SCIPY, STABILISATIONS, SWITCHING
 from .scipy_solvers import SciPySolver
-from .motion import narrowed
 from .system import number_of_states, parts_of_state
 from ..core.manifold import weights
 

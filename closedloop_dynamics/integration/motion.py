@@ -21,7 +21,6 @@ asked: it is compiled for each kind of system, the integrators once for all.
 
 """
 
-import functools
 import math
 from typing import NamedTuple
 
@@ -29,14 +28,12 @@ import numpy as np
 
 from . import breaks, impacts, projection, semi_implicit_euler, stick_slip, system as systems
 from .system import Routine, System
-from ..core import codegen, manifold
+from ..core import manifold
 from ..core.codegen import function_table as calls
+from ..core.codegen.records import (
+    addresses_of, array_at, call_with_record, from_python, record_at)
 from ..core.compiled import addressed, compiled, inlined, merged
 from ..core.types import Workspace
-
-if codegen.available():
-    from ..core.codegen.records import (
-        addresses_of, array_at, call_with_record, called_with_record, record_at)
 
 # What can be asked of a routine.
 (EVALUATE, DERIVATIVE, STABILISE, NORMALISE, EULER, UNTIL_CORNER, PASS_CORNERS, BEGIN_CONTACTS,
@@ -121,11 +118,8 @@ def narrowed(system):
     System
         With the same arrays, but only those that steps touch: handed all of them, kernels take
         more than twice as long to compile. It holds addresses: the system itself must be kept.
-        Without a compiler the system itself.
 
     """
-    if not codegen.available():
-        return system
     bare = system._replace(
         model=None, work=Workspace(*(None for _ in Workspace._fields))._replace(
             closure=system.work.closure, health=system.work.health), lam=None)
@@ -170,22 +164,18 @@ class Probe:
         self._table = tuple(
             array.ctypes.data for array in (system.table, self.q, self.qd))
         self._bare = system.unrolled is not None and system.effects is None
-        if not self._bare and codegen.available():
+        if not self._bare:
             self._routine = _routine_of(system)
-            self._ask = functools.partial(
-                called_with_record(self._routine.addresses), EVALUATE, count,
-                self._state.ctypes.data, self._state.ctypes.data)
+            self._ask = from_python(self._routine.addresses, EVALUATE, self._state)
 
     def evaluate(self):
         """Do as ``system.evaluate`` does."""
-        if self._bare:
-            self._call(calls.OUTWARD)
-            if not self._call(calls.ACCELERATION):
-                self._accelerate_anew()
-        elif codegen.available():
+        if not self._bare:
             self._ask()
-        else:
-            systems.evaluate_state(self._system, self._state)
+            return
+        self._call(calls.OUTWARD)
+        if not self._call(calls.ACCELERATION):
+            self._accelerate_anew()
 
     def evaluate_only(self):
         """Do the same, but leave nothing else behind where that is quicker."""
@@ -331,14 +321,12 @@ def until_corner(system, state):
         [s]; infinity where there is none.
 
     """
-    return _until_corner(system.direct, system.routine, system, state)
+    return _until_corner(system.routine, state)
 
 
 @inlined
-def _until_corner(direct, routine, system, state):
+def _until_corner(routine, state):
     wait = math.inf
-    if direct is not None:
-        wait = breaks.until_next(system.effects, system, state)
     if routine is not None:
         call_with_record(routine.addresses, UNTIL_CORNER, state, state)
         wait = routine.numbers[0]
@@ -348,45 +336,28 @@ def _until_corner(direct, routine, system, state):
 @inlined
 def pass_corners(system, state):
     """Let what follows a corner begin, after a step that may have ended there; shape (ns,)."""
-    _pass_corners(system.direct, system.routine, system, state)
+    _ask(system.routine, PASS_CORNERS, state)
 
 
 @inlined
-def _pass_corners(direct, routine, system, state):
-    if direct is not None:
-        breaks.pass_corners(system.effects, system, state)
+def _ask(routine, what, state):
+    """Ask what concerns systems with effects alone; return whether the answer is yes."""
+    yes = False
     if routine is not None:
-        call_with_record(routine.addresses, PASS_CORNERS, state, state)
+        yes = call_with_record(routine.addresses, what, state, state) == 1
+    return yes
 
 
 @inlined
 def begin_contacts(system, state):
     """Decide which bodies touch during a step; return whether any begin or cease just here."""
-    return _begin_contacts(system.direct, system.routine, system, state)
-
-
-@inlined
-def _begin_contacts(direct, routine, system, state):
-    landed = False
-    if direct is not None:
-        landed = impacts.begin(system.effects)
-    if routine is not None:
-        landed = call_with_record(routine.addresses, BEGIN_CONTACTS, state, state) == 1
-    return landed
+    return _ask(system.routine, BEGIN_CONTACTS, state)
 
 
 @inlined
 def end_contacts(system, state):
     """Let gaps decide again which bodies touch, after a step; shape (ns,)."""
-    _end_contacts(system.direct, system.routine, system, state)
-
-
-@inlined
-def _end_contacts(direct, routine, system, state):
-    if direct is not None:
-        impacts.end(system.effects)
-    if routine is not None:
-        call_with_record(routine.addresses, END_CONTACTS, state, state)
+    _ask(system.routine, END_CONTACTS, state)
 
 
 @inlined
@@ -414,17 +385,15 @@ def until_contact(system, out, scratch, size, sought, cuts):
 
     """
     found = size, sought
-    if _may_touch(system.direct, system.routine, system, out, cuts):
+    if _may_touch(system.routine, out, cuts):
         rate_of_change(system, out, scratch)
-        found = _until_contact(system.direct, system.routine, system, out, size, sought)
+        found = _until_contact(system.routine, out, size, sought)
     return found
 
 
 @inlined
-def _may_touch(direct, routine, system, out, cuts):
+def _may_touch(routine, out, cuts):
     may = False
-    if direct is not None:
-        may = impacts.may_end_a_step(system.effects, cuts)
     if routine is not None:
         routine.numbers[0] = cuts
         may = call_with_record(routine.addresses, MAY_TOUCH, out, out) == 1
@@ -432,10 +401,8 @@ def _may_touch(direct, routine, system, out, cuts):
 
 
 @inlined
-def _until_contact(direct, routine, system, out, size, sought):
+def _until_contact(routine, out, size, sought):
     found = size, sought
-    if direct is not None:
-        found = impacts.part(system.effects, size, sought)
     if routine is not None:
         numbers = routine.numbers
         numbers[0], numbers[1] = size, sought
@@ -462,14 +429,12 @@ def until_rest(system, before, after, size, floor):
         [s]; as of ``stick_slip.part``.
 
     """
-    return _until_rest(system.direct, system.routine, system, before, after, size, floor)
+    return _until_rest(system.routine, before, after, size, floor)
 
 
 @inlined
-def _until_rest(direct, routine, system, before, after, size, floor):
+def _until_rest(routine, before, after, size, floor):
     part = size
-    if direct is not None:
-        part = stick_slip.part(system.effects, system, before, after, size, floor)
     if routine is not None:
         routine.numbers[0], routine.numbers[1] = size, floor
         call_with_record(routine.addresses, UNTIL_REST, before, after)
@@ -480,16 +445,6 @@ def _until_rest(direct, routine, system, before, after, size, floor):
 @inlined
 def rest(system, state):
     """Let joints stick that have come to rest, and slip that have broken away; shape (ns,)."""
-    _rest(system.direct, system.routine, system, state)
-
-
-@inlined
-def _rest(direct, routine, system, state):
-    if direct is not None:
-        if stick_slip.stick(system.effects, system, state):
-            systems.evaluate_state(system, state)
-            stick_slip.stop(system.effects, system, state)
-    if routine is not None:
-        if call_with_record(routine.addresses, STICK, state, state) == 1:
-            call_with_record(routine.addresses, EVALUATE, state, state)
-            call_with_record(routine.addresses, STOP, state, state)
+    if _ask(system.routine, STICK, state):
+        _ask(system.routine, EVALUATE, state)
+        _ask(system.routine, STOP, state)

@@ -35,8 +35,8 @@ import numpy as np
 from .errors import (
     ClosureError, InaccuracyWarning, NumericalError, SingularityError, StiffnessError)
 from ..core.types import SINGULAR_COUNT
-from ..integration.registry import ADAPTIVE, AUTO, EXPLICIT, FIXED, INTEGRATORS
 from ..integration.motion import narrowed, rate_of_change
+from ..integration.registry import ADAPTIVE, AUTO, EXPLICIT, FIXED, INTEGRATORS
 from ..integration.system import parts_of_state
 
 # Step size times fastest rate at which the explicit methods leave stability, along the

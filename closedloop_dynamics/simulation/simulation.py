@@ -49,8 +49,8 @@ from ..integration.adaptive import MOST_EVALUATIONS
 from ..integration.advance import DONE, NOT_FINITE, OPEN_LOOP, TOO_MUCH_WORK
 from ..integration.drivers import build_driver
 from ..integration.fixed_step import joint_forces
-from ..integration.registry import INTEGRATORS, SCIPY
 from ..integration.motion import Probe
+from ..integration.registry import INTEGRATORS, SCIPY
 from ..integration.system import (
     BAUMGARTE_GAIN, build_system, CLOSURE_LIMIT, parts_of_state, with_equations)
 from ..mechanism.decomposition import decompose

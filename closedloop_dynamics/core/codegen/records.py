@@ -123,6 +123,19 @@ if function_table.available():
             return builder.call(builder.inttoptr(function, kind.as_pointer()), handed)
 
         return types.int64(addresses, types.int64, first, second), generate
+else:
+    def record_at(address):
+        """Return the record, which without a compiler stands for its address."""
+        return address
+
+    def array_at(address, count):
+        """Return the array, which without a compiler stands for its address."""
+        return address
+
+    def call_with_record(addresses, what, first, second):
+        """Call the function, which without a compiler stands with its record for both."""
+        function, record = addresses
+        return function(record, what, len(first), first, second)
 
 
 def addresses_of(function, record):
@@ -144,6 +157,8 @@ def addresses_of(function, record):
         The record as it is laid out, to be kept as long as its arrays.
 
     """
+    if not function_table.available():
+        return (function, record), None
     words = packed(record)
     numbers = types.CPointer(types.float64)
     signature = (types.CPointer(typeof(record)), types.int64, types.int64, numbers, numbers)
@@ -153,22 +168,30 @@ def addresses_of(function, record):
                      words.ctypes.data]), words
 
 
-def called_with_record(addresses):
+def from_python(addresses, what, array):
     """
-    Return the function behind addresses as one that Python calls.
+    Return the function behind addresses as one that Python calls again and again.
 
     Parameters
     ----------
     addresses : ndarray of int
         As ``addresses_of`` returns them.
+    what : int
+        What it shall do.
+    array : ndarray, shape (n,)
+        On what, which must outlast it; handed over as both.
 
     Returns
     -------
     callable
-        Of what it shall do, the length of arrays, and the addresses of two of them.
+        Without arguments.
 
     """
-    return functools.partial(_SIGNATURE(int(addresses[0])), int(addresses[1]))
+    if not function_table.available():
+        return functools.partial(call_with_record, addresses, what, array, array)
+    return functools.partial(
+        _SIGNATURE(int(addresses[0])), int(addresses[1]), what, len(array), array.ctypes.data,
+        array.ctypes.data)
 
 
 def packed(record):
