@@ -11,8 +11,9 @@ const THEMES = {
          force: '#ff6b78', cut: '#ff9a4d', halo: '#15181d', grid: '#333944', paper: rgb('#15181d'), driven: [0.42, 0.45, 0.5], ambient: 0.3}};
 // Plots and the clock are drawn so often while time runs [ms]: nobody reads faster.
 const READING = 45;
-// A page that hears nothing for so long is not connected any more [ms].
-const PATIENCE = 1000;
+// A page that hears nothing for so long is not connected any more; one that gets no states for so
+// long while time runs says so [ms].
+const PATIENCE = 1000, STILL = 1500;
 
 class Page {
   constructor(data) {
@@ -245,6 +246,7 @@ class Page {
 
   follow(told) {
     this.told = told;
+    if (told.playing && !this.playing) this.shownAt = performance.now();
     this.playing = told.playing;
     this.speedSlider.follow(told.speed);
     this.drives.follow(told, (joint) => this.position(joint));
@@ -440,8 +442,20 @@ class Page {
   }
 
   takeFrame() {
-    if (!this.fresh) return;
+    const now = performance.now();
+    if (!this.fresh) {
+      if (this.playing && this.scene.mode === 'live' && !this.lost && now - this.shownAt > STILL) {
+        this.waiting = true;
+        this.complain('The simulation computes, or compiles what it has not needed before …', true);
+      }
+      return;
+    }
     this.fresh = false;
+    this.shownAt = now;
+    if (this.waiting) {
+      this.waiting = false;
+      byId('message').hidden = true;
+    }
     const {number, time, row} = this.frame;
     if (time < this.now) this.picture.forget();
     this.now = time;
