@@ -15,12 +15,14 @@
 """Cut joints: closure error, its rates, and the response of the trees to unit cut forces."""
 
 from .codegen.function_table import run_piece
+from .codegen.space import CUT_POINT_COLUMNS as COLUMNS_IN_SPACE
 from .codegen.space import JOINT_POSITION, JOINT_RATE
 from .compiled import inlined
 from .types import (
-    BODY_A, BODY_B, CUT_COUPLING, CUT_TYPE, EQUATIONS, FACTORS, HELD_SUM, LEVER, MOTION_COLUMNS,
-    NO_RESPONSES, PARENT, PATH_A, PATH_B, PATH_COMMON, PATH_END, POSITION, PRESCRIBED_JOINT,
-    PRISMATIC, RATE, REDUCE, REDUCE_COUPLED, REDUCED, RHS, ROW, ROWS, TYPE)
+    BODY_A, BODY_B, COUPLED_PLACE, CUT_COUPLING, CUT_POINT_COLUMNS, CUT_TYPE, EQUATIONS, FACTORS,
+    HELD_SUM, LEVER, MOTION_COLUMNS, NO_RESPONSES, PARENT, PATH_A, PATH_B, PATH_COMMON, PATH_END,
+    POSITION, PRESCRIBED_JOINT, PRISMATIC, RATE, REDUCE, REDUCE_COUPLED, REDUCED, RHS, ROW, ROWS,
+    TYPE)
 
 
 @inlined
@@ -74,6 +76,9 @@ def respond(model, work, stage, a, row):
     if cut[a, CUT_TYPE] == CUT_COUPLING or cut[a, CUT_TYPE] == PRESCRIBED_JOINT:
         _respond_in_joints(model, work, stage, a, row)
         return
+    if cut[a, CUT_TYPE] >= COUPLED_PLACE:
+        _respond_in_both(model, work, stage, a)
+        return
     place = row * (3 + 2 * size) + 3
     for n in range(size):
         wrench[0, n] = work.equation[place + n]
@@ -118,6 +123,58 @@ def _respond_in_joints(model, work, stage, a, row):
 
 
 @inlined
+def _respond_in_both(model, work, stage, a):
+    """Do as ``respond`` does for a place or angle of two bodies that joints are coupled to."""
+    cut, arrived, share, equation = model.cut, work.force, work.share, work.equation
+    first, last, size = cut[a, PATH_A], cut[a, PATH_END], work.wrench.shape[1]
+    before = FACTORS + (CUT_POINT_COLUMNS if size == 3 else COLUMNS_IN_SPACE) - first
+    for entry in range(first, last):
+        i = model.path_body[entry]
+        for n in range(6):
+            arrived[i, n] = arrived[model.tree[i, PARENT], n] = 0.0
+    for n in range(size):
+        arrived[cut[a, BODY_A], n] = equation[3 + n]
+    for n in range(size):
+        arrived[cut[a, BODY_B], n] += equation[3 + size + n]
+    for entry in range(first, last):
+        i = model.path_body[entry]
+        p, factor = model.tree[i, PARENT], model.cut_point[a, before + entry]
+        share[0], share[1] = factor, 0.0
+        if stage == REDUCE:
+            run_piece(work.piece[i, REDUCE_COUPLED], model.body, i, work.body, i, work.body, i,
+                      arrived, i, share, 0)
+        else:
+            run_piece(work.piece[i, stage], model.body, i, work.body, i, work.body, i,
+                      arrived, i, share, 0)
+            share[0] += factor
+        for n in range(size):
+            arrived[p, n] += arrived[i, n]
+        if stage == LEVER and size == 3:
+            # As above, in a column that no wrench has.
+            if model.tree[i, TYPE] == PRISMATIC:
+                arrived[p, 3] += arrived[i, 3]
+            else:
+                share[0] += arrived[i, 3]
+                arrived[p, 3] -= factor
+        work.response[entry, 0] = share[0]
+        work.response_scaled[entry, 0] = share[1]
+
+
+@inlined
+def _sum_of_joints(model, work, a, begin):
+    """Return what a coupling makes of the joints of the tree, less what it holds; its rate."""
+    cut, body, planar = model.cut, work.body, work.wrench.shape[1] == 3
+    position, speed = (POSITION, RATE) if planar else (JOINT_POSITION, JOINT_RATE)
+    value, rate = -model.cut_point[a, begin + HELD_SUM], 0.0
+    for entry in range(cut[a, PATH_A], cut[a, PATH_END]):
+        factor = model.cut_point[a, begin + FACTORS + entry - cut[a, PATH_A]]
+        if factor != 0.0:
+            value += factor * body[model.path_body[entry], position]
+            rate += factor * body[model.path_body[entry], speed]
+    return value, rate
+
+
+@inlined
 def measure(model, work, a):
     """
     Compute what the equations of one cut joint say.
@@ -135,20 +192,19 @@ def measure(model, work, a):
     """
     cut, body = model.cut, work.body
     if cut[a, CUT_TYPE] == CUT_COUPLING or cut[a, CUT_TYPE] == PRESCRIBED_JOINT:
-        planar = work.wrench.shape[1] == 3
-        position, speed = (POSITION, RATE) if planar else (JOINT_POSITION, JOINT_RATE)
-        value, rate = -model.cut_point[a, HELD_SUM], 0.0
-        for entry in range(cut[a, PATH_A], cut[a, PATH_END]):
-            factor = model.cut_point[a, FACTORS + entry - cut[a, PATH_A]]
-            if factor != 0.0:
-                value += factor * body[model.path_body[entry], position]
-                rate += factor * body[model.path_body[entry], speed]
+        value, rate = _sum_of_joints(model, work, a, 0)
         work.equation[0], work.equation[1], work.equation[2] = value, rate, 0.0
         if cut[a, CUT_TYPE] == PRESCRIBED_JOINT:
             for n in range(MOTION_COLUMNS):
                 work.equation[n] -= model.cut_point[
                     a, model.cut_point.shape[1] - MOTION_COLUMNS + n]
         return
+    if cut[a, CUT_TYPE] >= COUPLED_PLACE:
+        value, rate = _sum_of_joints(
+            model, work, a, CUT_POINT_COLUMNS if work.wrench.shape[1] == 3 else COLUMNS_IN_SPACE)
+        last = model.cut_point.shape[1] - MOTION_COLUMNS
+        model.cut_point[a, last], model.cut_point[a, last + 1] = -value, -rate
+        model.cut_point[a, last + 2] = 0.0
     run_piece(work.cut_piece[a, EQUATIONS], model.cut_point, a, body, cut[a, BODY_A],
               body, cut[a, BODY_B], work.equation, 0, work.share, 0)
 

@@ -104,13 +104,16 @@ CUT_COLUMNS = 14
 # Values of CUT_TYPE; the numbers are those of ``space.CUT_TYPES``.
 CUT_REVOLUTE, CUT_PRISMATIC, CUT_FIXED = range(3)
 CUT_DISTANCE, CUT_POINT_ON_LINE, CUT_COUPLING = 8, 9, 11
-# Prescribed motions: a joint's coordinate, like a coupling with one factor, and the place of a
-# point of body A along an axis of body B, which is the ground.
-PRESCRIBED_JOINT, PRESCRIBED_PLACE = 12, 13
+# Prescribed motions: a joint's coordinate, like a coupling with one factor; the place of a
+# point of body A along an axis of body B, which is the ground but for a joint that slides; the
+# angle of body A in body B. Couplings of such a place or angle with joints of the tree.
+PRESCRIBED_JOINT, PRESCRIBED_PLACE, PRESCRIBED_TURN, COUPLED_PLACE, COUPLED_TURN = range(12, 17)
 # Model.cut_point, one row a cut joint: the cut point in both bodies' frames, the angle, or the
 # length of a rod. Of a coupling, in the plane and in space, the sum that it holds, and from
-# FACTORS on the factor of each path entry's coordinate: there may be more columns. Where motions
-# are prescribed the last three are what their position, rate and acceleration are to be.
+# FACTORS on the factor of each path entry's coordinate: there may be more columns; where a place
+# or angle of two bodies is coupled, too, both behind its own columns. Where motions are prescribed
+# the last three are what their position, rate and acceleration are to be, where a place or angle
+# is coupled what the joints of the tree ask of it.
 A_X, A_Y, B_X, B_Y, CUT_ANGLE = range(5)
 CUT_LENGTH = CUT_ANGLE
 CUT_POINT_COLUMNS = 5

@@ -22,13 +22,13 @@ A new law is one branch of ``apply``. Only listed effects are visited.
 from . import (
     actuator, body_contact, bushing, cable, contact, cut_coordinates, end_stop, external_force,
     force_table, joint_damping, joint_friction, joint_spring, point_spring, prescribed_force,
-    prescribed_motion)
+    prescribed_motion, rotor)
 from .table import (
-    ACTUATOR, BUSHING, CABLE, CIRCLE_CONTACT, CONTACT, CURVE_CONTACT, END_STOP, EXTERNAL_FORCE,
-    FOLLOWED, JOINT_DAMPING, JOINT_FORCE_TABLE, JOINT_FRICTION, JOINT_SPRING, LINE_CONTACT,
-    POINT_FORCE_TABLE, POINT_SPRING, PRESCRIBED_FORCE, PRESCRIBED_MOTION, PRESCRIBED_TORQUE,
-    SPATIAL_BODY_CONTACT, SPATIAL_BUSHING, SPATIAL_CABLE, SPATIAL_CONTACT, SPATIAL_FORCE,
-    SPATIAL_POINT_SPRING, SPATIAL_PRESCRIBED_FORCE)
+    ACTUATOR, BUSHING, CABLE, CIRCLE_CONTACT, CONTACT, CURVE_CONTACT, CUT_ROTOR, END_STOP,
+    EXTERNAL_FORCE, FOLLOWED, JOINT_DAMPING, JOINT_FORCE_TABLE, JOINT_FRICTION, JOINT_SPRING,
+    LINE_CONTACT, POINT_FORCE_TABLE, POINT_SPRING, PRESCRIBED_FORCE, PRESCRIBED_MOTION,
+    PRESCRIBED_TORQUE, SPATIAL_BODY_CONTACT, SPATIAL_BUSHING, SPATIAL_CABLE, SPATIAL_CONTACT,
+    SPATIAL_FORCE, SPATIAL_FORCE_TABLE, SPATIAL_POINT_SPRING, SPATIAL_PRESCRIBED_FORCE)
 from ..core.compiled import compiled
 
 
@@ -113,6 +113,8 @@ def _apply_laws(body, table, q, qd, tau):
             external_force.apply_in_space(table, row, body)
         elif kind == SPATIAL_CONTACT:
             contact.apply_in_space(table, row, body)
+        elif kind == CUT_ROTOR:
+            rotor.apply(table, row, qd)
         else:
             _apply_element(table.data, table, row, body, q, qd)
 
@@ -150,3 +152,5 @@ def _apply_element(data, table, row, body, q, qd):
             body_contact.apply_in_space(table, row, body)
         elif kind == PRESCRIBED_MOTION:
             prescribed_motion.apply(table, row)
+        elif kind == SPATIAL_FORCE_TABLE:
+            force_table.apply_in_space(table, row, body)

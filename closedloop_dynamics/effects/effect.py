@@ -148,7 +148,9 @@ class Effect:
 
     # Field -> its check, of ``mechanism.checks``; None passes where it is the default.
     CHECKS = {}
-    # Names of the columns of the row's output beyond the stored energy, in their order.
+    # What the row's output has first.
+    ENERGY = 'stored_energy'
+    # Names of the columns of the row's output beyond that, in their order.
     READINGS = ()
     # Whether a change of parameters can make the scene too stiff for its steps.
     STIFFENS = True

@@ -27,8 +27,8 @@ import numpy as np
 from . import cut_coordinates
 from .sensor import Chain
 from .table import (
-    build_table, DISSIPATED, fill_row, FIRST, FOLLOWED, LOADED, OWN, size_of_data, STATE,
-    states_of, STORED, WORK)
+    build_table, CUT_ROTOR, DISSIPATED, fill_row, FIRST, FOLLOWED, LOADED, OWN, size_of_data,
+    STATE, states_of, STORED, WORK)
 from ..core import codegen, kinematics
 from ..core.codegen import pieces
 from ..core.types import TYPE
@@ -294,10 +294,27 @@ class EffectSet:
             if row[FOLLOWED] >= 0:
                 states[row[FOLLOWED]] = cuts.q[len(cuts.q) - len(cuts.index) + k]
 
+    def begin_angle(self, name, angle):
+        """
+        Let the angle of a cut joint, if it is followed, begin within half a turn of another.
+
+        Parameters
+        ----------
+        name : str
+            Of the cut joint.
+        angle : float
+            [rad].
+
+        """
+        if name in self._machine.cuts:
+            place = self.cuts[0][self._machine.cuts.index(name), FOLLOWED]
+            if place >= 0:
+                self.initial[place] = angle
+
     def follow(self, states, qd):
         """Let the own states begin with joint rates as they are, as ``rates``; in place."""
         for row, name in enumerate(self._rows):
-            if self.enabled[name] and self.elements[row].sticks:
+            if self.enabled[name] and self.records[name].ENDS_STEPS and self.elements[row].sticks:
                 states[self._table.index[row, STATE]] = self.records[name].direction(
                     qd[self._table.index[row, FIRST]])
 
@@ -311,7 +328,25 @@ class EffectSet:
 
     def stored(self):
         """Return the energy that they store at the latest evaluation [J]."""
-        return float(self._table.output[:, STORED].sum())
+        return float(self._table.output[:, STORED].sum()) - self.kinetic()
+
+    def kinetic(self):
+        """Return the kinetic energy of rotors at cut joints at the latest evaluation [J]."""
+        return float(self._table.output[self._table.kind == CUT_ROTOR, STORED].sum())
+
+    def hold_rotors(self, accelerations):
+        """
+        Let rotors at cut joints exert what goes with given accelerations, or none of their own.
+
+        Parameters
+        ----------
+        accelerations : ndarray, shape (nv + nk,) or None
+            Of the joints, those of cut joints behind.
+
+        """
+        for row in np.flatnonzero(self._table.kind == CUT_ROTOR):
+            self._table.sticking.hold[row] = 0.0 if accelerations is None else (
+                -self._table.values[row, 0] * accelerations[self._table.index[row, FIRST]])
 
     def dissipated(self, states):
         """Return the energy dissipated so far, from the effects' states [J]."""
@@ -344,7 +379,7 @@ class EffectSet:
             return {}
         row = self._rows.index(name)
         values = self._table.output[row]
-        return {'stored_energy': float(values[STORED]), **self._flows(row, states), **{
+        return {self.records[name].ENERGY: float(values[STORED]), **self._flows(row, states), **{
             key: float(value) for key, value in zip(self.records[name].READINGS, values[1:])}}
 
     def drive_rows(self):

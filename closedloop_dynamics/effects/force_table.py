@@ -26,19 +26,20 @@ bistable springs, rubber buffers, a measured characteristic.
 """
 
 from dataclasses import dataclass
+import math
 from typing import Optional, Tuple
 
 import numpy as np
 
-from .effect import Effect, require_plane
-from .forces import distance, pull
+from .effect import Effect
+from .forces import distance, place_in_space, pull, push_there, velocity_at
 from .table import (
     DATA, DISSIPATED, ENTRIES, FIRST, ForceElement, JOINT_FORCE_TABLE, POINT_FORCE_TABLE, SECOND,
-    STATE, State, STORED)
+    SPATIAL_FORCE_TABLE, STATE, State, STORED)
 from ..core.compiled import inlined
-from ..mechanism.checks import freedom, list_of, name, not_negative, number, one_of, vector2
+from ..mechanism.checks import freedom, list_of, name, not_negative, number, one_of, vector
 from ..mechanism.fields import FieldError, shown
-from ..mechanism.mechanism import Vector2
+from ..mechanism.mechanism import Vector
 
 # Numbers of an entry: stroke at which a piece begins, coefficients, energy there.
 COLUMNS = 6
@@ -61,7 +62,7 @@ class ForceTable(Effect):
         a named point and
     point_b : str or None
         another one, or
-    anchor : tuple of 2 floats or None
+    anchor : tuple of 2 floats, or 3 in space, or None
         a place in the world [m].
     interpolation : str
         ``linear`` or ``cubic`` (a spline).
@@ -71,9 +72,10 @@ class ForceTable(Effect):
     """
 
     CHECKS = {'strokes': list_of(number), 'forces': list_of(number), 'joint': freedom,
-              'point_a': name, 'point_b': name, 'anchor': vector2,
+              'point_a': name, 'point_b': name, 'anchor': vector,
               'interpolation': one_of(('linear', 'cubic')), 'damping': not_negative}
     FILES = {'file': ('strokes', 'forces')}
+    VECTORS = ('anchor',)
     READINGS = ('force', 'stroke')
 
     strokes: Tuple[float, ...]
@@ -81,7 +83,7 @@ class ForceTable(Effect):
     joint: Optional[str] = None
     point_a: Optional[str] = None
     point_b: Optional[str] = None
-    anchor: Optional[Vector2] = None
+    anchor: Optional[Vector] = None
     interpolation: str = 'linear'
     damping: float = 0.0
 
@@ -105,12 +107,6 @@ class ForceTable(Effect):
                 raise FieldError(f'strokes that grow (more than {one:g})', f'{other:g}',
                                  path=('strokes', index + 1))
 
-    def fit(self, mechanism):
-        """Refuse a mechanism without the joint or points, and points in space."""
-        super().fit(mechanism)
-        if self.point_a is not None:
-            require_plane(mechanism, 'point_a')
-
     def element(self, machine):
         """Return the effect as a row of the table."""
         states, data = (State(DISSIPATED),), _pieces(
@@ -121,7 +117,8 @@ class ForceTable(Effect):
                 data=data)
         row_a, place_a = machine.point(self.point_a)
         row_b, place_b = machine.point(self.point_b) if self.point_b else (0, self.anchor)
-        return ForceElement(POINT_FORCE_TABLE, (row_a, row_b), (
+        kind = POINT_FORCE_TABLE if machine.mechanism.planar else SPATIAL_FORCE_TABLE
+        return ForceElement(kind, (row_a, row_b), (
             self.damping, *place_a, *place_b), states, data=data)
 
 
@@ -195,4 +192,26 @@ def apply_between_points(table, row, body):
     tension = force + values[row, 0] * rate if length > 0.0 else 0.0
     pull(body, a, values[row, 1], values[row, 2], tension * x, tension * y)
     pull(body, b, values[row, 3], values[row, 4], -tension * x, -tension * y)
+    _note(table, row, tension, length, energy, values[row, 0] * rate * rate)
+
+
+@inlined
+def apply_in_space(table, row, body):
+    """Apply the forces between points in space; see ``dispatch.apply``."""
+    values, a, b = table.values, table.index[row, FIRST], table.index[row, SECOND]
+    px, py, pz = place_in_space(body, a, values[row, 1], values[row, 2], values[row, 3])
+    bx, by, bz = place_in_space(body, b, values[row, 4], values[row, 5], values[row, 6])
+    ux, uy, uz = velocity_at(body, a, px, py, pz)
+    vx, vy, vz = velocity_at(body, b, bx, by, bz)
+    x, y, z = bx - px, by - py, bz - pz
+    length, rate = math.sqrt(x * x + y * y + z * z), 0.0
+    if length > 0.0:
+        x /= length
+        y /= length
+        z /= length
+        rate = x * (vx - ux) + y * (vy - uy) + z * (vz - uz)
+    force, energy = _look_up(table, row, length)
+    tension = force + values[row, 0] * rate if length > 0.0 else 0.0
+    push_there(body, a, px, py, pz, tension * x, tension * y, tension * z)
+    push_there(body, b, bx, by, bz, -tension * x, -tension * y, -tension * z)
     _note(table, row, tension, length, energy, values[row, 0] * rate * rate)

@@ -219,10 +219,6 @@ class PrescribedMotion(Effect):
                 raise FieldError('a point of a body that moves', f'{self.point!r} on the ground',
                                  path=('point',))
 
-    def joints(self, mechanism):
-        """Return the names that ``joint`` may be: those of the tree."""
-        return mechanism.coordinates.single_names
-
     def motion(self, key):
         """Return the closure equation, named by a key."""
         if self.joint is not None:

@@ -32,6 +32,10 @@ the last of them the gyroscopic torque. Mass and inertia of the rotor as if it w
 carrier's, in its own description or by a payload. When: geared drives, whose rotor often outweighs
 the link; flywheels.
 
+At a joint that closes a loop its torque -I_r qdd depends on accelerations that follow from it: it
+is found with them, as friction at rest is (``sticking``), by one evaluation more. In space only
+where the joint's carrier, body B, is the ground, or where its turning does not count.
+
 """
 
 from dataclasses import dataclass
@@ -40,12 +44,17 @@ from typing import Optional
 import numpy as np
 
 from .effect import Effect
+from .table import CUT_ROTOR, FIRST, ForceElement, STORED
 from ..core.codegen import space
 from ..core.codegen.spatial import rotation
+from ..core.compiled import inlined
 from ..core.types import ARMATURE, PARENT, REVOLUTE, REVOLUTE_ARMATURE, TYPE
 from ..mechanism.checks import direction, name, not_negative, number
 from ..mechanism.fields import FieldError, shown
-from ..mechanism.mechanism import JOINT_FREEDOMS, Vector3
+from ..mechanism.mechanism import FIXED, GROUND, JOINT_FREEDOMS, PRISMATIC, Vector3
+
+# Gear ratio beyond which the turning of the carrier does not count.
+ENDLESS = 1e9
 
 
 @dataclass(frozen=True)
@@ -67,6 +76,7 @@ class Rotor(Effect):
 
     """
 
+    ENERGY = 'kinetic_energy'
     CHECKS = {'joint': name, 'inertia': not_negative, 'gear_ratio': number, 'axis': direction}
 
     joint: str
@@ -82,7 +92,8 @@ class Rotor(Effect):
 
     def joints(self, mechanism):
         """Return the names that ``joint`` may be: of joints of one freedom."""
-        return tuple(joint.name for joint in mechanism.joints if JOINT_FREEDOMS[joint.type] == 1)
+        return mechanism.measured_cuts + tuple(
+            joint.name for joint in mechanism.joints if JOINT_FREEDOMS[joint.type] == 1)
 
     def fit(self, mechanism):
         """Refuse an axis in the plane."""
@@ -90,9 +101,19 @@ class Rotor(Effect):
         if mechanism.planar and self.axis is not None:
             raise FieldError('no axis in the plane, which every rotor turns in', shown(self.axis),
                              path=('axis',))
+        for cut in mechanism.cut_joints:
+            if cut.name == self.joint and not (
+                    mechanism.planar or abs(self.gear_ratio) > ENDLESS
+                    or not _turns(mechanism, cut.body_b)):
+                raise FieldError(
+                    'a joint of the tree, or a cut joint whose body_b does not turn',
+                    f'{self.joint!r}, which closes a loop on {cut.body_b!r}, whose turning the '
+                    'rotor feels', 'cut another joint of that loop', ('joint',))
 
     def change(self, model, machine):
         """Add the rotor to the model."""
+        if self.joint in machine.cuts:
+            return
         row = machine.joint_row(self.joint)
         if machine.mechanism.planar:
             model.body[row, ARMATURE] += self.gear_ratio ** 2 * self.inertia
@@ -105,3 +126,33 @@ class Rotor(Effect):
             axis = self.axis or np.array(rotation(joint.orientation)) @ joint.axis
             model.body[row, space.ROTOR:space.ROTOR + 3] += self.gear_ratio * self.inertia * (
                 space.snapped(machine.placement(joint.parent).axes @ axis))
+
+    def element(self, machine):
+        """Return the row of the table of a rotor at a cut joint."""
+        if self.joint not in machine.cuts:
+            return None
+        return ForceElement(CUT_ROTOR, (machine.joint(self.joint),),
+                            (self.gear_ratio ** 2 * self.inertia,), sticks=True)
+
+
+def _turns(mechanism, body):
+    """Return whether a body may turn: whether any but slides and fixed joints carry it."""
+    carrier = {joint.child: joint for joint in mechanism.joints}
+    while body != GROUND:
+        if carrier[body].type not in (PRISMATIC, FIXED):
+            return True
+        body = carrier[body].parent
+    return False
+
+
+@inlined
+def apply(table, row, qd):
+    """List a rotor among what follows from accelerations; see ``dispatch.apply``."""
+    joint, sticking, inertia = table.index[row, FIRST], table.sticking, table.values[row, 0]
+    if inertia > 0.0:
+        sticking.rows[0] += 1
+        sticking.rows[sticking.rows[0]] = row
+    table.applied[joint] += sticking.hold[row]
+    table.output[row, STORED] = 0.5 * inertia * qd[joint] * qd[joint]
+    table.output[row, 1] = sticking.hold[row]
+    table.output[row, 3] = inertia

@@ -22,13 +22,14 @@ Between rigid bodies, friction at rest is whatever keeps the joint at rest, up t
 for the accelerations a of all joints at rest; a_0 are those without their friction, W is the
 response of the mechanism, its loops closed. These are the conditions of a convex problem,
 min tau W tau / 2 + a_0 tau in a box, so that a is unique, even where several joints share
-one freedom and tau is not.
+one freedom and tau is not. A rotor of inertia I at a cut joint is one more unknown without bounds,
+tau = -I a: it adds tau^2 / (2 I) to what is least.
 
 """
 
 import math
 
-from .table import FIRST
+from .table import CUT_ROTOR, FIRST
 from ..core.compiled import compiled
 
 # Rates below this are rest while a step is made [rad/s; m/s]; wide enough for the finite
@@ -186,6 +187,10 @@ def balance(table, qdd, lam):
         sticking.bound[a] = 1.0
         for b in range(count):
             sticking.matrix[a, b] = limit * response[b, joint]
+        if table.kind[row] == CUT_ROTOR:
+            # Its limit is its inertia: the force of a unit acceleration.
+            sticking.bound[a] = math.inf
+            sticking.matrix[a, a] += limit
     solve(sticking, count, sticking.share)
     for i in range(nv):
         qdd[i] = base[i]
@@ -209,7 +214,8 @@ def balance(table, qdd, lam):
 def _holds(table, place):
     """Return whether a joint at rest stays there."""
     sticking = table.sticking
-    return abs(sticking.share[place]) < 1.0 and sticking.matrix[place, place] > 0.0
+    return (table.kind[sticking.rows[place + 1]] != CUT_ROTOR
+            and abs(sticking.share[place]) < 1.0 and sticking.matrix[place, place] > 0.0)
 
 
 @compiled

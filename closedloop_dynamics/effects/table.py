@@ -30,7 +30,8 @@ import numpy as np
  ACTUATOR, SPATIAL_POINT_SPRING, SPATIAL_FORCE, SPATIAL_CONTACT, PRESCRIBED_TORQUE,
  PRESCRIBED_FORCE, JOINT_FORCE_TABLE, POINT_FORCE_TABLE, BUSHING, CABLE, LINE_CONTACT,
  CIRCLE_CONTACT, CURVE_CONTACT, SPATIAL_PRESCRIBED_FORCE, SPATIAL_BUSHING,
- SPATIAL_CABLE, PRESCRIBED_MOTION, SPATIAL_BODY_CONTACT) = range(25)
+ SPATIAL_CABLE, PRESCRIBED_MOTION, SPATIAL_BODY_CONTACT, SPATIAL_FORCE_TABLE,
+ CUT_ROTOR) = range(27)
 # Columns of EffectTable.index: first own state; joint (its place in q, of a cut joint behind those
 # of the tree) or the row of the body that carries the first point; the row of the second point's
 # body, or of the joint's; whether the law wants the reaction in its joint, as its second state;
@@ -79,7 +80,9 @@ class ForceElement(NamedTuple):
     values: Tuple[float, ...]  # Parameters, in the order the law reads them
     states: Tuple[State, ...] = ()  # In the order the law reads and writes them
     loaded: bool = False  # Whether the law wants the reaction in its joint
-    sticks: bool = False  # Whether the law may hold its joint at rest
+    # Whether the law's force follows from accelerations: it may hold its joint at rest, or is that
+    # of a rotor at a cut joint.
+    sticks: bool = False
     touches: bool = False  # Whether the law is a contact, whose gap opens and closes
     # Of machine elements, the laws that only scenes with such compile: entries of numbers, such as
     # the pieces of a course or a curve, in the order the law reads them. None for other laws.
@@ -87,10 +90,10 @@ class ForceElement(NamedTuple):
 
 
 class Sticking(NamedTuple):
-    """Joints at rest under dry friction in the latest evaluation, and what holds them."""
+    """Joints at rest under dry friction in the latest evaluation, and what holds them; rotors."""
 
     # Shape (nf + 1,): how many joints stick, and the rows of their effects; nf effects may
-    # stick.
+    # stick. A rotor at a cut joint always does so: its force, too, follows from accelerations.
     rows: np.ndarray
     # Shape (ne,): friction that ``dispatch.apply`` gives to a joint that sticks [N m; N]:
     # zero but while responses are computed.

@@ -28,7 +28,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from .pose import angles_of, of_quaternion, Pose, quaternion_of
-from ..mechanism.couplings import in_tree
+from ..mechanism.couplings import in_tree, measured
 from ..mechanism.mechanism import (
     Body, Coupling, CutJoint, CYLINDRICAL, DISTANCE, FIXED, FREE, GROUND, HELICAL, Joint,
     JOINT_FREEDOMS, MechanismError, PLANAR, Point, POINT_ON_LINE, PRISMATIC, REVOLUTE, SPHERICAL,
@@ -92,6 +92,8 @@ def in_space(mechanism):
     couplings = []
     for coupling in mechanism.couplings:
         factors, offset = in_tree(mechanism, coupling)
+        factors.update((cut.name, coupling.joints[cut.name])
+                       for cut in measured(mechanism, coupling))
         couplings.append(Coupling(coupling.name, factors, offset))
     return checked(replace(
         mechanism, bodies=tuple(bodies), joints=tuple(joints), cut_joints=tuple(cuts),
@@ -287,7 +289,7 @@ def urdf_with_loops(mechanism, effects=None, start=None):
             ElementTree.SubElement(inertial, 'mass', value=_numbers(body.mass))
             ElementTree.SubElement(inertial, 'inertia', dict(zip(
                 ('ixx', 'iyy', 'izz', 'ixy', 'ixz', 'iyz'), map(_numbers, _moments(body)))))
-    mimics, acting = _mimics(mechanism, 'URDF'), _acting(mechanism, effects)
+    acting, mimics = _acting(mechanism, effects), _mimics(mechanism, 'URDF')
     for joint in mechanism.joints:
         parent, singles = joint.parent, _chain(mechanism, joint, balls=False)
         for number, single in enumerate(singles):
@@ -674,6 +676,12 @@ def _acting(mechanism, effects):
 
     """
     found = {}
+    for coupling in mechanism.couplings:
+        for cut in measured(mechanism, coupling):
+            raise MechanismError(
+                f'{mechanism.name}: couplings.{coupling.name}: expected joints of the tree, to '
+                f'write it in this format, got {cut.name}, which closes a loop; cut another joint '
+                'of that loop')
     named = {values.get('joint') for values in (effects or {}).values()}
     for cut in mechanism.cut_joints:
         if cut.actuated or cut.name in named:

@@ -17,10 +17,31 @@ Couplings in the coordinates of the spanning tree.
 
 In the plane angles add along a chain of bodies: the coordinate of a revolute cut joint, the angle
 of body A in body B less its ``angle``, is a sum of the tree's coordinates and of constant angles.
+The coordinates of other cut joints are not: of these a coupling may name one.
 
 """
 
 from .mechanism import GROUND, REVOLUTE
+
+
+def measured(mechanism, coupling):
+    """
+    Return the cut joints of a coupling whose coordinates are no sums of those of the tree.
+
+    Parameters
+    ----------
+    mechanism : Mechanism
+        Joints and cut joints that the coupling names exist.
+    coupling : Coupling
+        Of joints and cut joints of one freedom.
+
+    Returns
+    -------
+    list of CutJoint
+
+    """
+    return [cut for cut in mechanism.cut_joints if cut.name in coupling.joints
+            and not (mechanism.planar and cut.type == REVOLUTE)]
 
 
 def in_tree(mechanism, coupling):
@@ -32,12 +53,12 @@ def in_tree(mechanism, coupling):
     mechanism : Mechanism
         Joints and cut joints that the coupling names exist.
     coupling : Coupling
-        Of its joints, and in the plane of its revolute cut joints.
+        Of joints and cut joints; those that ``measured`` returns are left out.
 
     Returns
     -------
     factors : dict of str to float
-        By joint of the tree, none zero; empty where the sum never changes.
+        By joint of the tree, none zero; empty where their sum never changes.
     offset : float
         What the sum of the coordinates times these is held at.
 
@@ -45,7 +66,10 @@ def in_tree(mechanism, coupling):
     carrier = {joint.child: joint for joint in mechanism.joints}
     cuts = {cut.name: cut for cut in mechanism.cut_joints}
     factors, offset = {}, coupling.offset
+    others = [cut.name for cut in measured(mechanism, coupling)]
     for name, factor in coupling.joints.items():
+        if name in others:
+            continue
         if name not in cuts:
             factors[name] = factors.get(name, 0.0) + factor
             continue

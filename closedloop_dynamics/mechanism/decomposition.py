@@ -90,15 +90,18 @@ def decompose(mechanism):
         cuts + tuple(
             _Cut(one.name, tuple(body for joint in moved if joint.name in one.joints
                                  for body in joint.bodies)) for one in mechanism.couplings)
-        + tuple(_Cut(one.name, (moved_body(mechanism, one),)) for one in mechanism.motions))
+        + tuple(_Cut(one.name, moved_bodies(mechanism, one)) for one in mechanism.motions))
 
 
-def moved_body(mechanism, motion):
-    """Return the name of the body whose joint, or whose point, moves as prescribed."""
+def moved_bodies(mechanism, motion):
+    """Return the names of the bodies whose joint, or whose point, moves as prescribed."""
     if motion.freedom is None:
-        return mechanism.point(motion.point).body
+        return (mechanism.point(motion.point).body,)
+    for cut in mechanism.cut_joints:
+        if cut.name == motion.freedom:
+            return cut.body_a, cut.body_b
     joint = mechanism.coordinates.joint_of(motion.freedom)
-    return next(each.child for each in mechanism.joints if each.name == joint)
+    return tuple(each.child for each in mechanism.joints if each.name == joint)
 
 
 class _Joint(NamedTuple):

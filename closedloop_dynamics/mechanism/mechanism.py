@@ -290,7 +290,7 @@ class Motion:
     name : str
         Of the effect.
     freedom : str or None
-        As ``Coordinates.names`` has it.
+        As ``Coordinates.names`` has it, or a cut joint of one freedom.
     point : str or None
         Name of a point, where no freedom is given.
     direction : tuple of 2 or 3 floats or None
@@ -390,6 +390,12 @@ class Mechanism:
     def measured_cuts(self):
         """Names of the cut joints of one freedom, whose coordinates are measured."""
         return tuple(cut.name for cut in self.cut_joints if cut.type in COUPLED)
+
+    @cached_property
+    def turning_cuts(self):
+        """Names of those of them that turn in space, where turns are counted one by one."""
+        return () if self.planar else tuple(
+            cut.name for cut in self.cut_joints if cut.type == REVOLUTE)
 
     @cached_property
     def planar(self):

@@ -24,7 +24,7 @@ import numpy as np
 from .checks import (
     boolean, direction, listed, name, not_negative, number, numbers, one_of, orientation, positive,
     text, vector2, vector3)
-from .couplings import in_tree
+from .couplings import in_tree, measured
 from .fields import among, at, FieldError, mapping, nearest, normalise, shown
 from .mechanism import (
     Body, COUPLED, Coupling, CUT_JOINT_EQUATIONS, CUT_WITH_AXIS_A, CUT_WITH_AXIS_B,
@@ -334,13 +334,21 @@ def _check_couplings(mechanism):
         for key in coupling.joints:
             with at('couplings', coupling.name, 'joints', key):
                 if key in cuts:
-                    _require_angle(mechanism, cuts[key])
+                    if cuts[key].type not in COUPLED:
+                        raise FieldError(f'a joint of one freedom: {among(COUPLED)}',
+                                         f'a {cuts[key].type} cut joint')
                     continue
                 one_of(tuple(joints), 'one of the joints')(key)
                 if joints[key].type not in COUPLED:
                     raise FieldError(f'a joint of one freedom: {among(COUPLED)}',
                                      f'one that is {joints[key].type}')
-        if not in_tree(mechanism, coupling)[0]:
+        found = [cut.name for cut in measured(mechanism, coupling)]
+        if len(found) > 1:
+            raise FieldError(
+                'one cut joint at most whose coordinate is no sum of those of the tree',
+                f'{", ".join(found)}', 'cut other joints of these loops',
+                ('couplings', coupling.name, 'joints'))
+        if not (found or in_tree(mechanism, coupling)[0]):
             raise FieldError('joints whose coordinates change the sum', 'a sum that never changes',
                              path=('couplings', coupling.name, 'joints'))
         first = next(iter(coupling.joints))
@@ -348,17 +356,6 @@ def _check_couplings(mechanism):
             raise FieldError(f'no radius: its first joint, {first}, slides, and its force is that '
                              'of the teeth', shown(coupling.radius),
                              path=('couplings', coupling.name, 'radius'))
-
-
-def _require_angle(mechanism, cut):
-    """Refuse to couple a cut joint whose coordinate is no sum of those of the tree."""
-    if not is_spatial(mechanism) and cut.type == REVOLUTE:
-        return
-    raise FieldError(
-        'a joint of the tree, or in the plane a revolute cut joint',
-        f'a {cut.type} cut joint' + (' in space' if is_spatial(mechanism) else ''),
-        'cut another joint of this loop: the coordinate of this one is not linear in those of '
-        'the tree')
 
 
 def _check_tree(mechanism):

@@ -22,11 +22,8 @@ from ..effects import cut_coordinates
 from ..effects.table import (
     ACROSS_B, AXIS, CUT_INDEX_COLUMNS, CUT_VALUE_COLUMNS, CutCoordinates, IN_PLANE, POINT_A,
     POINT_B, ROW_B, SCALE, SIDE_A, SIDE_B, SLIDES, ZERO)
-from ..mechanism.mechanism import HELICAL, PRISMATIC, REVOLUTE, UNTURNED
-from ..mechanism.validation import turned_by
-
-# Sine of the angle between two axes below which they are parallel.
-PARALLEL = 1e-12
+from ..mechanism.cut_angle import frame_at_zero
+from ..mechanism.mechanism import HELICAL, PRISMATIC, REVOLUTE
 
 
 def acted_in(mechanism, effects):
@@ -46,8 +43,7 @@ def acted_in(mechanism, effects):
         In the mechanism's order.
 
     """
-    named = {getattr(record, 'joint', None) for record in effects.values()
-             if record.motion('') is None}
+    named = {getattr(record, 'joint', None) for record in effects.values()}
     driven = {cut.name for cut in mechanism.cut_joints if cut.actuated}
     return tuple(name for name in mechanism.measured_cuts if name in named | driven)
 
@@ -96,8 +92,7 @@ def coordinate_arrays(mechanism, model, rows, placements, names, followed):
         line[SCALE] = 1.0 / cut.lead if cut.type == HELICAL else 1.0
         line[ZERO] = cut.angle
         if turns:
-            side = _across(np.array(cut.axis_a))
-            there = _at_zero(cut, side)
+            axis, side, there = frame_at_zero(cut)
             line[SIDE_A:SIDE_A + 3] = a.axes @ side
             line[SIDE_B:SIDE_B + 3] = b.axes @ there
             line[ACROSS_B:ACROSS_B + 3] = b.axes @ np.cross(axis, there)
@@ -116,28 +111,6 @@ def _axis(mechanism, cut):
     if cut.type == PRISMATIC:
         return np.array((np.cos(cut.angle), np.sin(cut.angle), 0.0))
     return np.array((0.0, 0.0, 1.0))
-
-
-def _across(axis):
-    """Return a direction across an axis."""
-    found = np.cross(np.eye(3)[np.argmin(np.abs(axis))], axis)
-    return found / np.linalg.norm(found)
-
-
-def _at_zero(cut, side):
-    """Return where a direction of body A, across its axis, is in body B at zero."""
-    if cut.orientation != UNTURNED:
-        return turned_by(cut.orientation, side)
-    # The shortest way from one axis to the other.
-    one, other = np.array(cut.axis_a), np.array(cut.axis_b)
-    normal = np.cross(one, other)
-    sine = np.linalg.norm(normal)
-    if sine < PARALLEL:
-        # Turned over about the direction itself where they are opposite.
-        return side
-    normal /= sine
-    along, beside = np.cross(one, normal), np.cross(other, normal)
-    return (side @ normal) * normal + (side @ along) * beside
 
 
 class CutJoints:
@@ -211,6 +184,10 @@ class CutJoints:
             self._arrays, equations.model, equations.work, qdd, True, self._arrays.qdd)
         return self._arrays.qdd[len(qdd):].copy()
 
+    def place(self, name):
+        """Return the place of a cut joint among the names; None where it is none of them."""
+        return self.names.index(name) if name in self.names else None
+
     def add_efforts(self, body, efforts, wrenches):
         """
         Add what acts along the coordinates to the wrenches at cut joints, in place.
@@ -219,13 +196,15 @@ class CutJoints:
         ----------
         body : ndarray, shape (nb + 1, WORK_COLUMNS)
             Of ``Workspace``, after the outward recursion.
-        efforts : ndarray, shape (number of those acted in,)
+        efforts : ndarray, shape (number of them,)
             [N m; N].
         wrenches : ndarray, shape (number of cuts, 3 or 6)
             In the mechanism's order.
 
         """
-        for place, effort in zip(self.acted, efforts):
+        for place, effort in enumerate(efforts):
+            if effort == 0.0:
+                continue
             one, line = self._index[place], self._values[place]
             wrench = wrenches[self._numbers[place]]
             axis = np.array(cut_coordinates.direction(

@@ -20,7 +20,7 @@ from .errors import SimulationError
 from ..core import kinematics, types as t
 from ..core.codegen import space
 from ..core.joint_wrenches import bias_forces, tree_torque
-from ..effects import dispatch, joint_reaction
+from ..effects import cut_coordinates, dispatch, joint_reaction
 
 
 class InverseDynamics:
@@ -98,9 +98,15 @@ class InverseDynamics:
         kinematics.outward(system.model, q, qd, system.work)
         if len(table.kind):
             self._effects.steady(q, qd)
+            if table.cuts is not None:
+                cut_coordinates.accelerations(
+                    table.cuts, system.model, system.work, qdd, True, table.cuts.qdd)
+                table.cuts.qdd[:len(qdd)] = qdd
+                self._effects.hold_rotors(table.cuts.qdd)
             dispatch.apply(
                 system.work.body, table, self._mechanism.coordinates.by_freedom(q), qd,
                 np.zeros(len(system.tau)))
+            self._effects.hold_rotors(None)
             self._effects.unsteady()
             bias_forces(system.work, table.reaction)
         tree_torque(system.model, system.work, qdd, need)

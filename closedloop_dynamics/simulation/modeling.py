@@ -19,7 +19,7 @@ import math
 import numpy as np
 
 from ..core import types as t
-from ..mechanism.couplings import in_tree
+from ..mechanism.couplings import in_tree, measured
 from ..mechanism.decomposition import decompose
 from ..mechanism.mechanism import (
     Coupling, CUT_JOINT_EQUATIONS, DISTANCE, FIXED, GROUND, Motion, POINT_ON_LINE, PRISMATIC,
@@ -96,7 +96,13 @@ def _cut_arrays(mechanism, decomposition, tree, body_row):
         for c in mechanism.closures])
     for k, index in enumerate(decomposition.cut_order):
         joint = mechanism.closures[index]
-        if isinstance(joint, Coupling) or getattr(joint, 'freedom', None) is not None:
+        if isinstance(joint, Coupling) and measured(mechanism, joint):
+            points.append(_coupled_place(mechanism, joint, cut[k], tree, body_row, child, entries))
+            cut[k, [t.ROWS, t.CUT_ROW, t.ROW, t.CUT_NUMBER, t.LENGTHS]] = (
+                1, user_first[index], first, index, 1)
+            first += 1
+            continue
+        if isinstance(joint, Coupling) or getattr(joint, 'freedom', None) in child:
             kind, factors, offset = _sum_held(mechanism, joint)
             factors = {body_row[child[name]]: factor for name, factor in factors.items()}
             points.append(couple(cut[k], tree, factors, offset, entries))
@@ -111,8 +117,72 @@ def _cut_arrays(mechanism, decomposition, tree, body_row):
         pass_bodies(cut[k], tree, entries)
         points.append(numbers)
         first += rows
-    return (cut, filled(points, t.CUT_POINT_COLUMNS, mechanism.motions),
+    return (cut, filled(points, t.CUT_POINT_COLUMNS, asks(mechanism)),
             np.array(entries, dtype=np.int64))
+
+
+def asks(mechanism):
+    """Return what needs columns for its right-hand sides in ``Model.cut_point``."""
+    return [*mechanism.motions, *(one for one in mechanism.couplings if measured(mechanism, one))]
+
+
+def coupling_scales(mechanism):
+    """
+    Return what the multipliers of couplings are to be divided by.
+
+    Those of a cut joint whose coordinate is no sum of those of the tree are written for that
+    coordinate, without its factor.
+
+    Parameters
+    ----------
+    mechanism : Mechanism
+        In the plane or in space.
+
+    Returns
+    -------
+    ndarray, shape (number of couplings,)
+
+    """
+    found = [measured(mechanism, one) for one in mechanism.couplings]
+    return np.array([one.joints[cuts[0].name] if cuts else 1.0
+                     for one, cuts in zip(mechanism.couplings, found)])
+
+
+def relative(mechanism, coupling):
+    """
+    Return a coupling for the coordinate of the cut joint that ``measured`` tells.
+
+    Parameters
+    ----------
+    mechanism : Mechanism
+        In the plane or in space.
+    coupling : Coupling
+        Of one such cut joint.
+
+    Returns
+    -------
+    cut : CutJoint
+    factors : dict of str to float
+        Of joints of the tree.
+    offset : float
+        What the sum with the coordinate of the cut joint is held at.
+
+    """
+    cut, = measured(mechanism, coupling)
+    factors, offset = in_tree(mechanism, coupling)
+    own = coupling.joints[cut.name]
+    return cut, {name: factor / own for name, factor in factors.items()}, offset / own
+
+
+def _coupled_place(mechanism, coupling, one, tree, body_row, child, entries):
+    """Add a coupling of a cut joint that slides; return its row of ``Model.cut_point``."""
+    cut, factors, offset = relative(mechanism, coupling)
+    factors = {body_row[child[name]]: factor for name, factor in factors.items()}
+    tree[[*factors], t.READ] = 1
+    one[[t.CUT_TYPE, t.BODY_A, t.BODY_B]] = (
+        t.COUPLED_PLACE, body_row[cut.body_a], body_row[cut.body_b])
+    return np.concatenate([[*cut.point_a, *cut.point_b, cut.angle], couple(
+        one, tree, factors, offset, entries, one[[t.BODY_A, t.BODY_B]].tolist())])
 
 
 def _sum_held(mechanism, one):
@@ -125,6 +195,12 @@ def _sum_held(mechanism, one):
 def _held(mechanism, joint):
     """Return CUT_TYPE, ROWS, LENGTHS, both bodies and a row of ``Model.cut_point``."""
     if isinstance(joint, Motion):
+        if joint.freedom is not None:
+            cut = next(cut for cut in mechanism.cut_joints if cut.name == joint.freedom)
+            kind, lengths = (t.PRESCRIBED_TURN, 0) if cut.type == REVOLUTE else (
+                t.PRESCRIBED_PLACE, 1)
+            return (kind, 1, lengths, cut.body_a, cut.body_b, *cut.point_a, *cut.point_b,
+                    cut.angle)
         point = mechanism.point(joint.point)
         x, y = joint.direction
         return (t.PRESCRIBED_PLACE, 1, 1, point.body, GROUND, *point.position, 0.0, 0.0,
@@ -160,7 +236,7 @@ def filled(points, columns, motions=()):
     return array
 
 
-def couple(cut, tree, factors, offset, entries):
+def couple(cut, tree, factors, offset, entries, bodies=()):
     """
     Add a coupling to the arrays of a model.
 
@@ -176,6 +252,8 @@ def couple(cut, tree, factors, offset, entries):
         What the sum of the coordinates times their factors is held at.
     entries : list of int
         ``Model.path_body`` so far; what the coupling's forces pass is added.
+    bodies : sequence of int
+        Rows of bodies that it acts on, too.
 
     Returns
     -------
@@ -183,7 +261,7 @@ def couple(cut, tree, factors, offset, entries):
         Its row of ``Model.cut_point``.
 
     """
-    own = sorted({row for joint in factors for row in path(tree, joint)}, reverse=True)
+    own = sorted({row for joint in (*factors, *bodies) for row in path(tree, joint)}, reverse=True)
     cut[[t.PATH_A, t.PATH_B, t.PATH_COMMON, t.PATH_END]] = (
         len(entries), *3 * (len(entries) + len(own),))
     entries += own

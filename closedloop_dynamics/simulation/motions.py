@@ -43,9 +43,13 @@ def with_motions(scene):
     if not motions:
         return scene.mechanism
     moved = {motion.freedom for motion in motions}
-    return replace(scene.mechanism, motions=motions, joints=tuple(
-        replace(joint, actuated=joint.actuated and joint.name not in moved)
-        for joint in scene.mechanism.joints))
+
+    def unmoved(joints):
+        return tuple(replace(joint, actuated=joint.actuated and joint.name not in moved)
+                     for joint in joints)
+
+    return replace(scene.mechanism, motions=motions, joints=unmoved(scene.mechanism.joints),
+                   cut_joints=unmoved(scene.mechanism.cut_joints))
 
 
 def moving(scene, motion):
@@ -93,6 +97,8 @@ class Motions:
         Of that; the right-hand sides in ``cut_point`` are written.
     place : callable
         Returns the world place of a named point at coordinates.
+    cut_place : callable
+        Returns the coordinate of a cut joint of one freedom at coordinates.
 
     Attributes
     ----------
@@ -103,12 +109,12 @@ class Motions:
 
     """
 
-    def __init__(self, scene, mechanism, model, place):
+    def __init__(self, scene, mechanism, model, place, cut_place):
         """Look up the equations."""
         self.mechanism, self.model, self.records = mechanism, model, scene.effects
         self._initial, self._coordinates = scene.initial, mechanism.coordinates
         self._names = [motion.name for motion in mechanism.motions]
-        self._place = place
+        self._place, self._cut_place = place, cut_place
         column = model.cut_point.shape[1] - t.MOTION_COLUMNS
         numbers = model.cut[:, t.CUT_NUMBER].tolist()
         self.rows = {}
@@ -125,9 +131,15 @@ class Motions:
     def _start(self, motion):
         """Return where a joint or point starts in the scene [rad; m]."""
         position = np.array(self._initial.position)
-        if motion.freedom is not None:
+        if self._in_tree(motion):
             return float(position[self._coordinate(motion)])
+        if motion.freedom is not None:
+            return self._cut_place(motion.freedom, position)
         return float(np.dot(motion.direction, self._place(motion.point, position)))
+
+    def _in_tree(self, motion):
+        """Return whether a joint of the tree moves."""
+        return motion.freedom in self._coordinates.index
 
     def _coordinate(self, motion):
         return self._coordinates.place[self._coordinates.index[motion.freedom]]
@@ -174,7 +186,7 @@ class Motions:
         values = self.follow(time)
         assembler.prescribed_rates[:] = values[:, 1]
         for motion, (value, rate, _) in zip(self.mechanism.motions, values):
-            if motion.freedom is not None:
+            if self._in_tree(motion):
                 q[self._coordinate(motion)] = value
                 qd[self._coordinates.index[motion.freedom]] = rate
 

@@ -22,6 +22,7 @@ got.
 """
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -32,7 +33,7 @@ from .scene_records import Initial, Method, Scene
 from .tree_choice import cheapest
 from ..effects.registry import EFFECTS
 from ..formats.registry import is_model, read_model
-from ..mechanism.checks import boolean, list_of, name, NAME_PATTERN, one_of
+from ..mechanism.checks import boolean, list_of, name, NAME_PATTERN, number, one_of
 from ..mechanism.config import config_directory, shipped_names, shipped_path
 from ..mechanism.csv_columns import read_columns
 from ..mechanism.document import Document
@@ -49,8 +50,8 @@ SCENE_KEYS = ('mechanism', 'initial'), ('description', 'effects', 'method', 'par
 # Where the mechanism is a model in another format, which may start as it is drawn.
 MODEL_KEYS = ('mechanism',), ('initial', 'loops', 'mend_inertias', *SCENE_KEYS[1])
 INITIAL_KEYS = ('position',), ('hold', 'velocity')
-# Effects that act in joints of the tree alone.
-IN_TREE = ('prescribed_motion', 'rotor')
+# Effects for whose joints others are cut, where there is a choice.
+RATHER_IN_TREE = ('prescribed_motion', 'rotor')
 
 
 class SceneError(ValueError):
@@ -235,12 +236,14 @@ def _acted_on(data):
     Returns
     -------
     kept : set of str
-        Those that its start holds or moves, and those with effects that act in no cut joint.
+        Those that its start holds or moves.
+    rather : set of str
+        Those with effects that are rather in the tree.
     named : set of str
         Those that other effects name.
 
     """
-    found, named = [], []
+    found, rather, named = [], [], []
     for key, place in (('initial', 'hold'), ('initial', 'velocity')):
         section = data.get(key)
         held = section.get(place) if isinstance(section, Mapping) else None
@@ -248,16 +251,17 @@ def _acted_on(data):
     effects = data.get('effects')
     for values in effects.values() if isinstance(effects, Mapping) else ():
         if isinstance(values, Mapping):
-            (found if values.get('type') in IN_TREE else named).append(values.get('joint'))
+            (rather if values.get('type') in RATHER_IN_TREE else named).append(
+                values.get('joint'))
     return tuple({name.partition('.')[0] for name in names if isinstance(name, str)}
-                 for names in (found, named))
+                 for names in (found, rather, named))
 
 
-def _mechanism(value, directory, kept, named):
+def _mechanism(value, directory, kept, rather, named):
     """
     Return the mechanism that ``value`` names or is the path of, some joints not cut.
 
-    Those that are only named are cut where a loop leaves no other.
+    Those that effects name are cut where a loop leaves no other.
 
     """
     if isinstance(value, str) and not _is_name(value):
@@ -266,11 +270,10 @@ def _mechanism(value, directory, kept, named):
         path = _shipped('mechanisms', value)
     try:
         read = read_mechanism(path)
-        try:
-            found = with_kept(read, kept | named)
-        except FieldError:
-            found = with_kept(read, kept)
-        return cheapest(found)
+        for more in (rather | named, rather):
+            with suppress(FieldError):
+                return cheapest(with_kept(read, kept | more))
+        return cheapest(with_kept(read, kept))
     except MechanismError as error:
         raise FieldError('a valid mechanism', f'this error in its file:\n{error}') from None
 
@@ -296,10 +299,14 @@ def _initial(value, mechanism, names):
     coordinates = mechanism.coordinates
     with at('position'):
         cut = () if mechanism.tree is None else mechanism.tree.cut
+        turning = mechanism.turning_cuts
         given = names.evaluated(mapping(value['position'], coordinates.keys, [
-            key for key in mapping(value['position']) if key.partition('.')[0] in cut]))
-        # Where the program cut joints their positions follow from the others.
-        given = {key: one for key, one in given.items() if key.partition('.')[0] not in cut}
+            key for key in mapping(value['position'])
+            if key in turning or key.partition('.')[0] in cut]))
+        # Positions of cut joints follow from the others, but for how often they have turned round.
+        turned = {key: number(one) for key, one in given.items() if key in turning}
+        given = {key: one for key, one in given.items()
+                 if key not in turning and key.partition('.')[0] not in cut}
         position = coordinates.filled('position', given, coordinates.start())
     with at('hold'):
         hold = list_of(one_of(coordinates.can_be_held, 'one of the joints'))(
@@ -312,7 +319,7 @@ def _initial(value, mechanism, names):
                 raise FieldError(f'velocities of held joints only ({among(hold)})',
                                  f'one of {joint!r}', 'the others follow from the loops; '
                                  'add the joint to hold, or remove its velocity', (joint,))
-    return Initial(tuple(position.tolist()), tuple(velocity.tolist()), hold)
+    return Initial(tuple(position.tolist()), tuple(velocity.tolist()), hold, turned)
 
 
 def _effect(key, values, names, directory, tree):

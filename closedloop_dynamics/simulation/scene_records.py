@@ -44,12 +44,16 @@ class Initial:
         spherical or free joint a mapping of `angular_velocity` and, of a free one, `velocity`.
     hold : tuple of str
         Joints whose position and velocity are kept as given; may be empty.
+    turned : dict of str to float
+        Of cut joints in space that turn, and whose turns are counted: angles that tell how often
+        they have turned round, within half a turn [rad]; in a file beside the positions.
 
     """
 
     position: Tuple[float, ...]
     velocity: Tuple[float, ...]
     hold: Tuple[str, ...] = ()
+    turned: dict = field(default_factory=dict)
 
     def __post_init__(self):
         """Refuse what is no list of finite numbers, and joints held twice."""
@@ -169,6 +173,11 @@ class Scene:
             with at('initial', 'position'):
                 position = tuple(coordinates.unit(self.initial.position).tolist())
             object.__setattr__(self, 'initial', replace(self.initial, position=position))
+        for joint, angle in self.initial.turned.items():
+            with at('initial', 'position', joint):
+                one_of(self.mechanism.turning_cuts, 'one of the cut joints that turn in space')(
+                    joint)
+                number(angle)
         for index, joint in enumerate(self.initial.hold):
             with at('initial', 'hold', index):
                 one_of(coordinates.can_be_held, 'one of the joints')(joint)

@@ -58,7 +58,8 @@ def scene_text(scene, effects=None, disabled=(), **facts):
             'mechanism': f'./{MECHANISM_FILE}',
             'description': scene.description,
             'initial': {
-                'position': coordinates.told('position', initial.position),
+                'position': {
+                    **coordinates.told('position', initial.position), **initial.turned},
                 'hold': list(initial.hold),
                 'velocity': {
                     name: value for name, value

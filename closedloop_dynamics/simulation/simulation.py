@@ -27,7 +27,7 @@ from .errors import (
 from .guards import CLOSING, ClosureGuard, EnergyGuard, StiffnessGuard
 from .health import health_of
 from .inverse_dynamics import InverseDynamics
-from .modeling import body_rows, build_model, extent
+from .modeling import body_rows, build_model, coupling_scales, extent
 from .monitor import Monitor
 from .motions import Motions, moving, with_motions
 from .redundancy import find_redundancy
@@ -53,6 +53,7 @@ from ..integration.motion import Probe
 from ..integration.registry import INTEGRATORS, SCIPY
 from ..integration.system import (
     BAUMGARTE_GAIN, build_system, CLOSURE_LIMIT, parts_of_state, with_equations)
+from ..mechanism.couplings import measured
 from ..mechanism.decomposition import decompose
 from ..mechanism.fields import at, FieldError, keys_of, mapping
 
@@ -112,6 +113,12 @@ class Simulation:
         self._effects = EffectSet(scene.effects, model, machine, coordinate_arrays(
             self.mechanism, model, self._rows, placements, acted, True) if acted else None)
         self._cuts = CutJoints(self.mechanism, model, self._rows, placements, acted)
+        self._coupling_scales = coupling_scales(self.mechanism)
+        # Whether anything acts along the coordinates of cut joints.
+        self._act_in_cuts = len(acted) > 0 or any(
+            measured(self.mechanism, coupling) for coupling in self.mechanism.couplings)
+        for name, angle in scene.initial.turned.items():
+            self._effects.begin_angle(name, angle)
         method = scene.method
         baumgarte = 1.0 / method.time_constant if method.stabilisation == 'baumgarte' else 0.0
         size = extent(self.mechanism)
@@ -159,8 +166,17 @@ class Simulation:
 
     def _prescribe(self, scene, model):
         """Look up the equations of prescribed motions in a model; let them start."""
-        self._motions = Motions(scene, self.mechanism, model, self.place)
+        self._motions = Motions(scene, self.mechanism, model, self.place, self._cut_place)
         self._motions.follow(0.0)
+
+    def _cut_place(self, name, position):
+        """Return the coordinate of a cut joint of one freedom in a position of the joints."""
+        equations = self._equations if self._geometry is None else self._geometry.equations
+        rows, placements = (self._rows, None) if self._geometry is None else (
+            self._geometry.rows, self._geometry.placements)
+        cuts = CutJoints(self.mechanism, equations.model, rows, placements, ())
+        found, _ = cuts.measure(equations.move(position).work.body)
+        return float(found[cuts.place(name)])
 
     @classmethod
     def from_scene(cls, scene, motion=None, **method):
@@ -311,6 +327,26 @@ class Simulation:
         """Efforts of commands in these cut joints, as ``effort``, shape (number of them,)."""
         effort = np.zeros(self._cuts.count)
         effort[self._cuts.acted] = self._efforts()[len(self.joint_names):]
+        self._add_motions(effort)
+        return effort
+
+    def _add_motions(self, effort):
+        """Add what moves cut joints as prescribed to their efforts, in place."""
+        for motion in self.mechanism.motions:
+            place = self._cuts.place(motion.freedom)
+            if place is not None:
+                effort[place] += self.motion_forces[motion.name]
+
+    def _cut_efforts(self):
+        """Return all that acts along the coordinates of cut joints of one freedom [N m; N]."""
+        effort = np.zeros(self._cuts.count)
+        if len(self._cuts.acted):
+            effort[self._cuts.acted] = self._table.applied[len(self._qd):]
+        self._add_motions(effort)
+        for coupling, force, scale in zip(
+                self.mechanism.couplings, self.coupling_forces, self._coupling_scales):
+            for cut in measured(self.mechanism, coupling):
+                effort[self._cuts.place(cut.name)] += scale * force
         return effort
 
     def _cut_state(self):
@@ -401,7 +437,7 @@ class Simulation:
         """Joint torques applied last, behind the drives, shape (nv,) [N m or N]."""
         tau = self._efforts()[:len(self.joint_names)]
         for motion in self.mechanism.motions:
-            if motion.freedom is not None:
+            if motion.freedom in self.coordinates.index:
                 tau[self.coordinates.index[motion.freedom]] = self.motion_forces[motion.name]
         return tau
 
@@ -437,9 +473,8 @@ class Simulation:
         """
         lam = self._all_multipliers()
         found = self._equations.cut_wrenches(lam, self.system.work.body)[:len(self.cut_joints)]
-        if len(self._cuts.acted):
-            self._cuts.add_efforts(self.system.work.body,
-                                   self._table.applied[len(self._qd):], found)
+        if self._act_in_cuts:
+            self._cuts.add_efforts(self.system.work.body, self._cut_efforts(), found)
         return found
 
     def _all_multipliers(self):
@@ -471,7 +506,7 @@ class Simulation:
         """
         lam = self._all_multipliers()
         first = len(lam) - len(self.mechanism.couplings) - len(self.mechanism.motions)
-        return lam[first:first + len(self.mechanism.couplings)].copy()
+        return lam[first:first + len(self.mechanism.couplings)] / self._coupling_scales
 
     @property
     def motion_forces(self):
@@ -500,6 +535,30 @@ class Simulation:
                   next(iter(coupling.joints.values())) / coupling.radius
                   for coupling in self.mechanism.couplings]
         return np.array(ratios, dtype=float) * self.coupling_forces
+
+    def equation_forces(self):
+        """
+        Return the forces of equations that are no cut joint's, by what they are and by name.
+
+        Returns
+        -------
+        dict of str to dict of str to float
+            ``coupling_forces``, ``tooth_forces`` [N] and ``motion_forces``, as far as there are
+            couplings, couplings with a radius, and prescribed motions.
+
+        """
+        names = [coupling.name for coupling in self.mechanism.couplings]
+        toothed = [coupling.name for coupling in self.mechanism.couplings
+                   if coupling.radius is not None]
+        found = {}
+        if names:
+            found['coupling_forces'] = dict(zip(names, self.coupling_forces.tolist()))
+        if toothed:
+            forces = dict(zip(names, self.tooth_forces.tolist()))
+            found['tooth_forces'] = {name: forces[name] for name in toothed}
+        if self.mechanism.motions:
+            found['motion_forces'] = self.motion_forces
+        return found
 
     @property
     def joint_forces(self):
@@ -629,7 +688,8 @@ class Simulation:
         self._evaluate()
         found = np.empty(2)
         energy.energies(*energy.parts(self.system.model, self.system.work), self._qd, found)
-        return float(found[0]), float(found[1]) + self._effects.stored()
+        return (float(found[0]) + self._effects.kinetic(),
+                float(found[1]) + self._effects.stored())
 
     @property
     def body_poses(self):

@@ -26,13 +26,15 @@ from typing import NamedTuple
 import numpy as np
 
 from .modeling import (
-    block_arrays, couple, dependencies, extent, factor_arrays, filled, pass_bodies)
+    asks, block_arrays, couple, dependencies, extent, factor_arrays, filled, pass_bodies, relative)
 from ..core import types as t
 from ..core.codegen import space
 from ..core.codegen.expression_graph import ExpressionGraph, LOAD
 from ..core.codegen.space import cleared, snapped
 from ..core.codegen.spatial import Recursion, rotation, X, Y, Z
 from ..core.codegen.vectors import is_zero
+from ..mechanism.couplings import measured
+from ..mechanism.cut_angle import frame_at_zero
 from ..mechanism.decomposition import decompose
 from ..mechanism.mechanism import (
     Coupling, CUT_WITH_ORIENTATION, CYLINDRICAL, DISTANCE, FIXED, FREE, GROUND, HELICAL,
@@ -245,6 +247,14 @@ def _closures(mechanism, decomposition, tree, builder):
         if isinstance(joint, Motion):
             points.append(_prescribed(mechanism, joint, one, tree, builder, entries))
             continue
+        if isinstance(joint, Coupling) and measured(mechanism, joint):
+            cut_joint, factors, offset = relative(mechanism, joint)
+            turns, numbers = _between(cut_joint, one, builder)
+            one[t.CUT_TYPE] = t.COUPLED_TURN if turns else t.COUPLED_PLACE
+            points.append(np.concatenate([numbers, couple(one, tree, {
+                builder.rows[name][0]: factor for name, factor in factors.items()
+            }, offset, entries, one[[t.BODY_A, t.BODY_B]].tolist())]))
+            continue
         if isinstance(joint, Coupling):
             one[t.CUT_TYPE] = space.COUPLING
             points.append(couple(one, tree, {
@@ -259,12 +269,18 @@ def _closures(mechanism, decomposition, tree, builder):
             cleared(a.place(joint.point_a)), cleared(b.place(joint.point_b)),
             frame_a.ravel(), frame_b.ravel(), [joint.length or joint.lead or 0.0]]))
         pass_bodies(one, tree, entries)
-    return (cut, filled(points, space.CUT_POINT_COLUMNS, mechanism.motions),
+    return (cut, filled(points, space.CUT_POINT_COLUMNS, asks(mechanism)),
             np.array(entries, dtype=np.int64))
 
 
 def _prescribed(mechanism, motion, one, tree, builder, entries):
     """Add the entries of a prescribed motion; return its row of ``Model.cut_point``."""
+    for cut in mechanism.cut_joints:
+        if cut.name == motion.freedom:
+            turns, numbers = _between(cut, one, builder)
+            one[t.CUT_TYPE] = t.PRESCRIBED_TURN if turns else t.PRESCRIBED_PLACE
+            pass_bodies(one, tree, entries)
+            return numbers
     if motion.freedom is not None:
         dof = mechanism.coordinates.index[motion.freedom]
         one[t.CUT_TYPE] = t.PRESCRIBED_JOINT
@@ -277,6 +293,29 @@ def _prescribed(mechanism, motion, one, tree, builder, entries):
     return np.concatenate([
         cleared(placed.place(point.position)), np.zeros(3), _UNIT.ravel(),
         _frame(np.array(motion.direction), np.zeros(3)).ravel()])
+
+
+def _between(cut, one, builder):
+    """
+    Put the bodies of a cut joint whose coordinate is prescribed or coupled into its row.
+
+    Returns whether it turns, and the first columns of its row of ``Model.cut_point``: the frame on
+    body B has the axis as its Z; of what turns, both frames agree at zero.
+
+    """
+    a, b = builder.placements[cut.body_a], builder.placements[cut.body_b]
+    one[[t.BODY_A, t.BODY_B]] = a.row, b.row
+    frame_a, frame_b = _UNIT, np.array(_frame(np.array(cut.axis_b), np.zeros(3)))
+    if cut.type == REVOLUTE:
+        axis, side, there = frame_at_zero(cut)
+        frame_a = np.column_stack([side, np.cross(cut.axis_a, side), cut.axis_a])
+        frame_b = np.column_stack([there, np.cross(axis, there), axis])
+    elif cut.type == HELICAL:
+        # The coordinate is the angle: the place over the lead.
+        frame_b[:, Z] /= cut.lead
+    return cut.type == REVOLUTE, np.concatenate([
+        cleared(a.place(cut.point_a)), cleared(b.place(cut.point_b)),
+        snapped(a.axes @ frame_a).ravel(), snapped(b.axes @ frame_b).ravel(), [0.0]])
 
 
 def _keep(cut, kept):

@@ -18,7 +18,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..mechanism.couplings import in_tree
+from ..mechanism.couplings import in_tree, measured
+from ..mechanism.cut_angle import frame_at_zero
 from ..mechanism.mechanism import (
     CUT_WITH_ORIENTATION, CYLINDRICAL, DISTANCE, FIXED, FREE, GROUND, HELICAL, PLANAR,
     POINT_ON_LINE, POINT_ON_PLANE, PRISMATIC, REVOLUTE, SPHERICAL, UNIVERSAL, UNTURNED)
@@ -377,8 +378,33 @@ def closure(mechanism, position):
 
 def coupling_errors(mechanism, position):
     """Return the errors of couplings, a list of shapes (...), of positions, shape (..., nq)."""
-    places = mechanism.coordinates.coordinates
-    equations = [in_tree(mechanism, coupling) for coupling in mechanism.couplings]
-    return [sum(factor * position[..., places[joint].start]
-                for joint, factor in factors.items()) - offset
-            for factors, offset in equations]
+    places, errors = mechanism.coordinates.coordinates, []
+    for coupling in mechanism.couplings:
+        factors, offset = in_tree(mechanism, coupling)
+        error = sum((factor * position[..., places[joint].start]
+                     for joint, factor in factors.items()), np.zeros(position.shape[:-1])) - offset
+        for cut in measured(mechanism, coupling):
+            error = error + _cut_part(mechanism, cut, coupling.joints[cut.name], error, position)
+        errors.append(error)
+    return errors
+
+
+def _cut_part(mechanism, cut, factor, others, position):
+    """Return the part of a cut joint in a coupling's sum, beside those of all other joints."""
+    poses = body_poses(mechanism, position)
+    pose_a, pose_b = (pose_of(mechanism, poses, body) for body in (cut.body_a, cut.body_b))
+    gap = world_points(pose_a, cut.point_a) - world_points(pose_b, cut.point_b)
+    if mechanism.planar:
+        angle = pose_b[..., 2] + cut.angle
+        return factor * (gap[..., 0] * np.cos(angle) + gap[..., 1] * np.sin(angle))
+    if cut.type != REVOLUTE:
+        axis = rotated(pose_b[..., 3:], np.array(cut.axis_b))
+        return factor * np.sum(gap * axis, axis=-1) / (cut.lead if cut.type == HELICAL else 1.0)
+    _, side, there = frame_at_zero(cut)
+    side = rotated(pose_a[..., 3:], side)
+    across = rotated(pose_b[..., 3:], np.cross(cut.axis_b, there))
+    angle = np.arctan2(np.sum(side * across, axis=-1),
+                       np.sum(side * rotated(pose_b[..., 3:], there), axis=-1))
+    # As many turns as there are is not told by where bodies are.
+    turns = np.round((others / factor + angle) / (2.0 * np.pi))
+    return factor * (angle - 2.0 * np.pi * turns)

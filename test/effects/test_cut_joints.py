@@ -31,6 +31,7 @@ from closedloop_dynamics.effects.joint_damping import JointDamping
 from closedloop_dynamics.effects.joint_friction import JointFriction
 from closedloop_dynamics.effects.joint_spring import JointSpring
 from closedloop_dynamics.effects.prescribed_force import PrescribedForce
+from closedloop_dynamics.effects.prescribed_motion import PrescribedMotion
 from closedloop_dynamics.effects.rotor import Rotor
 from closedloop_dynamics.effects.sensor import Sensor
 from closedloop_dynamics.formats.writing import mjcf, sdf, urdf_with_loops
@@ -98,12 +99,12 @@ def mechanism(tmp_path, pins, cut, actuated, spatial=False):
     return read_mechanism(path)
 
 
-def simulation(machine, effects, spin=0.0, start=START):
+def simulation(machine, effects, spin=0.0, start=START, turned=None):
     """Return a simulation that starts with the crank held."""
     names = machine.coordinates.names
     return Simulation(Scene('scene', None, '', machine, Initial(
         tuple(start[name] for name in names),
-        tuple(spin * (name == 'crank_joint') for name in names), ('crank_joint',)),
+        tuple(spin * (name == 'crank_joint') for name in names), ('crank_joint',), turned or {}),
         {**FURNITURE, **effects}, METHOD))
 
 
@@ -174,14 +175,19 @@ def largest_difference(directory):
     return np.abs(cut - tree)[:, :2].max()
 
 
-def test_loops_over_bodies_know_cut_joints_too(tmp_path):
-    # Without a compiler they find every access beyond the end of an array.
+def without_compiler(name, directory):
+    """Return what a function here finds without a compiler, by loops over bodies."""
+    # They find every access beyond the end of an array.
     done = subprocess.run(
-        [sys.executable, '-c', f'from pathlib import Path; from {__name__} import '
-         f'largest_difference; print(largest_difference(Path({str(tmp_path)!r})))'],
+        [sys.executable, '-c', f'from pathlib import Path; from {__name__} import {name}; '
+         f'print({name}(Path({str(directory)!r})))'],
         cwd=Path(__file__).parents[2], env={**os.environ, 'NUMBA_DISABLE_JIT': '1'},
         stdout=subprocess.PIPE, check=True, text=True)
-    assert float(done.stdout) < 1e-10
+    return float(done.stdout)
+
+
+def test_loops_over_bodies_know_cut_joints_too(tmp_path):
+    assert without_compiler('largest_difference', tmp_path) < 1e-10
 
 
 def test_a_cut_joint_under_friction_rests_as_in_the_tree(tmp_path):
@@ -210,8 +216,11 @@ def test_a_cut_joint_under_friction_rests_as_in_the_tree(tmp_path):
 def test_turns_of_a_cut_joint_are_counted_where_anything_acts(tmp_path, spatial):
     effects = {'spring': JointSpring('near', 0.01, 0.0)}
     machine = mechanism(tmp_path, TURNING, 'near', 'crank_joint', spatial)
-    sim, bare = (simulation(machine, each, 30.0, {**START, 'far': -0.9})
+    turns = {'near': -4.0 * math.pi - 0.5} if spatial else {}
+    sim, bare = (simulation(machine, each, 30.0, {**START, 'far': -0.9}, turns)
                  for each in (effects, {}))
+    begun = -4.0 * math.pi if spatial else 0.0
+    assert abs(sim.cut_position[0] - begun) <= math.pi
     crank = sim.joint_names.index('crank_joint')
     for _ in range(40):
         sim.step(None, 0.025)
@@ -219,7 +228,7 @@ def test_turns_of_a_cut_joint_are_counted_where_anything_acts(tmp_path, spatial)
     turned = sim.position[crank]
     assert turned > 4.0 * math.pi
     # The coupler only swings: seen from the crank it has turned back.
-    assert sim.cut_position[0] + turned == pytest.approx(0.0, abs=math.pi)
+    assert sim.cut_position[0] + turned == pytest.approx(begun, abs=math.pi)
     assert sim.effect_readings('spring')['stored_energy'] == pytest.approx(
         0.005 * sim.cut_position[0] ** 2, rel=1e-12)
     assert abs(sim.energy_balance.residual) < 1e-6
@@ -228,9 +237,121 @@ def test_turns_of_a_cut_joint_are_counted_where_anything_acts(tmp_path, spatial)
     before = sim.state
     sim.step(None, 0.1)
     sim.restore(before, 1.0)
-    assert sim.cut_position[0] + turned == pytest.approx(0.0, abs=math.pi)
+    assert sim.cut_position[0] + turned == pytest.approx(begun, abs=math.pi)
     sim.reset()
-    assert abs(sim.cut_position[0]) <= math.pi
+    assert abs(sim.cut_position[0] - begun) <= math.pi
+
+
+def geared(directory, pins, joint, cut, spatial, motion=None):
+    """
+    Return a simulation with a wheel that a joint turns, whichever joint is cut.
+
+    The wheel is on the coupler; the joint moves as prescribed, or not.
+
+    """
+    mechanism(directory, pins, cut, 'crank_joint', spatial)
+    path = directory / f'{cut}_{spatial}.yaml'
+    data = yaml.safe_load(path.read_text())
+    flat, moment = [0.0] * spatial, 2e-3
+    data['bodies']['wheel'] = {'mass': 0.3, 'center_of_mass': [0.01, 0.02, *flat],
+                               'inertia': [1e-3, 1e-3, moment] if spatial else moment}
+    data['joints']['wheel_joint'] = {
+        'type': 'revolute', 'parent': 'coupler', 'child': 'wheel', 'position': [0.05, 0.1, *flat],
+        **({'axis': [0, 0, 1]} if spatial else {})}
+    data['couplings'] = {'gear': {
+        'joints': {'wheel_joint': -2.0, joint: 1.5}, 'offset': 1.5 * START[joint] - 0.4}}
+    path.write_text(yaml.safe_dump(data))
+    gravity = -9.81 * np.array(rotation(BASE))[:, 1] if spatial else (0.0, -9.81)
+    effects = {'gravity': Gravity(tuple(gravity))}
+    if motion:
+        effects['drive'] = PrescribedMotion('expression', joint=joint, expression=motion)
+    return simulation(read_mechanism(path), effects, 0.0 if motion else 2.0,
+                      {**START, 'wheel_joint': 0.2})
+
+
+def driven(directory, pins, joint, spatial, moved, duration=0.4, instants=5):
+    """Return motions and simulations of such a machine, its joint cut and in the tree."""
+    course = '0.29 + 0.02*sin(4*t)' if joint == 'slide' else '0.9 + 0.3*sin(4*t)'
+    sims = [geared(directory, pins, joint, cut, spatial, course if moved else None)
+            for cut in (joint, 'far' if joint == 'slide' else 'rocker_joint')]
+    return [motion(sim, None if moved else {'crank_joint': 0.5}, duration, instants)
+            for sim in sims], sims
+
+
+@pytest.mark.parametrize('pins, spatial, moved', [
+    (GUIDE, False, True), (PINS, True, True), *(
+        pytest.param(*case, marks=pytest.mark.slow) for case in (
+            (PINS, False, True), (GUIDE, True, True), (GUIDE, False, False), (PINS, True, False),
+            (GUIDE, True, False)))])
+def test_a_cut_joint_is_moved_and_coupled_as_in_the_tree(tmp_path, pins, spatial, moved):
+    joint = list(pins)[-1] if pins is GUIDE else 'far'
+    (cut, tree), sims = driven(tmp_path, pins, joint, spatial, moved)
+    np.testing.assert_allclose(cut[:, :2], tree[:, :2], rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(cut[:, 2:], tree[:, 2:], rtol=1e-8, atol=1e-7)
+    assert sims[0].coupling_forces == pytest.approx(sims[1].coupling_forces, rel=1e-7)
+    assert abs(sims[0].coupling_forces[0]) > 1e-3
+    if moved:
+        assert sims[0].cut_effort == pytest.approx([sims[0].motion_forces['drive']])
+        assert sims[0].effect_readings('drive')['power'] == pytest.approx(
+            sims[1].effect_readings('drive')['power'], rel=1e-7)
+    if not spatial and pins is GUIDE:
+        np.testing.assert_allclose(*(sim.force(joint) for sim in sims), rtol=1e-7, atol=1e-7)
+    for sim in sims:
+        assert abs(sim.energy_balance.work) > 1e-3
+        assert abs(sim.energy_balance.residual) < 1e-9
+
+
+def with_rotor(directory, pins, joint, spatial, duration, instants):
+    """Return motions and simulations with a rotor and friction, its joint cut and in the tree."""
+    gravity = -9.81 * np.array(rotation(BASE))[:, 1] if spatial else (0.0, -9.81)
+    effects = {'gravity': Gravity(tuple(gravity)), 'rotor': Rotor(joint, 2e-3, 3.0),
+               'brake': JointFriction('crank_joint', 0.2, 1.2)}
+    sims = [simulation(mechanism(directory, pins, cut, 'crank_joint', spatial), effects, 3.0)
+            for cut in (joint, 'far' if joint == 'slide' else 'rocker_joint')]
+    return [motion(sim, {'crank_joint': 0.3}, duration, instants) for sim in sims], sims
+
+
+@pytest.mark.parametrize('pins, joint, spatial', [
+    (PINS, 'far', False), pytest.param(GUIDE, 'slide', True, marks=pytest.mark.slow)])
+def test_a_rotor_at_a_cut_joint_turns_as_in_the_tree(tmp_path, pins, joint, spatial):
+    (cut, tree), sims = with_rotor(tmp_path, pins, joint, spatial, 0.5, 10)
+    np.testing.assert_allclose(cut[:, :2], tree[:, :2], rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(cut[:, 2], tree[:, 2], rtol=1e-8, atol=1e-7)
+    first, second = (sim.energy_balance for sim in sims)
+    assert first.kinetic == pytest.approx(second.kinetic, abs=1e-10)
+    assert abs(first.residual) < 1e-7
+    rate = sims[0].cut_velocity[0]
+    assert sims[0].effect_readings('rotor')['kinetic_energy'] == pytest.approx(
+        0.5 * 9.0 * 2e-3 * rate ** 2, rel=1e-12)
+    acceleration, _ = sims[0].forward_dynamics(sims[0].position, sims[0].velocity, [4.0])
+    torque, _ = sims[0].inverse_dynamics(sims[0].position, sims[0].velocity, acceleration)
+    again, _ = sims[1].inverse_dynamics(
+        sims[1].position, sims[1].velocity, sims[1].forward_dynamics(
+            sims[1].position, sims[1].velocity, [4.0])[0])
+    assert torque == pytest.approx(again, abs=1e-7)
+
+
+def largest_error_of_rotors(directory):
+    """Return the largest difference between a rotor's joint cut and not cut, by loops."""
+    return max(np.abs(cut - tree)[:, :2].max() for (cut, tree), _ in (
+        with_rotor(directory, *case, 0.0004, 1) for case in (
+            (PINS, 'far', False), (GUIDE, 'slide', False), (GUIDE, 'slide', True))))
+
+
+def test_loops_over_bodies_know_rotors_at_cut_joints(tmp_path):
+    assert without_compiler('largest_error_of_rotors', tmp_path) < 1e-11
+
+
+def largest_error_of_loops(directory):
+    """Return the largest difference between cut and not cut, of all, without a compiler."""
+    return max(np.abs(cut - tree)[:, :2].max() for (cut, tree), _ in (
+        driven(directory, pins, joint, spatial, moved, 0.0004, 1)
+        for pins, joint in ((GUIDE, 'slide'), (PINS, 'far'))
+        for spatial in (False, True) for moved in (False, True)))
+
+
+def test_loops_over_bodies_move_and_couple_cut_joints_too(tmp_path):
+    assert without_compiler('largest_error_of_loops', tmp_path) < 1e-11
 
 
 def test_inverse_dynamics_finds_the_torque_of_a_cut_joint(tmp_path):
@@ -285,12 +406,19 @@ def test_sensors_measure_cut_joints_with_noise_of_their_own(tmp_path):
 
 
 @pytest.mark.parametrize('effect, said', [
-    (Rotor('far', 0.1), 'effects.one.joint: expected a joint of the tree, got .*closes a loop'),
     (Actuator('far'), 'effects.one.joint: expected one of the actuated joints crank_joint'),
     (JointSpring('fra', 1.0), "effects.one.joint: .*'fra'.*did you mean 'far'")])
 def test_what_cannot_act_at_a_cut_joint_is_refused(tmp_path, effect, said):
     with pytest.raises(FieldError, match=said):
         simulation(mechanism(tmp_path, PINS, 'far', 'crank_joint'), {'one': effect})
+
+
+def test_a_rotor_in_space_whose_carrier_turns_is_not_cut(tmp_path):
+    machine = mechanism(tmp_path, PINS, 'far', 'crank_joint', spatial=True)
+    with pytest.raises(FieldError, match='effects.one.joint: .*body_b does not turn, got .*far'):
+        simulation(machine, {'one': Rotor('far', 0.1)})
+    # As other programs have it, without the turning of the carrier.
+    simulation(machine, {'one': Rotor('far', 1e-25, 1e12)})
 
 
 def test_a_drive_of_several_freedoms_is_not_cut(tmp_path):

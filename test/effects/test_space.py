@@ -28,6 +28,7 @@ from closedloop_dynamics.effects.effect import Machine
 from closedloop_dynamics.effects.effect_set import EffectSet
 from closedloop_dynamics.effects.end_stop import EndStop
 from closedloop_dynamics.effects.external_force import ExternalForce
+from closedloop_dynamics.effects.force_table import ForceTable
 from closedloop_dynamics.effects.gravity import Gravity
 from closedloop_dynamics.effects.joint_damping import JointDamping
 from closedloop_dynamics.effects.joint_spring import JointSpring
@@ -110,8 +111,9 @@ def assert_moves(mechanism, q, qd, effects, pushes):
     return table
 
 
+@pytest.mark.parametrize('tables', [False, True])
 @pytest.mark.parametrize('seed', range(8))
-def test_springs_between_points_pull_as_in_maximal_coordinates(seed):
+def test_springs_between_points_pull_as_in_maximal_coordinates(seed, tables):
     _, mechanism, q, qd, bodies, points, _ = drawn(seed)
     (arm_a, a, va), (arm_b, b, vb), (arm_c, c, vc) = points
     stiffness, damping, free, anchor = 30.0, 2.0, 0.4, np.array([0.3, -0.5, 0.8])
@@ -129,9 +131,12 @@ def test_springs_between_points_pull_as_in_maximal_coordinates(seed):
             if body != GROUND:
                 pushes.append((body, arm, sign * tension * along, 0.0))
     law = {'stiffness': stiffness, 'damping': damping, 'free_length': free}
-    table = assert_moves(mechanism, q, qd, {
-        'between': PointSpring('p0', 'p1', **law),
-        'anchored': PointSpring('p2', anchor=tuple(anchor), **law)}, pushes)
+    springs = PointSpring('p0', 'p1', **law), PointSpring('p2', anchor=tuple(anchor), **law)
+    if tables:
+        law = (free, free + 1.0, free + 2.0), (0.0, stiffness, 2.0 * stiffness)
+        springs = (ForceTable(*law, point_a='p0', point_b='p1', damping=damping),
+                   ForceTable(*law, point_a='p2', anchor=tuple(anchor), damping=damping))
+    table = assert_moves(mechanism, q, qd, dict(zip(('between', 'anchored'), springs)), pushes)
     assert_agree(table.output[:, 0].sum(), stored, 1e-12)
     assert_agree(table.rates.sum(), lost, 1e-11, smallest=1.0)
 
@@ -449,6 +454,8 @@ def test_a_linkage_with_all_of_it_keeps_its_energy_in_balance():
         'push': ExternalForce('end', (0.5, 0.2, 0.1), (0.02, 0.0, 0.0), 'body'),
         'grease': JointDamping('rocker', 0.01),
         'rope': Cable(('tip', 'end'), 30.0, 0.48, 0.5),
+        'gas': ForceTable((0.2, 0.4, 0.6), (-2.0, -1.0, -0.5), point_a='tip', point_b='end',
+                          interpolation='cubic', damping=0.1),
         'mount': Bushing('tip', 'end', stiffness=(3.0, 2.0, 1.0), damping=(0.1, 0.0, 0.2),
                          turning_stiffness=(0.03, 0.05, 0.01), turning_damping=1e-3),
         'floor': Contact('end', (0.0, 0.0, 0.27), 300.0, damping=0.5, friction=0.3,

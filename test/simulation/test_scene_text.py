@@ -17,6 +17,7 @@
 from dataclasses import replace
 import json
 
+from closedloop_dynamics.mechanism.fields import FieldError
 from closedloop_dynamics.simulation.scene import load_scene, scene_names, SceneError
 from closedloop_dynamics.simulation.scene_text import read_scene_text, scene_text
 import pytest
@@ -55,3 +56,13 @@ def test_a_newer_format_is_named():
     data['scene']['initial'] = {}
     with pytest.raises(SceneError, match='initial'):
         read_scene_text(json.dumps(data))
+
+
+def test_turns_of_cut_joints_in_space_travel():
+    scene = load_scene('bennett')
+    cut, = scene.mechanism.turning_cuts
+    turned = replace(scene, initial=replace(scene.initial, turned={cut: 12.0}))
+    assert read_scene_text(scene_text(turned))[0].initial == turned.initial
+    with pytest.raises(FieldError, match='initial.position.wheel: .*cut joints that turn in space'):
+        replace(scene, initial=replace(scene.initial, turned={'wheel': 1.0}))
+    assert load_scene('four_bar').mechanism.turning_cuts == ()

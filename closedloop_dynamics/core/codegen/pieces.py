@@ -338,7 +338,7 @@ class _Cut:
     def kind(model, row):
         """Return what the code depends on, beside the structure of the constants."""
         # Right-hand sides of prescribed motions are the last columns, wherever these are.
-        width = [model.cut_point.shape[1]] if model.cut[row, CUT_TYPE] == PRESCRIBED_PLACE else []
+        width = [model.cut_point.shape[1]] if model.cut[row, CUT_TYPE] >= PRESCRIBED_PLACE else []
         return *model.cut[row, [CUT_TYPE, KEPT]].tolist(), *width
 
     def pieces(self):
@@ -354,7 +354,7 @@ class _Cut:
         one.motion = [arrays.motion_of(row, _NO_JOINT, one.ground)
                       for row in (sketch.own, sketch.other)]
         # What a coupling says is no matter of bodies' motion: ``loop_closure`` knows it.
-        stage(sketch, one, cut, [] if cut.coupling is not None else cut.left(
+        stage(sketch, one, cut, [] if cut.coupling is not None and not cut.between else cut.left(
             cut.equations(*one.motion)))
         return sketch.piece(name)
 

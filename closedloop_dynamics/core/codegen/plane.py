@@ -20,11 +20,12 @@ from .space import coupling, prescribed
 from .spatial import Body, Cut, X, Y, Z
 from .vectors import IDENTITY, ZERO
 from ..types import (
-    A_X, A_Y, ALPHA, ANGLE, ARMATURE, AX, AY, B_X, B_Y, COS, CUT_ANGLE, CUT_COUPLING, CUT_DISTANCE,
-    CUT_FIXED, CUT_LENGTH, CUT_POINT_ON_LINE, CUT_PRISMATIC, CUT_REVOLUTE, CUT_TYPE, DX, DY, DZ,
-    FACTORS, FX, FY, FZ, HX, HY, INERTIA, IZZ, JOINT_X, JOINT_Y, MASS, MASS_X, MASS_Y, MXX, MXY,
-    MYY, OMEGA, PATH_A, PRESCRIBED_JOINT, PRESCRIBED_PLACE, PRISMATIC, PX, PY, REVOLUTE_ARMATURE,
-    RX, RY, SIN, SX, SY, TYPE, UX, UY, UZ, VX, VY)
+    A_X, A_Y, ALPHA, ANGLE, ARMATURE, AX, AY, B_X, B_Y, COS, COUPLED_PLACE, CUT_ANGLE,
+    CUT_COUPLING, CUT_DISTANCE, CUT_FIXED, CUT_LENGTH, CUT_POINT_COLUMNS, CUT_POINT_ON_LINE,
+    CUT_PRISMATIC, CUT_REVOLUTE, CUT_TYPE, DX, DY, DZ, FACTORS, FX, FY, FZ, HX, HY, INERTIA, IZZ,
+    JOINT_X, JOINT_Y, MASS, MASS_X, MASS_Y, MOTION_COLUMNS, MXX, MXY, MYY, OMEGA, PATH_A,
+    PRESCRIBED_JOINT, PRESCRIBED_PLACE, PRESCRIBED_TURN, PRISMATIC, PX, PY, REVOLUTE_ARMATURE, RX,
+    RY, SIN, SX, SY, TYPE, UX, UY, UZ, VX, VY)
 
 # Where the components of a wrench, of a motion and of an inertia are in Workspace.body, angular
 # ones first: of the bias force, of U = IA S, of the acceleration, of the inertia.
@@ -32,11 +33,14 @@ FORCES = {2: FZ, 3: FX, 4: FY}
 SHARES = {2: UZ, 3: UX, 4: UY}
 CHANGES = {2: DZ, 3: DX, 4: DY}
 INERTIAS = {(2, 2): IZZ, (2, 3): HX, (2, 4): HY, (3, 3): MXX, (3, 4): MXY, (4, 4): MYY}
+# Where the factors of a coupling begin that has columns of its own before them.
+_COUPLED = CUT_POINT_COLUMNS + FACTORS
 # What the cut joints hold: axes of body B, and pairs of axes that stay perpendicular.
 _TURNING = (Z, X), (Z, Y)
 _HELD = {CUT_REVOLUTE: ((X, Y, Z), _TURNING), CUT_PRISMATIC: ((Y, Z), (*_TURNING, (X, Y))),
          CUT_FIXED: ((X, Y, Z), (*_TURNING, (X, Y))), CUT_DISTANCE: ((), ()),
-         CUT_POINT_ON_LINE: ((Y, Z), ()), CUT_COUPLING: ((), ()), PRESCRIBED_PLACE: ((X,), ())}
+         CUT_POINT_ON_LINE: ((Y, Z), ()), CUT_COUPLING: ((), ()), PRESCRIBED_PLACE: ((X,), ()),
+         PRESCRIBED_TURN: ((), ((X, Y),)), COUPLED_PLACE: ((X,), ())}
 
 
 def structure(model):
@@ -55,7 +59,10 @@ def structure(model):
 
     """
     couplings = model.cut[:, CUT_TYPE] == CUT_COUPLING
-    return (model.cut_point[couplings, FACTORS:] != 0.0,) if couplings.any() else ()
+    found = (model.cut_point[couplings, FACTORS:] != 0.0,) if couplings.any() else ()
+    places = model.cut[:, CUT_TYPE] == COUPLED_PLACE
+    return (*found, model.cut_point[places, _COUPLED:-MOTION_COLUMNS] != 0.0) if (
+        places.any()) else found
 
 
 def bodies(model, symbols):
@@ -108,7 +115,9 @@ def cuts(model, symbols):
             Cut(*_HELD[one[CUT_TYPE]], (row[A_X], row[A_Y], 0.0), (row[B_X], row[B_Y], 0.0),
                 None, None, row[CUT_ANGLE], None,
                 length=row[CUT_LENGTH] if one[CUT_TYPE] == CUT_DISTANCE else None,
-                motion=prescribed(one, row))
+                coupling=_sum(model, one, values[CUT_POINT_COLUMNS:], row[CUT_POINT_COLUMNS:])
+                if one[CUT_TYPE] == COUPLED_PLACE else None,
+                motion=prescribed(one, row), between=one[CUT_TYPE] == COUPLED_PLACE)
             for one, values, row in zip(model.cut, model.cut_point, symbols)]
 
 
@@ -118,9 +127,13 @@ def _coupling(model, one, values, row):
         alone = 0.0, ((int(model.path_body[one[PATH_A]]), 1.0),)
         return Cut((), (), ZERO, ZERO, None, None, 0.0, None, coupling=alone,
                    motion=prescribed(one, row))
+    return Cut((), (), ZERO, ZERO, None, None, 0.0, None, coupling=_sum(model, one, values, row))
+
+
+def _sum(model, one, values, row):
+    """Return what ``Cut.coupling`` is, of numbers and symbols of what is held and the factors."""
     read = np.where(values[FACTORS:] == 0.0, 0.0, row[FACTORS:])
-    return Cut((), (), ZERO, ZERO, None, None, 0.0, None,
-               coupling=coupling(model, one, np.concatenate([row[:FACTORS], read])))
+    return coupling(model, one, np.concatenate([row[:FACTORS], read]))
 
 
 def motion_of(row, body, ground):

@@ -26,9 +26,9 @@ import numpy as np
 from .spatial import Body, Cut, X, Y, Z
 from .vectors import IDENTITY, is_zero, ZERO
 from ..types import (
-    AXIS, BALL, BODY_A, BODY_B, CUT_NUMBER, CUT_ROW, CUT_TYPE, FACTORS, HELD_SUM, HELICAL, KEPT,
-    LENGTHS, MOTION_COLUMNS, PARENT, PATH_A, PATH_END, PRESCRIBED_JOINT, PRISMATIC, REVOLUTE, ROW,
-    ROWS, TYPE)
+    AXIS, BALL, BODY_A, BODY_B, COUPLED_PLACE, COUPLED_TURN, CUT_NUMBER, CUT_ROW, CUT_TYPE,
+    FACTORS, HELD_SUM, HELICAL, KEPT, LENGTHS, MOTION_COLUMNS, PARENT, PATH_A, PATH_END,
+    PRESCRIBED_JOINT, PRESCRIBED_PLACE, PRESCRIBED_TURN, PRISMATIC, REVOLUTE, ROW, ROWS, TYPE)
 
 # Columns of Model.body, one row a body: mass; first moments; moments of inertia about the body's
 # origin, xx, yy, zz, xy, xz, yz; the joint's place in the parent's frame; its axes there, row by
@@ -75,6 +75,9 @@ HELD = (
     ('coupling', (), ()),
     ('prescribed_joint', (), ()),
     ('prescribed_place', (Z,), ()),
+    ('prescribed_turn', (), ()),
+    ('coupled_place', (Z,), ()),
+    ('coupled_turn', (), ()),
 )
 CUT_TYPES = tuple(name for name, _, _ in HELD)
 HELICAL_CUT, DISTANCE, COUPLING = map(CUT_TYPES.index, ('helical', 'distance', 'coupling'))
@@ -164,7 +167,8 @@ def equation_names(kind):
     return [*(f'place along {"xyz"[axis]}' for axis in along),
             *(_TURNS[pair] for pair in perpendicular),
             *{'helical': ['thread'], 'distance': ['distance'], 'coupling': ['sum'],
-              'prescribed_joint': ['motion']}.get(name, [])]
+              'prescribed_joint': ['motion'], 'prescribed_turn': ['motion'],
+              'coupled_turn': ['sum']}.get(name, [])]
 
 
 def group_of(kind, number):
@@ -229,6 +233,9 @@ def _cut_structure(model):
     # A sum may be zero now and another one later; so may what is prescribed.
     found[model.cut[:, CUT_TYPE] == COUPLING, HELD_SUM] = np.nan
     found[model.cut[:, CUT_TYPE] >= PRESCRIBED_JOINT, -MOTION_COLUMNS:] = np.nan
+    coupled = model.cut[:, CUT_TYPE] >= COUPLED_PLACE
+    if coupled.any():
+        found[coupled, CUT_POINT_COLUMNS + HELD_SUM] = np.nan
     return found
 
 
@@ -368,9 +375,11 @@ def cuts(model, symbols):
             0.0, tuple(n for n in range(6) if cut[KEPT] >> n & 1),
             length=row[LENGTH] if cut[CUT_TYPE] == DISTANCE else None,
             lead=row[LENGTH] if cut[CUT_TYPE] == HELICAL_CUT else None,
-            coupling=coupling(model, cut, row)
-            if cut[CUT_TYPE] in (COUPLING, PRESCRIBED_JOINT) else None,
-            motion=prescribed(cut, row)))
+            coupling=coupling(model, cut, row) if cut[CUT_TYPE] in (COUPLING, PRESCRIBED_JOINT)
+            else coupling(model, cut, row[CUT_POINT_COLUMNS:])
+            if cut[CUT_TYPE] >= COUPLED_PLACE else None,
+            motion=prescribed(cut, row), between=cut[CUT_TYPE] >= PRESCRIBED_PLACE,
+            turns=cut[CUT_TYPE] in (PRESCRIBED_TURN, COUPLED_TURN)))
     return found
 
 

@@ -116,6 +116,11 @@ class Cut(NamedTuple):
     motion : tuple of 3 or None
         Of a prescribed motion, which holds nothing else: what its position, rate and acceleration
         are to be.
+    between : bool
+        Whether what is coupled to joints, or else moved as prescribed, is the place along an axis
+        or the angle of body A in body B.
+    turns : bool
+        Whether the angle about Z of frames that are turned is held, in the place of anything else.
 
     """
 
@@ -131,6 +136,8 @@ class Cut(NamedTuple):
     lead: object = None
     coupling: tuple = None
     motion: tuple = None
+    between: bool = False
+    turns: bool = False
 
     def left(self, equations):
         """Return which of all equations are left, those apart that always hold."""
@@ -140,6 +147,8 @@ class Cut(NamedTuple):
 
     def equations(self, first, second):
         """Return all equations, of the motion of both bodies."""
+        if self.turns:
+            return [_turn(self, first, second)]
         at_a = times(first.frame, self.point_a)
         at_b = times(second.frame, self.point_b)
         found = [*_translations(self, first, second, at_a, at_b),
@@ -557,10 +566,15 @@ class Recursion:
     def equations(self, model, a):
         """Return all equations of a cut joint."""
         cut = self.cuts[a]
-        if cut.coupling is not None:
+        if cut.coupling is not None and not cut.between:
             equation = self._coupled(cut)
             return [equation if cut.motion is None else cut.moved(equation)]
-        return cut.equations(*(self.motion[model.cut[a, body]] for body in (BODY_A, BODY_B)))
+        both = [self.motion[model.cut[a, body]] for body in (BODY_A, BODY_B)]
+        if cut.coupling is None:
+            return cut.equations(*both)
+        joints = self._coupled(cut)
+        asked = cut._replace(motion=(0.0 - joints.value, 0.0 - joints.rate, 0.0))
+        return [one._replace(in_joints=joints.in_joints) for one in asked.equations(*both)]
 
     def _coupled(self, cut):
         """Return the equation that holds a sum of joint coordinates."""
@@ -574,16 +588,18 @@ class Recursion:
     def _respond(self, model, work, responses, cut, row, equation):
         """Carry a unit multiplier's wrenches inward and keep their share at each joint."""
         if equation.in_joints:
-            self._respond_in_joints(model, work, responses, cut, row, dict(equation.in_joints))
+            self._respond_in_joints(model, work, responses, cut, row, equation)
             return
         middle, common, end = cut[PATH_B], cut[PATH_COMMON], cut[PATH_END]
         one = self._reduced(model, work, responses, cut[PATH_A], middle, row, equation.on_a)
         other = self._reduced(model, work, responses, middle, common, row, equation.on_b)
         self._reduced(model, work, responses, common, end, row, add(one, other))
 
-    def _respond_in_joints(self, model, work, responses, cut, row, forces):
-        """Do as ``_respond`` does for forces in joints; a body comes before its parent."""
-        arrived = {}
+    def _respond_in_joints(self, model, work, responses, cut, row, equation):
+        """Do as ``_respond`` does for forces in joints, too; a body comes before its parent."""
+        forces, arrived = dict(equation.in_joints), {}
+        for body, wrench in ((BODY_A, equation.on_a), (BODY_B, equation.on_b)):
+            arrived[cut[body]] = add(arrived.get(cut[body], 2 * ZERO), wrench)
         for entry in range(cut[PATH_A], cut[PATH_END]):
             i = model.path_body[entry]
             wrench, parent = arrived.pop(i, 2 * ZERO), model.tree[i, PARENT]
@@ -832,6 +848,26 @@ def _distance(cut, first, second, at_a, at_b):
         0.5 * (dot(along, apart) - cut.length), dot(along, rate),
         dot(along, bias) + inverse * dot(rate, rate), cross(at_a, along) + along,
         cross(along, at_b) + negate(along))
+
+
+def _turn(cut, first, second):
+    """
+    Return the equation that lets the angle of body A about Z of body B be as prescribed.
+
+    Its value is the sine of what the angle is off, so that it does not matter how often the joint
+    has turned round.
+
+    """
+    angle, rate, acceleration = cut.motion
+    side = transpose(_joint_frame(first, cut.turned_a, 0.0))[X]
+    along, across, axis = transpose(_joint_frame(second, cut.turned_b, 0.0))
+    turns = subtract(first.spin, second.spin)
+    return Closure(
+        dot(side, across) * cosine(angle) - dot(side, along) * sine(angle),
+        dot(axis, turns) - rate,
+        dot(axis, subtract(first.spin_rate, second.spin_rate))
+        + dot(cross(second.spin, axis), turns) - acceleration,
+        axis + ZERO, negate(axis) + ZERO)
 
 
 def _rotations(cut, first, second):
