@@ -30,6 +30,8 @@ from ..simulation.scene_text import read_scene_text
 from ..visual.motion import from_rows, Motion, wrench_parts
 
 STATES, FORCES, LOG, SCENE = 'joint_states', 'constraint_forces/', 'replay_log', 'scene'
+# Of couplings and prescribed motions.
+EFFORTS = ('coupling_forces', 'tooth_forces', 'motion_forces')
 # Of joints with an orientation.
 TURNED = 'multi_dof_joint_states'
 NANOSECONDS = 1e-9
@@ -73,6 +75,9 @@ class Recording:
     log: Optional[Log] = None
     finished: bool = True  # Whether the recording came to its end in order
     stamps: Optional[np.ndarray] = None  # Shape (n,): of the states [ns]; None for a CSV file
+    # By topic, ``coupling_forces``, ``tooth_forces`` and ``motion_forces``, and by name: arrays of
+    # shape (n,), NaN where nothing was recorded; as ``Simulation.equation_forces``.
+    efforts: dict = field(default_factory=dict)
 
 
 def read_recording(path, scene=None, namespace=None):
@@ -173,13 +178,15 @@ def _recording(path, messages, scene, namespace, finished):
         values = _with_orientations(
             path, messages.get(prefix + TURNED, []), mechanism.coordinates, stamps, values)
     forces = _forces(messages, prefix + FORCES, mechanism, stamps)
+    efforts = {topic: _efforts(messages[prefix + topic], stamps)
+               for topic in EFFORTS if prefix + topic in messages}
     return Recording(Motion(mechanism, time, *values, forces), scene, changes, log, finished,
-                     np.array(stamps))
+                     np.array(stamps), efforts)
 
 
 def _of_interest(topic):
     *_, parent, name = ('', *topic.split('/'))
-    return name in (STATES, TURNED, LOG, SCENE) or f'{parent}/' == FORCES
+    return name in (STATES, TURNED, LOG, SCENE, *EFFORTS) or f'{parent}/' == FORCES
 
 
 def _prefix(path, messages, namespace):
@@ -283,6 +290,15 @@ def _forces(messages, prefix, mechanism, stamps):
             forces[row, k] = (torque.z, force.x, force.y) if mechanism.planar else (
                 torque.x, torque.y, torque.z, force.x, force.y, force.z)
     return forces
+
+
+def _efforts(entries, stamps):
+    """Return the efforts of other topics than the joints', by name."""
+    found = {}
+    for row, entry in _matched(stamps, [_stamp(message) for message in entries]):
+        for name, effort in zip(entries[entry].name, entries[entry].effort):
+            found.setdefault(name, np.full(len(stamps), np.nan))[row] = effort
+    return found
 
 
 def _matched(stamps, others):

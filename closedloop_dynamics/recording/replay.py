@@ -14,7 +14,7 @@
 
 """Repeat a recorded simulation, and compare the recorded states with it."""
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 
@@ -49,6 +49,8 @@ class Replay:
     notes: list  # List of str: what limits the comparison
     # How many times larger a small difference of positions has become up to each instant.
     growth: np.ndarray
+    # By topic and name, recorded less simulated forces of couplings and prescribed motions.
+    efforts: dict = field(default_factory=dict)
     # Difference of positions at a start that is explained [rad or m]: by rounding, or by the
     # error that the method may make where the recording does not hold its past.
     explained: float = MARGIN * PERTURBATION
@@ -98,7 +100,7 @@ def replay(recording, progress=lambda time: None):
     """
     kind = _Stamped if recording.log is None else _Logged
     player = kind(recording)
-    motion, values, true = recording.motion, [], []
+    motion, values, true, forces = recording.motion, [], [], []
     perturbed = _positions(kind(recording, PERTURBATION))
     growth = []
     for known, other in zip(player.states(), perturbed):
@@ -106,6 +108,8 @@ def replay(recording, progress=lambda time: None):
         portion = (*simulation.measured(), simulation.effort, simulation.constraint_forces)
         values.append(portion if known else tuple(np.full_like(each, np.nan) for each in portion))
         true.append(simulation.state)
+        if recording.efforts:
+            forces.append(simulation.equation_forces() if known else {})
         growth.append(np.abs(other - simulation.position).max() / PERTURBATION)
         progress(len(values))
     simulated = Motion(
@@ -119,8 +123,11 @@ def replay(recording, progress=lambda time: None):
     method = recording.scene.method
     if MEMORY in player.notes and INTEGRATORS[method.integrator].kind == ADAPTIVE:
         explained = method.accuracy if method.integrator == AUTO else method.tolerance
+    efforts = {topic: {name: recorded - [each.get(topic, {}).get(name, np.nan) for each in forces]
+                       for name, recorded in told.items()}
+               for topic, told in recording.efforts.items()}
     return Replay(motion, simulated, player.starts, player.notes, np.maximum.accumulate(growth),
-                  explained)
+                  efforts, explained)
 
 
 def _true(motion, states):
@@ -330,6 +337,9 @@ def table(result):
     forces = result.deviation('forces')
     for k, cut in enumerate(motion.mechanism.cut_joints):
         rows.append((f'{cut.name} (force)', '', '', _deviations(magnitudes(forces[:, k]))))
+    for topic, told in result.efforts.items():
+        rows += [(f'{name} ({topic[:-len("_forces")]})', '', '', _deviations(values))
+                 for name, values in told.items()]
     return text_table(
         ('largest, rms', 'position [rad, m]', 'velocity [1/s]', 'effort, force [N m, N]'), rows)
 

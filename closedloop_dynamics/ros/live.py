@@ -62,6 +62,7 @@ class LiveSimulation:
         self.simulation, self.command, self.stamps, self.states = (
             simulation, command, stamps, states)
         self._pacer, self._logger = pacer, logger
+        self._others = bool(simulation.equation_forces())
         self.torque, self.wrench = simulation.joint_torques(None), ExternalWrench(simulation)
         self.on_published, self.on_advance, self.on_jump = [], [], []
         self._published_at = self._published_stamp = None
@@ -96,14 +97,16 @@ class LiveSimulation:
         """
         simulation, stamp = self.simulation, self.stamps.earlier(late, self._published_stamp)
         forces = simulation.constraint_forces
-        if not np.isfinite(forces).all():
+        others = [np.array(list(each.values()))
+                  for each in (simulation.equation_forces() if self._others else {}).values()]
+        if not all(np.isfinite(each).all() for each in (forces, *others)):
             raise NumericalError('the constraint forces are not finite numbers')
         # The clock first: who answers the state knows the time.
         self.stamps.publish()
         cuts = (*simulation.measured_cut_joints(), simulation.cut_effort) if (
             simulation.cut_joint_names) else ()
         self.states.publish(stamp, *simulation.measured(),
-                            self.wrench.without(simulation.effort), forces, cuts)
+                            self.wrench.without(simulation.effort), forces, cuts, *others)
         self._published_at, self._published_stamp = time.monotonic(), stamp
         for publish in self.on_published:
             publish(self.states.stamp)

@@ -177,6 +177,8 @@ class StatePublisher:
         Frames that these refer to.
     measured : sequence of str
         Names of the cut joints of one freedom, which follow those of the tree.
+    others : mapping of str to sequence of str
+        By topic, a JointState beside those of the joints: what is named in it, and has efforts.
 
     Attributes
     ----------
@@ -192,14 +194,19 @@ class StatePublisher:
 
     """
 
-    def __init__(self, node, coordinates, cut_names, frames, measured=()):
+    def __init__(self, node, coordinates, cut_names, frames, measured=(), others=None):
         self.stamp, self.published = Time(), 0
         self._stuck_since = None
         self._coordinates, self._single = coordinates, coordinates.single
         self._places = coordinates.place[self._single]
         self._names = [*(coordinates.names[place] for place in self._single), *measured]
         self._measured = len(measured)
-        self._state = SerializedTemplate(self.joint_state, 3 * [len(self._names)])
+        self._state = SerializedTemplate(
+            partial(joint_state, self._names), 3 * [len(self._names)])
+        self._others = [
+            (node.create_publisher(JointState, topic, STATE_QOS),
+             SerializedTemplate(partial(_joint_efforts, list(names)), [len(names)]))
+            for topic, names in (others or {}).items()]
         self._turned = None
         count = len(coordinates.with_orientation)
         if count:
@@ -222,14 +229,6 @@ class StatePublisher:
                 'digits and underscores, not beginning with a digit; got '
                 f'{list(cut_names)}') from None
 
-    def joint_state(self, sec, nanosec, position, velocity, effort):
-        """Return a JointState of arrays, one number for each joint in it."""
-        message = JointState(name=self._names, **{
-            key: array('d', values.tobytes()) for key, values in (
-                ('position', position), ('velocity', velocity), ('effort', effort))})
-        message.header.stamp = Time(sec=sec, nanosec=nanosec)
-        return message
-
     def multi_dof_joint_state(self, sec, nanosec, poses, twists, wrenches):
         """Return a MultiDOFJointState of arrays of 7, 6 and 6 numbers for each joint in it."""
         message = MultiDOFJointState(joint_names=list(self._coordinates.with_orientation))
@@ -249,7 +248,8 @@ class StatePublisher:
             message.wrench.append(wrench)
         return message
 
-    def publish(self, nanoseconds, position, velocity, effort, constraint_forces, cuts=()):
+    def publish(self, nanoseconds, position, velocity, effort, constraint_forces, cuts=(),
+                *others):
         """
         Publish a state.
 
@@ -266,6 +266,8 @@ class StatePublisher:
             torque about and force along x, y and z.
         cuts : tuple of 3 ndarrays, shape (number of measured cut joints,)
             Positions, velocities and efforts of these; none where there are none.
+        *others : ndarray
+            Efforts of each of the other topics.
 
         """
         sec, nanosec = divmod(nanoseconds, NANOSECONDS)
@@ -275,6 +277,8 @@ class StatePublisher:
         for publisher, message, wrench in zip(
                 self._force_publishers, self._messages, self._wrenches):
             publisher.publish(message.filled(sec, nanosec, wrench))
+        for (publisher, message), efforts in zip(self._others, others):
+            publisher.publish(message.filled(sec, nanosec, efforts))
         if self._turned is not None:
             names, single = self._coordinates, self._single
             self._turned_publisher.publish(self._turned.filled(sec, nanosec, *(
@@ -287,7 +291,7 @@ class StatePublisher:
                 np.concatenate, zip((position, velocity, effort), cuts))
         self._state_publisher.publish(
             self._state.filled(sec, nanosec, position, velocity, effort))
-        self.published += 1 + len(self._force_publishers)
+        self.published += 1 + len(self._force_publishers) + len(self._others)
 
     def is_received(self):
         """
@@ -300,11 +304,27 @@ class StatePublisher:
         now = time.monotonic()
         turned = () if self._turned is None else (self._turned_publisher,)
         if all(publisher.wait_for_all_acked(PATIENCE)
-               for publisher in (self._state_publisher, *turned, *self._force_publishers)):
+               for publisher in (self._state_publisher, *turned, *self._force_publishers,
+                                 *(publisher for publisher, _ in self._others))):
             self._stuck_since = None
             return True
         self._stuck_since = self._stuck_since or now
         return now - self._stuck_since > GIVE_UP
+
+
+def joint_state(names, sec, nanosec, position, velocity, effort):
+    """Return a JointState of names and arrays, one number for each joint in it."""
+    message = JointState(name=names, **{
+        key: array('d', values.tobytes()) for key, values in (
+            ('position', position), ('velocity', velocity), ('effort', effort))})
+    message.header.stamp = Time(sec=sec, nanosec=nanosec)
+    return message
+
+
+def _joint_efforts(names, sec, nanosec, effort):
+    """Return the same of efforts alone; the others are zero."""
+    # Readers of bags trip over lists that are empty.
+    return joint_state(names, sec, nanosec, np.zeros(len(names)), np.zeros(len(names)), effort)
 
 
 def wrench_stamped(frame, sec, nanosec, values):

@@ -45,8 +45,9 @@ RARE = 'multi_dof_joint_states'
 
 PARAMETERS = (
     Parameter(
-        'topics', ['joint_states', RARE, 'constraint_forces/*',
-                   'torque_command', 'joint_command', 'scene', 'robot_description', 'replay_log'],
+        'topics', ['joint_states', RARE, 'constraint_forces/*', 'coupling_forces', 'tooth_forces',
+                   'motion_forces', 'torque_command', 'joint_command', 'motion_command', 'scene',
+                   'robot_description', 'replay_log'],
         'Topics to record, relative to the namespace or full names; * and ? stand for any '
         'characters.'),
     Parameter(

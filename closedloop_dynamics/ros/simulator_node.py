@@ -147,7 +147,8 @@ class SimulatorNode(Node):
         self._frames = Frames(self, simulation)
         self.states = StatePublisher(
             self, simulation.coordinates, [cut.name for cut in simulation.cut_joints],
-            self._frames.of_cuts, simulation.cut_joint_names)
+            self._frames.of_cuts, simulation.cut_joint_names,
+            {topic: list(forces) for topic, forces in simulation.equation_forces().items()})
         self.command = TorqueCommand(
             (*simulation.joint_names, *simulation.cut_joint_names), simulation.actuated_joints,
             values['command_timeout'])

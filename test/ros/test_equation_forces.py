@@ -1,0 +1,63 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Forces of couplings and of prescribed motions on topics, in bags and in replays."""
+
+from closedloop_dynamics.cli import main
+from closedloop_dynamics.recording.recording import read_recording
+from closedloop_dynamics.recording.replay import replay
+from closedloop_dynamics.ros.simulator_node import SimulatorNode
+import numpy as np
+from sensor_msgs.msg import JointState
+
+TOPICS = ('coupling_forces', 'tooth_forces', 'motion_forces')
+
+
+def test_a_mechanism_without_couplings_and_motions_has_no_topics_of_them(make_node):
+    node = make_node(SimulatorNode, scene='four_bar')
+    topics = {name for name, _ in node.get_topic_names_and_types()}
+    assert topics.isdisjoint(f'/{topic}' for topic in TOPICS)
+
+
+def test_forces_are_published_recorded_and_met(processes, listener, tmp_path, capsys):
+    recorder = processes.start('closedloop_recorder', output='bag').wait_until_ready()
+    simulator = processes.start('closedloop_simulator', scene='geared_five_bar',
+                                motion_joints='crank_2_joint', publish_clock='true')
+    simulator.wait_until_ready()
+    for topic in (*TOPICS, 'joint_states', 'replay_log', 'scene'):
+        recorder.wait_for(f'/{topic}: first message')
+    seen = {topic: listener.listen(topic, JointState) for topic in TOPICS}
+    states = listener.listen('joint_states', JointState)
+    listener.wait(lambda: len(states) > 30 and all(map(len, seen.values())), '30 states')
+    assert simulator.stop() == 0
+    assert recorder.stop() == 0
+    recording = read_recording(tmp_path / 'bag')
+    assert set(recording.efforts) == set(TOPICS)
+    stamps = recording.stamps.tolist()
+    for topic, messages in seen.items():
+        names = list(recording.efforts[topic])
+        for message in messages[-3:]:
+            stamp = message.header.stamp
+            assert message.name == names and not any(message.position)
+            row = stamps.index(stamp.sec * 10 ** 9 + stamp.nanosec)
+            assert list(message.effort) == [
+                recording.efforts[topic][name][row] for name in names]
+    result = replay(recording)
+    for topic in TOPICS:
+        for name, values in recording.efforts[topic].items():
+            assert np.isfinite(values).sum() > 20 and np.abs(values[np.isfinite(values)]).max() > 0
+            deviation = result.efforts[topic][name]
+            assert np.nanmax(np.abs(deviation)) == 0.0
+    assert main(['replay', str(tmp_path / 'bag'), '--tolerance', '1e-12']) == 0
+    assert '(coupling)' in capsys.readouterr().out
