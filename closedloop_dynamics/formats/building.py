@@ -122,7 +122,8 @@ def mechanism_of(model, end_stops=None, mend_inertias=False):
     mechanism = Mechanism(
         name=word(model.name), bodies=tuple(bodies),
         joints=tuple(_joint(joint, groups, frames, named) for joint in tree.joints),
-        cut_joints=tuple(_cut(joint, groups, frames, named, ignored) for joint in tree.cuts),
+        cut_joints=tuple(_cut(joint, groups, frames, named, end_stops is not None, ignored)
+                         for joint in tree.cuts),
         couplings=tuple(_coupling(relation, tree, named) for relation in model.relations),
         points=tuple(_points(model, groups, frames, named)),
         description=f'From {model.path.name}.', ground_visual=tuple(ground))
@@ -337,7 +338,7 @@ def _joint(joint, groups, frames, named):
         lead=joint.lead if joint.type == HELICAL else None)
 
 
-def _cut(joint, groups, frames, named, ignored):
+def _cut(joint, groups, frames, named, stops, ignored):
     """Return a joint that closes a loop."""
     if joint.type not in SPATIAL_CUT_JOINT_EQUATIONS:
         raise MechanismError(f'{joint.where}: expected a type that a loop can be closed with, '
@@ -349,18 +350,25 @@ def _cut(joint, groups, frames, named, ignored):
     if joint.type == UNIVERSAL and not joint.closes and abs(joint.axis @ other) > AGREEMENT:
         raise MechanismError(f'{joint.where}: expected two axes at right angles, where the loop '
                              'is closed by a universal joint, got others')
+    single = joint.type in COUPLED
     lost = [key for key in ('actuated', *JOINT_EFFECTS) if getattr(joint, key)]
-    if lost:
-        ignored[f'{", ".join(lost)} of {joint.name}'] = 'this joint closes a loop'
+    if lost and not single:
+        ignored[f'{", ".join(lost)} of {joint.name}'] = (
+            'this joint of several freedoms closes a loop')
+    axis_a, axis_b = joint.axis, other
     held = joint.type in CUT_WITH_ORIENTATION
+    if single and (lost or stops and (joint.lower, joint.upper) != (None, None)):
+        # Its coordinate is that of the child, which is body A then, on the parent.
+        (a, pose_a, axis_a), (b, pose_b, axis_b) = (b, pose_b, other), (a, pose_a, joint.axis)
+        held = True
     return CutJoint(
         named.joint(joint.name), joint.type, named.body(a), named.body(b),
         _vector(pose_a.position), _vector(pose_b.position),
-        axis_a=_direction(pose_a.rotation @ joint.axis)
+        axis_a=_direction(pose_a.rotation @ axis_a)
         if joint.type in CUT_WITH_AXIS_A else None,
-        axis_b=_direction(pose_b.rotation @ other) if joint.type in CUT_WITH_AXIS_B else None,
+        axis_b=_direction(pose_b.rotation @ axis_b) if joint.type in CUT_WITH_AXIS_B else None,
         orientation=_orientation(pose_b.rotation @ pose_a.rotation.T) if held else UNTURNED,
-        lead=joint.lead)
+        lead=joint.lead, actuated=bool(single and joint.actuated))
 
 
 def _coupling(relation, tree, named):
@@ -393,7 +401,8 @@ def _effects(model, tree, named, end_stops, ignored):
     if not any(model.gravity):
         effects = {}
     limits, drives = [], []
-    for joint in tree.joints:
+    closing = [joint for joint in tree.cuts if joint.type in COUPLED]
+    for joint in (*tree.joints, *closing):
         name = named.joint(joint.name)
         several = JOINT_FREEDOMS[joint.type] > 1
         for key, (kind, number) in JOINT_EFFECTS.items():
@@ -419,7 +428,7 @@ def _effects(model, tree, named, end_stops, ignored):
                        if getattr(joint, key) is not None}}
         if joint.actuated and (joint.effort or joint.speed):
             drives.append(name)
-        if joint.start and not several:
+        if joint.start and not several and joint not in closing:
             position[name] = joint.start
     if limits:
         ignored[f'limits of {len(limits)} joint(s)'] = 'no end stops unless they are asked for'

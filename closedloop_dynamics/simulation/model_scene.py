@@ -136,7 +136,9 @@ def assembled(imported):
     start = Loops(mechanism, size).start(imported.position)
     if not (mechanism.cut_joints or mechanism.couplings):
         return find_closed(mechanism, size, start), []
-    drives, limits = mechanism.actuated_joints, imported.limits
+    cuts = {cut.name for cut in mechanism.cut_joints}
+    drives, limits = [
+        name for name in mechanism.actuated_joints if name not in cuts], imported.limits
     # What is quick comes first.
     attempts = [((), limits, '', 0), ((), limits, '', STARTS_EACH)]
     if drives:
