@@ -13,28 +13,63 @@
 # limitations under the License.
 
 """
-How many operations an evaluation takes with machine elements that are rows, and without them.
+What machine elements cost: operations of those that are rows, and measured times of all.
 
-Counted before anything is compiled: additions, subtractions, multiplications, divisions and
-negations of the unrolled evaluation. A mechanism without an element takes what it took before
-there were any.
+Operations are counted before anything is compiled: additions, subtractions, multiplications,
+divisions and negations of the unrolled evaluation. Times (``--times``) are those of a step of
+the Runge-Kutta method of fourth order, of a scene that lists an element and of the same scene that
+does not, side by side: blocks of steps of the one and of the other in turn, so that what else the
+machine does meets both. Their ratio is the median of those of neighbouring blocks. Compile
+times are told apart; a second run has what the first one compiled.
 
 """
 
+from argparse import ArgumentParser
 from dataclasses import replace
 import sys
+from time import perf_counter
 
-from machine import ROOT
+from machine import description, ROOT
 
 sys.path.insert(0, str(ROOT))
 
+from closedloop_dynamics import Simulation  # noqa: E402,I100
+from closedloop_dynamics.effects.registry import EFFECTS  # noqa: E402
 from closedloop_dynamics.mechanism.mechanism import (  # noqa: E402,I100
     DISTANCE, POINT_ON_LINE)
 from closedloop_dynamics.simulation.scene import load_scene  # noqa: E402
 from closedloop_dynamics.simulation.tree_choice import count_operations  # noqa: E402
 from closedloop_dynamics.visual.tables import text_table  # noqa: E402
+import numpy as np  # noqa: E402
 
 SCENES = ('planetary_gear', 'rack_press', 'geared_five_bar', 'scissor_lift', 'differential')
+# What is listed in a scene, or not, by what it is called: the scene, and the effects of it; those
+# with a type are added.
+TABLE = {'type': 'force_table', 'strokes': (-10.0, 0.0, 10.0), 'forces': (1.0, 0.0, -1.0)}
+ELEMENTS = {
+    'gears (5 rows)': ('planetary_gear', None),
+    'belt (1 row)': ('geared_five_bar', None),
+    'prescribed motion': ('four_bar', {
+        'type': 'prescribed_motion', 'joint': 'crank_joint', 'shape': 'constant_speed',
+        'speed': 4.0}),
+    'commanded motion': ('four_bar', {
+        'type': 'prescribed_motion', 'joint': 'crank_joint', 'shape': 'commanded'}),
+    'motion of a cut joint': ('four_bar', {
+        'type': 'prescribed_motion', 'joint': 'CUT', 'shape': 'constant'}),
+    'prescribed force': ('four_bar', {
+        'type': 'prescribed_force', 'joint': 'crank_joint', 'shape': 'sine', 'amplitude': 0.1,
+        'frequency': 2.0}),
+    'force table': ('four_bar', {**TABLE, 'joint': 'crank_joint'}),
+    'force table, cut joint': ('four_bar', {**TABLE, 'joint': 'CUT'}),
+    'spring': ('four_bar', {'type': 'joint_spring', 'joint': 'crank_joint', 'stiffness': 1.0}),
+    'spring, cut joint': ('four_bar', {'type': 'joint_spring', 'joint': 'CUT', 'stiffness': 1.0}),
+    'cam with roller': ('cam_follower', 'body_contact'),
+    'Geneva drive': ('geneva_drive', 'body_contact'),
+    'cable, two pulleys': ('rope_hoist', 'cable'),
+    'motion in space': ('rssr_four_bar', {
+        'type': 'prescribed_motion', 'joint': 'crank', 'shape': 'constant_speed', 'speed': 2.0})}
+# Of a step that is measured [s]; blocks of steps, and seconds that each takes at least.
+STEP, BLOCKS, SECONDS = 1e-4, 31, 0.05
 
 
 def bare(mechanism):
@@ -56,5 +91,109 @@ def rows():
     return found
 
 
-if __name__ == '__main__':
+def both(name, element):
+    """
+    Return a scene with an element, and without it.
+
+    Parameters
+    ----------
+    name : str
+        Of the scene.
+    element : dict, str or None
+        Keys of an effect that is added, the type of those that are left out, or None for
+        couplings.
+
+    """
+    scene = load_scene(name)
+    if element is None:
+        mechanism = replace(scene.mechanism, couplings=())
+        return scene, replace(scene, mechanism=mechanism, initial=replace(
+            scene.initial, hold=()))
+    if isinstance(element, str):
+        return scene, replace(scene, effects={
+            key: one for key, one in scene.effects.items()
+            if not isinstance(one, EFFECTS[element])})
+    keys = {key: scene.mechanism.cut_joints[0].name if value == 'CUT' else value
+            for key, value in element.items() if key != 'type'}
+    record = EFFECTS[element['type']](**keys)
+    return replace(scene, effects={**scene.effects, 'element': record}), scene
+
+
+def timed(pair, blocks=BLOCKS, seconds=SECONDS):
+    """
+    Return times of a step [s], the ratio of neighbouring blocks, and what compiling took [s].
+
+    Parameters
+    ----------
+    pair : sequence of 2 Scene
+        With the element, and without it.
+    blocks : int
+        Of steps of each.
+    seconds : float
+        Of a block, at least.
+
+    Returns
+    -------
+    times : list of 2 floats
+    ratio : float
+    compiling : list of 2 floats
+
+    """
+    sims, compiling = [], []
+    for scene in pair:
+        begin = perf_counter()
+        simulation = Simulation.from_scene(scene, integrator='rk4', step_size=STEP)
+        simulation.warm_up()
+        compiling.append(perf_counter() - begin)
+        sims.append(simulation)
+    counts = [_steps_within(simulation, seconds) for simulation in sims]
+    found = np.array([[_time(simulation, count) for simulation, count in zip(sims, counts)]
+                      for _ in range(blocks)])
+    return np.median(found, axis=0).tolist(), float(np.median(found[:, 0] / found[:, 1])), (
+        compiling)
+
+
+def _steps_within(simulation, seconds):
+    """Return how many steps take so long."""
+    count = 1
+    while _time(simulation, count) * count < seconds:
+        count *= 2
+    return count
+
+
+def _time(simulation, count):
+    """Return the time of one of some steps from the start [s]."""
+    simulation.reset()
+    begin = perf_counter()
+    simulation.step(duration=count * STEP)
+    return (perf_counter() - begin) / count
+
+
+def times(names, blocks=BLOCKS, seconds=SECONDS):
+    """Yield the rows of the table of times."""
+    for name in names:
+        scene, element = ELEMENTS[name]
+        (listed, bare_one), ratio, compiling = timed(both(scene, element), blocks, seconds)
+        yield (name, scene, f'{1e6 * listed:.2f}', f'{1e6 * bare_one:.2f}', f'{ratio:.2f}',
+               ' / '.join(f'{one:.1f}' for one in compiling))
+
+
+def main(arguments=None):
+    """Print the counts, and the times where they are asked for."""
+    parser = ArgumentParser(description=__doc__)
+    parser.add_argument('--times', action='store_true', help='measure times, too')
+    parser.add_argument('--only', nargs='+', choices=tuple(ELEMENTS), default=tuple(ELEMENTS),
+                        help='elements to measure')
+    parser.add_argument('--blocks', type=int, default=BLOCKS, help='of steps of each [1]')
+    parser.add_argument('--seconds', type=float, default=SECONDS, help='of a block, at least')
+    given = parser.parse_args(arguments)
     print(text_table(('mechanism', 'rows', 'operations', 'without', 'for each row'), rows()))
+    if given.times:
+        print(description())
+        head = ('element', 'scene', 'listed [us]', 'not listed [us]', 'ratio',
+                'compiling, both [s]')
+        print(text_table(head, list(times(given.only, given.blocks, given.seconds))))
+
+
+if __name__ == '__main__':
+    main()

@@ -40,14 +40,15 @@ MEGABYTE = 1e6
 # For taking in what had arrived when the recording was ended [s].
 LAST_CALL = 0.5
 
-# Published where joints are spherical or free: that it is missing is no fault.
-RARE = 'multi_dof_joint_states'
+# Published where joints are spherical or free, and with couplings or prescribed motions: that they
+# are missing is no fault.
+RARE = ('multi_dof_joint_states', 'coupling_forces', 'tooth_forces', 'motion_forces',
+        'motion_command')
 
 PARAMETERS = (
     Parameter(
-        'topics', ['joint_states', RARE, 'constraint_forces/*', 'coupling_forces', 'tooth_forces',
-                   'motion_forces', 'torque_command', 'joint_command', 'motion_command', 'scene',
-                   'robot_description', 'replay_log'],
+        'topics', ['joint_states', 'constraint_forces/*', 'torque_command', 'joint_command',
+                   'scene', 'robot_description', 'replay_log', *RARE],
         'Topics to record, relative to the namespace or full names; * and ? stand for any '
         'characters.'),
     Parameter(
@@ -131,7 +132,7 @@ class RecorderNode(Node):
             logger.info(f'{topic}: {self.received[topic]} received, '
                         f'{self._bag.written[topic]} written{lost}')
         for pattern, full in self._patterns.items():
-            if pattern != RARE and not any(
+            if pattern not in RARE and not any(
                     fnmatchcase(topic, full) for topic in self._subscriptions_by_topic):
                 logger.warning(f"topic '{pattern}' never appeared")
         if self._bag.error is not None:
