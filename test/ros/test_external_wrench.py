@@ -43,7 +43,7 @@ def make(make_node, monkeypatch):
     def make(scene):
         # A period is a step: the torques of the joints are as new as those of an effect.
         node = make_node(SimulatorNode, scene=scene, mode='lockstep', publish_rate=1000.0,
-                         step_size=0.001, integrator='rk4')
+                         step_size=0.001)
         node.warnings = []
         monkeypatch.setattr(node, 'warn', lambda kind, text: node.warnings.append(text))
         return node
@@ -66,10 +66,10 @@ def test_a_wrench_moves_the_mechanism_as_the_effect_does(make, scene, point, for
     planar = read.mechanism.planar
     reference = Simulation.from_scene(replace(read, effects={**read.effects, 'push': ExternalForce(
         point=point, force=force[:2] if planar else force, torque=torque[2] if planar else torque,
-        axes='body')}), integrator='rk4', step_size=0.001)
+        axes='body')}), step_size=0.001)
     node.live.wrench.accept(wrench(point, force, torque))
     start, idle = simulation.position, Simulation.from_scene(
-        read, integrator='rk4', step_size=0.001)
+        read, step_size=0.001)
     for _ in range(20):
         advance(node, 1)
         reference.step()
