@@ -37,7 +37,7 @@ if function_table.available():
     from numba.extending import intrinsic
     from numba.np.arrayobj import populate_array
 
-    word = ir.IntType(64)
+    WORD = ir.IntType(64)
 
     @intrinsic
     def record_at(typingctx, address):
@@ -84,7 +84,7 @@ if function_table.available():
         kind = types.Array(types.float64, 1, 'C')
 
         def generate(context, builder, signature, arguments):
-            array, size = context.make_array(kind)(context, builder), ir.Constant(word, 8)
+            array, size = context.make_array(kind)(context, builder), ir.Constant(WORD, 8)
             populate_array(array, data=arguments[0], shape=[arguments[1]], strides=[size],
                            itemsize=size, meminfo=None)
             return array._getvalue()
@@ -117,9 +117,9 @@ if function_table.available():
                 context.make_array(signature.args[n])(context, builder, arguments[n])
                 for n in (0, 2, 3))
             function, record = (
-                builder.load(builder.gep(table.data, [word(place)])) for place in range(2))
+                builder.load(builder.gep(table.data, [WORD(place)])) for place in range(2))
             handed = [record, arguments[1], one.nitems, one.data, other.data]
-            kind = ir.FunctionType(word, [value.type for value in handed])
+            kind = ir.FunctionType(WORD, [value.type for value in handed])
             return builder.call(builder.inttoptr(function, kind.as_pointer()), handed)
 
         return types.int64(addresses, types.int64, first, second), generate
