@@ -1154,8 +1154,9 @@ class Simulation:
                     f'torque: expected {len(self._actuated)} values, for '
                     f'{", ".join(self.actuated_joints)}; got shape {values.shape}')
             tau[self._actuated] = values
-            for place in np.flatnonzero(tau):
-                self._require_unmoved(self.torque_names[place])
+            if self.mechanism.motions:
+                for place in np.flatnonzero(tau):
+                    self._require_unmoved(self.torque_names[place])
         # The sum of squares is finite where all are, and quicker to tell; it may overflow alone.
         if not (math.isfinite(tau.dot(tau)) or np.isfinite(tau).all()):
             raise ValueError(f'torque: expected finite numbers, got {torque!r}')
