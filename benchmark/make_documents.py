@@ -74,16 +74,10 @@ def measure_stability(checkout, quick):
 
 def main(arguments=None):
     """Measure and write."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument('--quick', action='store_true', help='see that it runs: rough numbers')
+    parser = argparse.ArgumentParser(
+        description=__doc__, parents=[make_performance_doc.options_of_peers()])
     parser.add_argument('--measured', action='store_true',
                         help='measure nothing, make the tables and sentences from the files')
-    parser.add_argument('--peers-python', default=sys.executable, metavar='PYTHON',
-                        help='interpreter with the packages of the extra bench '
-                        '(default: this one)')
-    parser.add_argument('--models', type=Path, metavar='DIR',
-                        help='folder of models that others have published, which are left out '
-                        'without it')
     parser.add_argument('--stability', action='store_true',
                         help='run the hard cases, too: a quarter of an hour')
     parser.add_argument('--output', type=Path, default=ROOT / 'benchmark_output', metavar='DIR',

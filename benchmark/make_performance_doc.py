@@ -142,19 +142,25 @@ def groups(output):
     return list(json.loads((output / 'peers.json').read_text()))
 
 
-def main(arguments=None):
-    """Measure and write."""
-    parser = argparse.ArgumentParser(description=__doc__)
+def options_of_peers():
+    """Return the options that whoever measures other simulators, too, takes."""
+    parser = argparse.ArgumentParser(add_help=False)
     parser.add_argument('--quick', action='store_true', help='see that it runs: rough numbers')
-    parser.add_argument('--only', action='append', choices=PARTS, help='this part alone')
-    parser.add_argument('--measured', action='store_true',
-                        help='measure nothing, take what lies in the output directory')
     parser.add_argument('--peers-python', default=sys.executable, metavar='PYTHON',
                         help='interpreter with the packages of the extra bench '
                         '(default: this one)')
     parser.add_argument('--models', type=Path, metavar='DIR',
                         help='folder of models that others have published, which are left out '
                         'without it')
+    return parser
+
+
+def main(arguments=None):
+    """Measure and write."""
+    parser = argparse.ArgumentParser(description=__doc__, parents=[options_of_peers()])
+    parser.add_argument('--only', action='append', choices=PARTS, help='this part alone')
+    parser.add_argument('--measured', action='store_true',
+                        help='measure nothing, take what lies in the output directory')
     parser.add_argument('--output', type=Path, default=ROOT / 'benchmark_output',
                         metavar='DIR', help='where results go (default: %(default)s)')
     parser.add_argument('--document', type=Path, default=ROOT / 'doc' / 'performance.md')

@@ -34,8 +34,7 @@ import math
 from typing import Optional, Tuple
 
 from .effect import Effect, require_plane, require_point
-from .forces import (
-    place, place_in_space, push_at, push_there, velocity, velocity_at)
+from .forces import distance_in_space, place, push_at, push_there, velocity
 from .table import (
     CABLE, DATA, DISSIPATED, ENTRIES, ForceElement, SPATIAL_CABLE, STATE, State, STORED)
 from ..core.compiled import inlined
@@ -185,19 +184,9 @@ def apply(table, row, body):
 def _straight_in_space(body, data, at):
     """Return both ends, direction, length and its rate of a piece in space."""
     a, b = int(data[at]), int(data[at + COLUMNS])
-    px, py, pz = place_in_space(body, a, data[at + 1], data[at + 2], data[at + 3])
-    bx, by, bz = place_in_space(
-        body, b, data[at + COLUMNS + 1], data[at + COLUMNS + 2], data[at + COLUMNS + 3])
-    vx, vy, vz = velocity_at(body, b, bx, by, bz)
-    ux, uy, uz = velocity_at(body, a, px, py, pz)
-    x, y, z = bx - px, by - py, bz - pz
-    length, rate = math.sqrt(x * x + y * y + z * z), 0.0
-    if length > 0.0:
-        x /= length
-        y /= length
-        z /= length
-        rate = x * (vx - ux) + y * (vy - uy) + z * (vz - uz)
-    return px, py, pz, bx, by, bz, x, y, z, length, rate
+    return distance_in_space(
+        body, a, data[at + 1], data[at + 2], data[at + 3],
+        b, data[at + COLUMNS + 1], data[at + COLUMNS + 2], data[at + COLUMNS + 3])
 
 
 @inlined

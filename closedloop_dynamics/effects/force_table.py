@@ -26,13 +26,12 @@ bistable springs, rubber buffers, a measured characteristic.
 """
 
 from dataclasses import dataclass
-import math
 from typing import Optional, Tuple
 
 import numpy as np
 
 from .effect import Effect
-from .forces import distance, place_in_space, pull, push_there, velocity_at
+from .forces import distance, distance_in_space, pull, push_there
 from .table import (
     DATA, DISSIPATED, ENTRIES, FIRST, ForceElement, JOINT_FORCE_TABLE, POINT_FORCE_TABLE, SECOND,
     SPATIAL_FORCE_TABLE, STATE, State, STORED)
@@ -199,17 +198,9 @@ def apply_between_points(table, row, body):
 def apply_in_space(table, row, body):
     """Apply the forces between points in space; see ``dispatch.apply``."""
     values, a, b = table.values, table.index[row, FIRST], table.index[row, SECOND]
-    px, py, pz = place_in_space(body, a, values[row, 1], values[row, 2], values[row, 3])
-    bx, by, bz = place_in_space(body, b, values[row, 4], values[row, 5], values[row, 6])
-    ux, uy, uz = velocity_at(body, a, px, py, pz)
-    vx, vy, vz = velocity_at(body, b, bx, by, bz)
-    x, y, z = bx - px, by - py, bz - pz
-    length, rate = math.sqrt(x * x + y * y + z * z), 0.0
-    if length > 0.0:
-        x /= length
-        y /= length
-        z /= length
-        rate = x * (vx - ux) + y * (vy - uy) + z * (vz - uz)
+    px, py, pz, bx, by, bz, x, y, z, length, rate = distance_in_space(
+        body, a, values[row, 1], values[row, 2], values[row, 3],
+        b, values[row, 4], values[row, 5], values[row, 6])
     force, energy = _look_up(table, row, length)
     tension = force + values[row, 0] * rate if length > 0.0 else 0.0
     push_there(body, a, px, py, pz, tension * x, tension * y, tension * z)

@@ -242,6 +242,40 @@ def velocity_at(body, row, px, py, pz):
 
 
 @inlined
+def distance_in_space(body, a, ax, ay, az, b, bx, by, bz):
+    """
+    Return two points in space, the direction from one to the other, their distance and its rate.
+
+    Parameters
+    ----------
+    body : ndarray, shape (nb + 1, WORK_COLUMNS)
+        After ``kinematics.outward``.
+    a, b : int
+        Rows of the points' bodies.
+    ax, ay, az, bx, by, bz : float
+        Places in the bodies' frames [m].
+
+    Returns
+    -------
+    px, py, pz, qx, qy, qz, x, y, z, length, rate : float
+        Places of both in the world [m]; direction zero where they meet; [m], [m/s].
+
+    """
+    px, py, pz = place_in_space(body, a, ax, ay, az)
+    qx, qy, qz = place_in_space(body, b, bx, by, bz)
+    vx, vy, vz = velocity_at(body, b, qx, qy, qz)
+    ux, uy, uz = velocity_at(body, a, px, py, pz)
+    x, y, z = qx - px, qy - py, qz - pz
+    length, rate = math.sqrt(x * x + y * y + z * z), 0.0
+    if length > 0.0:
+        x /= length
+        y /= length
+        z /= length
+        rate = x * (vx - ux) + y * (vy - uy) + z * (vz - uz)
+    return px, py, pz, qx, qy, qz, x, y, z, length, rate
+
+
+@inlined
 def push_there(body, row, px, py, pz, fx, fy, fz):
     """Apply a force to a body at a place in the world; parameters as of ``push_in_space``."""
     push_in_space(body, row, px - body[row, ORIGIN], py - body[row, ORIGIN + 1],

@@ -96,19 +96,18 @@ class Rotor(Effect):
             joint.name for joint in mechanism.joints if JOINT_FREEDOMS[joint.type] == 1)
 
     def fit(self, mechanism):
-        """Refuse an axis in the plane."""
+        """Refuse an axis in the plane, and in space a cut joint on a body that turns."""
         super().fit(mechanism)
         if mechanism.planar and self.axis is not None:
             raise FieldError('no axis in the plane, which every rotor turns in', shown(self.axis),
                              path=('axis',))
-        for cut in mechanism.cut_joints:
-            if cut.name == self.joint and not (
-                    mechanism.planar or abs(self.gear_ratio) > ENDLESS
-                    or not _turns(mechanism, cut.body_b)):
-                raise FieldError(
-                    'a joint of the tree, or a cut joint whose body_b does not turn',
-                    f'{self.joint!r}, which closes a loop on {cut.body_b!r}, whose turning the '
-                    'rotor feels', 'cut another joint of that loop', ('joint',))
+        cut = mechanism.cut_joint(self.joint)
+        if cut is not None and not mechanism.planar and abs(self.gear_ratio) <= ENDLESS and (
+                _turns(mechanism, cut.body_b)):
+            raise FieldError(
+                'a joint of the tree, or a cut joint whose body_b does not turn',
+                f'{self.joint!r}, which closes a loop on {cut.body_b!r}, whose turning the '
+                'rotor feels', 'cut another joint of that loop', ('joint',))
 
     def change(self, model, machine):
         """Add the rotor to the model."""

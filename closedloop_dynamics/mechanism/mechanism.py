@@ -370,6 +370,10 @@ class Mechanism:
         """Return the named point of a name that there is."""
         return next(point for point in self.points if point.name == name)
 
+    def cut_joint(self, name):
+        """Return the cut joint of a name; None where no cut joint has it."""
+        return next((cut for cut in self.cut_joints if cut.name == name), None)
+
     @cached_property
     def closures(self):
         """Return what holds the coordinates, in the order of the multipliers."""

@@ -196,7 +196,7 @@ def _held(mechanism, joint):
     """Return CUT_TYPE, ROWS, LENGTHS, both bodies and a row of ``Model.cut_point``."""
     if isinstance(joint, Motion):
         if joint.freedom is not None:
-            cut = next(cut for cut in mechanism.cut_joints if cut.name == joint.freedom)
+            cut = mechanism.cut_joint(joint.freedom)
             kind, lengths = (t.PRESCRIBED_TURN, 0) if cut.type == REVOLUTE else (
                 t.PRESCRIBED_PLACE, 1)
             return (kind, 1, lengths, cut.body_a, cut.body_b, *cut.point_a, *cut.point_b,

@@ -275,12 +275,12 @@ def _closures(mechanism, decomposition, tree, builder):
 
 def _prescribed(mechanism, motion, one, tree, builder, entries):
     """Add the entries of a prescribed motion; return its row of ``Model.cut_point``."""
-    for cut in mechanism.cut_joints:
-        if cut.name == motion.freedom:
-            turns, numbers = _between(cut, one, builder)
-            one[t.CUT_TYPE] = t.PRESCRIBED_TURN if turns else t.PRESCRIBED_PLACE
-            pass_bodies(one, tree, entries)
-            return numbers
+    cut = mechanism.cut_joint(motion.freedom)
+    if cut is not None:
+        turns, numbers = _between(cut, one, builder)
+        one[t.CUT_TYPE] = t.PRESCRIBED_TURN if turns else t.PRESCRIBED_PLACE
+        pass_bodies(one, tree, entries)
+        return numbers
     if motion.freedom is not None:
         dof = mechanism.coordinates.index[motion.freedom]
         one[t.CUT_TYPE] = t.PRESCRIBED_JOINT

@@ -30,6 +30,8 @@ from . import function_table
 _SIGNATURE = ctypes.CFUNCTYPE(
     ctypes.c_int64, ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64, ctypes.c_void_p,
     ctypes.c_void_p)
+# Addresses of functions by the kinds of their records, quicker to tell than numba's types.
+_compiled = {}
 
 if function_table.available():
     from llvmlite import ir
@@ -159,13 +161,19 @@ def addresses_of(function, record):
     """
     if not function_table.available():
         return (function, record), None
-    words = packed(record)
+    words, kind = packed(record)
+    if (function, kind) not in _compiled:
+        _compiled[function, kind] = _address(function, typeof(record))
+    return np.array([_compiled[function, kind], words.ctypes.data]), words
+
+
+def _address(function, record):
+    """Return where a function is, compiled for a type of records."""
     numbers = types.CPointer(types.float64)
-    signature = (types.CPointer(typeof(record)), types.int64, types.int64, numbers, numbers)
+    signature = (types.CPointer(record), types.int64, types.int64, numbers, numbers)
     function.compile(signature)
     code = function.overloads[signature]
-    return np.array([code.library.get_pointer_to_function(code.fndesc.llvm_cfunc_wrapper_name),
-                     words.ctypes.data]), words
+    return code.library.get_pointer_to_function(code.fndesc.llvm_cfunc_wrapper_name)
 
 
 def from_python(addresses, what, array):
@@ -195,19 +203,32 @@ def from_python(addresses, what, array):
 
 
 def packed(record):
-    """Lay out a record as compiled code has it in memory: words of 8 bytes throughout."""
-    words = []
+    """
+    Lay out a record as compiled code has it in memory.
+
+    Returns
+    -------
+    words : ndarray of int
+        Of 8 bytes throughout.
+    kind : tuple
+        What the type of the record depends on: those of its parts, in their order.
+
+    """
+    words, kind = [], []
 
     def lay_out(value):
         if value is None:
             words.append(0)
+            kind.append(None)
         elif isinstance(value, np.ndarray):
             # No owner is told: nothing is counted, as numba's runtime is not used.
             words.extend((0, 0, value.size, value.itemsize, value.ctypes.data, *value.shape,
                           *value.strides))
+            kind.append((value.dtype, value.ndim, value.flags.num))
         else:
+            kind.append((type(value), len(value)))
             for part in value:
                 lay_out(part)
 
     lay_out(record)
-    return np.array(words, dtype=np.int64)
+    return np.array(words, dtype=np.int64), tuple(kind)
