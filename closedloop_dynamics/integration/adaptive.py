@@ -33,6 +33,10 @@ CONTROL_COLUMNS = 13
 
 # Hairer's choices: aim a little below the tolerance, and change the step gently.
 SAFETY, LARGEST_GROWTH, LARGEST_CUT = 0.9, 6.0, 0.2
+# Errors of the step before that are smaller say little about where the motion goes.
+TELLING = 1e-2
+# Guesses of the first step, each this many times the one before.
+GUESSES, FARTHER = 4, 100.0
 # The least step, relative to the time that it has to change; times closer than that are the same.
 LEAST = 1e-14
 # Rows of the scratch.
@@ -85,6 +89,9 @@ def first_step(system, tableau, state, slopes, scale, stage, out):
     """
     Guess the size of the first step (Hairer, Norsett and Wanner 1993, section II.4).
 
+    Where their guess is cut short, as for a mechanism that starts at rest with all coordinates
+    zero, another is made from there: an evaluation costs less than small steps do.
+
     Parameters
     ----------
     system, tableau, state, slopes, scale, stage, out
@@ -96,7 +103,7 @@ def first_step(system, tableau, state, slopes, scale, stage, out):
         [s].
 
     """
-    size, slope, bend = 0.0, 0.0, 0.0
+    size, slope, best = 0.0, 0.0, 0.0
     count = state.shape[0]
     for i in range(count):
         weight = 1.0 / (scale[0, i] + scale[1, i] * abs(state[i]))
@@ -104,17 +111,22 @@ def first_step(system, tableau, state, slopes, scale, stage, out):
         slope += (slopes[0, i] * weight) ** 2
     size, slope = math.sqrt(size / count), math.sqrt(slope / count)
     guess = 1e-6 if size < 1e-5 or slope < 1e-5 else 0.01 * size / slope
-    for i in range(count):
-        stage[i] = state[i] + guess * slopes[0, i]
-    motion.rate_of_change(system, stage, slopes[1])
-    for i in range(count):
-        weight = 1.0 / (scale[0, i] + scale[1, i] * abs(state[i]))
-        bend += ((slopes[1, i] - slopes[0, i]) * weight) ** 2
-    bend = math.sqrt(bend / count) / guess
-    steepest = max(slope, bend)
-    if steepest <= 1e-15:
-        return max(1e-6, guess * 1e-3)
-    return min(100.0 * guess, (0.01 / steepest) ** (1.0 / (tableau.error_order + 1)))
+    for _ in range(GUESSES):
+        for i in range(count):
+            stage[i] = state[i] + guess * slopes[0, i]
+        motion.rate_of_change(system, stage, slopes[1])
+        bend = 0.0
+        for i in range(count):
+            weight = 1.0 / (scale[0, i] + scale[1, i] * abs(state[i]))
+            bend += ((slopes[1, i] - slopes[0, i]) * weight) ** 2
+        steepest = max(slope, math.sqrt(bend / count) / guess)
+        if steepest <= 1e-15:
+            return max(1e-6, guess * 1e-3)
+        best = (0.01 / steepest) ** (1.0 / (tableau.error_order + 1))
+        guess *= FARTHER
+        if not best > guess:
+            return min(guess, best)
+    return guess
 
 
 @inlined
@@ -256,6 +268,10 @@ def accepted_step(system, tableau, stabilisation, control, scale, scratch):
     IV.2: two states at the end of a step, the last stage's and the result, differ most in the
     direction of the largest eigenvalue.
 
+    The next step follows the trend of the error, too (Gustafsson's predictive control, Hairer and
+    Wanner 1996, section IV.8): where steps have to become smaller, every one would be rejected
+    once otherwise.
+
     """
     stage, out, before, after, last, slopes = (
         scratch[STAGE], scratch[OUT], scratch[BEFORE], scratch[AFTER], scratch[LAST_STAGE],
@@ -280,6 +296,7 @@ def accepted_step(system, tableau, stabilisation, control, scale, scratch):
         # Two steps of a half rather than one and a crumb.
         size = rest if size >= rest else min(size, 0.5 * rest) if size > 0.5 * rest else size
     rejected, closed, cuts = False, True, 0
+    size_before, error_before = control[STEP_SIZE], max(control[ERROR], TELLING)
     size = min(size, motion.until_corner(system, after))
     while True:
         if not size > LEAST * max(abs(control[REACHED]), 1e-3):
@@ -325,6 +342,9 @@ def accepted_step(system, tableau, stabilisation, control, scale, scratch):
         LARGEST_GROWTH, SAFETY * error ** (-1.0 / (tableau.error_order + 1)))
     if rejected:
         growth = min(growth, 1.0)
+    if size_before > 0.0 and error > TELLING:
+        growth *= min(1.0, size / size_before * (error_before / error) ** (
+            1.0 / (tableau.error_order + 1)))
     control[STEP_START] = control[REACHED]
     control[STEP_SIZE] = size
     control[REACHED] += size
