@@ -101,9 +101,10 @@ ROLLOUT, QUICK_ROLLOUT = (256, 500, 3), (8, 20, 1)
 ROUNDS, QUICK_ROUNDS = 15, 3
 # Timing: calls at once take about this long [s].
 PORTION = 4e-3
-# Whole motions: rounds over all of them in turn; those that take longer than LONG [s] are run in
-# the first ones alone.
+# Whole motions: rounds over all of them in turn, in each of which a motion is run again until so
+# long has passed [s]; those that take longer than LONG [s] are run in the first ones alone.
 MOTION_ROUNDS, QUICK_MOTION_ROUNDS = 6, 2
+ROUND = 2e-3
 LONG, LONG_ROUNDS = 0.08, 1
 # The first run of a line that costs more ends it [s].
 LONGEST, QUICK_LONGEST = 0.4, 0.2
@@ -250,7 +251,7 @@ def motions(case, built, quick, progress):
     for number in range(QUICK_MOTION_ROUNDS if quick else MOTION_ROUNDS):
         for run, row in zip(runs, rows):
             if number < LONG_ROUNDS or row['cost'][0] < LONG:
-                row['cost'].append(_run(run)[0])
+                row['cost'].append(_run(run, ROUND)[0])
         progress()
     for row in rows:
         # The first run warms up.
@@ -259,13 +260,16 @@ def motions(case, built, quick, progress):
     return rows
 
 
-def _run(run):
-    """Return CPU time and end of a run."""
-    if run.prepare:
-        run.prepare()
-    begin = time.process_time()
-    end = run.execute()
-    return time.process_time() - begin, end
+def _run(run, least=0.0):
+    """Return CPU time, the least of as many runs as take so long together, and the end."""
+    costs = []
+    while not costs or sum(costs) < least:
+        if run.prepare:
+            run.prepare()
+        begin = time.process_time()
+        end = run.execute()
+        costs.append(time.process_time() - begin)
+    return min(costs), end
 
 
 def measure(group, quick=False, chosen=ENGINES):

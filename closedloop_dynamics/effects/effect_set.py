@@ -326,13 +326,21 @@ class EffectSet:
                 first = self._table.index[row, STATE]
                 states[first:first + len(clock)] = clock
 
-    def stored(self):
-        """Return the energy that they store at the latest evaluation [J]."""
-        return float(self._table.output[:, STORED].sum()) - self.kinetic()
+    def energies(self):
+        """
+        Return what they add to the energy at the latest evaluation [J].
 
-    def kinetic(self):
-        """Return the kinetic energy of rotors at cut joints at the latest evaluation [J]."""
-        return float(self._table.output[self._table.kind == CUT_ROTOR, STORED].sum())
+        Returns
+        -------
+        kinetic, stored : float
+            Kinetic energy of rotors at cut joints, and what all others store.
+
+        """
+        if not len(self._table.kind):
+            return 0.0, 0.0
+        stored, rotors = self._table.output[:, STORED], self._table.kind == CUT_ROTOR
+        kinetic = float(stored[rotors].sum())
+        return kinetic, float(stored.sum()) - kinetic
 
     def hold_rotors(self, accelerations):
         """

@@ -51,6 +51,8 @@ class EnergyBalance:
     """
     Keeps account of the energy of a simulation.
 
+    ``at_start``: Energies, or None where nobody has wanted to know yet.
+
     The work of a torque that is held and passes unchanged is tau . (q - q at the hold's start),
     exactly; nothing is computed for it in between. Drives and other effects integrate theirs, and
     so do torques on rotations in three dimensions, of which no coordinate tells the work.
@@ -60,12 +62,7 @@ class EnergyBalance:
     def __init__(self, effects):
         """Start with nothing."""
         self._effects = effects
-        self._since, self._work, self._reference = np.zeros(0), 0.0, None
-
-    @property
-    def started(self):
-        """Whether the energy at the start is known."""
-        return self._reference is not None
+        self._since, self._work, self._reference, self.at_start = np.zeros(0), 0.0, None, None
 
     def restart(self, q):
         """
@@ -77,11 +74,12 @@ class EnergyBalance:
             Coordinate of each freedom.
 
         """
-        self._since, self._work, self._reference = q.copy(), 0.0, None
+        self._since, self._work, self._reference, self.at_start = q.copy(), 0.0, None, None
 
-    def start(self, energy):
-        """Take the energy at the start, kinetic and stored [J]."""
-        self._reference = energy
+    def start(self, kinetic, stored):
+        """Take the energy at the start [J]."""
+        self._reference = kinetic + stored
+        self.at_start = Energies(kinetic, stored, 0.0, 0.0, 0.0)
 
     def add_work(self, q, tau):
         """

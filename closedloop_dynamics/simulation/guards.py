@@ -120,7 +120,8 @@ def fastest_rate(system, state, own=()):
 class Look:
     """Where a simulation stood when the energy guard looked at it."""
 
-    balance: object  # Effects.energy_balance.Energies
+    # Effects.energy_balance.Energies; None of the start, until somebody wants to know
+    balance: object
     state: np.ndarray  # As ``Simulation.state`` has it
     time: float  # [s]
 
@@ -180,7 +181,8 @@ class EnergyGuard:
     def begin(self, simulation):
         """See where a run, or what follows a jump, begins."""
         if self._look is None:
-            self._take(simulation, simulation.energy_balance)
+            # A short run need not cost a look at the start.
+            self._take(simulation, None if simulation.at_start else simulation.energy_balance)
 
     def look(self, simulation, steps):
         """
@@ -211,8 +213,9 @@ class EnergyGuard:
             As for ``look``.
 
         """
-        before, balance = self._look, simulation.energy_balance
-        self.note(balance, simulation.time)
+        balance = simulation.energy_balance
+        self.note(simulation, balance)
+        before = self._look
         if before is not None:
             moving = (before.balance.kinetic + abs(balance.stored - before.balance.stored)
                       + abs(balance.dissipated - before.balance.dissipated)
@@ -228,17 +231,20 @@ class EnergyGuard:
         self._take(simulation, balance)
 
     def _take(self, simulation, balance):
-        if self._start is None:
-            self._start = balance.stored
         self._look = Look(balance, simulation.state, simulation.time)
+        if self._start is None and balance is not None:
+            self._start = balance.stored
 
-    def note(self, balance, time):
-        """Note how much energy has moved, and the error of the balance."""
+    def note(self, simulation, balance):
+        """Note how much energy has moved, and the error of the present balance."""
+        if self._look is not None and self._look.balance is None:
+            self._look.balance = simulation.energy_at_start
+            self._start = self._look.balance.stored
         start = balance.stored if self._start is None else self._start
         self.compare(
             abs(balance.residual),
             balance.kinetic + abs(balance.stored - start) + abs(balance.dissipated)
-            + abs(balance.work), balance.kinetic + abs(balance.stored), time)
+            + abs(balance.work), balance.kinetic + abs(balance.stored), simulation.time)
 
     def compare(self, lost, moved, present, time):
         """

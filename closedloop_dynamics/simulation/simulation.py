@@ -636,6 +636,17 @@ class Simulation:
         turned = 0.0 if self.system.manifold is None else self._state[-1]
         return self._balance.balance(self._own, kinetic, stored, turned)
 
+    @property
+    def at_start(self):
+        """Whether nothing has moved or been changed since the start or the last reset."""
+        return self._balance.at_start is None and self.time == 0.0
+
+    @property
+    def energy_at_start(self):
+        """Energy balance of the initial state, an ``effects.energy_balance.Energies`` [J]."""
+        self._start_balance()
+        return self._balance.at_start
+
     def _add_work(self):
         """Add the work of the torques held up to here."""
         self._balance.add_work(self._by_freedom(), self.system.tau)
@@ -653,14 +664,14 @@ class Simulation:
 
     def _start_balance(self):
         """Find the energy at the start, when it is needed for the first time."""
-        if self._balance.started:
+        if self._balance.at_start is not None:
             return
         present = self._state.copy()
         self._q[:], self._qd[:] = self._initial
         self._own[:] = self._effects.initial
         moved = not np.array_equal(self._state, present)
         self._fresh = self._fresh and not moved
-        self._balance.start(self.energy)
+        self._balance.start(*self._energies())
         if moved:
             self._state[:] = present
             self._fresh = False
@@ -688,8 +699,8 @@ class Simulation:
         self._evaluate()
         found = np.empty(2)
         energy.energies(*energy.parts(self.system.model, self.system.work), self._qd, found)
-        return (float(found[0]) + self._effects.kinetic(),
-                float(found[1]) + self._effects.stored())
+        kinetic, stored = self._effects.energies()
+        return float(found[0]) + kinetic, float(found[1]) + stored
 
     @property
     def body_poses(self):
@@ -1436,7 +1447,7 @@ class Simulation:
 
         """
         balance = self.energy_balance
-        self.energy_guard.note(balance, self.time)
+        self.energy_guard.note(self, balance)
         return self._driver.report(self.closure, balance.residual, self.energy_guard)
 
     def rollout(self, torques=None, initial_position=None, initial_velocity=None, *, hold=None,
