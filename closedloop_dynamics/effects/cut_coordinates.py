@@ -13,15 +13,18 @@
 # limitations under the License.
 
 """
-Coordinates of cut joints of one freedom: where they are, how fast, and what acts along them.
+Coordinates of cut joints: where they are, how fast, and what acts along them.
 
-The coordinate of a joint that turns is the angle of body A in body B about the joint's axis, that
-of one that slides how far point A is from point B along the axis, of a helical one this over the
-lead. Its rate is the same function of the bodies' velocities that its acceleration is of their
+The coordinate of a freedom that turns is the angle of body A in body B about an axis, that of one
+that slides how far point A is from point B along the axis, of a helical joint this over the lead.
+Which of a joint's bodies is A is told in ``mechanism.cut_freedoms``. A spherical joint has rates
+alone: in the place of coordinates are their integrals, which tell the work of efforts.
+
+A rate is the same function of the bodies' velocities that its acceleration is of their
 accelerations; an effort along it is a force or torque on body A, and the opposite one on body B.
 
-Laws see these coordinates behind those of the tree: one place for each cut joint that anything
-acts in.
+Laws see these coordinates behind those of the tree: one place for each freedom that anything
+acts along.
 
 """
 
@@ -29,8 +32,8 @@ import math
 
 from .forces import offset, push, push_in_space, turned, twist
 from .table import (
-    ACROSS_B, AXIS, FOLLOWED, IN_PLANE, POINT_A, POINT_B, ROW_A, ROW_B, SCALE, SIDE_A, SIDE_B,
-    SLIDES, ZERO)
+    ACROSS_B, AXIS, FOLLOWED, IN_PLANE, POINT_A, POINT_B, RATE_ONLY, ROW_A, ROW_B, SCALE, SIDE_A,
+    SIDE_B, SLIDES, ZERO)
 from ..core.codegen.space import ACCELERATION, ORIGIN, SPIN, SPIN_RATE, VELOCITY
 from ..core.compiled import compiled, inlined
 from ..core.joint_wrenches import newton
@@ -165,12 +168,12 @@ def measure(index, values, body, states, first, position, velocity):
     body : ndarray, shape (nb + 1, WORK_COLUMNS)
         After ``kinematics.outward``.
     states : ndarray, shape (nz,)
-        The effects' own, among them angles that are followed.
+        The effects' own, among them angles, and integrals of rates, that are followed.
     first : int
         Where to write the first of them.
     position, velocity : ndarray
         Written in place [rad, m; rad/s, m/s]. Angles in space are within half a turn of the one
-        that is followed, or of zero.
+        that is followed, or of zero; integrals of rates that are not followed are zero.
 
     """
     for k in range(index.shape[0]):
@@ -183,6 +186,8 @@ def measure(index, values, body, states, first, position, velocity):
                 axis, _less(place, _place(body, b, planar, values, k, POINT_B)))
         elif planar:
             found = body[a, ALPHA] - body[b, ALPHA] - values[k, ZERO]
+        elif index[k, RATE_ONLY] == 1:
+            found = states[index[k, FOLLOWED]] if index[k, FOLLOWED] >= 0 else 0.0
         else:
             side = direction(body, a, planar, values, k, SIDE_A)
             found = math.atan2(_dot(side, direction(body, b, planar, values, k, ACROSS_B)),

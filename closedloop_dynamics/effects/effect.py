@@ -16,7 +16,6 @@
 
 from ..mechanism.checks import one_of, vector2, vector3
 from ..mechanism.fields import among, at, FieldError, normalise
-from ..mechanism.mechanism import COUPLED
 
 
 class Machine:
@@ -36,7 +35,8 @@ class Machine:
         place among the multipliers, the first of its right-hand sides in ``Model.cut_point``, and
         where the scene starts [rad; m].
     cuts : sequence of str
-        Names of the cut joints that anything acts in: their places are behind those of qd.
+        Names of the freedoms of cut joints that anything acts along: their places are behind
+        those of qd.
 
     """
 
@@ -49,7 +49,7 @@ class Machine:
 
     def joint(self, name):
         """
-        Return the place of a joint, or of a number of one, in qd; of a cut joint behind them.
+        Return the place of a freedom in qd; of a cut joint's behind them.
 
         Raises
         ------
@@ -198,17 +198,14 @@ class Effect:
 
     def _require_joint(self, mechanism):
         """Refuse what is no joint that the effect can act in."""
-        known = self.joints(mechanism)
-        cut = {cut.name: cut for cut in mechanism.cut_joints}.get(self.joint)
-        if cut is None or cut.name in known or (
-                cut.type in COUPLED and self.JOINTS != Effect.JOINTS):
-            one_of(known, self.JOINTS)(self.joint)
+        cut = mechanism.cut_joint(mechanism.coordinates.joint_of(self.joint))
+        if cut is None or cut.type in mechanism.measured_types:
+            one_of(self.joints(mechanism), self.JOINTS)(self.joint)
             return
         raise FieldError(
-            'a joint of the tree' if cut.type in COUPLED else
-            f'a joint of the tree, or a cut joint of one freedom ({among(COUPLED)})',
-            f'{self.joint!r}, which closes a loop' + (
-                '' if cut.type in COUPLED else f' and is {cut.type}'),
+            'a joint of the tree, or a cut joint with coordinates '
+            f'({among(mechanism.measured_types)})',
+            f'{self.joint!r}, which closes a loop and is {cut.type}',
             'cut another joint of that loop, or write joints `between` bodies and none as '
             'cut: the program then keeps those that effects name')
 

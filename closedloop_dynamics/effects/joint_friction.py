@@ -91,7 +91,7 @@ class JointFriction(Effect):
 
     def joints(self, mechanism):
         """Return the names that ``joint`` may be: of any freedom."""
-        return mechanism.coordinates.names + mechanism.measured_cuts
+        return mechanism.coordinates.names + mechanism.cut_coordinates.names
 
     def element(self, machine):
         """Return the effect as a row of the table."""

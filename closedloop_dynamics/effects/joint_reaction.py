@@ -18,7 +18,8 @@ import math
 
 from .cut_coordinates import direction
 from .table import (
-    AXIS as CUT_AXIS, CUT, FIRST, IN_PLANE, LOAD_TIME, LOADED, ROW_B, SECOND, SLIDES, STATE)
+    ACROSS, AXIS as CUT_AXIS, CUT, FIRST, IN_PLANE, LOAD_TIME, LOADED, ROW_B, SECOND, SLIDES,
+    STATE)
 from ..core import kinematics
 from ..core.codegen.space import FRAME
 from ..core.compiled import compiled, inlined
@@ -60,7 +61,8 @@ def load(model, work, table, q, qd, qdd, lam):
             size = 0.0
             if table.index[row, FIRST] >= qd.shape[0]:
                 size = _of_cut(
-                    table.cuts, model, work, lam, table.index[row, FIRST] - qd.shape[0])
+                    table.cuts, model, work, lam, table.index[row, FIRST] - qd.shape[0],
+                    table.applied)
             elif spatial:
                 size = _across(tree, body, reaction, i)
             else:
@@ -92,7 +94,7 @@ def _across(tree, body, reaction, i):
 
 
 @compiled
-def _of_cut(cuts, model, work, lam, k):
+def _of_cut(cuts, model, work, lam, k, applied):
     """Do as ``_in_plane`` does in a cut joint, where anything acts in such."""
     size = 0.0
     if cuts is not None:
@@ -103,8 +105,18 @@ def _of_cut(cuts, model, work, lam, k):
         fx, fy, fz = share[1], share[2], 0.0
         if not planar:
             fx, fy, fz = share[3], share[4], share[5]
+        if cuts.index[k, ACROSS] == 0:
+            # What acts along the joint's slides passes through it, too.
+            first = applied.shape[0] - cuts.index.shape[0]
+            for n in range(cuts.index.shape[0]):
+                if cuts.index[n, CUT] == cuts.index[k, CUT] and cuts.index[n, SLIDES] == 1:
+                    x, y, z = direction(
+                        body, cuts.index[n, ROW_B], planar, cuts.values, n, CUT_AXIS)
+                    fx += applied[first + n] * x
+                    fy += applied[first + n] * y
+                    fz += applied[first + n] * z
         square = fx * fx + fy * fy + fz * fz
-        if cuts.index[k, SLIDES] == 1:
+        if cuts.index[k, ACROSS] == 1:
             x, y, z = direction(body, cuts.index[k, ROW_B], planar, cuts.values, k, CUT_AXIS)
             along = x * fx + y * fy + z * fz
             square = max(0.0, square - along * along)

@@ -51,7 +51,7 @@ from ..core.compiled import inlined
 from ..core.types import ARMATURE, PARENT, REVOLUTE, REVOLUTE_ARMATURE, TYPE
 from ..mechanism.checks import direction, name, not_negative, number
 from ..mechanism.fields import FieldError, shown
-from ..mechanism.mechanism import FIXED, GROUND, JOINT_FREEDOMS, PRISMATIC, Vector3
+from ..mechanism.mechanism import COUPLED, FIXED, GROUND, PRISMATIC, Vector3
 
 # Gear ratio beyond which the turning of the carrier does not count.
 ENDLESS = 1e9
@@ -92,8 +92,8 @@ class Rotor(Effect):
 
     def joints(self, mechanism):
         """Return the names that ``joint`` may be: of joints of one freedom."""
-        return mechanism.measured_cuts + tuple(
-            joint.name for joint in mechanism.joints if JOINT_FREEDOMS[joint.type] == 1)
+        return tuple(joint.name for joint in (*mechanism.cut_joints, *mechanism.joints)
+                     if joint.type in COUPLED)
 
     def fit(self, mechanism):
         """Refuse an axis in the plane, and in space a cut joint on a body that turns."""

@@ -50,10 +50,12 @@ OUTPUT_COLUMNS = 5
 
 # Columns of CutCoordinates.index: whether it slides; whether it is one in the plane; the rows of
 # bodies A and B; where among the effects' states its angle is followed, less than zero where it is
-# not: in space, angles are found within a turn; its row of ``Model.cut``.
-SLIDES, IN_PLANE, ROW_A, ROW_B, FOLLOWED, CUT = range(6)
-CUT_INDEX_COLUMNS = 6
-# Columns of CutCoordinates.values, in the frames of the rows: the cut point of A and of B; the
+# not: in space, angles are found within a turn; its row of ``Model.cut``; whether it has a rate
+# alone, whose integral is followed in the place of a coordinate; whether of the force in its joint
+# the part across the axis is what friction feels.
+SLIDES, IN_PLANE, ROW_A, ROW_B, FOLLOWED, CUT, RATE_ONLY, ACROSS = range(8)
+CUT_INDEX_COLUMNS = 8
+# Columns of CutCoordinates.values, in the frames of the rows: the cut point in A and in B; the
 # axis in B; a direction of A across it, and where that is in B at zero; what follows this in the
 # sense of the turn; coordinates per metre of a slide; the angle at zero, in the plane.
 POINT_A, POINT_B, AXIS, SIDE_A, SIDE_B, ACROSS_B, SCALE, ZERO = 0, 3, 6, 9, 12, 15, 18, 19
@@ -122,7 +124,7 @@ class Contacts(NamedTuple):
 
 
 class CutCoordinates(NamedTuple):
-    """The coordinates of some cut joints, and what laws see of all joints."""
+    """Some freedoms of cut joints, nk of them, and what laws see of all joints."""
 
     index: np.ndarray  # Shape (nk, CUT_INDEX_COLUMNS)
     values: np.ndarray  # Shape (nk, CUT_VALUE_COLUMNS)
@@ -163,7 +165,7 @@ class EffectTable(NamedTuple):
     # ``Model.cut_point``, whose rows the prescribed motions are set in; of no length where there
     # are none, and None where there are no machine elements.
     motions: Optional[np.ndarray] = None
-    # Cut joints that anything acts in, nk of them; None where there are none.
+    # Freedoms of cut joints that anything acts in, nk of them; None where there are none.
     cuts: Optional[CutCoordinates] = None
 
 
@@ -205,7 +207,7 @@ def build_table(elements, tau, bodies, equations, spatial=False, cut_point=None,
     cut_point : ndarray, optional
         Of the ``Model``.
     cuts : tuple of 2 ndarrays, optional
-        Index and values of ``CutCoordinates``: of the cut joints that anything acts in.
+        Index and values of ``CutCoordinates``: of the freedoms that anything acts in.
 
     """
     count, most = len(elements), sum(element.sticks for element in elements)

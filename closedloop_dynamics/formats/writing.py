@@ -682,7 +682,8 @@ def _acting(mechanism, effects):
                 f'{mechanism.name}: couplings.{coupling.name}: expected joints of the tree, to '
                 f'write it in this format, got {cut.name}, which closes a loop; cut another joint '
                 'of that loop')
-    named = {values.get('joint') for values in (effects or {}).values()}
+    named = {mechanism.coordinates.joint_of(values['joint'])
+             for values in (effects or {}).values() if values.get('joint')}
     for cut in mechanism.cut_joints:
         if cut.actuated or cut.name in named:
             raise MechanismError(

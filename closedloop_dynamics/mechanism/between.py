@@ -28,9 +28,9 @@ import numpy as np
 from .checks import boolean, listed, one_of
 from .fields import among, at, FieldError, mapping, normalise, shown
 from .mechanism import (
-    COUPLED, CUT_JOINT_EQUATIONS, CUT_WITH_AXIS_A, CUT_WITH_AXIS_B, CUT_WITH_ZERO, CutJoint,
-    CYLINDRICAL, FIXED, FREE, GROUND, HELICAL, Joint, JOINT_FREEDOMS, PLANAR, PRISMATIC, REVOLUTE,
-    SPATIAL_CUT_JOINT_EQUATIONS, UNIVERSAL)
+    CUT_JOINT_EQUATIONS, CUT_WITH_AXIS_A, CUT_WITH_AXIS_B, CUT_WITH_ZERO, CutJoint, CYLINDRICAL,
+    FIXED, FREE, GROUND, HELICAL, Joint, JOINT_FREEDOMS, MEASURED, PLANAR, PRISMATIC, REVOLUTE,
+    SPATIAL_CUT_JOINT_EQUATIONS, SPATIAL_MEASURED, UNIVERSAL)
 from .spanning_tree import choose_tree, Edge
 from .validation import check_axes, SECTIONS, SPATIAL_SECTIONS, turned_by
 
@@ -116,8 +116,9 @@ def link(name, values, bodies, spatial):
     if cut is not None:
         with at('cut'):
             cut = boolean(cut)
-    if cut is True and joint.actuated and joint.type not in COUPLED:
-        raise FieldError(f'a joint that is not cut where it is actuated, but for {among(COUPLED)}',
+    known = SPATIAL_MEASURED if spatial else MEASURED
+    if cut is True and joint.actuated and joint.type not in known:
+        raise FieldError(f'a joint that is not cut where it is actuated, but for {among(known)}',
                          'both', path=('cut',))
     return joint, places[1], cut
 

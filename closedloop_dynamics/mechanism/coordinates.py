@@ -17,7 +17,8 @@ Names and places of the numbers of a state: coordinates q and rates qd, by joint
 
 Joints come in the mechanism's order. A joint of one freedom has one coordinate and one rate, both
 called by its name. A universal or cylindrical joint has two, called ``JOINT.1`` and ``JOINT.2``, a
-planar one ``JOINT.x``, ``JOINT.y`` and ``JOINT.angle``. The orientation of a spherical or free
+planar one ``JOINT.x``, ``JOINT.y`` and ``JOINT.angle``, a pin in a slot, which is no joint of a
+tree, ``JOINT.x`` and ``JOINT.angle``. The orientation of a spherical or free
 joint is a unit quaternion x, y, z, w of the child's axes in the joint's frame; its rates are the
 angular velocity relative to the parent, about the child's axes. A free joint has its position x,
 y, z along the axes of the joint's frame before. So nq = nv + the number of quaternions.
@@ -41,6 +42,7 @@ UNIVERSAL = 'universal'
 SPHERICAL = 'spherical'
 PLANAR = 'planar'
 FREE = 'free'
+POINT_ON_LINE = 'point_on_line'
 # Joints with an orientation in three dimensions.
 WITH_ORIENTATION = (SPHERICAL, FREE)
 
@@ -48,7 +50,8 @@ WITH_ORIENTATION = (SPHERICAL, FREE)
 _NUMBERS = {
     REVOLUTE: (('', False),), PRISMATIC: (('', True),), HELICAL: (('', False),),
     UNIVERSAL: (('.1', False), ('.2', False)), CYLINDRICAL: (('.1', False), ('.2', True)),
-    PLANAR: (('.x', True), ('.y', True), ('.angle', False)), FIXED: (), SPHERICAL: (),
+    PLANAR: (('.x', True), ('.y', True), ('.angle', False)),
+    POINT_ON_LINE: (('.x', True), ('.angle', False)), FIXED: (), SPHERICAL: (),
     FREE: (('.x', True), ('.y', True), ('.z', True))}
 # Freedoms of a rotation, behind the name of its joint.
 _TURNS = ('.rx', '.ry', '.rz')

@@ -97,10 +97,10 @@ def moved_bodies(mechanism, motion):
     """Return the names of the bodies whose joint, or whose point, moves as prescribed."""
     if motion.freedom is None:
         return (mechanism.point(motion.point).body,)
-    cut = mechanism.cut_joint(motion.freedom)
+    joint = mechanism.coordinates.joint_of(motion.freedom)
+    cut = mechanism.cut_joint(joint)
     if cut is not None:
         return cut.body_a, cut.body_b
-    joint = mechanism.coordinates.joint_of(motion.freedom)
     return tuple(each.child for each in mechanism.joints if each.name == joint)
 
 

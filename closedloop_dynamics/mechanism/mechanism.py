@@ -38,15 +38,14 @@ from functools import cached_property
 from typing import Dict, Optional, Tuple, Union
 
 from .coordinates import (
-    Coordinates, CYLINDRICAL, FIXED, FREE, HELICAL, PLANAR, PRISMATIC, REVOLUTE, SPHERICAL,
-    UNIVERSAL)
+    Coordinates, CYLINDRICAL, FIXED, FREE, HELICAL, PLANAR, POINT_ON_LINE, PRISMATIC, REVOLUTE,
+    SPHERICAL, UNIVERSAL)
 
 GROUND = 'ground'
 BOX, CYLINDER, SPHERE, MESH = 'box', 'cylinder', 'sphere', 'mesh'
 # How many lengths, or factors, the shapes have that bodies are drawn as.
 VISUAL_SIZES = {BOX: 3, CYLINDER: 2, SPHERE: 1, MESH: 3}
 DISTANCE = 'distance'
-POINT_ON_LINE = 'point_on_line'
 POINT_ON_PLANE = 'point_on_plane'
 # Joints of trees in the plane, and cut joints with their closure equations.
 JOINT_TYPES = (REVOLUTE, PRISMATIC)
@@ -63,8 +62,11 @@ CUT_WITH_AXIS_A = (REVOLUTE, CYLINDRICAL, UNIVERSAL, PLANAR)
 CUT_WITH_AXIS_B = (*CUT_WITH_AXIS_A, PRISMATIC, HELICAL, POINT_ON_LINE, POINT_ON_PLANE)
 # Cut joints that keep the orientation of body A in body B, or lead it back there.
 CUT_WITH_ORIENTATION = (PRISMATIC, FIXED, HELICAL)
-# Cut joints whose coordinate counts from an orientation of body A in body B.
-CUT_WITH_ZERO = (*CUT_WITH_ORIENTATION, REVOLUTE)
+# Cut joints that have coordinates, in the plane and in space.
+MEASURED = (REVOLUTE, PRISMATIC, POINT_ON_LINE)
+SPATIAL_MEASURED = (REVOLUTE, PRISMATIC, HELICAL, CYLINDRICAL, UNIVERSAL, PLANAR, SPHERICAL)
+# Cut joints whose coordinates count from an orientation of body A in body B.
+CUT_WITH_ZERO = (FIXED, *SPATIAL_MEASURED)
 # Cut joints that exert no moment about their point on body A.
 CUT_WITHOUT_MOMENT = (SPHERICAL, DISTANCE, POINT_ON_LINE, POINT_ON_PLANE)
 # Joints that can be coupled: they have one coordinate.
@@ -222,15 +224,17 @@ class CutJoint:
         alone, as do a point on a line of body b (its direction) and one on a plane (its normal).
     orientation : tuple of 4 floats
         Of body a in body b, where the joint keeps it: prismatic and fixed ones in space; of a
-        helical one where it has not slid; of a revolute one where its coordinate is zero (not
-        given: turned from there only so far that the axes meet).
+        helical one where it has not slid; of one that is revolute, cylindrical, universal, planar
+        or spherical where its coordinates are zero (not given: as body B, turned from there only
+        so far that the axes lie as the joint holds them).
     length : float or None
         Of ``'distance'``: how far apart the two points stay, as the ends of a massless rod [m].
     lead : float or None
         Of a helical joint [m/rad].
     actuated : bool
-        Whether a torque (force, for a prismatic joint) command drives it; revolute, prismatic and
-        helical ones.
+        Whether a torque (force, for a prismatic joint) command drives each of its freedoms:
+        of one that is revolute, prismatic, helical, cylindrical, universal, planar or spherical,
+        in the plane also of a pin in a slot.
 
     """
 
@@ -290,7 +294,7 @@ class Motion:
     name : str
         Of the effect.
     freedom : str or None
-        As ``Coordinates.names`` has it, or a cut joint of one freedom.
+        As ``Coordinates.names`` has it, of a joint or a cut joint.
     point : str or None
         Name of a point, where no freedom is given.
     direction : tuple of 2 or 3 floats or None
@@ -388,18 +392,32 @@ class Mechanism:
 
         """
         return (*(self.coordinates.names[place] for place in self.coordinates.actuated),
-                *(cut.name for cut in self.cut_joints if cut.actuated))
+                *(self.cut_coordinates.names[place] for place in self.cut_coordinates.actuated))
+
+    @cached_property
+    def measured_types(self):
+        """Return the types of cut joints that have coordinates."""
+        return MEASURED if self.planar else SPATIAL_MEASURED
+
+    @cached_property
+    def cut_coordinates(self):
+        """Names and places of the coordinates of cut joints, as ``coordinates``."""
+        return Coordinates([cut for cut in self.cut_joints if cut.type in self.measured_types])
 
     @cached_property
     def measured_cuts(self):
-        """Names of the cut joints of one freedom, whose coordinates are measured."""
-        return tuple(cut.name for cut in self.cut_joints if cut.type in COUPLED)
+        """Names of the freedoms of cut joints that have one number each."""
+        return self.cut_coordinates.single_names
 
     @cached_property
     def turning_cuts(self):
         """Names of those of them that turn in space, where turns are counted one by one."""
-        return () if self.planar else tuple(
-            cut.name for cut in self.cut_joints if cut.type == REVOLUTE)
+        if self.planar:
+            return ()
+        threads = [cut.name for cut in self.cut_joints if cut.type == HELICAL]
+        known = self.cut_coordinates
+        return tuple(known.names[place] for place in known.single
+                     if not known.lengths[place] and known.names[place] not in threads)
 
     @cached_property
     def planar(self):

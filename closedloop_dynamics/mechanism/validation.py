@@ -28,9 +28,9 @@ from .couplings import in_tree, measured
 from .fields import among, at, FieldError, mapping, nearest, normalise, shown
 from .mechanism import (
     Body, COUPLED, Coupling, CUT_JOINT_EQUATIONS, CUT_WITH_AXIS_A, CUT_WITH_AXIS_B,
-    CUT_WITH_ZERO, CutJoint, DISTANCE, GROUND, HELICAL, Joint, JOINT_FREEDOMS, JOINT_TYPES,
-    Mechanism, MechanismError, Point, PRISMATIC, REVOLUTE, SPATIAL_CUT_JOINT_EQUATIONS,
-    UNIVERSAL, UNTURNED, WITH_AXIS)
+    CUT_WITH_ZERO, CutJoint, CYLINDRICAL, DISTANCE, GROUND, HELICAL, Joint, JOINT_FREEDOMS,
+    JOINT_TYPES, Mechanism, MechanismError, PLANAR, Point, PRISMATIC, REVOLUTE,
+    SPATIAL_CUT_JOINT_EQUATIONS, UNIVERSAL, UNTURNED, WITH_AXIS)
 
 # How far moments of inertia may miss the triangle inequality, against their sum.
 ROUNDED_INERTIA = 1e-6
@@ -320,8 +320,8 @@ def _check_references(mechanism):
         if cut.type in _WITHOUT_ANGLE and cut.angle != 0.0:
             raise FieldError(f'no angle in a {cut.type} cut joint, which leaves it free',
                              shown(cut.angle), path=('cut_joints', cut.name, 'angle'))
-        if cut.actuated and cut.type not in COUPLED:
-            raise FieldError(f'no drive of a cut joint, but of {among(COUPLED)}',
+        if cut.actuated and cut.type not in mechanism.measured_types:
+            raise FieldError(f'no drive of a cut joint, but of {among(mechanism.measured_types)}',
                              f'one that is {cut.type}', 'cut another joint of that loop',
                              ('cut_joints', cut.name, 'actuated'))
 
@@ -444,12 +444,19 @@ def check_axes(mechanism):
                              path=('joints', joint.name, 'second_axis'))
     for cut in mechanism.cut_joints:
         if cut.type not in CUT_WITH_ZERO and cut.orientation != UNTURNED:
-            raise FieldError(f'no orientation of a {cut.type} joint, which its axes tell',
+            raise FieldError(f'no orientation of a {cut.type} joint, which leaves it free',
                              shown(cut.orientation),
                              path=('cut_joints', cut.name, 'orientation'))
-        if cut.type == REVOLUTE and cut.orientation != UNTURNED:
+        if cut.orientation == UNTURNED:
+            continue
+        if cut.type in (REVOLUTE, CYLINDRICAL, PLANAR):
             apart = np.abs(turned_by(cut.orientation, cut.axis_a) - cut.axis_b).max()
             if apart > AXES_APART:
                 raise FieldError('an orientation that turns axis_a to where axis_b is',
                                  f'one that leaves them {apart:.3g} apart',
                                  path=('cut_joints', cut.name, 'orientation'))
+        if cut.type == UNIVERSAL and abs(np.dot(
+                turned_by(cut.orientation, cut.axis_a), cut.axis_b)) > PARALLEL:
+            raise FieldError('an orientation that turns axis_a across axis_b',
+                             'one that leaves them parallel',
+                             path=('cut_joints', cut.name, 'orientation'))

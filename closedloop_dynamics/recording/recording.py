@@ -260,7 +260,7 @@ def _log(entries, mechanism, stamps):
     place = {name: columns.index(name) for name in columns}
     try:
         joints = [place[name] for name in mechanism.coordinates.names]
-        joints += [place[name] for name in mechanism.measured_cuts if name in place]
+        joints += [place[name] for name in mechanism.cut_coordinates.names if name in place]
     except KeyError as error:
         raise RecordingError(f'the replay_log is of another mechanism: no joint {error}') from None
     behind = max(joints) + 1

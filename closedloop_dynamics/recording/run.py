@@ -28,7 +28,7 @@ from ..simulation.monitor import ROSENBROCK_ORDER
 from ..simulation.rollout_run import TIME_ROUNDING
 from ..visual.motion import wrench_parts
 
-# What is told of the cut joints of one freedom.
+# What is told of the cut joints.
 OF_CUTS = ('position', 'velocity', 'acceleration', 'effort')
 # Between two looks whether to go on; about 10 ms of computing.
 LARGEST_PORTION = 1000

@@ -176,7 +176,7 @@ class StatePublisher:
     frames : sequence of str
         Frames that these refer to.
     measured : sequence of str
-        Names of the cut joints of one freedom, which follow those of the tree.
+        Names of the freedoms of cut joints, which follow those of the tree.
     others : mapping of str to sequence of str
         By topic, a JointState beside those of the joints: what is named in it, and has efforts.
 

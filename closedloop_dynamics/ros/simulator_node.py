@@ -150,7 +150,8 @@ class SimulatorNode(Node):
             self._frames.of_cuts, simulation.cut_joint_names,
             {topic: list(forces) for topic, forces in simulation.equation_forces().items()})
         self.command = TorqueCommand(
-            (*simulation.joint_names, *simulation.cut_joint_names), simulation.actuated_joints,
+            (*simulation.joint_names, *simulation.mechanism.cut_coordinates.names),
+            simulation.actuated_joints,
             values['command_timeout'])
         self.pacer = Pacer(simulation.step_size, values['real_time_factor'])
         real_time = values['mode'] == REALTIME

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Cut joints of one freedom: their coordinates as arrays, and what is told of them."""
+"""Cut joints that have coordinates: these as arrays, and what is told of them."""
 
 import numpy as np
 
@@ -22,13 +22,13 @@ from ..effects import cut_coordinates
 from ..effects.table import (
     ACROSS_B, AXIS, CUT_INDEX_COLUMNS, CUT_VALUE_COLUMNS, CutCoordinates, IN_PLANE, POINT_A,
     POINT_B, ROW_B, SCALE, SIDE_A, SIDE_B, SLIDES, ZERO)
-from ..mechanism.cut_angle import frame_at_zero
-from ..mechanism.mechanism import HELICAL, PRISMATIC, REVOLUTE
+from ..mechanism.cut_freedoms import cut_freedoms
+from ..mechanism.mechanism import CYLINDRICAL, HELICAL, PLANAR, SPHERICAL
 
 
 def acted_in(mechanism, effects):
     """
-    Return the names of the cut joints that anything acts in.
+    Return the names of the freedoms of cut joints that anything acts along.
 
     Parameters
     ----------
@@ -43,9 +43,10 @@ def acted_in(mechanism, effects):
         In the mechanism's order.
 
     """
+    known = mechanism.cut_coordinates
     named = {getattr(record, 'joint', None) for record in effects.values()}
-    driven = {cut.name for cut in mechanism.cut_joints if cut.actuated}
-    return tuple(name for name in mechanism.measured_cuts if name in named | driven)
+    return tuple(name for place, name in enumerate(known.names)
+                 if name in named or place in known.actuated)
 
 
 def coordinate_arrays(mechanism, model, rows, placements, names, followed):
@@ -63,7 +64,7 @@ def coordinate_arrays(mechanism, model, rows, placements, names, followed):
     placements : dict of str to Placement or None
         Where their frames are in those of the rows, in space.
     names : sequence of str
-        Of cut joints of one freedom.
+        Of freedoms of cut joints.
     followed : bool
         Whether angles in space are followed, in the place of a number within half a turn.
 
@@ -77,25 +78,29 @@ def coordinate_arrays(mechanism, model, rows, placements, names, followed):
     index = np.zeros((len(names), CUT_INDEX_COLUMNS), dtype=np.int64)
     values = np.zeros((len(names), CUT_VALUE_COLUMNS))
     numbers = {cut.name: k for k, cut in enumerate(mechanism.cut_joints)}
+    known = cut_freedoms(mechanism) if len(names) else {}
     for one, line, name in zip(index, values, names):
-        cut = mechanism.cut_joints[numbers[name]]
+        freedom = known[name]
+        cut = freedom.cut
         a, b = (Placement(rows[body], np.eye(3), np.zeros(3)) if placements is None
-                else placements[body] for body in (cut.body_a, cut.body_b))
-        slides = cut.type != REVOLUTE
-        turns = not (slides or mechanism.planar)
-        one[:] = (slides, mechanism.planar, a.row, b.row, 0 if turns and followed else -1,
-                  np.flatnonzero(model.cut[:, t.CUT_NUMBER] == numbers[name])[0])
-        line[POINT_A:POINT_A + 3] = a.place(_whole(cut.point_a))
-        line[POINT_B:POINT_B + 3] = b.place(_whole(cut.point_b))
-        axis = _axis(mechanism, cut)
-        line[AXIS:AXIS + 3] = b.axes @ axis
+                else placements[body] for body in freedom.bodies)
+        turns = not (freedom.slides or mechanism.planar)
+        point_a, point_b = map(_whole, freedom.points)
+        one[:] = (freedom.slides, mechanism.planar, a.row, b.row,
+                  0 if turns and followed else -1,
+                  np.flatnonzero(model.cut[:, t.CUT_NUMBER] == numbers[cut.name])[0],
+                  cut.type == SPHERICAL,
+                  cut.type == CYLINDRICAL or freedom.slides and cut.type != PLANAR)
+        line[POINT_A:POINT_A + 3] = a.place(point_a)
+        line[POINT_B:POINT_B + 3] = b.place(point_b)
+        line[AXIS:AXIS + 3] = b.axes @ freedom.axis
         line[SCALE] = 1.0 / cut.lead if cut.type == HELICAL else 1.0
         line[ZERO] = cut.angle
-        if turns:
-            axis, side, there = frame_at_zero(cut)
+        if freedom.turn is not None:
+            _, side, there = freedom.turn
             line[SIDE_A:SIDE_A + 3] = a.axes @ side
             line[SIDE_B:SIDE_B + 3] = b.axes @ there
-            line[ACROSS_B:ACROSS_B + 3] = b.axes @ np.cross(axis, there)
+            line[ACROSS_B:ACROSS_B + 3] = b.axes @ np.cross(freedom.axis, there)
     return index, values
 
 
@@ -104,18 +109,9 @@ def _whole(vector):
     return np.array((*vector, 0.0)[:3])
 
 
-def _axis(mechanism, cut):
-    """Return the axis of a cut joint in body B."""
-    if not mechanism.planar:
-        return np.array(cut.axis_b)
-    if cut.type == PRISMATIC:
-        return np.array((np.cos(cut.angle), np.sin(cut.angle), 0.0))
-    return np.array((0.0, 0.0, 1.0))
-
-
 class CutJoints:
     """
-    The coordinates of all cut joints of one freedom.
+    The coordinates of all cut joints that have some.
 
     Parameters
     ----------
@@ -124,24 +120,31 @@ class CutJoints:
     model, rows, placements
         As for ``coordinate_arrays``.
     acted : sequence of str
-        Names of those that anything acts in.
+        Names of those that anything acts along.
 
     Attributes
     ----------
     names : tuple of str
+        Of all freedoms.
+    single : ndarray of int
+        Places among them of those that have one number each.
     acted : ndarray of int
-        Places among them of those that anything acts in.
+        Places among them of those that anything acts along.
 
     """
 
     def __init__(self, mechanism, model, rows, placements, acted):
         """Look up the bodies."""
-        self.names = mechanism.measured_cuts
+        self.names = mechanism.cut_coordinates.names
+        self.single = mechanism.cut_coordinates.single
         self.acted = np.array([self.names.index(name) for name in acted], dtype=int)
         self._index, self._values = coordinate_arrays(
             mechanism, model, rows, placements, self.names, False)
         self.count, numbers = len(self.names), [cut.name for cut in mechanism.cut_joints]
-        self._numbers = [numbers.index(name) for name in self.names]
+        known = cut_freedoms(mechanism) if self.count else {}
+        self._numbers = [numbers.index(one.cut.name) for one in known.values()]
+        # Efforts are what the freedom's own body A feels.
+        self._signs = [-1.0 if one.exchanged else 1.0 for one in known.values()]
         nv, bodies = len(model.tree) - 1, len(model.tree)
         self._arrays = CutCoordinates(
             self._index, self._values, *(np.zeros(nv + self.count) for _ in range(4)),
@@ -160,7 +163,8 @@ class CutJoints:
         Returns
         -------
         position, velocity : ndarray, shape (number of them,)
-            Angles in space from -pi to pi [rad; m], [rad/s; m/s].
+            Angles in space from -pi to pi, zero in the place of a spherical joint's
+            [rad; m], [rad/s; m/s].
 
         """
         position, velocity = np.zeros(self.count), np.zeros(self.count)
@@ -185,7 +189,7 @@ class CutJoints:
         return self._arrays.qdd[len(qdd):].copy()
 
     def place(self, name):
-        """Return the place of a cut joint among the names; None where it is none of them."""
+        """Return the place of a freedom among the names; None where it is none of them."""
         return self.names.index(name) if name in self.names else None
 
     def add_efforts(self, body, efforts, wrenches):
@@ -209,7 +213,7 @@ class CutJoints:
             wrench = wrenches[self._numbers[place]]
             axis = np.array(cut_coordinates.direction(
                 body, one[ROW_B], bool(one[IN_PLANE]), self._values, place, AXIS))
-            along = line[SCALE] * effort * axis
+            along = self._signs[place] * line[SCALE] * effort * axis
             if one[IN_PLANE]:
                 wrench[:] += (0.0, *along[:2]) if one[SLIDES] else (along[2], 0.0, 0.0)
             else:
@@ -224,7 +228,7 @@ class CutJoints:
         model, work : Model, Workspace
             After the outward recursion.
         names : sequence of str
-            Of the cut joints.
+            Of the freedoms.
 
         Returns
         -------

@@ -32,7 +32,8 @@ class InverseDynamics:
         self._effects, self._table = effects, table
         self._cuts, nv = cuts, mechanism.coordinates.nv
         self._actuated = actuated[actuated < nv]
-        self._driven = [cut.name for cut in mechanism.cut_joints if cut.actuated]
+        known = mechanism.cut_coordinates
+        self._driven = [known.names[place] for place in known.actuated]
         self._passive = np.setdiff1d(np.arange(nv), self._actuated)
 
     def solve(self, q, qd, qdd):

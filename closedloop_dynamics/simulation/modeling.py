@@ -20,6 +20,7 @@ import numpy as np
 
 from ..core import types as t
 from ..mechanism.couplings import in_tree, measured
+from ..mechanism.cut_freedoms import cut_freedoms
 from ..mechanism.decomposition import decompose
 from ..mechanism.mechanism import (
     Coupling, CUT_JOINT_EQUATIONS, DISTANCE, FIXED, GROUND, Motion, POINT_ON_LINE, PRISMATIC,
@@ -196,9 +197,8 @@ def _held(mechanism, joint):
     """Return CUT_TYPE, ROWS, LENGTHS, both bodies and a row of ``Model.cut_point``."""
     if isinstance(joint, Motion):
         if joint.freedom is not None:
-            cut = mechanism.cut_joint(joint.freedom)
-            kind, lengths = (t.PRESCRIBED_TURN, 0) if cut.type == REVOLUTE else (
-                t.PRESCRIBED_PLACE, 1)
+            _, cut, slides, *_ = cut_freedoms(mechanism)[joint.freedom]
+            kind, lengths = (t.PRESCRIBED_PLACE, 1) if slides else (t.PRESCRIBED_TURN, 0)
             return (kind, 1, lengths, cut.body_a, cut.body_b, *cut.point_a, *cut.point_b,
                     cut.angle)
         point = mechanism.point(joint.point)

@@ -98,7 +98,7 @@ class Motions:
     place : callable
         Returns the world place of a named point at coordinates.
     cut_place : callable
-        Returns the coordinate of a cut joint of one freedom at coordinates.
+        Returns the coordinate of a freedom of a cut joint at coordinates.
 
     Attributes
     ----------

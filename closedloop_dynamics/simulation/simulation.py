@@ -170,7 +170,7 @@ class Simulation:
         self._motions.follow(0.0)
 
     def _cut_place(self, name, position):
-        """Return the coordinate of a cut joint of one freedom in a position of the joints."""
+        """Return the coordinate of a freedom of a cut joint in a position of the joints."""
         equations = self._equations if self._geometry is None else self._geometry.equations
         rows, placements = (self._rows, None) if self._geometry is None else (
             self._geometry.rows, self._geometry.placements)
@@ -246,15 +246,21 @@ class Simulation:
 
     @property
     def cut_joint_names(self):
-        """Names of the cut joints of one freedom, whose coordinates are measured."""
-        return self._cuts.names
+        """
+        Names of the freedoms of cut joints that have one number each.
+
+        Of a joint of several freedoms as in the tree: ``guide.1``. Spherical joints are left out.
+
+        """
+        return self.mechanism.measured_cuts
 
     @property
     def torque_names(self):
         """
         Names of the entries of the torques that ``advance`` takes.
 
-        Those of ``joint_names``, then of the cut joints that a drive or an effect acts in.
+        Those of ``joint_names``, then the freedoms of cut joints that a drive or an effect acts
+        along.
 
         """
         return (*self.joint_names, *(self._cuts.names[place] for place in self._cuts.acted))
@@ -301,34 +307,36 @@ class Simulation:
     @property
     def cut_position(self):
         """
-        Coordinates of the cut joints of one freedom, shape (number of them,) [rad or m].
+        Coordinates of the cut joints, shape (number of ``cut_joint_names``,) [rad or m].
 
-        Of a joint that turns the angle of body A in body B, of one that slides how far point A is
+        Those that the same joint of a tree has, with body A as the child and body B as the parent:
+        of one that turns the angle of body A in body B, of one that slides how far point A is
         from point B along the axis. In space an angle is followed where a drive or an effect acts
-        in the joint; of others it is between -pi and pi. ``cut_joint_names`` has their order.
+        along it; others are between -pi and pi.
 
         """
-        return self._cut_state()[0]
+        return self._cut_state()[0][self._cuts.single]
 
     @property
     def cut_velocity(self):
         """Rates of ``cut_position``, shape (number of them,) [rad/s or m/s]."""
-        return self._cut_state()[1]
+        return self._cut_state()[1][self._cuts.single]
 
     @property
     def cut_acceleration(self):
         """Accelerations of ``cut_position`` under the last torques [rad/s^2 or m/s^2]."""
         if not self._cuts.count:
             return np.zeros(0)
-        return self._cuts.accelerations(self._moved_equations(), self.system.qdd)
+        found = self._cuts.accelerations(self._moved_equations(), self.system.qdd)
+        return found[self._cuts.single]
 
     @property
     def cut_effort(self):
-        """Efforts of commands in these cut joints, as ``effort``, shape (number of them,)."""
+        """Efforts of commands along ``cut_position``, as ``effort``, shape (number of them,)."""
         effort = np.zeros(self._cuts.count)
         effort[self._cuts.acted] = self._efforts()[len(self.joint_names):]
         self._add_motions(effort)
-        return effort
+        return effort[self._cuts.single]
 
     def _add_motions(self, effort):
         """Add what moves cut joints as prescribed to their efforts, in place."""
@@ -338,7 +346,7 @@ class Simulation:
                 effort[place] += self.motion_forces[motion.name]
 
     def _cut_efforts(self):
-        """Return all that acts along the coordinates of cut joints of one freedom [N m; N]."""
+        """Return all that acts along the freedoms of cut joints [N m; N]."""
         effort = np.zeros(self._cuts.count)
         if len(self._cuts.acted):
             effort[self._cuts.acted] = self._table.applied[len(self._qd):]
@@ -350,7 +358,7 @@ class Simulation:
         return effort
 
     def _cut_state(self):
-        """Return positions and velocities of the cut joints of one freedom."""
+        """Return positions and velocities of the freedoms of cut joints."""
         if not self._cuts.count:
             return np.zeros(0), np.zeros(0)
         self._evaluate()
@@ -789,14 +797,15 @@ class Simulation:
 
     def measured_cut_joints(self):
         """
-        Return the same of the cut joints of one freedom.
+        Return the same of the cut joints, in the order of ``cut_joint_names``.
 
         Returns
         -------
         position, velocity : ndarray, shape (number of them,)
 
         """
-        position, velocity = self._effects.sensors_at_cuts.measure(self.time, *self._cut_state())
+        position, velocity = self._effects.sensors_at_cuts.measure(
+            self.time, *(values[self._cuts.single] for values in self._cut_state()))
         return position.copy(), velocity.copy()
 
     def effect_readings(self, name):

@@ -34,7 +34,7 @@ from ..core.codegen.space import cleared, snapped
 from ..core.codegen.spatial import Recursion, rotation, X, Y, Z
 from ..core.codegen.vectors import is_zero
 from ..mechanism.couplings import measured
-from ..mechanism.cut_angle import frame_at_zero
+from ..mechanism.cut_freedoms import cut_freedoms
 from ..mechanism.decomposition import decompose
 from ..mechanism.mechanism import (
     Coupling, CUT_WITH_ORIENTATION, CYLINDRICAL, DISTANCE, FIXED, FREE, GROUND, HELICAL,
@@ -249,8 +249,9 @@ def _closures(mechanism, decomposition, tree, builder):
             continue
         if isinstance(joint, Coupling) and measured(mechanism, joint):
             cut_joint, factors, offset = relative(mechanism, joint)
-            turns, numbers = _between(cut_joint, one, builder)
-            one[t.CUT_TYPE] = t.COUPLED_TURN if turns else t.COUPLED_PLACE
+            freedom = cut_freedoms(mechanism)[cut_joint.name]
+            numbers = _between(freedom, one, builder)
+            one[t.CUT_TYPE] = t.COUPLED_PLACE if freedom.slides else t.COUPLED_TURN
             points.append(np.concatenate([numbers, couple(one, tree, {
                 builder.rows[name][0]: factor for name, factor in factors.items()
             }, offset, entries, one[[t.BODY_A, t.BODY_B]].tolist())]))
@@ -275,10 +276,10 @@ def _closures(mechanism, decomposition, tree, builder):
 
 def _prescribed(mechanism, motion, one, tree, builder, entries):
     """Add the entries of a prescribed motion; return its row of ``Model.cut_point``."""
-    cut = mechanism.cut_joint(motion.freedom)
-    if cut is not None:
-        turns, numbers = _between(cut, one, builder)
-        one[t.CUT_TYPE] = t.PRESCRIBED_TURN if turns else t.PRESCRIBED_PLACE
+    if motion.freedom in mechanism.cut_coordinates.index:
+        freedom = cut_freedoms(mechanism)[motion.freedom]
+        numbers = _between(freedom, one, builder)
+        one[t.CUT_TYPE] = t.PRESCRIBED_PLACE if freedom.slides else t.PRESCRIBED_TURN
         pass_bodies(one, tree, entries)
         return numbers
     if motion.freedom is not None:
@@ -295,26 +296,28 @@ def _prescribed(mechanism, motion, one, tree, builder, entries):
         _frame(np.array(motion.direction), np.zeros(3)).ravel()])
 
 
-def _between(cut, one, builder):
+def _between(freedom, one, builder):
     """
-    Put the bodies of a cut joint whose coordinate is prescribed or coupled into its row.
+    Put the bodies of a freedom of a cut joint that is prescribed or coupled into its row.
 
-    Returns whether it turns, and the first columns of its row of ``Model.cut_point``: the frame on
-    body B has the axis as its Z; of what turns, both frames agree at zero.
+    Returns the first columns of its row of ``Model.cut_point``: the frame on body B has the axis
+    as its Z; of what turns, both frames agree at zero.
 
     """
-    a, b = builder.placements[cut.body_a], builder.placements[cut.body_b]
+    (a, b), (point_a, point_b) = (
+        [builder.placements[body] for body in freedom.bodies], freedom.points)
     one[[t.BODY_A, t.BODY_B]] = a.row, b.row
-    frame_a, frame_b = _UNIT, np.array(_frame(np.array(cut.axis_b), np.zeros(3)))
-    if cut.type == REVOLUTE:
-        axis, side, there = frame_at_zero(cut)
-        frame_a = np.column_stack([side, np.cross(cut.axis_a, side), cut.axis_a])
-        frame_b = np.column_stack([there, np.cross(axis, there), axis])
-    elif cut.type == HELICAL:
-        # The coordinate is the angle: the place over the lead.
-        frame_b[:, Z] /= cut.lead
-    return cut.type == REVOLUTE, np.concatenate([
-        cleared(a.place(cut.point_a)), cleared(b.place(cut.point_b)),
+    if freedom.slides:
+        frame_a, frame_b = _UNIT, np.array(_frame(freedom.axis, np.zeros(3)))
+        if freedom.cut.type == HELICAL:
+            # The coordinate is the angle: the place over the lead.
+            frame_b[:, Z] /= freedom.cut.lead
+    else:
+        axis, side, there = freedom.turn
+        frame_a = np.column_stack([side, np.cross(axis, side), axis])
+        frame_b = np.column_stack([there, np.cross(freedom.axis, there), freedom.axis])
+    return np.concatenate([
+        cleared(a.place(point_a)), cleared(b.place(point_b)),
         snapped(a.axes @ frame_a).ravel(), snapped(b.axes @ frame_b).ravel(), [0.0]])
 
 

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..mechanism.couplings import in_tree, measured
-from ..mechanism.cut_angle import frame_at_zero
+from ..mechanism.cut_freedoms import cut_freedoms
 from ..mechanism.mechanism import (
     CUT_WITH_ORIENTATION, CYLINDRICAL, DISTANCE, FIXED, FREE, GROUND, HELICAL, PLANAR,
     POINT_ON_LINE, POINT_ON_PLANE, PRISMATIC, REVOLUTE, SPHERICAL, UNIVERSAL, UNTURNED)
@@ -400,7 +400,7 @@ def _cut_part(mechanism, cut, factor, others, position):
     if cut.type != REVOLUTE:
         axis = rotated(pose_b[..., 3:], np.array(cut.axis_b))
         return factor * np.sum(gap * axis, axis=-1) / (cut.lead if cut.type == HELICAL else 1.0)
-    _, side, there = frame_at_zero(cut)
+    _, side, there = cut_freedoms(mechanism)[cut.name].turn
     side = rotated(pose_a[..., 3:], side)
     across = rotated(pose_b[..., 3:], np.cross(cut.axis_b, there))
     angle = np.arctan2(np.sum(side * across, axis=-1),

@@ -421,17 +421,6 @@ def test_a_rotor_in_space_whose_carrier_turns_is_not_cut(tmp_path):
     simulation(machine, {'one': Rotor('far', 1e-25, 1e12)})
 
 
-def test_a_drive_of_several_freedoms_is_not_cut(tmp_path):
-    mechanism(tmp_path, PINS, 'near', 'near', spatial=True)
-    path = tmp_path / 'near_True.yaml'
-    data = yaml.safe_load(path.read_text())
-    data['joints']['near']['type'] = 'cylindrical'
-    path.write_text(yaml.safe_dump(data))
-    with pytest.raises(MechanismError, match='joints.near.cut: expected a joint that is not cut '
-                       'where it is actuated, but for revolute, prismatic, helical'):
-        read_mechanism(path)
-
-
 def test_effects_move_only_to_cut_joints_that_anything_acted_in(tmp_path):
     sim = simulation(mechanism(tmp_path, PINS, 'far', 'crank_joint'), {
         'spring': JointSpring('near', 1.0)})

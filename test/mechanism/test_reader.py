@@ -212,8 +212,8 @@ FAULTS = {
     'cut_drive_without_coordinate': (
         'type: revolute, body_a', 'type: distance, length: 1, actuated: true, body_a', 11,
         'cut_joints.cut_1.actuated',
-        'no drive of a cut joint, but of revolute, prismatic, helical', 'one that is distance',
-        'cut another joint of that loop'),
+        'no drive of a cut joint, but of revolute, prismatic, point_on_line',
+        'one that is distance', 'cut another joint of that loop'),
     'point_on_unknown_body': (
         'body: coupler, pos', 'body: couplr, pos', 13, 'points.tip.body',
         "the name of a body or 'ground'", "the text 'couplr'", "did you mean 'coupler'?"),

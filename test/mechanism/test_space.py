@@ -115,9 +115,6 @@ CHANGES = {
                'joints.tilt.lead: expected no such key of a revolute joint, but of helical'),
     'an unknown type': (('joints', 'tilt', 'type'), 'revolut',
                         "joints.tilt.type: expected one of revolute, .*did you mean 'revolute'"),
-    'an orientation that axes tell': (
-        ('cut_joints', 'end', 'orientation'), {'rpy': [0, 0, 1]},
-        'cut_joints.end.orientation: expected no orientation of a spherical joint'),
 }
 
 
@@ -127,6 +124,15 @@ def test_mistakes_are_named(tmp_path, case):
     data = described()
     data[section][name][key] = value
     with pytest.raises(MechanismError, match=expected):
+        read(tmp_path, data)
+
+
+def test_a_rod_without_mass_leaves_orientations_free(tmp_path):
+    data = described()
+    data['cut_joints']['end'].update(
+        type='distance', length=0.1, orientation={'rpy': [0, 0, 1]})
+    with pytest.raises(MechanismError, match='cut_joints.end.orientation: expected no orientation '
+                       'of a distance joint'):
         read(tmp_path, data)
 
 
