@@ -176,7 +176,7 @@ def _recording(path, messages, scene, namespace, finished):
     stamps = [stamps[row] for row in rows]
     if mechanism.coordinates.with_orientation:
         values = _with_orientations(
-            path, messages.get(prefix + TURNED, []), mechanism.coordinates, stamps, values)
+            path, messages.get(prefix + TURNED, []), mechanism, stamps, values)
     forces = _forces(messages, prefix + FORCES, mechanism, stamps)
     efforts = {topic: _efforts(messages[prefix + topic], stamps)
                for topic in EFFORTS if prefix + topic in messages}
@@ -220,8 +220,9 @@ def _order(path, state, scene):
     return [names.index(name) for name in expected]
 
 
-def _with_orientations(path, entries, coordinates, stamps, values):
+def _with_orientations(path, entries, mechanism, stamps, values):
     """Return positions, velocities and efforts of all joints; NaN where none were recorded."""
+    coordinates, cut = mechanism.coordinates, mechanism.cut_coordinates.with_orientation
     count, known = len(stamps), coordinates.with_orientation
     whole = [np.full((count, size), np.nan) for size in (
         coordinates.nq, coordinates.nv, coordinates.nv)]
@@ -231,12 +232,14 @@ def _with_orientations(path, entries, coordinates, stamps, values):
     for row, entry in _matched(stamps, [_stamp(message) for message in entries]):
         message = entries[entry]
         names = list(message.joint_names)
-        if sorted(names) != sorted(known):
+        if sorted(set(names) - set(cut)) != sorted(known) or len(set(names)) != len(names):
             raise RecordingError(
                 f'{path}: expected the joints {", ".join(known)} in {TURNED}, got '
                 f'{", ".join(names)}')
         for joint, pose, twist, wrench in zip(
                 names, message.transforms, message.twist, message.wrench):
+            if joint in cut:
+                continue
             turn, place = pose.rotation, known.index(joint)
             for out, where, numbers in zip(
                     whole, (coordinates.pose, coordinates.twist, coordinates.twist), (

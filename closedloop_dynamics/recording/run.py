@@ -28,8 +28,8 @@ from ..simulation.monitor import ROSENBROCK_ORDER
 from ..simulation.rollout_run import TIME_ROUNDING
 from ..visual.motion import wrench_parts
 
-# What is told of the cut joints.
-OF_CUTS = ('position', 'velocity', 'acceleration', 'effort')
+# What is told of joints, and of cut joints.
+QUANTITIES = ('position', 'velocity', 'acceleration', 'effort')
 # Between two looks whether to go on; about 10 ms of computing.
 LARGEST_PORTION = 1000
 # Tolerance of the run that tells the error, against that of the run itself.
@@ -95,7 +95,7 @@ class ErrorEstimate:
 def columns(simulation, all_forces=False):
     """Return the names of the columns, in the order of ``row``."""
     names = ['time']
-    for quantity in ('position', 'velocity', 'acceleration', 'effort'):
+    for quantity in QUANTITIES:
         names += simulation.coordinates.columns(quantity)
     for cut in simulation.cut_joints:
         names += [f'force.{cut.name}.{part}' for part in _force_parts(simulation, cut)]
@@ -110,8 +110,8 @@ def columns(simulation, all_forces=False):
                   for place in _moving(simulation) for part in parts]
     names += [f'point.{point.name}.{axis}' for point in simulation.mechanism.points
               for axis in 'xyz'[:len(point.position)]]
-    names += [f'{quantity}.{name}' for quantity in OF_CUTS
-              for name in simulation.cut_joint_names]
+    for quantity in QUANTITIES:
+        names += simulation.mechanism.cut_coordinates.columns(quantity)
     return [*names, 'closure', 'energy']
 
 

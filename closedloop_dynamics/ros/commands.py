@@ -180,21 +180,26 @@ def state_of(message, coordinates, position, measured=()):
                 continue
             place = coordinates.index[name]
             values[coordinates.place[place] if key == 'position' else place] = value
+    return *wanted.values(), _held(names, measured, joints, coordinates.nv)
+
+
+def _held(names, measured, joints, count):
+    """Return the joints that are held: those that are named; none where all are."""
     held = tuple(name for name in names if name not in measured)
     if not held:
         raise CommandError('it names no joint but cut ones, which follow from the others; the '
                            f'joints are {", ".join(joints)}')
-    return *wanted.values(), held if len(held) < coordinates.nv else ()
+    return held if len(held) < count else ()
 
 
-def poses_of(message, coordinates, position):
+def poses_of(message, coordinates, position, measured=()):
     """
     Return the positions, velocities and held joints that a MultiDOFJointState asks for.
 
     Of spherical joints the translation must be zero; otherwise as ``state_of``.
 
     """
-    names = _known_joints(message.joint_names, coordinates.with_orientation)
+    names = _known_joints(message.joint_names, [*coordinates.with_orientation, *measured])
     if len(message.transforms) != len(names):
         raise CommandError(f'expected one transform per name, got {len(message.transforms)} for '
                            f'{len(names)} names')
@@ -207,6 +212,8 @@ def poses_of(message, coordinates, position):
              [(_vector(twist.linear), _vector(twist.angular)) for twist in message.twist])
     for values, places, parts in zip(wanted, (coordinates.pose, coordinates.twist), given):
         for name, (place, turn) in zip(names, parts):
+            if name in measured:
+                continue
             numbers = np.array(place + turn)
             where = places[coordinates.with_orientation.index(name)]
             if not np.isfinite(numbers).all():
@@ -215,7 +222,7 @@ def poses_of(message, coordinates, position):
                 raise CommandError(f"'{name}' is a spherical joint, which turns only, got "
                                    f'{place} along its axes')
             values[where[where >= 0]] = numbers[where >= 0]
-    return *wanted, tuple(names) if len(names) < len(coordinates.rates) else ()
+    return *wanted, _held(names, measured, coordinates.with_orientation, len(coordinates.rates))
 
 
 def _vector(message):

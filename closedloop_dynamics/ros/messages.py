@@ -175,8 +175,8 @@ class StatePublisher:
         In the order of the constraint forces.
     frames : sequence of str
         Frames that these refer to.
-    measured : sequence of str
-        Names of the freedoms of cut joints, which follow those of the tree.
+    cuts : mechanism.coordinates.Coordinates, optional
+        Names and places of the coordinates of cut joints, which follow those of the tree.
     others : mapping of str to sequence of str
         By topic, a JointState beside those of the joints: what is named in it, and has efforts.
 
@@ -194,13 +194,14 @@ class StatePublisher:
 
     """
 
-    def __init__(self, node, coordinates, cut_names, frames, measured=(), others=None):
+    def __init__(self, node, coordinates, cut_names, frames, cuts=None, others=None):
         self.stamp, self.published = Time(), 0
         self._stuck_since = None
-        self._coordinates, self._single = coordinates, coordinates.single
-        self._places = coordinates.place[self._single]
-        self._names = [*(coordinates.names[place] for place in self._single), *measured]
-        self._measured = len(measured)
+        # Of the tree, then of the cut joints.
+        self._parts = [part for part in (coordinates, cuts) if part is not None and (
+            part is coordinates or part.names)]
+        self._names = [name for part in self._parts for name in part.single_names]
+        self._turned_names = [name for part in self._parts for name in part.with_orientation]
         self._state = SerializedTemplate(
             partial(joint_state, self._names), 3 * [len(self._names)])
         self._others = [
@@ -208,7 +209,7 @@ class StatePublisher:
              SerializedTemplate(partial(_joint_efforts, list(names)), [len(names)]))
             for topic, names in (others or {}).items()]
         self._turned = None
-        count = len(coordinates.with_orientation)
+        count = len(self._turned_names)
         if count:
             self._turned = SerializedTemplate(
                 self.multi_dof_joint_state, [7 * count, 6 * count, 6 * count])
@@ -231,7 +232,7 @@ class StatePublisher:
 
     def multi_dof_joint_state(self, sec, nanosec, poses, twists, wrenches):
         """Return a MultiDOFJointState of arrays of 7, 6 and 6 numbers for each joint in it."""
-        message = MultiDOFJointState(joint_names=list(self._coordinates.with_orientation))
+        message = MultiDOFJointState(joint_names=list(self._turned_names))
         message.header.stamp = Time(sec=sec, nanosec=nanosec)
         for numbers in poses.reshape(-1, 7).tolist():
             pose = Transform()
@@ -264,8 +265,8 @@ class StatePublisher:
         constraint_forces : ndarray, shape (number of cut joints, 3 or 6)
             What body B exerts on body A: torque about z [N m], force along x and y [N]; in space
             torque about and force along x, y and z.
-        cuts : tuple of 3 ndarrays, shape (number of measured cut joints,)
-            Positions, velocities and efforts of these; none where there are none.
+        cuts : tuple of 3 ndarrays
+            The same three of the cut joints; none where there are none.
         *others : ndarray
             Efforts of each of the other topics.
 
@@ -279,16 +280,14 @@ class StatePublisher:
             publisher.publish(message.filled(sec, nanosec, wrench))
         for (publisher, message), efforts in zip(self._others, others):
             publisher.publish(message.filled(sec, nanosec, efforts))
+        states = [(position, velocity, effort), cuts][:len(self._parts)]
         if self._turned is not None:
-            names, single = self._coordinates, self._single
-            self._turned_publisher.publish(self._turned.filled(sec, nanosec, *(
-                values.ravel() for values in (
-                    names.poses(position), names.twists(velocity), names.twists(effort)))))
-            position, velocity, effort = position[self._places], velocity[single], effort[single]
+            self._turned_publisher.publish(self._turned.filled(sec, nanosec, *map(
+                np.concatenate, zip(*map(_turns, self._parts, states)))))
+            states = list(map(_single, self._parts, states))
             self.published += 1
-        if self._measured:
-            position, velocity, effort = map(
-                np.concatenate, zip((position, velocity, effort), cuts))
+        position, velocity, effort = states[0] if len(states) == 1 else map(
+            np.concatenate, zip(*states))
         self._state_publisher.publish(
             self._state.filled(sec, nanosec, position, velocity, effort))
         self.published += 1 + len(self._force_publishers) + len(self._others)
@@ -310,6 +309,20 @@ class StatePublisher:
             return True
         self._stuck_since = self._stuck_since or now
         return now - self._stuck_since > GIVE_UP
+
+
+def _turns(coordinates, state):
+    """Return poses, twists and wrenches of the joints with an orientation, one by one."""
+    position, velocity, effort = state
+    return (coordinates.poses(position).ravel(), coordinates.twists(velocity).ravel(),
+            coordinates.twists(effort).ravel())
+
+
+def _single(coordinates, state):
+    """Return positions, velocities and efforts of what has one number."""
+    position, velocity, effort = state
+    single = coordinates.single
+    return position[coordinates.place[single]], velocity[single], effort[single]
 
 
 def joint_state(names, sec, nanosec, position, velocity, effort):

@@ -147,11 +147,10 @@ class SimulatorNode(Node):
         self._frames = Frames(self, simulation)
         self.states = StatePublisher(
             self, simulation.coordinates, [cut.name for cut in simulation.cut_joints],
-            self._frames.of_cuts, simulation.cut_joint_names,
+            self._frames.of_cuts, simulation.mechanism.cut_coordinates,
             {topic: list(forces) for topic, forces in simulation.equation_forces().items()})
         self.command = TorqueCommand(
-            (*simulation.joint_names, *simulation.mechanism.cut_coordinates.names),
-            simulation.actuated_joints,
+            (*simulation.joint_names, *simulation.cut_joint_names), simulation.actuated_joints,
             values['command_timeout'])
         self.pacer = Pacer(simulation.step_size, values['real_time_factor'])
         real_time = values['mode'] == REALTIME
@@ -377,11 +376,13 @@ class SimulatorNode(Node):
 
     def on_set_state(self, message):
         """Move to the nearest state that closes the loops, or refuse."""
-        self._set_state(partial(state_of, measured=self.simulation.cut_joint_names), message)
+        self._set_state(partial(
+            state_of, measured=self.simulation.mechanism.measured_cuts), message)
 
     def on_set_multi_dof_state(self, message):
         """Do the same for joints with an orientation."""
-        self._set_state(poses_of, message)
+        cut = self.simulation.mechanism.cut_coordinates
+        self._set_state(partial(poses_of, measured=cut.with_orientation), message)
 
     def _set_state(self, read, message):
         simulation = self.simulation

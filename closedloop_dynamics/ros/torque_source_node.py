@@ -117,20 +117,21 @@ class Orientations:
 
     Parameters
     ----------
-    coordinates : mechanism.coordinates.Coordinates
-        Of the mechanism.
+    mechanism : mechanism.mechanism.Mechanism
+        Whose cut joints are passed over.
 
     """
 
-    def __init__(self, coordinates):
-        self._coordinates = coordinates
+    def __init__(self, mechanism):
+        self._coordinates = mechanism.coordinates
+        self._cut = mechanism.cut_coordinates.with_orientation
         self._stamp = self._state = self._waiting = None
 
     def take(self, message):
         """Keep a MultiDOFJointState; return the JointState that waited for it, or None."""
         position, velocity, _ = poses_of(
-            message, self._coordinates, self._coordinates.start())
-        if not len(message.twist) or len(message.joint_names) < len(
+            message, self._coordinates, self._coordinates.start(), self._cut)
+        if not len(message.twist) or not set(message.joint_names).issuperset(
                 self._coordinates.with_orientation):
             raise CommandError('expected the twists of all of '
                                + ', '.join(self._coordinates.with_orientation))
@@ -320,7 +321,7 @@ class TorqueSourceNode(Node):
                 coordinates = self._simulation.coordinates
                 self._joints_read = tuple(coordinates.names[k] for k in coordinates.single)
                 if len(coordinates.balls):
-                    self._orientations = Orientations(coordinates)
+                    self._orientations = Orientations(self._simulation.mechanism)
                     self.create_subscription(
                         MultiDOFJointState, 'multi_dof_joint_states', self.on_orientations,
                         STATE_DEPTH)

@@ -16,8 +16,11 @@
 
 import numpy as np
 
+from .space import quaternions
 from .spatial_modeling import Placement
 from ..core import types as t
+from ..core.codegen.space import FRAME
+from ..core.codegen.spatial import rotation
 from ..effects import cut_coordinates
 from ..effects.table import (
     ACROSS_B, AXIS, CUT_INDEX_COLUMNS, CUT_VALUE_COLUMNS, CutCoordinates, IN_PLANE, POINT_A,
@@ -126,8 +129,6 @@ class CutJoints:
     ----------
     names : tuple of str
         Of all freedoms.
-    single : ndarray of int
-        Places among them of those that have one number each.
     acted : ndarray of int
         Places among them of those that anything acts along.
 
@@ -135,8 +136,8 @@ class CutJoints:
 
     def __init__(self, mechanism, model, rows, placements, acted):
         """Look up the bodies."""
-        self.names = mechanism.cut_coordinates.names
-        self.single = mechanism.cut_coordinates.single
+        self._coordinates = mechanism.cut_coordinates
+        self.names = self._coordinates.names
         self.acted = np.array([self.names.index(name) for name in acted], dtype=int)
         self._index, self._values = coordinate_arrays(
             mechanism, model, rows, placements, self.names, False)
@@ -150,6 +151,11 @@ class CutJoints:
             self._index, self._values, *(np.zeros(nv + self.count) for _ in range(4)),
             np.zeros((bodies, 6 if mechanism.planar else 12)))
         self._none = np.zeros(0)
+        # Rows of both bodies of each spherical joint, its axes in their frames.
+        self._balls = [[(placed.row, placed.axes @ turned) for placed, turned in (
+            (placements[cut.body_a], np.eye(3)),
+            (placements[cut.body_b], np.array(rotation(cut.orientation))))]
+            for cut in mechanism.cut_joints if cut.name in self._coordinates.with_orientation]
 
     def measure(self, body):
         """
@@ -171,6 +177,30 @@ class CutJoints:
         cut_coordinates.measure(
             self._index, self._values, body, self._none, 0, position, velocity)
         return position, velocity
+
+    def whole(self, body, position):
+        """
+        Return all coordinates, shape (nq of ``Mechanism.cut_coordinates``,).
+
+        Parameters
+        ----------
+        body : ndarray, shape (nb + 1, WORK_COLUMNS)
+            As for ``measure``.
+        position : ndarray, shape (number of names,)
+            What has one number; see ``measure``.
+
+        """
+        if not self._balls:
+            return position
+        known, found = self._coordinates, np.zeros(self._coordinates.nq)
+        found[known.place[known.single]] = position[known.single]
+        frames_a, frames_b = (
+            body[list(rows), FRAME:FRAME + 9].reshape(-1, 3, 3) @ np.array(axes)
+            for rows, axes in (zip(*ends) for ends in zip(*self._balls)))
+        turns = quaternions(np.swapaxes(frames_b, 1, 2) @ frames_a)
+        for first, turn in zip(known.balls[:, 0], turns):
+            found[first:first + 4] = turn
+        return found
 
     def accelerations(self, equations, qdd):
         """

@@ -247,12 +247,12 @@ class Simulation:
     @property
     def cut_joint_names(self):
         """
-        Names of the freedoms of cut joints that have one number each.
+        Names of the freedoms of cut joints, as in the tree: ``guide.1``, ``ball.rx``.
 
-        Of a joint of several freedoms as in the tree: ``guide.1``. Spherical joints are left out.
+        In the order of their velocities and efforts; ``Mechanism.cut_coordinates`` has them.
 
         """
-        return self.mechanism.measured_cuts
+        return self._cuts.names
 
     @property
     def torque_names(self):
@@ -307,36 +307,36 @@ class Simulation:
     @property
     def cut_position(self):
         """
-        Coordinates of the cut joints, shape (number of ``cut_joint_names``,) [rad or m].
+        Coordinates of the cut joints, shape (nq of ``Mechanism.cut_coordinates``,) [rad or m].
 
         Those that the same joint of a tree has, with body A as the child and body B as the parent:
         of one that turns the angle of body A in body B, of one that slides how far point A is
         from point B along the axis. In space an angle is followed where a drive or an effect acts
-        along it; others are between -pi and pi.
+        along it; others are between -pi and pi. Of a spherical joint a unit quaternion x, y, z, w,
+        w not negative.
 
         """
-        return self._cut_state()[0][self._cuts.single]
+        return self._cut_state()[0]
 
     @property
     def cut_velocity(self):
-        """Rates of ``cut_position``, shape (number of them,) [rad/s or m/s]."""
-        return self._cut_state()[1][self._cuts.single]
+        """Rates of ``cut_joint_names``, shape (number of them,) [rad/s or m/s]."""
+        return self._cut_state()[1]
 
     @property
     def cut_acceleration(self):
-        """Accelerations of ``cut_position`` under the last torques [rad/s^2 or m/s^2]."""
+        """Accelerations of ``cut_joint_names`` under the last torques [rad/s^2 or m/s^2]."""
         if not self._cuts.count:
             return np.zeros(0)
-        found = self._cuts.accelerations(self._moved_equations(), self.system.qdd)
-        return found[self._cuts.single]
+        return self._cuts.accelerations(self._moved_equations(), self.system.qdd)
 
     @property
     def cut_effort(self):
-        """Efforts of commands along ``cut_position``, as ``effort``, shape (number of them,)."""
+        """Efforts of commands, as ``effort``, in the order of ``cut_joint_names``."""
         effort = np.zeros(self._cuts.count)
         effort[self._cuts.acted] = self._efforts()[len(self.joint_names):]
         self._add_motions(effort)
-        return effort[self._cuts.single]
+        return effort
 
     def _add_motions(self, effort):
         """Add what moves cut joints as prescribed to their efforts, in place."""
@@ -358,14 +358,14 @@ class Simulation:
         return effort
 
     def _cut_state(self):
-        """Return positions and velocities of the freedoms of cut joints."""
+        """Return coordinates and rates of cut joints."""
         if not self._cuts.count:
             return np.zeros(0), np.zeros(0)
         self._evaluate()
         position, velocity = self._cuts.measure(self.system.work.body)
         if len(self._cuts.acted):
             position[self._cuts.acted] = self._table.cuts.q[len(self._qd):]
-        return position, velocity
+        return self._cuts.whole(self.system.work.body, position), velocity
 
     @property
     def state(self):
@@ -797,15 +797,15 @@ class Simulation:
 
     def measured_cut_joints(self):
         """
-        Return the same of the cut joints, in the order of ``cut_joint_names``.
+        Return the same of the cut joints.
 
         Returns
         -------
-        position, velocity : ndarray, shape (number of them,)
+        position, velocity : ndarray
+            As ``cut_position`` and ``cut_velocity``.
 
         """
-        position, velocity = self._effects.sensors_at_cuts.measure(
-            self.time, *(values[self._cuts.single] for values in self._cut_state()))
+        position, velocity = self._effects.sensors_at_cuts.measure(self.time, *self._cut_state())
         return position.copy(), velocity.copy()
 
     def effect_readings(self, name):

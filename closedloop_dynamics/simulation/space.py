@@ -203,7 +203,7 @@ class SpatialGeometry:
         """
         rows, origins, axes = self._bodies
         places, frames = _placed(body, rows, origins)
-        return np.hstack([places, _quaternions(frames @ axes)])
+        return np.hstack([places, quaternions(frames @ axes)])
 
     def points_among(self, body):
         """
@@ -257,8 +257,13 @@ def _placed(body, rows, places):
     return body[rows, space.ORIGIN:space.ORIGIN + 3] + offsets, frames
 
 
-def _quaternions(matrices):
-    """Return the unit quaternions x, y, z, w of rotation matrices, w not negative."""
+def quaternions(matrices):
+    """
+    Return the unit quaternions x, y, z, w of rotation matrices, w not negative.
+
+    ``matrices``: shape (n, 3, 3).
+
+    """
     # q q^T, of which the column with the largest diagonal entry tells q best.
     (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = np.moveaxis(matrices, 0, -1)
     outer = 0.25 * np.array([

@@ -59,6 +59,7 @@ JOINTS = {'base': ('ground', 'frame', 'revolute', {'axis': [0.0, 0.6, 0.8]}),
 IN_TREE, CUTS = ('rod_1', 'rod_2'), (('hip', 'table'), ('ball', 'rod_2'))
 FREEDOMS = ('base', 'hip.1', 'hip.2', 'table.x', 'table.y', 'table.angle', 'rod_1.1', 'rod_1.2',
             'rod_2.1', 'rod_2.2', 'rod_3.1', 'rod_3.2')
+RATES = ('ball.rx', 'ball.ry', 'ball.rz')
 TORQUE = {'base': 1.0, 'hip.1': 1.0, 'hip.2': -0.8, 'table.x': 2.0, 'table.y': -3.0,
           'table.angle': 0.3, 'rod_1.1': -0.5, 'rod_1.2': 4.0, 'rod_2.1': 0.1, 'rod_2.2': -2.0,
           'ball.rx': 0.2, 'ball.ry': -0.1, 'ball.rz': 0.3}
@@ -109,28 +110,39 @@ def simulation(mechanism, effects, position=None):
 
 
 def told(sim):
-    """Return position, rate, acceleration and effort of what has a number, by name."""
-    single = sim.coordinates.single
-    values = [np.concatenate(pair) for pair in (
-        (sim.position[sim.coordinates.place[single]], sim.cut_position),
-        (sim.velocity[single], sim.cut_velocity),
-        (sim.acceleration[single], sim.cut_acceleration), (sim.effort[single], sim.cut_effort))]
-    names = [*sim.coordinates.single_names, *sim.cut_joint_names]
-    return {name: np.array(each) for name, each in zip(names, zip(*values))}
+    """Return position (of rotations zero), rate, acceleration and effort by freedom."""
+    found = {}
+    for known, position, *rates in (
+            (sim.coordinates, sim.position, sim.velocity, sim.acceleration, sim.effort),
+            (sim.mechanism.cut_coordinates, sim.cut_position, sim.cut_velocity,
+             sim.cut_acceleration, sim.cut_effort)):
+        values = np.transpose([known.by_freedom(position), *rates])
+        found.update(zip(known.names, values))
+    return found
+
+
+def orientation(sim):
+    """Return the orientation of the ball."""
+    for known, position in ((sim.coordinates, sim.position),
+                            (sim.mechanism.cut_coordinates, sim.cut_position)):
+        if known.with_orientation:
+            return position[known.coordinates['ball']]
 
 
 @pytest.mark.parametrize('cut', CUTS)
 def test_what_acts_at_any_cut_joint_acts_as_in_the_tree(tmp_path, cut):
     tree, sim = (simulation(machine(tmp_path, each), EFFECTS) for each in (IN_TREE, cut))
     assert tree.cut_joint_names == ('rod_1.1', 'rod_1.2', 'rod_2.1', 'rod_2.2')
-    assert set(told(tree)) == set(told(sim)) == set(FREEDOMS)
+    assert set(told(tree)) == set(told(sim)) == {*FREEDOMS, *RATES}
     for _ in range(4):
         one, other = (told(each) for each in (tree, sim))
         for name in other:
             np.testing.assert_allclose(other[name][:2], one[name][:2], rtol=0.0, atol=1e-9)
             np.testing.assert_allclose(other[name][2:], one[name][2:], rtol=1e-8, atol=1e-7)
+        np.testing.assert_allclose(orientation(sim), orientation(tree), rtol=0.0, atol=1e-9)
         for each in (tree, sim):
             each.step(TORQUE, 0.05)
+    assert abs(orientation(sim)[:3]).max() > 0.01
     for name in EFFECTS:
         for key, value in sim.effect_readings(name).items():
             assert value == pytest.approx(tree.effect_readings(name)[key], rel=1e-6, abs=1e-7)
@@ -161,7 +173,7 @@ def same_state(sim, other):
 def accelerations(sim):
     """Return the accelerations of all joints that have a number."""
     found = told(sim)
-    return [found[name][2] for name in FREEDOMS]
+    return [found[name][2] for name in (*FREEDOMS, *RATES)]
 
 
 # A pin of the crank in a slot of the rocker: in the tree a block without mass slides in the slot.

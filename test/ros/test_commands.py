@@ -17,8 +17,12 @@
 from array import array
 import math
 
-from closedloop_dynamics.ros.commands import CommandError, NOT_ACTUATED, TorqueCommand
+from closedloop_dynamics.ros.commands import (
+    CommandError, NOT_ACTUATED, poses_of, TorqueCommand)
+from closedloop_dynamics.simulation.scene import load_scene
+from geometry_msgs.msg import Transform
 import pytest
+from sensor_msgs.msg import MultiDOFJointState
 
 JOINTS = ('a', 'b', 'c', 'd')
 ACTUATED = ('a', 'c')
@@ -130,3 +134,21 @@ def test_no_timeout_holds_for_ever(command):
     command.timeout = 0.0
     assert not command.expire(now=1e9)
     assert command.torque.tolist() == [1.0, 2.0]
+
+
+def test_orientations_of_cut_joints_follow_from_the_others():
+    mechanism = load_scene('stewart_platform').mechanism
+    known, cut = mechanism.coordinates, mechanism.cut_coordinates.with_orientation
+    joint, = known.with_orientation
+    turned = Transform()
+    turned.rotation.x, turned.rotation.w = 0.6, 0.8
+    message = MultiDOFJointState(joint_names=[joint, *cut], transforms=[
+        turned, *(Transform() for _ in cut)])
+    position, velocity, held = poses_of(message, known, known.start(), cut)
+    assert position[known.coordinates[joint]].tolist() == [0.6, 0.0, 0.0, 0.8]
+    assert len(cut) == 5 and held == (joint,) and not velocity.any()
+    with pytest.raises(CommandError, match='names no joint but cut ones'):
+        poses_of(MultiDOFJointState(joint_names=list(cut), transforms=message.transforms[1:]),
+                 known, known.start(), cut)
+    with pytest.raises(CommandError, match='is not a joint'):
+        poses_of(message, known, known.start())

@@ -38,6 +38,7 @@ import numpy as np
 import pytest
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
+from sensor_msgs.msg import MultiDOFJointState
 from std_msgs.msg import Float64MultiArray
 from std_msgs.msg import String
 from std_srvs.srv import SetBool
@@ -88,6 +89,7 @@ def test_published_states_and_forces_are_those_of_the_library(make_node, listene
     cut = mechanism.cut_joints[0].name
     states = listener.listen('joint_states', JointState)
     forces = listener.listen(f'constraint_forces/{cut}', WrenchStamped)
+    turned = listener.listen('multi_dof_joint_states', MultiDOFJointState)
     # Publishers and subscribers have found each other.
     listener.wait(lambda: not step_back(node) and states and forces, 'a first state')
     node.on_torque_command(Float64MultiArray(data=[0.05]))
@@ -98,10 +100,19 @@ def test_published_states_and_forces_are_those_of_the_library(make_node, listene
         stamp = node.states.stamp
         listener.wait(lambda: states[-1].header.stamp == stamp
                       and forces[-1].header.stamp == stamp, 'the state after the steps')
-        assert states[-1].name == [*mechanism.joint_names, *library.cut_joint_names]
-        assert list(states[-1].position) == [*library.position, *library.cut_position]
-        assert list(states[-1].velocity) == [*library.velocity, *library.cut_velocity]
-        assert list(states[-1].effort) == [*library.effort, *library.cut_effort]
+        cuts = mechanism.cut_coordinates
+        numbers = cuts.place[cuts.single]
+        assert states[-1].name == [*mechanism.joint_names, *cuts.single_names]
+        assert list(states[-1].position) == [*library.position, *library.cut_position[numbers]]
+        assert list(states[-1].velocity) == [*library.velocity, *library.cut_velocity[cuts.single]]
+        assert list(states[-1].effort) == [*library.effort, *library.cut_effort[cuts.single]]
+        if cuts.with_orientation:
+            listener.wait(lambda: turned and turned[-1].header.stamp == stamp, 'orientations')
+            assert turned[-1].joint_names == list(cuts.with_orientation)
+            (pose,), (twist,) = turned[-1].transforms, turned[-1].twist
+            turn, rate = pose.rotation, twist.angular
+            assert [turn.x, turn.y, turn.z, turn.w] == library.cut_position.tolist()
+            assert [rate.x, rate.y, rate.z] == library.cut_velocity.tolist()
         force, torque = forces[-1].wrench.force, forces[-1].wrench.torque
         assert [torque.x, torque.y, torque.z, force.x, force.y, force.z] == (
             library.constraint_forces[0].tolist())
