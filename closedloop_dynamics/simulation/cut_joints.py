@@ -26,7 +26,7 @@ from ..effects.table import (
     ACROSS_B, AXIS, CUT_INDEX_COLUMNS, CUT_VALUE_COLUMNS, CutCoordinates, IN_PLANE, POINT_A,
     POINT_B, ROW_B, SCALE, SIDE_A, SIDE_B, SLIDES, ZERO)
 from ..mechanism.cut_freedoms import cut_freedoms
-from ..mechanism.mechanism import CYLINDRICAL, HELICAL, PLANAR, SPHERICAL
+from ..mechanism.mechanism import CYLINDRICAL, GROUND, HELICAL, PLANAR, REVOLUTE, SPHERICAL
 
 
 def acted_in(mechanism, effects):
@@ -105,6 +105,41 @@ def coordinate_arrays(mechanism, model, rows, placements, names, followed):
             line[SIDE_B:SIDE_B + 3] = b.axes @ there
             line[ACROSS_B:ACROSS_B + 3] = b.axes @ np.cross(freedom.axis, there)
     return index, values
+
+
+def coupling_moments(mechanism):
+    """
+    Return what couplings exert at revolute cut joints in the plane.
+
+    Their equations are in the coordinates of the tree, where their torques act in each joint on
+    the way to the ground; they are handed over at the cut joint.
+
+    Parameters
+    ----------
+    mechanism : Mechanism
+        In the plane or in space.
+
+    Returns
+    -------
+    at_cuts : ndarray, shape (number of cut joints, number of couplings)
+        Moment there, for a unit of the coupling's force.
+    in_joints : ndarray, shape (number of joints, number of couplings)
+        What that leaves in the joints of the tree, beside the torques of the equations.
+
+    """
+    places = {joint.child: place for place, joint in enumerate(mechanism.joints)}
+    at_cuts, in_joints = (np.zeros((len(joints), len(mechanism.couplings)))
+                          for joints in (mechanism.cut_joints, mechanism.joints))
+    for n, coupling in enumerate(mechanism.couplings if mechanism.planar else ()):
+        for k, cut in enumerate(mechanism.cut_joints):
+            if cut.type != REVOLUTE or cut.name not in coupling.joints:
+                continue
+            at_cuts[k, n] = coupling.joints[cut.name]
+            for body, sign in ((cut.body_a, -1.0), (cut.body_b, 1.0)):
+                while body != GROUND:
+                    in_joints[places[body], n] += sign * at_cuts[k, n]
+                    body = mechanism.joints[places[body]].parent
+    return at_cuts, in_joints
 
 
 def _whole(vector):

@@ -237,8 +237,8 @@ def verdict(simulation, states, last, work, schedule):
 def values_of(simulation, buffer, tau, schedule, quantities):
     """Return what a run keeps by quantity, from its buffer."""
     nq, nv = simulation.coordinates.nq, simulation.coordinates.nv
-    if not simulation.mechanism.planar:
-        return _values_in_space(simulation, buffer, tau, schedule, quantities)
+    if simulation.acts_in_cuts or not simulation.mechanism.planar:
+        return _values_asked_for(simulation, buffer, tau, schedule, quantities)
     take = {
         'position': lambda: buffer.state[:, :nq].copy(),
         'velocity': lambda: buffer.state[:, nq:nq + nv].copy(),
@@ -257,8 +257,8 @@ def values_of(simulation, buffer, tau, schedule, quantities):
     return {name: take[name]() for name in quantities}
 
 
-def _values_in_space(simulation, buffer, tau, schedule, quantities):
-    """Return what a run in space keeps: the simulation is asked at every instant."""
+def _values_asked_for(simulation, buffer, tau, schedule, quantities):
+    """Return the same where the simulation is asked for it at every instant."""
     nq, nv = simulation.coordinates.nq, simulation.coordinates.nv
     values = nothing(quantities, simulation.mechanism, schedule.instants)
     for name, columns in (('position', slice(nq)), ('velocity', slice(nq, nq + nv))):

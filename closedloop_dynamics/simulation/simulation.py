@@ -21,7 +21,7 @@ import warnings
 import numpy as np
 
 from .assembly import angle_notes, Assembler
-from .cut_joints import acted_in, coordinate_arrays, CutJoints
+from .cut_joints import acted_in, coordinate_arrays, coupling_moments, CutJoints
 from .errors import (
     AssemblyError, ClosureError, MotionError, NumericalError, SimulationError, StiffnessError)
 from .guards import CLOSING, ClosureGuard, EnergyGuard, StiffnessGuard
@@ -114,8 +114,9 @@ class Simulation:
             self.mechanism, model, self._rows, placements, acted, True) if acted else None)
         self._cuts = CutJoints(self.mechanism, model, self._rows, placements, acted)
         self._coupling_scales = coupling_scales(self.mechanism)
+        self._coupled = coupling_moments(self.mechanism)
         # Whether anything acts along the coordinates of cut joints.
-        self._act_in_cuts = len(acted) > 0 or any(
+        self._act_in_cuts = len(acted) > 0 or self._coupled[0].any() or any(
             measured(self.mechanism, coupling) for coupling in self.mechanism.couplings)
         for name, angle in scene.initial.turned.items():
             self._effects.begin_angle(name, angle)
@@ -221,6 +222,11 @@ class Simulation:
         for note in simulation.start_notes():
             warnings.warn(note, RuntimeWarning, stacklevel=2)
         return simulation
+
+    @property
+    def acts_in_cuts(self):
+        """Return whether anything acts along the coordinates of cut joints."""
+        return self._act_in_cuts
 
     # Names and sizes.
 
@@ -483,6 +489,8 @@ class Simulation:
         found = self._equations.cut_wrenches(lam, self.system.work.body)[:len(self.cut_joints)]
         if self._act_in_cuts:
             self._cuts.add_efforts(self.system.work.body, self._cut_efforts(), found)
+            if self._coupled[0].any():
+                found[:, 0] += self._coupled[0] @ self.coupling_forces
         return found
 
     def _all_multipliers(self):
@@ -584,6 +592,8 @@ class Simulation:
             found = joint_forces(
                 system, system.tau[np.newaxis], 1, 1, self._state[np.newaxis],
                 system.qdd[np.newaxis], system.lam[np.newaxis])[0]
+        if self._coupled[0].any():
+            found[:, 0] += self._coupled[1] @ self.coupling_forces
         return found if self._geometry is None else self._geometry.joint_wrenches_among(
             system.work.body, found)
 
