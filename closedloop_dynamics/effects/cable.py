@@ -19,7 +19,19 @@ Cable that pulls and never pushes, from a point over guides and pulleys to anoth
 
 with l its length: straight pieces, tangent to pulleys that have a radius, and what lies on these.
 It slides over guides and pulleys without friction, or turns them without inertia: one tension
-throughout, "capstan-free". In space it goes over guides without a radius.
+throughout, "capstan-free".
+
+In space all pulleys lie across one axis n, which is fixed in the body of the first of them. A
+straight piece leaves a pulley where it is tangent as seen along the axis. Its angle to the
+pulley's plane is the fleet angle. A piece from centre to centre d, which is h along the axis and p
+across it with |p|^2 = a^2 + (r_b - r_a)^2, has the length L = sqrt(a^2 + h^2). With the tangent t
+as seen along the axis, piece and arcs grow by f . d', where d' is seen from the body of the axis
+and
+
+    f = t + (a / L - 1) p / a + (h / L) n
+
+The force T f pulls at both centres, and the moment T sum(d x f) turns the body of the axis. In the
+plane of the pulleys f = t, and there is no such moment.
 
 It stores k s^2 / 2. The damping grows with the stretch, so that the
 tension does not jump where the cable becomes taut.
@@ -33,17 +45,24 @@ from dataclasses import dataclass
 import math
 from typing import Optional, Tuple
 
-from .effect import Effect, require_plane, require_point
-from .forces import distance_in_space, place, push_at, push_there, velocity
+from .effect import Effect, require_point
+from .forces import (
+    distance_in_space, place, place_in_space, push_at, push_there, turned, twist, velocity,
+    velocity_at)
 from .table import (
     CABLE, DATA, DISSIPATED, ENTRIES, ForceElement, SPATIAL_CABLE, STATE, State, STORED)
-from ..core.compiled import inlined
-from ..mechanism.checks import list_of, name, not_negative, number, positive
-from ..mechanism.fields import at, FieldError
+from ..core.codegen.space import SPIN
+from ..core.compiled import compiled, inlined
+from ..mechanism.checks import direction, list_of, name, not_negative, number, positive
+from ..mechanism.fields import at, FieldError, shown
+from ..mechanism.mechanism import Vector3
 
-# Numbers of an entry: row of a point's body, place in its frame [m], radius of the pulley [m];
-# in space a place of three numbers and no radius.
-COLUMNS = 4
+# Numbers of an entry: row of a point's body, place in its frame [m], radius of the pulley [m]; in
+# space one more.
+COLUMNS, SPATIAL_COLUMNS = 4, 5
+# Columns of EffectTable.values in space: row of the body of the pulleys' axis, less than zero
+# where there are guides alone; the axis in the frame of that row.
+CARRIER, AXIS = 3, 4
 
 
 @dataclass(frozen=True)
@@ -64,12 +83,15 @@ class Cable(Effect):
     radii : tuple of floats or None
         One for each point, zero for the ends: of the pulleys [m]; positive where the cable turns
         to the left around them, negative where to the right. Guides without radius when not
-        given. In the plane.
+        given.
+    axis : tuple of 3 floats or None
+        In space, of pulleys with a radius: about which to the left is counter-clockwise, in the
+        frame of the body of the first of them; of unit length here.
 
     """
 
     CHECKS = {'points': list_of(name), 'stiffness': positive, 'free_length': not_negative,
-              'damping': not_negative, 'radii': list_of(number)}
+              'damping': not_negative, 'radii': list_of(number), 'axis': direction}
     READINGS = ('tension', 'length')
 
     points: Tuple[str, ...]
@@ -77,6 +99,7 @@ class Cable(Effect):
     free_length: float
     damping: float = 0.0
     radii: Optional[Tuple[float, ...]] = None
+    axis: Optional[Vector3] = None
 
     def __post_init__(self):
         """Refuse what has no two ends, and pulleys that are too few, too many or at an end."""
@@ -91,24 +114,40 @@ class Cable(Effect):
                 if self.radii[end] != 0.0:
                     raise FieldError('zero at the ends of the cable', f'{self.radii[end]:g}',
                                      path=('radii', end))
+        if self.axis is not None:
+            if not any(self.radii or ()):
+                raise FieldError('no axis of a cable without a pulley that has a radius',
+                                 shown(self.axis), path=('axis',))
+            object.__setattr__(self, 'READINGS', (*type(self).READINGS, 'fleet_angle'))
 
     def fit(self, mechanism):
-        """Refuse a mechanism without the points, and pulleys with a radius in space."""
-        if self.radii is not None and any(self.radii):
-            require_plane(mechanism, 'radii')
+        """Refuse a mechanism without the points, and pulleys without an axis in space."""
+        if mechanism.planar and self.axis is not None:
+            raise FieldError('no axis in the plane, which every pulley lies in', shown(self.axis),
+                             path=('axis',))
+        if not mechanism.planar and self.axis is None and any(self.radii or ()):
+            raise FieldError('the axis of pulleys that have a radius', 'none', path=('axis',))
         for index, point in enumerate(self.points):
             with at('points'):
                 require_point(mechanism, index, point)
 
     def element(self, machine):
         """Return the effect as a row of the table."""
-        entries = []
-        for point, radius in zip(self.points, self.radii or (0.0,) * len(self.points)):
+        entries, radii = [], self.radii or (0.0,) * len(self.points)
+        for point, radius in zip(self.points, radii):
             row, spot = machine.point(point)
-            entries.append((float(row), *spot, radius)[:COLUMNS])
-        kind = CABLE if machine.mechanism.planar else SPATIAL_CABLE
-        return ForceElement(kind, (), (self.stiffness, self.free_length, self.damping),
-                            (State(DISSIPATED),), data=tuple(entries))
+            entries.append((float(row), *spot, radius))
+        values = [self.stiffness, self.free_length, self.damping]
+        if machine.mechanism.planar:
+            return ForceElement(CABLE, (), tuple(values), (State(DISSIPATED),),
+                                data=tuple(entries))
+        values.append(-1.0)
+        if self.axis is not None:
+            placed = machine.placement(machine.carrier(next(
+                point for point, radius in zip(self.points, radii) if radius)))
+            values[CARRIER:] = [float(placed.row), *(placed.axes @ self.axis).tolist()]
+        return ForceElement(SPATIAL_CABLE, (), tuple(values), (State(DISSIPATED),),
+                            data=tuple(entries))
 
 
 @inlined
@@ -183,28 +222,106 @@ def apply(table, row, body):
 @inlined
 def _straight_in_space(body, data, at):
     """Return both ends, direction, length and its rate of a piece in space."""
-    a, b = int(data[at]), int(data[at + COLUMNS])
+    b = at + SPATIAL_COLUMNS
     return distance_in_space(
-        body, a, data[at + 1], data[at + 2], data[at + 3],
-        b, data[at + COLUMNS + 1], data[at + COLUMNS + 2], data[at + COLUMNS + 3])
+        body, int(data[at]), data[at + 1], data[at + 2], data[at + 3],
+        int(data[b]), data[b + 1], data[b + 2], data[b + 3])
 
 
 @inlined
 def apply_in_space(table, row, body):
     """Apply the forces in space; see ``dispatch.apply``."""
+    if table.values[row, CARRIER] >= 0.0:
+        _apply_over_pulleys(table, row, body)
+    else:
+        _apply_over_guides(table, row, body)
+
+
+@inlined
+def _apply_over_guides(table, row, body):
+    """Apply the forces in space where no pulley has a radius."""
     data, first = table.data, table.index[row, DATA]
     pieces = table.index[row, ENTRIES] - 1
     length, rate = 0.0, 0.0
     for k in range(pieces):
         px, py, pz, bx, by, bz, x, y, z, part, growth = _straight_in_space(
-            body, data, first + COLUMNS * k)
+            body, data, first + SPATIAL_COLUMNS * k)
         length += part
         rate += growth
     tension = _tension(table, row, length, rate)
     if tension > 0.0:
         for k in range(pieces):
-            at = first + COLUMNS * k
+            at = first + SPATIAL_COLUMNS * k
             px, py, pz, bx, by, bz, x, y, z, part, growth = _straight_in_space(body, data, at)
             push_there(body, int(data[at]), px, py, pz, tension * x, tension * y, tension * z)
-            push_there(body, int(data[at + COLUMNS]), bx, by, bz,
+            push_there(body, int(data[at + SPATIAL_COLUMNS]), bx, by, bz,
                        -tension * x, -tension * y, -tension * z)
+
+
+@inlined
+def _dot(a, b):
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@inlined
+def _cross(a, b):
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@inlined
+def _tangent_in_space(body, data, at, axis):
+    """Return both centres, the tangent and f, see above, a, h, and L of a piece."""
+    b = at + SPATIAL_COLUMNS
+    p = place_in_space(body, int(data[at]), data[at + 1], data[at + 2], data[at + 3])
+    q = place_in_space(body, int(data[b]), data[b + 1], data[b + 2], data[b + 3])
+    x, y, z = q[0] - p[0], q[1] - p[1], q[2] - p[2]
+    high = _dot((x, y, z), axis)
+    x, y, z = x - high * axis[0], y - high * axis[1], z - high * axis[2]
+    between, across = x * x + y * y + z * z, data[b + 4] - data[at + 4]
+    seen = math.sqrt(max(0.0, between - across * across))
+    whole = math.sqrt(seen * seen + high * high)
+    tangent, force = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+    if between > 0.0 and seen > 0.0:
+        u, v, w = _cross((x, y, z), axis)
+        tangent = ((seen * x + across * u) / between, (seen * y + across * v) / between,
+                   (seen * z + across * w) / between)
+        # (a / L - 1) / a without a difference.
+        less, up = high * high / (whole * seen * (whole + seen)), high / whole
+        force = (tangent[0] - less * x + up * axis[0], tangent[1] - less * y + up * axis[1],
+                 tangent[2] - less * z + up * axis[2])
+    return p, q, tangent, force, seen, high, whole
+
+
+@compiled
+def _apply_over_pulleys(table, row, body):
+    """Apply the forces in space where pulleys have a radius."""
+    data, first, values = table.data, table.index[row, DATA], table.values
+    pieces, carrier = table.index[row, ENTRIES] - 1, int(values[row, CARRIER])
+    axis = turned(body, carrier, values[row, AXIS], values[row, AXIS + 1], values[row, AXIS + 2])
+    spin = body[carrier, SPIN], body[carrier, SPIN + 1], body[carrier, SPIN + 2]
+    length, rate, fleet, before = 0.0, 0.0, 0.0, (0.0, 0.0, 0.0)
+    for k in range(pieces):
+        at = first + SPATIAL_COLUMNS * k
+        p, q, tangent, force, seen, high, whole = _tangent_in_space(body, data, at, axis)
+        ux, uy, uz = velocity_at(body, int(data[at]), p[0], p[1], p[2])
+        vx, vy, vz = velocity_at(body, int(data[at + SPATIAL_COLUMNS]), q[0], q[1], q[2])
+        length += whole
+        rate += _dot(force, (vx - ux, vy - uy, vz - uz)) - _dot(spin, _cross(
+            (q[0] - p[0], q[1] - p[1], q[2] - p[2]), force))
+        fleet = max(fleet, math.atan2(abs(high), seen))
+        if k > 0 and data[at + 4] != 0.0:
+            # Seen along the axis: the turn from one tangent to the next.
+            length += _wrapped(data[at + 4], 1.0, 0.0, _dot(before, tangent),
+                               _dot(_cross(before, tangent), axis))
+        before = tangent
+    tension = _tension(table, row, length, rate)
+    table.output[row, 3] = fleet
+    if tension > 0.0:
+        for k in range(pieces):
+            at = first + SPATIAL_COLUMNS * k
+            p, q, tangent, force, seen, high, whole = _tangent_in_space(body, data, at, axis)
+            x, y, z = tension * force[0], tension * force[1], tension * force[2]
+            push_there(body, int(data[at]), p[0], p[1], p[2], x, y, z)
+            push_there(body, int(data[at + SPATIAL_COLUMNS]), q[0], q[1], q[2], -x, -y, -z)
+            x, y, z = _cross((q[0] - p[0], q[1] - p[1], q[2] - p[2]), (x, y, z))
+            twist(body, carrier, x, y, z)

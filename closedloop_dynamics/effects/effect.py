@@ -125,13 +125,6 @@ def require_point(mechanism, key, name):
         one_of(tuple(point.name for point in mechanism.points), 'one of the points')(name)
 
 
-def require_plane(mechanism, key):
-    """Refuse a mechanism in space, where what a key stands for does not act yet."""
-    if not mechanism.planar:
-        raise FieldError('a mechanism in the plane, where this acts',
-                         f'{mechanism.name!r}, which moves in space', path=(key,))
-
-
 # Field -> refuses a name that the mechanism does not have.
 REQUIRE = {'body': require_body, 'point': require_point,
            'point_a': require_point, 'point_b': require_point}

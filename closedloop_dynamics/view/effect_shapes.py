@@ -64,7 +64,7 @@ def effect_lines(mechanism, effects, rows, heights, above):
     for name, record in effects.items():
         if isinstance(record, Cable):
             found.append({'kind': 'cable', 'name': name, 'ends': ends(record.points),
-                          'radii': list(record.radii or ())})
+                          'radii': list(record.radii or ()) if mechanism.planar else []})
         elif isinstance(record, (PointSpring, ForceTable)) and record.point_a is not None:
             line = {'kind': 'spring', 'name': name, 'ends': ends(
                 [name for name in (record.point_a, record.point_b) if name is not None])}

@@ -14,10 +14,13 @@
 
 """Cables over guides and pulleys: Newton by hand, length, slackness, energy."""
 
+from dataclasses import replace
 import math
 
+from closedloop_dynamics.core.codegen.spatial import rotation
 from closedloop_dynamics.effects.cable import Cable
 from closedloop_dynamics.effects.gravity import Gravity
+from closedloop_dynamics.mechanism.checks import orientation
 from closedloop_dynamics.mechanism.fields import FieldError
 from closedloop_dynamics.mechanism.mechanism import Body, Joint, Mechanism, Point
 import numpy as np
@@ -117,10 +120,84 @@ def test_a_rope_over_one_pulley_is_tangents_and_an_arc():
         2.0 * tangent + 2.0 * 0.2 * rise, abs=1e-13)
 
 
+# A frame that the plane of the hoist lies in, in space.
+TURN = rotation(orientation({'rpy': [0.4, -0.7, 1.1]}))
+
+
+def in_space(vector):
+    """Return a vector of the plane where that lies in space."""
+    return tuple((np.array(TURN) @ (*vector, 0.0)).tolist())
+
+
+def test_a_hoist_in_space_is_the_one_in_the_plane():
+    flat, inertia = hoist(), (0.1, 0.1, 0.1)
+    along = in_space((0.0, 1.0))
+    machine = Mechanism('hoist', tuple(
+        Body(body.name, body.mass, (0.0, 0.0, 0.0), inertia) for body in flat.bodies), tuple(
+        Joint(joint.name, 'prismatic', 'ground', joint.child, in_space(joint.position), axis=along)
+        for joint in flat.joints), (), tuple(
+        Point(point.name, point.body, in_space(point.position)) for point in flat.points))
+    line, down = rope(0.003, damping=0.1), Gravity(in_space((0.0, -9.81)))
+    one, other = (simulated(mechanism, effects, [0.0, 0.02]) for mechanism, effects in (
+        (flat, {'gravity': EARTH, 'rope': line}),
+        (machine, {'gravity': down, 'rope': replace(line, axis=tuple(np.array(TURN)[:, 2]))})))
+    for _ in range(3):
+        np.testing.assert_allclose(other.position, one.position, rtol=0.0, atol=1e-12)
+        np.testing.assert_allclose(other.acceleration, one.acceleration, rtol=1e-9, atol=1e-9)
+        readings = other.effect_readings('rope')
+        assert readings.pop('fleet_angle') < 1e-7
+        assert readings == pytest.approx(one.effect_readings('rope'), rel=1e-9, abs=1e-9)
+        for each in (one, other):
+            each.step(duration=0.05)
+
+
+def free(points, cable, place, turn):
+    """Return a free body that a cable holds to another one, which turns about a hinge."""
+    bodies = Body('hull', 1.5, (0.0, 0.0, 0.0), (0.2, 0.3, 0.4)), Body(
+        'jib', 2.0, (0.0, 0.0, 0.0), (0.5, 0.6, 0.7))
+    joints = (Joint('free', 'free', 'ground', 'hull', (0.0, 0.0, 0.0)),
+              Joint('tilt', 'spherical', 'ground', 'jib', (0.0, 0.0, 0.0)))
+    quaternion = orientation({'rpy': turn})
+    return simulated(Mechanism('crane', bodies, joints, (), points), {'rope': cable},
+                     (*place, *quaternion, *orientation({'rpy': turn[::-1]})), 9 * [0.0])
+
+
+def test_the_force_in_space_is_the_gradient_of_the_length():
+    # Out of the pulleys' plane, at all angles: the jib carries the axis.
+    points = (Point('start', 'ground', (-1.0, 0.2, 0.1)), Point('roll', 'jib', (0.2, 0.9, -0.1)),
+              Point('wheel', 'hull', (0.3, 0.2, -0.2)), Point('end', 'ground', (1.5, -1.2, 0.3)))
+    cable = Cable(('start', 'roll', 'wheel', 'end'), 100.0, 1.0, radii=(0.0, -0.15, 0.1, 0.0),
+                  axis=(0.1, -0.2, 1.0))
+    place, turn = np.array([1.0, 0.4, 0.2]), np.array([0.1, -0.2, 0.15])
+    simulation = free(points, cable, place, turn)
+    readings = simulation.effect_readings('rope')
+    assert readings['fleet_angle'] > 0.05
+    assert readings['tension'] == pytest.approx(100.0 * (readings['length'] - 1.0))
+    known, q, h = simulation.coordinates, simulation.position, 1e-6
+
+    def length(change):
+        simulation.set_state(known.moved(q, change), np.zeros(known.nv))
+        return simulation.effect_readings('rope')['length']
+
+    gradient = np.array([(length(h * e) - length(-h * e)) / (2.0 * h) for e in np.eye(known.nv)])
+    simulation.set_state(q, np.zeros(known.nv))
+    force = simulation.inertia @ simulation.acceleration
+    np.testing.assert_allclose(force, -readings['tension'] * gradient, atol=2e-6)
+    assert abs(gradient).min() > 1e-3
+    # And its rate is that of the length, which the damping goes with.
+    rates = np.linspace(-0.5, 0.5, known.nv)
+    simulation.set_effect('rope', damping=0.2)
+    simulation.set_state(q, rates)
+    tension = simulation.effect_readings('rope')['tension']
+    assert tension == pytest.approx(
+        readings['tension'] * (1.0 + 0.2 * float(gradient @ rates)), rel=1e-6)
+
+
 @pytest.mark.parametrize('values, key', [
     ({'points': ('a',)}, 'points'), ({'stiffness': 0.0}, 'stiffness'),
     ({'free_length': -1.0}, 'free_length'), ({'radii': (0.0,)}, 'radii'),
-    ({'radii': (0.1, 0.0)}, 'radii[0]'), ({'damping': -1.0}, 'damping')])
+    ({'radii': (0.1, 0.0)}, 'radii[0]'), ({'damping': -1.0}, 'damping'),
+    ({'axis': (0.0, 0.0, 1.0)}, 'axis')])
 def test_impossible_cables_are_refused(values, key):
     with pytest.raises(FieldError) as refusal:
         Cable(**{'points': ('a', 'b'), 'stiffness': 1.0, 'free_length': 1.0, **values})
