@@ -22,8 +22,10 @@ import numpy as np
 from .command import Command, require_free, UsageError
 from ..effects.registry import effect_type
 from ..formats.building import Imported
-from ..formats.registry import is_model, read_model
-from ..formats.writing import in_space, JOINT_EFFECTS, sdf, WRITERS
+from ..formats.in_space import in_space
+from ..formats.registry import is_model, read_model, WRITERS
+from ..formats.sdf_writing import sdf
+from ..formats.writing import JOINT_EFFECTS
 from ..mechanism.mechanism import Mechanism, MechanismError
 from ..simulation.far_assembly import find_closed
 from ..simulation.model_scene import assembled

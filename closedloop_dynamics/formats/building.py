@@ -26,7 +26,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .model import Connection
+from .model import Connection, free_name
 from .pose import IDENTITY, Pose, quaternion_of
 from .visuals import placed
 from ..mechanism.fields import FieldError
@@ -228,18 +228,16 @@ def _spanning_tree(groups, joints):
     for group in groups.links:
         if find(group) != find(GROUND):
             root[find(group)] = find(GROUND)
-            free.append(_free(group, joints, chosen, groups))
+            free.append(_free(group, joints))
     joints = [*free, *joints]
     chosen |= {joint.name for joint in free}
     return _Tree(_outwards([joint for joint in joints if joint.name in chosen], groups),
                  [joint for joint in joints if joint.name not in chosen])
 
 
-def _free(group, joints, chosen, groups):
+def _free(group, joints):
     """Return the free joint that carries what nothing joins to the ground."""
-    name = f'{group}_free'
-    while any(joint.name == name for joint in joints):
-        name += '_'
+    name = free_name(f'{group}_free', [joint.name for joint in joints])
     return Connection(name, FREE, GROUND, group, actuated=False)
 
 

@@ -26,7 +26,7 @@ the type leaves free. The axis is given in both frames.
 import numpy as np
 
 from .model import Connection
-from .pose import Pose
+from .pose import unturned
 from ..mechanism.checks import direction, list_of, listed, name, one_of, vector3
 from ..mechanism.fields import at, FieldError, mapping, shown
 from ..mechanism.mechanism import (
@@ -69,17 +69,17 @@ def _loop(model, key, values):
             with at(axis):
                 raise FieldError(f'{"this" if kind in types else "no such"} key of a {kind} joint',
                                  shown(values.get(axis)))
-    places = [np.zeros(3), np.zeros(3)]
+    places = [(0.0, 0.0, 0.0)] * 2
     with at('points'):
         if 'points' in values:
-            places = [np.array(place) for place in _two(list_of(vector3)(values['points']))]
+            places = _two(list_of(vector3)(values['points']))
     ends = []
     with at('between'):
         for number, frame in enumerate(_two(listed(values['between']))):
             with at(number):
                 one_of((GROUND, *model.links, *model.frames), 'one of the links and frames')(frame)
                 link, pose = model.frame(frame, key)
-                ends.append((link, pose @ Pose(np.eye(3), places[number])))
+                ends.append((link, pose @ unturned(places[number])))
     axes = {}
     for axis, field in (('axis', 'axis'), ('second_axis', 'child_axis')):
         if axis in values:

@@ -30,8 +30,8 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from .mjcf_pictures import read_pictures
-from .model import Connection, Link, Model, Relation
-from .pose import of_quaternion, Pose
+from .model import Connection, free_name, Link, Model, Relation
+from .pose import about, IDENTITY, of_quaternion, Pose, unturned
 from .xml_file import read_bytes, read_xml
 from ..mechanism.mechanism import (
     FIXED, FREE, GROUND, MechanismError, PRISMATIC, REVOLUTE, SPHERICAL)
@@ -84,8 +84,7 @@ def read_mjcf(path):
     folder = path.parent.resolve()
     drawn = ''.join(_text(part, NOT_DRAWN) for part in root.children if part.tag in DRAWN)
     assets = _stripped(root, folder, left_out)
-    model.ignored.update({f'{count} {tag}' if count > 1 else tag: {**SECTIONS, **PARTS}.get(
-        tag, 'for contacts') for tag, count in left_out.items()})
+    model.ignore(left_out, {**SECTIONS, **PARTS}, 'for contacts')
     try:
         compiled = mujoco.MjSpec.from_string(_text(root), assets=assets).compile()
     except (ValueError, RuntimeError, mujoco.FatalError) as error:
@@ -253,14 +252,12 @@ class _Reader:
             joint = first + number
             child = name
             if number < count - 1:
-                child = f'{name}_{number + 1}'
-                while child in self.model.links:
-                    child += '_'
+                child = free_name(f'{name}_{number + 1}', self.model.links)
                 self.model.add(Link(child, where))
             connection = self._joint(joint, name, number, parent, child, place)
             self.model.add(connection)
             self.joints[joint] = connection.name
-            parent, place = child, Pose(np.eye(3), np.zeros(3))
+            parent, place = child, IDENTITY
         if not count:
             self.model.add(Connection(f'{name}_fixed', FIXED, parent, name, where,
                                       in_parent=place))
@@ -279,7 +276,7 @@ class _Reader:
         found.in_parent = place
         if kind == FREE:
             return found
-        anchor = Pose(np.eye(3), compiled.jnt_pos[joint].copy())
+        anchor = unturned(compiled.jnt_pos[joint])
         found.in_parent, found.in_child = place @ anchor, anchor
         if kind == SPHERICAL:
             return found
@@ -288,8 +285,8 @@ class _Reader:
         found.start, found.rest = drawn, float(compiled.qpos_spring[address])
         if drawn:
             # As it is drawn the coordinate is not zero.
-            back = Pose(np.eye(3), -drawn * found.axis) if kind == PRISMATIC else Pose(
-                _about(found.axis, -drawn), np.zeros(3))
+            back = unturned(-drawn * found.axis) if kind == PRISMATIC else Pose(
+                about(found.axis, -drawn), np.zeros(3))
             found.in_parent = found.in_parent @ back
         if compiled.jnt_limited[joint]:
             found.lower, found.upper = compiled.jnt_range[joint].tolist()
@@ -298,9 +295,8 @@ class _Reader:
     def _equality(self, number):
         compiled, model = self.compiled, self.model
         kind, data = int(compiled.eq_type[number]), compiled.eq_data[number]
-        name = self._name(self.objects.mjOBJ_EQUALITY, number, f'equality_{number + 1}')
-        while name in model.joints:
-            name += '_'
+        name = free_name(self._name(
+            self.objects.mjOBJ_EQUALITY, number, f'equality_{number + 1}'), model.joints)
         where = f'{model.path}: <equality>, its element {number + 1}'
         if not compiled.eq_active0[number]:
             self._leave(self.objects.mjOBJ_EQUALITY, number, 'not active')
@@ -320,7 +316,7 @@ class _Reader:
                       for site in ends]
         else:
             bodies = ends
-            places = [Pose(np.eye(3), data[:3].copy()), Pose(np.eye(3), data[3:6].copy())]
+            places = [unturned(data[:3]), unturned(data[3:6])]
             if kind == WELD:
                 places = [Pose(_rotation(data[6:10]), data[3:6].copy()), places[0]]
         self.model.add(Connection(
@@ -362,9 +358,3 @@ def _rotation(quaternion):
     """Return the rotation of a quaternion in MuJoCo's order, w first."""
     w, x, y, z = quaternion
     return of_quaternion((x, y, z, w))
-
-
-def _about(axis, angle):
-    """Return the rotation about a unit vector."""
-    half = 0.5 * angle
-    return of_quaternion((*(np.sin(half) * axis), np.cos(half)))

@@ -30,8 +30,23 @@ from .pose import IDENTITY, Pose
 from ..mechanism.fields import among, nearest
 from ..mechanism.mechanism import GROUND, JOINT_FREEDOMS, MechanismError
 
+# Moments of inertia, as URDF and SDF call them.
+MOMENTS = ('ixx', 'iyy', 'izz', 'ixy', 'ixz', 'iyz')
 # Standard gravity of formats that leave it to the simulator [m/s^2].
 GRAVITY = (0.0, 0.0, -9.81)
+
+
+def free_name(name, taken):
+    """Return a name, with as many underscores behind it as make it none of those taken."""
+    while name in taken:
+        name += '_'
+    return name
+
+
+def inertia_matrix(moments):
+    """Return the matrix of six moments of inertia in the order of ``MOMENTS``, shape (3, 3)."""
+    xx, yy, zz, xy, xz, yz = moments
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
 @dataclass
@@ -217,6 +232,12 @@ class Model:
         raise MechanismError(
             f'{where}: expected the name of a link or frame, got {name!r}'
             f' ({nearest(name, known) or "there are " + among(known)})')
+
+    def ignore(self, counts, reasons, otherwise='not known to this reader'):
+        """Note how often something was left out, and why: by what it is, or ``otherwise``."""
+        self.ignored.update({
+            f'{count} {what}' if count > 1 else what: reasons.get(what, otherwise)
+            for what, count in counts.items()})
 
     def check(self):
         """

@@ -53,6 +53,17 @@ class Pose(NamedTuple):
 IDENTITY = Pose(np.eye(3), np.zeros(3))
 
 
+def unturned(position):
+    """Return the pose of a frame that is at a place, its axes as those of the other."""
+    return Pose(np.eye(3), np.array(position))
+
+
+def about(axis, angle):
+    """Return the rotation about a unit vector by an angle [rad], shape (3, 3)."""
+    half = 0.5 * angle
+    return of_quaternion((*(np.sin(half) * np.array(axis)), np.cos(half)))
+
+
 def of_angles(angles):
     """
     Return the rotation of turns about the fixed axes x, y and z, one after the other.

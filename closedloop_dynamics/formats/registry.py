@@ -12,15 +12,18 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Which files are models in other formats, and what reads them."""
+"""Which files are models in other formats, and what reads and writes them."""
 
 from pathlib import Path
 
 from .building import mechanism_of
 from .loops import add_loops
 from .mjcf import read_mjcf
+from .mjcf_writing import mjcf
 from .sdf import read_sdf
+from .sdf_writing import sdf
 from .urdf import read_urdf
+from .urdf_writing import urdf_with_loops
 from .xml_file import read_xml
 from ..mechanism.mechanism import MechanismError
 
@@ -34,6 +37,7 @@ def _read_xml(path):
 
 READERS = {'.urdf': read_urdf, '.xacro': read_urdf, '.mjcf': read_mjcf, '.xml': _read_xml,
            '.sdf': read_sdf, '.world': read_sdf}
+WRITERS = {'.mjcf': mjcf, '.xml': mjcf, '.urdf': urdf_with_loops, '.sdf': sdf, '.world': sdf}
 
 
 def is_model(path):

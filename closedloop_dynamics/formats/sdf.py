@@ -26,8 +26,8 @@ import re
 
 import numpy as np
 
-from .model import Connection, Link, Model, Relation
-from .pose import IDENTITY, of_angles, of_quaternion, Pose
+from .model import Connection, free_name, inertia_matrix, Link, Model, MOMENTS, Relation
+from .pose import IDENTITY, of_angles, of_quaternion, Pose, unturned
 from .visuals import color_in, visuals
 from .xml_file import read_xml
 from ..mechanism.fields import nearest
@@ -51,7 +51,6 @@ REASONS = {
     'drake:linear_bushing_rpy': 'bushings close no loops', 'enable_wind': 'for a simulator',
     'allow_auto_disable': 'for a simulator', 'gravity': 'gravity acts on every link',
     'velocity_decay': 'for a simulator'}
-UNKNOWN = 'not known to this reader'
 
 
 def read_sdf(path):
@@ -92,9 +91,7 @@ def read_sdf(path):
     if gravity:
         reader.model.gravity = tuple(gravity.values(gravity.text, 3, 'gravity'))
     reader.read()
-    for what, times in root.unasked().items():
-        reader.model.ignored[f'{times} {what}' if times > 1 else what] = REASONS.get(
-            what, UNKNOWN)
+    reader.model.ignore(root.unasked(), REASONS)
     return reader.model
 
 
@@ -287,11 +284,9 @@ class _Reader:
                     reached.add(link)
                     waiting += beside[link]
             if root != GROUND:
-                name = f'{root}_free'
-                while name in model.joints:
-                    name += '_'
                 model.add(Connection(
-                    name, FREE, GROUND, root, model.links[root].where,
+                    free_name(f'{root}_free', model.joints), FREE, GROUND, root,
+                    model.links[root].where,
                     in_parent=self._in(WORLD).inverse @ self._in(root), actuated=False))
 
 
@@ -310,15 +305,10 @@ def _link(element, pose_of):
         if link.mass < 0.0:
             raise mass.error('a mass that is zero or more', f'{link.mass:g}')
 
-    def moment(tag, default):
-        child = None if inertia is None else inertia.child(tag)
-        return default if child is None else child.values(child.text, 1, tag)[0]
-
-    xx, yy, zz = (moment(tag, 1.0) for tag in ('ixx', 'iyy', 'izz'))
-    xy, xz, yz = (moment(tag, 0.0) for tag in ('ixy', 'ixz', 'iyz'))
     link.center = pose.position
-    link.inertia = pose.rotation @ np.array(
-        [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ pose.rotation.T
+    link.inertia = pose.rotation @ inertia_matrix(
+        _value(inertia, tag, default) for tag, default in zip(MOMENTS, 3 * [1.0] + 3 * [0.0])
+    ) @ pose.rotation.T
     return link
 
 
@@ -377,6 +367,6 @@ def _ball_constraint(element, name):
     for body, point in (('A', 'AP'), ('B', 'BQ')):
         ends.append(element.required(f'drake:ball_constraint_body_{body}').text)
         place = element.required(f'drake:ball_constraint_p_{point}')
-        places.append(Pose(np.eye(3), np.array(place.values(place.text, 3, 'a point'))))
+        places.append(unturned(place.values(place.text, 3, 'a point')))
     ends = [GROUND if end == WORLD else end for end in ends]
     return Connection(name, SPHERICAL, *ends, element.where, *places, closes=True)

@@ -25,9 +25,9 @@ from pathlib import Path
 
 import numpy as np
 
-from .model import Connection, Link, Model, Relation
+from .model import Connection, free_name, inertia_matrix, Link, Model, MOMENTS, Relation
 from .parallel_yaml import add_parallel_yaml
-from .pose import IDENTITY, of_angles, Pose
+from .pose import IDENTITY, of_angles, Pose, unturned
 from .visuals import color_in, visuals
 from .xml_file import read_xml
 from ..mechanism.fields import nearest
@@ -48,7 +48,6 @@ REASONS = {
     'safety_controller': 'for controllers', 'calibration': 'for controllers',
     'hardware': 'for controllers', 'sensor': 'for sensors',
     'drake:linear_bushing_rpy': 'bushings close no loops'}
-UNKNOWN = 'not known to this reader'
 
 
 def read_urdf(path):
@@ -103,8 +102,7 @@ def read_urdf(path):
         for joint in joints:
             joint.actuated = (joint.type in (REVOLUTE, PRISMATIC) and bool(joint.effort)
                               and joint not in [mimic for mimic, _ in mimics])
-    for what, times in robot.unasked().items():
-        model.ignored[f'{times} {what}' if times > 1 else what] = REASONS.get(what, UNKNOWN)
+    model.ignore(robot.unasked(), REASONS)
     return model
 
 
@@ -140,11 +138,9 @@ def _link(element):
     if link.mass < 0.0:
         raise mass.error('a mass that is zero or more', f'{link.mass:g}')
     inertia = inertial.required('inertia')
-    xx, yy, zz, xy, xz, yz = (
-        inertia.number(key, 0.0) for key in ('ixx', 'iyy', 'izz', 'ixy', 'ixz', 'iyz'))
     link.center = pose.position
-    link.inertia = pose.rotation @ np.array(
-        [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ pose.rotation.T
+    link.inertia = pose.rotation @ inertia_matrix(
+        inertia.number(key, 0.0) for key in MOMENTS) @ pose.rotation.T
     return link
 
 
@@ -297,7 +293,7 @@ def _ball_constraint(element, name):
         place = point.numbers('value', 3)
         if place is None:
             raise point.error('the attribute value', 'none')
-        places.append(Pose(np.eye(3), place))
+        places.append(unturned(place))
     return Connection(name, SPHERICAL, ends[0][0], ends[1][0], element.where, *places,
                       closes=True)
 
@@ -332,10 +328,7 @@ def _stand(model, robot):
             raise MechanismError(f'{joint.where}: expected a chain of joints to the root link '
                                  f'{roots[0]!r}, got a cycle')
     if roots[0] != GROUND:
-        name = 'to_ground'
-        while name in model.joints:
-            name += '_'
-        model.add(Connection(name, FIXED, GROUND, roots[0]))
+        model.add(Connection(free_name('to_ground', model.joints), FIXED, GROUND, roots[0]))
     else:
         del model.links[GROUND]
 

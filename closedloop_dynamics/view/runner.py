@@ -30,6 +30,7 @@ from ..effects.actuator import Actuator
 from ..effects.gravity import Gravity
 from ..effects.point_spring import PointSpring
 from ..effects.registry import effect_type
+from ..formats.model import free_name
 from ..integration.registry import INTEGRATORS, SCIPY, STABILISATIONS
 from ..mechanism.fields import FieldError, shown
 from ..mechanism.mechanism import Point
@@ -83,7 +84,7 @@ class Hand:
         self._points, added = {}, []
         for k, body in enumerate(mechanism.bodies):
             for n, place in enumerate(grabs(mechanism, body)):
-                name = _unused(f'grab_{k}_{n}', taken)
+                name = free_name(f'grab_{k}_{n}', taken)
                 added.append(Point(name, body.name, tuple(place[:len(body.center_of_mass)])))
                 self._points[k, n] = name
         effects = dict(scene.effects)
@@ -92,10 +93,10 @@ class Hand:
                              if isinstance(record, Gravity)), None)
         self.off = ()
         if self.gravity is None:
-            self.gravity = _unused('gravity', effects)
+            self.gravity = free_name('gravity', effects)
             effects[self.gravity] = Gravity(acceleration=down)
             self.off = (self.gravity,)
-        self.spring = _unused('hand', effects)
+        self.spring = free_name('hand', effects)
         mass = sum(body.mass for body in mechanism.bodies) or 1.0
         stiffness = mass * EARTH / (GIVE * size)
         effects[self.spring] = PointSpring(
@@ -119,12 +120,6 @@ class Hand:
         if max(map(abs, at)) > FARTHEST * self._size:
             raise FieldError(f'a place within {FARTHEST:g} sizes of the mechanism',
                              shown(list(at)), path=('at',))
-
-
-def _unused(name, taken):
-    while name in taken:
-        name += '_'
-    return name
 
 
 class Runner:

@@ -34,6 +34,9 @@ import numpy as np
 
 from .appearance import body_colors, marked_points, outline, rgb
 from ..core.codegen.spatial import rotation
+from ..formats.model import MOMENTS
+from ..formats.pose import angles_of
+from ..formats.writing import numbers, written
 from ..mechanism.coordinates import WITH_ORIENTATION
 from ..mechanism.mechanism import (
     CYLINDRICAL, FIXED, GROUND, HELICAL, PLANAR, PRISMATIC, UNIVERSAL)
@@ -53,8 +56,6 @@ ALONG_X, ALONG_Y, ABOUT_Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 SCREW, SLIDE = '_screw', '_slide'
 # The same for the links within a joint of several numbers, before their own.
 PART = '_part'
-# Cosine of the pitch below which roll and yaw are one turn.
-UPRIGHT = 1e-9
 
 
 def urdf(mechanism, command_topic='joint_command', state_topic='joint_states'):
@@ -87,7 +88,7 @@ def urdf(mechanism, command_topic='joint_command', state_topic='joint_states'):
     robot = ElementTree.Element('robot', name=mechanism.name)
     for color in sorted(set(colors.values())):
         material = ElementTree.SubElement(robot, 'material', name=_material(color))
-        ElementTree.SubElement(material, 'color', rgba=_numbers(*rgb(color), 1.0))
+        ElementTree.SubElement(material, 'color', rgba=numbers(*rgb(color), 1.0))
     ElementTree.SubElement(robot, 'link', name=WORLD)
     ElementTree.SubElement(robot, 'link', name=GROUND)
     fixed = ElementTree.SubElement(robot, 'joint', name=f'{WORLD}_to_{GROUND}', type='fixed')
@@ -106,8 +107,7 @@ def urdf(mechanism, command_topic='joint_command', state_topic='joint_states'):
         (_add_joint if mechanism.planar else _add_spatial_joint)(robot, joint, size)
     if mechanism.actuated_joints:
         _add_hardware(robot, mechanism, command_topic, state_topic)
-    ElementTree.indent(robot)
-    return f'<?xml version="1.0"?>\n{ElementTree.tostring(robot, encoding="unicode")}\n'
+    return f'<?xml version="1.0"?>\n{written(robot)}'
 
 
 def _require_names(mechanism):
@@ -192,7 +192,7 @@ def _add_spatial_joint(robot, joint, size):
         element = _add_moving(robot, joint.name + SLIDE, True, between, joint.child)
         _add_axis(element, joint.axis, size)
         ElementTree.SubElement(
-            element, 'mimic', joint=joint.name, multiplier=_numbers(joint.lead))
+            element, 'mimic', joint=joint.name, multiplier=numbers(joint.lead))
 
 
 def _add_moving(robot, name, slides, parent, child):
@@ -206,21 +206,16 @@ def _add_moving(robot, name, slides, parent, child):
 
 def _add_axis(element, axis, size):
     """Add an axis, and limits to what slides on a mechanism of a size [m]."""
-    ElementTree.SubElement(element, 'axis', xyz=_numbers(*axis))
+    ElementTree.SubElement(element, 'axis', xyz=numbers(*axis))
     if size is not None:
         ElementTree.SubElement(
-            element, 'limit', lower=_numbers(-REACH * size), upper=_numbers(REACH * size),
-            effort=_numbers(NO_LIMIT), velocity=_numbers(NO_LIMIT))
+            element, 'limit', lower=numbers(-REACH * size), upper=numbers(REACH * size),
+            effort=numbers(NO_LIMIT), velocity=numbers(NO_LIMIT))
 
 
 def _angles(quaternion):
     """Return roll, pitch and yaw of a unit quaternion x, y, z, w [rad]."""
-    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = rotation(quaternion)
-    cosine = math.hypot(xx, yx)
-    pitch = math.atan2(-zx, cosine)
-    if cosine < UPRIGHT:
-        return 0.0, pitch, math.atan2(-xy, yy)
-    return math.atan2(zy, zz), pitch, math.atan2(yx, xx)
+    return angles_of(np.array(rotation(quaternion)))
 
 
 def _add_hardware(robot, mechanism, command_topic, state_topic):
@@ -255,10 +250,8 @@ def _add_inertial(link, body):
     else:
         _add_origin(inertial, body.center_of_mass)
         moments = (body.inertia / 2.0, body.inertia / 2.0, body.inertia, 0.0, 0.0, 0.0)
-    ElementTree.SubElement(inertial, 'mass', value=_numbers(body.mass))
-    xx, yy, zz, xy, xz, yz = map(_numbers, moments)
-    ElementTree.SubElement(
-        inertial, 'inertia', ixx=xx, iyy=yy, izz=zz, ixy=xy, ixz=xz, iyz=yz)
+    ElementTree.SubElement(inertial, 'mass', value=numbers(body.mass))
+    ElementTree.SubElement(inertial, 'inertia', dict(zip(MOMENTS, map(numbers, moments))))
 
 
 def _add_visuals(link, points, material, size, height):
@@ -266,18 +259,18 @@ def _add_visuals(link, points, material, size, height):
     width, thickness = WIDTH * size, THICKNESS * size
     if len(points) == 1:
         box = _add_visual(link, points[0], 0.0, height, material)
-        box.set('size', _numbers(2.0 * width, 1.2 * width, thickness))
+        box.set('size', numbers(2.0 * width, 1.2 * width, thickness))
         return
     ends = points if len(points) == 2 else [*points, points[0]]
     for start, end in zip(ends, ends[1:]):
         along = end - start
         box = _add_visual(
             link, (start + end) / 2.0, np.arctan2(along[1], along[0]), height, material)
-        box.set('size', _numbers(np.hypot(*along), width, thickness))
+        box.set('size', numbers(np.hypot(*along), width, thickness))
     for place in points:
         pin = _add_visual(link, place, 0.0, height, material, 'cylinder')
-        pin.set('radius', _numbers(PIN_RADIUS * size))
-        pin.set('length', _numbers(thickness))
+        pin.set('radius', numbers(PIN_RADIUS * size))
+        pin.set('length', numbers(thickness))
 
 
 def _add_bars(link, points, material, size):
@@ -289,10 +282,10 @@ def _add_bars(link, points, material, size):
             # The turn that leads from z to the point.
             bar = _add_visual_at(link, 0.5 * point, (
                 0.0, math.atan2(math.hypot(x, y), z), math.atan2(y, x)), material, 'cylinder')
-            bar.set('radius', _numbers(0.3 * WIDTH * size))
-            bar.set('length', _numbers(length))
+            bar.set('radius', numbers(0.3 * WIDTH * size))
+            bar.set('length', numbers(length))
         ball = _add_visual_at(link, point, (0.0, 0.0, 0.0), material, 'sphere')
-        ball.set('radius', _numbers(PIN_RADIUS * size))
+        ball.set('radius', numbers(PIN_RADIUS * size))
 
 
 def _add_visual(link, place, angle, height, material, shape='box'):
@@ -316,7 +309,7 @@ def _add_origin(element, place, angle=0.0):
 def _add_pose(element, place, angles=(0.0, 0.0, 0.0)):
     """Add an origin in space: its place [m], and turns about x, y and z [rad]."""
     ElementTree.SubElement(
-        element, 'origin', xyz=_numbers(*place), rpy=_numbers(*angles))
+        element, 'origin', xyz=numbers(*place), rpy=numbers(*angles))
 
 
 def depths(mechanism):
@@ -332,8 +325,3 @@ def depths(mechanism):
 
 def _material(color):
     return f'subsystem_{color[1:].lower()}'
-
-
-def _numbers(*values):
-    """Write numbers with all their digits; whole ones without a point."""
-    return ' '.join(repr(float(value)).removesuffix('.0') for value in values)

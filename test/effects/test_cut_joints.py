@@ -34,7 +34,9 @@ from closedloop_dynamics.effects.prescribed_force import PrescribedForce
 from closedloop_dynamics.effects.prescribed_motion import PrescribedMotion
 from closedloop_dynamics.effects.rotor import Rotor
 from closedloop_dynamics.effects.sensor import Sensor
-from closedloop_dynamics.formats.writing import mjcf, sdf, urdf_with_loops
+from closedloop_dynamics.formats.mjcf_writing import mjcf
+from closedloop_dynamics.formats.sdf_writing import sdf
+from closedloop_dynamics.formats.urdf_writing import urdf_with_loops
 from closedloop_dynamics.mechanism.checks import orientation
 from closedloop_dynamics.mechanism.fields import FieldError
 from closedloop_dynamics.mechanism.mechanism import (

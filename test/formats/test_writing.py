@@ -17,8 +17,11 @@
 from dataclasses import replace
 
 from closedloop_dynamics.cli import main
+from closedloop_dynamics.formats.in_space import in_space
+from closedloop_dynamics.formats.mjcf_writing import mjcf
 from closedloop_dynamics.formats.registry import read_model
-from closedloop_dynamics.formats.writing import in_space, mjcf, sdf, urdf_with_loops
+from closedloop_dynamics.formats.sdf_writing import sdf
+from closedloop_dynamics.formats.urdf_writing import urdf_with_loops
 from closedloop_dynamics.mechanism.config import shipped_path
 from closedloop_dynamics.mechanism.mechanism import (
     Body, Coupling, CutJoint, Joint, Mechanism, MechanismError, Point)

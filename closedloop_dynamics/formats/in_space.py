@@ -1,0 +1,72 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""A planar mechanism as one in space."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from ..mechanism.couplings import in_tree, measured
+from ..mechanism.mechanism import (
+    Body, Coupling, CutJoint, DISTANCE, FIXED, Joint, Point, POINT_ON_LINE, PRISMATIC, REVOLUTE)
+from ..mechanism.validation import checked
+
+X, Y, Z = (tuple(axis) for axis in np.eye(3).tolist())
+
+
+def in_space(mechanism):
+    """
+    Return a planar mechanism as one in space: in the plane z = 0, with flat bodies.
+
+    Parameters
+    ----------
+    mechanism : Mechanism
+        One in space is returned as it is.
+
+    Returns
+    -------
+    Mechanism
+
+    """
+    if not mechanism.planar:
+        return mechanism
+
+    def turned(angle):
+        return (0.0, 0.0, float(np.sin(0.5 * angle)), float(np.cos(0.5 * angle)))
+
+    bodies = [Body(body.name, body.mass, (*body.center_of_mass, 0.0), 0.0 if body.massless else (
+        0.5 * body.inertia, 0.5 * body.inertia, body.inertia), body.massless)
+        for body in mechanism.bodies]
+    joints = [Joint(joint.name, joint.type, joint.parent, joint.child, (*joint.position, 0.0),
+                    actuated=joint.actuated, orientation=turned(joint.angle),
+                    axis=Z if joint.type == REVOLUTE else X) for joint in mechanism.joints]
+    cuts = []
+    for cut in mechanism.cut_joints:
+        along = {'axis_b': (float(np.cos(cut.angle)), float(np.sin(cut.angle)), 0.0)}
+        keys = {REVOLUTE: {'axis_a': Z, 'axis_b': Z}, FIXED: {'orientation': turned(cut.angle)},
+                PRISMATIC: {'orientation': turned(cut.angle), **along}, POINT_ON_LINE: along,
+                DISTANCE: {'length': cut.length}}[cut.type]
+        cuts.append(CutJoint(cut.name, cut.type, cut.body_a, cut.body_b, (*cut.point_a, 0.0),
+                             (*cut.point_b, 0.0), actuated=cut.actuated, **keys))
+    points = [Point(point.name, point.body, (*point.position, 0.0)) for point in mechanism.points]
+    couplings = []
+    for coupling in mechanism.couplings:
+        factors, offset = in_tree(mechanism, coupling)
+        factors.update((cut.name, coupling.joints[cut.name])
+                       for cut in measured(mechanism, coupling))
+        couplings.append(Coupling(coupling.name, factors, offset))
+    return checked(replace(
+        mechanism, bodies=tuple(bodies), joints=tuple(joints), cut_joints=tuple(cuts),
+        points=tuple(points), couplings=tuple(couplings), source=None))

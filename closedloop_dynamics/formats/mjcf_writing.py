@@ -1,0 +1,182 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Mechanisms as MJCF, for MuJoCo: its equalities close the loops."""
+
+from xml.etree import ElementTree
+
+import numpy as np
+
+from .in_space import in_space
+from .pose import IDENTITY, of_quaternion, quaternion_of
+from .writing import (
+    chain, gravity_of, JOINT_EFFECTS, joint_effects, moments_of, numbers, pose_of, written)
+from ..mechanism.mechanism import (
+    FIXED, GROUND, HELICAL, MechanismError, PRISMATIC, REVOLUTE, SPHERICAL)
+
+# Attribute of a joint by the type of effect that acts on it.
+ATTRIBUTES = {
+    'joint_damping': 'damping', 'joint_friction': 'frictionloss', 'joint_spring': 'stiffness'}
+
+
+def mjcf(mechanism, effects=None, start=None):
+    """
+    Return a mechanism as MJCF.
+
+    Parameters
+    ----------
+    mechanism : Mechanism
+        With cut joints that are spherical, revolute or fixed.
+    effects : dict of str to dict, optional
+        Keys of effects, of which gravity and those on joints are written.
+    start : ndarray, shape (nq,), optional
+        Coordinates, which become the key frame ``start``.
+
+    Returns
+    -------
+    str
+        XML. Coordinates are those of the mechanism.
+
+    Raises
+    ------
+    MechanismError
+        Where MJCF cannot say something.
+
+    """
+    mechanism = in_space(mechanism)
+    root = ElementTree.Element('mujoco', model=mechanism.name)
+    ElementTree.SubElement(root, 'compiler', angle='radian')
+    ElementTree.SubElement(root, 'option', gravity=numbers(*gravity_of(effects)))
+    bodies = {GROUND: ElementTree.SubElement(root, 'worldbody')}
+    sections = {tag: ElementTree.SubElement(root, tag)
+                for tag in ('tendon', 'equality', 'actuator')}
+    _add_bodies(mechanism, bodies, sections, joint_effects(mechanism, effects))
+    for point in mechanism.points:
+        ElementTree.SubElement(bodies[point.body], 'site', name=point.name,
+                               pos=numbers(*point.position))
+    for cut in mechanism.cut_joints:
+        _equalities(mechanism, cut, bodies, sections['equality'])
+    for coupling in mechanism.couplings:
+        _gear(sections, coupling.name, coupling.joints, coupling.offset)
+    for joint in mechanism.joints:
+        if joint.actuated:
+            for single in chain(mechanism, joint, balls=True):
+                ElementTree.SubElement(sections['actuator'], 'motor', joint=single.name)
+    for tag, section in sections.items():
+        if not len(section):
+            root.remove(section)
+    if start is not None:
+        _add_key_frame(root, mechanism, start)
+    return written(root)
+
+
+def _add_bodies(mechanism, bodies, sections, acting):
+    """Add all bodies, each in the one that it moves against, with the joints between them."""
+    carried, records = {}, {body.name: body for body in mechanism.bodies}
+    for joint in mechanism.joints:
+        carried.setdefault(joint.parent, []).append(joint)
+    waiting = [(joint, GROUND, (), IDENTITY) for joint in carried[GROUND]]
+    while waiting:
+        joint, parent, before, place = waiting.pop(0)
+        body, below, place = records[joint.child], carried.get(joint.child, ()), (
+            place @ pose_of(joint))
+        singles = [*before, *((single, place) for single in chain(mechanism, joint, balls=True))]
+        if joint.type == HELICAL:
+            _gear(sections, joint.name, {f'{joint.name}_slide': 1.0, joint.name: -joint.lead}, 0.0)
+        if body.massless and joint.type != FIXED:
+            # Its joints move with the body that it carries.
+            if len(below) != 1 or any(
+                    body.name in (cut.body_a, cut.body_b) for cut in mechanism.cut_joints):
+                raise MechanismError(
+                    f'{mechanism.name}: bodies.{body.name}: expected a mass, or one body that '
+                    'it carries and no cut joint on it, to write MJCF')
+            waiting.append((below[0], parent, singles, place))
+            continue
+        _add_body(bodies, parent, body, singles, place, acting)
+        waiting += [(one, body.name, (), IDENTITY) for one in below]
+
+
+def _add_key_frame(root, mechanism, start):
+    """Add a position, its coordinates in the order in which MuJoCo has the joints."""
+    values = {}
+    for joint in mechanism.joints:
+        some = np.asarray(start, dtype=float)[mechanism.coordinates.coordinates[joint.name]]
+        if joint.type == HELICAL:
+            some = np.array([some[0], joint.lead * some[0]])
+        for single in chain(mechanism, joint, balls=True):
+            count = 4 if single.type == SPHERICAL else 1
+            values[single.name] = np.roll(some[:count], 1) if count == 4 else some[:1]
+            some = some[count:]
+    order = [joint.get('name') for joint in root.find('worldbody').iter('joint')]
+    frame = ElementTree.SubElement(root, 'keyframe')
+    ElementTree.SubElement(frame, 'key', name='start',
+                           qpos=numbers(*(one for name in order for one in values[name])))
+
+
+def _add_body(bodies, parent, body, singles, place, acting):
+    """Add a body with the joints before it, which are given in frames along the way."""
+    element = ElementTree.SubElement(
+        bodies[parent], 'body', name=body.name, pos=numbers(*place.position),
+        quat=_quaternion(place.rotation))
+    bodies[body.name] = element
+    if not body.massless:
+        ElementTree.SubElement(
+            element, 'inertial', pos=numbers(*body.center_of_mass), mass=numbers(body.mass),
+            fullinertia=numbers(*moments_of(body)))
+    for single, at in singles:
+        there = place.inverse @ at
+        added = ElementTree.SubElement(
+            element, 'joint', name=single.name, pos=numbers(*there.position),
+            type={REVOLUTE: 'hinge', PRISMATIC: 'slide', SPHERICAL: 'ball'}[single.type])
+        if single.axis is not None:
+            added.set('axis', numbers(*(there.rotation @ single.axis)))
+        for kind, values in acting.get(single.name, {}).items():
+            added.set(ATTRIBUTES[kind], numbers(values[JOINT_EFFECTS[kind]]))
+            if values.get('rest'):
+                added.set('springref', numbers(values['rest']))
+
+
+def _equalities(mechanism, cut, bodies, section):
+    """Add what closes a loop."""
+    if cut.type not in (SPHERICAL, REVOLUTE, FIXED):
+        raise MechanismError(
+            f'{mechanism.name}: cut_joints.{cut.name}.type: expected spherical, revolute or fixed '
+            f'to write MJCF, got {cut.type!r} (cut the loop at another joint)')
+    # A hinge is a ball at each of two points of its axis.
+    for number, along in enumerate((0.0, 0.1) if cut.type == REVOLUTE else (0.0,)):
+        name = f'{cut.name}_{number + 1}' if cut.type == REVOLUTE else cut.name
+        held = of_quaternion(cut.orientation).T if cut.type == FIXED else np.eye(3)
+        for body, point, axis, end, turn in (
+                (cut.body_a, cut.point_a, cut.axis_a, 'a', held),
+                (cut.body_b, cut.point_b, cut.axis_b, 'b', np.eye(3))):
+            place = np.array(point) + (along * np.array(axis) if along else 0.0)
+            ElementTree.SubElement(bodies[body], 'site', name=f'{name}_{end}',
+                                   pos=numbers(*place), quat=_quaternion(turn))
+        ElementTree.SubElement(section, 'weld' if cut.type == FIXED else 'connect', name=name,
+                               site1=f'{name}_a', site2=f'{name}_b')
+
+
+def _gear(sections, name, factors, offset):
+    """Add a linear equation between joints."""
+    tendon = ElementTree.SubElement(sections['tendon'], 'fixed', name=f'{name}_sum')
+    for joint, factor in factors.items():
+        ElementTree.SubElement(tendon, 'joint', joint=joint, coef=numbers(factor))
+    ElementTree.SubElement(sections['equality'], 'tendon', name=f'{name}_held',
+                           tendon1=f'{name}_sum', polycoef=numbers(offset, 0, 0, 0, 0))
+
+
+def _quaternion(rotation):
+    """Return a rotation as MuJoCo writes it, w first."""
+    x, y, z, w = quaternion_of(rotation)
+    return numbers(w, x, y, z)

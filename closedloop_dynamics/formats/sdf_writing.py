@@ -1,0 +1,285 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Mechanisms as SDF: a world with one model, whose joints form loops.
+
+SDF draws a machine once, with its loops closed, and counts coordinates from there.
+
+"""
+
+from dataclasses import replace
+from xml.etree import ElementTree
+
+import numpy as np
+
+from .in_space import in_space, X, Y, Z
+from .model import inertia_matrix, MOMENTS
+from .pose import about, IDENTITY, of_quaternion, Pose, quaternion_of, unturned
+from .writing import (
+    chain, EFFORT, gravity_of, JOINT_EFFECTS, joint_effects, mimics_of, moments_of, numbers,
+    pose_of, Single, written)
+from ..mechanism.mechanism import (
+    CYLINDRICAL, FIXED, FREE, GROUND, HELICAL, JOINT_FREEDOMS, MechanismError, PLANAR, PRISMATIC,
+    REVOLUTE, SPHERICAL, UNIVERSAL)
+
+# Child of an element dynamics by the type of effect that acts on a joint.
+DYNAMICS = {'joint_damping': 'damping', 'joint_friction': 'friction',
+            'joint_spring': 'spring_stiffness'}
+# SDF has no links without mass: theirs, in parts of the lightest body's.
+LEAST_MASS = 1e-12
+
+
+def sdf(mechanism, effects=None, start=None):
+    """
+    Return a mechanism as SDF: a world with a model whose joints form loops.
+
+    SDF draws a machine once, with its loops closed, and counts coordinates from there.
+
+    Parameters
+    ----------
+    mechanism : Mechanism
+        With cut joints of types that SDF has, and couplings of two joints.
+    effects : dict of str to dict, optional
+        Keys of effects, of which gravity and those on joints are written.
+    start : ndarray, shape (nq,), optional
+        Coordinates of the position that is drawn, which closes the loops; zero if not given.
+
+    Returns
+    -------
+    str
+        XML. Coordinates of joints are those of the mechanism less those of the start.
+
+    Raises
+    ------
+    MechanismError
+        Where SDF cannot say something.
+
+    """
+    mechanism = in_space(mechanism)
+    places = mechanism.coordinates
+    start = places.start() if start is None else np.asarray(start, dtype=float)
+    root = ElementTree.Element('sdf', version='1.11')
+    world = ElementTree.SubElement(root, 'world', name=mechanism.name)
+    ElementTree.SubElement(world, 'gravity').text = numbers(*gravity_of(effects))
+    writer = _Sdf(mechanism, ElementTree.SubElement(world, 'model', name=mechanism.name),
+                  joint_effects(mechanism, effects))
+    zero = {joint.name: start[places.coordinates[joint.name]][0] for joint in mechanism.joints
+            if JOINT_FREEDOMS[joint.type] == 1}
+    shifted = replace(mechanism, couplings=tuple(replace(
+        one, offset=one.offset - sum(factor * zero[name] for name, factor in one.joints.items()))
+        for one in mechanism.couplings))
+    writer.mimics = mimics_of(shifted, 'SDF')
+    for joint in mechanism.joints:
+        writer.add_joint(joint, start[places.coordinates[joint.name]])
+    for cut in mechanism.cut_joints:
+        writer.add_loop(cut)
+    for point in mechanism.points:
+        frame = ElementTree.SubElement(writer.model, 'frame', name=writer.links[point.name],
+                                       attached_to=writer.links[point.body])
+        writer.add_pose(frame, unturned(point.position))
+    return written(root)
+
+
+class _Sdf:
+    """What is written into an element model, link by link and joint by joint."""
+
+    def __init__(self, mechanism, model, acting):
+        """Name the links, in SDF's one space of names for all, and write what they weigh."""
+        self.mechanism, self.model, self.acting, self.mimics = mechanism, model, acting, {}
+        taken = {one.name for one in (*mechanism.joints, *mechanism.cut_joints)} | {'world'}
+        taken |= {single.name for joint in mechanism.joints
+                  for single in self._singles(joint)}
+        self.links, self.elements, self.poses = {GROUND: '__model__'}, {}, {GROUND: IDENTITY}
+        names = [one.name for one in (*mechanism.bodies, *mechanism.points)]
+        for name in names:
+            word = name
+            while word in taken or (word != name and word in names):
+                word += '_link'
+            taken.add(word)
+            self.links[name] = word
+        self.taken = taken
+        massive = [body for body in mechanism.bodies if not body.massless]
+        self.least = LEAST_MASS * np.array([
+            min((body.mass for body in massive), default=1.0),
+            min((np.linalg.eigvalsh(inertia_matrix(moments_of(body)))[-1] for body in massive),
+                default=1.0)])
+        for body in mechanism.bodies:
+            self._add_link(body.name, body)
+
+    def _add_link(self, name, body=None):
+        """Add a link; one without mass gets next to nothing."""
+        self.elements[name] = link = ElementTree.SubElement(
+            self.model, 'link', name=self.links[name])
+        mass, moment = self.least
+        center, moments = np.zeros(3), (moment, moment, moment, 0.0, 0.0, 0.0)
+        if body is not None and not body.massless:
+            mass, center, moments = body.mass, body.center_of_mass, moments_of(body)
+        inertial = ElementTree.SubElement(link, 'inertial')
+        self.add_pose(inertial, unturned(center))
+        _text(inertial, 'mass', mass)
+        inertia = ElementTree.SubElement(inertial, 'inertia')
+        for tag, value in zip(MOMENTS, moments):
+            _text(inertia, tag, value)
+
+    def add_pose(self, element, pose, relative_to=None):
+        """Add a pose, first of all children."""
+        child = ElementTree.Element('pose')
+        if relative_to:
+            child.set('relative_to', relative_to)
+        if np.array_equal(pose.rotation, np.eye(3)):
+            child.text = numbers(*pose.position, 0, 0, 0)
+        else:
+            child.set('rotation_format', 'quat_xyzw')
+            child.text = numbers(*pose.position, *quaternion_of(pose.rotation))
+        element.insert(0, child)
+
+    def _singles(self, joint):
+        """Return the joints that SDF has for a joint; none for one that floats."""
+        if joint.type == FREE and joint.parent == GROUND:
+            return []
+        if joint.type in (UNIVERSAL, HELICAL, FIXED):
+            return [Single(joint.name, joint.type, joint.axis)]
+        return chain(self.mechanism, joint, balls=True)
+
+    def add_joint(self, joint, q):
+        """Add a joint of the tree, drawn at its coordinates."""
+        singles, place = self._singles(joint), pose_of(joint)
+        self.poses[joint.child] = self.poses[joint.parent] @ place @ _moved(joint, q)
+        if not singles:
+            if joint.actuated:
+                raise self._error('joints', joint, 'actuated', 'false', 'true')
+            self.add_pose(self.elements[joint.child], self.poses[joint.child])
+            return
+        parent = joint.parent
+        for number, single in enumerate(singles):
+            child = joint.child
+            if number < len(singles) - 1:
+                child = f'{joint.name}_link_{number + 1}'
+                while child in self.taken:
+                    child += '_'
+                self.taken.add(child)
+                self.links[child] = child
+                self._add_link(child)
+            count = {SPHERICAL: 4, UNIVERSAL: 2, FIXED: 0}.get(single.type, 1)
+            element = self._joint(single.name, single.type, parent, child)
+            before, after = _drawn(single, joint, q[:count])
+            self.add_pose(element, place @ before, self.links[parent])
+            self.add_pose(self.elements[child], after, single.name)
+            self._add_axes(element, single, joint, q[:count])
+            parent, place, q = child, IDENTITY, q[count:]
+
+    def _joint(self, name, kind, parent, child):
+        """Add an element joint with its ends."""
+        element = ElementTree.SubElement(
+            self.model, 'joint', name=name,
+            type={SPHERICAL: 'ball', HELICAL: 'screw'}.get(kind, kind))
+        for tag, body in (('parent', parent), ('child', child)):
+            ElementTree.SubElement(element, tag).text = (
+                'world' if body == GROUND else self.links[body])
+        return element
+
+    def _add_axes(self, element, single, joint, q):
+        """Add axes and lead, what acts along them, and that a joint is driven."""
+        if joint.actuated and single.type == SPHERICAL:
+            raise self._error('joints', joint, 'actuated', 'false', 'true')
+        if joint.type == HELICAL:
+            _text(element, 'screw_thread_pitch', 2.0 * np.pi * joint.lead)
+        axes = [single.axis] if single.axis is not None else []
+        if joint.type == UNIVERSAL:
+            axes.append(joint.second_axis)
+        for number, axis in enumerate(axes):
+            child = _add_axis(element, number, axis)
+            if joint.actuated:
+                _text(ElementTree.SubElement(child, 'limit'), 'effort', EFFORT)
+            dynamics = ElementTree.Element('dynamics')
+            for kind, values in self.acting.get(single.name, {}).items():
+                if kind == 'joint_spring':
+                    _text(dynamics, 'spring_reference', values.get('rest', 0.0) - q[0])
+                _text(dynamics, DYNAMICS[kind], values[JOINT_EFFECTS[kind]])
+            if len(dynamics):
+                child.append(dynamics)
+            if single.name in self.mimics:
+                other, factor, offset = self.mimics[single.name]
+                mimic = ElementTree.SubElement(child, 'mimic', joint=other, axis='axis')
+                for tag, value in (('multiplier', factor), ('offset', offset), ('reference', 0)):
+                    _text(mimic, tag, value)
+
+    def add_loop(self, cut):
+        """Add a joint that closes a loop, where its second body has it."""
+        if cut.type not in (REVOLUTE, PRISMATIC, FIXED, SPHERICAL, UNIVERSAL, HELICAL):
+            raise self._error('cut_joints', cut, 'type',
+                              'a joint that SDF has, not cylindrical or planar,', repr(cut.type))
+        # SDF has joints in the world only as parents.
+        a, b = (cut.body_a, cut.point_a, cut.axis_a), (cut.body_b, cut.point_b, cut.axis_b)
+        (parent, _, first), (child, point, second) = (a, b) if cut.body_b != GROUND else (b, a)
+        element = self._joint(cut.name, cut.type, parent, child)
+        self.add_pose(element, unturned(point), self.links[child])
+        across = self.poses[child].rotation.T @ self.poses[parent].rotation
+        if cut.type == UNIVERSAL:
+            _add_axis(element, 0, across @ first)
+            _add_axis(element, 1, second)
+        elif cut.type not in (FIXED, SPHERICAL):
+            axis = across @ first if second is None else second
+            if cut.type == HELICAL:
+                _text(element, 'screw_thread_pitch', 2.0 * np.pi * cut.lead)
+            _add_axis(element, 0, axis)
+        physics = ElementTree.SubElement(ElementTree.SubElement(element, 'physics'), 'simbody')
+        _text(physics, 'must_be_loop_joint', 'true')
+
+    def _error(self, section, record, key, expected, got):
+        return MechanismError(f'{self.mechanism.name}: {section}.{record.name}.{key}: expected '
+                              f'{expected} to write SDF, got {got}')
+
+
+def _add_axis(element, number, axis):
+    child = ElementTree.SubElement(element, 'axis2' if number else 'axis')
+    ElementTree.SubElement(child, 'xyz').text = numbers(*axis)
+    return child
+
+
+def _text(element, tag, value):
+    """Add a child with a number or a word."""
+    ElementTree.SubElement(element, tag).text = (
+        value if isinstance(value, str) else numbers(value))
+
+
+def _drawn(single, joint, q):
+    """Return where a joint's frame is in the one before it, and its child in that, at q."""
+    frame, child, after = np.eye(3), np.eye(3), np.zeros(3)
+    if single.type == SPHERICAL:
+        frame = of_quaternion(q)
+    elif single.type == UNIVERSAL:
+        frame, child = about(joint.axis, q[0]), about(joint.second_axis, q[1])
+    elif single.type in (REVOLUTE, HELICAL):
+        child = about(single.axis, q[0])
+        if single.type == HELICAL:
+            after = joint.lead * q[0] * np.array(single.axis)
+    elif single.type == PRISMATIC:
+        after = q[0] * np.array(single.axis)
+    return Pose(frame, np.zeros(3)), Pose(child, after)
+
+
+def _moved(joint, q):
+    """Return where a joint's child is in its frame."""
+    pose = IDENTITY
+    if joint.type == FREE:
+        return Pose(of_quaternion(q[3:]), np.array(q[:3]))
+    kinds = {CYLINDRICAL: ((REVOLUTE, joint.axis), (PRISMATIC, joint.axis)),
+             PLANAR: ((PRISMATIC, X), (PRISMATIC, Y), (REVOLUTE, Z))}.get(
+                 joint.type, ((joint.type, joint.axis),))
+    for number, (kind, axis) in enumerate(kinds):
+        frame, child = _drawn(Single('', kind, axis), joint, q[number:])
+        pose = pose @ frame @ child
+    return pose
