@@ -23,6 +23,8 @@ import warnings
 
 import numpy as np
 
+from .message_numbers import (
+    constraint_force, NANOSECONDS, pose_numbers, stamp_of, twist_numbers, wrench_numbers)
 from .reading import Bag
 from ..mechanism.mechanism import MechanismError
 from ..simulation.scene import SceneError
@@ -34,7 +36,6 @@ STATES, FORCES, LOG, SCENE = 'joint_states', 'constraint_forces/', 'replay_log',
 EFFORTS = ('coupling_forces', 'tooth_forces', 'motion_forces')
 # Of joints with an orientation.
 TURNED = 'multi_dof_joint_states'
-NANOSECONDS = 1e-9
 # Damages of a bag that are told one by one.
 MOST_TOLD = 5
 
@@ -166,13 +167,13 @@ def _recording(path, messages, scene, namespace, finished):
     if scene is None:
         raise RecordingError(
             f"{path}: the topic 'scene' is not in it, which tells what was simulated; add --scene")
-    stamps = [_stamp(message) for message in states]
+    stamps = [stamp_of(message) for message in states]
     mechanism, order = scene.mechanism, _order(path, states[0], scene)
     log, rows = _log(messages.get(prefix + LOG, []), mechanism, stamps)
     values = [np.array([getattr(states[row], name) for row in rows])[:, order]
               for name in ('position', 'velocity', 'effort')]
     time = (log.time[log.state >= 0] if log
-            else (np.array(stamps) - stamps[0]) * NANOSECONDS)
+            else (np.array(stamps) - stamps[0]) * 1e-9)
     stamps = [stamps[row] for row in rows]
     if mechanism.coordinates.with_orientation:
         values = _with_orientations(
@@ -229,30 +230,22 @@ def _with_orientations(path, entries, mechanism, stamps, values):
     single = coordinates.single
     for out, given, places in zip(whole, values, (coordinates.place[single], single, single)):
         out[:, places] = given
-    for row, entry in _matched(stamps, [_stamp(message) for message in entries]):
+    for row, entry in _matched(stamps, [stamp_of(message) for message in entries]):
         message = entries[entry]
         names = list(message.joint_names)
         if sorted(set(names) - set(cut)) != sorted(known) or len(set(names)) != len(names):
             raise RecordingError(
                 f'{path}: expected the joints {", ".join(known)} in {TURNED}, got '
                 f'{", ".join(names)}')
-        for joint, pose, twist, wrench in zip(
-                names, message.transforms, message.twist, message.wrench):
-            if joint in cut:
-                continue
-            turn, place = pose.rotation, known.index(joint)
-            for out, where, numbers in zip(
-                    whole, (coordinates.pose, coordinates.twist, coordinates.twist), (
-                        (*_vector(pose.translation), *_vector(turn), turn.w),
-                        (*_vector(twist.linear), *_vector(twist.angular)),
-                        (*_vector(wrench.force), *_vector(wrench.torque)))):
-                there = where[place] >= 0
-                out[row, where[place][there]] = np.array(numbers)[there]
+        for out, places, given in zip(
+                whole, (coordinates.pose, coordinates.twist, coordinates.twist),
+                (map(pose_numbers, message.transforms), map(twist_numbers, message.twist),
+                 map(wrench_numbers, message.wrench))):
+            for joint, numbers in zip(names, given):
+                if joint in known:
+                    where = places[known.index(joint)]
+                    out[row, where[where >= 0]] = np.array(numbers)[where >= 0]
     return whole
-
-
-def _vector(message):
-    return message.x, message.y, message.z
 
 
 def _log(entries, mechanism, stamps):
@@ -268,7 +261,7 @@ def _log(entries, mechanism, stamps):
         raise RecordingError(f'the replay_log is of another mechanism: no joint {error}') from None
     behind = max(joints) + 1
     table = np.array([entry.data[:behind] for entry in entries])
-    log_stamps = [int(second) * 10 ** 9 + int(nanosecond) for second, nanosecond in (
+    log_stamps = [int(second) * NANOSECONDS + int(nanosecond) for second, nanosecond in (
         table[:, [place['stamp_sec'], place['stamp_nanosec']]])]
     # In the order of the log: entry and state.
     pairs = list(_matched(log_stamps, stamps))
@@ -288,17 +281,15 @@ def _forces(messages, prefix, mechanism, stamps):
     forces = np.full((len(stamps), len(mechanism.cut_joints), len(parts)), np.nan)
     for k, cut in enumerate(mechanism.cut_joints):
         entries = messages.get(prefix + cut.name, [])
-        for row, entry in _matched(stamps, [_stamp(message) for message in entries]):
-            force, torque = entries[entry].wrench.force, entries[entry].wrench.torque
-            forces[row, k] = (torque.z, force.x, force.y) if mechanism.planar else (
-                torque.x, torque.y, torque.z, force.x, force.y, force.z)
+        for row, entry in _matched(stamps, [stamp_of(message) for message in entries]):
+            forces[row, k] = constraint_force(entries[entry].wrench, mechanism.planar)
     return forces
 
 
 def _efforts(entries, stamps):
     """Return the efforts of other topics than the joints', by name."""
     found = {}
-    for row, entry in _matched(stamps, [_stamp(message) for message in entries]):
+    for row, entry in _matched(stamps, [stamp_of(message) for message in entries]):
         for name, effort in zip(entries[entry].name, entries[entry].effort):
             found.setdefault(name, np.full(len(stamps), np.nan))[row] = effort
     return found
@@ -318,7 +309,3 @@ def _matched(stamps, others):
     for row, stamp in enumerate(stamps):
         if rows_of.get(stamp):
             yield row, rows_of[stamp].popleft()
-
-
-def _stamp(message):
-    return message.header.stamp.sec * 10 ** 9 + message.header.stamp.nanosec

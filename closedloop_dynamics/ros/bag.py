@@ -24,6 +24,7 @@ from threading import Thread
 import time
 
 from closedloop_dynamics.recording.contents import Topic
+from closedloop_dynamics.recording.message_numbers import NANOSECONDS
 from closedloop_dynamics.recording.metadata import dump
 from closedloop_dynamics.recording.writer import BagFiles
 from rosbags.interfaces import Nodetype
@@ -34,7 +35,6 @@ from rosbags.typesys import TypesysError
 
 # What was received is in the file after this time [s]: so much is lost if the process is killed.
 FLUSH_PERIOD = 1.0
-NANOSECONDS = 10 ** 9
 
 
 class BagError(OSError):

@@ -17,6 +17,7 @@
 import inspect
 import math
 
+from closedloop_dynamics.recording.message_numbers import pose_numbers, twist_numbers
 import numpy as np
 from rclpy.event_handler import SubscriptionEventCallbacks
 
@@ -165,12 +166,7 @@ def state_of(message, coordinates, position, measured=()):
     """
     joints = [coordinates.names[place] for place in coordinates.single]
     names = _known_joints(message.name, [*joints, *measured])
-    if len(message.position) != len(names):
-        raise CommandError(f'expected one position per name, got {len(message.position)} for '
-                           f'{len(names)} names')
-    if len(message.velocity) not in (0, len(names)):
-        raise CommandError(f'expected no velocity, or one per name, got {len(message.velocity)} '
-                           f'for {len(names)} names')
+    _require_one_each(names, 'position', message.position, 'velocity', message.velocity)
     wanted = {'position': np.array(position), 'velocity': np.zeros(coordinates.nv)}
     for key, values in wanted.items():
         for name, value in zip(names, getattr(message, key)):
@@ -200,33 +196,32 @@ def poses_of(message, coordinates, position, measured=()):
 
     """
     names = _known_joints(message.joint_names, [*coordinates.with_orientation, *measured])
-    if len(message.transforms) != len(names):
-        raise CommandError(f'expected one transform per name, got {len(message.transforms)} for '
-                           f'{len(names)} names')
-    if len(message.twist) not in (0, len(names)):
-        raise CommandError(f'expected no twist, or one per name, got {len(message.twist)} for '
-                           f'{len(names)} names')
+    _require_one_each(names, 'transform', message.transforms, 'twist', message.twist)
     wanted = np.array(position), np.zeros(coordinates.nv)
-    given = ([(_vector(pose.translation), [*_vector(pose.rotation), pose.rotation.w])
-              for pose in message.transforms],
-             [(_vector(twist.linear), _vector(twist.angular)) for twist in message.twist])
+    given = map(pose_numbers, message.transforms), map(twist_numbers, message.twist)
     for values, places, parts in zip(wanted, (coordinates.pose, coordinates.twist), given):
-        for name, (place, turn) in zip(names, parts):
+        for name, part in zip(names, parts):
             if name in measured:
                 continue
-            numbers = np.array(place + turn)
+            numbers = np.array(part)
             where = places[coordinates.with_orientation.index(name)]
             if not np.isfinite(numbers).all():
                 raise CommandError(f"the state of '{name}' has a number that is not finite")
             if numbers[where < 0].any():
                 raise CommandError(f"'{name}' is a spherical joint, which turns only, got "
-                                   f'{place} along its axes')
+                                   f'{list(part[:3])} along its axes')
             values[where[where >= 0]] = numbers[where >= 0]
     return *wanted, _held(names, measured, coordinates.with_orientation, len(coordinates.rates))
 
 
-def _vector(message):
-    return [message.x, message.y, message.z]
+def _require_one_each(names, what, values, optional, others):
+    """Refuse other than one value a name; of what is optional there may be none."""
+    if len(values) != len(names):
+        raise CommandError(f'expected one {what} per name, got {len(values)} for {len(names)} '
+                           'names')
+    if len(others) not in (0, len(names)):
+        raise CommandError(f'expected no {optional}, or one per name, got {len(others)} for '
+                           f'{len(names)} names')
 
 
 def _known_joints(names, joints):

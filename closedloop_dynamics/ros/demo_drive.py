@@ -20,7 +20,8 @@ from typing import Optional
 from closedloop_dynamics.mechanism.config import shipped_names, shipped_path
 from closedloop_dynamics.mechanism.mechanism import PRISMATIC
 from closedloop_dynamics.ros.parameters import per_joint
-from closedloop_dynamics.ros.torque_source_parameters import reference, TORQUE_SOURCE_PARAMETERS
+from closedloop_dynamics.ros.torque_source_parameters import (
+    FEEDBACK_MODES, reference, TORQUE_SOURCE_PARAMETERS)
 from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.visual.motion import body_poses
 import numpy as np
@@ -29,7 +30,6 @@ from rclpy.parameter import parameter_value_to_python
 
 SIMULATOR, TORQUE_SOURCE, RECORDER = (
     'closedloop_simulator', 'closedloop_torque_source', 'closedloop_recorder')
-FEEDBACK_MODES = ('pd', 'computed_torque')
 # What the sines are to be like: a share of the weight times the size, slow.
 SHARE_OF_TORQUE, SHARE_OF_WEIGHT = 0.1, 0.3
 GRAVITY = 9.81

@@ -36,7 +36,6 @@ from diagnostic_msgs.msg import DiagnosticArray
 from diagnostic_msgs.msg import DiagnosticStatus
 from diagnostic_msgs.msg import KeyValue
 
-MESSAGE_PERIOD = 5.0
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 # Share of the real-time factor asked for that is achieved.
 FACTOR_WARN, FACTOR_ERROR = 0.95, 0.5
@@ -78,7 +77,7 @@ class Diagnostics:
         self._live, self._mode, self._logger = live, mode, node.get_logger()
         self._publisher = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
         self._prefix = node.get_fully_qualified_name().lstrip('/')
-        self._singular, self._sources = Throttle(MESSAGE_PERIOD), ()
+        self._singular, self._sources = Throttle(), ()
         self._redundant = False
         self._mark({})
 

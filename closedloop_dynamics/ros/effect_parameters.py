@@ -28,7 +28,6 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
 
 ENABLED, FORCE = 'enabled', 'force'
-MESSAGE_PERIOD = 5.0
 
 
 class EffectParameters:
@@ -44,7 +43,7 @@ class EffectParameters:
 
     def __init__(self, node, simulation):
         self._simulation, self._logger = simulation, node.get_logger()
-        self._rejection = Throttle(MESSAGE_PERIOD)
+        self._rejection = Throttle()
         given = [parameter for name, record in simulation.effects.items()
                  for parameter in self._declare(node, name, record)]
         try:

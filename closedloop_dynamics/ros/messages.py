@@ -30,6 +30,7 @@ import struct
 import time
 
 from builtin_interfaces.msg import Time
+from closedloop_dynamics.recording.message_numbers import NANOSECONDS
 from closedloop_dynamics.ros.process import StartError
 from geometry_msgs.msg import Transform
 from geometry_msgs.msg import Twist
@@ -44,7 +45,6 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from sensor_msgs.msg import MultiDOFJointState
 
-NANOSECONDS = 10 ** 9
 # A stamp that is found only where it was put: seconds and nanoseconds.
 _STAMP = struct.Struct('=iI')
 _MARK = (0x2F3A91C5, 0x1B7D4E63)

@@ -14,8 +14,8 @@
 
 """Courses of prescribed motions from outside, checked on arrival."""
 
+from closedloop_dynamics.recording.message_numbers import NANOSECONDS, stamp_of
 from closedloop_dynamics.ros.commands import CommandError
-from closedloop_dynamics.ros.messages import NANOSECONDS
 from closedloop_dynamics.ros.references import points_of, TrajectoryError
 
 FOLLOWED, REFUSED, LOST = 'motions followed', 'motions refused', 'motions lost'
@@ -64,15 +64,13 @@ class MotionCommand:
                 + f'; what may be named: {", ".join(known)}')
         # Whether a course may go on after its last point depends on what it moves.
         points = points_of(message, list(dict.fromkeys(names)), held=False)
-        begin = self._simulation.time
-        if message.header.stamp.sec or message.header.stamp.nanosec:
-            begin = self._simulated(message.header.stamp)
+        stamp = stamp_of(message)
+        begin = self._simulated(stamp) if stamp else self._simulation.time
         return {name: (begin + points.times, *(values[:, k] for values in points.derivatives))
                 for k, name in enumerate(names)}
 
     def _simulated(self, stamp):
-        """Return the simulated time that a stamp stands for [s]."""
-        stamp = stamp.sec * NANOSECONDS + stamp.nanosec
+        """Return the simulated time [s] that a stamp stands for [ns]."""
         if self._stamps.simulated:
             return stamp / NANOSECONDS
         later = (stamp - self._stamps.now()) / NANOSECONDS

@@ -18,6 +18,8 @@ import math
 import time
 
 REALTIME, AS_FAST_AS_POSSIBLE, LOCKSTEP = 'realtime', 'as_fast_as_possible', 'lockstep'
+# Between two messages of one kind [s].
+MESSAGE_PERIOD = 5.0
 # Share of a tick that may go into computing; the rest is for messages.
 COMPUTING_SHARE = 0.8
 # However rarely states are published: signals and services are attended to so often [s].
@@ -41,7 +43,7 @@ PORTION = 200
 class Throttle:
     """Let one message through per period [s] and count those held back."""
 
-    def __init__(self, period, clock=time.monotonic):
+    def __init__(self, period=MESSAGE_PERIOD, clock=time.monotonic):
         self.period = period
         self.clock = clock
         self.held_back = 0

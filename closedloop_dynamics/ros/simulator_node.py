@@ -65,8 +65,6 @@ NAME = 'closedloop_simulator'
 COMMAND_DEPTH = 1000
 # Wrenches on different bodies that come together.
 WRENCH_DEPTH = 10
-# Between two messages of one kind [s].
-MESSAGE_PERIOD = 5.0
 # Between two rounds of diagnostics [s].
 DIAGNOSTIC_PERIOD = 1.0
 
@@ -106,7 +104,7 @@ class SimulatorNode(Node):
         self.simulation, self._own_method = load_simulation(
             values['scene'], self.get_logger(), values['motion_joints'],
             **{key: values[key] or None for key in METHOD})
-        self._throttles = {key: Throttle(MESSAGE_PERIOD) for key in (
+        self._throttles = {key: Throttle() for key in (
             'rejected', 'motion', 'wrench', 'lost', 'refused', 'overload')}
         self._told_not_actuated, self._method_prepared = False, None
         self.paused, self.waiting = False, values['wait_for_command'] and not lockstep
@@ -523,7 +521,7 @@ class SimulatorNode(Node):
 
     def warn(self, kind, message):
         """
-        Log a warning, one of each kind per ``MESSAGE_PERIOD``.
+        Log a warning, one of each kind per ``pacing.MESSAGE_PERIOD``.
 
         Parameters
         ----------

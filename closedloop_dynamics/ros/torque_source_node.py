@@ -19,6 +19,7 @@ from itertools import chain
 from math import isfinite
 import time
 
+from closedloop_dynamics.recording.message_numbers import stamp_of
 from closedloop_dynamics.ros.commands import CommandError, poses_of
 from closedloop_dynamics.ros.loading import load_simulation
 from closedloop_dynamics.ros.pacing import Throttle
@@ -26,7 +27,7 @@ from closedloop_dynamics.ros.parameters import accept_whole_numbers, declare, us
 from closedloop_dynamics.ros.process import run, StartError
 from closedloop_dynamics.ros.references import points_of, TrajectoryError
 from closedloop_dynamics.ros.torque_source_parameters import (
-    closed_loop, gains, open_loop, TORQUE_SOURCE_PARAMETERS)
+    closed_loop, FEEDBACK_MODES, gains, open_loop, TORQUE_SOURCE_PARAMETERS)
 import numpy as np
 from rcl_interfaces.msg import ParameterType
 from rcl_interfaces.msg import SetParametersResult
@@ -34,7 +35,6 @@ from rcl_interfaces.srv import GetParameters
 from rclpy.clock import Clock
 from rclpy.clock import ClockType
 from rclpy.node import Node
-from rclpy.time import Time
 from sensor_msgs.msg import JointState
 from sensor_msgs.msg import MultiDOFJointState
 from std_msgs.msg import Float64MultiArray
@@ -50,10 +50,6 @@ QUESTION_PERIOD = 0.1
 # A question without an answer for so long is asked again: the node asked may
 # have gone in between [s].
 ANSWER_TIMEOUT = 0.5
-# Those that answer states.
-FEEDBACK_MODES = ('pd', 'computed_torque')
-# Between two messages of one kind [s].
-MESSAGE_PERIOD = 5.0
 # States that know nothing of the last command are not answered, so many in a row at most: after
 # that, the command is taken for lost.
 MOST_SKIPPED = 2
@@ -176,7 +172,7 @@ class TorqueSourceNode(Node):
         self.published = 0
         self.joints = ()
         self._values = declare(self, TORQUE_SOURCE_PARAMETERS)
-        self._complaint = Throttle(MESSAGE_PERIOD)
+        self._complaint = Throttle()
         self._expected = self._values['wait_for_subscribers']
         self._answered = None
         # The last command, when the state that it answers was, and the states skipped since.
@@ -215,7 +211,7 @@ class TorqueSourceNode(Node):
                  for values in (message.position, message.velocity)]
         if self._orientations is not None:
             state = self._orientations.whole(*state)
-        time_of_state = Time.from_msg(message.header.stamp).nanoseconds * 1e-9
+        time_of_state = stamp_of(message) * 1e-9
         if self._is_on_its_way(time_of_state, message.effort):
             return
         torque = self._law.torque(time_of_state, *state)

@@ -21,13 +21,15 @@ from closedloop_dynamics.ros.references import Circle, PathError, Reference, Wav
 from closedloop_dynamics.ros.torque_laws import ComputedTorque, ProportionalDerivative
 import numpy as np
 
+# Modes that answer states.
+FEEDBACK_MODES = ('pd', 'computed_torque')
 _PER_JOINT = 'One value for all joints, or one per joint.'
 TORQUE_SOURCE_PARAMETERS = (
     Parameter(
         'mode', 'constant',
         'constant: the torque given. sine: a wave about it. pd: torques that lead the joints '
         'along a reference, from joint_states. computed_torque: the same through the model of '
-        'a scene.', choices=('constant', 'sine', 'pd', 'computed_torque')),
+        'a scene.', choices=('constant', 'sine', *FEEDBACK_MODES)),
     Parameter(
         'scene', '',
         'computed_torque: the scene simulated, by name or path; the gains then ask for '

@@ -16,32 +16,35 @@
 
 from collections import deque
 from contextlib import suppress
-from dataclasses import fields, replace
+from dataclasses import replace
 import time
 
 from closedloop_dynamics.core.codegen.spatial import rotation
 from closedloop_dynamics.effects.actuator import Actuator
-from closedloop_dynamics.effects.registry import effect_type
-from closedloop_dynamics.integration.registry import INTEGRATORS, STABILISATIONS
+from closedloop_dynamics.effects.gravity import Gravity
 from closedloop_dynamics.mechanism.fields import FieldError
+from closedloop_dynamics.recording.message_numbers import (
+    constraint_force, pose_numbers, stamp_of, twist_numbers)
 from closedloop_dynamics.ros.auxiliary_publishers import LATCHED_QOS
 from closedloop_dynamics.ros.parameters import declare, Parameter, usage
 from closedloop_dynamics.ros.process import run
-from closedloop_dynamics.ros.simulator_parameters import LIVE_INTEGRATORS
+from closedloop_dynamics.ros.simulator_parameters import METHOD
 from closedloop_dynamics.simulation.errors import SimulationError
 from closedloop_dynamics.simulation.modeling import extent
 from closedloop_dynamics.simulation.scene import SceneError
 from closedloop_dynamics.simulation.scene_text import read_scene_text
 from closedloop_dynamics.simulation.simulation import Simulation
-from closedloop_dynamics.view.columns import motion_columns, motion_rows, poses_in_space
-from closedloop_dynamics.view.description import describe, grabs
+from closedloop_dynamics.view.columns import motion_columns, motion_rows
+from closedloop_dynamics.view.description import CHOICES, describe, described_drive, grabs
 from closedloop_dynamics.view.feed import Feed
-from closedloop_dynamics.view.messages import FASTEST, POSITION, SLOWEST, TORQUE
+from closedloop_dynamics.view.messages import (
+    drive_of, drives_told, effects_told, POSITION, require_kinematic, require_one_number, TORQUE)
 from closedloop_dynamics.view.page import live_page
 from closedloop_dynamics.view.posing import felt_inertia, felt_mass, joint_to, point_to
-from closedloop_dynamics.view.runner import Hand, round_up
+from closedloop_dynamics.view.runner import EARTH, Hand, round_up
 from closedloop_dynamics.view.server import Server
-from closedloop_dynamics.visual.motion import body_poses, body_velocities, Motion
+from closedloop_dynamics.visual.motion import (
+    body_poses, body_velocities, Motion, poses_in_space)
 from geometry_msgs.msg import WrenchStamped
 import numpy as np
 from rcl_interfaces.msg import Parameter as ParameterMessage
@@ -66,8 +69,6 @@ RATE, LOOK_PERIOD, SILENCE = 60.0, 0.25, 3.0
 GATHERING = 2.0
 # The newest state is enough.
 QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
-# Parameters of a simulator that a page calls by other names.
-METHOD_KEYS = ('integrator', 'step_size', 'stabilisation')
 # A position drive moves its joint like a critically damped spring of this rate at most [1/s], of
 # less where states come rarely: so many times per second over the states per second. It answers
 # states that are a period or two old. What weight takes away, its integral gives back.
@@ -76,7 +77,6 @@ DRIVE_RATE, DRIVE_SHARE, INTEGRAL = 50.0, 0.1, 0.3
 # that the point feels, which is found anew so often in simulated time [s].
 PERIODS = 9
 HAND_RATE, HAND_SHARE, FEEL_PERIOD = 30.0, 0.12, 0.1
-EARTH = 9.81
 VIEWER_PARAMETERS = (
     Parameter('nodes', '', 'Full names of the simulators to show, with commas between them; not '
                            'given: all that are found.'),
@@ -148,10 +148,7 @@ class Attached:
         mechanism = scene.mechanism
         names = self._names = mechanism.coordinates
         self._mechanism = mechanism
-        self._position = np.zeros(names.nq)
-        self._position[names.place[names.place >= 0]] = 0.0
-        for first, _ in names.balls:
-            self._position[first + 3] = 1.0
+        self._position = names.start()
         self._velocity, self._effort = np.zeros(names.nv), np.zeros(names.nv)
         self._forces = np.full((len(mechanism.cut_joints), 3 if mechanism.planar else 6), np.nan)
         # By actuated joint: what drives it, its value, and the integral of a position drive.
@@ -174,16 +171,13 @@ class Attached:
         if any(isinstance(record, Actuator) for record in scene.effects.values()):
             self._wrenches = None
         gravity = next((name for name, record in scene.effects.items()
-                        if effect_type(record) == 'gravity'), None)
+                        if isinstance(record, Gravity)), None)
         described = describe(
             mechanism, motion_columns(mechanism), scene.effects, mode='node', title=self.name,
             drives=[self._drive_of(scene, name) for name in self._drives],
-            integrators={name: INTEGRATORS[name].kind for name in LIVE_INTEGRATORS},
-            stabilisations=list(STABILISATIONS), hand=self._wrenches is not None,
-            gravity=gravity,
+            hand=self._wrenches is not None, gravity=gravity,
             # Orientations have topics of their own.
-            poses=not len(names.balls),
-            speeds=[SLOWEST, FASTEST])
+            poses=not len(names.balls), **CHOICES)
         for text in described['missing']:
             self._logger.warning(f'{self.name}: {text}; drawn as lines')
         self.feed = Feed(described)
@@ -191,14 +185,10 @@ class Attached:
     def _drive_of(self, scene, name):
         """Describe a drive: its kind, and what its sliders reach."""
         names, mechanism = self._names, self._mechanism
-        place, size = names.index[name], extent(mechanism)
-        slides, weight = bool(names.lengths[place]), EARTH * (
-            sum(body.mass for body in mechanism.bodies) or 1.0)
-        middle = float(names.by_freedom(np.array(scene.initial.position))[place])
-        reach = size if slides else np.pi
-        return {'joint': name, 'slides': slides, 'turns': bool(names.place[place] < 0),
-                'torque': round_up(2.0 * weight if slides else weight * size),
-                'position': [middle - reach, middle + reach]}
+        weight = EARTH * (sum(body.mass for body in mechanism.bodies) or 1.0)
+        return described_drive(
+            mechanism, name, np.array(scene.initial.position), round_up(weight * (
+                2.0 if names.lengths[names.index[name]] else extent(mechanism))))
 
     # What the simulator publishes.
 
@@ -212,7 +202,7 @@ class Attached:
             self._position[self._names.place[place]] = message.position[k]
             self._velocity[place] = message.velocity[k]
             self._effort[place] = message.effort[k]
-        stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
+        stamp = 1e-9 * stamp_of(message)
         if self._start is None or stamp < self._start:
             self._start = stamp
         passed = stamp - self._start - self._time
@@ -227,23 +217,16 @@ class Attached:
 
     def _on_turns(self, message):
         known = self._names.with_orientation
-        for name, pose, twist in zip(message.joint_names, message.transforms, message.twist):
-            if name not in known:
-                continue
-            at, turn = pose.translation, pose.rotation
-            for values, where, numbers in (
-                    (self._position, self._names.pose, (
-                        at.x, at.y, at.z, turn.x, turn.y, turn.z, turn.w)),
-                    (self._velocity, self._names.twist, (
-                        twist.linear.x, twist.linear.y, twist.linear.z,
-                        twist.angular.x, twist.angular.y, twist.angular.z))):
-                places = where[known.index(name)]
-                values[places[places >= 0]] = np.array(numbers)[places >= 0]
+        for values, places, given in (
+                (self._position, self._names.pose, map(pose_numbers, message.transforms)),
+                (self._velocity, self._names.twist, map(twist_numbers, message.twist))):
+            for name, numbers in zip(message.joint_names, given):
+                if name in known:
+                    where = places[known.index(name)]
+                    values[where[where >= 0]] = np.array(numbers)[where >= 0]
 
     def _on_force(self, k, message):
-        force, torque = message.wrench.force, message.wrench.torque
-        self._forces[k] = (torque.z, force.x, force.y) if self._mechanism.planar else (
-            torque.x, torque.y, torque.z, force.x, force.y, force.z)
+        self._forces[k] = constraint_force(message.wrench, self._mechanism.planar)
 
     # What the pages see and ask for.
 
@@ -266,19 +249,14 @@ class Attached:
 
     def _tell(self):
         silent = time.monotonic() - self._heard > SILENCE
-        method = self._scene.method
         self.feed.tell(
             playing=self._playing, speed=self._speed, kinematic=self._kinematic, findings=[],
             busy=self._busy, grabbed=self._grabbed,
             failure=f'{self.name} publishes no states.' if silent else None,
-            drives={name: {'mode': mode, 'value': value}
-                    for name, (mode, value, _) in self._drives.items()},
-            method={key: getattr(method, key) for key in METHOD_KEYS},
-            unused=['accuracy', 'tolerance'],
-            effects={name: {
-                'type': effect_type(record), 'enabled': name not in self._disabled,
-                'values': {each.name: getattr(record, each.name) for each in fields(record)}}
-                for name, record in self._scene.effects.items()})
+            drives=drives_told(self._drives), unused=['accuracy', 'tolerance'],
+            method={key: getattr(self._scene.method, key) for key in METHOD},
+            effects=effects_told(
+                self._scene.effects, lambda name: name not in self._disabled))
 
     def _follow(self, page, do, **asked):
         """Ask the simulator for what a page asks for."""
@@ -322,25 +300,18 @@ class Attached:
 
     # Drives.
 
-    def _drive(self, joint):
-        if joint not in self._drives:
-            raise FieldError(f'one of {", ".join(self._drives)}', repr(joint), path=('joint',))
-        return self._drives[joint]
-
     def _do_drive(self, joint, mode):
-        drive, place = self._drive(joint), self._names.index[joint]
-        if mode == POSITION and self._names.place[place] < 0:
-            raise FieldError('a torque', 'a position', 'an orientation is not one number',
-                             ('mode',))
+        drive = drive_of(self._drives, joint)
+        require_one_number(self._names, joint, mode)
         if drive[0] != mode:
             if mode == POSITION:
                 self._update_model()
             drive[:] = mode, 0.0 if mode == TORQUE else float(
-                self._position[self._names.place[place]]), 0.0
+                self._position[self._names.place[self._names.index[joint]]]), 0.0
             self._command()
 
     def _do_command(self, joint, value):
-        self._drive(joint)[1] = value
+        drive_of(self._drives, joint)[1] = value
         self._command()
 
     def _update_model(self):
@@ -382,10 +353,6 @@ class Attached:
         self._let_go()
         self._kinematic = on
 
-    def _require_kinematic(self):
-        if not self._kinematic:
-            raise FieldError('kinematic mode', 'a pose while the mechanism moves by forces')
-
     def _pose_as_model(self):
         """Have the simulator take over the pose of the model."""
         places = self._names.place
@@ -394,8 +361,8 @@ class Attached:
             position=self._model.position[places[places >= 0]].tolist()))
 
     def _do_pose(self, joint, value):
-        self._require_kinematic()
-        self._drive(joint)
+        require_kinematic(self._kinematic)
+        drive_of(self._drives, joint)
         joint_to(self._model, joint, value)
         self._pose_as_model()
 

@@ -35,10 +35,10 @@ from ..effects.point_spring import PointSpring
 from ..effects.prescribed_force import PrescribedForce
 from ..mechanism.mechanism import GROUND
 from ..simulation.health import WARN_BELOW
-from ..visual.motion import body_poses, body_velocities, magnitudes
+from ..visual.motion import body_poses, body_velocities, magnitudes, POSE, poses_in_space
 
-# Numbers of a pose: x, y, z [m], quaternion x, y, z, w; of an arrow: its foot [m], its force [N].
-POSE, ARROW = 7, 6
+# Numbers of an arrow: its foot [m], its force [N].
+ARROW = 6
 # Sine of the angle to a parallel singularity below which its direction is shown.
 NEAR = 0.05
 # What effects with arrows or lines tell that is plotted.
@@ -98,16 +98,6 @@ class Columns:
     def width(self):
         """Return the number of columns."""
         return self.layout['columns']['width']
-
-
-def poses_in_space(poses):
-    """Return poses of shape (..., 3), x, y and angle, or (..., 7) as they are, as (..., 7)."""
-    if poses.shape[-1] == POSE:
-        return poses
-    found = np.zeros((*poses.shape[:-1], POSE))
-    found[..., :2] = poses[..., :2]
-    found[..., 5], found[..., 6] = np.sin(0.5 * poses[..., 2]), np.cos(0.5 * poses[..., 2])
-    return found
 
 
 def _forces_in_space(wrenches):
@@ -340,12 +330,16 @@ class SimulationRows:
 
     def _in_world(self, record, force):
         """Return a force at an effect's point in world axes."""
-        body = self._places[record.point].body
-        if record.axes != BODY or body == GROUND:
+        if record.axes != BODY:
             return force
+        return self._turn(self._places[record.point].body)[:len(force), :len(force)] @ force
+
+    def _turn(self, body):
+        """Return the axes of a body, or of the ground, in the world, shape (3, 3)."""
+        if body == GROUND:
+            return np.eye(3)
         pose = poses_in_space(self._simulation.body_poses[self._rows[body]])
-        turn = np.array(rotation(tuple(pose[3:].tolist())))
-        return turn[:len(force), :len(force)] @ force
+        return np.array(rotation(tuple(pose[3:].tolist())))
 
     def _contact(self, record, readings):
         """Return the normal force and what acts along the line or plane."""
@@ -362,27 +356,18 @@ class SimulationRows:
     def _body_contact(self, name, record, readings, center):
         """Return where a roller touches, and the normal force and friction on it."""
         other = self._places[record.other]
+        turn, away = self._turn(other.body), center - self._simulation.point(record.other)
         if not self._simulation.mechanism.planar:
-            turn = np.eye(3)
-            if other.body != GROUND:
-                pose = self._simulation.body_poses[self._rows[other.body]]
-                turn = np.array(rotation(tuple(pose[3:].tolist())))
-            out = turn @ normal_in_space(
-                record, turn.T @ (center - self._simulation.point(record.other)))
+            out = turn @ normal_in_space(record, turn.T @ away)
             foot, friction = center - record.radius * out, np.zeros(3)
             if readings['friction_force']:
                 friction = readings['friction_force'] * self._sliding(
                     out, foot, self._places[record.point].body, other.body)
             return foot, np.array([readings['normal_force'] * out, friction])
-        pose = (np.zeros(3) if other.body == GROUND
-                else self._simulation.body_poses[self._rows[other.body]])
-        cosine, sine = np.cos(pose[2]), np.sin(pose[2])
-        turn = np.array([[cosine, -sine], [sine, cosine]])
-        x, y = turn @ normal_of(record, self._outlines[name], turn.T @ (
-            center - self._simulation.point(record.other)))
-        foot = center - record.radius * np.array([x, y])
-        return foot, np.array([readings['normal_force'] * np.array([x, y]),
-                               readings['friction_force'] * np.array([y, -x])])
+        turn = turn[:2, :2]
+        out = turn @ normal_of(record, self._outlines[name], turn.T @ away)
+        return center - record.radius * out, np.array([
+            readings['normal_force'] * out, readings['friction_force'] * out[::-1] * (1.0, -1.0)])
 
     def _sliding(self, normal, place, body, other=GROUND):
         """Return the direction in which a body slides on another at a place, across a normal."""

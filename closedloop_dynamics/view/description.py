@@ -26,12 +26,15 @@ import numpy as np
 
 from .effect_shapes import effect_lines, surfaces, wires
 from .meshes import MeshError, MOST_OF_ALL, MOST_TRIANGLES, read_mesh
+from .messages import FASTEST, SLOWEST
 from ..core.codegen.spatial import rotation
+from ..integration.registry import INTEGRATORS, SCIPY, STABILISATIONS
 from ..mechanism.decomposition import decompose
 from ..mechanism.mechanism import BOX, CYLINDER, DISTANCE, GROUND, MESH, PRISMATIC, SPHERE
 from ..simulation.modeling import extent
 from ..visual.appearance import (
     body_colors, CONTACT_COLOR, CUT_COLOR, marked_points, outline, sliders, solid)
+from ..visual.motion import rotated
 from ..visual.urdf import depths
 
 # Of links, as shares of the mechanism's size: radius of bars, thickness of plates and the distance
@@ -39,7 +42,10 @@ from ..visual.urdf import depths
 BAR, THICKNESS, LAYER, BLOCK = 0.022, 0.016, 0.03, 0.05
 # Digits of the places of a mesh's points, below the size of the mesh.
 MESH_DIGITS = 4
-UNMOVED = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+# What a page can choose while a mechanism moves.
+CHOICES = {'integrators': {name: one.kind for name, one in INTEGRATORS.items()
+                           if one.family != SCIPY},
+           'stabilisations': list(STABILISATIONS), 'speeds': [SLOWEST, FASTEST]}
 
 
 def describe(mechanism, columns, effects=None, **more):
@@ -108,6 +114,35 @@ def describe(mechanism, columns, effects=None, **more):
         **columns.layout, **more}
 
 
+def described_drive(mechanism, name, position, torque):
+    """
+    Describe what drives a joint, for ``describe``.
+
+    Parameters
+    ----------
+    mechanism : mechanism.mechanism.Mechanism
+        Of the joint.
+    name : str
+        Of the joint.
+    position : ndarray, shape (nq,)
+        Coordinates about which its slider reaches [rad or m].
+    torque : float
+        That its slider reaches [N m or N].
+
+    Returns
+    -------
+    dict
+        As JSON can.
+
+    """
+    names = mechanism.coordinates
+    place = names.index[name]
+    slides, middle = bool(names.lengths[place]), float(names.by_freedom(position)[place])
+    reach = extent(mechanism) if slides else np.pi
+    return {'joint': name, 'slides': slides, 'turns': bool(names.place[place] < 0),
+            'torque': torque, 'position': [middle - reach, middle + reach]}
+
+
 def grabs(mechanism, body):
     """
     Return the places by which a body can be taken hold of.
@@ -137,18 +172,10 @@ def _in_space(place):
 def _axis(joint):
     """Return the axis of a joint in its parent's frame, along z in the plane unless it slides."""
     if joint.axis is not None:
-        return list(_turned(joint.orientation, joint.axis))
+        return rotated(np.array(joint.orientation), np.array(joint.axis)).tolist()
     if joint.type == PRISMATIC:
         return [float(np.cos(joint.angle)), float(np.sin(joint.angle)), 0.0]
     return [0.0, 0.0, 1.0]
-
-
-def _turned(quaternion, vector):
-    """Return a vector turned by a unit quaternion x, y, z, w."""
-    axis = np.array(quaternion[:3])
-    vector = np.array(vector)
-    across = np.cross(axis, vector)
-    return (vector + 2.0 * (quaternion[3] * across + np.cross(axis, across))).tolist()
 
 
 def _heights(mechanism, size):

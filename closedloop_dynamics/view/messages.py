@@ -12,10 +12,12 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Requests of a page, checked where they arrive."""
+"""Requests of pages, checked where they arrive, and what pages are told in return."""
 
+from dataclasses import fields
 import json
 
+from ..effects.registry import effect_type
 from ..mechanism.checks import boolean, list_of, name, number, one_of
 from ..mechanism.fields import at, FieldError, mapping, shown
 
@@ -88,6 +90,39 @@ ASKED = {
     'seen': {'frame': _index},
 }
 OPTIONAL = {'effect': ('enabled', 'values')}
+
+
+def effects_told(effects, enabled):
+    """Return what pages are told of effects, by name; ``enabled`` tells which names act."""
+    return {name: {
+        'type': effect_type(record), 'enabled': enabled(name),
+        'values': {each.name: getattr(record, each.name) for each in fields(record)}}
+        for name, record in effects.items()}
+
+
+def drives_told(drives):
+    """Return what pages are told of drives, by joint: mode and value come first of each."""
+    return {name: {'mode': mode, 'value': value} for name, (mode, value, *_) in drives.items()}
+
+
+def drive_of(drives, joint):
+    """Return what drives a joint; raise FieldError where nothing does."""
+    if joint not in drives:
+        raise FieldError(f'one of the driven joints ({", ".join(drives)})', shown(joint),
+                         path=('joint',))
+    return drives[joint]
+
+
+def require_one_number(coordinates, joint, mode):
+    """Refuse a position drive of a joint whose position is not one number."""
+    if mode == POSITION and coordinates.place[coordinates.index[joint]] < 0:
+        raise FieldError('a torque', 'a position', 'an orientation is not one number', ('mode',))
+
+
+def require_kinematic(kinematic):
+    """Refuse to pose a mechanism that moves by forces."""
+    if not kinematic:
+        raise FieldError('kinematic mode', 'a pose while the mechanism moves by forces')
 
 
 def read(text):

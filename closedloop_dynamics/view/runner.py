@@ -14,7 +14,7 @@
 
 """A simulation that runs live under what pages ask for."""
 
-from dataclasses import fields, replace
+from dataclasses import replace
 import math
 import time
 import warnings
@@ -22,16 +22,15 @@ import warnings
 import numpy as np
 
 from .columns import SimulationRows
-from .description import describe, grabs
+from .description import CHOICES, describe, described_drive, grabs
 from .feed import Feed
-from .messages import FASTEST, POSITION, SLOWEST, TORQUE
+from .messages import (
+    drive_of, drives_told, effects_told, POSITION, require_kinematic, require_one_number, TORQUE)
 from .posing import felt_inertia, joint_to, point_to
 from ..effects.actuator import Actuator
 from ..effects.gravity import Gravity
 from ..effects.point_spring import PointSpring
-from ..effects.registry import effect_type
 from ..formats.model import free_name
-from ..integration.registry import INTEGRATORS, SCIPY, STABILISATIONS
 from ..mechanism.fields import FieldError, shown
 from ..mechanism.mechanism import Point
 from ..simulation.errors import InaccuracyWarning, SimulationError
@@ -164,15 +163,10 @@ class Runner:
         self.described = describe(
             scene.mechanism, self._columns.columns, scene.effects, mode='live',
             title=scene.name,
-            drives=[{
-                'joint': name, 'slides': bool(simulation.coordinates.lengths[place]),
-                'turns': bool(simulation.coordinates.place[place] < 0),
-                'torque': self._reach(name, place), 'position': self._range(place)}
-                for name, place in self._places.items()],
-            integrators={name: one.kind for name, one in INTEGRATORS.items()
-                         if one.family != SCIPY},
-            stabilisations=list(STABILISATIONS), hand=True, poses=True,
-            gravity=self._hand.gravity, speeds=[SLOWEST, FASTEST])
+            drives=[described_drive(scene.mechanism, name, simulation.position,
+                                    self._reach(name, place))
+                    for name, place in self._places.items()],
+            hand=True, poses=True, gravity=self._hand.gravity, **CHOICES)
         self.feed = Feed(self.described)
         self._before = self._now = (0.0, self._columns.row())
         self._looked, self._findings, self._changed = clock(), (), True
@@ -199,13 +193,6 @@ class Runner:
     def _positions(self):
         """Return the number of each freedom, shape (nv,)."""
         return self.simulation.coordinates.by_freedom(self.simulation.position)
-
-    def _range(self, place):
-        """Return the lowest and the highest position of a slider."""
-        simulation = self.simulation
-        reach = extent(simulation.mechanism) if simulation.coordinates.lengths[place] else math.pi
-        middle = float(self._positions()[place])
-        return [middle - reach, middle + reach]
 
     def _torques(self):
         """Return the joint torques that the drives give now, shape (nv,)."""
@@ -307,21 +294,18 @@ class Runner:
 
     def _tell(self):
         simulation = self.simulation
-        effects, enabled = simulation.effects, simulation.enabled_effects
         self.feed.tell(
             playing=self.playing, speed=self._pacer.real_time_factor, failure=self._failure,
             kinematic=self._kinematic, findings=list(self._findings), busy=None,
             grabbed=self._grabbed, position=(
                 simulation.coordinates.told('position', np.round(simulation.position, 6))
                 if self._kinematic else None),
-            drives={name: {'mode': mode, 'value': value}
-                    for name, (mode, value) in self._drives.items()},
+            drives=drives_told(self._drives),
             method={key: getattr(simulation.scene.method, key) for key in METHOD_KEYS},
             unused=list(simulation.scene.method.unused),
-            effects={name: {
-                'type': effect_type(record), 'enabled': name in enabled,
-                'values': {each.name: getattr(record, each.name) for each in fields(record)}}
-                for name, record in effects.items() if name != self._hand.spring})
+            effects=effects_told(
+                {name: record for name, record in simulation.effects.items()
+                 if name != self._hand.spring}, simulation.enabled_effects.__contains__))
 
     # What pages ask for.
 
@@ -376,23 +360,15 @@ class Runner:
     def _do_speed(self, page, factor):
         self._pacer.real_time_factor = factor
 
-    def _drive(self, joint):
-        if joint not in self._drives:
-            raise FieldError(f'one of the driven joints ({", ".join(self._drives)})',
-                             shown(joint), path=('joint',))
-        return self._drives[joint]
-
     def _do_drive(self, page, joint, mode):
-        drive = self._drive(joint)
+        drive = drive_of(self._drives, joint)
         if drive[0] != mode:
-            place = self.simulation.joint_names.index(joint)
-            if mode == POSITION and self.simulation.coordinates.place[place] < 0:
-                raise FieldError('a torque', 'a position', 'an orientation is not one number',
-                                 ('mode',))
-            drive[:] = mode, 0.0 if mode == TORQUE else float(self._positions()[place])
+            require_one_number(self.simulation.coordinates, joint, mode)
+            drive[:] = mode, 0.0 if mode == TORQUE else float(
+                self._positions()[self._places[joint]])
 
     def _do_command(self, page, joint, value):
-        self._drive(joint)[1] = value
+        drive_of(self._drives, joint)[1] = value
 
     def _do_effect(self, page, name, enabled=None, values=None):
         if name == self._hand.spring:
@@ -427,11 +403,10 @@ class Runner:
     def _do_grab(self, page, body, place, at):
         self._hand.require_near(at)
         name = self._hand.point(body, place)
+        self._holder, self._grabbed = page, [body, place]
         if self._kinematic:
-            self._holder, self._grabbed = page, [body, place]
             self._pose_to(at)
         else:
-            self._holder, self._grabbed = page, [body, place]
             self._pull(at, enabled=True, point_a=name)
 
     def _do_pull(self, page, at):
@@ -468,13 +443,9 @@ class Runner:
             self._do_reset(page)
         self._kinematic = on
 
-    def _require_kinematic(self):
-        if not self._kinematic:
-            raise FieldError('kinematic mode', 'a pose while the mechanism moves by forces')
-
     def _do_pose(self, page, joint, value):
-        self._require_kinematic()
-        self._drive(joint)
+        require_kinematic(self._kinematic)
+        drive_of(self._drives, joint)
         joint_to(self.simulation, joint, value)
 
     def _pose_to(self, at):

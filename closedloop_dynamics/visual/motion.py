@@ -25,6 +25,8 @@ from ..mechanism.mechanism import (
     POINT_ON_LINE, POINT_ON_PLANE, PRISMATIC, REVOLUTE, SPHERICAL, UNIVERSAL, UNTURNED)
 
 _AXES = np.eye(3)
+# Numbers of a pose in space: x, y, z, and a quaternion x, y, z, w.
+POSE = 7
 # Change of coordinates by which velocities are found, by central differences [s].
 _INSTANT = 1e-6
 
@@ -184,9 +186,7 @@ def wrench_in_joints(mechanism, position, body, place, wrench):
         link = joint.parent
     torques, rates = np.zeros(names.nv), np.zeros((len(places), names.nv))
     rates[range(len(places)), places] = 1.0
-    pose = body_poses(mechanism, position, (body,))[0]
-    if mechanism.planar:
-        pose = np.array([*pose[:2], 0.0, 0.0, 0.0, np.sin(0.5 * pose[2]), np.cos(0.5 * pose[2])])
+    pose = poses_in_space(body_poses(mechanism, position, (body,))[0])
     arm, force, torque = (rotated(pose[3:], np.asarray(vector)) for vector in (
         place, wrench[:3], wrench[3:]))
     velocities = body_velocities(mechanism, position, rates, (body,))[:, 0]
@@ -292,6 +292,16 @@ def named_point(mechanism, poses, name):
     """
     point = mechanism.point(name)
     return world_points(pose_of(mechanism, poses, point.body), point.position)
+
+
+def poses_in_space(poses):
+    """Return poses of shape (..., 3), x, y and angle, or (..., 7) as they are, as (..., 7)."""
+    if poses.shape[-1] == POSE:
+        return poses
+    found = np.zeros((*poses.shape[:-1], POSE))
+    found[..., :2] = poses[..., :2]
+    found[..., 5], found[..., 6] = np.sin(0.5 * poses[..., 2]), np.cos(0.5 * poses[..., 2])
+    return found
 
 
 def pose_of(mechanism, poses, body):

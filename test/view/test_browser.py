@@ -18,10 +18,10 @@ from test.view.browser import browser, program
 
 from closedloop_dynamics.cli import main
 from closedloop_dynamics.simulation.scene import load_scene
-from closedloop_dynamics.view.columns import motion_columns, poses_in_space
+from closedloop_dynamics.view.columns import motion_columns
 from closedloop_dynamics.view.description import describe
 from closedloop_dynamics.view.page import recorded_page
-from closedloop_dynamics.visual.motion import body_poses
+from closedloop_dynamics.visual.motion import body_poses, poses_in_space
 import numpy as np
 import pytest
 

@@ -17,7 +17,7 @@
 import json
 
 from closedloop_dynamics.simulation.simulation import Simulation
-from closedloop_dynamics.view.columns import poses_in_space
+from closedloop_dynamics.visual.motion import poses_in_space
 import numpy as np
 import pytest
 
