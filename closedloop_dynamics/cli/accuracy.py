@@ -51,7 +51,7 @@ def _run(arguments):
     scene.mechanism.require_planar('the study of accuracy')
     torque = mapping(arguments.torque, '--torque')
     # Refused at once, what would fail only after a while.
-    checked_torques(arguments, lambda: Simulation(scene), torque)
+    checked_torques(arguments.scene, lambda: Simulation(scene), torque)
     csv_path, picture_path = _paths(arguments, scene)
     # How far off each method is stands in the table.
     warnings.simplefilter('ignore', InaccuracyWarning)

@@ -16,11 +16,10 @@
 
 from pathlib import Path
 
-from .command import add_recording, Command, positive, require_free, UsageError
-from ..recording.recording import part, read_recording, RecordingError, since_the_last_reset
-from ..simulation.scene import load_scene
+from .command import add_recording, Command, positive, recording_of, require_free, UsageError
+from ..recording.recording import part, since_the_last_reset
 from ..visual.animation import Animation, AnimationError, frame_times, require_writable, write
-from ..visual.progress import announced, progress_bar
+from ..visual.progress import announced, progress_to
 
 # More would take long, and fill a disk.
 MOST_FRAMES = 20_000
@@ -45,12 +44,11 @@ def _add_arguments(parser):
 
 def _run(arguments):
     require_free(arguments, arguments.output)
-    scene = load_scene(arguments.scene) if arguments.scene else None
     try:
         require_writable(arguments.output)
-        recording = read_recording(arguments.recording, scene, arguments.namespace)
-    except (AnimationError, RecordingError) as error:
+    except AnimationError as error:
         raise UsageError(str(error)) from None
+    recording = recording_of(arguments, arguments.recording)
     motion = _chosen(recording.motion, arguments)
     times = frame_times(motion, arguments.rate, arguments.speed)
     if len(times) > MOST_FRAMES:
@@ -59,8 +57,8 @@ def _run(arguments):
     name = recording.scene.name
     with announced('Preparing the picture ...'):
         animation = Animation(motion, name, times, _point(motion.mechanism, arguments.point))
-    with progress_bar(len(times), 'frames', name) as bar:
-        write(animation, arguments.output, arguments.rate, lambda done: bar.update(done - bar.n))
+    with progress_to(len(times), 'frames', name) as show:
+        write(animation, arguments.output, arguments.rate, show)
     print(f'{arguments.output}: {len(times)} frames, {motion.time[-1] - motion.time[0]:.3g} s of '
           f'{name} at {arguments.speed:g} x its speed, '
           f'{arguments.output.stat().st_size / 1e6:.2g} MB')

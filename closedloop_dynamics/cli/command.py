@@ -25,6 +25,7 @@ from ..mechanism.fields import FieldError
 from ..mechanism.mechanism import MechanismError
 from ..simulation.errors import AssemblyError
 from ..simulation.key_paths import changed, resolve
+from ..simulation.scene import load_scene
 
 # Exit code of a simulation that failed.
 FAILED = 1
@@ -139,15 +140,34 @@ def add_directory(parser, files, default=' (default: only print)'):
                         help='replace these files if they exist')
 
 
-def add_recording(parser):
-    """Add the arguments of ``recording.recording.read_recording``."""
-    parser.add_argument('recording', metavar='BAG_OR_CSV',
-                        help='a bag, or what `closedloop simulate --output` wrote')
+def add_recording(parser, name='recording', metavar='BAG_OR_CSV', nargs=None, what=(
+        'a bag, or what `closedloop simulate --output` wrote')):
+    """Add the arguments of ``recording_of``, the first one called and explained so."""
+    parser.add_argument(name, metavar=metavar, nargs=nargs, help=what)
     parser.add_argument('--scene', metavar='SCENE',
                         help='what was simulated (needed for a CSV file; default: as the bag '
                              'tells)')
     parser.add_argument('--namespace', metavar='NAME',
                         help='of the simulator, where several are in the bag')
+
+
+def recording_of(arguments, path):
+    """
+    Return the recording in a bag or a CSV file.
+
+    Raises
+    ------
+    UsageError
+        Where what is needed is not in it.
+
+    """
+    # Only here, as other commands need none of its libraries.
+    from ..recording.recording import read_recording, RecordingError
+    scene = load_scene(arguments.scene) if arguments.scene else None
+    try:
+        return read_recording(path, scene, arguments.namespace)
+    except RecordingError as error:
+        raise UsageError(str(error)) from None
 
 
 def require_free(arguments, *paths, option='--output'):
@@ -159,14 +179,14 @@ def require_free(arguments, *paths, option='--output'):
                              '--overwrite')
 
 
-def checked_torques(arguments, build, torque):
-    """Return the simulation that is built, or say what is wrong with its start or torques."""
+def checked_torques(scene, build, torque):
+    """Return the simulation that is built, or say what is wrong with the scene or torques."""
     try:
         simulation = build()
     except AssemblyError as error:
-        raise UsageError(f'{arguments.scene}: {error}') from None
+        raise UsageError(f'{scene}: {error}') from None
     except MechanismError as error:
-        raise UsageError(f'{arguments.scene}: mechanism.{error}') from None
+        raise UsageError(f'{scene}: mechanism.{error}') from None
     try:
         simulation.joint_torques(torque)
     except ValueError as error:

@@ -58,7 +58,7 @@ def _check(arguments, scene, torque, rates):
                          'compare')
     if torque and rates:
         raise UsageError('--joint-rate: expected either --torque or --joint-rate, got both')
-    simulation = checked_torques(arguments, lambda: Simulation(scene), torque)
+    simulation = checked_torques(arguments.scene, lambda: Simulation(scene), torque)
     if rates and set(rates) != set(simulation.actuated_joints):
         raise UsageError('--joint-rate: expected one for every actuated joint '
                          f'({", ".join(simulation.actuated_joints)}), got {", ".join(rates)}')

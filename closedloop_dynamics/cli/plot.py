@@ -14,9 +14,8 @@
 
 """``closedloop plot``: pictures of a run."""
 
-from .command import add_directory, add_recording, Command, require_free, UsageError
-from ..recording.recording import read_recording, RecordingError, since_the_last_reset
-from ..simulation.scene import load_scene
+from .command import add_directory, add_recording, Command, recording_of, require_free
+from ..recording.recording import since_the_last_reset
 from ..visual import pictures
 from ..visual.progress import announced
 
@@ -35,12 +34,8 @@ def _add_arguments(parser):
 def _run(arguments):
     files = {name: arguments.output / f'{name}.png' for name in DRAWERS}
     require_free(arguments, *files.values())
-    scene = load_scene(arguments.scene) if arguments.scene else None
-    try:
-        with announced('Reading ...'):
-            recording = read_recording(arguments.recording, scene, arguments.namespace)
-    except RecordingError as error:
-        raise UsageError(str(error)) from None
+    with announced('Reading ...'):
+        recording = recording_of(arguments, arguments.recording)
     motion = since_the_last_reset(recording.motion)
     arguments.output.mkdir(parents=True, exist_ok=True)
     with announced('Drawing ...'):

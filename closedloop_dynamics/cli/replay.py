@@ -18,22 +18,16 @@ import math
 from pathlib import Path
 import sys
 
-from .command import Command, positive, require_free, UsageError
-from ..recording.recording import read_recording, RecordingError
+from .command import add_recording, Command, positive, recording_of, require_free
 from ..recording.replay import PERTURBATION, replay, table
-from ..simulation.scene import load_scene
 from ..visual import pictures
-from ..visual.progress import announced, progress_bar
+from ..visual.progress import announced, progress_to
 
 DIFFERENT = 1
 
 
 def _add_arguments(parser):
-    parser.add_argument('bag', metavar='BAG', help='directory of the bag, or one of its files')
-    parser.add_argument('--scene', metavar='SCENE',
-                        help='what was simulated (default: the scene in the bag)')
-    parser.add_argument('--namespace', metavar='NAME',
-                        help='of the simulator, where several are in the bag')
+    add_recording(parser, 'bag', 'BAG', what='directory of the bag, or one of its files')
     parser.add_argument('--tolerance', metavar='ERROR', type=positive,
                         help='exit with 1 if a position is further off [rad or m] (default: than '
                              'rounding explains)')
@@ -45,15 +39,10 @@ def _add_arguments(parser):
 def _run(arguments):
     if arguments.picture:
         require_free(arguments, arguments.picture, option='--picture')
-    scene = load_scene(arguments.scene) if arguments.scene else None
     with announced('Reading and compiling ...'):
-        try:
-            recording = read_recording(arguments.bag, scene, arguments.namespace)
-        except RecordingError as error:
-            raise UsageError(str(error)) from None
-    count = len(recording.motion.time)
-    with progress_bar(count, 'states', recording.scene.name) as bar:
-        result = replay(recording, lambda done: bar.update(done - bar.n))
+        recording = recording_of(arguments, arguments.bag)
+    with progress_to(len(recording.motion.time), 'states', recording.scene.name) as show:
+        result = replay(recording, show)
     _tell(arguments, recording, result)
     if arguments.picture:
         title = f'{recording.scene.name}: recorded minus re-simulated'

@@ -35,7 +35,7 @@ from ..simulation.scene import load_scene
 from ..simulation.scene_records import FORMULATIONS
 from ..simulation.signals import program_watch
 from ..simulation.simulation import Simulation
-from ..visual.progress import announced, progress_bar
+from ..visual.progress import announced, progress_to
 
 STANDARD_OUTPUT = '-'
 # Simulated time up to which the error is estimated unless told otherwise [s].
@@ -87,15 +87,15 @@ def _run(arguments):
         estimate = ErrorEstimate(simulation)
     all_forces = arguments.forces == 'all'
     with _opened(arguments.output, arguments.overwrite) as write, \
-            program_watch.noting() as received, progress_bar(
-                arguments.duration, 's', simulation.scene.name) as bar, \
+            program_watch.noting() as received, progress_to(
+                arguments.duration, 's', simulation.scene.name) as show, \
             warnings.catch_warnings():
         # The summary tells of it.
         warnings.simplefilter('ignore', InaccuracyWarning)
 
         def on_row(values):
             write(','.join(map(repr, values)))
-            bar.update(values[0] - bar.n)
+            show(values[0])
 
         write(','.join(columns(simulation, all_forces)))
         try:
@@ -130,7 +130,7 @@ def _prepared(arguments):
             raise UsageError('--accuracy: expected it without --integrator, got both')
         arguments.integrator = AUTO
     with announced(COMPILING):
-        simulation = checked_torques(arguments, lambda: Simulation.from_scene(
+        simulation = checked_torques(arguments.scene, lambda: Simulation.from_scene(
             _moved(with_numbers(load_scene(arguments.scene), arguments), motion),
             step_size=arguments.step_size, integrator=arguments.integrator,
             stabilisation=arguments.stabilisation, formulation=arguments.formulation,

@@ -14,6 +14,7 @@
 
 """``closedloop sweep``: many simulations with different numbers, into one file."""
 
+from contextlib import contextmanager
 import sys
 
 import numpy as np
@@ -84,7 +85,7 @@ _count.__name__ = 'whole number'
 def _run(arguments):
     keep = STATE if arguments.keep is None else tuple(
         dict.fromkeys(name for name in arguments.keep if name != NOTHING))
-    with program_watch.noting() as received, _Progress(arguments.scene) as progress:
+    with program_watch.noting() as received, _progress(arguments.scene) as show:
         try:
             outcome = sweep(
                 arguments.scene, [parse(text) for text in arguments.vary], arguments.output,
@@ -92,7 +93,7 @@ def _run(arguments):
                 rate=arguments.rate, torque=mapping(arguments.torque, '--torque'),
                 torques=_sequences(arguments.torques), keep=keep, resume=arguments.resume,
                 overwrite=arguments.overwrite, workers=arguments.workers,
-                scheduler=arguments.scheduler, on_progress=progress.show,
+                scheduler=arguments.scheduler, on_progress=show,
                 keep_going=lambda: not received)
         except FieldError as error:
             raise UsageError(str(error)) from None
@@ -105,26 +106,17 @@ def _run(arguments):
     return FAILED if outcome.failed == outcome.done > 0 else 0
 
 
-class _Progress:
-    """A bar that appears when it is known how much there is to do."""
+@contextmanager
+def _progress(name):
+    """Yield a function that shows how far the sweep is, by its ``Outcome``."""
+    with progress_bar(1, 'samples', name) as bar:
+        def show(outcome):
+            bar.total = outcome.samples
+            if outcome.failed:
+                bar.set_description(f'{name} ({outcome.failed} failed)', refresh=False)
+            bar.update(outcome.before + outcome.done - bar.n)
 
-    def __init__(self, name):
-        self._name, self._bar = name, None
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *error):
-        if self._bar is not None:
-            self._bar.close()
-
-    def show(self, outcome):
-        """Show how far the sweep is."""
-        if self._bar is None:
-            self._bar = progress_bar(outcome.samples, 'samples', self._name)
-        if outcome.failed:
-            self._bar.set_description(f'{self._name} ({outcome.failed} failed)', refresh=False)
-        self._bar.update(outcome.before + outcome.done - self._bar.n)
+        yield show
 
 
 def _sequences(path):

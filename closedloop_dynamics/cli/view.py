@@ -19,19 +19,24 @@ import math
 import os
 from pathlib import Path
 import sys
+import time
 import webbrowser
 
 import numpy as np
 
-from .command import Command, mapping, positive, require_free, UsageError
-from ..recording.recording import part, read_recording, RecordingError, since_the_last_reset
+from .command import (
+    add_recording, assignment, checked_torques, Command, mapping, positive, recording_of,
+    require_free, UsageError)
+from ..recording.recording import part, since_the_last_reset
 from ..simulation.errors import AssemblyError
 from ..simulation.scene import load_scene
 from ..simulation.signals import program_watch
+from ..simulation.simulation import Simulation
 from ..view.columns import motion_columns, motion_rows
 from ..view.description import describe
 from ..view.page import live_page, recorded_page
-from ..visual.progress import announced
+from ..view.saved import simulated
+from ..visual.progress import announced, progress_to
 
 # Where nothing else is asked for, unless it is taken.
 USUAL_PORT = 8791
@@ -44,14 +49,9 @@ COMPILING = 'Compiling (half a minute the very first time, seconds from then on)
 
 
 def _add_arguments(parser):
-    from .command import assignment
-    parser.add_argument('what', metavar='SCENE_OR_RECORDING', nargs='?',
-                        help='a shipped scene by its name, a YAML file, a bag, or what '
-                             '`closedloop simulate --output` wrote')
-    parser.add_argument('--scene', metavar='SCENE',
-                        help='what was simulated, for a recording without a scene')
-    parser.add_argument('--namespace', metavar='NAME',
-                        help='of the simulator, where several are in the bag')
+    add_recording(parser, 'what', 'SCENE_OR_RECORDING', '?',
+                  'a shipped scene by its name, a YAML file, a bag, or what `closedloop simulate '
+                  '--output` wrote')
     parser.add_argument('--node', metavar='NAME', action='append', default=[],
                         help='show a running simulator of this name, through its topics; may be '
                              'repeated')
@@ -127,7 +127,6 @@ def _live(arguments):
 
 def _play(arguments):
     """Show a recording until Ctrl-C."""
-    import time
     page = _recorded_page(arguments)
     with program_watch.noting() as received:
         server = _served(arguments, [page], [])
@@ -165,11 +164,7 @@ def _served(arguments, pages, feeds):
 
 
 def _recorded_page(arguments):
-    scene = load_scene(arguments.scene) if arguments.scene else None
-    try:
-        recording = read_recording(arguments.what, scene, arguments.namespace)
-    except RecordingError as error:
-        raise UsageError(str(error)) from None
+    recording = recording_of(arguments, arguments.what)
     motion = since_the_last_reset(recording.motion)
     count = len(motion.time)
     every = math.ceil(count / MOST_ROWS)
@@ -192,19 +187,13 @@ def _save(arguments):
 
 
 def _simulated_page(arguments):
-    from ..view.saved import simulated
-    from ..simulation.simulation import Simulation
     torque = mapping(arguments.torque, '--torque')
     scene = load_scene(arguments.what)
-    from ..visual.progress import progress_bar
-    from .command import checked_torques
     with announced(COMPILING):
-        arguments.scene = arguments.what
-        simulation = checked_torques(arguments, lambda: Simulation(scene), torque)
+        simulation = checked_torques(arguments.what, lambda: Simulation(scene), torque)
         simulation.warm_up()
-    with progress_bar(arguments.duration, 's', scene.name) as bar:
-        columns, times, rows = simulated(
-            simulation, arguments.duration, RATE, torque, lambda time: bar.update(time - bar.n))
+    with progress_to(arguments.duration, 's', scene.name) as show:
+        columns, times, rows = simulated(simulation, arguments.duration, RATE, torque, show)
     return recorded_page(
         scene.name, _told(describe(
             scene.mechanism, columns, scene.effects, mode='recording', title=scene.name)),

@@ -41,7 +41,7 @@ from closedloop_dynamics.ros.demo_report import (
 from closedloop_dynamics.ros.programs import LOOK, ProgramError, Programs, READY
 from closedloop_dynamics.simulation.scene import load_scene, SceneError
 from closedloop_dynamics.simulation.signals import Interrupted, SignalWatch
-from closedloop_dynamics.visual.progress import progress_bar
+from closedloop_dynamics.visual.progress import progress_to
 
 DEFAULT_OUTPUT = 'demo_output'
 # The machines of the package's name, where no other is asked for.
@@ -209,12 +209,12 @@ def _run_nodes(scene, drive, namespace, duration, directory):
 def _let_run(programs, duration, name):
     """Wait for the motion to last as long as it should, watching the processes."""
     begin = time.monotonic()
-    with progress_bar(duration, 's', name) as bar:
+    with progress_to(duration, 's', name) as show:
         while (elapsed := time.monotonic() - begin) < duration:
-            bar.update(elapsed - bar.n)
+            show(elapsed)
             programs.check()
             time.sleep(LOOK)
-        bar.update(duration - bar.n)
+        show(duration)
 
 
 def _output(directory):

@@ -31,7 +31,8 @@ from closedloop_dynamics.simulation.modeling import extent
 from closedloop_dynamics.visual.appearance import (
     body_colors, CONTACT_COLOR, CUT_COLOR, FORCE_COLOR, joint_axes, marked_points, outline,
     PATH_COLOR, rgb, sliders, solid)
-from closedloop_dynamics.visual.motion import force_of, pose_of, world_points
+from closedloop_dynamics.visual.motion import (
+    force_of, pose_of, poses_in_space, world_points)
 from geometry_msgs.msg import Point
 import numpy as np
 from rclpy.qos import QoSProfile
@@ -48,7 +49,9 @@ ARROW_SIZE, HALF_LIFE = 0.5, 2.0
 ABOVE = 0.2
 # Widths and lengths of links and arrows, as shares of the size.
 LINK_WIDTH, SLIDER_SIZE = 0.06, 0.1
-SHAFT, HEAD, HEAD_LENGTH = 0.025, 0.06, 0.09
+BLOCK = (1.6, 1.0, 0.4)
+# Of arrows: diameter of the shaft, and of the head, and its length.
+ARROW = (0.025, 0.06, 0.09)
 # In space: width of links, and width and half the length of the lines along axes of joints.
 BAR_WIDTH, AXIS_WIDTH, AXIS_LENGTH = 0.04, 0.008, 0.12
 AXIS_COLOR = '#333333'
@@ -94,8 +97,7 @@ class Markers:
         if self._point is not None and self._point not in names:
             raise StartError(f"parameter 'marker_point': expected one of the points of "
                              f"{self._mechanism.name} ({', '.join(names)}), got '{self._point}'")
-        self._links = (link_markers if self._mechanism.planar else spatial_link_markers)(
-            self._mechanism, size)
+        self._links = link_markers(self._mechanism, size)
         self._cuts = styled(Marker.SPHERE_LIST, 'cut_joints', 0, CUT_COLOR, 0.09 * size)
         self._trail = styled(Marker.LINE_STRIP, 'path', 0, PATH_COLOR, 0.02 * size)
         self._publisher = self._rate > 0.0 and node.create_publisher(
@@ -114,8 +116,9 @@ class Markers:
     def array(self, stamp):
         """Return the markers of the present state, a MarkerArray."""
         poses = self._simulation.body_poses
+        numbers = poses_in_space(poses).tolist()
         for marker, body in self._links:
-            set_pose(marker.pose, poses[body].tolist())
+            set_pose(marker.pose, numbers[body])
         places = [self._cut_place(cut, poses) for cut in self._mechanism.cut_joints]
         self._cuts.points = [self._raised(place) for place in places]
         markers = [marker for marker, _ in self._links] + [self._cuts] * bool(places)
@@ -197,18 +200,18 @@ def contact_force(contact, readings):
     return [along * cosine - normal * sine, along * sine + normal * cosine]
 
 
-def styled(kind, namespace, number, color, width, strength=1.0):
+def styled(kind, namespace, number, color, scale, strength=1.0):
     """
     Return a marker with a style and nothing in it yet.
 
-    ``kind`` is that of visualization_msgs/Marker; a viewer switches ``namespace`` off; ``width``
-    is that of lines, or the diameter of spheres [m]; ``strength`` 1 is opaque.
+    ``kind`` is that of visualization_msgs/Marker; a viewer switches ``namespace`` off; ``scale``,
+    one number or three, is the width of lines, or the size [m]; ``strength`` 1 is opaque.
 
     """
     red, green, blue = rgb(color)
     marker = Marker(ns=namespace, id=number, type=kind, action=Marker.ADD,
                     color=ColorRGBA(r=red, g=green, b=blue, a=strength))
-    marker.scale.x = marker.scale.y = marker.scale.z = width
+    marker.scale.x, marker.scale.y, marker.scale.z = np.broadcast_to(scale, 3).tolist()
     marker.pose.orientation.w = 1.0
     return marker
 
@@ -227,73 +230,61 @@ def strip(namespace, number, color, width, points):
 
 def arrow(namespace, number, color, size, start, end):
     """Return an arrow between two points."""
-    marker = styled(Marker.ARROW, namespace, number, color, 0.0)
-    marker.scale.x, marker.scale.y, marker.scale.z = (
-        SHAFT * size, HEAD * size, HEAD_LENGTH * size)
+    marker = styled(Marker.ARROW, namespace, number, color, size * np.array(ARROW))
     marker.points = [start, end]
     return marker
 
 
 def set_pose(pose, numbers):
-    """Put x, y and angle, or x, y, z and a quaternion x, y, z, w, into a geometry_msgs/Pose."""
+    """Put x, y, z and a quaternion x, y, z, w into a geometry_msgs/Pose."""
     place, turn = pose.position, pose.orientation
-    if len(numbers) == 3:
-        place.x, place.y, angle = numbers
-        turn.z, turn.w = math.sin(angle / 2.0), math.cos(angle / 2.0)
-    else:
-        place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w = numbers
+    place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w = numbers
 
 
 def link_markers(mechanism, size):
-    """Return the markers of all bodies, in the bodies' own frames, each with its body's index."""
-    colors, blocks = body_colors(mechanism), sliders(mechanism)
-    markers = []
+    """
+    Return the markers of all bodies, and in space of the axes that they turn about.
 
-    def add(kind, body, width, strength=1.0):
-        name = mechanism.bodies[body].name
-        markers.append((styled(kind, 'links', len(markers), colors[name], width, strength), body))
-        return markers[-1][0]
+    Each comes with its body's index, in the body's own frame.
 
+    """
+    colors, markers = body_colors(mechanism), []
+    shapes = _flat_shapes if mechanism.planar else _solid_shapes
     for index, body in enumerate(mechanism.bodies):
-        corners = [point(*corner) for corner in outline(mechanism, body.name).tolist()]
-        if len(corners) > 1:
-            closed = corners[:1] if len(corners) > 2 else []
-            add(Marker.LINE_STRIP, index, LINK_WIDTH * size).points = corners + closed
-        if len(corners) > 2:
-            fan = [corner for second, third in zip(corners[1:], corners[2:])
-                   for corner in (corners[0], second, third)]
-            add(Marker.TRIANGLE_LIST, index, 1.0, 0.4).points = fan
-        if body.name in blocks or len(corners) == 1:
-            block = add(Marker.CUBE, index, SLIDER_SIZE * size)
-            block.scale.x *= 1.6
-            block.scale.z *= 0.4
-    return markers
+        for kind, scale, strength, points in shapes(mechanism, body, size):
+            marker = styled(kind, 'links', len(markers), colors[body.name], scale, strength)
+            marker.points = [point(*place) for place in points]
+            markers.append((marker, index))
+    if mechanism.planar:
+        return markers
+    names = [body.name for body in mechanism.bodies]
+    return markers + [
+        (strip('joint_axes', number, AXIS_COLOR, AXIS_WIDTH * size, [
+            point(*(place + sign * AXIS_LENGTH * size * axis).tolist()) for sign in (-1.0, 1.0)]),
+         names.index(body)) for number, (body, place, axis) in enumerate(joint_axes(mechanism))]
 
 
-def spatial_link_markers(mechanism, size):
-    """Return the markers of all bodies in space, and of axes, as ``link_markers`` does."""
-    colors, index = body_colors(mechanism), {
-        body.name: k for k, body in enumerate(mechanism.bodies)}
-    markers = []
+def _flat_shapes(mechanism, body, size):
+    """Yield kind, scale, strength and points of what a body in the plane is drawn as."""
+    corners = outline(mechanism, body.name).tolist()
+    if len(corners) > 1:
+        closed = corners[:1] if len(corners) > 2 else []
+        yield Marker.LINE_STRIP, LINK_WIDTH * size, 1.0, corners + closed
+    if len(corners) > 2:
+        yield Marker.TRIANGLE_LIST, 1.0, 0.4, [
+            corner for second, third in zip(corners[1:], corners[2:])
+            for corner in (corners[0], second, third)]
+    if body.name in sliders(mechanism) or len(corners) == 1:
+        yield Marker.CUBE, SLIDER_SIZE * size * np.array(BLOCK), 1.0, ()
 
-    def add(kind, name, width, strength=1.0):
-        marker = styled(kind, 'links', len(markers), colors[name], width, strength)
-        markers.append((marker, index[name]))
-        return marker
 
-    for body in mechanism.bodies:
-        points = marked_points(mechanism, body.name)
-        edges, faces = solid(points)
-        if len(edges):
-            add(Marker.LINE_LIST, body.name, BAR_WIDTH * size).points = [
-                point(*points[corner].tolist()) for corner in np.ravel(edges)]
-        elif not body.massless:
-            add(Marker.CUBE, body.name, SLIDER_SIZE * size)
-        if len(faces):
-            add(Marker.TRIANGLE_LIST, body.name, 1.0, 0.4).points = [
-                point(*points[corner].tolist()) for corner in np.ravel(faces)]
-    for number, (body, place, axis) in enumerate(joint_axes(mechanism)):
-        line = strip('joint_axes', number, AXIS_COLOR, AXIS_WIDTH * size, [
-            point(*(place + sign * AXIS_LENGTH * size * axis).tolist()) for sign in (-1.0, 1.0)])
-        markers.append((line, index[body]))
-    return markers
+def _solid_shapes(mechanism, body, size):
+    """Do the same for a body in space."""
+    points = marked_points(mechanism, body.name)
+    edges, faces = solid(points)
+    if edges:
+        yield Marker.LINE_LIST, BAR_WIDTH * size, 1.0, points[np.ravel(edges)].tolist()
+    elif not body.massless:
+        yield Marker.CUBE, SLIDER_SIZE * size, 1.0, ()
+    if faces:
+        yield Marker.TRIANGLE_LIST, 1.0, 0.4, points[np.ravel(faces)].tolist()

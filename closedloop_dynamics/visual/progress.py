@@ -37,6 +37,13 @@ def progress_bar(total, unit, description):
 
 
 @contextmanager
+def progress_to(total, unit, description):
+    """Yield a function that takes how far it is, and shows that as a bar."""
+    with progress_bar(total, unit, description) as bar:
+        yield lambda done: bar.update(done - bar.n)
+
+
+@contextmanager
 def parts_bar(unit, description):
     """Yield a function that takes the parts done and all parts, and shows them as a bar."""
     with progress_bar(1, unit, description) as bar:
