@@ -16,7 +16,8 @@
 
 import math
 
-from ..mechanism.mechanism import Body, CutJoint, GROUND, Joint, Mechanism, REVOLUTE
+from .hard_machines import bar
+from ..mechanism.mechanism import CutJoint, GROUND, Joint, Mechanism, REVOLUTE
 
 
 def ladder(loops, angle=0.5):
@@ -43,12 +44,12 @@ def ladder(loops, angle=0.5):
     """
     bodies, joints, cuts, position = [], [], [], []
     for k in range(loops + 1):
-        bodies.append(_bar(f'crank_{k}', 1.0))
+        bodies.append(bar(f'crank_{k}', 1.0, 1.0))
         joints.append(Joint(f'pivot_{k}', REVOLUTE, GROUND, f'crank_{k}', (float(k), 0.0),
                             actuated=k == 0))
         position.append(angle)
         if k < loops:
-            bodies.append(_bar(f'coupler_{k}', 1.0))
+            bodies.append(bar(f'coupler_{k}', 1.0, 1.0))
             joints.append(Joint(f'tip_{k}', REVOLUTE, f'crank_{k}', f'coupler_{k}', (1.0, 0.0)))
             position.append(-angle)
             cuts.append(CutJoint(f'cut_{k}', REVOLUTE, f'coupler_{k}', f'crank_{k + 1}',
@@ -74,7 +75,7 @@ def chain(links):
 
     """
     length, turn = 1.0 / links, math.pi / links
-    bodies = tuple(_bar(f'link_{k}', length, length) for k in range(links))
+    bodies = tuple(bar(f'link_{k}', length, length) for k in range(links))
     joints = [Joint('joint_0', REVOLUTE, GROUND, 'link_0', (0.0, 0.0), actuated=True)]
     joints += [Joint(f'joint_{k}', REVOLUTE, f'link_{k - 1}', f'link_{k}', (length, 0.0))
                for k in range(1, links)]
@@ -110,7 +111,7 @@ def star(loops, arms=8, angle=0.5):
         Coordinates that close the loops.
 
     """
-    bodies, cuts = [_bar('hub', 1.0)], []
+    bodies, cuts = [bar('hub', 1.0, 1.0)], []
     joints = [Joint('pivot', REVOLUTE, GROUND, 'hub', (0.0, 0.0), actuated=True)]
     position = [angle]
     for arm in range(arms):
@@ -119,7 +120,7 @@ def star(loops, arms=8, angle=0.5):
         before = 'hub'
         for k in range(1, loops + 1):
             crank, coupler = f'crank_{arm}_{k}', f'coupler_{arm}_{k}'
-            bodies += [_bar(crank, 1.0), _bar(coupler, 1.0)]
+            bodies += [bar(crank, 1.0, 1.0), bar(coupler, 1.0, 1.0)]
             joints += [
                 Joint(f'pivot_{arm}_{k}', REVOLUTE, GROUND, crank, (k * x, k * y)),
                 Joint(f'tip_{arm}_{k}', REVOLUTE, before, coupler, (1.0, 0.0))]
@@ -129,8 +130,3 @@ def star(loops, arms=8, angle=0.5):
             before = crank
     mechanism = Mechanism(f'star_{arms}_{loops}', tuple(bodies), tuple(joints), tuple(cuts))
     return mechanism, tuple(position)
-
-
-def _bar(name, length, mass=1.0):
-    """Return a uniform bar along its x axis."""
-    return Body(name, mass, (0.5 * length, 0.0), mass * length ** 2 / 12.0)

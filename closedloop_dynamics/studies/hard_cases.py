@@ -23,7 +23,7 @@ import numpy as np
 from .hard_cases_in_space import IN_SPACE
 from .hard_machines import (
     bar, change_point_linkage, doubled, G, gravity, gravity_in_space, hinge, in_space, ladder,
-    ladder_energy, off_the_branch, pantograph, pantograph_motion, scene, three_rockers,
+    ladder_energy, off_the_branch, pantograph, pantograph_motion, scene, started, three_rockers,
     welded_twice, with_masses)
 from ..effects.contact import Contact
 from ..effects.external_force import ExternalForce
@@ -193,11 +193,10 @@ def _folding(method, quick):
 
 def _type_2(method, quick):
     """Drive the 3-RRR through poses where locked drives would leave the platform loose."""
-    start = load_scene('three_rrr')
     worst, crossings = 0.0, 0
     for torque in ((5.0, -3.0, 2.0), (-4.0, 6.0, 3.0)) if quick else (
             (5.0, -3.0, 2.0), (-4.0, 6.0, 3.0), (8.0, 8.0, -8.0), (0.0, -9.0, 6.0)):
-        simulation = Simulation(replace(start, method=replace(method, tolerance=TRIAL_TOLERANCE)))
+        simulation = started('three_rrr', method, tolerance=TRIAL_TOLERANCE)
         sign, scale = 0.0, 1.0
         for _ in range(LOOKS):
             simulation.step(torque, 2.0 / LOOKS)
@@ -334,23 +333,16 @@ def _gravity(method, quick):
     return max(strong, abs(simulation.velocity[0] + 1.0))
 
 
-def _spin(method, quick):
-    rate, steps = 1e4, 2000 if quick else 10000
-    simulation = Simulation(scene(*ladder(1, 0.4, rate), replace(
-        method, step_size=1e-6, tolerance=1e-9), {}))
-    simulation.advance(np.zeros(3), steps)
-    phase = simulation.position[0] + 0.4 + rate * simulation.time
-    return max(abs(phase), off_the_branch(simulation.position))
+def _spinning(rate, step_size, steps, quick_steps):
+    """Return the run of a parallelogram that spins, at 1000 rad/s 318 times a second flat."""
+    def run(method, quick):
+        simulation = Simulation(scene(*ladder(1, 0.4, rate), replace(
+            method, step_size=step_size, tolerance=1e-9), {}))
+        simulation.advance(np.zeros(3), quick_steps if quick else steps)
+        phase = simulation.position[0] + 0.4 + rate * simulation.time
+        return max(abs(phase), off_the_branch(simulation.position))
 
-
-def _fast(method, quick):
-    """Spin at 1000 rad/s for a second, 318 times through flat positions."""
-    rate = 1e3
-    simulation = Simulation(scene(*ladder(1, 0.4, rate), replace(
-        method, step_size=1e-5, tolerance=1e-9), {}))
-    simulation.advance(np.zeros(3), 10_000 if quick else 100_000)
-    phase = simulation.position[0] + 0.4 + rate * simulation.time
-    return max(abs(phase), off_the_branch(simulation.position))
+    return run
 
 
 def light_cart(mass=1e-6):
@@ -386,8 +378,7 @@ def _light_cart(method, quick):
 
 
 def _overload(method, quick):
-    start = load_scene('three_rrr')
-    simulation = Simulation(replace(start, method=replace(method, step_size=1e-3)))
+    simulation = started('three_rrr', method, step_size=1e-3)
     simulation.step((1e6, 0.0, 0.0))
     simulation.step(duration=0.01)
     if not (np.isfinite(simulation.position).all() and np.isfinite(simulation.velocity).all()):
@@ -406,10 +397,9 @@ ACCELERATION_OR_BRANCH = 'error of acceleration, relative, or angle off the bran
 
 def _velocities(method, quick):
     """Start with random rates: they are made to fit, and stay so."""
-    start, worst = load_scene('three_rrr'), 0.0
-    rng = np.random.default_rng(1)
+    worst, rng = 0.0, np.random.default_rng(1)
     for _ in range(3 if quick else 20):
-        simulation = Simulation(replace(start, method=replace(method, step_size=1e-3)))
+        simulation = started('three_rrr', method, step_size=1e-3)
         simulation.set_state(simulation.position, rng.normal(size=7))
         for _ in range(20):
             simulation.step()
@@ -419,9 +409,8 @@ def _velocities(method, quick):
 
 def _by_hand(method, quick):
     """Shake all coordinates by a hundredth of a radian: the nearest closed state is taken."""
-    start, worst = load_scene('carpet_scraper'), 0.0
-    rng = np.random.default_rng(2)
-    simulation = Simulation(replace(start, method=replace(method, step_size=1e-3)))
+    worst, rng = 0.0, np.random.default_rng(2)
+    simulation = started('carpet_scraper', method, step_size=1e-3)
     position = simulation.position
     for _ in range(5 if quick else 40):
         simulation.set_state(position + rng.uniform(-1e-2, 1e-2, len(position)))
@@ -539,8 +528,7 @@ def _long(name, drive=None):
     """Return the run of a shipped scene for an hour in steps of 1 ms, driven or left alone."""
     def run(method, quick):
         duration = 10.0 if quick else 3600.0
-        start = load_scene(name)
-        simulation = Simulation(replace(start, method=replace(method, step_size=1e-3)))
+        simulation = started(name, method, step_size=1e-3)
         energy, worst = simulation.energy, 0.0
         tau = np.zeros(len(simulation.joint_names))
         # A drive answers every millisecond, as a node does; without one, longer portions do.
@@ -592,8 +580,7 @@ def _turning(method, quick):
 def _fine(name):
     def run(method, quick):
         steps = 20_000 if quick else 10_000_000
-        start = load_scene(name)
-        simulation = Simulation(replace(start, method=replace(method, step_size=5e-6)))
+        simulation = started(name, method, step_size=5e-6)
         tau, worst = np.zeros(len(simulation.joint_names)), 0.0
         for _ in range(steps // 10_000):
             simulation.advance(tau, 10_000)
@@ -853,12 +840,12 @@ CASES = tuple(Case(name, group, *rest) for group, cases in {
          ACCELERATION_OR_BRANCH, 1e-8, 1e-3, _gravity),
         ('10,000 rad/s',
          'A parallelogram that spins at 10,000 rad/s, without gravity: steady, through all its '
-         'flat positions.', 'error of the phase, or angle off the branch [rad]', 1e-6, 1e-2, _spin,
-         '10 ms / 2 ms'),
+         'flat positions.', 'error of the phase, or angle off the branch [rad]', 1e-6, 1e-2,
+         _spinning(1e4, 1e-6, 10_000, 2000), '10 ms / 2 ms'),
         ('1000 rad/s for 1 s',
          'The same at 1000 rad/s for a second (else 0.1 s), in steps of 10 us or with a '
          'tolerance of 1e-9.', 'error of the phase, or angle off the branch [rad]', 1e-6, 1e-2,
-         _fast, '1 s / 0.1 s'),
+         _spinning(1e3, 1e-5, 100_000, 10_000), '1 s / 0.1 s'),
         ('cart of 1 mg',
          'A pendulum of 1 kg on a cart of 1e-6 kg for 20 s (else 5 s): it turns at the bottom '
          'within 1e-7 s, as if it bounced. Steps of 1 ms, or a tolerance of 1e-9.',

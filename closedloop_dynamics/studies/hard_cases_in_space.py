@@ -19,11 +19,10 @@ import math
 
 import numpy as np
 
+from .hard_machines import started
 from .spinning_bodies import (
     ACROSS, ALONG, free_body, LEVER, MOMENTS, norm_error, nutation, one_body, SPIN, top, TOP_MASS)
 from ..core.codegen.spatial import rotation
-from ..simulation.scene import load_scene
-from ..simulation.simulation import Simulation
 
 # Of the corner of Bricard's linkage after a second: two independent solvers agree on it [m].
 BRICARD_CORNER = (0.5105014612, -1.6491675994, 0.1401231146)
@@ -31,8 +30,7 @@ BRICARD_CORNER = (0.5105014612, -1.6491675994, 0.1401231146)
 
 def _bricard(method, quick):
     """Let Bricard's linkage fall: its place after a second, then its energy and loops."""
-    start = load_scene('bricard')
-    simulation = Simulation(replace(start, method=replace(method, step_size=1e-3)))
+    simulation = started('bricard', method, step_size=1e-3)
     energy, tau = simulation.energy, np.zeros(len(simulation.joint_names))
     simulation.advance(tau, 1000)
     worst = np.linalg.norm(simulation.point('corner') - BRICARD_CORNER)
@@ -44,8 +42,7 @@ def _bricard(method, quick):
 
 def _idle_spin(method, quick):
     """Let a rod between two balls spin about itself: nothing changes its spin, nor the energy."""
-    start = load_scene('rssr_four_bar')
-    simulation = Simulation(replace(start, method=replace(method, step_size=1e-4)))
+    simulation = started('rssr_four_bar', method, step_size=1e-4)
     along, spin = np.ones(3) / math.sqrt(3.0), 1000.0
     rates = simulation.velocity
     turn = simulation.coordinates.rates['tip']
@@ -60,11 +57,6 @@ def _idle_spin(method, quick):
     return max(abs(found / spin - 1.0), abs(simulation.energy / energy - 1.0))
 
 
-def _started(name, method, **keys):
-    """Return a simulation of a shipped scene by a method."""
-    return Simulation(replace(load_scene(name), method=replace(method, **keys)))
-
-
 def _turned_hexapod(method, quick):
     """
     Turn a Stewart platform through 90 degrees, where locked legs would leave it loose.
@@ -72,7 +64,7 @@ def _turned_hexapod(method, quick):
     Unequal forces in its legs turn it, and it stays level.
 
     """
-    simulation = _started('stewart_platform', method, step_size=1e-3, tolerance=1e-8)
+    simulation = started('stewart_platform', method, step_size=1e-3, tolerance=1e-8)
     forces = [28.5 * (1.0 + share) for share in 3 * (-0.3, 0.3)]
     platform = [body.name for body in simulation.mechanism.bodies].index('platform')
     before, crossings, worst = None, 0, 0.0
@@ -101,7 +93,7 @@ def _shaken(method, quick):
     """Start with errors in all joints: loops close, and the motion goes on."""
     worst, rng = 0.0, np.random.default_rng(3)
     for name in SHAKEN:
-        simulation = _started(name, method, step_size=1e-3)
+        simulation = started(name, method, step_size=1e-3)
         q, names = simulation.position, simulation.coordinates
         for _ in range(2 if quick else 20):
             simulation.set_state(names.moved(q, rng.uniform(-0.1, 0.1, names.nv)),

@@ -21,15 +21,24 @@ import numpy as np
 
 from ..core.codegen.spatial import rotation
 from ..effects.gravity import Gravity
+from ..formats.in_space import in_space as lifted
 from ..mechanism.mechanism import (
-    Body, CutJoint, FIXED, GROUND, Joint, Mechanism, REVOLUTE, UNTURNED)
+    Body, CutJoint, FIXED, GROUND, Joint, Mechanism, REVOLUTE)
+from ..simulation.scene import load_scene
 from ..simulation.scene_records import Initial, Scene
+from ..simulation.simulation import Simulation
+from ..visual.motion import composed
 
 G = 9.81
 # Direction of the ground: the world's axes must play no part.
 DIRECTION = 0.7
 # Of a plane in space, a unit quaternion; along no axis of the world.
 TURN = tuple((np.array([1.0, 2.0, 3.0, 9.0]) / math.sqrt(95.0)).tolist())
+
+
+def started(name, method, **keys):
+    """Return a simulation of a shipped scene by a method, with other values of its keys."""
+    return Simulation(replace(load_scene(name), method=replace(method, **keys)))
 
 
 def bar(name, mass, length):
@@ -97,27 +106,12 @@ def in_space(mechanism, turn=TURN):
 
     """
     axes = np.array(rotation(turn))
-    bodies = tuple(replace(
-        body, center_of_mass=(*body.center_of_mass, 0.0),
-        inertia=(0.5 * body.inertia, 0.5 * body.inertia, body.inertia))
-        for body in mechanism.bodies)
-    joints = tuple(replace(
-        joint, position=tuple(axes @ (*joint.position, 0.0)) if joint.parent == GROUND else (
-            *joint.position, 0.0), angle=0.0, axis=(0.0, 0.0, 1.0), orientation=_composed(
-                turn if joint.parent == GROUND else UNTURNED, joint.angle))
-        for joint in mechanism.joints)
-    cuts = tuple(replace(
-        cut, point_a=(*cut.point_a, 0.0), point_b=(*cut.point_b, 0.0), axis_a=(0.0, 0.0, 1.0),
-        axis_b=(0.0, 0.0, 1.0)) for cut in mechanism.cut_joints)
-    return replace(mechanism, bodies=bodies, joints=joints, cut_joints=cuts)
-
-
-def _composed(turn, angle):
-    """Return the quaternion of a turn about z, and of another one then."""
-    x, y, z, w = turn
-    sine, cosine = math.sin(0.5 * angle), math.cos(0.5 * angle)
-    return (x * cosine + y * sine, y * cosine - x * sine, z * cosine + w * sine,
-            w * cosine - z * sine)
+    flat = lifted(mechanism)
+    return replace(flat, joints=tuple(
+        joint if joint.parent != GROUND else replace(
+            joint, position=tuple((axes @ joint.position).tolist()), orientation=tuple(
+                composed(np.array(turn), np.array(joint.orientation)).tolist()))
+        for joint in flat.joints))
 
 
 def gravity_in_space(strength=G, turn=TURN):
