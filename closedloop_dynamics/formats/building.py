@@ -493,19 +493,7 @@ def _told(error, model, named):
 
 
 def lines(ignored):
-    """
-    Return what was left out, a line for each reason.
-
-    Parameters
-    ----------
-    ignored : dict of str to str
-        As ``Imported`` has it.
-
-    Returns
-    -------
-    list of str
-
-    """
+    """Return what was left out, as ``Imported.ignored`` has it, a line for each reason."""
     return [f'left out, {reason}: '
             + ', '.join(what for what, why in ignored.items() if why == reason)
             for reason in dict.fromkeys(ignored.values())]

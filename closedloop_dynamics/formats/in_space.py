@@ -30,14 +30,7 @@ def in_space(mechanism):
     """
     Return a planar mechanism as one in space: in the plane z = 0, with flat bodies.
 
-    Parameters
-    ----------
-    mechanism : Mechanism
-        One in space is returned as it is.
-
-    Returns
-    -------
-    Mechanism
+    One in space is returned as it is.
 
     """
     if not mechanism.planar:

@@ -38,18 +38,9 @@ WITH_AXIS = (REVOLUTE, PRISMATIC, CYLINDRICAL, PLANAR, UNIVERSAL)
 
 def add_loops(model, section):
     """
-    Add loops to a model, in place.
+    Add loops, keys of each by its name, to a model as its reader left it, in place.
 
-    Parameters
-    ----------
-    model : Model
-        As its reader left it.
-    section : mapping
-        Keys of each loop by its name.
-
-    Raises
-    ------
-    FieldError
+    Raises FieldError.
 
     """
     for key, values in mapping(section).items():

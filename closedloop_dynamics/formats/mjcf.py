@@ -54,21 +54,9 @@ CONNECT, WELD, JOINT, TENDON = range(4)
 
 def read_mjcf(path):
     """
-    Read an MJCF file.
+    Return the Model in an MJCF file.
 
-    Parameters
-    ----------
-    path : str or pathlib.Path
-        Of the file.
-
-    Returns
-    -------
-    Model
-
-    Raises
-    ------
-    MechanismError
-        With file, line and element, as far as MuJoCo tells them.
+    Raises MechanismError with file, line and element, as far as MuJoCo tells them.
 
     """
     path = Path(path)

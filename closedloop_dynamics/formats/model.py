@@ -198,15 +198,7 @@ class Model:
     ignored: dict = field(default_factory=dict)
 
     def add(self, record):
-        """
-        Add a link or a joint.
-
-        Raises
-        ------
-        MechanismError
-            Where another has its name.
-
-        """
+        """Add a link or a joint; raise MechanismError where another has its name."""
         section = self.links if isinstance(record, Link) else self.joints
         if record.name in section:
             raise MechanismError(
@@ -218,10 +210,7 @@ class Model:
         """
         Return the link and the pose on it of a frame, or of a link, by its name.
 
-        Raises
-        ------
-        MechanismError
-            Where there is neither.
+        Raises MechanismError where there is neither.
 
         """
         if name in self.frames:
@@ -240,14 +229,7 @@ class Model:
             for what, count in counts.items()})
 
     def check(self):
-        """
-        Refuse joints of links that do not exist, and of unknown types.
-
-        Raises
-        ------
-        MechanismError
-
-        """
+        """Raise MechanismError for joints of links that do not exist, and of unknown types."""
         for joint in self.joints.values():
             for link in (joint.parent, joint.child):
                 if link not in self.links and link != GROUND:

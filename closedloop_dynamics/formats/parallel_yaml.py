@@ -42,17 +42,9 @@ TYPES = ('SPHERICAL', 'FIXED', *(
 
 def add_parallel_yaml(model):
     """
-    Add the loops of a YAML file of the same name, if there is one.
+    Add the loops of a YAML file beside a URDF file, if there is one of its name, to its model.
 
-    Parameters
-    ----------
-    model : Model
-        Of a URDF file; changed in place.
-
-    Raises
-    ------
-    MechanismError
-        With file, line and key.
+    Raises MechanismError with file, line and key.
 
     """
     path = model.path.with_suffix('.yaml')

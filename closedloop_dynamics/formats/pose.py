@@ -65,19 +65,7 @@ def about(axis, angle):
 
 
 def of_angles(angles):
-    """
-    Return the rotation of turns about the fixed axes x, y and z, one after the other.
-
-    Parameters
-    ----------
-    angles : sequence of 3 floats
-        Roll, pitch and yaw [rad].
-
-    Returns
-    -------
-    ndarray, shape (3, 3)
-
-    """
+    """Return the rotation (3, 3) of turns about the fixed axes x, y, z in this order [rad]."""
     (sr, cr), (sp, cp), (sy, cy) = ((math.sin(angle), math.cos(angle)) for angle in angles)
     return np.array([
         [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
@@ -87,17 +75,9 @@ def of_angles(angles):
 
 def angles_of(matrix):
     """
-    Return roll, pitch and yaw of a rotation.
+    Return roll, pitch and yaw of a rotation, shape (3, 3).
 
-    Parameters
-    ----------
-    matrix : ndarray, shape (3, 3)
-        A rotation.
-
-    Returns
-    -------
-    tuple of 3 floats
-        Turns about the fixed axes x, y and z, one after the other [rad].
+    They are turns about the fixed axes x, y and z, one after the other [rad].
 
     """
     (xx, xy, _), (yx, yy, _), (zx, zy, zz) = matrix.tolist()
@@ -110,19 +90,7 @@ def angles_of(matrix):
 
 
 def of_quaternion(quaternion):
-    """
-    Return the rotation of a quaternion, which need not have the norm 1 exactly.
-
-    Parameters
-    ----------
-    quaternion : sequence of 4 floats
-        x, y, z, w.
-
-    Returns
-    -------
-    ndarray, shape (3, 3)
-
-    """
+    """Return the rotation, shape (3, 3), of a quaternion x, y, z, w of about norm 1."""
     x, y, z, w = np.asarray(quaternion, dtype=float) / np.linalg.norm(quaternion)
     return np.array([
         [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)],
@@ -131,20 +99,7 @@ def of_quaternion(quaternion):
 
 
 def quaternion_of(matrix):
-    """
-    Return the unit quaternion of a rotation, w not negative.
-
-    Parameters
-    ----------
-    matrix : ndarray, shape (3, 3)
-        A rotation.
-
-    Returns
-    -------
-    tuple of 4 floats
-        x, y, z, w.
-
-    """
+    """Return the unit quaternion x, y, z, w of a rotation, shape (3, 3); w is not negative."""
     # q q^T, of which the column with the largest diagonal entry tells q best.
     (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = matrix
     outer = 0.25 * np.array([

@@ -55,21 +55,9 @@ REASONS = {
 
 def read_sdf(path):
     """
-    Read an SDF file.
+    Return the Model in an SDF file with one model, which may stand in a world.
 
-    Parameters
-    ----------
-    path : str or pathlib.Path
-        Of the file, with one model, which may stand in a world.
-
-    Returns
-    -------
-    Model
-
-    Raises
-    ------
-    MechanismError
-        With file, line and element.
+    Raises MechanismError with file, line and element.
 
     """
     path = Path(path)

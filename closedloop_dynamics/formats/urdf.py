@@ -52,21 +52,9 @@ REASONS = {
 
 def read_urdf(path):
     """
-    Read a URDF file.
+    Return the Model in a URDF file; one that ends with .xacro goes through xacro first.
 
-    Parameters
-    ----------
-    path : str or pathlib.Path
-        Of the file; one that ends with .xacro goes through xacro first.
-
-    Returns
-    -------
-    Model
-
-    Raises
-    ------
-    MechanismError
-        With file, line and element.
+    Raises MechanismError with file, line and element.
 
     """
     path = Path(path)

@@ -141,15 +141,7 @@ class Element:
         return vector / length
 
     def unasked(self, found=None):
-        """
-        Count the tags and attributes that nobody asked for.
-
-        Returns
-        -------
-        dict of str to int
-            By tag, or by tag and attribute.
-
-        """
+        """Count the tags and attributes that nobody asked for, by tag, or by tag and attribute."""
         found = Counter() if found is None else found
         found.update(f'{self.tag}@{key}' for key in self.attributes
                      if key not in self._asked and not key.startswith('xmlns'))

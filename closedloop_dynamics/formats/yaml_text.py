@@ -26,19 +26,9 @@ LONGEST_LINE = 110
 
 def mechanism_text(mechanism, notes=()):
     """
-    Return a mechanism as a file of our own.
+    Return a mechanism as a file of our own, with comments above it.
 
-    Parameters
-    ----------
-    mechanism : Mechanism
-        Any.
-    notes : sequence of str
-        Comments above it.
-
-    Returns
-    -------
-    str
-        YAML; what ``mechanism.reader`` makes of it is the mechanism again, to the last digit.
+    What ``mechanism.reader`` makes of it is the mechanism again, to the last digit.
 
     """
     parts = [*(f'# {note}' for note in notes), f'name: {mechanism.name}']
@@ -59,21 +49,10 @@ def mechanism_text(mechanism, notes=()):
 
 def scene_text(imported, q, mechanism_path):
     """
-    Return a scene of a model: where it starts, and what acts on it.
+    Return a scene of an ``Imported`` model as YAML: where it starts, and what acts on it.
 
-    Parameters
-    ----------
-    imported : building.Imported
-        What was read.
-    q : ndarray, shape (nq,)
-        Coordinates at the start.
-    mechanism_path : str
-        Of the mechanism's file, as the scene names it.
-
-    Returns
-    -------
-    str
-        YAML.
+    ``q``, shape (nq,), are the coordinates at the start; ``mechanism_path`` is the mechanism's
+    file as the scene names it.
 
     """
     mechanism = imported.mechanism

@@ -130,15 +130,7 @@ class McapFile:
             raise self._stream.failure
 
     def finish(self, metadata):
-        """
-        Write what waits, then the index.
-
-        Parameters
-        ----------
-        metadata : callable
-            Returns the text of the bag's metadata, from what is in the file by then.
-
-        """
+        """Write what waits, then the index; ``metadata()`` returns the text that goes with it."""
         try:
             if self._stream.broken:
                 raise self._stream.failure

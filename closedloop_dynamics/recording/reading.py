@@ -170,17 +170,9 @@ class Bag:
 
     def messages(self, wanted=None):
         """
-        Yield topic name, time of reception [ns] and message, decoded.
+        Yield topic name, time of reception [ns] and message, decoded, where ``wanted(name)``.
 
-        Parameters
-        ----------
-        wanted : callable, optional
-            Takes a topic's name; whether its messages are to be decoded.
-
-        Raises
-        ------
-        BagReadError
-            Where the definition of a type cannot be read.
+        Raises BagReadError where the definition of a type cannot be read.
 
         """
         for message in self.serialised():
@@ -211,17 +203,10 @@ class Bag:
 
 def define(store, topic):
     """
-    Make a type store know the type of a topic, by the definition in the bag.
+    Make a type store know the type of a topic, by the definition in the bag; return its hash.
 
-    Returns
-    -------
-    str
-        The hash of the type.
-
-    Raises
-    ------
-    Exception
-        Of many kinds, where the definition is damaged or of another type than its hash.
+    Raises exceptions of many kinds where the definition is damaged or of another type than its
+    hash.
 
     """
     if topic.type not in store.fielddefs:

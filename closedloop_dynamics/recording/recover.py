@@ -28,17 +28,8 @@ def recover(path, output):
     """
     Copy the sound part of a bag into a new one, with index and metadata.
 
-    Returns
-    -------
-    counts : dict of str to int
-        Messages copied by topic.
-    bag : Bag
-        The old one, with its ``damages``.
-
-    Raises
-    ------
-    OSError
-        If there is no bag, or the new one cannot be written.
+    Returns the numbers of messages copied, by topic, and the old Bag with its ``damages``. Raises
+    OSError if there is no bag, or the new one cannot be written.
 
     """
     bag = Bag(path)

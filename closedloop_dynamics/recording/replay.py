@@ -57,12 +57,9 @@ class Replay:
 
     def deviation(self, quantity):
         """
-        Return recorded minus re-simulated values.
+        Return recorded minus re-simulated values of a quantity.
 
-        Returns
-        -------
-        ndarray
-            NaN where nothing was recorded, or too little is known to compare.
+        They are NaN where nothing was recorded, or too little is known to compare.
 
         """
         return getattr(self.recorded, quantity) - getattr(self.simulated, quantity)
@@ -83,19 +80,9 @@ class Replay:
 
 def replay(recording, progress=lambda time: None):
     """
-    Simulate a recording again, from its commands, twice: to compare, and to see what grows.
+    Simulate a recording with its scene again, twice: to compare, and to see what grows.
 
-    Parameters
-    ----------
-    recording : recording.Recording
-        With its scene.
-    progress : callable
-        Told how many states are done.
-
-    Raises
-    ------
-    SimulationError
-        Where the re-simulation fails.
+    ``progress`` is told how many states are done. Raises SimulationError where that fails.
 
     """
     kind = _Stamped if recording.log is None else _Logged

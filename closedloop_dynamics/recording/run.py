@@ -117,16 +117,9 @@ def columns(simulation, all_forces=False):
 
 def row(simulation, seconds, all_forces=False):
     """
-    Return the present state as numbers.
+    Return the present state as numbers; ``seconds`` is the time to write.
 
-    Parameters
-    ----------
-    simulation : Simulation
-        Read, not advanced.
-    seconds : float
-        The time to write [s].
-    all_forces : bool
-        Those in the joints of the trees, too, beside those at the cut joints.
+    ``all_forces``: those in the joints of the trees, too, beside those at the cut joints.
 
     """
     values = [seconds]

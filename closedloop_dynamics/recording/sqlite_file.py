@@ -114,15 +114,7 @@ class SqliteFile:
         self._committed = self.counts.copy(), self.span
 
     def finish(self, metadata):
-        """
-        Commit and close.
-
-        Parameters
-        ----------
-        metadata : callable
-            Returns the text of the bag's metadata, from what is in the file by then.
-
-        """
+        """Commit and close; ``metadata()`` returns the text of what is in the file by then."""
         try:
             self.flush()
             self._do(self._database.execute,

@@ -72,15 +72,7 @@ class BagFiles:
         return {topic.name: counts[channel] for channel, topic in enumerate(self._topics, 1)}
 
     def add_topic(self, topic):
-        """
-        Make a topic known.
-
-        Returns
-        -------
-        int
-            What ``write`` wants to know.
-
-        """
+        """Make a topic known; return what ``write`` wants to know of it, a whole number."""
         self._topics.append(topic)
         self._file.add_channel(len(self._topics), topic)
         return len(self._topics)

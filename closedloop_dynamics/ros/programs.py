@@ -196,24 +196,10 @@ class Programs:
 
     def start(self, executable, namespace=None, arguments=(), remap=(), **parameters):
         """
-        Start an executable.
+        Start an executable, by its name as given to ``ros2 run``; return its Program.
 
-        Parameters
-        ----------
-        executable : str
-            Its name, as given to ``ros2 run``.
-        namespace : str, optional
-            Of the node.
-        arguments : sequence of str
-            Given as they are, before the other ROS arguments.
-        remap : sequence of str
-            ``FROM:=TO``.
-        **parameters
-            ROS ones, with values as one writes them in YAML.
-
-        Returns
-        -------
-        Program
+        ``arguments`` come before the other ROS arguments; ``remap`` are rules ``FROM:=TO``; the
+        parameters have values as one writes them in YAML.
 
         """
         command = [*arguments, '--ros-args']

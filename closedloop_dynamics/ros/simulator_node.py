@@ -523,12 +523,7 @@ class SimulatorNode(Node):
         """
         Log a warning, one of each kind per ``pacing.MESSAGE_PERIOD``.
 
-        Parameters
-        ----------
-        kind : str
-            Of message: ``'rejected'``, ``'motion'``, ``'wrench'``, ``'lost'`` or ``'refused'``.
-        message : str
-            What to say.
+        Kinds are ``'rejected'``, ``'motion'``, ``'wrench'``, ``'lost'`` and ``'refused'``.
 
         """
         throttle = self._throttles[kind]

@@ -65,11 +65,8 @@ def default_lines():
     """
     Return what there is to choose from, one thing varied at a time.
 
-    Returns
-    -------
-    list of Line
-        Every integrator with full projection; RK4 with every stabilisation; RK4 in every
-        formulation.
+    That is every integrator with full projection, and RK4 with every stabilisation and
+    formulation.
 
     """
     lines = [Line(integrator) for integrator in INTEGRATORS]
@@ -100,16 +97,9 @@ class Setting:
 
 def settings(line, interval, quick=False):
     """
-    Return the settings of a line, from coarse to fine.
+    Return the settings of a line, from coarse to fine, with ``quick`` fewer of them.
 
-    Parameters
-    ----------
-    line : Line
-        What they have in common.
-    interval : float
-        Time between two outputs [s].
-    quick : bool
-        Fewer of them.
+    ``interval`` is the time between two outputs [s].
 
     """
     if line.adaptive:

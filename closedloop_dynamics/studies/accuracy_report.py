@@ -68,17 +68,7 @@ def _cells(row):
 
 
 def write(study, csv_path, picture_path):
-    """
-    Write the rows and the work-precision diagram.
-
-    Parameters
-    ----------
-    study : Study
-        Of ``accuracy.study_accuracy``.
-    csv_path, picture_path : pathlib.Path
-        Replaced if they exist.
-
-    """
+    """Write the rows of a study and its diagram; both files are replaced if they exist."""
     write_csv(csv_path, CSV_HEADER, [_csv_row(row) for row in study.rows])
     work_precision(study, title(study)).savefig(picture_path)
 

@@ -39,19 +39,9 @@ MOST_LISTED = 12
 
 def describe(scene_or_mechanism, simulation=None):
     """
-    Describe a scene or a mechanism: what ``closedloop check`` prints.
+    Describe a Scene or a Mechanism in paragraphs: what ``closedloop check`` prints.
 
-    Parameters
-    ----------
-    scene_or_mechanism : Scene or Mechanism
-        What was read.
-    simulation : Simulation, optional
-        Of the scene, at its start: shown beside what the scene says.
-
-    Returns
-    -------
-    str
-        Paragraphs with headings and tables, without a final newline.
+    With a simulation of the scene, at its start, that is shown beside what the scene says.
 
     """
     if isinstance(scene_or_mechanism, Mechanism):
@@ -60,20 +50,7 @@ def describe(scene_or_mechanism, simulation=None):
 
 
 def describe_model(imported):
-    """
-    Describe a model in another format: the mechanism that it became, and how its loops close.
-
-    Parameters
-    ----------
-    imported : formats.building.Imported
-        What was read.
-
-    Returns
-    -------
-    str
-        Paragraphs with headings and tables, without a final newline.
-
-    """
+    """Describe a model in another format, an ``Imported``: mechanism, and how its loops close."""
     mechanism = imported.mechanism
     found, notes = assembled(imported)
     return '\n\n'.join([

@@ -77,18 +77,8 @@ def refined(row, column, value, right):
     """
     Solve sparse equations by LU factors in double, residuals in extended precision.
 
-    Parameters
-    ----------
-    row, column : sequence of int
-        Places of the entries.
-    value : ndarray of longdouble
-        The entries.
-    right : ndarray of longdouble, shape (n,)
-        Right-hand side.
-
-    Returns
-    -------
-    ndarray of longdouble, shape (n,)
+    ``row`` and ``column`` are the places of the entries ``value``, longdouble; ``right``,
+    longdouble, has shape (n,), as the solution that is returned.
 
     """
     row, column = np.array(row), np.array(column)

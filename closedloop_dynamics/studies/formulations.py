@@ -80,16 +80,9 @@ class Row:
 @compiled
 def evaluate_again(system, q, qd, count):
     """
-    Evaluate a state again and again, to be timed without the call from Python.
+    Evaluate a state ``count`` times, to be timed without the call from Python.
 
-    Parameters
-    ----------
-    system : System
-        Holds the result.
-    q, qd : ndarray, shape (nv,)
-        Coordinates and rates.
-    count : int
-        How often.
+    ``system`` holds the result; ``q`` and ``qd`` have shape (nv,).
 
     """
     for _ in range(count):
@@ -123,16 +116,10 @@ def scene_case(name):
 
 def study_formulations(largest=max(SIZES), quick=False, progress=lambda done, total: None):
     """
-    Measure time and rounding error of all formulations on growing mechanisms.
+    Measure time and rounding error of all formulations on growing mechanisms; return the rows.
 
-    Parameters
-    ----------
-    largest : int
-        No larger ladders and chains than this.
-    quick : bool
-        Fewer and smaller ones.
-    progress : callable
-        Called with the number of parts done and of all parts.
+    ``largest`` limits ladders and chains; ``quick`` takes fewer and smaller ones; ``progress`` is
+    told the number of parts done and of all parts.
 
     """
     cases = [lambda name=name: scene_case(name) for name in SCENES]
@@ -201,15 +188,7 @@ def _relative(value, reference):
 
 
 def exponent(rows):
-    """
-    Fit the exponent of growth over the largest tenfold of sizes.
-
-    Returns
-    -------
-    float
-        NaN where there are fewer than two sizes.
-
-    """
+    """Return the exponent of growth over the largest tenfold of sizes; NaN for fewer than two."""
     rows = [row for row in rows if not math.isnan(row.time)]
     rows = [row for row in rows if row.size >= 0.1 * max(other.size for other in rows)]
     if len(rows) < 2:

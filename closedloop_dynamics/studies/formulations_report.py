@@ -53,17 +53,7 @@ def growth_text(rows):
 
 
 def write(rows, csv_path, picture_path):
-    """
-    Write the rows and the picture.
-
-    Parameters
-    ----------
-    rows : list of formulations.Row
-        Of ``formulations.study_formulations``.
-    csv_path, picture_path : pathlib.Path
-        Replaced if they exist.
-
-    """
+    """Write the rows of a study and its picture; both files are replaced if they exist."""
     write_csv(csv_path, CSV_HEADER, [
         (row.family, row.size, row.joints, row.equations, row.formulation, row.time,
          row.acceleration_error, row.force_error) for row in rows])

@@ -346,15 +346,7 @@ def _spinning(rate, step_size, steps, quick_steps):
 
 
 def light_cart(mass=1e-6):
-    """
-    Return a light cart on a rail, and a pendulum of 1 kg on 1 m, nearly upright.
-
-    Parameters
-    ----------
-    mass : float
-        Of the cart [kg].
-
-    """
+    """Return a cart of a mass [kg] on a rail, and a pendulum of 1 kg on 1 m, nearly upright."""
     bodies = (Body('cart', mass, (0.0, 0.0), 0.0), Body('pendulum', 1.0, (1.0, 0.0), 0.0))
     joints = (Joint('rail', PRISMATIC, 'ground', 'cart', (0.0, 0.0), 0.0),
               hinge('pivot', 'cart', 'pendulum'))

@@ -44,23 +44,11 @@ TOO_SLOW = {('flat, 40 loops', 'rodas4'), ('1000 loops', 'rodas4')}
 
 def study_stability(quick=False, cases=CASES, methods=METHODS, progress=lambda done, total: None):
     """
-    Run the suite.
+    Run cases, the rows of the atlas, with methods, its columns, by name; return the outcomes.
 
-    Parameters
-    ----------
-    quick : bool
-        Fewer trials and shorter runs for the default method, too; the others always have those.
-    cases : sequence of Case
-        Rows of the atlas.
-    methods : dict of str to Method
-        Columns of the atlas.
-    progress : callable
-        Told how many cells of how many are done.
-
-    Returns
-    -------
-    dict of (str, str) to Outcome
-        By the names of case and method.
+    The outcomes are by the names of case and method. ``quick``: fewer trials and shorter runs for
+    the default method, too; the others always have those. ``progress`` is told how many cells of
+    how many are done.
 
     """
     atlas, total = {}, len(cases) * len(methods)

@@ -133,13 +133,9 @@ def _alone(job, source, row, torques, wanted):
 
 def summary(job, values):
     """
-    Return the variables of one sample: what is kept, how it ends, its peaks.
+    Return the variables of one sample, arrays by name: what is kept, how it ends, its peaks.
 
-    ``values``: dict of str to ndarray, shape (instants, ...); all that is summarised.
-
-    Returns
-    -------
-    dict of str to ndarray
+    ``values``: arrays of shape (instants, ...) by name; all that is summarised.
 
     """
     wrenches = values['constraint_forces']

@@ -71,27 +71,13 @@ class Random:
     random = True
 
     def draws(self, count, seed):
-        """
-        Draw.
-
-        Returns
-        -------
-        ndarray, shape (count,)
-
-        """
+        """Draw so many numbers, shape (count,)."""
         rng = np.random.default_rng([seed, crc32(self.key.encode())])
         return DISTRIBUTIONS[self.distribution][1](rng, self.first, self.second, count)
 
 
 def parse(text):
-    """
-    Read ``KEY=...``.
-
-    Raises
-    ------
-    FieldError
-
-    """
+    """Read ``KEY=...``; raise FieldError where that makes no sense."""
     key, equals, what = text.partition('=')
     if not (key and equals):
         raise FieldError(f'KEY=VALUES, where VALUES is one of {FORMS}', repr(text),
@@ -100,14 +86,7 @@ def parse(text):
 
 
 def variation(key, what):
-    """
-    Return what varies one key.
-
-    Raises
-    ------
-    FieldError
-
-    """
+    """Return what varies one key; raise FieldError where that makes no sense."""
     with at(key):
         if not isinstance(what, str):
             values = np.atleast_1d(np.asarray(what, dtype=float))
@@ -302,24 +281,9 @@ class Plan:
 
 def combined(torque, torques, scene):
     """
-    Return constant torques by joint, or sequences of them, as an array.
+    Return constant torques by actuated joint, or sequences of them, as an array; None: neither.
 
-    Parameters
-    ----------
-    torque : mapping of str to float
-        By actuated joint; may be empty.
-    torques : array_like or None
-        Sequences.
-    scene : Scene
-        What they act on.
-
-    Returns
-    -------
-    ndarray or None
-
-    Raises
-    ------
-    FieldError
+    Raises FieldError for both, and for joints that are not actuated.
 
     """
     if torques is not None:

@@ -157,10 +157,7 @@ def batch_size(layout):
     """
     Return how many samples are computed and written at once.
 
-    Returns
-    -------
-    int
-        The same for the same sweep, wherever it runs.
+    It is the same for the same sweep, wherever it runs.
 
     """
     most = MOST_BATCH_BYTES // layout.bytes_per_sample()

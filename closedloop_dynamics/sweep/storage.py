@@ -335,14 +335,9 @@ class Storage:
 
 def checked_path(path):
     """
-    Return a path of results, or refuse an unknown ending.
+    Return a path of results.
 
-    Raises
-    ------
-    FieldError
-        For an unknown ending.
-    StorageError
-        Where the library of the kind is not installed.
+    Raises FieldError for an unknown ending, StorageError where its library is not installed.
 
     """
     path = Path(path)

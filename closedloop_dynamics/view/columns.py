@@ -130,19 +130,7 @@ def motion_columns(mechanism):
 
 
 def motion_rows(motion):
-    """
-    Return the rows of a recording or of topics.
-
-    Parameters
-    ----------
-    motion : visual.motion.Motion
-        Of n instants.
-
-    Returns
-    -------
-    ndarray of float32, shape (n, width)
-
-    """
+    """Return the rows of a recording or of topics, a Motion: float32, shape (instants, width)."""
     names, count = motion.mechanism.coordinates, len(motion.time)
     poses = poses_in_space(body_poses(motion.mechanism, motion.position))
     return np.hstack([
@@ -207,11 +195,9 @@ class SimulationRows:
 
     def look(self):
         """
-        Look at what is asked rarely, as it takes long: errors, cost, what a singularity frees.
+        Look at what takes long, and so is asked rarely: errors, cost, what a singularity frees.
 
-        Returns
-        -------
-        monitor.RunReport
+        Returns the simulation's ``RunReport``.
 
         """
         simulation = self._simulation
@@ -262,14 +248,7 @@ class SimulationRows:
         return float(np.ptp(places, axis=0).max()) or 1.0
 
     def row(self):
-        """
-        Return the present state.
-
-        Returns
-        -------
-        ndarray of float32, shape (width,)
-
-        """
+        """Return the present state, float32, shape (width,)."""
         simulation = self._simulation
         forces = simulation.constraint_forces
         poses = poses_in_space(simulation.body_poses)

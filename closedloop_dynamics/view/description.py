@@ -116,23 +116,10 @@ def describe(mechanism, columns, effects=None, **more):
 
 def described_drive(mechanism, name, position, torque):
     """
-    Describe what drives a joint, for ``describe``.
+    Describe what drives a joint, as JSON can, for ``describe``.
 
-    Parameters
-    ----------
-    mechanism : mechanism.mechanism.Mechanism
-        Of the joint.
-    name : str
-        Of the joint.
-    position : ndarray, shape (nq,)
-        Coordinates about which its slider reaches [rad or m].
-    torque : float
-        That its slider reaches [N m or N].
-
-    Returns
-    -------
-    dict
-        As JSON can.
+    ``position``, shape (nq,) [rad or m], has what its slider reaches about, ``torque`` [N m or N]
+    is what the other one reaches.
 
     """
     names = mechanism.coordinates
@@ -145,19 +132,9 @@ def described_drive(mechanism, name, position, torque):
 
 def grabs(mechanism, body):
     """
-    Return the places by which a body can be taken hold of.
+    Return the places by which a Body can be taken hold of, shape (n, 3), in its frame [m].
 
-    Parameters
-    ----------
-    mechanism : mechanism.mechanism.Mechanism
-        Of the body.
-    body : mechanism.mechanism.Body
-        Which.
-
-    Returns
-    -------
-    ndarray, shape (n, 3)
-        Its joints, cut joints and named points, and its centre of mass, in its frame [m].
+    They are its joints, cut joints and named points, and its centre of mass.
 
     """
     places = np.vstack([marked_points(mechanism, body.name), body.center_of_mass])

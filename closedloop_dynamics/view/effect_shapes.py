@@ -125,10 +125,8 @@ def rings_of(contact):
     """
     Return lines of the plane, sphere or cylinder of a body contact about its point [m].
 
-    Returns
-    -------
-    list of ndarrays, shape (n, 3)
-        How large a plane is, and how long a cylinder, is not told: they are drawn short.
+    They are arrays of shape (n, 3). How large a plane is, and how long a cylinder, is not told:
+    they are drawn short.
 
     """
     if contact.shape == 'sphere':
@@ -159,21 +157,10 @@ def normal_in_space(contact, place):
 
 def normal_of(contact, outline, place):
     """
-    Return the direction in which a body contact pushes its roller.
+    Return the direction in which a body contact pushes its roller, shape (2,), in the other body.
 
-    Parameters
-    ----------
-    contact : BodyContact
-        Any.
-    outline : ndarray, shape (n, 2)
-        By ``outline_of``.
-    place : ndarray, shape (2,)
-        Of the roller's centre from the other point on, in the other body's axes [m].
-
-    Returns
-    -------
-    ndarray, shape (2,)
-        Of length one, in the other body's axes.
+    ``outline`` is by ``outline_of``; ``place``, shape (2,), is the roller's centre from the other
+    point on [m]. Both are along the other body's axes.
 
     """
     if contact.shape == 'line':

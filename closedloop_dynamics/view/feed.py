@@ -71,17 +71,7 @@ class Feed:
     # The computing side.
 
     def show(self, time, row):
-        """
-        Let the pages show a row.
-
-        Parameters
-        ----------
-        time : float
-            Of the motion [s].
-        row : ndarray of float32
-            As the description says.
-
-        """
+        """Let the pages show a row, float32, as described, of a time of the motion [s]."""
         with self._lock:
             self.number = (self.number + 1) % 2 ** 32
             self.frame = HEADER.pack(self.number, time) + row.tobytes()
@@ -131,19 +121,9 @@ class Feed:
 
     def take(self, page, text):
         """
-        Check what a page asks for, and hand it over.
+        Check what a page, told by its identity, asks for, and hand it over.
 
-        Parameters
-        ----------
-        page : object
-            Which one, by identity.
-        text : str or bytes
-            What it sent.
-
-        Returns
-        -------
-        int or None
-            The number of the frame that it has got to, where that is what it says.
+        Returns the number of the frame that it has got to, where that is what it says, or None.
 
         """
         try:

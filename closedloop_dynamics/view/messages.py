@@ -127,21 +127,9 @@ def require_kinematic(kinematic):
 
 def read(text):
     """
-    Read what a page asks for.
+    Return what a page asks for: JSON with what to do under ``do``, and the keys of that.
 
-    Parameters
-    ----------
-    text : str
-        JSON: what to do under ``do``, and its keys.
-
-    Returns
-    -------
-    dict
-
-    Raises
-    ------
-    FieldError
-        Where it makes no sense.
+    Raises FieldError where it makes no sense.
 
     """
     try:

@@ -25,19 +25,9 @@ PARTS = ('algebra.js', 'scene.js', 'plots.js', 'panels.js', 'page.js')
 
 def live_page(title, others=()):
     """
-    Return a page that shows the messages of its server.
+    Return a page, HTML, that shows the messages of its server.
 
-    Parameters
-    ----------
-    title : str
-        Of the page.
-    others : sequence of str
-        Titles of all pages of the server, this one among them, where there are several.
-
-    Returns
-    -------
-    str
-        HTML.
+    ``others``: titles of all pages of the server, this one among them, where there are several.
 
     """
     return _page(title, {'pages': list(others)})
@@ -45,23 +35,10 @@ def live_page(title, others=()):
 
 def recorded_page(title, description, times, rows):
     """
-    Return a page that has a motion in it and needs nothing else.
+    Return a page, HTML, that has a motion in it and needs nothing else.
 
-    Parameters
-    ----------
-    title : str
-        Of the page.
-    description : dict
-        Of the mechanism and the rows, by ``description.describe``.
-    times : ndarray, shape (n,)
-        [s], not falling.
-    rows : ndarray of float32, shape (n, width)
-        As the description says.
-
-    Returns
-    -------
-    str
-        HTML.
+    ``description`` is by ``description.describe``; ``times``, shape (n,) [s], do not fall;
+    ``rows``, float32, shape (n, width), are as the description says.
 
     """
     return _page(title, {

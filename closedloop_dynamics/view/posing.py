@@ -30,17 +30,9 @@ NEAR = 1e-9
 
 def felt_inertia(simulation):
     """
-    Return the inertia that a drive of each freedom feels in the present position.
+    Return the inertia that a drive of each freedom feels in the present position, shape (nv,).
 
-    Parameters
-    ----------
-    simulation : simulation.simulation.Simulation
-        Read.
-
-    Returns
-    -------
-    ndarray, shape (nv,)
-        [kg m^2, kg]; infinite where the loops prevent the motion.
+    It is in kg m^2 or kg; infinite where the loops prevent the motion.
 
     """
     free = _free(simulation)
@@ -54,19 +46,10 @@ def felt_inertia(simulation):
 
 def felt_mass(simulation, name):
     """
-    Return the mass that who pulls a point feels in the present position, all joints free.
+    Return the mass that who pulls a named point feels in the present position, all joints free.
 
-    Parameters
-    ----------
-    simulation : simulation.simulation.Simulation
-        Read.
-    name : str
-        Of a named point.
-
-    Returns
-    -------
-    ndarray, shape (2, 2), in space (3, 3)
-        Symmetric [kg]; zero where the loops hold the point in all directions.
+    It is a symmetric matrix of shape (2, 2), in space (3, 3) [kg]; zero where the loops hold the
+    point in all directions.
 
     """
     free = _free(simulation)
@@ -96,21 +79,10 @@ def _free(simulation):
 
 def point_to(simulation, name, place):
     """
-    Move to the state in which a point is as near to a place as small motions of it lead.
+    Move to the state, at rest, in which a point is as near to a place as small moves lead.
 
-    Parameters
-    ----------
-    simulation : simulation.simulation.Simulation
-        Gets another state, at rest.
-    name : str
-        Of a named point.
-    place : sequence of 3 floats
-        In the world [m]; in the plane the third one does not count.
-
-    Raises
-    ------
-    AssemblyError
-        Where the loops cannot be closed there; the last state that could be is kept.
+    ``place`` is in the world, three numbers [m]; in the plane the third one does not count. Raises
+    AssemblyError where the loops cannot be closed there; the last state that could be is kept.
 
     """
     def goal(free):
@@ -122,21 +94,11 @@ def point_to(simulation, name, place):
 
 def joint_to(simulation, name, value):
     """
-    Move to the state in which a joint has a value, the driven joints otherwise as they are.
+    Move to the state, at rest, in which a joint has a value [rad or m].
 
-    Parameters
-    ----------
-    simulation : simulation.simulation.Simulation
-        Gets another state, at rest.
-    name : str
-        Of the joint.
-    value : float
-        [rad or m].
+    The other driven joints stay as they are.
 
-    Raises
-    ------
-    AssemblyError
-        As for ``point_to``.
+    Raises AssemblyError as ``point_to`` does.
 
     """
     names = simulation.coordinates

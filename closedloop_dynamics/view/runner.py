@@ -233,15 +233,7 @@ class Runner:
     # The loop.
 
     def run(self, keep_going=lambda: True):
-        """
-        Run until asked to end, with a frame every sixtieth of a second.
-
-        Parameters
-        ----------
-        keep_going : callable
-            Asked for every frame.
-
-        """
+        """Run with a frame every sixtieth of a second, as long as ``keep_going()``."""
         due = self._clock()
         while keep_going():
             self.tick()

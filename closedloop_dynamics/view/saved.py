@@ -22,29 +22,11 @@ from ..recording.run import Report, run
 
 def simulated(simulation, duration, rate, torque, progress=lambda time: None):
     """
-    Simulate under constant torques, with a row at every multiple of ``1 / rate``.
+    Simulate from time zero under constant torques, by actuated joint [N m or N]; all rows of it.
 
-    Parameters
-    ----------
-    simulation : simulation.simulation.Simulation
-        At time zero.
-    duration, rate : float
-        [s], [Hz].
-    torque : mapping
-        By actuated joint [N m or N].
-    progress : callable
-        Told the time of every row [s].
-
-    Returns
-    -------
-    columns : columns.Columns
-    times : list of float
-        [s].
-    rows : list of ndarray
-
-    Raises
-    ------
-    SimulationError
+    ``duration`` is in s, ``rate`` in Hz: there is a row at every multiple of its inverse, whose
+    time ``progress`` is told. Returns Columns, times [s] and rows, both lists. Raises
+    SimulationError.
 
     """
     shown = SimulationRows(simulation)

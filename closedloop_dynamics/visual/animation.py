@@ -58,21 +58,10 @@ class AnimationError(OSError):
 
 def frame_times(motion, rate, speed):
     """
-    Return the times of the motion that the frames show.
+    Return the times of the motion that the frames show [s], at least one.
 
-    Parameters
-    ----------
-    motion : Motion
-        What is shown, from its first to its last instant.
-    rate : float
-        Frames per second of the animation [Hz].
-    speed : float
-        Seconds of motion per second of the animation.
-
-    Returns
-    -------
-    ndarray
-        [s], at least one.
+    ``rate`` is in frames per second of the animation [Hz], ``speed`` in seconds of motion per
+    second.
 
     """
     first, last = motion.time[0], motion.time[-1]
@@ -245,15 +234,7 @@ class Animation:
         return len(self._frame_times)
 
     def show(self, index):
-        """
-        Draw a frame.
-
-        Parameters
-        ----------
-        index : int
-            From 0.
-
-        """
+        """Draw a frame, counted from 0."""
         begin(self.canvas)
         draw(self.canvas, self._shapes, self._vertices[index], self._orders[index])
         if len(self._path):
@@ -265,17 +246,9 @@ class Animation:
 
     def frame(self, index):
         """
-        Draw a frame and return it.
+        Draw a frame and return it, uint8, shape (height, width, 4).
 
-        Parameters
-        ----------
-        index : int
-            From 0.
-
-        Returns
-        -------
-        ndarray of uint8, shape (height, width, 4)
-            Red, green, blue, opacity; overwritten by the next one.
+        It is red, green, blue and opacity, overwritten by the next one.
 
         """
         self.show(index)
@@ -377,14 +350,7 @@ class Animation:
 
 
 def require_writable(path):
-    """
-    Refuse at once a file that could not be written.
-
-    Raises
-    ------
-    AnimationError
-
-    """
+    """Raise AnimationError at once for a file that could not be written."""
     if path.suffix.lower() not in ('.gif', '.mp4'):
         raise AnimationError(f'{path}: expected a name that ends in .gif or .mp4')
     if path.suffix.lower() == '.mp4' and shutil.which('ffmpeg') is None:
@@ -395,24 +361,10 @@ def require_writable(path):
 
 def write(animation, path, rate, progress=lambda done: None):
     """
-    Write an animation into a file.
+    Write an animation into a ``.gif`` or ``.mp4`` file, which is replaced when all is written.
 
-    Parameters
-    ----------
-    animation : Animation
-        What is written.
-    path : pathlib.Path
-        ``.gif`` or ``.mp4``; replaced, if it exists, when all is written. What ends the writing
-        before leaves nothing.
-    rate : float
-        Frames per second [Hz].
-    progress : callable
-        Told how many frames are done.
-
-    Raises
-    ------
-    OSError
-        Where it cannot be written.
+    What ends the writing before leaves nothing. ``rate`` is in frames per second [Hz];
+    ``progress`` is told how many frames are done. Raises OSError where it cannot be written.
 
     """
     require_writable(path)

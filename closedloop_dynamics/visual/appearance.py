@@ -36,13 +36,10 @@ FLAT = 1e-9
 
 def marked_points(mechanism, body):
     """
-    Return the points that the description gives of a body.
+    Return the points that the description gives of a body, shape (m, 2), in space (m, 3).
 
-    Returns
-    -------
-    ndarray, shape (m, 2), in space (m, 3)
-        Its own joint, the joints and cut joints it carries, its named points, each once, sorted;
-        in the body's frame [m].
+    They are its own joint, the joints and cut joints it carries, its named points, each once,
+    sorted; in the body's frame [m].
 
     """
     points = [np.zeros(len(mechanism.joints[0].position))]
@@ -55,13 +52,10 @@ def marked_points(mechanism, body):
 
 def outline(mechanism, body):
     """
-    Return the corners of a body as the description suggests them.
+    Return the corners of a body as the description suggests them, shape (m, 2), in its frame [m].
 
-    Returns
-    -------
-    ndarray, shape (m, 2)
-        In the body's frame [m]: one point, the two ends of a bar, or the corners of the convex
-        hull of its joints, cut joints and named points, counter-clockwise.
+    They are one point, the two ends of a bar, or the corners of the convex hull of its marked
+    points, counter-clockwise.
 
     """
     return convex_hull(marked_points(mechanism, body))
@@ -132,10 +126,8 @@ def joint_axes(mechanism):
     """
     Return the axes that bodies in space turn about.
 
-    Returns
-    -------
-    list of (str, ndarray, ndarray)
-        A body, and in its frame a place on the axis [m] and its direction, of length one.
+    They are tuples of a body, and in its frame a place on the axis [m] and its direction, of
+    length 1.
 
     """
     found = [(joint.child, np.zeros(3), joint.axis) for joint in mechanism.joints
@@ -146,15 +138,7 @@ def joint_axes(mechanism):
 
 
 def body_colors(mechanism):
-    """
-    Return the colour of every body: that of its subsystem.
-
-    Returns
-    -------
-    dict of str to str
-        ``#RRGGBB`` by the body's name.
-
-    """
+    """Return the colour of every body, that of its subsystem: ``#RRGGBB`` by the body's name."""
     child = {joint.name: joint.child for joint in mechanism.joints}
     return {child[name]: SUBSYSTEM_COLORS[number % len(SUBSYSTEM_COLORS)]
             for number, tree in enumerate(decompose(mechanism).subsystems) for name in tree}

@@ -200,21 +200,11 @@ class MechanismArtist:
 
     def forces(self, index, forces, largest):
         """
-        Draw the constraint forces on body A of every cut joint.
+        Draw the constraint forces on body A of every cut joint; return the arrows.
 
-        Parameters
-        ----------
-        index : int
-            Of the pose.
-        forces : ndarray, shape (number of cut joints, 3), in space (number of cut joints, 6)
-            Moment [N m] and force [N].
-        largest : float
-            The force [N] that gets the longest arrow.
-
-        Returns
-        -------
-        list of matplotlib.text.Annotation
-            An arrow for each cut joint.
+        ``index`` is that of the pose; ``forces`` has shape (number of cut joints, 3), in space
+        (number of cut joints, 6), moment [N m] and force [N]; ``largest`` is the force that gets
+        the longest arrow.
 
         """
         arrows = []
@@ -362,16 +352,8 @@ def draw_ground(axes, mechanism, poses, extent):
     """
     Draw what stands still: pivots as hatched triangles, slides as hatched lines.
 
-    Parameters
-    ----------
-    axes : matplotlib.axes.Axes
-        Where to draw.
-    mechanism : mechanism.mechanism.Mechanism
-        What is drawn.
-    poses : ndarray, shape (n, nb, 3)
-        All that are drawn: a rail is as long as its slider needs it.
-    extent : float
-        Of the picture [m].
+    ``poses``, shape (n, nb, 3), are all that are drawn: a rail is as long as its slider needs it.
+    ``extent`` is that of the picture [m].
 
     """
     for kind, angle, place, body, point in _on_ground(mechanism):

@@ -86,14 +86,9 @@ class Gif:
 
     def add(self, canvas, whole=False):
         """
-        Add a frame.
+        Add a frame: the picture of a ``raster.Canvas``, and what was drawn on.
 
-        Parameters
-        ----------
-        canvas : raster.Canvas
-            With the picture, and what was drawn on.
-        whole : bool
-            Whether everything may have changed: in the first frame.
+        ``whole`` says that everything may have changed, as in the first frame.
 
         """
         find_changes(canvas, self._nearest, whole, self._shown, self._changed, self._box)

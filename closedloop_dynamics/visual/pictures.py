@@ -40,16 +40,8 @@ def joint_motion(motion, title, wanted=None):
     """
     Draw positions, velocities and the efforts of the driven joints over time, a row a joint.
 
-    Orientations are drawn as the components of their quaternions.
-
-    Parameters
-    ----------
-    motion : Motion
-        Recorded or simulated states.
-    title : str
-        Title of the figure.
-    wanted : tuple of 2 ndarrays, shapes (n, nq), (n, nv), optional
-        Positions and velocities that the joints were to have; NaN where nothing was wanted.
+    Orientations are drawn as the components of their quaternions. ``wanted``: positions and
+    velocities that the joints were to have, shape (n, nv), NaN where nothing was wanted; or None.
 
     """
     groups = motion.mechanism.coordinates.groups
@@ -149,18 +141,9 @@ def _spatial_forces(motion, title):
 
 def positions(motion, title, point=None, count=5):
     """
-    Draw the mechanism in several positions, with a point's path and the constraint forces.
+    Draw the mechanism in so many positions, with a point's path and the constraint forces.
 
-    Parameters
-    ----------
-    motion : Motion
-        Recorded or simulated states.
-    title : str
-        Title of the figure.
-    point : str, optional
-        Whose path is drawn; the mechanism's first named point when not given.
-    count : int
-        How many positions.
+    ``point``: whose path is drawn; the mechanism's first named point when not given.
 
     """
     mechanism = motion.mechanism

@@ -54,19 +54,7 @@ def markdown_table(header, rows):
 
 
 def write_csv(path, header, rows):
-    """
-    Write rows with all their digits; empty cells where there is no number.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-        Replaced if it exists.
-    header : sequence of str
-        Names of the columns.
-    rows : iterable of sequences of str and float
-        NaN where there is no number.
-
-    """
+    """Write rows with all their digits into a file, replaced; empty cells for NaN."""
     with open(path, 'w', newline='', encoding='utf-8') as file:
         writer = csv.writer(file)
         writer.writerow(header)
