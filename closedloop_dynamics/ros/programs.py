@@ -119,9 +119,9 @@ class Program:
             time.sleep(LOOK)
         return self
 
-    def wait_until_ready(self, patience=PATIENCE):
+    def wait_until_ready(self):
         """Wait until the node has said that it works."""
-        return self.wait_for(READY[self.executable], patience)
+        return self.wait_for(READY[self.executable])
 
     def send(self, number):
         """Send a signal to this process alone."""

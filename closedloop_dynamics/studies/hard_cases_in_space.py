@@ -21,7 +21,8 @@ import numpy as np
 
 from .hard_machines import started
 from .spinning_bodies import (
-    ACROSS, ALONG, free_body, LEVER, MOMENTS, norm_error, nutation, one_body, SPIN, top, TOP_MASS)
+    ACROSS, ALONG, free_body, LEVER, MOMENTS, norm_error, nutation, one_body, SPIN, top, TOP_MASS,
+    TURNS)
 from ..core.codegen.spatial import rotation
 
 # Of the corner of Bricard's linkage after a second: two independent solvers agree on it [m].
@@ -105,10 +106,10 @@ def _shaken(method, quick):
     return worst
 
 
-def _tight(method, step_size=1e-3, tolerance=1e-11):
+def _tight(method, step_size=1e-3):
     if method.integrator == 'semi_implicit_euler':
         step_size *= 0.1
-    return replace(method, step_size=step_size, tolerance=tolerance, accuracy=1e-8)
+    return replace(method, step_size=step_size, tolerance=1e-11, accuracy=1e-8)
 
 
 # What an error of the norm of a quaternion counts: 1e-15 is accurate.
@@ -120,14 +121,13 @@ def _free_body(method, quick):
     expected, center = free_body(share=0.9), np.array([0.1, -0.2, 0.05])
     start = expected(0.0)
     simulation = one_body(
-        'free', tuple(center), tuple(MOMENTS), velocity={'joint': {
-            'velocity': -np.cross(start, center), 'angular_velocity': start}},
-        method=_tight(method))
+        'free', tuple(center), tuple(MOMENTS), _tight(method), {'joint': {
+            'velocity': -np.cross(start, center), 'angular_velocity': start}})
     worst = 0.0
     for _ in range(20 if quick else 600):
         simulation.step(duration=0.1 if quick else 1.0)
         error = simulation.velocity[-3:] - expected(simulation.time)
-        worst = max(worst, np.abs(error).max() / 10.0, NORM * norm_error(simulation))
+        worst = max(worst, np.abs(error).max() / TURNS, NORM * norm_error(simulation))
     return worst
 
 
@@ -147,8 +147,9 @@ def _top(method, quick):
 def _many_turns(method, quick):
     """Make very many steps of a tumbling body: angular momentum, energy, norm."""
     start = free_body()(0.0)
-    simulation = one_body('spherical', (0.0, 0.0, 0.0), tuple(MOMENTS), velocity={
-        'joint': {'angular_velocity': start}}, method=replace(method, step_size=1e-4))
+    simulation = one_body(
+        'spherical', (0.0, 0.0, 0.0), tuple(MOMENTS), replace(method, step_size=1e-4),
+        {'joint': {'angular_velocity': start}})
     energy, momentum = simulation.energy, MOMENTS * start
     tau, worst = np.zeros(3), 0.0
     for _ in range(2 if quick else 1000):

@@ -98,26 +98,21 @@ def off_the_branch(position):
     return max(np.abs(legs - legs[0]).max(), np.abs(knees + legs[0]).max())
 
 
-def in_space(mechanism, turn=TURN):
-    """
-    Return a planar mechanism of pins in a plane in space; of each pin three equations too many.
-
-    ``turn``: tuple of 4; unit quaternion x, y, z, w of the plane's axes in the world's.
-
-    """
-    axes = np.array(rotation(turn))
+def in_space(mechanism):
+    """Return a planar mechanism of pins in a plane along no axis; of each 3 equations repeat."""
+    axes = np.array(rotation(TURN))
     flat = lifted(mechanism)
     return replace(flat, joints=tuple(
         joint if joint.parent != GROUND else replace(
             joint, position=tuple((axes @ joint.position).tolist()), orientation=tuple(
-                composed(np.array(turn), np.array(joint.orientation)).tolist()))
+                composed(np.array(TURN), np.array(joint.orientation)).tolist()))
         for joint in flat.joints))
 
 
-def gravity_in_space(strength=G, turn=TURN):
+def gravity_in_space():
     """Return gravity in space as ``gravity`` acts on a mechanism in its plane."""
-    one = gravity(strength=strength)['gravity']
-    return {'gravity': Gravity(tuple(np.array(rotation(turn)) @ (*one.acceleration, 0.0)))}
+    one = gravity()['gravity']
+    return {'gravity': Gravity(tuple(np.array(rotation(TURN)) @ (*one.acceleration, 0.0)))}
 
 
 def gravity(direction=DIRECTION, strength=G):

@@ -21,9 +21,11 @@ import numpy as np
 from .hard_machines import G
 from ..effects.gravity import Gravity
 from ..mechanism.mechanism import Body, Joint, Mechanism
-from ..simulation.scene_records import Initial, Method, Scene
+from ..simulation.scene_records import Initial, Scene
 from ..simulation.simulation import Simulation
 
+# Angular velocity of the free body about the axis of the largest moment at the start [rad/s].
+TURNS = 10.0
 # Principal moments of the free body [kg m^2].
 MOMENTS = np.array([0.02, 0.03, 0.045])
 # Of the top: spin [rad/s], how far it leans where it is released [rad], distance of its centre of
@@ -32,31 +34,22 @@ SPIN, LEAN, LEVER, TOP_MASS = 40.0, 1.0, 0.2, 0.5
 ALONG, ACROSS = 0.001, 0.002 + TOP_MASS * LEVER ** 2
 
 
-def one_body(kind, center, inertia, position=None, velocity=None, strength=G, method=Method()):
+def one_body(kind, center, inertia, method, velocity, position=None):
     """
-    Return a simulation of a body of 0.5 kg on the ground.
+    Return a simulation of a body of 0.5 kg on the ground, under gravity along -z.
 
-    Parameters
-    ----------
-    kind : str
-        Of its joint, which is called ``joint``.
-    center, inertia : tuple of 3 floats
-        Centre of mass [m], and principal moments about it [kg m^2].
-    position, velocity : mapping, optional
-        As scenes have them.
-    strength : float
-        Of gravity, along -z [m/s^2].
-    method : Method, optional
-        How it is computed.
+    ``kind`` is that of its joint, called ``joint``; ``center`` is the centre of mass [m], and
+    ``inertia`` are the principal moments about it [kg m^2], three floats each. Velocity and
+    position are mappings as scenes have them.
 
     """
     mechanism = Mechanism('one_body', (Body('body', TOP_MASS, center, inertia),), (
         Joint('joint', kind, 'ground', 'body', (0.0, 0.0, 0.0)),))
     names = mechanism.coordinates
     q = names.filled('position', position or {}, names.start())
-    qd = names.filled('velocity', velocity or {}, np.zeros(names.nv))
+    qd = names.filled('velocity', velocity, np.zeros(names.nv))
     return Simulation(Scene(mechanism.name, None, '', mechanism, Initial(tuple(q), tuple(qd)),
-                            {'gravity': Gravity((0.0, 0.0, -strength))}, method))
+                            {'gravity': Gravity((0.0, 0.0, -G))}, method))
 
 
 def norm_error(simulation):
@@ -66,33 +59,24 @@ def norm_error(simulation):
                for first, _ in simulation.coordinates.balls)
 
 
-def free_body(turns=10.0, share=0.9999):
+def free_body(share=0.9999):
     """
-    Return the closed form of a free body that flips (Landau and Lifshitz, section 37).
+    Return the angular velocity about its axes of a free body that flips, a function of time.
 
-    Parameters
-    ----------
-    turns : float
-        Angular velocity about the axis of the largest moment at the start [rad/s].
-    share : float
-        Parameter of the elliptic functions; 1 would never flip.
-
-    Returns
-    -------
-    callable
-        Of time, angular velocity about the body's axes.
+    It is the closed form of Landau and Lifshitz, section 37; ``share`` is the parameter of the
+    elliptic functions, of which 1 would never flip.
 
     """
     from scipy.special import ellipj
     one, two, three = MOMENTS
-    rate = turns * np.sqrt((three - two) * (three - one) / (one * two))
+    rate = TURNS * np.sqrt((three - two) * (three - one) / (one * two))
     # Of the first and second component, from Euler's equations.
-    first = turns * np.sqrt(share * three * (three - two) / (one * (two - one)))
-    second = (three - one) / two * turns * first / rate
+    first = TURNS * np.sqrt(share * three * (three - two) / (one * (two - one)))
+    second = (three - one) / two * TURNS * first / rate
 
     def rates(time):
         sn, cn, dn, _ = ellipj(rate * time, share)
-        return np.array([first * cn, second * sn, turns * dn])
+        return np.array([first * cn, second * sn, TURNS * dn])
 
     return rates
 
@@ -100,9 +84,9 @@ def free_body(turns=10.0, share=0.9999):
 def top(method):
     """Return a symmetric top that is released leaning and spinning, at rest but for its spin."""
     return one_body(
-        'spherical', (0.0, 0.0, LEVER), (0.002, 0.002, ALONG),
-        {'joint': {'orientation': {'rpy': (LEAN, 0.0, 0.0)}}},
-        {'joint': {'angular_velocity': (0.0, 0.0, SPIN)}}, method=method)
+        'spherical', (0.0, 0.0, LEVER), (0.002, 0.002, ALONG), method,
+        {'joint': {'angular_velocity': (0.0, 0.0, SPIN)}},
+        {'joint': {'orientation': {'rpy': (LEAN, 0.0, 0.0)}}})
 
 
 def nutation(time):

@@ -194,27 +194,25 @@ class MechanismArtist:
         return places
 
     def mark(self, place):
-        """Mark where a traced point is; return the mark."""
-        return self.axes.plot(*place, marker='D', markersize=5, color=PATH_COLOR, zorder=32,
-                              markeredgecolor='white', markeredgewidth=0.8)[0]
+        """Mark where a traced point is."""
+        self.axes.plot(*place, marker='D', markersize=5, color=PATH_COLOR, zorder=32,
+                       markeredgecolor='white', markeredgewidth=0.8)
 
     def forces(self, index, forces, largest):
         """
-        Draw the constraint forces on body A of every cut joint; return the arrows.
+        Draw the constraint forces on body A of every cut joint.
 
         ``index`` is that of the pose; ``forces`` has shape (number of cut joints, 3), in space
         (number of cut joints, 6), moment [N m] and force [N]; ``largest`` is the force that gets
         the longest arrow.
 
         """
-        arrows = []
         for start, end in self.arrow_ends(index, forces, largest):
-            arrows.append(self.axes.annotate('', end, start, zorder=33, arrowprops={
+            self.axes.annotate('', end, start, zorder=33, arrowprops={
                 'arrowstyle': '-|>', 'color': FORCE_COLOR, 'linewidth': 1.8,
-                'shrinkA': 4, 'shrinkB': 0, 'mutation_scale': 12}))
+                'shrinkA': 4, 'shrinkB': 0, 'mutation_scale': 12})
             self.axes.update_datalim([end])
         self.axes.autoscale_view()
-        return arrows
 
     def arrow_ends(self, index, forces, largest):
         """Return where the arrow of each cut joint starts and ends; see ``forces``."""

@@ -32,6 +32,8 @@ WANTED = {'color': '#D55E00', 'linewidth': 1.1, 'linestyle': (0, (4, 3))}
 TURN = 2.0 * np.pi
 # Poses looked at when positions to draw are chosen.
 POSE_CANDIDATES = 400
+# Positions in one picture.
+MOST = 5
 # In space: positions in one picture, and its width and the height of its views [inch].
 MOST_IN_SPACE, SPATIAL_WIDTH, SPATIAL_HEIGHT = 3, 10.0, 8.5
 
@@ -139,22 +141,16 @@ def _spatial_forces(motion, title):
     return figure
 
 
-def positions(motion, title, point=None, count=5):
-    """
-    Draw the mechanism in so many positions, with a point's path and the constraint forces.
-
-    ``point``: whose path is drawn; the mechanism's first named point when not given.
-
-    """
+def positions(motion, title):
+    """Draw the mechanism in some positions, its first point's path and the constraint forces."""
     mechanism = motion.mechanism
     poses = body_poses(mechanism, motion.position)
-    if point is None and mechanism.points:
-        point = mechanism.points[0].name
+    point = mechanism.points[0].name if mechanism.points else None
     views = [PLANE] if mechanism.planar else [
         FRONT, SIDE, TOP, perspective(all_places(mechanism, poses))]
     figure = matplotlib.figure.Figure(layout='constrained', dpi=DOTS_PER_INCH)
     panels = figure.subplots(*((1, 1) if mechanism.planar else (2, 2)), squeeze=False).flat
-    chosen = spread_positions(poses, count if mechanism.planar else min(count, MOST_IN_SPACE))
+    chosen = spread_positions(poses, MOST if mechanism.planar else MOST_IN_SPACE)
     last = chosen[-1]
     forces = motion.forces[last]
     # Forces that were not recorded are no numbers.

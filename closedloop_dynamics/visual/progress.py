@@ -56,9 +56,9 @@ def parts_bar(unit, description):
 
 
 @contextmanager
-def announced(message, patience=SHOW_AFTER):
-    """Print a message on stderr if the block takes longer than some seconds."""
-    timer = Timer(patience, print, (message,), {'file': sys.stderr, 'flush': True})
+def announced(message):
+    """Print a message on stderr if the block takes longer than a second."""
+    timer = Timer(SHOW_AFTER, print, (message,), {'file': sys.stderr, 'flush': True})
     timer.daemon = True
     timer.start()
     try:

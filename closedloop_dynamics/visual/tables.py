@@ -18,11 +18,9 @@ import csv
 import math
 
 
-def short(value, digits=2):
-    """Write a number to a few digits; a dash where there is none."""
-    if isinstance(value, str):
-        return value
-    return '-' if math.isnan(value) else f'{value:.{digits}g}'
+def short(value):
+    """Write a number to two digits; a dash where there is none."""
+    return '-' if math.isnan(value) else f'{value:.2g}'
 
 
 def seconds(value):
