@@ -15,6 +15,7 @@
 """The picture of the house: the contracts of setup.cfg, and what they cannot say."""
 
 import ast
+import functools
 from pathlib import Path
 import re
 import subprocess
@@ -75,6 +76,7 @@ def test_no_mechanism_is_known_by_name():
         assert not shipped & texts, path
 
 
+@functools.cache
 def syntax_trees():
     """Return the syntax tree of every file of the package, by its path."""
     return {path: ast.parse(path.read_text()) for path in (ROOT / PACKAGE).rglob('*.py')}
@@ -96,10 +98,11 @@ def private_members(tree):
 
 def test_private_names_are_used_where_they_are_defined():
     trees = syntax_trees()
-    members = set().union(*map(private_members, trees.values()))
+    members_of = {path: private_members(tree) for path, tree in trees.items()}
+    members = set().union(*members_of.values())
     found = []
     for path, tree in trees.items():
-        elsewhere = members - private_members(tree)
+        elsewhere = members - members_of[path]
         for node in ast.walk(tree):
             if isinstance(node, ast.ImportFrom) and (
                     node.level or node.module.startswith(PACKAGE)):

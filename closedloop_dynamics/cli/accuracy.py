@@ -17,8 +17,7 @@
 import warnings
 
 from .command import (
-    add_directory, add_scene, add_torque, checked_torques, Command, mapping, positive,
-    require_free)
+    add_directory, add_scene, add_torque, checked_torques, Command, free_paths, mapping, positive)
 from ..simulation.errors import InaccuracyWarning
 from ..simulation.scene import load_scene
 from ..simulation.simulation import Simulation
@@ -52,7 +51,8 @@ def _run(arguments):
     torque = mapping(arguments.torque, '--torque')
     # Refused at once, what would fail only after a while.
     checked_torques(arguments.scene, lambda: Simulation(scene), torque)
-    csv_path, picture_path = _paths(arguments, scene)
+    paths = free_paths(arguments, *(
+        f'{scene.name}_accuracy.{ending}' for ending in ('csv', 'png')))
     # How far off each method is stands in the table.
     warnings.simplefilter('ignore', InaccuracyWarning)
     with parts_bar('parts', scene.name) as progress:
@@ -60,25 +60,15 @@ def _run(arguments):
                                progress=progress)
     print(f'{accuracy_report.title(study)}\n{study.reference.description}\n')
     print(accuracy_report.table(study))
-    if csv_path is not None:
-        csv_path.parent.mkdir(parents=True, exist_ok=True)
-        accuracy_report.write(study, csv_path, picture_path)
-        print(f'\n{csv_path}\n{picture_path}')
+    if paths:
+        arguments.output.mkdir(parents=True, exist_ok=True)
+        accuracy_report.write(study, *paths)
+        print('\n' + '\n'.join(map(str, paths)))
     if arguments.budget is not None:
         print(f'\n{for_budget(study, arguments.budget).text}')
     if arguments.target is not None or arguments.budget is None:
         print(f'\n{for_target(study, arguments.target or TARGET).text}')
     return 0
-
-
-def _paths(arguments, scene):
-    """Return the paths of the CSV file and the picture, or None twice."""
-    if arguments.output is None:
-        return None, None
-    paths = tuple(arguments.output / f'{scene.name}_accuracy.{ending}'
-                  for ending in ('csv', 'png'))
-    require_free(arguments, *paths)
-    return paths
 
 
 COMMAND = Command(

@@ -179,6 +179,13 @@ def require_free(arguments, *paths, option='--output'):
                              '--overwrite')
 
 
+def free_paths(arguments, *names):
+    """Return the paths of files in the directory that was asked for; none where none was."""
+    paths = [arguments.output / name for name in names] if arguments.output else []
+    require_free(arguments, *paths)
+    return paths
+
+
 def checked_torques(scene, build, torque):
     """Return the simulation that is built, or say what is wrong with the scene or torques."""
     try:

@@ -15,8 +15,8 @@
 """``closedloop effects``: what each effect of a scene costs and changes."""
 
 from .command import (
-    add_directory, add_scene, add_torque, assignment, checked_torques, Command, mapping, positive,
-    require_free, UsageError)
+    add_directory, add_scene, add_torque, assignment, checked_torques, Command, free_paths,
+    mapping, positive, UsageError)
 from ..simulation.scene import load_scene
 from ..simulation.simulation import Simulation
 from ..studies import effects_report
@@ -62,9 +62,7 @@ def _check(arguments, scene, torque, rates):
     if rates and set(rates) != set(simulation.actuated_joints):
         raise UsageError('--joint-rate: expected one for every actuated joint '
                          f'({", ".join(simulation.actuated_joints)}), got {", ".join(rates)}')
-    if arguments.output is not None:
-        require_free(arguments, *(
-            arguments.output / name for name in effects_report.file_names(scene)))
+    free_paths(arguments, *effects_report.file_names(scene))
 
 
 COMMAND = Command(

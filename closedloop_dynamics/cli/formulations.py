@@ -14,7 +14,7 @@
 
 """``closedloop formulations``: what the subsystem-level method buys as mechanisms grow."""
 
-from .command import add_directory, Command, require_free, UsageError
+from .command import add_directory, Command, free_paths, UsageError
 from ..studies import formulations_report
 from ..studies.formulations import SIZES, study_formulations
 from ..visual.progress import parts_bar
@@ -32,8 +32,7 @@ def _add_arguments(parser):
 def _run(arguments):
     if arguments.largest < 1:
         raise UsageError(f'--largest: expected a number > 0, got {arguments.largest}')
-    paths = [arguments.output / name for name in FILES] if arguments.output else []
-    require_free(arguments, *paths)
+    paths = free_paths(arguments, *FILES)
     with parts_bar('mechanisms', 'formulations') as progress:
         rows = study_formulations(arguments.largest, arguments.quick, progress)
     print(f'{formulations_report.table(rows)}\n\n{formulations_report.growth_text(rows)}')

@@ -16,7 +16,7 @@
 
 import warnings
 
-from .command import add_directory, Command, FAILED, require_free, UsageError
+from .command import add_directory, Command, FAILED, free_paths, UsageError
 from ..simulation.errors import InaccuracyWarning
 from ..studies import stability
 from ..visual.progress import parts_bar
@@ -43,18 +43,17 @@ def _run(arguments):
     methods = stability.METHODS
     if arguments.default_only:
         methods = {name: methods[name] for name in (stability.DEFAULT, 'rodas4')}
-    if arguments.output is not None:
-        require_free(arguments, *(arguments.output / name for name in FILES))
+    paths = free_paths(arguments, *FILES)
     # How far off each method is stands in the table.
     warnings.simplefilter('ignore', InaccuracyWarning)
     with parts_bar('cells', 'stability') as progress:
         atlas = stability.study_stability(arguments.quick, cases, methods, progress)
     print(stability.table(atlas, cases, methods))
-    if arguments.output is not None:
+    if paths:
         arguments.output.mkdir(parents=True, exist_ok=True)
         stability.write_files(atlas, arguments.output, cases, methods)
-        stability.stability_atlas(atlas, cases, methods).savefig(arguments.output / FILES[2])
-        print('\n' + '\n'.join(str(arguments.output / name) for name in FILES))
+        stability.stability_atlas(atlas, cases, methods).savefig(paths[2])
+        print('\n' + '\n'.join(map(str, paths)))
     failed = stability.unstable(atlas)
     if failed:
         print(f'\nunstable with the default method: {", ".join(failed)}')
