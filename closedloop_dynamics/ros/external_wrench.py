@@ -28,15 +28,10 @@ TAKEN, WRENCHES_REFUSED = 'wrenches taken', 'wrenches refused'
 
 class ExternalWrench:
     """
-    Lets wrenches act on bodies as the joint torques that do the same.
+    Lets wrenches act on bodies of a simulation as the joint torques that do the same.
 
     These are found anew whenever the simulation advances, and constant in between. As long as
     there are none, nothing is computed.
-
-    Parameters
-    ----------
-    simulation : Simulation
-        Whose bodies and named points a wrench may act on.
 
     Attributes
     ----------

@@ -26,22 +26,10 @@ REPEAT_PERIOD = 1.0
 
 class LiveSimulation:
     """
-    The simulation that a mode advances, and its publishing.
+    The simulation that a mode advances under a ``TorqueCommand``, and its publishing.
 
-    Parameters
-    ----------
-    simulation : Simulation
-        Advanced.
-    command : commands.TorqueCommand
-        The torques in force.
-    stamps : messages.Stamps
-        The time that messages carry.
-    states : messages.StatePublisher
-        Joint states and constraint forces.
-    pacer : pacing.Pacer or None
-        By whose simulated time a command grows old; None: it does not.
-    logger : rclpy logger
-        Told when a command has grown too old.
+    ``stamps`` are the time that messages carry, ``states`` publishes them; a command grows old by
+    the simulated time of ``pacer``, where it is not None, which is told to ``logger``.
 
     Attributes
     ----------

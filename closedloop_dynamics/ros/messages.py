@@ -58,14 +58,9 @@ STATE_QOS = QoSProfile(depth=1000)
 
 class SerializedTemplate:
     """
-    A message with stamps, in one or several headers, and blocks of numbers.
+    A message with stamps, in one or several headers, and blocks of numbers of some sizes.
 
-    Parameters
-    ----------
-    build : callable
-        ``build(stamp_sec, stamp_nanosec, *blocks)`` returns the message, blocks being arrays.
-    sizes : sequence of int
-        Of the blocks.
+    ``build(stamp_sec, stamp_nanosec, *blocks)`` returns the message, blocks being arrays.
 
     """
 
@@ -103,14 +98,7 @@ class Stamps:
     """
     The time for the next messages: that of a node's clock, or simulated; and ``/clock``.
 
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        Whose clock is asked, and by which a clock is published.
-    simulation : Simulation
-        Whose time is taken.
-    simulated, publish_clock : bool
-        Whether to stamp in simulated time, and whether to publish it on ``/clock``.
+    ``simulated`` says which of the two, ``publish_clock`` whether simulated time is published.
 
     """
 

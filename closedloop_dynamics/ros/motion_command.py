@@ -25,14 +25,8 @@ class MotionCommand:
     """
     Lets the motions that are commanded follow trajectories, or refuses these as a whole.
 
-    Parameters
-    ----------
-    simulation : Simulation
-        Its ``commanded_motions`` are what a trajectory may name.
-    stamps : messages.Stamps
-        The time that stamps of trajectories refer to.
-    pacer : pacing.Pacer
-        How fast simulated time follows that, where it is not the same.
+    A trajectory may name the ``commanded_motions`` of the simulation; its stamp is of ``stamps``,
+    which simulated time follows as fast as ``pacer`` says.
 
     Attributes
     ----------

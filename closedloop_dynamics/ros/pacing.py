@@ -66,17 +66,10 @@ class Throttle:
 
 class RealTime:
     """
-    Simulated time follows the steady clock times a factor.
+    Simulated time, which a Pacer counts, follows the steady clock times a factor.
 
-    A tick that was missed is made up for in the next one: every state is that of the time at
-    which it was due, however late the process was woken for it.
-
-    Parameters
-    ----------
-    machine : live.LiveSimulation
-        Advanced and told when to publish.
-    pacer : Pacer
-        Counts time.
+    A tick that was missed is made up for in the next one: every state is that of the time at which
+    it was due, however late the process was woken for it.
 
     Attributes
     ----------

@@ -114,24 +114,12 @@ def run(create_node, name, help_text, args=None, timed=False):
     """
     Create a node, spin it until a signal or the node itself ends it, close it.
 
-    Parameters
-    ----------
-    create_node : callable
-        Returns the node. The node offers ``exit_code`` (None as long as it
-        wants to go on) and ``close()``, called while its context is alive.
-    name : str
-        Of the executable, and for messages before there is a node.
-    help_text : str
-        For ``--help``.
-    args : list of str, optional
-        Command line with the program's name first; ``sys.argv`` if None.
-    timed : bool
-        Whether the node has something to do in time, and offers what ``spin`` asks of a beat.
+    ``create_node()`` returns the node, which offers ``exit_code`` (None as long as it wants to go
+    on) and ``close()``, called while its context is alive. ``name`` is that of the executable;
+    ``help_text`` is for ``--help``; ``args`` is the command line with the program's name first, or
+    None: that of this process. A node that is ``timed`` offers what ``spin`` asks of a beat.
 
-    Returns
-    -------
-    int
-        Exit code: the node's own, 0 after a signal, 2 if it could not start.
+    Returns the exit code: the node's own, 0 after a signal, 2 if it could not start.
 
     """
     import rclpy

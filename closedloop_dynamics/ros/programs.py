@@ -56,25 +56,11 @@ class ProgramError(RuntimeError):
 
 class Program:
     """
-    One executable in a process group of its own.
+    One executable, by its name as given to ``ros2 run``, in a process group of its own.
 
-    Parameters
-    ----------
-    executable : str
-        Its name, as given to ``ros2 run``.
-    arguments : sequence of str
-    log : pathlib.Path
-        Where its output goes.
-    environment : dict, optional
-        Changes to this process's own.
-    directory : pathlib.Path, optional
-        Where it works; here if not given.
-    path : pathlib.Path, optional
-        The installed executable; if not given, that of this package runs in this Python.
-
-    Attributes
-    ----------
-    popen : subprocess.Popen
+    Its output goes into the file ``log``. ``environment`` has changes to this process's own;
+    ``directory`` is where it works, here if not given; ``path`` is the installed executable: if
+    not given, that of this package runs in this Python. ``popen`` is the process.
 
     """
 
@@ -165,12 +151,8 @@ class Programs:
     """
     Those that run; all are ended when the ``with`` block is left, however that happens.
 
-    Parameters
-    ----------
-    directory : pathlib.Path
-        Where they work and their logs are.
-    environment : dict, optional
-        Changes to this process's own.
+    ``directory`` is where they work and their logs are; ``environment`` has changes to this
+    process's own.
 
     """
 

@@ -176,22 +176,10 @@ class Trajectory:
     The motion from a state through points, and rest at the last one.
 
     Polynomials of the fifth degree where the points give accelerations, of the third where they
-    give velocities; else the cubic spline through their positions.
-
-    Parameters
-    ----------
-    points : Points
-        Those that are over are left out.
-    time : float
-        At which the joints are in the state [s], counted as ``points.stamp``; the time of the
-        motion is zero then.
-    position, velocity : ndarray, shape (number of joints,)
-        The state.
-
-    Raises
-    ------
-    TrajectoryError
-        If it is over.
+    give velocities; else the cubic spline through their positions. Of the Points those that are
+    over are left out. ``time``, at which the joints are in the state [s], is counted as
+    ``points.stamp``; the time of the motion is zero then. ``position`` and ``velocity`` have shape
+    (number of joints,). Raises TrajectoryError if it is over.
 
     """
 
@@ -232,24 +220,11 @@ class PathError(ValueError):
 
 def residual(mechanism, position, point, place, turn):
     """
-    Return by how much loops are open and a point is away from a place.
+    Return by how much loops are open and a Point is away from a place.
 
-    Parameters
-    ----------
-    mechanism : mechanism.mechanism.Mechanism
-        Which is placed.
-    position : ndarray, shape (..., nq)
-        Joint coordinates [rad or m].
-    point : mechanism.mechanism.Point
-        That is to be in a place.
-    place : ndarray, shape (2,), in space (3,)
-        World [m].
-    turn : float, in space ndarray of shape (4,), or None
-        Angle [rad] or unit quaternion x, y, z, w that its body is to have; None: any.
-
-    Returns
-    -------
-    ndarray, shape (..., number of equations)
+    ``position``, shape (..., nq) [rad or m]; ``place``, shape (2,), in space (3,), in the world
+    [m]; ``turn``, the angle [rad] or unit quaternion x, y, z, w that its body is to have; None:
+    any. The result has shape (..., number of equations).
 
     """
     poses = body_poses(mechanism, position)
@@ -432,16 +407,9 @@ class Ways:
     Positions, velocities and accelerations of joints while a point goes from place to place.
 
     Straight, from rest to rest, through all of them and back to where it began; again and again.
-    The body of the point keeps how it is turned where the mechanism has the freedom to.
-
-    Parameters
-    ----------
-    mechanism, start, name, joints
-        As of a ``Circle``.
-    places : ndarray, shape (n, 2), in space (n, 3)
-        From where it begins [m].
-    durations : ndarray, shape (n + 1,)
-        Of the way to each of them, and back [s].
+    The body of the point keeps how it is turned where the mechanism has the freedom to. ``places``
+    are seen from where it begins, shape (n, 2), in space (n, 3) [m]; ``durations``, shape (n +
+    1,), are of the way to each of them, and back [s]; the rest is as of a ``Circle``.
 
     Attributes
     ----------
@@ -449,11 +417,6 @@ class Ways:
         World [m]; the last one is where it begins.
     period : float
         [s].
-
-    Raises
-    ------
-    PathError
-        Where the mechanism cannot follow it.
 
     """
 

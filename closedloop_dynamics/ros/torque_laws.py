@@ -115,14 +115,9 @@ class ComputedTorque:
     """
     Torques of all actuated joints for the accelerations that a controller asks for.
 
-    Parameters
-    ----------
-    simulation : Simulation
-        The model; its own state is not used.
-    controller : ProportionalDerivative
-        Its torques are taken for accelerations [rad/s^2 or m/s^2].
-    feedforward, limit : ndarray, shape (n,)
-        Added always; largest magnitude, infinite: none [N m or N].
+    Of the simulation, the model, the state is not used. The controller's torques are taken for
+    accelerations [rad/s^2 or m/s^2]. ``feedforward`` is added always, ``limit`` is the largest
+    magnitude, infinite: none; both of shape (n,) [N m or N].
 
     """
 

@@ -62,17 +62,8 @@ class JointQuestion:
     """
     The parameter ``actuated_joints`` of a simulator node, asked for until it answers.
 
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        Who asks.
-    simulator : str
-        Name of the node asked, relative to the asking node's namespace.
-
-    Attributes
-    ----------
-    answer : tuple of str or None
-        None as long as there is none.
+    ``simulator`` is its name, relative to the namespace of ``node``, which asks. ``answer`` is a
+    tuple of names, None as long as there is none.
 
     """
 
@@ -110,11 +101,6 @@ class Orientations:
     The part of a state that comes in a message of its own: joints with an orientation.
 
     Both parts have the same stamp, and may come in any order.
-
-    Parameters
-    ----------
-    mechanism : mechanism.mechanism.Mechanism
-        Whose cut joints are passed over.
 
     """
 

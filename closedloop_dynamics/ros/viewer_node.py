@@ -88,24 +88,11 @@ VIEWER_PARAMETERS = (
 
 class Attached:
     """
-    One simulator that is shown.
+    One simulator that is shown, by its full name; ``node`` subscribes and asks.
 
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        Subscribes and asks.
-    name : str
-        Full name of the simulator.
-    topics : dict of str to str
-        Its topics by their last names: ``scene``, ``joint_states``, ``constraint_forces/CUT``,
-        ``multi_dof_joint_states``.
-    wrenches : str or None
-        The topic on which it takes wrenches.
-
-    Attributes
-    ----------
-    feed : view.feed.Feed or None
-        None until the scene is known.
+    ``topics`` are its topics by their last names: ``scene``, ``joint_states``,
+    ``constraint_forces/CUT``, ``multi_dof_joint_states``; ``wrenches`` is the one on which it
+    takes wrenches, or None. ``feed`` is None until the scene is known.
 
     """
 
