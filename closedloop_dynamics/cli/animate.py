@@ -17,7 +17,7 @@
 from pathlib import Path
 
 from .command import add_recording, Command, positive, recording_of, require_free, UsageError
-from ..recording.recording import part, since_the_last_reset
+from ..recording.recording import since_the_last_reset
 from ..visual.animation import Animation, AnimationError, frame_times, require_writable, write
 from ..visual.progress import announced, progress_to
 
@@ -75,7 +75,7 @@ def _chosen(motion, arguments):
         raise UsageError(
             f'--start, --duration: expected a part of the recording, {motion.time.min():g} to '
             f'{motion.time.max():g} s; got none')
-    return part(motion, kept)
+    return motion.part(kept)
 
 
 def _point(mechanism, name):

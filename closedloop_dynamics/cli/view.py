@@ -27,7 +27,7 @@ import numpy as np
 from .command import (
     add_recording, assignment, checked_torques, Command, mapping, positive, recording_of,
     require_free, UsageError)
-from ..recording.recording import part, since_the_last_reset
+from ..recording.recording import since_the_last_reset
 from ..simulation.errors import AssemblyError
 from ..simulation.scene import load_scene
 from ..simulation.signals import program_watch
@@ -176,7 +176,7 @@ def _recorded_page(arguments):
         title, _told(describe(
             motion.mechanism, motion_columns(motion.mechanism), recording.scene.effects,
             mode='recording', title=title)),
-        motion.time[::every], motion_rows(part(motion, np.arange(count) % every == 0)))
+        motion.time[::every], motion_rows(motion.part(slice(None, None, every))))
 
 
 def _save(arguments):

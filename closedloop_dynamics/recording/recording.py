@@ -114,14 +114,7 @@ def since_the_last_reset(motion):
     backwards = np.flatnonzero(steps < 0.0)
     kept = np.concatenate([[True], steps != 0.0])
     kept[:backwards[-1] + 1 if len(backwards) else 0] = False
-    return part(motion, kept)
-
-
-def part(motion, kept):
-    """Return the instants of a motion that are kept, an array of truth values."""
-    return Motion(motion.mechanism, *(
-        getattr(motion, name)[kept]
-        for name in ('time', 'position', 'velocity', 'effort', 'forces')))
+    return motion.part(kept)
 
 
 def _read_csv(path, scene):

@@ -13,7 +13,7 @@
 # limitations under the License.
 """Report of a demonstration: wanted and recorded motion in words, pictures and a verdict."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from closedloop_dynamics.recording.reading import Bag
 from closedloop_dynamics.recording.recording import read_recording
@@ -74,8 +74,8 @@ def read_run(path, namespace):
     whole, stamps = recording.motion, recording.stamps
     # Time stands still until the first command.
     begin = max(0, int(np.argmax(whole.time > whole.time[0])) - 1)
-    motion = Motion(whole.mechanism, (stamps[begin:] - stamps[begin]) * NANOSECONDS, *(
-        getattr(whole, name)[begin:] for name in ('position', 'velocity', 'effort', 'forces')))
+    motion = replace(whole.part(slice(begin, None)),
+                     time=(stamps[begin:] - stamps[begin]) * NANOSECONDS)
     received = {}
     for message in Bag(path).serialised():
         topic = message.topic.name.removeprefix(f'{namespace}/')

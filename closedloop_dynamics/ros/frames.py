@@ -27,6 +27,7 @@ from closedloop_dynamics.mechanism.mechanism import GROUND, UNTURNED
 from closedloop_dynamics.ros.messages import SerializedTemplate
 from closedloop_dynamics.ros.parameters import declare, Parameter
 from closedloop_dynamics.ros.process import StartError
+from closedloop_dynamics.visual.motion import rotated
 from geometry_msgs.msg import TransformStamped
 import numpy as np
 from rclpy.qos import QoSProfile
@@ -131,10 +132,7 @@ class Frames:
 
     def _in_space(self):
         out, poses = self._transforms, self._poses[self._rows]
-        place, vector, scalar = poses[:, :3], poses[:, 3:6], poses[:, 6:]
-        # A point turned by a unit quaternion.
-        out[:, :3] = place + self._points + 2.0 * np.cross(
-            vector, np.cross(vector, self._points) + scalar * self._points)
+        out[:, :3] = poses[:, :3] + rotated(poses[:, 3:], self._points)
         out[:, 3:] = np.where(self._turns[:, np.newaxis], poses[:, 3:], UNTURNED)
         return out
 

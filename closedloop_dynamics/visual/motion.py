@@ -14,7 +14,7 @@
 
 """A motion that was simulated or recorded, and where it puts the bodies."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -45,6 +45,11 @@ class Motion:
     # Shape (n, number of cut joints, 3): moment [N m] and force [N] along x and y that body
     # B exerts on body A, in world axes. In space 6: moment and force along x, y and z.
     forces: np.ndarray
+
+    def part(self, which):
+        """Return some of its instants, chosen by a slice or an array of truth values."""
+        return Motion(self.mechanism, *(
+            getattr(self, each.name)[which] for each in fields(self)[1:]))
 
 
 def wrench_parts(mechanism):
