@@ -24,7 +24,7 @@ joint's rows are neighbours, so the block pivots are its 2 x 2 or 3 x 3 blocks.
 
 from .compiled import choose, inlined
 from .types import (
-    CUT_PRISMATIC, CUT_TYPE, PATH_A, PATH_END, RANK, ROW, ROWS, SMALLEST_PIVOT,
+    CUT_PRISMATIC, CUT_TYPE, LENGTHS, PATH_A, PATH_END, RANK, ROW, ROWS, SMALLEST_PIVOT,
     SMALLEST_PIVOT_EVER)
 
 # A pivot is compared with the largest diagonal entry of its cut point. In the mass metric it is
@@ -75,7 +75,7 @@ def assemble(model, work):
                     total += response[p, k] * scaled[p, c]
                 factor[place + k - c] = total
             scale[cut[a, ROW] + c] = factor[place]
-        if cut[a, CUT_TYPE] != CUT_PRISMATIC and cut[a, ROWS] > 1:
+        if cut[a, CUT_TYPE] != CUT_PRISMATIC and cut[a, LENGTHS] > 1:
             first = cut[a, ROW]
             larger = max(scale[first], scale[first + 1])
             scale[first] = larger

@@ -17,14 +17,15 @@
 import numpy as np
 
 from . import energy, jacobian, joint_wrenches, kinematics, loop_closure
-from .codegen import pieces, space
+from .codegen import pieces
 from .types import (
-    CUT_NUMBER, CUT_ROW, CUT_TYPE, KEPT, LENGTHS, NO_RESPONSES, number_of_coordinates, POSSIBLE,
-    ROW, ROWS)
+    CUT_NUMBER, CUT_ROW, CUT_TYPE, KEPT, NO_RESPONSES, number_of_coordinates, POSSIBLE, ROW, ROWS)
 from .workspace import allocate
 
 # Singular values below this times the largest belong to equations that repeat others.
 DEPENDENT = 1e-9
+# What is left of accelerations of closure errors, of the largest that it is a sum of.
+CLOSED = 1e-6
 
 
 def with_all_equations(model):
@@ -47,7 +48,7 @@ def with_all_equations(model):
         return model
     cut = model.cut.copy()
     cut[:, KEPT] = cut[:, POSSIBLE]
-    space.number_equations(cut)
+    pieces.arrays_of(model).number_equations(cut)
     return model._replace(cut=cut, column=np.zeros(cut[:, ROWS].sum() + 1, dtype=np.int64))
 
 
@@ -96,13 +97,11 @@ class Equations:
             self._order[cut[CUT_ROW] + rows] = cut[ROW] + rows
         self.counts = self.model.cut[by_user, ROWS].tolist()
         self.kept, groups = np.ones(self.nc, dtype=bool), []
+        group_of = pieces.arrays_of(model).group_of
         for number, (cut, count) in enumerate(zip(model.cut[by_user], self.counts)):
-            if not space.is_spatial(model):
-                groups += [(number, n >= cut[LENGTHS]) for n in range(count)]
-                continue
             possible = [n for n in range(6) if cut[POSSIBLE] >> n & 1]
             self.kept[len(groups):len(groups) + count] = [cut[KEPT] >> n & 1 for n in possible]
-            groups += [(number, space.group_of(cut[CUT_TYPE], n)) for n in possible]
+            groups += [(number, group_of(cut[CUT_TYPE], n)) for n in possible]
         self.places = np.array([kind == 0 for _, kind in groups], dtype=bool)
         order = {group: number for number, group in enumerate(dict.fromkeys(groups))}
         self.groups = np.array([order[group] for group in groups], dtype=int)
@@ -202,6 +201,24 @@ class Equations:
         found = np.zeros(2)
         energy.energies(*energy.parts(self.model, self.work), self._qd, found)
         return float(found[0]), float(found[1])
+
+    def closes(self, qdd):
+        """
+        Tell whether accelerations fulfil all equations, but for rounding.
+
+        Parameters
+        ----------
+        qdd : ndarray, shape (nv,)
+            Accelerations.
+
+        Returns
+        -------
+        bool
+
+        """
+        jac, (_, _, bias) = self.jacobian(), self.closures()
+        return bool(np.abs(jac @ qdd + bias).max(initial=0.0) <= CLOSED * max(
+            np.abs(jac * qdd).max(initial=0.0), np.abs(bias).max(initial=0.0)))
 
     def of_all(self, lam):
         """

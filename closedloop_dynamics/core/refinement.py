@@ -69,7 +69,7 @@ def _geometry(model, work):
         for entry in range(cut[a, PATH_A], cut[a, PATH_END]):
             if tree[path_body[entry], TYPE] != PRISMATIC:
                 square = response[entry, 0] * response[entry, 0]
-                if cut[a, CUT_TYPE] != CUT_PRISMATIC:
+                if cut[a, CUT_TYPE] != CUT_PRISMATIC and cut[a, LENGTHS] > 1:
                     square += response[entry, 1] * response[entry, 1]
                 most = max(most, square)
         for entry in range(cut[a, PATH_A], cut[a, PATH_END]):

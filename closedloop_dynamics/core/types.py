@@ -93,11 +93,11 @@ JOINT_COLUMNS = 3
 # Model.cut, one row a cut joint: topology. CUT_ROW: first multiplier in the user's
 # order; ROW: first one in elimination order; path entries PATH_A..PATH_B-1 are the bodies
 # from body A inward, PATH_B..PATH_COMMON-1 those from body B, PATH_COMMON..PATH_END-1
-# the ones that both paths share; CUT_NUMBER: its place in the user's order. In
-# space, POSSIBLE: the bits of the equations of its type that do not always hold; KEPT: of those
+# the ones that both paths share; CUT_NUMBER: its place in the user's order;
+# POSSIBLE: the bits of the equations of its type that do not always hold; KEPT: of those
 # among them that the elimination works on, as others repeat them. LENGTHS: how many of the first
-# equations hold points, in metres; one at least, but in the plane none of a coupling or
-# of a joint's prescribed motion.
+# equations hold points, in metres; one at least, but in the plane none of a coupling, of a
+# joint's prescribed motion, or where only the angle is left.
 (CUT_TYPE, BODY_A, BODY_B, ROWS, CUT_ROW, ROW, PATH_A, PATH_B, PATH_COMMON, PATH_END,
  CUT_NUMBER, KEPT, POSSIBLE, LENGTHS) = range(14)
 CUT_COLUMNS = 14

@@ -19,21 +19,20 @@ import math
 import numpy as np
 
 from ..core import types as t
+from ..core.codegen import plane
 from ..mechanism.couplings import in_tree, measured
 from ..mechanism.cut_freedoms import cut_freedoms
 from ..mechanism.decomposition import decompose
 from ..mechanism.mechanism import (
-    Coupling, CUT_JOINT_EQUATIONS, DISTANCE, FIXED, GROUND, Motion, POINT_ON_LINE, PRISMATIC,
+    Coupling, DISTANCE, FIXED, GROUND, Motion, POINT_ON_LINE, PRISMATIC,
     REVOLUTE)
 
 _CUT_TYPES = {
     REVOLUTE: t.CUT_REVOLUTE, PRISMATIC: t.CUT_PRISMATIC, FIXED: t.CUT_FIXED,
     DISTANCE: t.CUT_DISTANCE, POINT_ON_LINE: t.CUT_POINT_ON_LINE}
-# Cut joints of which not the first two equations hold points.
-_LENGTHS = {PRISMATIC: 1, DISTANCE: 1, POINT_ON_LINE: 1}
 
 
-def build_model(mechanism, gravity=(0.0, 0.0), decomposition=None):
+def build_model(mechanism, gravity=(0.0, 0.0), decomposition=None, kept=None):
     """
     Build the constant arrays of a mechanism.
 
@@ -45,11 +44,46 @@ def build_model(mechanism, gravity=(0.0, 0.0), decomposition=None):
         [m/s^2].
     decomposition : Decomposition, optional
         Found here when not given.
+    kept : sequence of bool, optional
+        Which equations the elimination is to work on, in the order of the cut joints; all when
+        not given.
 
     """
     decomposition = decomposition or decompose(mechanism)
     tree, body, body_row = _tree_arrays(mechanism, decomposition)
-    cut, cut_point, path_body = _cut_arrays(mechanism, decomposition, tree, body_row)
+    closures = _cut_arrays(mechanism, decomposition, tree, body_row)
+    cut = closures[0]
+    cut[:, t.POSSIBLE] = [plane.possible(kind) for kind in cut[:, t.CUT_TYPE].tolist()]
+    return complete(tree, body, gravity, *closures, decomposition, plane, kept)
+
+
+def complete(tree, body, gravity, cut, cut_point, path_body, decomposition, arrays, kept):
+    """
+    Return a model with all that follows from its bodies and its cut joints.
+
+    Parameters
+    ----------
+    tree, body, gravity, cut, cut_point, path_body
+        As ``core.types.Model`` has them; of ``cut`` the equations are not yet numbered.
+    decomposition : Decomposition
+        Of the mechanism.
+    arrays : module
+        ``plane`` or ``space``.
+    kept : sequence of bool or None
+        As for ``build_model``.
+
+    Returns
+    -------
+    core.types.Model
+
+    """
+    cut[:, t.KEPT] = cut[:, t.POSSIBLE]
+    if kept is not None:
+        flags = iter(kept)
+        for k in np.argsort(cut[:, t.CUT_NUMBER]):
+            cut[k, t.KEPT] = sum(
+                1 << n for n in range(6) if cut[k, t.POSSIBLE] >> n & 1 and next(flags))
+    arrays.number_equations(cut)
     block, pair = block_arrays(cut, path_body)
     column, row, entry = factor_arrays(decomposition, cut, block)
     dependency, dependency_place = dependencies(column, row)
@@ -91,33 +125,22 @@ def _cut_arrays(mechanism, decomposition, tree, body_row):
     points = []
     entries = []
     child = {joint.name: joint.child for joint in mechanism.joints}
-    first = 0
-    user_first = np.cumsum([0] + [
-        1 if isinstance(c, (Coupling, Motion)) else CUT_JOINT_EQUATIONS[c.type]
-        for c in mechanism.closures])
+    cut[:, t.CUT_NUMBER] = decomposition.cut_order
     for k, index in enumerate(decomposition.cut_order):
         joint = mechanism.closures[index]
         if isinstance(joint, Coupling) and measured(mechanism, joint):
             points.append(_coupled_place(mechanism, joint, cut[k], tree, body_row, child, entries))
-            cut[k, [t.ROWS, t.CUT_ROW, t.ROW, t.CUT_NUMBER, t.LENGTHS]] = (
-                1, user_first[index], first, index, 1)
-            first += 1
             continue
         if isinstance(joint, Coupling) or getattr(joint, 'freedom', None) in child:
-            kind, factors, offset = _sum_held(mechanism, joint)
+            cut[k, t.CUT_TYPE], factors, offset = _sum_held(mechanism, joint)
             factors = {body_row[child[name]]: factor for name, factor in factors.items()}
             points.append(couple(cut[k], tree, factors, offset, entries))
             tree[[*factors], t.READ] = 1
-            cut[k, [t.CUT_TYPE, t.ROWS, t.CUT_ROW, t.ROW, t.CUT_NUMBER]] = (
-                kind, 1, user_first[index], first, index)
-            first += 1
             continue
-        kind, rows, lengths, body_a, body_b, *numbers = _held(mechanism, joint)
-        cut[k] = (kind, body_row[body_a], body_row[body_b], rows, user_first[index], first,
-                  0, 0, 0, 0, index, 0, 0, lengths)
+        kind, body_a, body_b, *numbers = _held(mechanism, joint)
+        cut[k, [t.CUT_TYPE, t.BODY_A, t.BODY_B]] = kind, body_row[body_a], body_row[body_b]
         pass_bodies(cut[k], tree, entries)
         points.append(numbers)
-        first += rows
     return (cut, filled(points, t.CUT_POINT_COLUMNS, asks(mechanism)),
             np.array(entries, dtype=np.int64))
 
@@ -194,19 +217,17 @@ def _sum_held(mechanism, one):
 
 
 def _held(mechanism, joint):
-    """Return CUT_TYPE, ROWS, LENGTHS, both bodies and a row of ``Model.cut_point``."""
+    """Return CUT_TYPE, both bodies and a row of ``Model.cut_point``."""
     if isinstance(joint, Motion):
         if joint.freedom is not None:
             _, cut, slides, *_ = cut_freedoms(mechanism)[joint.freedom]
-            kind, lengths = (t.PRESCRIBED_PLACE, 1) if slides else (t.PRESCRIBED_TURN, 0)
-            return (kind, 1, lengths, cut.body_a, cut.body_b, *cut.point_a, *cut.point_b,
-                    cut.angle)
+            kind = t.PRESCRIBED_PLACE if slides else t.PRESCRIBED_TURN
+            return kind, cut.body_a, cut.body_b, *cut.point_a, *cut.point_b, cut.angle
         point = mechanism.point(joint.point)
         x, y = joint.direction
-        return (t.PRESCRIBED_PLACE, 1, 1, point.body, GROUND, *point.position, 0.0, 0.0,
+        return (t.PRESCRIBED_PLACE, point.body, GROUND, *point.position, 0.0, 0.0,
                 math.atan2(y, x))
-    return (_CUT_TYPES[joint.type], CUT_JOINT_EQUATIONS[joint.type], _LENGTHS.get(joint.type, 2),
-            joint.body_a, joint.body_b, *joint.point_a, *joint.point_b,
+    return (_CUT_TYPES[joint.type], joint.body_a, joint.body_b, *joint.point_a, *joint.point_b,
             joint.length if joint.type == DISTANCE else
             0.0 if joint.type == REVOLUTE else joint.angle)
 

@@ -26,7 +26,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .modeling import (
-    asks, block_arrays, couple, dependencies, extent, factor_arrays, filled, pass_bodies, relative)
+    asks, complete, couple, extent, filled, pass_bodies, relative)
 from ..core import types as t
 from ..core.codegen import space
 from ..core.codegen.expression_graph import ExpressionGraph, LOAD
@@ -129,17 +129,9 @@ def build_spatial_model(mechanism, gravity=(0.0, 0.0, 0.0), decomposition=None, 
     tree, body = builder.arrays(decomposition)
     cut, point, entries = _closures(mechanism, decomposition, tree, builder)
     for k, possible in enumerate(_possible(mechanism, tree, body, cut, point, entries)):
-        cut[k, [t.POSSIBLE, t.KEPT]] = sum(1 << n for n in possible)
-    if kept is not None:
-        _keep(cut, kept)
-    space.number_equations(cut)
-    block, pair = block_arrays(cut, entries)
-    column, row, entry = factor_arrays(decomposition, cut, block)
-    dependency, dependency_place = dependencies(column, row)
+        cut[k, t.POSSIBLE] = sum(1 << n for n in possible)
     return SpatialModel(
-        t.Model(tree=tree, body=body, gravity=np.array(gravity, dtype=float), cut=cut,
-                cut_point=point, path_body=entries, pair=pair, block=block, column=column, row=row,
-                entry=entry, dependency=dependency, dependency_place=dependency_place),
+        complete(tree, body, gravity, cut, point, entries, decomposition, space, kept),
         builder.placements, builder.rows)
 
 
@@ -321,14 +313,6 @@ def _between(freedom, one, builder):
         snapped(a.axes @ frame_a).ravel(), snapped(b.axes @ frame_b).ravel(), [0.0]])
 
 
-def _keep(cut, kept):
-    """Leave out equations that repeat others, in place."""
-    kept = iter(kept)
-    for k in np.argsort(cut[:, t.CUT_NUMBER]):
-        cut[k, t.KEPT] = sum(
-            1 << n for n in range(6) if cut[k, t.POSSIBLE] >> n & 1 and next(kept))
-
-
 def _cut_frames(joint, a, b):
     """Return the joint's axes in the frames of both rows."""
     if joint.type in CUT_WITH_ORIENTATION:
@@ -361,7 +345,7 @@ def _possible(mechanism, tree, body, cut, point, entries):
     def outward(bodies, cuts, q, qd):
         recursion = Recursion(
             space.bodies(model, bodies),
-            [one._replace(kept=None) for one in space.cuts(model, cuts)], (0.0, 0.0, 0.0))
+            space.cuts(model, cuts), (0.0, 0.0, 0.0))
         recursion.outward(model, q, qd, None)
         return recursion
 

@@ -17,8 +17,9 @@
 import copy
 
 from closedloop_dynamics.core.codegen import available
+from closedloop_dynamics.core.codegen.plane import possible
 from closedloop_dynamics.core.types import (
-    CUT_FIXED, CUT_PRISMATIC, CUT_REVOLUTE, CUT_TYPE, SMALLEST_PIVOT)
+    CUT_FIXED, CUT_PRISMATIC, CUT_REVOLUTE, CUT_TYPE, KEPT, SMALLEST_PIVOT)
 from closedloop_dynamics.integration.system import build_system, evaluate
 from closedloop_dynamics.simulation.modeling import build_model
 import numpy as np
@@ -71,7 +72,7 @@ def test_planar_motion_has_no_third_dimension(name):
 def test_equations_out_of_the_plane_fall_away(kind, left):
     _, mechanism, _, _ = cases.drawn('four_bar')
     model = build_model(mechanism)
-    model.cut[:, CUT_TYPE] = kind
+    model.cut[:, CUT_TYPE], model.cut[:, KEPT] = kind, possible(kind)
     one = routines.Unrolling(model)
     one.outward()
     held = one.recursion.cuts[0]

@@ -16,16 +16,17 @@
 
 import numpy as np
 
-from .space import coupling, prescribed
+from . import space
+from .space import coupling, CUT_TYPES, prescribed
 from .spatial import Body, Cut, X, Y, Z
 from .vectors import IDENTITY, ZERO
 from ..types import (
     A_X, A_Y, ALPHA, ANGLE, ARMATURE, AX, AY, B_X, B_Y, COS, COUPLED_PLACE, CUT_ANGLE,
     CUT_COUPLING, CUT_DISTANCE, CUT_FIXED, CUT_LENGTH, CUT_POINT_COLUMNS, CUT_POINT_ON_LINE,
     CUT_PRISMATIC, CUT_REVOLUTE, CUT_TYPE, DX, DY, DZ, FACTORS, FX, FY, FZ, HX, HY, INERTIA, IZZ,
-    JOINT_X, JOINT_Y, MASS, MASS_X, MASS_Y, MOTION_COLUMNS, MXX, MXY, MYY, OMEGA, PATH_A,
-    PRESCRIBED_JOINT, PRESCRIBED_PLACE, PRESCRIBED_TURN, PRISMATIC, PX, PY, REVOLUTE_ARMATURE, RX,
-    RY, SIN, SX, SY, TYPE, UX, UY, UZ, VX, VY)
+    JOINT_X, JOINT_Y, LENGTHS, MASS, MASS_X, MASS_Y, MOTION_COLUMNS, MXX, MXY, MYY, OMEGA, PATH_A,
+    PRESCRIBED_JOINT, PRESCRIBED_PLACE, PRESCRIBED_TURN, PRISMATIC, PX, PY, REVOLUTE_ARMATURE,
+    ROWS, RX, RY, SIN, SX, SY, TYPE, UX, UY, UZ, VX, VY)
 
 # Where the components of a wrench, of a motion and of an inertia are in Workspace.body, angular
 # ones first: of the bias force, of U = IA S, of the acceleration, of the inertia.
@@ -35,12 +36,88 @@ CHANGES = {2: DZ, 3: DX, 4: DY}
 INERTIAS = {(2, 2): IZZ, (2, 3): HX, (2, 4): HY, (3, 3): MXX, (3, 4): MXY, (4, 4): MYY}
 # Where the factors of a coupling begin that has columns of its own before them.
 _COUPLED = CUT_POINT_COLUMNS + FACTORS
-# What the cut joints hold: axes of body B, and pairs of axes that stay perpendicular.
+# What the cut joints hold, as ``space.HELD``: axes of body B, and pairs of axes that stay
+# perpendicular.
 _TURNING = (Z, X), (Z, Y)
-_HELD = {CUT_REVOLUTE: ((X, Y, Z), _TURNING), CUT_PRISMATIC: ((Y, Z), (*_TURNING, (X, Y))),
-         CUT_FIXED: ((X, Y, Z), (*_TURNING, (X, Y))), CUT_DISTANCE: ((), ()),
-         CUT_POINT_ON_LINE: ((Y, Z), ()), CUT_COUPLING: ((), ()), PRESCRIBED_PLACE: ((X,), ()),
-         PRESCRIBED_TURN: ((), ((X, Y),)), COUPLED_PLACE: ((X,), ())}
+HELD = {kind: (CUT_TYPES[kind], *held) for kind, held in {
+    CUT_REVOLUTE: ((X, Y, Z), _TURNING), CUT_PRISMATIC: ((Y, Z), (*_TURNING, (X, Y))),
+    CUT_FIXED: ((X, Y, Z), (*_TURNING, (X, Y))), CUT_DISTANCE: ((), ()),
+    CUT_POINT_ON_LINE: ((Y, Z), ()), CUT_COUPLING: ((), ()), PRESCRIBED_JOINT: ((), ()),
+    PRESCRIBED_PLACE: ((X,), ()), PRESCRIBED_TURN: ((), ((X, Y),)),
+    COUPLED_PLACE: ((X,), ())}.items()}
+
+
+def possible(kind):
+    """
+    Return the bits of the equations of a cut joint that do not always hold in the plane.
+
+    Parameters
+    ----------
+    kind : int
+        Its ``CUT_TYPE``.
+
+    Returns
+    -------
+    int
+
+    """
+    _, along, perpendicular = HELD[kind]
+    # Others have one equation of their own.
+    open_ones = [axis != Z for axis in along] + [Z not in pair for pair in perpendicular] or [True]
+    return sum(1 << n for n, one in enumerate(open_ones) if one)
+
+
+def group_of(kind, number):
+    """
+    Tell which equations of a cut joint are of one kind: of places 0, others 1.
+
+    Parameters
+    ----------
+    kind : int
+        Its ``CUT_TYPE``.
+    number : int
+        Of the equation.
+
+    Returns
+    -------
+    int
+
+    """
+    return int(kind != CUT_DISTANCE and number >= len(HELD[kind][1]))
+
+
+def equation_names(kind):
+    """
+    Name the equations of a cut joint, as ``space.equation_names``.
+
+    Parameters
+    ----------
+    kind : int
+        Its ``CUT_TYPE``.
+
+    Returns
+    -------
+    list of str
+
+    """
+    return space.equation_names(kind, HELD)
+
+
+def number_equations(cut):
+    """
+    Fill in the numbers of the equations that the elimination works on.
+
+    Parameters
+    ----------
+    cut : ndarray of int, shape (number of cuts, CUT_COLUMNS)
+        As for ``space.number_equations``.
+
+    """
+    space.number_rows(cut, [
+        sum(1 << n for n in range(6) if group_of(kind, n) == 0)
+        for kind in cut[:, CUT_TYPE].tolist()])
+    # Where nothing is left of a cut joint it counts as one of places: it has no lever.
+    cut[cut[:, ROWS] == 0, LENGTHS] = 1
 
 
 def structure(model):
@@ -112,8 +189,8 @@ def cuts(model, symbols):
     """
     return [_coupling(model, one, values, row)
             if one[CUT_TYPE] in (CUT_COUPLING, PRESCRIBED_JOINT) else
-            Cut(*_HELD[one[CUT_TYPE]], (row[A_X], row[A_Y], 0.0), (row[B_X], row[B_Y], 0.0),
-                None, None, row[CUT_ANGLE], None,
+            Cut(*HELD[one[CUT_TYPE]][1:], (row[A_X], row[A_Y], 0.0), (row[B_X], row[B_Y], 0.0),
+                None, None, row[CUT_ANGLE], space.kept(one),
                 length=row[CUT_LENGTH] if one[CUT_TYPE] == CUT_DISTANCE else None,
                 coupling=_sum(model, one, values[CUT_POINT_COLUMNS:], row[CUT_POINT_COLUMNS:])
                 if one[CUT_TYPE] == COUPLED_PLACE else None,
@@ -125,9 +202,10 @@ def _coupling(model, one, values, row):
     """Return a coupling of joints, or the prescribed motion of one."""
     if one[CUT_TYPE] == PRESCRIBED_JOINT:
         alone = 0.0, ((int(model.path_body[one[PATH_A]]), 1.0),)
-        return Cut((), (), ZERO, ZERO, None, None, 0.0, None, coupling=alone,
+        return Cut((), (), ZERO, ZERO, None, None, 0.0, space.kept(one), coupling=alone,
                    motion=prescribed(one, row))
-    return Cut((), (), ZERO, ZERO, None, None, 0.0, None, coupling=_sum(model, one, values, row))
+    return Cut((), (), ZERO, ZERO, None, None, 0.0, space.kept(one),
+               coupling=_sum(model, one, values, row))
 
 
 def _sum(model, one, values, row):

@@ -149,7 +149,7 @@ _TURNS = {(Z, X): 'turning about y', (Z, Y): 'turning about x', (X, Y): 'turning
           (X, Z): 'angle of the axes'}
 
 
-def equation_names(kind):
+def equation_names(kind, held=HELD):
     """
     Name the equations of a cut joint; x, y and z are the world's, or its own where it slides.
 
@@ -157,13 +157,15 @@ def equation_names(kind):
     ----------
     kind : int
         Its ``CUT_TYPE``.
+    held : sequence or dict
+        What cut joints hold, by type, as ``HELD``.
 
     Returns
     -------
     list of str
 
     """
-    name, along, perpendicular = HELD[kind]
+    name, along, perpendicular = held[kind]
     return [*(f'place along {"xyz"[axis]}' for axis in along),
             *(_TURNS[pair] for pair in perpendicular),
             *{'helical': ['thread'], 'distance': ['distance'], 'coupling': ['sum'],
@@ -372,7 +374,7 @@ def cuts(model, symbols):
         found.append(Cut(
             along, perpendicular, tuple(row[POINT_A:POINT_A + 3]),
             tuple(row[POINT_B:POINT_B + 3]), _matrix(row[TURNED_A:]), _matrix(row[TURNED_B:]),
-            0.0, tuple(n for n in range(6) if cut[KEPT] >> n & 1),
+            0.0, kept(cut),
             length=row[LENGTH] if cut[CUT_TYPE] == DISTANCE else None,
             lead=row[LENGTH] if cut[CUT_TYPE] == HELICAL_CUT else None,
             coupling=coupling(model, cut, row) if cut[CUT_TYPE] in (COUPLING, PRESCRIBED_JOINT)
@@ -381,6 +383,19 @@ def cuts(model, symbols):
             motion=prescribed(cut, row), between=cut[CUT_TYPE] >= PRESCRIBED_PLACE,
             turns=cut[CUT_TYPE] in (PRESCRIBED_TURN, COUPLED_TURN)))
     return found
+
+
+def kept(cut):
+    """
+    Return what ``Cut.kept`` is.
+
+    Parameters
+    ----------
+    cut : ndarray of int, shape (CUT_COLUMNS,)
+        Row of ``Model.cut``.
+
+    """
+    return tuple(n for n in range(6) if cut[KEPT] >> n & 1)
 
 
 def prescribed(cut, row):
@@ -481,9 +496,25 @@ def number_equations(cut):
         written.
 
     """
+    number_rows(cut, [(1 << len(HELD[kind][1])) - 1 for kind in cut[:, CUT_TYPE]])
+    cut[:, LENGTHS] = np.maximum(1, cut[:, LENGTHS])
+
+
+def number_rows(cut, lengths):
+    """
+    Do the same.
+
+    Parameters
+    ----------
+    cut : ndarray of int, shape (number of cuts, CUT_COLUMNS)
+        As above.
+    lengths : sequence of int
+        Of each cut joint, the bits of its equations that hold places.
+
+    """
     cut[:, ROWS] = [bin(kept).count('1') for kept in cut[:, KEPT].tolist()]
-    along = np.array([(1 << len(HELD[one[CUT_TYPE]][1])) - 1 for one in cut], dtype=int)
-    cut[:, LENGTHS] = [max(1, bin(kept).count('1')) for kept in cut[:, KEPT] & along]
+    cut[:, LENGTHS] = [bin(kept & bits).count('1')
+                       for kept, bits in zip(cut[:, KEPT].tolist(), lengths)]
     by_user = np.zeros(len(cut) + 1, dtype=np.int64)
     by_user[cut[:, CUT_NUMBER] + 1] = cut[:, ROWS]
     cut[:, CUT_ROW] = np.cumsum(by_user)[cut[:, CUT_NUMBER]]

@@ -103,9 +103,9 @@ class Cut(NamedTuple):
         Its frames in those of the bodies; None where they are the bodies' own.
     angle : number
         Of the frame on body B, about its Z axis [rad].
-    kept : tuple of int or None
-        The equations that do not hold anyway, in the order of ``along`` and ``perpendicular``;
-        None where that is to be seen from the equations.
+    kept : tuple of int
+        The equations that do not hold anyway, in the order of ``along`` and ``perpendicular``, but
+        for those that are left out.
     length : number or None
         Distance of the two points, where that is held [m].
     lead : number or None
@@ -140,9 +140,7 @@ class Cut(NamedTuple):
     turns: bool = False
 
     def left(self, equations):
-        """Return which of all equations are left, those apart that always hold."""
-        if self.kept is None:
-            return [one for one in equations if not is_zero((one.value,))]
+        """Return which of all equations the elimination works on."""
         return [equations[n] for n in self.kept]
 
     def equations(self, first, second):
