@@ -220,6 +220,11 @@ class Effect:
 
         """
 
+    @property
+    def feels_reactions(self):
+        """Whether its force depends on the reaction in its joint."""
+        return False
+
     def drive(self):
         """
         Return the joint whose command passes through the effect, and the command's delay.

@@ -27,8 +27,8 @@ import numpy as np
 from . import cut_coordinates
 from .sensor import Chain
 from .table import (
-    build_table, CUT_ROTOR, DISSIPATED, fill_row, FIRST, FOLLOWED, LOADED, OWN, size_of_data,
-    STATE, states_of, STORED, WORK)
+    build_table, CUT_ROTOR, DISSIPATED, fill_row, FIRST, FOLLOWED, LOADED, OWN,
+    PRESCRIBED_MOTION, size_of_data, STATE, states_of, STORED, WORK)
 from ..core import codegen, kinematics
 from ..core.codegen import pieces
 from ..core.types import TYPE
@@ -130,6 +130,9 @@ class EffectSet:
     def move(self, system):
         """Take a system that works on other equations; all that effects change is shared."""
         self._system, self._model = system, system.model
+        for row in np.flatnonzero(self._table.kind == PRESCRIBED_MOTION):
+            # Their multipliers have other places.
+            fill_row(self._table, row, self.records[self._rows[row]].element(self._machine))
 
     def _update(self):
         """Bring model constants, drives and instruments in line with the records."""

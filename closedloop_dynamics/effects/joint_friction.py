@@ -93,6 +93,11 @@ class JointFriction(Effect):
         """Return the names that ``joint`` may be: of any freedom."""
         return mechanism.coordinates.names + mechanism.cut_coordinates.names
 
+    @property
+    def feels_reactions(self):
+        """Whether its force depends on the reaction in its joint."""
+        return self.friction_coefficient * self.radius > 0.0
+
     def element(self, machine):
         """Return the effect as a row of the table."""
         lever = self.friction_coefficient * self.radius
@@ -101,7 +106,8 @@ class JointFriction(Effect):
         return ForceElement(
             JOINT_FRICTION, (machine.joint(self.joint), machine.joint_row(self.joint)),
             tuple(values),
-            (State(OWN), State(OWN, 10.0), State(DISSIPATED)), loaded=lever > 0.0, sticks=True)
+            (State(OWN), State(OWN, 10.0), State(DISSIPATED)), loaded=self.feels_reactions,
+            sticks=True)
 
     def direction(self, rate):
         """Return the direction in which the joint slides at a rate; 0 at rest."""

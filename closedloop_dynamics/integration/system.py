@@ -164,8 +164,10 @@ def build_system(model, formulation=SUBSYSTEM, baumgarte=0.0, extent=1.0, indepe
     settings = np.array([
         formulation, baumgarte, 1e-12 * extent, 1e-5 * extent, rank_revealing.ASIDE])
     tau = np.zeros(nv + (0 if cuts is None else len(cuts[0])))
+    # With room for those that are left out: they may be taken again.
+    most = len(with_all_equations(model).column) - 1
     effects = None if len(elements) == 0 and cuts is None else build_table(
-        elements, tau, nv, nc, space.is_spatial(model), model.cut_point, cuts)
+        elements, tau, nv, most, space.is_spatial(model), model.cut_point, cuts)
     system = System(
         model=model, work=unconnected(model),
         dense=None if formulation == SUBSYSTEM else allocate_dense(model, formulation),
@@ -279,14 +281,14 @@ def parts_of_state(system):
 
 def with_equations(system, model):
     """
-    Return a system that works on other closure equations, as many as before.
+    Return a system that works on other closure equations.
 
     Parameters
     ----------
     system : System
         As it was; its state, torques and effects are shared.
     model : Model
-        Of the same mechanism in space with other equations kept; it shares all other arrays.
+        Of the same mechanism with other equations kept; it shares all other arrays.
 
     Returns
     -------
@@ -295,7 +297,11 @@ def with_equations(system, model):
     """
     work = unconnected(model)
     work.health[:] = system.work.health
-    return _linked(system._replace(model=model, work=work))
+    return _linked(system._replace(
+        model=model, work=work, lam=np.zeros(len(work.closure)),
+        dense=None if system.dense is None else allocate_dense(
+            model, int(system.settings[FORMULATION])),
+        partition=None if system.partition is None else allocate_partition(model)))
 
 
 def number_of_states(system):
@@ -396,7 +402,7 @@ def rank_revealing_acceleration(
     Parameters
     ----------
     model, work, effects, settings, tau, applied, manifold, qdd, lam
-        As a ``System`` has them, in space with all equations.
+        As a ``System`` has them, with all equations.
     q : ndarray, shape (nq,)
         Joint coordinates.
     qd : ndarray, shape (nv,)

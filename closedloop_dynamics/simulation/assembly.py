@@ -48,6 +48,8 @@ NO_LEVER = 1e-12
 MOST_EQUATIONS = 300
 # How far away neighbours of a position are looked for [rad, and shares of the size], how many.
 NEARBY, NEIGHBOURS = 0.1, 3
+# Closure errors of equations that follow from others, of the size.
+IMPLIED = 1e-9
 # How far, relatively, a change of rates may open the loops where a motion continues them.
 CONTINUATION_TOLERANCE = 1e-5
 MOST_GUESSES = 10
@@ -61,16 +63,18 @@ class Assembler:
     """
     Closes the loops of one mechanism.
 
-    ``equations``: core.equations.Equations; those of the mechanism.
+    ``equations``: core.equations.Equations; those of the mechanism. ``kept``: ndarray of bool,
+    shape (nc,), optional; to close some of them only.
 
     """
 
-    def __init__(self, mechanism, equations):
+    def __init__(self, mechanism, equations, kept=None):
         """Allocate what every assembly needs."""
         self.mechanism, self._equations = mechanism, equations
         self.extent = extent(mechanism)
         self._coordinates = mechanism.coordinates
-        self.nv, self.nc = equations.nv, equations.nc
+        self._kept = slice(None) if kept is None else kept
+        self.nv, self.nc = equations.nv, equations.nc if kept is None else int(kept.sum())
         # Right-hand sides of the velocities: those of prescribed motions, behind all others.
         self.prescribed_rates = np.zeros(len(mechanism.motions))
         self._light = any(body.inertia == 0.0 and not (body.mass and any(body.center_of_mass))
@@ -78,11 +82,11 @@ class Assembler:
 
     def closure(self, q):
         """Return psi, shape (nc,), in the mechanism's order [m, rad]."""
-        return self._equations.move(q).closures()[0]
+        return self._equations.move(q).closures()[0][self._kept]
 
     def jacobian(self, q):
         """Return J = d psi / d q, shape (nc, nv)."""
-        return self._equations.move(q).jacobian()
+        return self._equations.move(q).jacobian()[self._kept]
 
     def inertia(self, q):
         """Return the generalized inertia matrix of the spanning tree, shape (nv, nv)."""
@@ -272,14 +276,35 @@ class Assembler:
         ndarray, shape (nc, nv)
 
         """
-        candidates = [self.jacobian(q)]
-        if rank_of(candidates[0]) < min(self.nc, self.nv):
-            candidates += map(self.jacobian, self._neighbours(q))
-        return max(candidates, key=rank_of)
+        return self.jacobian(self.of_largest_rank(q))
 
-    def _neighbours(self, q):
+    def of_largest_rank(self, q, seed=0):
+        """Return a closed position, or one nearby where the Jacobian has a larger rank."""
+        candidates = [q]
+        if rank_of(self.jacobian(q)) < min(self.nc, self.nv):
+            candidates += self._neighbours(q, seed)
+        return max(candidates, key=lambda place: rank_of(self.jacobian(place)))
+
+    def implies_all(self, q):
+        """
+        Tell whether near a position all loops close where the equations that are kept do.
+
+        Parameters
+        ----------
+        q : ndarray, shape (nq,)
+            Closing the loops.
+
+        Returns
+        -------
+        bool
+
+        """
+        return any(np.abs(self._equations.move(near).closures()[0]).max() <= (
+            IMPLIED * self.extent) for near in self._neighbours(q))
+
+    def _neighbours(self, q, seed=0):
         """Yield closed positions near a closed one."""
-        rng = np.random.default_rng(0)
+        rng = np.random.default_rng(seed)
         size = np.where(self._coordinates.lengths, self.extent, 1.0)
         for _ in range(NEIGHBOURS):
             with suppress(AssemblyError):

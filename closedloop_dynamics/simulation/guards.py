@@ -65,6 +65,9 @@ NOTHING = 1e-15
 # Steps between two looks at the closure; and the closure error, against the size of the mechanism,
 # at which loops count as open.
 CLOSURE_LOOK_EVERY, OPEN = 500, 1e-3
+# Steps between two looks at the equations that the elimination works on, and the most where small
+# pivots are those of the masses.
+EQUATIONS_FIRST_LOOK, EQUATIONS_LOOK_EVERY = 16, 512
 # What keeps the loops closed to rounding.
 CLOSING = ('projection', 'independent')
 
@@ -315,6 +318,38 @@ def _cure(method):
     return 'Take integrator: auto, which controls its error, or a smaller step.'
 
 
+class EquationGuard:
+    """Looks whether the equations that the elimination works on still serve."""
+
+    def __init__(self):
+        """Begin."""
+        self.restart()
+
+    def restart(self):
+        """Count from here."""
+        self._since, self._between = 0, EQUATIONS_FIRST_LOOK
+
+    @property
+    def until_look(self):
+        """Return the steps left until the next look, however many are made at once."""
+        return self._between - self._since
+
+    def begin(self, simulation):
+        """Do nothing: every look stands by itself."""
+
+    def jump(self):
+        """Do nothing, likewise."""
+
+    def look(self, simulation, steps):
+        """Let the simulation exchange equations where that is better; seldom where it is not."""
+        self._since += steps
+        if self._since >= self._between:
+            rarely = not simulation.exchange_poor_equations()
+            self._since = 0
+            self._between = (
+                min(2 * self._between, EQUATIONS_LOOK_EVERY) if rarely else EQUATIONS_FIRST_LOOK)
+
+
 class ClosureGuard:
     """
     Looks at the closure where the method alone does not keep the loops closed.
@@ -387,6 +422,10 @@ class StiffnessGuard:
             method.integrator, math.inf if self._fixed else 3.0 * MOST_SMALL_STEPS)
         self._explicit = integrator.family == EXPLICIT and system.effects is not None
         self.among_laws = self._explicit and self._fixed
+
+    def move(self, system):
+        """Take a system that works on other equations."""
+        self._system = system
 
     def stable(self, state, step_size):
         """Return whether steps of ``step_size`` from ``state`` can be stable."""

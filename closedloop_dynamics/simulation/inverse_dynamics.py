@@ -66,7 +66,7 @@ class InverseDynamics:
             # Friction driven by reactions depends on the result: a fixed point, fast because
             # friction is the smaller part.
             joint_reaction.load(
-                self._system.model, self._system.work, table, q, qd, qdd, lam)
+                self._equations.model, self._equations.work, table, q, qd, qdd, lam)
             places, values = self._effects.loads()
             change = np.abs(table.states[places] - values).max()
             table.states[places] = values
@@ -91,7 +91,7 @@ class InverseDynamics:
                 f'This acceleration opens the loops: the cut joints would separate at {part:.3g} '
                 'm/s^2. Give accelerations of all joints that belong together, such as those '
                 'that forward_dynamics returns.')
-        return jac[equations.kept]
+        return jac
 
     def _needed(self, q, qd, qdd):
         """Return what torques and constraint forces must add up to at the joints."""

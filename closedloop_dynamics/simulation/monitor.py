@@ -147,6 +147,15 @@ class Monitor:
         self._probe = None
         self.clear()
 
+    def take(self, driver, system):
+        """Go on counting with another driver, of a system that works on other equations."""
+        control = getattr(self.driver, 'control', None)
+        if control is not None:
+            driver.control[:] = control
+        for part, before in zip(driver.memory, self.driver.memory):
+            part[:] = before
+        self.driver, self._system, self._probe = driver, system, None
+
     def clear(self):
         """Forget what has been counted: the time starts again."""
         self._time, self._steps, self._nanoseconds = 0.0, 0, 0

@@ -111,18 +111,22 @@ class Motions:
 
     def __init__(self, scene, mechanism, model, place, cut_place):
         """Look up the equations."""
-        self.mechanism, self.model, self.records = mechanism, model, scene.effects
+        self.mechanism, self.records = mechanism, scene.effects
         self._initial, self._coordinates = scene.initial, mechanism.coordinates
         self._names = [motion.name for motion in mechanism.motions]
         self._place, self._cut_place = place, cut_place
-        column = model.cut_point.shape[1] - t.MOTION_COLUMNS
+        self.rows = {replace(motion, name=''): (self._start(motion),)
+                     for motion in mechanism.motions}
+        self.look_up(model)
+
+    def look_up(self, model):
+        """Look up the equations in a model that works on others."""
+        self.model, column = model, model.cut_point.shape[1] - t.MOTION_COLUMNS
         numbers = model.cut[:, t.CUT_NUMBER].tolist()
-        self.rows = {}
         for number, motion in enumerate(
-                mechanism.motions, start=len(mechanism.closures) - len(mechanism.motions)):
-            row = numbers.index(number)
-            self.rows[replace(motion, name='')] = (
-                row, int(model.cut[row, t.CUT_ROW]), column, self._start(motion))
+                self.mechanism.motions, start=len(numbers) - len(self._names)):
+            row, key = numbers.index(number), replace(motion, name='')
+            self.rows[key] = row, int(model.cut[row, t.CUT_ROW]), column, self.rows[key][-1]
 
     def __bool__(self):
         """Return whether there are any."""

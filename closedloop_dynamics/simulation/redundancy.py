@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Which closure equations in space repeat others, why, and whose forces they share."""
+"""Which closure equations repeat others, why, and whose forces they share."""
 
 from dataclasses import replace
 from typing import NamedTuple, Tuple
@@ -21,8 +21,10 @@ import numpy as np
 
 from .assembly import Assembler, rank_of, RANK_TOLERANCE
 from .errors import AssemblyError
-from .space import independent, scaled, SpatialGeometry
-from ..core.codegen.space import equation_names
+from .loop_model import scaled
+from .plane import PlanarGeometry
+from .space import SpatialGeometry
+from ..core.codegen import pieces
 from ..core.types import CUT_NUMBER, CUT_TYPE, POSSIBLE
 from ..mechanism.mechanism import MechanismError
 
@@ -58,7 +60,7 @@ def find_redundancy(mechanism, q):
     Parameters
     ----------
     mechanism : Mechanism
-        In space.
+        In the plane or in space.
     q : ndarray, shape (nq,)
         Joint coordinates.
 
@@ -67,12 +69,12 @@ def find_redundancy(mechanism, q):
     Redundancy
 
     """
-    geometry = SpatialGeometry(mechanism)
-    jac = Assembler(mechanism, geometry.equations).jacobian_of_largest_rank(q)
-    groups = geometry.equations.groups
-    kept = independent(jac, groups)
-    if kept.all():
+    geometry = geometry_of(mechanism)
+    geometry.choose(q)
+    if not geometry.leaves_out:
         return Redundancy((), ())
+    kept, groups = geometry.equations.kept, geometry.equations.groups
+    jac = Assembler(mechanism, geometry.equations).jacobian_of_largest_rank(q)
     names = _names(mechanism, geometry)
     changed = _with_other_lengths(mechanism, q)
     changed = None if changed is None else scaled(changed, groups)
@@ -88,9 +90,14 @@ def find_redundancy(mechanism, q):
         name for (name, _), shares in zip(names, sharing) if shares)))
 
 
+def geometry_of(mechanism, decomposition=None):
+    """Return the geometry of a mechanism, in the plane or in space."""
+    return (PlanarGeometry if mechanism.planar else SpatialGeometry)(mechanism, decomposition)
+
+
 def _names(mechanism, geometry):
     """Return the cut joint or coupling and the name of each equation that may fail to hold."""
-    found = []
+    found, equation_names = [], pieces.arrays_of(geometry.model).equation_names
     for cut in geometry.model.cut[np.argsort(geometry.model.cut[:, CUT_NUMBER])]:
         equations = equation_names(cut[CUT_TYPE])
         found += [(mechanism.closures[cut[CUT_NUMBER]].name, equation)
@@ -111,7 +118,7 @@ def _with_other_lengths(mechanism, q):
         mechanism, joints=tuple(stretched(joint, 'position') for joint in mechanism.joints),
         cut_joints=tuple(stretched(cut, 'point_a', 'point_b') for cut in mechanism.cut_joints))
     try:
-        assembler = Assembler(other, SpatialGeometry(other).equations)
+        assembler = Assembler(other, geometry_of(other).equations)
         return assembler.jacobian_of_largest_rank(assembler.positions(q))
     except (AssemblyError, MechanismError):
         return None

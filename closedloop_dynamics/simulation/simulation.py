@@ -20,24 +20,22 @@ import warnings
 
 import numpy as np
 
-from .assembly import angle_notes, Assembler
+from .assembly import angle_notes, Assembler, IMPLIED
 from .cut_joints import acted_in, coordinate_arrays, coupling_moments, CutJoints
 from .errors import (
     AssemblyError, ClosureError, MotionError, NumericalError, SimulationError, StiffnessError)
-from .guards import CLOSING, ClosureGuard, EnergyGuard, StiffnessGuard
+from .guards import CLOSING, ClosureGuard, EnergyGuard, EquationGuard, StiffnessGuard
 from .health import health_of
 from .inverse_dynamics import InverseDynamics
-from .modeling import body_rows, build_model, coupling_scales, extent
+from .modeling import coupling_scales, extent
 from .monitor import Monitor
 from .motions import Motions, moving, with_motions
-from .redundancy import find_redundancy
+from .redundancy import find_redundancy, geometry_of
 from .rollout import rollout
 from .scene import load_scene
 from .scene_records import Method, Scene
-from .space import SpatialGeometry
-from ..core import energy, kinematics, types as t
+from ..core import energy, types as t
 from ..core.codegen import later
-from ..core.equations import Equations
 from ..core.formulations import AUGMENTED, SUBSYSTEM, SYSTEM
 from ..core.independent import allocate_partition
 from ..core.loop_closure import largest
@@ -58,9 +56,9 @@ from ..mechanism.decomposition import decompose
 from ..mechanism.fields import at, FieldError, keys_of, mapping
 
 FORMULATIONS = {'subsystem': SUBSYSTEM, 'system': SYSTEM, 'augmented': AUGMENTED}
-# Closure errors of equations that were left out, of the size, and pivots from which on others are
-# looked for; and how much further from dependent these must be.
-REPEATED, POOR_CHOICE, BETTER = 1e-9, 0.02, 3.0
+# Pivots from which on other equations are looked for, and how much further from dependent these
+# must be.
+POOR_CHOICE, BETTER = 0.02, 3.0
 # In a step, of a joint [rad, m]: error-controlled methods would divide it for minutes.
 LARGEST_MOTION = 1e3
 
@@ -94,20 +92,15 @@ class Simulation:
         self.scene = scene
         self.mechanism = with_motions(scene)
         self.decomposition = decompose(self.mechanism)
-        self._geometry, self._time_base, self._steps = None, 0.0, 0
+        self._time_base, self._steps = 0.0, 0
         self._points = {point.name: point for point in self.mechanism.points}
-        if self.mechanism.planar:
-            self._rows = body_rows(self.mechanism, self.decomposition)
-            model = build_model(self.mechanism, decomposition=self.decomposition)
-            self._equations = Equations(model)
-        else:
-            self._geometry = SpatialGeometry(self.mechanism, self.decomposition)
-            self._prescribe(scene, self._geometry.model)
+        self._geometry = geometry_of(self.mechanism, self.decomposition)
+        self._rows, placements = self._geometry.rows, self._geometry.placements
+        self._prescribe(scene)
+        if self._may_leave_out(scene.method):
             self._geometry.leave_out_repeated(np.array(scene.initial.position))
-            self._rows, model = self._geometry.rows, self._geometry.model
-            self._equations = self._geometry.equations
-        self._prescribe(scene, model)
-        placements = None if self._geometry is None else self._geometry.placements
+            self._motions.look_up(self._geometry.model)
+        model, self._equations = self._geometry.model, self._geometry.equations
         acted = acted_in(self.mechanism, scene.effects)
         machine = Machine(self.mechanism, self._rows, placements, self._motions.rows, acted)
         self._effects = EffectSet(scene.effects, model, machine, coordinate_arrays(
@@ -165,17 +158,29 @@ class Simulation:
         self._present = Probe(self.system, self._state)
         self._probe = Probe(self.system)
 
-    def _prescribe(self, scene, model):
-        """Look up the equations of prescribed motions in a model; let them start."""
-        self._motions = Motions(scene, self.mechanism, model, self.place, self._cut_place)
+    def _may_leave_out(self, method):
+        """
+        Return whether equations that repeat others may be left out.
+
+        In the plane not where loops drift apart, as these equations drift, too, nor where friction
+        follows reactions: it is the least ones that count.
+
+        """
+        return not self.mechanism.planar or (
+            method.stabilisation in CLOSING
+            and not any(record.feels_reactions for record in self._motions.records.values()))
+
+    def _prescribe(self, scene):
+        """Look up the equations of prescribed motions; let them start."""
+        self._motions = Motions(
+            scene, self.mechanism, self._geometry.model, self.place, self._cut_place)
         self._motions.follow(0.0)
 
     def _cut_place(self, name, position):
         """Return the coordinate of a freedom of a cut joint in a position of the joints."""
-        equations = self._equations if self._geometry is None else self._geometry.equations
-        rows, placements = (self._rows, None) if self._geometry is None else (
-            self._geometry.rows, self._geometry.placements)
-        cuts = CutJoints(self.mechanism, equations.model, rows, placements, ())
+        equations = self._geometry.equations
+        cuts = CutJoints(
+            self.mechanism, equations.model, self._rows, self._geometry.placements, ())
         found, _ = cuts.measure(equations.move(position).work.body)
         return float(found[cuts.place(name)])
 
@@ -403,7 +408,7 @@ class Simulation:
     @property
     def leaves_out(self):
         """Whether equations that repeat others are left out, and watched."""
-        return self._geometry is not None and self._geometry.leaves_out
+        return self._geometry.leaves_out
 
     def energies_of(self, state):
         """
@@ -471,9 +476,13 @@ class Simulation:
 
     @property
     def multipliers(self):
-        """Lagrange multipliers of the present state, shape (nc,) [N, N m]."""
-        self._evaluate()
-        return self.system.lam.copy()
+        """
+        Lagrange multipliers of the present state, shape (nc,) [N, N m].
+
+        Of all equations that do not always hold; the least where some repeat others.
+
+        """
+        return self._all_multipliers().copy()
 
     @property
     def constraint_forces(self):
@@ -508,7 +517,7 @@ class Simulation:
     @property
     def shared_forces(self):
         """Names of cut joints and couplings whose forces are not unique: the least are given."""
-        if self._geometry is None or not self._geometry.leaves_out:
+        if not self.leaves_out:
             return ()
         return find_redundancy(self.mechanism, self._q).shared
 
@@ -586,16 +595,17 @@ class Simulation:
         shape (number of joints, 6): moment x, y, z, force x, y, z; NaN in fixed joints.
 
         """
-        self._evaluate()
-        system, self._fresh = self.system, False
+        lam, system = self._all_multipliers(), self.system
+        self._fresh = False
+        if self.leaves_out:
+            system = system._replace(model=self._equations.model, work=self._equations.work)
         with self._effects.friction_held():
             found = joint_forces(
                 system, system.tau[np.newaxis], 1, 1, self._state[np.newaxis],
-                system.qdd[np.newaxis], system.lam[np.newaxis])[0]
+                system.qdd[np.newaxis], lam[np.newaxis])[0]
         if self._coupled[0].any():
             found[:, 0] += self._coupled[1] @ self.coupling_forces
-        return found if self._geometry is None else self._geometry.joint_wrenches_among(
-            system.work.body, found)
+        return self._geometry.joint_wrenches_among(system.work.body, found)
 
     def force(self, name):
         """
@@ -620,7 +630,7 @@ class Simulation:
     @property
     def closure(self):
         """Largest closure error of positions [m or rad]."""
-        if self._geometry is not None and self._geometry.leaves_out:
+        if self.leaves_out:
             return self._closure_of_all()
         self._evaluate()
         return float(largest(self.system.work.closure))
@@ -729,21 +739,12 @@ class Simulation:
 
         """
         self._evaluate()
-        if self._geometry is not None:
-            return self._geometry.poses_among(self.system.work.body)
-        rows = [self._rows[body.name] for body in self.mechanism.bodies]
-        return self.system.work.body[np.ix_(rows, (t.PX, t.PY, t.ALPHA))]
+        return self._geometry.poses_among(self.system.work.body)
 
     def point(self, name):
         """Return the world place of a named point, shape (2,), in space (3,) [m]."""
-        point = self._named_point(name)
-        self._evaluate()
-        if self._geometry is not None:
-            return self._geometry.points_among(self.system.work.body)[
-                list(self._points).index(name)]
-        out = np.zeros(2)
-        kinematics.point_position(self.system.work, self._rows[point.body], *point.position, out)
-        return out
+        self._named_point(name)
+        return self.points[list(self._points).index(name)]
 
     def place(self, name, position):
         """
@@ -763,21 +764,13 @@ class Simulation:
 
         """
         point = self._named_point(name)
-        if self._geometry is not None:
-            return self._geometry.point(position, point.body, point.position)
-        out = np.zeros(2)
-        kinematics.point_position(
-            self._equations.move(position).work, self._rows[point.body], *point.position, out)
-        return out
+        return self._geometry.point(position, point.body, point.position)
 
     @property
     def points(self):
         """Places of all named points, shape (number of points, 2), in space 3 [m]."""
-        if self._geometry is not None:
-            self._evaluate()
-            return self._geometry.points_among(self.system.work.body)
-        return np.array([self.point(name) for name in self._points]).reshape(
-            len(self._points), 2)
+        self._evaluate()
+        return self._geometry.points_among(self.system.work.body)
 
     def _named_point(self, name):
         if name not in self._points:
@@ -1016,7 +1009,7 @@ class Simulation:
         self._stiffness = stiffness
         self.energy_guard = EnergyGuard(
             method, stiffness.rate, stiffness.limit, stiffness.among_laws)
-        self._guards = [self.energy_guard]
+        self._guards = [self.energy_guard, *[EquationGuard()] * self._geometry.may_leave_out]
         if method.stabilisation not in CLOSING:
             self._guards.append(ClosureGuard(method, extent(self.mechanism)))
 
@@ -1031,7 +1024,7 @@ class Simulation:
             if self._effects.remembers:
                 portion = 1
             try:
-                self._advance_unguarded(size, portion)
+                self._advance_portion(size, portion)
             except MotionError:
                 raise
             except SimulationError:
@@ -1043,58 +1036,74 @@ class Simulation:
             for guard in self._guards:
                 guard.look(self, portion)
             steps -= portion
-            if steps > 0 and (
-                    self.system.work.health[t.RANK_REVEALING_COUNT] > self._revealed_before):
-                self._watch_repeated()
-        self._watch_repeated()
+
+    def _advance_portion(self, size, steps):
+        """Advance; once more with all equations where those left out did not repeat others."""
+        if not self.leaves_out or self.scene.method.stabilisation not in CLOSING:
+            self._advance_unguarded(size, steps)
+            return
+        state, memory = self._state.copy(), self._driver.memory
+        when = self._time_base, self._steps
+        try:
+            self._advance_unguarded(size, steps)
+            error = self._closure_of_all()
+            if error <= IMPLIED * self._assembler.extent or (
+                    error <= self.system.settings[CLOSURE_LIMIT]
+                    and self._geometry.serves(self._q)):
+                return
+        except MotionError:
+            raise
+        except SimulationError:
+            # What is left out may have been what held it together.
+            pass
+        self._state[:], (self._time_base, self._steps) = state, when
+        self._driver.recall(memory)
+        self._exchange(self._geometry.keep(None))
+        self._advance_unguarded(size, steps)
 
     def _look(self):
         """Let sensors that remember see the present state."""
         self.measured()
         self.measured_cut_joints()
 
-    def _watch_repeated(self):
+    def exchange_poor_equations(self):
         """
-        Work on other equations where those that repeat others are no longer the same.
+        Work on other equations where those that were chosen are about to depend on one another.
 
-        Refuse to go on where the loops are open.
+        Returns
+        -------
+        bool
+            False where they seem to, but no others are better.
 
         """
-        if self._geometry is None or not self._geometry.leaves_out or (
-                self.scene.method.stabilisation not in CLOSING):
-            return
-        error, careful = self._closure_of_all(), self.system.work.health[t.RANK_REVEALING_COUNT]
-        slow, self._revealed_before = careful > self._revealed_before, careful
-        if error <= self.system.settings[CLOSURE_LIMIT] and (
-                slow or self.system.work.health[t.SMALLEST_PIVOT] < POOR_CHOICE
-                or error > REPEATED * self._assembler.extent):
-            model = self._geometry.closed_anew(self._q, BETTER)
-            if model is not None:
-                self._exchange(model)
-                return
-        if not error <= self.system.settings[CLOSURE_LIMIT]:
-            raise ClosureError(
-                f'At t = {self.time:.9g} s the loops are open by {error:.3g} m or rad: equations '
-                'that repeated others at the start, and were left out, no longer do. Start from '
-                'a position on the way that the mechanism is to move.')
+        health = self.system.work.health
+        slow = health[t.RANK_REVEALING_COUNT] > self._revealed_before
+        self._revealed_before = health[t.RANK_REVEALING_COUNT]
+        if not self.leaves_out or self.scene.method.stabilisation not in CLOSING or not (
+                slow or health[t.SMALLEST_PIVOT] < POOR_CHOICE):
+            return True
+        model = self._geometry.closed_anew(self._q, BETTER)
+        if model is not None:
+            self._exchange(model)
+        return model is not None
 
     def _exchange(self, model):
         """Go on with other closure equations, from the same state."""
-        method = self.scene.method
-        self.system = with_equations(self.system, model)
-        self._effects.move(self.system)
-        self._equations = self._geometry.equations
+        self._take(with_equations(self.system, model))
+        self._driver.take(build_driver(self.system, self.scene.method), self.system)
+        self._stiffness.move(self.system)
+        self._driver.restart()
+        self._fresh = False
+        self.exchanges += 1
+
+    def _take(self, system):
+        """Evaluate by a system that works on the equations that are kept."""
+        self.system, self._equations = system, self._geometry.equations
+        self._motions.look_up(system.model)
+        self._effects.move(system)
         self._assembler = Assembler(self.mechanism, self._equations)
         self._inverse = self._inverse_dynamics()
         self._set_probes()
-        driver = build_driver(self.system, method)
-        if isinstance(self._driver, Monitor):
-            self._driver = Monitor(driver, self.system, method)
-        self._time_base, self._steps = self.time, 0
-        self._set_guards(StiffnessGuard(self.system, method, self._effects.own), method)
-        self._driver.restart()
-        self._jump()
-        self.exchanges += 1
 
     @property
     def fastest_rate(self):
@@ -1202,7 +1211,8 @@ class Simulation:
     def reset(self):
         """Return to the initial state, time zero and no torque."""
         if self.exchanges:
-            self._exchange(self._geometry.as_at_first())
+            self._exchange(self._geometry.as_at_first() if self._may_leave_out(self.scene.method)
+                           else self._geometry.keep(None))
         self.exchanges, self._revealed_before = 0, 0.0
         self._time_base, self._steps = 0.0, 0
         if self._motions:
@@ -1278,8 +1288,10 @@ class Simulation:
             raise ValueError('method: the formulation is chosen when a scene is loaded, and stays')
         self._require_known_steps(method)
         self._require_closable(method.stabilisation)
-        system = self.system._replace(partition=allocate_partition(
-            self.system.model) if method.stabilisation == 'independent' else None)
+        before, anew = self.system, self.leaves_out and not self._may_leave_out(method)
+        system = with_equations(before, self._geometry.of(None)[0]) if anew else before
+        system = system._replace(partition=allocate_partition(
+            system.model) if method.stabilisation == 'independent' else None)
         guard = StiffnessGuard(system, method, self._effects.own)
         guard.check(self._state, method.step_size)
         driver = build_driver(system, method)
@@ -1288,6 +1300,14 @@ class Simulation:
         self._fresh = False
 
         def take_effect():
+            if self.system is not before:
+                # Equations, or the method, have been exchanged since.
+                self.prepare_method(**changes)()
+                return
+            if anew:
+                self._geometry.keep(None)
+                self._take(system)
+                self.exchanges += 1
             self.system = system
             self._driver = Monitor(driver, system, method)
             self._take_method(method, guard)
@@ -1349,6 +1369,8 @@ class Simulation:
             state = self._assembled(
                 self._by_joint('position', position, self._q),
                 self._by_joint('velocity', velocity, self._qd), hold or ())
+        if self.leaves_out and not self._geometry.serves(state[0]):
+            self._exchange(self._geometry.choose(state[0]))
         if self.scene.method.stabilisation == 'independent':
             self._assembler.require_independent(state[0])
         self._require_step_from(*state)
@@ -1566,6 +1588,8 @@ class Simulation:
         self._effects.follow_time(self._own, self.time)
         self._driver.restart()
         self._jump()
+        if self.leaves_out and not self._may_leave_out(self.scene.method):
+            self._exchange(self._geometry.keep(None))
         if len(anew):
             self._feel_loads()
         self._jump_balance(self.energy - before)
@@ -1684,9 +1708,23 @@ class Simulation:
         self._effects.follow(self._table.states, self._effects.rates(probe.q, probe.qd))
         probe.own[:] = self._table.states
         probe.evaluate_only()
+        lam = system.lam
+        if self.leaves_out:
+            lam = self._multipliers_elsewhere(probe)
         system.tau[:] = applied
         self._fresh = False
-        return system.qdd.copy(), system.lam.copy()
+        return system.qdd.copy(), lam.copy()
+
+    def _multipliers_elsewhere(self, probe):
+        """Return the multipliers of all equations, which are solved where those kept do not do."""
+        equations = self._equations.move(probe.q, probe.qd)
+        if equations.closes(self.system.qdd):
+            return equations.of_all(self.system.lam)
+        whole = with_equations(self.system, self._geometry.of(None)[0])
+        other = Probe(whole)
+        other.q[:], other.qd[:], other.own[:] = probe.q, probe.qd, probe.own
+        other.evaluate_only()
+        return whole.lam
 
     def inverse_dynamics(self, position, velocity, acceleration):
         """

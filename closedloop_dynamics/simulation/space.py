@@ -14,25 +14,17 @@
 
 """Geometry and forces of a mechanism in space: loops, places, energies, wrenches."""
 
-from contextlib import suppress
-
 import numpy as np
 
-from .assembly import Assembler, RANK_TOLERANCE
-from .errors import AssemblyError
+from .loop_model import LoopModel
 from .spatial_modeling import build_spatial_model
 from ..core import types as t
 from ..core.codegen import space
 from ..core.equations import Equations
-from ..mechanism.decomposition import decompose
 from ..mechanism.mechanism import FIXED
 
-# Relative rounding errors of a Jacobian, and what closure errors make of entries that are zero in
-# a closed position, are below this.
-ROUNDING = 1e-10
 
-
-class SpatialGeometry:
+class SpatialGeometry(LoopModel):
     """
     A model in space, on numbers and by name.
 
@@ -45,23 +37,14 @@ class SpatialGeometry:
 
     Attributes
     ----------
-    model : core.types.Model
-    equations : core.equations.Equations
-        Of ``model``.
-    placements : dict of str to spatial_modeling.Placement
-        Where the bodies' frames are in those of their rows.
-    rows : dict of str to int
-        Row of each body in the model's arrays.
+    model, equations, placements, rows
+        As ``LoopModel`` has them.
 
     """
 
     def __init__(self, mechanism, decomposition=None):
-        """Build the model of all equations."""
-        self.mechanism = mechanism
-        self._decomposition = decomposition or decompose(mechanism)
-        self.model = self._first = None
-        self._build(None)
-        self.rows = {name: one.row for name, one in self.placements.items()}
+        """Look up the frames of bodies and points."""
+        super().__init__(mechanism, decomposition)
         self._bodies = self._frames([body.name for body in mechanism.bodies])
         self._carried = self._frames([joint.child for joint in mechanism.joints])
         self._fixed = np.array([joint.type == FIXED for joint in mechanism.joints])
@@ -77,73 +60,12 @@ class SpatialGeometry:
         return (np.array([one.row for one in placed], dtype=int),
                 np.array(places).reshape(-1, 3), np.array([one.axes for one in placed]))
 
-    def _build(self, kept):
-        """Build the model, and its equations."""
+    def _built(self, kept):
+        """Return the model, the rows of the bodies and their placements."""
         built = build_spatial_model(
             self.mechanism, decomposition=self._decomposition, kept=kept)
-        model = built.model
-        if self.model is not None:
-            # Effects have changed these since.
-            model = model._replace(
-                tree=self.model.tree, body=self.model.body, gravity=self.model.gravity,
-                cut_point=self.model.cut_point)
-        self.model, self.placements = model, built.placements
-        self.equations = Equations(self.model)
-
-    def leave_out_repeated(self, q):
-        """
-        Let the elimination work on equations that do not repeat one another.
-
-        Parameters
-        ----------
-        q : ndarray, shape (nq,)
-            Near a position that closes the loops.
-
-        """
-        assembler = Assembler(self.mechanism, self.equations)
-        with suppress(AssemblyError):
-            kept = independent(
-                assembler.jacobian_of_largest_rank(assembler.positions(q)), self.equations.groups)
-            if not kept.all():
-                self._first = kept
-                self._build(kept)
-
-    def as_at_first(self):
-        """Go back to the equations that were chosen first; return the model."""
-        self._build(self._first)
-        return self.model
-
-    def closed_anew(self, q, better):
-        """
-        Choose the equations that the elimination works on anew, where the present ones serve ill.
-
-        Parameters
-        ----------
-        q : ndarray, shape (nq,)
-            Nearly closing the loops.
-        better : float
-            How much further from dependent another choice must be.
-
-        Returns
-        -------
-        Model or None
-            Of the new choice, of as many equations; None where the present one is as good.
-
-        """
-        assembler = Assembler(self.mechanism, self.equations)
-        jac = assembler.jacobian_of_largest_rank(q)
-        kept, present = independent(jac, self.equations.groups), self.equations.kept
-        if kept.sum() != present.sum() or not (
-                _distinct(jac, self.equations.groups, kept)
-                > better * _distinct(jac, self.equations.groups, present)):
-            return None
-        self._build(kept)
-        return self.model
-
-    @property
-    def leaves_out(self):
-        """Whether the elimination leaves out equations that repeat others."""
-        return not self.equations.kept.all()
+        return built.model, {name: one.row for name, one in built.placements.items()}, (
+            built.placements)
 
     def point(self, q, body, position):
         """
@@ -275,64 +197,6 @@ def quaternions(matrices):
     columns = outer[:, best, np.arange(len(best))].T
     return columns / np.copysign(
         np.linalg.norm(columns, axis=1), columns[:, 3])[:, np.newaxis]
-
-
-def scaled(jac, groups):
-    """
-    Scale a Jacobian so that neither units of coordinates nor those of equations decide.
-
-    Parameters
-    ----------
-    jac : ndarray, shape (nc, nv)
-        Of all equations. Rounding errors of entries that are zero are not scaled up.
-    groups : ndarray of int, shape (nc,)
-        Equations of one kind, which are scaled alike: one that hardly changes stays small.
-
-    Returns
-    -------
-    ndarray, shape (nc, nv)
-
-    """
-    columns = np.abs(jac).max(axis=0, initial=0.0)
-    moves = columns > ROUNDING * columns.max(initial=0.0)
-    found = np.where(moves, jac / np.where(moves, columns, 1.0), 0.0)
-    rows = np.zeros(groups.max(initial=-1) + 1)
-    np.maximum.at(rows, groups, np.linalg.norm(found, axis=1))
-    rows = rows[groups][:, np.newaxis]
-    return np.where(rows > ROUNDING, found / np.maximum(rows, ROUNDING), 0.0)
-
-
-def independent(jac, groups):
-    """
-    Choose rows of a Jacobian that do not depend on one another, by pivoting.
-
-    Parameters
-    ----------
-    jac : ndarray, shape (nc, nv)
-        Of all equations.
-    groups : ndarray of int, shape (nc,)
-        As for ``scaled``.
-
-    Returns
-    -------
-    ndarray of bool, shape (nc,)
-
-    """
-    kept, left = np.zeros(len(jac), dtype=bool), scaled(jac, groups)
-    while not kept.all():
-        length = np.where(kept, 0.0, np.linalg.norm(left, axis=1))
-        best = int(np.argmax(length))
-        if length[best] <= RANK_TOLERANCE:
-            break
-        kept[best] = True
-        direction = left[best] / length[best]
-        left = left - np.outer(left @ direction, direction)
-    return kept
-
-
-def _distinct(jac, groups, kept):
-    """Return the smallest singular value of some equations, scaled."""
-    return np.linalg.svd(scaled(jac, groups)[kept], compute_uv=False).min(initial=1.0)
 
 
 def equations_left(mechanism):

@@ -24,7 +24,7 @@ from ..mechanism.decomposition import decompose
 from ..mechanism.fields import FieldError
 from ..mechanism.mechanism import CUT_JOINT_EQUATIONS, Mechanism, MechanismError
 from ..mechanism.reader import with_cuts
-from ..simulation.assembly import find_degrees_of_freedom
+from ..simulation.assembly import find_degrees_of_freedom, MOST_EQUATIONS
 from ..simulation.far_assembly import find_closed, Loops
 from ..simulation.model_scene import assembled
 from ..simulation.modeling import extent
@@ -186,7 +186,8 @@ def _chosen(mechanism):
 
 def _repeated(mechanism, simulation, found):
     """Return the equations that repeat others, where there are any, and what they share."""
-    if mechanism.planar or not mechanism.closures:
+    if not mechanism.closures or mechanism.planar and (
+            simulation is None or mechanism.number_of_equations > MOST_EQUATIONS):
         return []
     if simulation is None:
         found = found or _closed(mechanism)

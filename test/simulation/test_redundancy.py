@@ -156,7 +156,7 @@ def test_equations_are_exchanged_where_they_no_longer_serve():
     one = Simulation(turntable('revolute', axis_a=Y))
     other = Simulation(replace(turntable('point_on_line'), initial=Initial(
         tuple(one.position), tuple(one.velocity))))
-    assert len(one.multipliers) == len(other.multipliers) == 2
+    assert len(one.system.lam) == len(other.system.lam) == 2
     start, states = one.energy, []
     for _ in range(30):
         one.step(None, 0.05)

@@ -196,7 +196,8 @@ def test_least_forces_of_all_equations_turn_into_the_same_motion():
     # Both least, one in the metric of the inertia: the same where they are turned into motion.
     jac = numbers.jacobian()
     equations = at(one.system.model, one.position, one.velocity)
-    found = equations.of_all(one.multipliers)
+    found = equations.of_all(one.system.lam)
+    assert_agree(found, one.multipliers, 1e-9)
     assert_agree(jac.T @ found, jac.T @ lam, 1e-9)
     assert np.linalg.norm(found) <= np.linalg.norm(lam) * (1.0 + 1e-9)
     assert one.constraint_forces.shape == (1, len(wrench))

@@ -83,8 +83,11 @@ def test_condition_is_that_of_the_block_pivots():
     assert simulation.health.condition == pytest.approx(expected, rel=1e-8)
 
 
-def test_condition_is_infinite_where_forces_are_not_unique():
-    assert simulate(*machines.three_rockers()).health.condition == math.inf
+def test_condition_is_infinite_where_dependent_equations_are_eliminated():
+    # What repeats others is left out, but where the loops may drift apart.
+    drifting = Method(integrator='rk4', step_size=1e-3, stabilisation='none')
+    assert simulate(*machines.three_rockers(), method=drifting).health.condition == math.inf
+    assert simulate(*machines.three_rockers()).health.condition < 10.0
 
 
 def test_health_counts_what_is_next_to_a_singular_configuration():
@@ -123,8 +126,8 @@ def test_health_tells_how_far_locked_drives_are_from_leaving_the_mechanism_loose
     # Whatever the direction of the world's axes.
     aligned = simulate(*machines.ladder(1, 0.5 * math.pi - 5e-3, direction=0.0)).health.drive_sine
     assert 0.5 < aligned / before < 2.0
-    # Three rockers on one drive: more equations than joints to hold.
-    assert math.isnan(simulate(*machines.three_rockers()).health.drive_sine)
+    # A third rocker adds nothing to hold, nor does it loosen anything.
+    assert abs(simulate(*machines.three_rockers()).health.drive_sine) > 0.3
 
 
 @pytest.mark.parametrize('size', [1e-3, 0.05, 1.0, 100.0])

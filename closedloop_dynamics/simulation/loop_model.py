@@ -1,0 +1,259 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The model of a mechanism, of which the elimination leaves out what repeats other equations."""
+
+from contextlib import suppress
+
+import numpy as np
+
+from .assembly import Assembler, MOST_EQUATIONS, rank_of, RANK_TOLERANCE
+from .errors import AssemblyError
+from ..core.equations import Equations
+from ..mechanism.decomposition import decompose
+
+# Relative rounding errors of a Jacobian, and what closure errors make of entries that are zero in
+# a closed position, are below this.
+ROUNDING = 1e-10
+# How often, farther and farther away, a position without flat loops is looked for.
+MOST_TRIES = 6
+
+
+class LoopModel:
+    """
+    A model, in the plane or in space, and which closure equations the elimination works on.
+
+    Parameters
+    ----------
+    mechanism : Mechanism
+        In the plane or in space.
+    decomposition : Decomposition, optional
+        Found here when not given.
+
+    Attributes
+    ----------
+    model : core.types.Model
+    equations : core.equations.Equations
+        Of ``model``.
+    placements : dict of str to spatial_modeling.Placement, or None
+        Where the bodies' frames are in those of their rows, in space.
+    rows : dict of str to int
+        Row of each body in the model's arrays.
+
+    """
+
+    def __init__(self, mechanism, decomposition=None):
+        """Build the model of all equations."""
+        self.mechanism = mechanism
+        self._decomposition = decomposition or decompose(mechanism)
+        self._first, self._known, self.model = None, {}, None
+        self.keep(None)
+
+    def of(self, kept):
+        """
+        Return the model of some equations, and these.
+
+        Parameters
+        ----------
+        kept : ndarray of bool, shape (nc,), or None
+            Which equations the elimination is to work on; all when None.
+
+        Returns
+        -------
+        model : core.types.Model
+            It shares all that effects change with the others.
+        equations : core.equations.Equations
+
+        """
+        key = None if kept is None else kept.tobytes()
+        if key not in self._known:
+            model, self.rows, self.placements = self._built(kept)
+            if self.model is not None:
+                model = model._replace(
+                    tree=self.model.tree, body=self.model.body, gravity=self.model.gravity,
+                    cut_point=self.model.cut_point)
+            self._known[key] = model, Equations(model)
+        return self._known[key]
+
+    def keep(self, kept):
+        """Let the elimination work on some equations, as ``of``; return the model."""
+        self.model, self.equations = self.of(kept)
+        return self.model
+
+    def leave_out_repeated(self, q):
+        """
+        Let the elimination work on equations that do not repeat one another.
+
+        Parameters
+        ----------
+        q : ndarray, shape (nq,)
+            Near a position that closes the loops.
+
+        """
+        if self.mechanism.planar and self.equations.nc > MOST_EQUATIONS:
+            return
+        with suppress(AssemblyError):
+            self.choose(Assembler(self.mechanism, self.equations).positions(q))
+            self._first = self._kept()
+
+    def choose(self, q):
+        """
+        Let the elimination work on equations that are independent at or near a position.
+
+        Parameters
+        ----------
+        q : ndarray, shape (nq,)
+            Closing the loops.
+
+        Returns
+        -------
+        Model
+
+        """
+        assembler, place = Assembler(self.mechanism, self.equations), q
+        for seed in range(MOST_TRIES):
+            # Where many loops are flat at once, not all of them may have opened nearby.
+            place = assembler.of_largest_rank(place, seed)
+            kept = independent(assembler.jacobian(place), self.equations.groups)
+            if kept.all():
+                break
+            if Assembler(self.mechanism, self.equations, kept).implies_all(q):
+                return self.keep(kept)
+        return self.keep(None)
+
+    def _jacobian(self, q):
+        """Return the Jacobian of all equations at a position, or near it where it is singular."""
+        assembler = Assembler(self.mechanism, self.equations)
+        jac = assembler.jacobian(q)
+        singular = rank_of(jac) < self.equations.kept.sum()
+        return assembler.jacobian_of_largest_rank(q) if singular else jac
+
+    def _kept(self):
+        """Return what ``keep`` was told."""
+        return None if self.equations.kept.all() else self.equations.kept
+
+    def serves(self, q):
+        """
+        Tell whether the equations that are left out repeat others at or near a position.
+
+        Parameters
+        ----------
+        q : ndarray, shape (nq,)
+            Closing the loops.
+
+        Returns
+        -------
+        bool
+
+        """
+        jac = scaled(self._jacobian(q), self.equations.groups)
+        return rank_of(jac) == rank_of(jac[self.equations.kept])
+
+    def as_at_first(self):
+        """Go back to the equations that were chosen first; return the model."""
+        return self.keep(self._first)
+
+    def closed_anew(self, q, better):
+        """
+        Choose the equations that the elimination works on anew, where the present ones serve ill.
+
+        Parameters
+        ----------
+        q : ndarray, shape (nq,)
+            Nearly closing the loops.
+        better : float
+            How much further from dependent another choice must be.
+
+        Returns
+        -------
+        Model or None
+            Of the new choice; None where the present one is as good, or there are fewer
+            equations to choose here.
+
+        """
+        jac = self._jacobian(q)
+        kept, present = independent(jac, self.equations.groups), self.equations.kept
+        if kept.sum() < present.sum() or kept.sum() == present.sum() and not (
+                _distinct(jac, self.equations.groups, kept)
+                > better * _distinct(jac, self.equations.groups, present)):
+            return None
+        return self.keep(kept)
+
+    @property
+    def may_leave_out(self):
+        """Whether equations were left out at the start."""
+        return self._first is not None
+
+    @property
+    def leaves_out(self):
+        """Whether the elimination leaves out equations that repeat others."""
+        return not self.equations.kept.all()
+
+
+def scaled(jac, groups):
+    """
+    Scale a Jacobian so that neither units of coordinates nor those of equations decide.
+
+    Parameters
+    ----------
+    jac : ndarray, shape (nc, nv)
+        Of all equations. Rounding errors of entries that are zero are not scaled up.
+    groups : ndarray of int, shape (nc,)
+        Equations of one kind, which are scaled alike: one that hardly changes stays small.
+
+    Returns
+    -------
+    ndarray, shape (nc, nv)
+
+    """
+    columns = np.abs(jac).max(axis=0, initial=0.0)
+    moves = columns > ROUNDING * columns.max(initial=0.0)
+    found = np.where(moves, jac / np.where(moves, columns, 1.0), 0.0)
+    rows = np.zeros(groups.max(initial=-1) + 1)
+    np.maximum.at(rows, groups, np.linalg.norm(found, axis=1))
+    rows = rows[groups][:, np.newaxis]
+    return np.where(rows > ROUNDING, found / np.maximum(rows, ROUNDING), 0.0)
+
+
+def independent(jac, groups):
+    """
+    Choose rows of a Jacobian that do not depend on one another, by pivoting.
+
+    Parameters
+    ----------
+    jac : ndarray, shape (nc, nv)
+        Of all equations.
+    groups : ndarray of int, shape (nc,)
+        As for ``scaled``.
+
+    Returns
+    -------
+    ndarray of bool, shape (nc,)
+
+    """
+    kept, left = np.zeros(len(jac), dtype=bool), scaled(jac, groups)
+    while not kept.all():
+        length = np.where(kept, 0.0, np.linalg.norm(left, axis=1))
+        best = int(np.argmax(length))
+        if length[best] <= RANK_TOLERANCE:
+            break
+        kept[best] = True
+        direction = left[best] / length[best]
+        left = left - np.outer(left @ direction, direction)
+    return kept
+
+
+def _distinct(jac, groups, kept):
+    """Return the smallest singular value of some equations, scaled."""
+    return np.linalg.svd(scaled(jac, groups)[kept], compute_uv=False).min(initial=1.0)

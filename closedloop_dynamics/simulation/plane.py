@@ -1,0 +1,70 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Geometry of a planar mechanism, as ``space`` has it of one in space."""
+
+import numpy as np
+
+from .loop_model import LoopModel
+from .modeling import body_rows, build_model
+from ..core import types as t
+
+
+class PlanarGeometry(LoopModel):
+    """
+    A planar model, on numbers and by name; see ``LoopModel`` and ``space.SpatialGeometry``.
+
+    Parameters
+    ----------
+    mechanism : Mechanism
+        In the plane.
+    decomposition : Decomposition, optional
+        Found here when not given.
+
+    """
+
+    def __init__(self, mechanism, decomposition=None):
+        """Look up the rows of bodies and points."""
+        super().__init__(mechanism, decomposition)
+        self._bodies = [self.rows[body.name] for body in mechanism.bodies]
+        self._points = np.array([self.rows[point.body] for point in mechanism.points], dtype=int)
+        self._places = np.array([point.position for point in mechanism.points]).reshape(-1, 2)
+
+    def _built(self, kept):
+        """Return the model, the rows of the bodies, whose frames are those of the rows."""
+        return (build_model(self.mechanism, decomposition=self._decomposition, kept=kept),
+                body_rows(self.mechanism, self._decomposition), None)
+
+    def point(self, q, body, position):
+        """Return the place of a point of a body in a position of the joints, shape (2,) [m]."""
+        return _placed(self.equations.move(q).work.body, [self.rows[body]],
+                       np.array([position], dtype=float))[0]
+
+    def poses_among(self, body):
+        """Return x, y [m] and angle [rad] of the bodies where the rows are, shape (nb, 3)."""
+        return body[np.ix_(self._bodies, (t.PX, t.PY, t.ALPHA))]
+
+    def points_among(self, body):
+        """Return the places of all named points where the rows are, shape (count, 2) [m]."""
+        return _placed(body, self._points, self._places)
+
+    def joint_wrenches_among(self, body, wrenches):
+        """Return the wrenches in the joints, which are those of the rows."""
+        return wrenches
+
+
+def _placed(body, rows, places):
+    """Return places in the frames of rows in the world, shape (len(rows), 2)."""
+    (px, py, cos, sin), (x, y) = body[rows][:, [t.PX, t.PY, t.COS, t.SIN]].T, places.T
+    return np.stack((px + cos * x - sin * y, py + sin * x + cos * y), axis=-1)
