@@ -186,11 +186,15 @@ class CutJoints:
             self._index, self._values, *(np.zeros(nv + self.count) for _ in range(4)),
             np.zeros((bodies, 6 if mechanism.planar else 12)))
         self._none = np.zeros(0)
-        # Rows of both bodies of each spherical joint, its axes in their frames.
-        self._balls = [[(placed.row, placed.axes @ turned) for placed, turned in (
-            (placements[cut.body_a], np.eye(3)),
-            (placements[cut.body_b], np.array(rotation(cut.orientation))))]
-            for cut in mechanism.cut_joints if cut.name in self._coordinates.with_orientation]
+        # Of spherical joints the rows of bodies B, then of A; the joints' axes in their frames.
+        balls = [cut for cut in mechanism.cut_joints
+                 if cut.name in self._coordinates.with_orientation]
+        ends = [(placements[cut.body_b], np.array(rotation(cut.orientation))) for cut in balls]
+        ends += [(placements[cut.body_a], np.eye(3)) for cut in balls]
+        self._rows = np.array([placed.row for placed, _ in ends], dtype=int)
+        self._axes = np.array([placed.axes @ axes for placed, axes in ends])
+        self._quaternions = self._coordinates.balls[:, :1] + np.arange(4)
+        self._singles = self._coordinates.place[self._coordinates.single]
 
     def measure(self, body):
         """
@@ -225,16 +229,13 @@ class CutJoints:
             What has one number; see ``measure``.
 
         """
-        if not self._balls:
+        if not len(self._rows):
             return position
-        known, found = self._coordinates, np.zeros(self._coordinates.nq)
-        found[known.place[known.single]] = position[known.single]
-        frames_a, frames_b = (
-            body[list(rows), FRAME:FRAME + 9].reshape(-1, 3, 3) @ np.array(axes)
-            for rows, axes in (zip(*ends) for ends in zip(*self._balls)))
-        turns = quaternions(np.swapaxes(frames_b, 1, 2) @ frames_a)
-        for first, turn in zip(known.balls[:, 0], turns):
-            found[first:first + 4] = turn
+        found = np.empty(self._coordinates.nq)
+        found[self._singles] = position[self._coordinates.single]
+        frames = body[self._rows, FRAME:FRAME + 9].reshape(-1, 3, 3) @ self._axes
+        count = len(frames) // 2
+        found[self._quaternions] = quaternions(frames[:count].swapaxes(1, 2) @ frames[count:])
         return found
 
     def accelerations(self, equations, qdd):
