@@ -1015,14 +1015,14 @@ class Simulation:
 
     def _advance(self, size, steps):
         """Advance by steps of one size, watched by the guards."""
+        remembers = self._effects.remembers
         for guard in self._guards:
             guard.begin(self)
-        if self._effects.remembers:
+        if remembers:
             self._look()
         while steps > 0:
-            portion = min((steps, *(guard.until_look for guard in self._guards)))
-            if self._effects.remembers:
-                portion = 1
+            portion = 1 if remembers else min(
+                (steps, *(guard.until_look for guard in self._guards)))
             try:
                 self._advance_portion(size, portion)
             except MotionError:
@@ -1031,7 +1031,7 @@ class Simulation:
                 # What stopped it may be steps that cannot be stable.
                 self._stiffness.check(self._state, size)
                 raise
-            if self._effects.remembers:
+            if remembers:
                 self._look()
             for guard in self._guards:
                 guard.look(self, portion)
