@@ -15,8 +15,8 @@
 """
 Measure all that doc/performance.md shows, and put it there.
 
-Runs peers.py, operation_count.py, size.py, startup.py and, where a folder of models is given,
-models.py one after the other, each in a process of its own, then writes
+Runs peers.py, operation_count.py, elements.py, size.py, startup.py and, where a folder of models
+is given, models.py one after the other, each in a process of its own, then writes
 doc/pictures/performance_*.* and fills the passages of the document between ``<!-- begin NAME -->``
 and ``<!-- end NAME -->``; the text around them stays.
 
@@ -30,6 +30,7 @@ import shutil
 import subprocess
 import sys
 
+import elements
 from machine import ROOT
 from make_accuracy_doc import filled
 import models
@@ -39,7 +40,7 @@ import sentences
 import size
 import startup
 
-PARTS = ('peers', 'operation_count', 'size', 'startup', 'models')
+PARTS = ('peers', 'operation_count', 'elements', 'size', 'startup', 'models')
 # The rows of the table of sizes that the document shows.
 SHOWN = 2
 
@@ -109,6 +110,9 @@ def passages(output, parts):
     """Return {name of a passage: its text} from the results of benchmarks."""
     results = {part: json.loads((output / f'{part}.json').read_text()) for part in parts}
     builders = {'peers': peers_passages, 'operation_count': operation_passages,
+                'elements': lambda result: {
+                    'elements rows': elements.row_table(result),
+                    'elements times': elements.time_table(result)},
                 'size': size_passages,
                 'startup': lambda result: {'startup table': startup.table(result)},
                 'models': lambda result: {

@@ -237,7 +237,7 @@ def quick_results(tmp_path_factory):
     sys.path.insert(0, str(BENCHMARKS))
     try:
         importlib.import_module('make_performance_doc').measure(
-            ('operation_count', 'size', 'startup', 'models'), output, True, sys.executable,
+            ('operation_count', 'elements', 'size', 'startup', 'models'), output, True, sys.executable,
             folder)
         peers = importlib.import_module('peers')
         # The others need a minute, and may not be installed: test_peers_agree looks at them.
@@ -281,6 +281,8 @@ def test_quick_results_make_sense(quick_results):
     # (a pivot is compared with its scale, too), one each, as needed.
     assert counts['three_rrr']['executed']['divide'] == 7 + 2 * 4
     assert counts['three_rrr']['needed']['sine and cosine'] == 7
+    element, = json.loads((quick_results / 'elements.json').read_text())['elements']
+    assert all(time > 0.0 for time in element['times'])
     start, = json.loads((quick_results / 'startup.json').read_text())['rows']
     assert start['import'] > 0.0 and start['memory'] > 2 ** 20
     # One of the two has a loop.

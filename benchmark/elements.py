@@ -16,18 +16,20 @@
 What machine elements cost: operations of those that are rows, and measured times of all.
 
 Operations are counted before anything is compiled: additions, subtractions, multiplications,
-divisions and negations of the unrolled evaluation. Times (``--times``) are those of a step of
-the Runge-Kutta method of fourth order, of a scene that lists an element and of the same scene that
-does not, side by side: blocks of steps of the one and of the other in turn, so that what else the
-machine does meets both. Their ratio is the median of those of neighbouring blocks. Compile
-times are told apart; a second run has what the first one compiled.
+divisions and negations of the unrolled evaluation. Times are those of a step of the Runge-Kutta
+method of fourth order, of a scene that lists an element and of the same scene that does not, side
+by side: blocks of steps of the one and of the other in turn, so that what else the machine does
+meets both. Their ratio is the median of those of neighbouring blocks. Compile times are told
+apart; a second run has what the first one compiled.
 
 """
 
 from argparse import ArgumentParser
 from dataclasses import replace
+import json
+from pathlib import Path
 import sys
-from time import perf_counter
+from time import process_time
 
 from machine import description, ROOT
 
@@ -39,7 +41,8 @@ from closedloop_dynamics.mechanism.mechanism import (  # noqa: E402,I100
     DISTANCE, POINT_ON_LINE)
 from closedloop_dynamics.simulation.scene import load_scene  # noqa: E402
 from closedloop_dynamics.simulation.tree_choice import count_operations  # noqa: E402
-from closedloop_dynamics.visual.tables import text_table  # noqa: E402
+from closedloop_dynamics.visual.tables import (  # noqa: E402
+    markdown_table, text_table)
 import numpy as np  # noqa: E402
 
 SCENES = ('planetary_gear', 'rack_press', 'geared_five_bar', 'scissor_lift', 'differential')
@@ -70,6 +73,7 @@ ELEMENTS = {
         'type': 'prescribed_motion', 'joint': 'crank', 'shape': 'constant_speed', 'speed': 2.0})}
 # Of a step that is measured [s]; blocks of steps, and seconds that each takes at least.
 STEP, BLOCKS, SECONDS = 1e-4, 31, 0.05
+QUICK, QUICK_BLOCKS, QUICK_SECONDS = ('force table',), 3, 0.001
 
 
 def bare(mechanism):
@@ -119,7 +123,7 @@ def both(name, element):
     return replace(scene, effects={**scene.effects, 'element': record}), scene
 
 
-def timed(pair, blocks=BLOCKS, seconds=SECONDS):
+def timed(pair, blocks, seconds):
     """
     Return times of a step [s], the ratio of neighbouring blocks, and what compiling took [s].
 
@@ -141,10 +145,10 @@ def timed(pair, blocks=BLOCKS, seconds=SECONDS):
     """
     sims, compiling = [], []
     for scene in pair:
-        begin = perf_counter()
+        begin = process_time()
         simulation = Simulation.from_scene(scene, integrator='rk4', step_size=STEP)
         simulation.warm_up()
-        compiling.append(perf_counter() - begin)
+        compiling.append(process_time() - begin)
         sims.append(simulation)
     # Of both the same time is simulated.
     count = max(_steps_within(simulation, seconds) for simulation in sims)
@@ -164,36 +168,66 @@ def _steps_within(simulation, seconds):
 def _time(simulation, count):
     """Return the time of one of some steps from the start [s]."""
     simulation.reset()
-    begin = perf_counter()
+    begin = process_time()
     simulation.step(duration=count * STEP)
-    return (perf_counter() - begin) / count
+    return (process_time() - begin) / count
 
 
-def times(names, blocks=BLOCKS, seconds=SECONDS):
-    """Yield the rows of the table of times."""
-    for name in names:
+def measure(quick=False):
+    """
+    Count operations, and measure times.
+
+    Parameters
+    ----------
+    quick : bool
+        To see that it runs: the numbers are rough.
+
+    Returns
+    -------
+    dict
+        As written to the JSON file.
+
+    """
+    found = []
+    for name in QUICK if quick else ELEMENTS:
         scene, element = ELEMENTS[name]
-        (listed, bare_one), ratio, compiling = timed(both(scene, element), blocks, seconds)
-        yield (name, scene, f'{1e6 * listed:.2f}', f'{1e6 * bare_one:.2f}', f'{ratio:.2f}',
-               ' / '.join(f'{one:.1f}' for one in compiling))
+        times, ratio, compiling = timed(both(scene, element), *(
+            (QUICK_BLOCKS, QUICK_SECONDS) if quick else (BLOCKS, SECONDS)))
+        found.append({'element': name, 'scene': scene, 'times': times, 'ratio': ratio,
+                      'compiling': compiling})
+    return {'machine': description(), 'quick': quick, 'rows': rows(), 'elements': found}
+
+
+def row_table(result, make=markdown_table):
+    """Return the operations of rows as a table."""
+    return make(('mechanism', 'rows', 'operations', 'without', 'for each row'), result['rows'])
+
+
+def time_table(result, make=markdown_table):
+    """Return the times of elements as a table."""
+    return make(
+        ('element', 'scene', 'listed', 'not listed', 'ratio'),
+        [(one['element'], one['scene'], *(f'{1e6 * value:.2f} us' for value in one['times']),
+          f'{one["ratio"]:.2f}') for one in result['elements']])
 
 
 def main(arguments=None):
-    """Print the counts, and the times where they are asked for."""
+    """Run the benchmark."""
     parser = ArgumentParser(description=__doc__)
-    parser.add_argument('--times', action='store_true', help='measure times, too')
-    parser.add_argument('--only', nargs='+', choices=tuple(ELEMENTS), default=tuple(ELEMENTS),
-                        help='elements to measure')
-    parser.add_argument('--blocks', type=int, default=BLOCKS, help='of steps of each [1]')
-    parser.add_argument('--seconds', type=float, default=SECONDS, help='of a block, at least')
-    given = parser.parse_args(arguments)
-    print(text_table(('mechanism', 'rows', 'operations', 'without', 'for each row'), rows()))
-    if given.times:
-        print(description())
-        head = ('element', 'scene', 'listed [us]', 'not listed [us]', 'ratio',
-                'compiling, both [s]')
-        print(text_table(head, list(times(given.only, given.blocks, given.seconds))))
+    parser.add_argument('--quick', action='store_true', help='one element alone, rough numbers')
+    parser.add_argument('--output', type=Path, default=ROOT / 'benchmark_output',
+                        metavar='DIR', help='where results go (default: %(default)s)')
+    options = parser.parse_args(arguments)
+    result = measure(options.quick)
+    options.output.mkdir(parents=True, exist_ok=True)
+    (options.output / 'elements.json').write_text(json.dumps(result, indent=1))
+    print(result['machine'], row_table(result, text_table), time_table(result, text_table),
+          'compiling and first step, with and without [s]: ' + ', '.join(
+              f'{one["element"]} {one["compiling"][0]:.1f} and {one["compiling"][1]:.1f}'
+              for one in result['elements']), sep='\n\n')
+    print(f'\nwritten: {options.output}/elements.json')
+    return 0
 
 
 if __name__ == '__main__':
-    main()
+    sys.exit(main())
