@@ -143,27 +143,28 @@ def _require_no_crossing(rows, closed, fineness):
     end = rows[-1, :4].sum(), rows[-1, 4:].sum()
     start = np.column_stack((x, y))
     stop = np.vstack((start[1:], end))
-    count = len(start)
+    # In one line, pieces meet where their boxes do; others have to have boxes that do.
+    low, high = np.minimum(start, stop), np.maximum(start, stop)
+    size, count = np.abs(stop - start).max(axis=1), len(start)
     for k in range(count - 2):
         others = slice(k + 2, count - 1 if closed and k == 0 else count)
-        if _crosses(start[k], stop[k], start[others], stop[others]).any():
+        near = ((high[others] >= low[k]) & (low[others] <= high[k])).all(axis=1)
+        if near.any() and _crosses(
+                start[k], stop[k], start[others][near], stop[others][near],
+                TOUCHING * max(size[k], size[others].max()) ** 2).any():
             where = start[k]
             raise FieldError('a curve that does not cross itself',
                              f'one that does near [{where[0]:g}, {where[1]:g}]', path=('x',))
 
 
-def _crosses(a, b, c, d):
-    """Return for each piece from c to d whether it crosses that from a to b."""
+def _crosses(a, b, c, d, least):
+    """Return for each piece from c to d whether it crosses that from a to b, boxes that meet."""
     def side(p, q, r):
         area = (q[..., 0] - p[..., 0]) * (r[..., 1] - p[..., 1]) - (
             q[..., 1] - p[..., 1]) * (r[..., 0] - p[..., 0])
         return np.where(np.abs(area) < least, 0.0, area)
 
-    least = TOUCHING * max(np.abs(b - a).max(), np.abs(d - c).max()) ** 2
-    one, other = side(a, b, c) * side(a, b, d), side(c, d, a) * side(c, d, b)
-    # In one line, pieces meet where their boxes do.
-    apart = ((np.maximum(c, d) < np.minimum(a, b)) | (np.maximum(a, b) < np.minimum(c, d))).any(-1)
-    return (one <= 0.0) & (other <= 0.0) & ~apart
+    return (side(a, b, c) * side(a, b, d) <= 0.0) & (side(c, d, a) * side(c, d, b) <= 0.0)
 
 
 @inlined

@@ -173,6 +173,8 @@ def test_a_figure_of_eight_is_refused_and_a_slot_is_not():
             curve.pieces(np.sin(t), np.sin(2.0 * t), True, interpolation, False)
     x, y = (0, 2, 2, 1.1, 1.1, 0.9, 0.9, 0), (0, 0, 2, 2, 1, 1, 2, 2)
     assert len(curve.pieces(x, y, True, 'linear', False)) == 8
+    # Each side of a triangle has no others but its neighbours.
+    assert len(curve.pieces((0, 1, 0), (0, 0, 1), True, 'linear', False)) == 3
     with pytest.raises(FieldError, match='does not cross itself'):
         curve.pieces((0, 1, 1, 0.5), (0, 0, 1, -1), False, 'linear', False)
 
