@@ -149,7 +149,7 @@ def test_parameters_of_a_path_are_checked(given, problem):
 def test_both_parts_of_a_state_make_one(orientations_first):
     one = Simulation(load_scene('delta_robot'))
     names = one.coordinates
-    parts = Orientations(names)
+    parts = Orientations(one.mechanism)
     state, turned = JointState(), MultiDOFJointState(joint_names=['wrist_11'])
     pose, twist = Transform(), Twist()
     x, y, z, w = one.position[names.coordinates['wrist_11']].tolist()
