@@ -50,6 +50,8 @@ class LoopModel:
         Where the bodies' frames are in those of their rows, in space.
     rows : dict of str to int
         Row of each body in the model's arrays.
+    leaves_out : bool
+        Whether the elimination leaves out equations that repeat others.
 
     """
 
@@ -89,6 +91,7 @@ class LoopModel:
     def keep(self, kept):
         """Let the elimination work on some equations, as ``of``; return the model."""
         self.model, self.equations = self.of(kept)
+        self.leaves_out = not self.equations.kept.all()
         return self.model
 
     def leave_out_repeated(self, q):
@@ -194,11 +197,6 @@ class LoopModel:
     def may_leave_out(self):
         """Whether equations were left out at the start."""
         return self._first is not None
-
-    @property
-    def leaves_out(self):
-        """Whether the elimination leaves out equations that repeat others."""
-        return not self.equations.kept.all()
 
 
 def scaled(jac, groups):
