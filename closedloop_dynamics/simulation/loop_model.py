@@ -26,6 +26,9 @@ from ..mechanism.decomposition import decompose
 # Relative rounding errors of a Jacobian, and what closure errors make of entries that are zero in
 # a closed position, are below this.
 ROUNDING = 1e-10
+# Singular values above the first, and above so many times the closure error, of the size, cannot
+# become zero on the way to where the loops close.
+PLAIN, FAR = 1e-3, 10.0
 # How often, farther and farther away, a position without flat loops is looked for.
 MOST_TRIES = 6
 
@@ -106,9 +109,21 @@ class LoopModel:
         """
         if self.mechanism.planar and self.equations.nc > MOST_EQUATIONS:
             return
+        assembler = Assembler(self.mechanism, self.equations)
+        if self._plainly_independent(assembler, q):
+            return
         with suppress(AssemblyError):
-            self.choose(Assembler(self.mechanism, self.equations).positions(q))
+            self.choose(assembler.positions(q))
             self._first = self._kept()
+
+    def _plainly_independent(self, assembler, q):
+        """Tell whether equations are so independent that closing the loops cannot change it."""
+        if self.equations.nc > self.equations.nv:
+            return False
+        error = np.abs(assembler.closure(q)).max(initial=0.0) / assembler.extent
+        singular = np.linalg.svd(
+            scaled(assembler.jacobian(q), self.equations.groups), compute_uv=False)
+        return singular.min(initial=1.0) > max(PLAIN, FAR * error)
 
     def choose(self, q):
         """
