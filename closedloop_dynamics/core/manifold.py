@@ -327,6 +327,37 @@ def fill_numbers(manifold, q):
         manifold.number[i] = q[manifold.place[i]] if manifold.place[i] >= 0 else 0.0
 
 
+@compiled
+def fill_quaternions(matrices, out):
+    """
+    Write the unit quaternions of rotation matrices.
+
+    Parameters
+    ----------
+    matrices : ndarray, shape (n, 3, 3)
+        Rotations.
+    out : ndarray, shape (n, 4)
+        x, y, z, w in place; w is not negative.
+
+    """
+    for n in range(matrices.shape[0]):
+        one = matrices[n]
+        # A multiple of q: the row of q q^T with the largest diagonal entry tells it best.
+        xx, yy, zz = one[0, 0], one[1, 1], one[2, 2]
+        x, y, z = one[2, 1] - one[1, 2], one[0, 2] - one[2, 0], one[1, 0] - one[0, 1]
+        w = 1.0 + xx + yy + zz
+        if w < 1.0:
+            xy, xz, yz = one[0, 1] + one[1, 0], one[0, 2] + one[2, 0], one[1, 2] + one[2, 1]
+            if xx >= yy and xx >= zz:
+                x, y, z, w = 1.0 + xx - yy - zz, xy, xz, x
+            elif yy >= zz:
+                x, y, z, w = xy, 1.0 - xx + yy - zz, yz, y
+            else:
+                x, y, z, w = xz, yz, 1.0 - xx - yy + zz, z
+        size = math.copysign(math.sqrt(x * x + y * y + z * z + w * w), w)
+        out[n, 0], out[n, 1], out[n, 2], out[n, 3] = x / size, y / size, z / size, w / size
+
+
 def weights(manifold, nv):
     """
     Return what a component's error stands for: 2 for those of quaternions, 1 for others.

@@ -18,7 +18,7 @@ import numpy as np
 
 from .loop_model import LoopModel
 from .spatial_modeling import build_spatial_model
-from ..core import types as t
+from ..core import manifold, types as t
 from ..core.codegen import space
 from ..core.equations import Equations
 from ..mechanism.mechanism import FIXED
@@ -186,17 +186,9 @@ def quaternions(matrices):
     ``matrices``: shape (n, 3, 3).
 
     """
-    # q q^T, of which the column with the largest diagonal entry tells q best.
-    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = np.moveaxis(matrices, 0, -1)
-    outer = 0.25 * np.array([
-        [1.0 + xx - yy - zz, xy + yx, xz + zx, zy - yz],
-        [xy + yx, 1.0 - xx + yy - zz, yz + zy, xz - zx],
-        [xz + zx, yz + zy, 1.0 - xx - yy + zz, yx - xy],
-        [zy - yz, xz - zx, yx - xy, 1.0 + xx + yy + zz]])
-    best = np.argmax(np.einsum('iin->in', outer), axis=0)
-    columns = outer[:, best, np.arange(len(best))].T
-    return columns / np.copysign(
-        np.linalg.norm(columns, axis=1), columns[:, 3])[:, np.newaxis]
+    found = np.empty((len(matrices), 4))
+    manifold.fill_quaternions(np.ascontiguousarray(matrices), found)
+    return found
 
 
 def equations_left(mechanism):
