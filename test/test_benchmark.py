@@ -237,8 +237,8 @@ def quick_results(tmp_path_factory):
     sys.path.insert(0, str(BENCHMARKS))
     try:
         importlib.import_module('make_performance_doc').measure(
-            ('operation_count', 'elements', 'size', 'startup', 'models'), output, True, sys.executable,
-            folder)
+            ('operation_count', 'elements', 'size', 'startup', 'models'), output, True,
+            sys.executable, folder)
         peers = importlib.import_module('peers')
         # The others need a minute, and may not be installed: test_peers_agree looks at them.
         results = {group: peers.measure(group, True, ('peer_ours',)) for group in peers.GROUPS}
