@@ -171,6 +171,9 @@ def constraint_forces(mechanism, q, lam):
         part = lam[rows(mechanism)[cut.name]]
         if cut.type == REVOLUTE:
             force[1:] = part
+            # A coupling of its angle acts on body A there.
+            force[0] = sum(coupling.joints[cut.name] * lam[rows(mechanism)[coupling.name]][0]
+                           for coupling in mechanism.couplings if cut.name in coupling.joints)
         elif cut.type == FIXED:
             force[:] = part[2], part[0], part[1]
         elif cut.type == DISTANCE:
