@@ -34,7 +34,7 @@ import numpy as np
 
 from .errors import (
     ClosureError, InaccuracyWarning, NumericalError, SingularityError, StiffnessError)
-from ..core.types import SINGULAR_COUNT
+from ..core.types import SINGULAR_COUNT, SMALLEST_PIVOT
 from ..integration.motion import narrowed, rate_of_change
 from ..integration.registry import ADAPTIVE, AUTO, EXPLICIT, FIXED, INTEGRATORS
 from ..integration.system import parts_of_state
@@ -66,8 +66,8 @@ NOTHING = 1e-15
 # at which loops count as open.
 CLOSURE_LOOK_EVERY, OPEN = 500, 1e-3
 # Steps between two looks at the equations that the elimination works on, and the most where small
-# pivots are those of the masses.
-EQUATIONS_FIRST_LOOK, EQUATIONS_LOOK_EVERY = 16, 512
+# pivots are those of the masses, or where pivots hardly change between two looks: by this share.
+EQUATIONS_FIRST_LOOK, EQUATIONS_LOOK_EVERY, STEADY = 16, 512, 0.05
 # What keeps the loops closed to rounding.
 CLOSING = ('projection', 'independent')
 
@@ -327,7 +327,7 @@ class EquationGuard:
 
     def restart(self):
         """Count from here."""
-        self._since, self._between = 0, EQUATIONS_FIRST_LOOK
+        self._since, self._between, self._pivot = 0, EQUATIONS_FIRST_LOOK, 0.0
 
     @property
     def until_look(self):
@@ -345,9 +345,11 @@ class EquationGuard:
         self._since += steps
         if self._since >= self._between:
             rarely = not simulation.exchange_poor_equations()
+            before, self._pivot = self._pivot, simulation.system.work.health[SMALLEST_PIVOT]
+            steady = abs(self._pivot - before) < STEADY * self._pivot
             self._since = 0
-            self._between = (
-                min(2 * self._between, EQUATIONS_LOOK_EVERY) if rarely else EQUATIONS_FIRST_LOOK)
+            self._between = min(2 * self._between, EQUATIONS_LOOK_EVERY) if (
+                rarely or steady) else EQUATIONS_FIRST_LOOK
 
 
 class ClosureGuard:
