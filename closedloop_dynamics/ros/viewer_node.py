@@ -14,6 +14,7 @@
 
 """The node ``closedloop_viewer``: running simulators in a browser, through their topics."""
 
+from collections import defaultdict
 from collections import deque
 from contextlib import suppress
 from dataclasses import replace
@@ -67,6 +68,8 @@ NAME = 'closedloop_viewer'
 RATE, LOOK_PERIOD, SILENCE = 60.0, 0.25, 3.0
 # Where all simulators are shown: how long to look for more after the first [s].
 GATHERING = 2.0
+# What stands for the topic of wrenches.
+WRENCHES = 'wrenches'
 # The newest state is enough.
 QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 # A position drive moves its joint like a critically damped spring of this rate at most [1/s], of
@@ -91,12 +94,12 @@ class Attached:
     One simulator that is shown, by its full name; ``node`` subscribes and asks.
 
     ``topics`` are its topics by their last names: ``scene``, ``joint_states``,
-    ``constraint_forces/CUT``, ``multi_dof_joint_states``; ``wrenches`` is the one on which it
-    takes wrenches, or None. ``feed`` is None until the scene is known.
+    ``constraint_forces/CUT``, ``multi_dof_joint_states``; ``WRENCHES`` is the one on which it
+    takes wrenches, whatever it is called. ``feed`` is None until the scene is known.
 
     """
 
-    def __init__(self, node, name, topics, wrenches):
+    def __init__(self, node, name, topics):
         self.name, self.feed = name, None
         self._topics, self._logger = topics, node.get_logger()
         self._subscribe, self._publish = node.create_subscription, node.create_publisher
@@ -116,7 +119,8 @@ class Attached:
         self._set = node.create_client(
             SetParametersAtomically, f'{prefix}/set_parameters_atomically')
         self._commands = None
-        self._wrenches = None if wrenches is None else self._publish(WrenchStamped, wrenches, 1)
+        self._wrenches = self._publish(WrenchStamped, topics[WRENCHES], 1) \
+            if WRENCHES in topics else None
         self._states = self._publish(JointState, f'{prefix}/set_state', 10)
 
     def _on_scene(self, message):
@@ -451,6 +455,10 @@ class Attached:
             then()
 
 
+def _full_name(endpoint):
+    return f'{endpoint.node_namespace.rstrip("/")}/{endpoint.node_name}'
+
+
 class ViewerNode(Node):
     """
     Show running simulators in a browser.
@@ -470,7 +478,7 @@ class ViewerNode(Node):
         self._values = declare(self, VIEWER_PARAMETERS)
         self._wanted = [self._full(name) for name in self._values['nodes'].split(',')
                         if name.strip()]
-        self._shown, self._first = {}, None
+        self._offered, self._shown, self._first = {}, {}, None
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._timer = self.create_timer(LOOK_PERIOD, self.look, clock=steady)
         self.create_timer(1.0 / RATE, self.tick, clock=steady)
@@ -483,13 +491,13 @@ class ViewerNode(Node):
 
     def look(self):
         """Look for simulators until all that are wanted are known; then serve pages."""
-        for name, space in self.get_node_names_and_namespaces():
-            full = f'{space.rstrip("/")}/{name}'
-            if full in self._shown or (self._wanted and full not in self._wanted):
+        before, self._offered = self._offered, self._offers()
+        for name, topics in self._offered.items():
+            if name in self._shown or (self._wanted and name not in self._wanted):
                 continue
-            topics = self._topics(name, space)
-            if {'scene', 'joint_states'} <= set(topics):
-                self._shown[full] = Attached(self, full, topics, self._wrenches(name, space))
+            # Topics of a node are heard of one after the other: until there are no more.
+            if {'scene', 'joint_states'} <= set(topics) and topics == before.get(name):
+                self._shown[name] = Attached(self, name, topics)
         known = [one for one in self._shown.values() if one.feed is not None]
         if self._wanted:
             ready = len(known) == len(self._wanted)
@@ -502,29 +510,28 @@ class ViewerNode(Node):
             self._timer.cancel()
             self._serve(sorted(known, key=lambda one: one.name))
 
-    def _topics(self, name, space):
-        """Return what a node publishes, by the last part of the names."""
-        try:
-            published = self.get_publisher_names_and_types_by_node(name, space)
-        except RuntimeError:
-            # It has gone again.
-            return {}
-        found = {}
-        for topic, _ in published:
+    def _offers(self):
+        """
+        Return the topics of all nodes, by full name and the last part of the topic's.
+
+        It is the topics that are asked for their nodes: a node that has gone may go on being
+        listed, and would then be taken for the one of the same name that runs.
+
+        """
+        offers = defaultdict(dict)
+        for topic, kinds in self.get_topic_names_and_types():
             *_, parent, last = ('', *topic.split('/'))
             if parent == 'constraint_forces':
-                found[f'{parent}/{last}'] = topic
-            elif last in ('scene', 'joint_states', 'multi_dof_joint_states'):
-                found[last] = topic
-        return found
-
-    def _wrenches(self, name, space):
-        """Return the topic on which a node takes wrenches, whatever it is called; or None."""
-        with suppress(RuntimeError):
-            for topic, kinds in self.get_subscriber_names_and_types_by_node(name, space):
-                if 'geometry_msgs/msg/WrenchStamped' in kinds:
-                    return topic
-        return None
+                last = f'{parent}/{last}'
+            elif last not in ('scene', 'joint_states', 'multi_dof_joint_states'):
+                last = None
+            if last is not None:
+                for one in self.get_publishers_info_by_topic(topic):
+                    offers[_full_name(one)][last] = topic
+            if 'geometry_msgs/msg/WrenchStamped' in kinds:
+                for one in self.get_subscriptions_info_by_topic(topic):
+                    offers[_full_name(one)][WRENCHES] = topic
+        return offers
 
     def _serve(self, shown):
         names = [one.name for one in shown]

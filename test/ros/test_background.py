@@ -22,10 +22,9 @@ import sys
 import time
 
 from closedloop_dynamics import Simulation
+from closedloop_dynamics.core import rank_revealing
 from closedloop_dynamics.core.codegen import function_table as calls
 from closedloop_dynamics.integration import precompile
-from closedloop_dynamics.integration.system import (
-    rank_revealing_acceleration, rank_revealing_correction)
 from closedloop_dynamics.ros import background
 import pytest
 
@@ -127,7 +126,7 @@ def test_kernels_that_were_prepared_are_those_that_are_called():
     for get_ready in precompile.preparations(system):
         get_ready()
     assert precompile.is_stored(system)
-    kernels = (rank_revealing_acceleration, rank_revealing_correction)
+    kernels = (rank_revealing.accelerate, rank_revealing.correct)
     before = [len(kernel.overloads) for kernel in kernels]
     for which in (calls.RANK_REVEALING_ACCELERATION, calls.RANK_REVEALING_POSITION,
                   calls.RANK_REVEALING_VELOCITY):

@@ -74,7 +74,8 @@ def children(process):
     return Path(f'/proc/{number}/task/{number}/children').read_text().split()
 
 
-@pytest.mark.parametrize('number', [signal.SIGTERM, signal.SIGKILL])
+@pytest.mark.parametrize('number', [
+    pytest.param(signal.SIGTERM, marks=pytest.mark.slow), signal.SIGKILL])
 def test_core_that_is_kept_awake_delays_nothing_and_nothing_stays_behind(
         processes, listener, number):
     simulator = processes.start(

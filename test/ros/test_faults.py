@@ -124,11 +124,11 @@ def test_rogue_publishers_change_nothing(processes, listener, rogue):
     assert ' accepted, 4 rejected' in last_words(simulator)
 
 
-def test_two_sources_of_commands_are_reported(processes, listener):
+def test_two_sources_of_commands_are_reported(processes, listener, context):
     simulator = processes.start(SIMULATOR, scene='three_rrr').wait_until_ready()
-    for name in ('one', 'two'):
-        processes.start('closedloop_torque_source', torque=f'[{float(len(name))}]',
-                        remap=[f'__node:={name}'])
+    sources = [rclpy.create_node(name, context=context) for name in ('one', 'two')]
+    for source in sources:
+        source.create_publisher(Float64MultiArray, 'torque_command', 10)
     simulator.wait_for('2 sources of commands (/one, /two)')
     findings = listener.listen('/diagnostics', DiagnosticArray)
 
@@ -138,6 +138,8 @@ def test_two_sources_of_commands_are_reported(processes, listener):
                    for message in findings for status in message.status)
 
     listener.wait(reported, 'diagnosis of two sources')
+    for source in sources:
+        source.destroy_node()
     ends_well(simulator)
 
 
@@ -223,7 +225,8 @@ def test_subscribers_that_come_and_go_cost_the_others_nothing(processes, listene
     ends_well(simulator)
 
 
-@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize('number', [
+    signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
 @pytest.mark.parametrize('delay', [0.3, 1.0, 2.0])
 def test_signal_at_any_moment_of_the_start_ends_the_process(processes, number, delay):
     simulator = processes.start(SIMULATOR, scene='four_bar')

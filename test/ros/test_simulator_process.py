@@ -234,10 +234,9 @@ def test_topics_can_be_remapped(processes, listener):
 
 
 @pytest.mark.parametrize('parameters, problem', [
-    ({'scene': 'no_such_scene'}, 'no_such_scene'),
     ({'publish_rate': '0.0'}, 'publish_rate'),
-    ({'real_time_factor': 'fast'}, 'real_time_factor'),
-])
+    pytest.param({'scene': 'no_such_scene'}, 'no_such_scene', marks=pytest.mark.slow),
+    pytest.param({'real_time_factor': 'fast'}, 'real_time_factor', marks=pytest.mark.slow)])
 def test_bad_parameter_is_one_line_and_an_exit_code(processes, parameters, problem):
     simulator = processes.start(SIMULATOR, **parameters)
     assert simulator.wait() == 2
@@ -265,7 +264,8 @@ def test_help_lists_the_parameters(processes, executable, parameters):
     assert process.output.startswith(f'usage: {executable} ')
 
 
-@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize('number', [
+    signal.SIGTERM, pytest.param(signal.SIGINT, marks=pytest.mark.slow)])
 def test_one_signal_ends_the_process_cleanly(processes, number):
     simulator = processes.start(SIMULATOR, scene='four_bar').wait_until_ready()
     assert simulator.stop(number) == 0
@@ -273,7 +273,8 @@ def test_one_signal_ends_the_process_cleanly(processes, number):
     assert 'messages published' in simulator.output
 
 
-@pytest.mark.parametrize('pause', [0.0, 0.005, 0.1])
+@pytest.mark.parametrize('pause', [
+    0.005, *(pytest.param(pause, marks=pytest.mark.slow) for pause in (0.0, 0.1))])
 def test_more_signals_change_nothing(processes, pause):
     simulator = processes.start(SIMULATOR, scene='four_bar').wait_until_ready()
     for number in (signal.SIGINT, signal.SIGINT, signal.SIGTERM, signal.SIGINT):

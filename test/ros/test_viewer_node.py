@@ -21,6 +21,7 @@ from closedloop_dynamics.ros.simulator_node import SimulatorNode
 from closedloop_dynamics.ros.viewer_node import ViewerNode
 import numpy as np
 import pytest
+import rclpy
 from rclpy.executors import SingleThreadedExecutor
 
 
@@ -89,6 +90,21 @@ def test_a_running_simulator_is_shown_and_driven(spinning):
         client.until(lambda client: abs(plotted(client, 'joint position', 'theta_1') - expected)
                      > 1e-4)
     assert simulator.exit_code is None and simulator.paused
+
+
+def test_a_namesake_is_not_taken_for_the_simulator(domain, spinning):
+    """As a node of the same name that has gone, and is listed still."""
+    elsewhere = rclpy.Context()
+    rclpy.init(context=elsewhere, domain_id=domain)
+    namesake = rclpy.create_node('closedloop_simulator', context=elsewhere)
+    simulator = spinning(SimulatorNode, scene='three_rrr_vertical')
+    viewer = spinning(ViewerNode, nodes='/closedloop_simulator')
+    with Client(served(viewer)) as client:
+        client.until(lambda client: client.row is not None and np.isfinite(client.row).all())
+        assert client.scene['hand']
+    namesake.destroy_node()
+    rclpy.try_shutdown(context=elsewhere)
+    assert simulator.exit_code is None
 
 
 @pytest.mark.timeout(300)
