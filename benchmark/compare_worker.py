@@ -28,8 +28,9 @@ import time
 from closedloop_dynamics import Simulation
 import numpy as np
 
-# A measurement takes about so long [s].
-PORTION = 5e-3
+# A measurement takes at least so long [s]: the first calls after a wait for the other commit find
+# cold caches, and runs begin with what they do once.
+PORTION = 2e-2
 
 
 def evaluation(scene):
@@ -106,11 +107,18 @@ def prepared(chosen):
         except Exception as error:  # noqa: B902
             print(f'{name} is left out: {error!r}', file=sys.stderr)
             continue
-        begin = time.process_time()
-        function(50)
-        result[name] = function, max(10, round(
-            PORTION / max((time.process_time() - begin) / 50, 1e-8)))
+        count = 50
+        while elapsed(function, count) < PORTION:
+            count *= 2
+        result[name] = function, count
     return result
+
+
+def elapsed(function, count):
+    """Return the CPU time of so many calls [s]."""
+    begin = time.process_time()
+    function(count)
+    return time.process_time() - begin
 
 
 def main():
@@ -119,9 +127,7 @@ def main():
     print(json.dumps(list(tasks)), flush=True)
     for line in sys.stdin:
         function, count = tasks[line.strip()]
-        begin = time.process_time()
-        function(count)
-        print((time.process_time() - begin) / count, flush=True)
+        print(elapsed(function, count) / count, flush=True)
 
 
 if __name__ == '__main__':

@@ -20,26 +20,26 @@ Everything is read from the shipped scenes, nothing is copied by hand.
 """
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 import sys
-import tempfile
 from typing import Callable
 
 from machine import ROOT
 import numpy as np
-import yaml
 
 sys.path.insert(0, str(ROOT))
 
 from closedloop_dynamics.core import kinematics, types as t  # noqa: E402,I100
-from closedloop_dynamics.integration.system import evaluate  # noqa: E402
+from closedloop_dynamics.integration.evaluation import evaluate  # noqa: E402
+from closedloop_dynamics.mechanism.reader import with_cuts  # noqa: E402
 from closedloop_dynamics.simulation import scene as scenes  # noqa: E402
 from closedloop_dynamics.simulation.simulation import Simulation  # noqa: E402
 
 # What computes the answer, and what confirms it: an integrator and its tolerance.
 REFERENCES = (('dop853', 1e-13), ('dopri5', 1e-13))
-# Behind the name of a scene: the program is given all joints, and no tree.
-TREE_IS_CHOSEN = ', tree chosen'
+# Trees of a scene: its own, and others that may suit other simulators better, by the joint that is
+# cut.
+SHIPPED = 'shipped'
+OTHER_TREES = {'bricard': {'chain': 'joint_6'}}
 # Simulators without a cut hinge hold two points of its axis together, so far apart [m].
 HINGE = 1.0
 
@@ -166,21 +166,31 @@ def simulation(scene, integrator, value, duration, adaptive=True):
         scene, method=replace(scene.method, integrator=integrator, **keys)))
 
 
-def load_scene(name):
-    """
-    Return a shipped scene, the joints in the order that the others want: depth first.
+def trees(name):
+    """Return the names of the trees of a scene, its own first."""
+    return (SHIPPED, *OTHER_TREES.get(name, ()))
 
-    With ``TREE_IS_CHOSEN`` behind its name in its drawn position, with the tree that the program
-    chooses.
+
+def load_scene(name, tree=SHIPPED):
+    """
+    Return a shipped scene as the others want it: joints depth first, about no negative axes.
+
+    Parameters
+    ----------
+    name : str
+        Of the scene; with another tree one that starts at rest as drawn.
+    tree : str
+        Of ``trees``.
 
     """
-    name, chosen, _ = name.partition(TREE_IS_CHOSEN)
     scene = scenes.load_scene(name)
-    if chosen:
-        mechanism = _with_chosen_tree(name)
-        at_rest = (0.0,) * len(mechanism.joints)
-        scene = replace(scene, mechanism=mechanism,
-                        initial=replace(scene.initial, position=at_rest, velocity=at_rest))
+    if tree != SHIPPED:
+        start = scene.initial
+        if any(start.position) or any(start.velocity):
+            raise ValueError(f'{name}: expected a start at rest as drawn, got {start}')
+        scene = replace(scene, initial=replace(start, turned={}), mechanism=with_cuts(
+            scene.mechanism, (OTHER_TREES[name][tree],)))
+    scene = _forward(scene)
     mechanism, children = scene.mechanism, {}
     for joint in mechanism.joints:
         children.setdefault(joint.parent, []).append(joint)
@@ -204,29 +214,18 @@ def load_scene(name):
             'velocity', before.told('velocity', start.velocity), np.zeros(after.nv)))))
 
 
-def _with_chosen_tree(name):
-    """Return a mechanism of hinges that has all frames parallel in its drawn position."""
-    data = yaml.safe_load(scenes.shipped_path('mechanisms', name).read_text())
-    for joint in data['joints'].values():
-        joint.update(between=[joint.pop('parent'), joint.pop('child')],
-                     points=[joint.pop('position'), [0, 0, 0]])
-    for key, cut in data.pop('cut_joints').items():
-        data['joints'][key] = {'type': cut['type'], 'axis': cut['axis_a'],
-                               'between': [cut['body_a'], cut['body_b']],
-                               'points': [cut['point_a'], cut['point_b']]}
-    with tempfile.TemporaryDirectory() as scratch:
-        path = Path(scratch) / f'{name}.yaml'
-
-        def read():
-            path.write_text(yaml.safe_dump(data, sort_keys=False))
-            return scenes.load_scene_or_mechanism(path)
-
-        # Joints that carry the other one of their bodies now: the others take no negative axes.
-        for joint in read().joints:
-            if sum(joint.axis) < 0.0:
-                values = data['joints'][joint.name]
-                values['axis'] = [-number for number in values['axis']]
-        return read()
+def _forward(scene):
+    """Return a scene whose passive joints about negative axes turn the other way."""
+    known, start, joints = scene.mechanism.coordinates, scene.initial, []
+    position, velocity = np.array(start.position), np.array(start.velocity)
+    for joint in scene.mechanism.joints:
+        if joint.axis is not None and sum(joint.axis) < 0.0 and not joint.actuated:
+            joint = replace(joint, axis=tuple(0.0 - number for number in joint.axis))
+            position[known.coordinates[joint.name]] *= -1.0
+            velocity[known.rates[joint.name]] *= -1.0
+        joints.append(joint)
+    return replace(scene, mechanism=replace(scene.mechanism, joints=tuple(joints)),
+                   initial=replace(start, position=tuple(position), velocity=tuple(velocity)))
 
 
 def elements(mechanism):
@@ -287,9 +286,8 @@ def _letter(axis):
     return 'xyz'[[(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)].index(tuple(axis))]
 
 
-def build_case(name, scene_name, torque, duration):
+def build_case(name, scene, torque, duration):
     """Return a case with its answer, computed by two methods."""
-    scene = load_scene(scene_name)
     gravity(scene)
     ends = []
     for integrator, tolerance in REFERENCES:

@@ -40,7 +40,7 @@ ACCURACY = 1e-12
 SETTINGS = 1e-14, 1
 # The same for lcaba: the least error that one iteration leaves, and two.
 BY_BODIES = {'lcaba': (1e-8, 1), 'lcaba, 2 iterations': (1e-5, 2)}
-TOLERANCES = tuple(10.0 ** -k for k in range(1, 14))
+TOLERANCES = 1.0, 0.3, *(10.0 ** -k for k in range(1, 14))
 QUICK_TOLERANCES = tuple(10.0 ** -k for k in range(3, 13, 3))
 STEPS = (1e-2, 5e-3, 2e-3, 1e-3, 5e-4, 2e-4, 1e-4, 5e-5)
 QUICK_STEPS = (1e-2, 1e-3)

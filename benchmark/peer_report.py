@@ -21,6 +21,7 @@ from machine import ROOT
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from peer_cases import SHIPPED
 
 sys.path.insert(0, str(ROOT))
 
@@ -47,10 +48,11 @@ def write_files(result, directory, group):
     """Write what was measured of a group as CSV files and as a picture; return their paths."""
     name = FILES[group]
     evaluations, runs, drawn = (directory / f'{name}{end}' for end in ENDS)
-    write_csv(evaluations, ('scene', 'engine', 'what', 'best', 'median'), [
-        (scene, row['engine'], row['what'], row['best'], row['median'])
+    keys = ('tree', 'engine', 'what', 'best', 'median')
+    write_csv(evaluations, ('scene', *keys), [
+        (scene, *(row[key] for key in keys))
         for scene, rows in result['evaluation'].items() for row in rows])
-    keys = ('case', 'engine', 'line', 'setting', 'error', 'closure', 'best', 'median')
+    keys = ('case', 'tree', 'engine', 'line', 'setting', 'error', 'closure', 'best', 'median')
     write_csv(runs, keys, [tuple(row[key] for key in keys) for row in result['motions']])
     picture(result).savefig(drawn)
     return [evaluations, runs, drawn]
@@ -65,27 +67,42 @@ def busy(result):
     return told
 
 
+def _by_line(by_scene, keys, choose):
+    """Return {line of a table: a row for each scene}; of rows of several trees the one chosen."""
+    lines = {}
+    for scene, rows in by_scene.items():
+        for row in rows:
+            found = lines.setdefault(tuple(row[key] for key in keys), {})
+            found[scene] = choose(found.get(scene, row), row)
+    return {line: [found[scene] for scene in by_scene] for line, found in lines.items()}
+
+
 def agreement_table(result, make=markdown_table):
-    """Return how far accelerations differ from ours."""
-    scenes = list(result['agreement'])
-    rows = []
-    for parts in zip(*result['agreement'].values()):
-        cells = [f'{part["error"]:.0e}' + (
-            f' (hard limit: {part["extrapolated"]:.0e})' if 'extrapolated' in part else '')
-            for part in parts]
-        rows.append((f'{parts[0]["engine"]} {parts[0]["version"]}', *cells))
-    return make(('simulator', *scenes), rows)
+    """Return how far accelerations differ from ours; of several trees the largest difference."""
+    lines = _by_line(result['agreement'], ('engine', 'version'),
+                     lambda *rows: max(rows, key=lambda row: row['error']))
+    rows = [(' '.join(line), *(f'{part["error"]:.0e}' + (
+        f' (hard limit: {part["extrapolated"]:.0e})' if 'extrapolated' in part else '')
+        for part in parts)) for line, parts in lines.items()]
+    return make(('simulator', *result['agreement']), rows)
 
 
 def evaluation_table(result, make=markdown_table):
-    """Return the times of an evaluation or step, and in brackets how many times ours."""
-    scenes = list(result['evaluation'])
-    ours = {scene: min(row['best'] for row in rows if row['engine'] == OURS)
-            for scene, rows in result['evaluation'].items()}
-    rows = [(parts[0]['engine'], parts[0]['what'], *(
-        f'{seconds(part["best"])} ({part["best"] / ours[scene]:.1f})'
-        for scene, part in zip(scenes, parts))) for parts in zip(*result['evaluation'].values())]
-    return make(('simulator', 'what', *scenes), rows)
+    """
+    Return the times of an evaluation or step, and in brackets how many times ours.
+
+    Of several trees the shortest time, and the name of a tree that is not the scene's own.
+
+    """
+    ours = [min(row['best'] for row in rows if row['engine'] == OURS)
+            for rows in result['evaluation'].values()]
+    lines = _by_line(result['evaluation'], ('engine', 'what'),
+                     lambda *rows: min(rows, key=lambda row: row['best']))
+    rows = [(*line, *(
+        f'{seconds(part["best"])} ({part["best"] / time:.1f}'
+        f'{"" if part["tree"] == SHIPPED else ", " + part["tree"]})'
+        for part, time in zip(parts, ours))) for line, parts in lines.items()]
+    return make(('simulator', 'what', *result['evaluation']), rows)
 
 
 def cheapest(rows, target):

@@ -19,8 +19,8 @@ Builds mechanisms in each of them from the same description, shows that all comp
 accelerations, then measures in one run, in turn, on one thread: the time of an evaluation or a
 step, and error against CPU time of whole motions; in space also how many steps of many simulations
 at once a second has. In the plane the 3-RRR and the carpet scraper, in space a Stewart platform, a
-Delta robot and Bricard's linkage. Needs the packages of the extra ``bench``; a simulator that is
-not installed is left out.
+Delta robot and Bricard's linkage, which the others are given with a second tree, too. Needs the
+packages of the extra ``bench``; a simulator that is not installed is left out.
 
 """
 
@@ -47,7 +47,8 @@ import peer_report  # noqa: E402
 import throughput  # noqa: E402
 from tqdm import tqdm  # noqa: E402
 
-ENGINES = ('peer_ours', 'peer_pinocchio', 'peer_mujoco', 'peer_exudyn')
+OURS = 'peer_ours'
+ENGINES = (OURS, 'peer_pinocchio', 'peer_mujoco', 'peer_exudyn')
 BASE_TORQUES = {'theta_1': 5.0, 'theta_6': -3.0, 'theta_7': 2.0}
 LEG_FORCES = {f'leg_{k}': 28.5 * share for k, share in enumerate(
     (1.0, 1.1, 0.95, 1.05, 0.9, 1.0), start=1)}
@@ -86,12 +87,10 @@ GROUPS = {
         ('3-RRR, released, 2 s', 'three_rrr', {}, 2.0),
         ('scraper, released, 1 s', 'carpet_scraper', {}, 1.0))),
     # Exudyn's models in ``peer_exudyn`` are planar.
-    'space': Group((
-        'stewart_platform', 'delta_robot', 'bricard', 'bricard, tree chosen'), ENGINES[:3], (
+    'space': Group(('stewart_platform', 'delta_robot', 'bricard'), ENGINES[:3], (
         ('Stewart platform, 0.6 s', 'stewart_platform', LEG_FORCES, 0.6),
         ('Delta robot, 0.5 s', 'delta_robot', ARM_TORQUES, 0.5),
-        ("Bricard's linkage, 1 s", 'bricard', {}, 1.0),
-        ("Bricard's linkage, tree chosen, 1 s", 'bricard, tree chosen', {}, 1.0)),
+        ("Bricard's linkage, 1 s", 'bricard', {}, 1.0)),
         ('stewart_platform', LEG_FORCES)),
 }
 QUICK_CASES = 1
@@ -119,6 +118,18 @@ def engines(scene, chosen):
         except ImportError as error:
             print(f'{name} is left out: {error}. pip install -e .[bench] installs all.')
     return result
+
+
+def _with_engines(name, chosen):
+    """Return {tree: (scene, simulators)} of a scene; ours take its own tree alone."""
+    found = {}
+    for tree in peer_cases.trees(name):
+        scene = peer_cases.load_scene(name, tree)
+        built = engines(
+            scene, [one for one in chosen if tree == peer_cases.SHIPPED or one != OURS])
+        if built:
+            found[tree] = scene, built
+    return found
 
 
 def agreement(scene, built, count):
@@ -163,16 +174,14 @@ def _relative(values, truth):
     return max(float(np.abs(a - b).max() / np.abs(b).max()) for a, b in zip(values, truth))
 
 
-def evaluation_times(scene, built, rounds):
+def evaluation_times(trees, rounds):
     """
     Time evaluations and steps, all in turn.
 
     Parameters
     ----------
-    scene : scene.Scene
-        With gravity alone.
-    built : list of engines
-        To be timed.
+    trees : dict of str to (scene.Scene, list of engines)
+        By tree: with gravity alone, and what is to be timed.
     rounds : int
         How often.
 
@@ -182,17 +191,19 @@ def evaluation_times(scene, built, rounds):
         Best and median time of one evaluation or step [s].
 
     """
-    state = peer_cases.random_states(scene, 1)[0]
-    tasks = [(engine.name, what, function) for engine in built
-             for what, function in engine.timings(*state).items()]
-    counts = [_calibrated(function) for _, _, function in tasks]
+    tasks = []
+    for tree, (scene, built) in trees.items():
+        state = peer_cases.random_states(scene, 1)[0]
+        tasks += [(tree, engine.name, what, function) for engine in built
+                  for what, function in engine.timings(*state).items()]
+    counts = [_calibrated(function) for *_, function in tasks]
     times = [[] for _ in tasks]
     for _ in range(rounds):
-        for (_, _, function), count, measured in zip(tasks, counts, times):
+        for (*_, function), count, measured in zip(tasks, counts, times):
             measured.append(_timed(function, count) / count)
-    return [{'engine': engine, 'what': what, 'best': min(measured),
+    return [{'tree': tree, 'engine': engine, 'what': what, 'best': min(measured),
              'median': statistics.median(measured)}
-            for (engine, what, _), measured in zip(tasks, times)]
+            for (tree, engine, what, _), measured in zip(tasks, times)]
 
 
 def _calibrated(function):
@@ -209,16 +220,14 @@ def _timed(function, *arguments):
     return time.process_time() - begin
 
 
-def motions(case, built, quick, progress):
+def motions(trees, quick, progress):
     """
     Compute a motion in every way, then time all of them in turn.
 
     Parameters
     ----------
-    case : peer_cases.Case
-        The motion.
-    built : list of engines
-        To compute it.
+    trees : dict of str to (peer_cases.Case, list of engines)
+        By tree: the motion, and what is to compute it.
     quick : bool
         Fewer and coarser runs.
     progress : callable
@@ -231,30 +240,34 @@ def motions(case, built, quick, progress):
         (best and median).
 
     """
-    referee, rows, runs, ended = peer_cases.Referee(case.scene), [], [], {}
-    for run in (run for engine in built for run in engine.runs(case, quick)):
-        name = (run.engine, run.line, run.setting.partition(',')[2])
-        if ended.get(name):
-            continue
-        cost, end = _run(run)
-        longest = QUICK_LONGEST if quick else LONGEST
-        if name not in ended or cost > longest:
-            # It may have compiled.
+    rows, runs, ended = [], [], {}
+    for tree, (case, built) in trees.items():
+        referee = peer_cases.Referee(case.scene)
+        for run in (run for engine in built for run in engine.runs(case, quick)):
+            name = (tree, run.engine, run.line, run.setting.partition(',')[2])
+            if ended.get(name):
+                continue
             cost, end = _run(run)
-        ended[name] = cost > longest
-        row = {'case': case.name, 'engine': run.engine, 'line': run.line, 'setting': run.setting,
-               'error': case.error(end), 'closure': math.nan, 'cost': [cost]}
-        if math.isfinite(row['error']):
-            row['closure'] = referee.closure(end)
-        rows.append(row)
-        runs.append(run)
+            longest = QUICK_LONGEST if quick else LONGEST
+            if name not in ended or cost > longest:
+                # It may have compiled.
+                cost, end = _run(run)
+            # A setting so coarse that it is refused says nothing of finer ones.
+            ended[name] = cost > longest and math.isfinite(case.error(end))
+            row = {'case': case.name, 'tree': tree, 'engine': run.engine, 'line': run.line,
+                   'setting': run.setting, 'error': case.error(end), 'closure': math.nan,
+                   'cost': [cost]}
+            if math.isfinite(row['error']):
+                row['closure'] = referee.closure(end)
+            rows.append(row)
+            runs.append(run)
     for number in range(QUICK_MOTION_ROUNDS if quick else MOTION_ROUNDS):
         for run, row in zip(runs, rows):
             if number < LONG_ROUNDS or row['cost'][0] < LONG:
                 row['cost'].append(_run(run, ROUND)[0])
         progress()
     for row in rows:
-        # The first run warms up.
+        # The first run warms up; all trees move as long.
         costs = [cost / case.duration for cost in row.pop('cost')[1:]]
         row.update(best=min(costs), median=statistics.median(costs))
     return rows
@@ -295,22 +308,25 @@ def measure(group, quick=False, chosen=ENGINES):
     result = {'machine': description(), 'date': datetime.date.today().isoformat(),
               'load': [os.getloadavg()[0]], 'quick': quick, 'agreement': {}, 'evaluation': {},
               'cases': [], 'motions': [], 'rollouts': []}
-    built = {name: engines(peer_cases.load_scene(name), [
-        engine for engine in group.engines if engine in chosen]) for name in group.scenes}
-    for name, simulators in built.items():
-        scene = peer_cases.load_scene(name)
-        result['agreement'][name] = agreement(scene, simulators,
-                                              QUICK_STATES if quick else STATES)
-        result['evaluation'][name] = evaluation_times(scene, simulators,
-                                                      QUICK_ROUNDS if quick else ROUNDS)
+    built = {name: _with_engines(name, [engine for engine in group.engines if engine in chosen])
+             for name in group.scenes}
+    for name, trees in built.items():
+        result['agreement'][name] = [
+            row for pair in trees.values()
+            for row in agreement(*pair, QUICK_STATES if quick else STATES)]
+        result['evaluation'][name] = evaluation_times(
+            trees, QUICK_ROUNDS if quick else ROUNDS)
     cases = group.cases[:QUICK_CASES] if quick else group.cases
     rounds = QUICK_MOTION_ROUNDS if quick else MOTION_ROUNDS
     with tqdm(total=len(cases) * rounds, desc='motions', disable=None) as bar:
-        for arguments in cases:
-            case = peer_cases.build_case(*arguments)
-            result['cases'].append({'name': case.name, 'duration': case.duration,
-                                    'uncertainty': case.uncertainty})
-            result['motions'] += motions(case, built[arguments[1]], quick, bar.update)
+        for name, scene_name, torques, duration in cases:
+            trees = {
+                tree: (peer_cases.build_case(name, scene, torques, duration), simulators)
+                for tree, (scene, simulators) in built[scene_name].items()}
+            result['cases'].append({
+                'name': name, 'duration': duration,
+                'uncertainty': max(case.uncertainty for case, _ in trees.values())})
+            result['motions'] += motions(trees, quick, bar.update)
     if group.rollout is not None:
         name, forces = group.rollout
         scene = peer_cases.load_scene(name)

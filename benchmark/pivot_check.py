@@ -44,21 +44,22 @@ CUTS = {
     factorize(model, work)
     return True
 """)),
-    'integration/system.py': (
+    'integration/evaluation.py': (
         ("""\
-            if calls.call(table, calls.EVALUATION, q, qd) == 0:
-                calls.call(table, calls.OUTWARD, q, qd)
-                _accelerate_anew(table, q, qd)
+        elif calls.call(table, calls.EVALUATION, q, qd) == 0:
+            calls.call(table, calls.OUTWARD, q, qd)
+            _accelerate_anew(table, q, qd)
 """, """\
+        else:
             calls.call(table, calls.EVALUATION, q, qd)
 """),),
     'integration/projection.py': (
         ("""\
-        return (calls.call(table, calls.CORRECTION, q, qd) != 0
-                or calls.call(table, calls.REFINED_CORRECTION, q, qd) != 0)
+    return (calls.call(system.table, calls.CORRECTION, q, qd) != 0
+            or calls.call(system.table, calls.REFINED_CORRECTION, q, qd) != 0)
 """, """\
-        calls.call(table, calls.CORRECTION, q, qd)
-        return True
+    calls.call(system.table, calls.CORRECTION, q, qd)
+    return True
 """),),
 }
 

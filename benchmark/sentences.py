@@ -157,8 +157,9 @@ def evaluation_ratios(pictures, name, scenes=None):
         if scenes is None or row['scene'] in scenes:
             ours = min(float(other['best']) for other in rows
                        if (other['scene'], other['engine']) == (row['scene'], OURS))
-            found.setdefault(row['scene'], {})[row['engine'], row['what']] = (
-                float(row['best']) / ours)
+            of, key = found.setdefault(row['scene'], {}), (row['engine'], row['what'])
+            # Of several trees the one that suits best.
+            of[key] = min(of.get(key, inf), float(row['best']) / ours)
     return found
 
 

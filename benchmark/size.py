@@ -41,7 +41,8 @@ from closedloop_dynamics.core import kinematics  # noqa: E402,I100
 from closedloop_dynamics.core.compiled import compiled  # noqa: E402
 from closedloop_dynamics.core.forward_dynamics import accelerate  # noqa: E402
 from closedloop_dynamics.core.types import RANK  # noqa: E402
-from closedloop_dynamics.integration.system import build_system, evaluate  # noqa: E402
+from closedloop_dynamics.integration.evaluation import evaluate  # noqa: E402
+from closedloop_dynamics.integration.system import build_system  # noqa: E402
 from closedloop_dynamics.mechanism.decomposition import decompose  # noqa: E402
 from closedloop_dynamics.mechanism.validation import validate_mechanism  # noqa: E402
 from closedloop_dynamics.simulation.modeling import build_model  # noqa: E402
