@@ -271,7 +271,8 @@ def test_a_failing_simulation_leaves_its_rows(capsys, tmp_path):
     assert f'{len(data["time"])} row' in text
 
 
-@pytest.mark.parametrize('number, expected', [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize('number, expected', [
+    (signal.SIGINT, 130), pytest.param(signal.SIGTERM, 143, marks=pytest.mark.slow)])
 def test_an_interrupted_run_leaves_whole_rows_and_says_so(tmp_path, number, expected):
     # More rows than fit into memory.
     output = tmp_path / 'run.csv'

@@ -176,9 +176,14 @@ def wait_for_more(names):
 
 
 TOGETHER = [block for page in PAGES for block in blocks_of(page) if block.note == TERMINALS]
+# Of scenes and controllers that other tests start, too (test/attack/test_starts.py).
+COMMON = [block for block in TOGETHER if block.page.name in ('install.md', 'look.md') and (
+    next_block(block) is None or next_block(block).note != AFTERWARDS)]
 
 
-@pytest.mark.parametrize('block', TOGETHER, ids=str)
+@pytest.mark.parametrize('block', [
+    pytest.param(block, marks=pytest.mark.slow) if block in COMMON else block
+    for block in TOGETHER], ids=str)
 def test_nodes_run_together_as_the_page_says(block, scratch, capsys):
     write_files(block.page, scratch)
     started = []
@@ -275,6 +280,7 @@ def test_pages_that_are_written_from_the_code_are_up_to_date(name):
         f'python doc/make_{name}.py writes the page anew')
 
 
+@pytest.mark.slow
 def test_site_is_built_without_a_broken_link(tmp_path):
     pytest.importorskip('mkdocs', reason='requirements/docs.txt is not installed')
     pytest.importorskip('mkdocstrings', reason='requirements/docs.txt is not installed')

@@ -29,6 +29,9 @@ pytest.importorskip('colcon_core', reason='colcon is not installed')
 pytestmark = [
     pytest.mark.timeout(600),
     pytest.mark.skipif(' ' in sys.executable, reason='colcon breaks on a space in its path')]
+# For what hardly depends on the way of building; --all tries both.
+ONCE = pytest.mark.parametrize(
+    'workspace', ['copied', pytest.param('linked', marks=pytest.mark.slow)], indirect=True)
 
 
 def colcon(workspace, verb, *arguments):
@@ -117,6 +120,7 @@ def test_package_is_found_in_the_workspace(workspace):
     assert all(line.startswith(str(workspace)) for line in output.splitlines()), output
 
 
+@ONCE
 def test_command_line_runs(workspace):
     program = prefix(workspace) / 'lib' / PACKAGE / 'closedloop'
     assert 'simulate' in run(program, '--help', cwd=workspace, env=sourced(workspace))
@@ -130,7 +134,8 @@ def test_nodes_run_together_and_end_when_interrupted(start):
     assert codes == dict.fromkeys(names, 0), [process.output for process in processes]
 
 
+@ONCE
 def test_colcon_test_finds_the_tests(workspace):
-    colcon(workspace, 'test', '--pytest-args', 'test/test_imports.py')
+    colcon(workspace, 'test', '--pytest-args', 'test/mechanism/test_expressions.py')
     results = ElementTree.parse(workspace / 'build' / PACKAGE / 'pytest.xml')
     assert int(results.getroot().find('testsuite').get('tests')) > 3
