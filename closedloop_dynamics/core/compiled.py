@@ -14,10 +14,12 @@
 
 """The one decorator of the compiled kernels."""
 
+import gc
 import warnings
 
 try:
     import numba
+    from numba.core import event
 except ImportError:
     numba = None
     warnings.warn(
@@ -26,8 +28,32 @@ except ImportError:
 else:
     from .cache import KernelCache
 
+    class _RareCollections(event.Listener):
+        """
+        Let Python look for garbage rarely while numba compiles.
 
-def _compile(function, allocates=False, from_c=False, **options):
+        It makes millions of objects most of which stay until it is done: looking through them
+        again and again would be a sixth of the time that the first start takes.
+
+        """
+
+        def __init__(self):
+            self._before = []
+
+        def on_start(self, event):
+            self._before.append(gc.get_threshold())
+            objects, *rest = self._before[-1]
+            # Objects made until the next look; 700 in Python 3.11, zero where nobody looks.
+            gc.set_threshold(objects and max(50000, objects), *rest)
+
+        def on_end(self, event):
+            gc.set_threshold(*self._before.pop())
+
+    # Within the compiler's lock.
+    event.register('numba:compile', _RareCollections())
+
+
+def _compile(function, allocates=False, from_c=False, stored_as=None, **options):
     """Return ``function`` compiled, or without numba as it is."""
     if numba is None:
         return function
@@ -41,7 +67,7 @@ def _compile(function, allocates=False, from_c=False, **options):
         no_cpython_wrapper=from_c or function.__name__.startswith('_'), **options)(function)
     if not numba.config.DISABLE_JIT:
         # Numba has no public way to bring a cache of one's own.
-        kernel._cache = KernelCache(function)
+        kernel._cache = KernelCache(stored_as or function)
     return kernel
 
 
@@ -85,9 +111,13 @@ def inlined(function):
     return _compile(function, forceinline=True)
 
 
-def addressed(function):
-    """Compile like ``compiled`` what is called by its address (``codegen.records``)."""
-    return _compile(function, from_c=True)
+def replaced(function, called):
+    """Compile ``called`` as what C calls in the place of ``function`` (``codegen.records``)."""
+    # Machine code is found by name and types: what numba adds to tell namesakes apart counts in
+    # each process from the start, and code comes from the disk, from several processes.
+    called.__name__ = function.__name__
+    called.__qualname__ = f'{function.__module__}.{function.__qualname__}'
+    return _compile(called, stored_as=function, from_c=True)
 
 
 def released(function):

@@ -14,18 +14,43 @@
 
 """What is asked of a state beside its motion: dense matrices, energies, forces, from Python."""
 
+from typing import NamedTuple
+
 import numpy as np
 
 from . import energy, jacobian, joint_wrenches, kinematics, loop_closure
 from .codegen import pieces
+from .codegen.records import addressed, from_python, link
 from .types import (
-    CUT_NUMBER, CUT_ROW, CUT_TYPE, KEPT, NO_RESPONSES, number_of_coordinates, POSSIBLE, ROW, ROWS)
+    CUT_NUMBER, CUT_ROW, CUT_TYPE, KEPT, Model, NO_RESPONSES, number_of_coordinates, POSSIBLE,
+    ROW, ROWS, Workspace)
 from .workspace import allocate
 
 # Singular values below this times the largest belong to equations that repeat others.
 DEPENDENT = 1e-9
 # What is left of accelerations of closure errors, of the largest that it is a sum of.
 CLOSED = 1e-6
+
+
+class _Machine(NamedTuple):
+    model: Model
+    work: Workspace
+
+
+@addressed
+def _move(machine, number, state, same):
+    """Take a state: coordinates, and behind them rates."""
+    nq = state.shape[0] - (machine.model.tree.shape[0] - 1)
+    kinematics.outward(machine.model, state[:nq], state[nq:], machine.work)
+    return 1
+
+
+@addressed
+def _close(machine, number, error, same):
+    """Find the closure errors of the state that was taken, and the largest of positions."""
+    loop_closure.update(machine.model, machine.work, NO_RESPONSES)
+    error[0] = loop_closure.largest(machine.work.closure)
+    return 1
 
 
 def with_all_equations(model):
@@ -44,17 +69,12 @@ def with_all_equations(model):
         out.
 
     """
-    if leaves_nothing_out(model):
+    if (model.cut[:, KEPT] == model.cut[:, POSSIBLE]).all():
         return model
     cut = model.cut.copy()
     cut[:, KEPT] = cut[:, POSSIBLE]
     pieces.arrays_of(model).number_equations(cut)
     return model._replace(cut=cut, column=np.zeros(cut[:, ROWS].sum() + 1, dtype=np.int64))
-
-
-def leaves_nothing_out(model):
-    """Tell whether the elimination works on all equations of a model."""
-    return bool((model.cut[:, KEPT] == model.cut[:, POSSIBLE]).all())
 
 
 class Equations:
@@ -105,7 +125,13 @@ class Equations:
         self.places = np.array([kind == 0 for _, kind in groups], dtype=bool)
         order = {group: number for number, group in enumerate(dict.fromkeys(groups))}
         self.groups = np.array([order[group] for group in groups], dtype=int)
-        self._q, self._qd = np.zeros(number_of_coordinates(model)), np.zeros(self.nv)
+        nq = number_of_coordinates(model)
+        state = np.zeros(nq + self.nv)
+        self._q, self._qd = state[:nq], state[nq:]
+        self._error, self._jacobian = np.zeros(1), None
+        addresses, self._record = link(_Machine(self.model, self.work), (_move, _close))
+        self._move = from_python(addresses, 1, state)
+        self._close = from_python(addresses, 2, self._error)
 
     def _constants(self):
         """Return what decides which code is for which body."""
@@ -132,7 +158,8 @@ class Equations:
             pieces.connect(self.model, self.work.piece, self.work.cut_piece)
             self._connected = self._constants()
         self._q[:], self._qd[:] = q, 0.0 if qd is None else qd
-        kinematics.outward(self.model, self._q, self._qd, self.work)
+        self._move()
+        self._jacobian = None
         return self
 
     def closures(self):
@@ -144,9 +171,14 @@ class Equations:
         ndarray, shape (3, nc)
 
         """
-        loop_closure.update(self.model, self.work, NO_RESPONSES)
+        self._close()
         return np.array([self.work.closure, self.work.closure_rate, self.work.bias])[
             :, self._order]
+
+    def closure_error(self):
+        """Return the largest closure error of positions [m or rad]."""
+        self._close()
+        return float(self._error[0])
 
     def jacobian(self):
         """
@@ -157,9 +189,10 @@ class Equations:
         ndarray, shape (nc, nv)
 
         """
-        jac = np.zeros((self.nc, self.nv))
-        jacobian.constraint_jacobian(self.model, self.work, jac)
-        return jac
+        if self._jacobian is None:
+            self._jacobian = np.zeros((self.nc, self.nv))
+            jacobian.constraint_jacobian(self.model, self.work, self._jacobian)
+        return self._jacobian
 
     def inertia(self):
         """
@@ -173,21 +206,8 @@ class Equations:
         gim = np.zeros((self.nv, self.nv))
         jacobian.generalized_inertia_matrix(self.model, self.work, gim)
         # That has used up the bodies' own inertias.
-        kinematics.outward(self.model, self._q, self._qd, self.work)
+        self._move()
         return gim
-
-    def bias_force(self):
-        """
-        Return the joint forces that the state takes where nothing accelerates, with gravity.
-
-        Returns
-        -------
-        ndarray, shape (nv,)
-
-        """
-        force = np.zeros(self.nv)
-        joint_wrenches.tree_torque(self.model, self.work, np.zeros(self.nv), force)
-        return force
 
     def energies(self):
         """

@@ -24,6 +24,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from . import lu
 from .compiled import compiled
 from .elimination import note, POOR_PIVOT
 from .forward_dynamics import constraint_right_side, to_user_order
@@ -50,6 +51,8 @@ class DenseWorkspace(NamedTuple):
     schur : ndarray, shape (nc, nc)
         J I^-1 J^T.
     kkt : ndarray, shape (nv + nc, nv + nc)
+    pivots : ndarray of int, shape (nv + nc,)
+        Of ``lu.factorize``.
     solution : ndarray, shape (nv + nc,)
 
     """
@@ -60,6 +63,7 @@ class DenseWorkspace(NamedTuple):
     right: np.ndarray
     schur: np.ndarray
     kkt: np.ndarray
+    pivots: np.ndarray
     solution: np.ndarray
 
 
@@ -72,19 +76,20 @@ def allocate_dense(model, formulation):
     model : Model
         Constant arrays of the mechanism.
     formulation : int
-        ``SYSTEM`` or ``AUGMENTED``.
+        ``SYSTEM`` or ``AUGMENTED``; for ``SUBSYSTEM`` arrays have no length.
 
     Returns
     -------
     DenseWorkspace
 
     """
-    nv, nc = len(model.tree) - 1, len(model.column) - 1
+    nv, nc = (0, 0) if formulation == SUBSYSTEM else (len(model.tree) - 1, len(model.column) - 1)
     both = nv + nc if formulation == AUGMENTED else 0
     schur = nc if formulation == SYSTEM else 0
     return DenseWorkspace(
         gim=np.zeros((nv, nv)), jac=np.zeros((nc, nv)), free=np.zeros(nv), right=np.zeros(nc),
-        schur=np.zeros((schur, schur)), kkt=np.zeros((both, both)), solution=np.zeros(both))
+        schur=np.zeros((schur, schur)), kkt=np.zeros((both, both)),
+        pivots=np.zeros(both, dtype=np.int64), solution=np.zeros(both))
 
 
 @compiled
@@ -132,43 +137,22 @@ def lower_transposed_solve(factor, right):
 
 
 @compiled
-def gaussian_solve(matrix, right, first):
+def _ratio_of_pivots(matrix, first):
     """
-    Solve ``matrix`` x = ``right`` in place by elimination with partial pivoting.
+    Return the smallest pivot from number ``first`` on relative to the largest one.
 
-    Returns the smallest pivot from number ``first`` on relative to the largest one; zero where
-    any is zero.
+    Zero where any is zero. ``matrix``: after ``lu.factorize``.
 
     """
     n = matrix.shape[0]
     smallest, largest = np.inf, 0.0
     for k in range(n):
-        pivot = k
-        for i in range(k + 1, n):
-            if abs(matrix[i, k]) > abs(matrix[pivot, k]):
-                pivot = i
-        if pivot != k:
-            for j in range(k, n):
-                matrix[k, j], matrix[pivot, j] = matrix[pivot, j], matrix[k, j]
-            right[k], right[pivot] = right[pivot], right[k]
         size = abs(matrix[k, k])
         # Written so that a NaN counts as no pivot at all.
         if not size > 0.0:
             smallest = 0.0
         elif k >= first:
             smallest, largest = min(smallest, size), max(largest, size)
-        inverse = 1.0 / matrix[k, k]
-        for i in range(k + 1, n):
-            scale = matrix[i, k] * inverse
-            if scale != 0.0:
-                for j in range(k + 1, n):
-                    matrix[i, j] -= scale * matrix[k, j]
-                right[i] -= scale * right[k]
-    for i in range(n - 1, -1, -1):
-        total = right[i]
-        for j in range(i + 1, n):
-            total -= matrix[i, j] * right[j]
-        right[i] = total / matrix[i, i]
     return smallest / largest if first < n else 1.0
 
 
@@ -225,7 +209,9 @@ def accelerate_dense(model, work, dense, formulation, tau, baumgarte, qdd, lam):
                 dense.kkt[i, nv + k] = dense.jac[k, i]
             for j in range(nc):
                 dense.kkt[nv + k, nv + j] = 0.0
-        ratio = gaussian_solve(dense.kkt, dense.solution, nv)
+        lu.factorize(dense.kkt, dense.pivots)
+        lu.solve(dense.kkt, dense.pivots, dense.solution)
+        ratio = _ratio_of_pivots(dense.kkt, nv)
         for i in range(nv):
             qdd[i] = dense.solution[i]
         for k in range(nc):

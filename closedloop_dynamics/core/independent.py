@@ -64,7 +64,7 @@ class Partition(NamedTuple):
     record: np.ndarray
 
 
-def allocate_partition(model):
+def allocate_partition(model, used=True):
     """
     Allocate a partition, no set chosen yet.
 
@@ -72,17 +72,19 @@ def allocate_partition(model):
     ----------
     model : Model
         Of the mechanism.
+    used : bool
+        Where not, arrays have no length.
 
     Returns
     -------
     Partition
 
     """
-    nv, nc = len(model.tree) - 1, len(model.column) - 1
+    nv, nc = (len(model.tree) - 1, len(model.column) - 1) if used else (0, 0)
     return Partition(
         order=np.arange(nv), jac=np.zeros((nc, nv)), scaled=np.zeros((nc, nv)),
         matrix=np.zeros((nc, nc)), pivots=np.zeros(nc, dtype=np.int64), right=np.zeros(nc),
-        change=np.zeros(nv), record=np.zeros(3))
+        change=np.zeros(nv), record=np.zeros(3 if used else 0))
 
 
 def forget(partition):
@@ -205,16 +207,16 @@ def close(model, work, partition, manifold, q, qd, tolerance):
 
 
 @compiled
-def close_and_choose(partition, model, work, manifold, q, qd, tolerance):
+def close_and_choose(model, work, partition, manifold, q, qd, tolerance, anew):
     """
-    Close the loops after a step, and choose another set where the present one is worn.
+    Close the loops, and if asked choose another set where the present one is worn.
 
     Parameters
     ----------
-    partition : Partition or None
-        None where independent coordinates are not used: then nothing is compiled or done.
-    model, work, manifold, q, qd, tolerance
+    model, work, partition, manifold, q, qd, tolerance
         As for ``close``.
+    anew : bool
+        Whether another set may be chosen: between steps.
 
     Returns
     -------
@@ -222,11 +224,9 @@ def close_and_choose(partition, model, work, manifold, q, qd, tolerance):
         Whether the loops are closed.
 
     """
-    if partition is None:
-        return True
     closed = close(model, work, partition, manifold, q, qd, tolerance)
     record = partition.record
-    if not record[RATIO] >= WORN * record[CHOSEN_RATIO]:
+    if anew and not record[RATIO] >= WORN * record[CHOSEN_RATIO]:
         choose(partition)
         closed = close(model, work, partition, manifold, q, qd, tolerance)
     return closed

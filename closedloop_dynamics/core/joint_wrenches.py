@@ -63,7 +63,7 @@ def wrenches_of_cut(cut, cut_point, cut_piece, body, lam, share, a):
               lam, cut[a, CUT_ROW], share, 0)
 
 
-@compiled
+@inlined
 def bias_forces(work, out):
     """
     Keep the bodies' bias forces, which an evaluation overwrites.
@@ -95,7 +95,7 @@ def newton(model, work, qdd, wrench):
                   work.torque, tree[i, DOF])
 
 
-@compiled
+@inlined
 def joint_wrenches(model, work, qdd, lam, wrench):
     """
     Compute the wrenches in the joints of the trees: Newton and Euler, from the tips inward.

@@ -17,7 +17,7 @@
 from .codegen.function_table import run_piece
 from .codegen.space import ACCELERATION
 from .compiled import inlined
-from .types import AX, COORDINATE, COS, DOF, MOVE, OMEGA, PARENT, PX, PY, SIN, VX, VY
+from .types import AX, COORDINATE, COS, DOF, MOVE, PARENT, PX, PY, SIN
 
 
 @inlined
@@ -74,23 +74,3 @@ def point_position(work, i, x, y, out):
     body = work.body
     out[0] = body[i, PX] + body[i, COS] * x - body[i, SIN] * y
     out[1] = body[i, PY] + body[i, SIN] * x + body[i, COS] * y
-
-
-@inlined
-def point_velocity(work, i, x, y, out):
-    """
-    Compute the velocity of a point of body ``i`` given in its frame.
-
-    Parameters
-    ----------
-    work, i, x, y
-        As for ``point_position``.
-    out : ndarray, shape (2,)
-        Written in place [m/s].
-
-    """
-    body = work.body
-    rx = body[i, COS] * x - body[i, SIN] * y
-    ry = body[i, SIN] * x + body[i, COS] * y
-    out[0] = body[i, VX] - body[i, OMEGA] * ry
-    out[1] = body[i, VY] + body[i, OMEGA] * rx

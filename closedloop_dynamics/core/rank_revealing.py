@@ -113,7 +113,7 @@ def _solve_here(model, work, tau, beside, qdd, lam):
     return rank, weakest, distinct, size
 
 
-@merged
+@allocating
 def correct(model, work, level, out):
     """
     Compute the least change of positions or rates, in the mass metric, that closes the loops.

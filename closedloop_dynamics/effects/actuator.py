@@ -31,8 +31,8 @@ import math
 from typing import Optional
 
 from .effect import Effect
+from .law import law
 from .table import ACTUATOR, FIRST, ForceElement, OWN, STATE, State, WORK
-from ..core.compiled import inlined
 from ..mechanism.checks import freedom, not_negative, positive
 
 # Share of the speed limit over which the driving torque fades.
@@ -87,8 +87,8 @@ class Actuator(Effect):
         return self.joint, self.delay
 
 
-@inlined
-def apply(table, row, qd, tau):
+@law
+def apply(table, row, body, q, qd, tau):
     """Replace the command by what the drive makes of it; see ``dispatch.apply``."""
     values, joint, state = table.values, table.index[row, FIRST], table.index[row, STATE]
     limit, rate = values[row, 0], qd[joint]

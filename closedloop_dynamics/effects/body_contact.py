@@ -46,6 +46,7 @@ from .effect import Effect, require_point
 from .forces import (
     elastic_force, in_contact, place, place_in_space, push_at, push_there, turned, velocity,
     velocity_at)
+from .law import law
 from .table import (
     CIRCLE_CONTACT, CURVE_CONTACT, DATA, DISSIPATED, FIRST, ForceElement, LINE_CONTACT, SECOND,
     SPATIAL_BODY_CONTACT, STATE, State, STORED)
@@ -353,8 +354,8 @@ def _centres(table, row, body):
     return x, y, ox, oy
 
 
-@inlined
-def apply_on_line(table, row, body):
+@law
+def apply_on_line(table, row, body, q, qd, tau):
     """Apply the forces of a roller on a line; see ``dispatch.apply``."""
     values, b = table.values, table.index[row, SECOND]
     x, y, ox, oy = _centres(table, row, body)
@@ -364,8 +365,8 @@ def apply_on_line(table, row, body):
     _press(table, row, body, x, y, -uy, ux, distance)
 
 
-@inlined
-def apply_on_circle(table, row, body):
+@law
+def apply_on_circle(table, row, body, q, qd, tau):
     """Apply the forces of a roller on or in a circle; see ``dispatch.apply``."""
     values = table.values
     x, y, ox, oy = _centres(table, row, body)
@@ -379,8 +380,8 @@ def apply_on_circle(table, row, body):
         _press(table, row, body, x, y, side * nx, side * ny, side * (between - values[row, 5]))
 
 
-@inlined
-def apply_on_curve(table, row, body):
+@law
+def apply_on_curve(table, row, body, q, qd, tau):
     """Apply the forces of a roller on a curve; see ``dispatch.apply``."""
     values, b = table.values, table.index[row, SECOND]
     x, y, ox, oy = _centres(table, row, body)
@@ -391,8 +392,8 @@ def apply_on_curve(table, row, body):
     _press(table, row, body, x, y, cos * mx - sin * my, sin * mx + cos * my, distance)
 
 
-@inlined
-def apply_in_space(table, row, body):
+@law
+def apply_in_space(table, row, body, q, qd, tau):
     """Apply the forces of a ball on a plane, sphere or cylinder; see ``dispatch.apply``."""
     values, data, at, output = table.values, table.data, table.index[row, DATA], table.output
     a, b, side = table.index[row, FIRST], table.index[row, SECOND], values[row, 11]

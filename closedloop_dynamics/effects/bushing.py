@@ -41,7 +41,8 @@ import numpy as np
 
 from .effect import Effect
 from .forces import (
-    place, place_in_space, push_at, push_there, turned, twist, velocity, velocity_at)
+    dot, place, place_in_space, push_at, push_there, turned, twist, velocity, velocity_at)
+from .law import law
 from .table import (
     BUSHING, DATA, DISSIPATED, FIRST, ForceElement, SECOND, SPATIAL_BUSHING, STATE, State, STORED)
 from ..core.codegen.space import SPIN
@@ -173,8 +174,8 @@ class Bushing(Effect):
                 *along, *damping),))
 
 
-@inlined
-def apply(table, row, body):
+@law
+def apply(table, row, body, q, qd, tau):
     """Apply the forces; see ``dispatch.apply``."""
     values, data, at = table.values, table.data, table.index[row, DATA]
     a, b = table.index[row, FIRST], table.index[row, SECOND]
@@ -216,14 +217,8 @@ def _axis(body, row, data, at):
     return turned(body, row, data[at], data[at + 1], data[at + 2])
 
 
-@inlined
-def _dot(ax, ay, az, bx, by, bz):
-    """Return the scalar product of two vectors."""
-    return ax * bx + ay * by + az * bz
-
-
-@inlined
-def apply_in_space(table, row, body):
+@law
+def apply_in_space(table, row, body, q, qd, tau):
     """Apply the forces in space; see ``dispatch.apply``."""
     values, data, at = table.values, table.data, table.index[row, DATA]
     a, b, output = table.index[row, FIRST], table.index[row, SECOND], table.output
@@ -237,11 +232,11 @@ def apply_in_space(table, row, body):
     fx, fy, fz, mx, my, mz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     stored, lost = 0.0, 0.0
     for k in range(3):
-        ax, ay, az = _axis(body, a, data, at + AXES_A + 3 * k)
-        bx, by, bz = _axis(body, b, data, at + AXES_B + 3 * k)
-        along = _dot(ax, ay, az, x - px, y - py, z - pz)
-        rate = _dot(ax, ay, az, vx - ux, vy - uy, vz - uz)
-        spin = _dot(ax, ay, az, sx, sy, sz)
+        axis = ax, ay, az = _axis(body, a, data, at + AXES_A + 3 * k)
+        other = bx, by, bz = _axis(body, b, data, at + AXES_B + 3 * k)
+        along = dot(axis, (x - px, y - py, z - pz))
+        rate = dot(axis, (vx - ux, vy - uy, vz - uz))
+        spin = dot(axis, (sx, sy, sz))
         stiffness, damping = data[at + ALONG + k], data[at + LOSS + k]
         force = -stiffness * along - damping * rate
         output[row, 1 + k] = force
@@ -251,7 +246,7 @@ def apply_in_space(table, row, body):
         mx += share * (by * az - bz * ay) + loss * ax
         my += share * (bz * ax - bx * az) + loss * ay
         mz += share * (bx * ay - by * ax) + loss * az
-        stored += 0.5 * stiffness * along * along + share * (1.0 - _dot(ax, ay, az, bx, by, bz))
+        stored += 0.5 * stiffness * along * along + share * (1.0 - dot(axis, other))
         lost += damping * rate * rate - loss * spin
     push_there(body, b, x, y, z, fx, fy, fz)
     push_there(body, a, x, y, z, -fx, -fy, -fz)

@@ -47,8 +47,9 @@ from typing import Optional, Tuple
 
 from .effect import Effect, require_point
 from .forces import (
-    distance_in_space, place, place_in_space, push_at, push_there, turned, twist, velocity,
-    velocity_at)
+    cross, distance_in_space, dot, place, place_in_space, push_at, push_there, turned, twist,
+    velocity, velocity_at)
+from .law import law
 from .table import (
     CABLE, DATA, DISSIPATED, ENTRIES, ForceElement, SPATIAL_CABLE, STATE, State, STORED)
 from ..core.codegen.space import SPIN
@@ -193,8 +194,8 @@ def _tension(table, row, length, rate):
     return tension
 
 
-@inlined
-def apply(table, row, body):
+@law
+def apply(table, row, body, q, qd, tau):
     """Apply the forces; see ``dispatch.apply``."""
     data, first = table.data, table.index[row, DATA]
     pieces = table.index[row, ENTRIES] - 1
@@ -228,8 +229,8 @@ def _straight_in_space(body, data, at):
         int(data[b]), data[b + 1], data[b + 2], data[b + 3])
 
 
-@inlined
-def apply_in_space(table, row, body):
+@law
+def apply_in_space(table, row, body, q, qd, tau):
     """Apply the forces in space; see ``dispatch.apply``."""
     if table.values[row, CARRIER] >= 0.0:
         _apply_over_pulleys(table, row, body)
@@ -259,30 +260,20 @@ def _apply_over_guides(table, row, body):
 
 
 @inlined
-def _dot(a, b):
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-@inlined
-def _cross(a, b):
-    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
-
-
-@inlined
 def _tangent_in_space(body, data, at, axis):
     """Return both centres, the tangent and f, see above, a, h, and L of a piece."""
     b = at + SPATIAL_COLUMNS
     p = place_in_space(body, int(data[at]), data[at + 1], data[at + 2], data[at + 3])
     q = place_in_space(body, int(data[b]), data[b + 1], data[b + 2], data[b + 3])
     x, y, z = q[0] - p[0], q[1] - p[1], q[2] - p[2]
-    high = _dot((x, y, z), axis)
+    high = dot((x, y, z), axis)
     x, y, z = x - high * axis[0], y - high * axis[1], z - high * axis[2]
     between, across = x * x + y * y + z * z, data[b + 4] - data[at + 4]
     seen = math.sqrt(max(0.0, between - across * across))
     whole = math.sqrt(seen * seen + high * high)
     tangent, force = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     if between > 0.0 and seen > 0.0:
-        u, v, w = _cross((x, y, z), axis)
+        u, v, w = cross((x, y, z), axis)
         tangent = ((seen * x + across * u) / between, (seen * y + across * v) / between,
                    (seen * z + across * w) / between)
         # (a / L - 1) / a without a difference.
@@ -306,13 +297,13 @@ def _apply_over_pulleys(table, row, body):
         ux, uy, uz = velocity_at(body, int(data[at]), p[0], p[1], p[2])
         vx, vy, vz = velocity_at(body, int(data[at + SPATIAL_COLUMNS]), q[0], q[1], q[2])
         length += whole
-        rate += _dot(force, (vx - ux, vy - uy, vz - uz)) - _dot(spin, _cross(
+        rate += dot(force, (vx - ux, vy - uy, vz - uz)) - dot(spin, cross(
             (q[0] - p[0], q[1] - p[1], q[2] - p[2]), force))
         fleet = max(fleet, math.atan2(abs(high), seen))
         if k > 0 and data[at + 4] != 0.0:
             # Seen along the axis: the turn from one tangent to the next.
-            length += _wrapped(data[at + 4], 1.0, 0.0, _dot(before, tangent),
-                               _dot(_cross(before, tangent), axis))
+            length += _wrapped(data[at + 4], 1.0, 0.0, dot(before, tangent),
+                               dot(cross(before, tangent), axis))
         before = tangent
     tension = _tension(table, row, length, rate)
     table.output[row, 3] = fleet
@@ -323,5 +314,5 @@ def _apply_over_pulleys(table, row, body):
             x, y, z = tension * force[0], tension * force[1], tension * force[2]
             push_there(body, int(data[at]), p[0], p[1], p[2], x, y, z)
             push_there(body, int(data[at + SPATIAL_COLUMNS]), q[0], q[1], q[2], -x, -y, -z)
-            x, y, z = _cross((q[0] - p[0], q[1] - p[1], q[2] - p[2]), (x, y, z))
+            x, y, z = cross((q[0] - p[0], q[1] - p[1], q[2] - p[2]), (x, y, z))
             twist(body, carrier, x, y, z)

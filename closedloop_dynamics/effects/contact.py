@@ -39,6 +39,7 @@ from typing import Optional
 from .effect import Effect
 from .forces import (
     elastic_force, in_contact, offset, push, push_in_space, turned, velocity_in_space)
+from .law import law
 from .table import CONTACT, DISSIPATED, FIRST, ForceElement, SPATIAL_CONTACT, STATE, State, STORED
 from ..core.codegen.space import ORIGIN
 from ..core.compiled import inlined
@@ -147,8 +148,8 @@ def _press(table, row, depth, rate, slip):
     return normal, along
 
 
-@inlined
-def apply(table, row, body):
+@law
+def apply(table, row, body, q, qd, tau):
     """Apply the force; see ``dispatch.apply``."""
     values, output, i = table.values, table.output, table.index[row, FIRST]
     rx, ry = offset(body, i, values[row, 0], values[row, 1])
@@ -167,8 +168,8 @@ def apply(table, row, body):
         push(body, i, rx, ry, along * ux - normal * uy, along * uy + normal * ux)
 
 
-@inlined
-def apply_in_space(table, row, body):
+@law
+def apply_in_space(table, row, body, q, qd, tau):
     """Apply the force in space; see ``dispatch.apply``."""
     values, output, i = table.values, table.output, table.index[row, FIRST]
     rx, ry, rz = turned(body, i, values[row, 0], values[row, 1], values[row, 2])

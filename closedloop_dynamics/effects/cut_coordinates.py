@@ -30,7 +30,7 @@ acts along.
 
 import math
 
-from .forces import offset, push, push_in_space, turned, twist
+from .forces import cross, dot, offset, push, push_in_space, turned, twist
 from .table import (
     ACROSS_B, AXIS, FOLLOWED, IN_PLANE, POINT_A, POINT_B, RATE_ONLY, ROW_A, ROW_B, SCALE, SIDE_A,
     SIDE_B, SLIDES, ZERO)
@@ -113,16 +113,6 @@ def _velocity_product(body, row, planar):
 
 
 @inlined
-def _cross(a, b):
-    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
-
-
-@inlined
-def _dot(a, b):
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-@inlined
 def _less(a, b):
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
@@ -131,7 +121,7 @@ def _less(a, b):
 def _at(motion, lever):
     """Return what an angular velocity, or acceleration, and that of an origin are at a lever."""
     turn, slide = motion
-    x, y, z = _cross(turn, lever)
+    x, y, z = cross(turn, lever)
     return slide[0] + x, slide[1] + y, slide[2] + z
 
 
@@ -139,8 +129,8 @@ def _at(motion, lever):
 def _along(slides, axis, lever_a, lever_b, motion_a, motion_b):
     """Return the rate of a coordinate; of accelerations the part that they make up."""
     if slides:
-        return _dot(axis, _less(_at(motion_a, lever_a), _at(motion_b, lever_b)))
-    return _dot(axis, _less(motion_a[0], motion_b[0]))
+        return dot(axis, _less(_at(motion_a, lever_a), _at(motion_b, lever_b)))
+    return dot(axis, _less(motion_a[0], motion_b[0]))
 
 
 @inlined
@@ -149,11 +139,11 @@ def _bias(slides, axis, lever_a, lever_b, motion_a, motion_b):
     turn_a, turn_b = motion_a[0], motion_b[0]
     if slides:
         apart = _less(_at(motion_a, lever_a), _at(motion_b, lever_b))
-        x, y, z = _less(_cross(turn_a, _cross(turn_a, lever_a)),
-                        _cross(turn_b, _cross(turn_b, lever_b)))
-        u, v, w = _cross(turn_b, apart)
-        return _dot(axis, (x - 2.0 * u, y - 2.0 * v, z - 2.0 * w))
-    return _dot(_cross(turn_b, axis), _less(turn_a, turn_b))
+        x, y, z = _less(cross(turn_a, cross(turn_a, lever_a)),
+                        cross(turn_b, cross(turn_b, lever_b)))
+        u, v, w = cross(turn_b, apart)
+        return dot(axis, (x - 2.0 * u, y - 2.0 * v, z - 2.0 * w))
+    return dot(cross(turn_b, axis), _less(turn_a, turn_b))
 
 
 @compiled
@@ -182,7 +172,7 @@ def measure(index, values, body, states, first, position, velocity):
         axis = direction(body, b, planar, values, k, AXIS)
         place = _place(body, a, planar, values, k, POINT_A)
         if slides:
-            found = values[k, SCALE] * _dot(
+            found = values[k, SCALE] * dot(
                 axis, _less(place, _place(body, b, planar, values, k, POINT_B)))
         elif planar:
             found = body[a, ALPHA] - body[b, ALPHA] - values[k, ZERO]
@@ -190,8 +180,8 @@ def measure(index, values, body, states, first, position, velocity):
             found = states[index[k, FOLLOWED]] if index[k, FOLLOWED] >= 0 else 0.0
         else:
             side = direction(body, a, planar, values, k, SIDE_A)
-            found = math.atan2(_dot(side, direction(body, b, planar, values, k, ACROSS_B)),
-                               _dot(side, direction(body, b, planar, values, k, SIDE_B)))
+            found = math.atan2(dot(side, direction(body, b, planar, values, k, ACROSS_B)),
+                               dot(side, direction(body, b, planar, values, k, SIDE_B)))
             if index[k, FOLLOWED] >= 0:
                 apart = (states[index[k, FOLLOWED]] - found) / (2.0 * math.pi)
                 found += 2.0 * math.pi * math.floor(apart + 0.5)

@@ -144,7 +144,7 @@ class EffectSet:
         if self._system is not None:
             # A rotor makes another kind of body of one.
             pieces.connect(model, self._system.work.piece, self._system.work.cut_piece)
-            if self._system.unrolled is not None:
+            if self._system.is_unrolled:
                 codegen.relink(model, self._system.table)
         self.drives = {}
         for record in active:
@@ -293,7 +293,7 @@ class EffectSet:
     def follow_angles(self, states):
         """Let the angles that are followed begin as at the latest evaluation, in place."""
         cuts = self._table.cuts
-        for k, row in enumerate(() if cuts is None else cuts.index):
+        for k, row in enumerate(cuts.index):
             if row[FOLLOWED] >= 0:
                 states[row[FOLLOWED]] = cuts.q[len(cuts.q) - len(cuts.index) + k]
 

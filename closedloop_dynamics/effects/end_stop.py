@@ -31,8 +31,8 @@ from typing import Optional
 
 from .effect import Effect
 from .forces import in_contact
+from .law import law
 from .table import DISSIPATED, END_STOP, FIRST, ForceElement, STATE, State, STORED
-from ..core.compiled import inlined
 from ..mechanism.checks import freedom, not_negative, number, positive
 from ..mechanism.fields import FieldError
 
@@ -81,8 +81,8 @@ class EndStop(Effect):
             touches=True)
 
 
-@inlined
-def apply(table, row, q, qd):
+@law
+def apply(table, row, body, q, qd, tau):
     """Add the torque; see ``dispatch.apply``."""
     values, joint, state = table.values, table.index[row, FIRST], table.index[row, STATE]
     # Beyond the nearer stop; as a rule less than zero.

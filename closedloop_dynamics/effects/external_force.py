@@ -28,9 +28,9 @@ from typing import Union
 
 from .effect import Effect
 from .forces import BODY, offset, push, push_in_space, turned, twist, velocity_in_space, WORLD
+from .law import law
 from .table import EXTERNAL_FORCE, FIRST, ForceElement, SPATIAL_FORCE, STATE, State, WORK
 from ..core.codegen.space import SPIN
-from ..core.compiled import inlined
 from ..core.types import FZ, OMEGA, VX, VY
 from ..mechanism.checks import name, number, one_of, one_or_several, vector, vector3
 from ..mechanism.fields import at
@@ -89,8 +89,8 @@ class ExternalForce(Effect):
         return ForceElement(SPATIAL_FORCE, (row,), (*place, *force, *torque, turns), states)
 
 
-@inlined
-def apply(table, row, body):
+@law
+def apply(table, row, body, q, qd, tau):
     """Apply force and torque; see ``dispatch.apply``."""
     values, i = table.values, table.index[row, FIRST]
     rx, ry = offset(body, i, values[row, 0], values[row, 1])
@@ -106,8 +106,8 @@ def apply(table, row, body):
     table.output[row, 1] = power
 
 
-@inlined
-def apply_in_space(table, row, body):
+@law
+def apply_in_space(table, row, body, q, qd, tau):
     """Apply force and torque in space; see ``dispatch.apply``."""
     values, i = table.values, table.index[row, FIRST]
     rx, ry, rz = turned(body, i, values[row, 0], values[row, 1], values[row, 2])

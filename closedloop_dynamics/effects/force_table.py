@@ -32,6 +32,7 @@ import numpy as np
 
 from .effect import Effect
 from .forces import distance, distance_in_space, pull, push_there
+from .law import law
 from .table import (
     DATA, DISSIPATED, ENTRIES, FIRST, ForceElement, JOINT_FORCE_TABLE, POINT_FORCE_TABLE, SECOND,
     SPATIAL_FORCE_TABLE, STATE, State, STORED)
@@ -171,8 +172,8 @@ def _note(table, row, force, stroke, energy, dissipated):
     table.output[row, 2] = stroke
 
 
-@inlined
-def apply(table, row, q, qd):
+@law
+def apply(table, row, body, q, qd, tau):
     """Add the torque; see ``dispatch.apply``."""
     joint, damping = table.index[row, FIRST], table.values[row, 0]
     force, energy = _look_up(table, row, q[joint])
@@ -181,8 +182,8 @@ def apply(table, row, q, qd):
     _note(table, row, force - loss, q[joint], -energy, loss * qd[joint])
 
 
-@inlined
-def apply_between_points(table, row, body):
+@law
+def apply_between_points(table, row, body, q, qd, tau):
     """Apply the forces between points; see ``dispatch.apply``."""
     values, a, b = table.values, table.index[row, FIRST], table.index[row, SECOND]
     x, y, length, rate = distance(
@@ -194,8 +195,8 @@ def apply_between_points(table, row, body):
     _note(table, row, tension, length, energy, values[row, 0] * rate * rate)
 
 
-@inlined
-def apply_in_space(table, row, body):
+@law
+def apply_in_space(table, row, body, q, qd, tau):
     """Apply the forces between points in space; see ``dispatch.apply``."""
     values, a, b = table.values, table.index[row, FIRST], table.index[row, SECOND]
     px, py, pz, bx, by, bz, x, y, z, length, rate = distance_in_space(

@@ -25,6 +25,18 @@ WORLD, BODY = 'world', 'body'
 
 
 @inlined
+def dot(a, b):
+    """Return the scalar product of two vectors of three components."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@inlined
+def cross(a, b):
+    """Return the vector product of two vectors of three components."""
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@inlined
 def offset(body, row, x, y):
     """
     Return the offset of a point from its body's origin, in world axes [m].

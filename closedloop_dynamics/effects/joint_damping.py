@@ -25,8 +25,8 @@ grows with the rate and vanishes at rest.
 from dataclasses import dataclass
 
 from .effect import Effect
+from .law import law
 from .table import DISSIPATED, FIRST, ForceElement, JOINT_DAMPING, STATE, State
-from ..core.compiled import inlined
 from ..mechanism.checks import freedom, not_negative
 
 
@@ -59,8 +59,8 @@ class JointDamping(Effect):
                             (State(DISSIPATED),))
 
 
-@inlined
-def apply(table, row, qd):
+@law
+def apply(table, row, body, q, qd, tau):
     """Add the torque; see ``dispatch.apply``."""
     joint, state = table.index[row, FIRST], table.index[row, STATE]
     torque = -table.values[row, 0] * qd[joint]

@@ -38,6 +38,7 @@ from dataclasses import dataclass
 import math
 
 from .effect import Effect
+from .law import law
 from .sticking import REST
 from .table import DISSIPATED, FIRST, ForceElement, JOINT_FRICTION, LOAD_TIME, OWN, STATE, State
 from ..core.compiled import inlined
@@ -125,8 +126,8 @@ def limit(table, row, rate):
     return level
 
 
-@inlined
-def apply(table, row, qd):
+@law
+def apply(table, row, body, q, qd, tau):
     """Add the torque, or list the joint among those at rest; see ``dispatch.apply``."""
     joint, state, sticking = table.index[row, FIRST], table.index[row, STATE], table.sticking
     rate = qd[joint]

@@ -27,7 +27,7 @@ from ..core.joint_wrenches import FORCE_X, FORCE_Y, joint_wrenches, wrenches_of_
 from ..core.types import AXIS, PRISMATIC, SX, SY, TYPE
 
 
-@compiled
+@inlined
 def load(model, work, table, q, qd, qdd, lam):
     """
     Compute the reactions and let the loaded effects' states follow them.
@@ -49,26 +49,54 @@ def load(model, work, table, q, qd, qdd, lam):
         Multipliers.
 
     """
+    if model.gravity.shape[0] == 3:
+        # The elimination leaves less behind than is read here.
+        kinematics.outward(model, q, qd, work)
+    joint_wrenches(model, work, qdd, lam, table.reaction)
+    feel(model, work, table, qd, lam)
+
+
+@inlined
+def feel(model, work, table, qd, lam):
+    """
+    Let the loaded effects' states follow the reactions.
+
+    Parameters
+    ----------
+    model, work, table, qd, lam
+        As for ``load``; ``reaction`` has the forces in the joints of the trees.
+
+    """
     tree, body, reaction = model.tree, work.body, table.reaction
     spatial = model.gravity.shape[0] == 3
-    if spatial:
-        # Unrolled routines leave less behind than is read here.
-        kinematics.outward(model, q, qd, work)
-    joint_wrenches(model, work, qdd, lam, reaction)
     for row in range(table.kind.shape[0]):
-        if table.enabled[row] == 1 and table.index[row, LOADED] == 1:
-            i, state = table.index[row, SECOND], table.index[row, STATE] + 1
-            size = 0.0
-            if table.index[row, FIRST] >= qd.shape[0]:
-                size = _of_cut(
-                    table.cuts, model, work, lam, table.index[row, FIRST] - qd.shape[0],
-                    table.applied)
-            elif spatial:
-                size = _across(tree, body, reaction, i)
-            else:
-                size = _in_plane(tree, body, reaction, i)
-            table.rates[state] = (size - table.states[state]) / table.values[row, LOAD_TIME]
-            table.output[row, 2] = size
+        if table.enabled[row] == 1 and table.index[row, LOADED] == 1 and (
+                table.index[row, FIRST] < qd.shape[0]):
+            i = table.index[row, SECOND]
+            size = _across(tree, body, reaction, i) if spatial else _in_plane(
+                tree, body, reaction, i)
+            _feel(table, row, size)
+    if table.cuts.index.shape[0] > 0:
+        _load_cuts(table, model.cut, model.cut_point, work.cut_piece, body, lam, work.share,
+                   qd.shape[0])
+
+
+@inlined
+def _feel(table, row, size):
+    """Let the state of a loaded effect follow a reaction [N]."""
+    state = table.index[row, STATE] + 1
+    table.rates[state] = (size - table.states[state]) / table.values[row, LOAD_TIME]
+    table.output[row, 2] = size
+
+
+@compiled
+def _load_cuts(table, cut, cut_point, cut_piece, body, lam, share, nv):
+    """Do the same in cut joints; the arguments are arrays of model and workspace."""
+    for row in range(table.kind.shape[0]):
+        if table.enabled[row] == 1 and table.index[row, LOADED] == 1 and (
+                table.index[row, FIRST] >= nv):
+            _feel(table, row, _of_cut(table.cuts, cut, cut_point, cut_piece, body, lam, share,
+                                      table.index[row, FIRST] - nv, table.applied))
 
 
 @inlined
@@ -94,31 +122,25 @@ def _across(tree, body, reaction, i):
 
 
 @compiled
-def _of_cut(cuts, model, work, lam, k, applied):
-    """Do as ``_in_plane`` does in a cut joint, where anything acts in such."""
-    size = 0.0
-    if cuts is not None:
-        share, body = work.share, work.body
-        wrenches_of_cut(model.cut, model.cut_point, work.cut_piece, body, lam, share,
-                        cuts.index[k, CUT])
-        planar = cuts.index[k, IN_PLANE] == 1
-        fx, fy, fz = share[1], share[2], 0.0
-        if not planar:
-            fx, fy, fz = share[3], share[4], share[5]
-        if cuts.index[k, ACROSS] == 0:
-            # What acts along the joint's slides passes through it, too.
-            first = applied.shape[0] - cuts.index.shape[0]
-            for n in range(cuts.index.shape[0]):
-                if cuts.index[n, CUT] == cuts.index[k, CUT] and cuts.index[n, SLIDES] == 1:
-                    x, y, z = direction(
-                        body, cuts.index[n, ROW_B], planar, cuts.values, n, CUT_AXIS)
-                    fx += applied[first + n] * x
-                    fy += applied[first + n] * y
-                    fz += applied[first + n] * z
-        square = fx * fx + fy * fy + fz * fz
-        if cuts.index[k, ACROSS] == 1:
-            x, y, z = direction(body, cuts.index[k, ROW_B], planar, cuts.values, k, CUT_AXIS)
-            along = x * fx + y * fy + z * fz
-            square = max(0.0, square - along * along)
-        size = math.sqrt(square)
-    return size
+def _of_cut(cuts, cut, cut_point, cut_piece, body, lam, share, k, applied):
+    """Do as ``_in_plane`` does in a cut joint; the arguments are arrays of model and workspace."""
+    wrenches_of_cut(cut, cut_point, cut_piece, body, lam, share, cuts.index[k, CUT])
+    planar = cuts.index[k, IN_PLANE] == 1
+    fx, fy, fz = share[1], share[2], 0.0
+    if not planar:
+        fx, fy, fz = share[3], share[4], share[5]
+    if cuts.index[k, ACROSS] == 0:
+        # What acts along the joint's slides passes through it, too.
+        first = applied.shape[0] - cuts.index.shape[0]
+        for n in range(cuts.index.shape[0]):
+            if cuts.index[n, CUT] == cuts.index[k, CUT] and cuts.index[n, SLIDES] == 1:
+                x, y, z = direction(body, cuts.index[n, ROW_B], planar, cuts.values, n, CUT_AXIS)
+                fx += applied[first + n] * x
+                fy += applied[first + n] * y
+                fz += applied[first + n] * z
+    square = fx * fx + fy * fy + fz * fz
+    if cuts.index[k, ACROSS] == 1:
+        x, y, z = direction(body, cuts.index[k, ROW_B], planar, cuts.values, k, CUT_AXIS)
+        along = x * fx + y * fy + z * fz
+        square = max(0.0, square - along * along)
+    return math.sqrt(square)

@@ -25,8 +25,8 @@ a large k) a joint that is meant to stand still.
 from dataclasses import dataclass
 
 from .effect import Effect
+from .law import law
 from .table import FIRST, ForceElement, JOINT_SPRING, STORED
-from ..core.compiled import inlined
 from ..mechanism.checks import freedom, not_negative, number
 
 
@@ -58,8 +58,8 @@ class JointSpring(Effect):
             JOINT_SPRING, (machine.joint(self.joint),), (self.stiffness, self.rest))
 
 
-@inlined
-def apply(table, row, q):
+@law
+def apply(table, row, body, q, qd, tau):
     """Add the torque; see ``dispatch.apply``."""
     joint, stiffness = table.index[row, FIRST], table.values[row, 0]
     stretch = q[joint] - table.values[row, 1]

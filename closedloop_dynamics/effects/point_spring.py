@@ -29,6 +29,7 @@ from typing import Optional
 
 from .effect import Effect
 from .forces import offset, push, push_in_space, turned, velocity_in_space
+from .law import law
 from .table import (
     DISSIPATED, FIRST, ForceElement, POINT_SPRING, SECOND, SPATIAL_POINT_SPRING, STATE, State,
     STORED)
@@ -105,8 +106,8 @@ def _tension(table, row, length, rate):
     return tension
 
 
-@inlined
-def apply(table, row, body):
+@law
+def apply(table, row, body, q, qd, tau):
     """Apply the forces; see ``dispatch.apply``."""
     values, a, b = table.values, table.index[row, FIRST], table.index[row, SECOND]
     ax, ay = offset(body, a, values[row, 3], values[row, 4])
@@ -126,8 +127,8 @@ def apply(table, row, body):
         push(body, b, bx, by, -tension * x, -tension * y)
 
 
-@inlined
-def apply_in_space(table, row, body):
+@law
+def apply_in_space(table, row, body, q, qd, tau):
     """Apply the forces in space; see ``dispatch.apply``."""
     values, a, b = table.values, table.index[row, FIRST], table.index[row, SECOND]
     ax, ay, az = turned(body, a, values[row, 3], values[row, 4], values[row, 5])

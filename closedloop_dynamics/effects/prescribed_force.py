@@ -31,6 +31,7 @@ from typing import Optional, Tuple
 from . import course, expression
 from .effect import Effect
 from .forces import BODY, offset, push, push_in_space, turned, velocity_in_space, WORLD
+from .law import law
 from .table import (
     FIRST, ForceElement, OWN, PRESCRIBED_FORCE, PRESCRIBED_TORQUE, SPATIAL_PRESCRIBED_FORCE, STATE,
     State, WORK)
@@ -188,8 +189,8 @@ def _note(table, row, force, power):
     table.output[row, 2] = power
 
 
-@inlined
-def apply(table, row, qd):
+@law
+def apply(table, row, body, q, qd, tau):
     """Add the torque; see ``dispatch.apply``."""
     joint = table.index[row, FIRST]
     torque = _value(table, row)
@@ -197,8 +198,8 @@ def apply(table, row, qd):
     _note(table, row, torque, torque * qd[joint])
 
 
-@inlined
-def apply_at_point(table, row, body):
+@law
+def apply_at_point(table, row, body, q, qd, tau):
     """Apply the force at a point; see ``dispatch.apply``."""
     values, i = table.values, table.index[row, FIRST]
     rx, ry = offset(body, i, values[row, 2], values[row, 3])
@@ -211,8 +212,8 @@ def apply_at_point(table, row, body):
         x * (body[i, VX] - body[i, OMEGA] * ry) + y * (body[i, VY] + body[i, OMEGA] * rx)))
 
 
-@inlined
-def apply_in_space(table, row, body):
+@law
+def apply_in_space(table, row, body, q, qd, tau):
     """Apply the force at a point in space; see ``dispatch.apply``."""
     values, i = table.values, table.index[row, FIRST]
     rx, ry, rz = turned(body, i, values[row, 2], values[row, 3], values[row, 4])

@@ -34,6 +34,7 @@ import numpy as np
 
 from . import course, expression
 from .effect import Effect
+from .law import law
 from .table import (
     build_table, DATA, FIRST, ForceElement, OWN, PRESCRIBED_MOTION, SECOND, STATE, State, WORK)
 from ..core.compiled import compiled, inlined
@@ -473,8 +474,8 @@ def follow_all(table):
             follow(table, row)
 
 
-@inlined
-def apply(table, row):
+@law
+def apply(table, row, body, q, qd, tau):
     """Take the time; see ``dispatch.apply``."""
     follow(table, row)
     table.rates[table.index[row, STATE]] = 1.0

@@ -44,10 +44,10 @@ from typing import Optional
 import numpy as np
 
 from .effect import Effect
+from .law import law
 from .table import CUT_ROTOR, FIRST, ForceElement, STORED
 from ..core.codegen import space
 from ..core.codegen.spatial import rotation
-from ..core.compiled import inlined
 from ..core.types import ARMATURE, PARENT, REVOLUTE, REVOLUTE_ARMATURE, TYPE
 from ..mechanism.checks import direction, name, not_negative, number
 from ..mechanism.fields import FieldError, shown
@@ -144,8 +144,8 @@ def _turns(mechanism, body):
     return False
 
 
-@inlined
-def apply(table, row, qd):
+@law
+def apply(table, row, body, q, qd, tau):
     """List a rotor among what follows from accelerations; see ``dispatch.apply``."""
     joint, sticking, inertia = table.index[row, FIRST], table.sticking, table.values[row, 0]
     if inertia > 0.0:

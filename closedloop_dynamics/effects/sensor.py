@@ -108,8 +108,9 @@ class Chain:
 
     def __init__(self, records, sequence=()):
         """Start with nothing measured."""
-        instruments = (record.instrument(sequence) for record in records)
-        self.instruments = [each for each in instruments if each is not None]
+        self.instruments = [
+            instrument for record in records
+            if (instrument := record.instrument(sequence)) is not None]
         self._time = self._measured = None
 
     @property

@@ -30,7 +30,7 @@ tau = -I a: it adds tau^2 / (2 I) to what is least.
 import math
 
 from .table import CUT_ROTOR, FIRST
-from ..core.compiled import compiled
+from ..core.compiled import compiled, inlined
 
 # Rates below this are rest while a step is made [rad/s; m/s]; wide enough for the finite
 # differences that stiff methods and rate estimates take.
@@ -128,7 +128,7 @@ def _loose(sticking, count, out):
     return loose
 
 
-@compiled
+@inlined
 def keep(table, qdd, lam):
     """Keep accelerations and multipliers without the friction of the joints at rest."""
     base, nv = table.sticking.response[table.sticking.response.shape[0] - 1], qdd.shape[0]
@@ -138,7 +138,7 @@ def keep(table, qdd, lam):
         base[nv + i] = lam[i]
 
 
-@compiled
+@inlined
 def respond(table, place, qdd, lam):
     """
     Take the response to the limit of one friction.
@@ -164,7 +164,7 @@ def respond(table, place, qdd, lam):
     sticking.hold[row] = 0.0
 
 
-@compiled
+@inlined
 def balance(table, qdd, lam):
     """
     Find the friction at rest, and the accelerations and multipliers with it.
@@ -218,7 +218,7 @@ def _holds(table, place):
             and abs(sticking.share[place]) < 1.0 and sticking.matrix[place, place] > 0.0)
 
 
-@compiled
+@inlined
 def stop(table, qd):
     """
     Take what is left of their rates from the joints that stay at rest, by an impulse.

@@ -15,12 +15,12 @@
 """
 The effects as compiled code sees them: flat arrays, one row for each listed effect.
 
-The kind of a row chooses its law in ``dispatch``; which rows there are is data, so that one
-compiled code serves every scene.
+The kind of a row chooses its law in ``dispatch``, which is called by its address; which rows there
+are is data, so that one compiled code serves every scene.
 
 """
 
-from typing import NamedTuple, Optional, Tuple
+from typing import NamedTuple, Tuple
 
 import numpy as np
 
@@ -48,6 +48,10 @@ LOAD_TIME = 11
 STORED = 0
 OUTPUT_COLUMNS = 5
 
+# Places among EffectTable.laws: of what finds the coordinates of cut joints, and what lets efforts
+# along them act, zero where nothing acts in such; then the law of each row.
+MEASURE, EXERT, FIRST_LAW = range(1, 4)
+
 # Columns of CutCoordinates.index: whether it slides; whether it is one in the plane; the rows of
 # bodies A and B; where among the effects' states its angle is followed, less than zero where it is
 # not: in space, angles are found within a turn; its row of ``Model.cut``; whether it has a rate
@@ -60,6 +64,8 @@ CUT_INDEX_COLUMNS = 8
 # sense of the turn; coordinates per metre of a slide; the angle at zero, in the plane.
 POINT_A, POINT_B, AXIS, SIDE_A, SIDE_B, ACROSS_B, SCALE, ZERO = 0, 3, 6, 9, 12, 15, 18, 19
 CUT_VALUE_COLUMNS = 20
+# Index and values where nothing acts in cut joints.
+NO_CUTS = np.zeros((0, CUT_INDEX_COLUMNS), dtype=np.int64), np.zeros((0, CUT_VALUE_COLUMNS))
 
 # What a state of an effect is: a state of its own, energy dissipated, or work done on the
 # mechanism from outside (both integrated with the rest).
@@ -86,9 +92,8 @@ class ForceElement(NamedTuple):
     # of a rotor at a cut joint.
     sticks: bool = False
     touches: bool = False  # Whether the law is a contact, whose gap opens and closes
-    # Of machine elements, the laws that only scenes with such compile: entries of numbers, such as
-    # the pieces of a course or a curve, in the order the law reads them. None for other laws.
-    data: Optional[Tuple[Tuple[float, ...], ...]] = None
+    # Entries of numbers, such as pieces of a course or a curve, in the order the law reads them.
+    data: Tuple[Tuple[float, ...], ...] = ()
 
 
 class Sticking(NamedTuple):
@@ -158,15 +163,14 @@ class EffectTable(NamedTuple):
     # where no effect is listed.
     reaction: np.ndarray
     sticking: Sticking
-    # Shape (nd,): entries of all machine elements; None where there are none, so that their laws
-    # are not even compiled.
-    data: Optional[np.ndarray]
+    data: np.ndarray  # Shape (nd,): entries of all elements
     contacts: Contacts
     # ``Model.cut_point``, whose rows the prescribed motions are set in; of no length where there
-    # are none, and None where there are no machine elements.
-    motions: Optional[np.ndarray] = None
-    # Freedoms of cut joints that anything acts in, nk of them; None where there are none.
-    cuts: Optional[CutCoordinates] = None
+    # are none.
+    motions: np.ndarray
+    cuts: CutCoordinates  # Freedoms of cut joints that anything acts in, nk of them
+    # Addresses of what ``dispatch.apply`` calls; see ``dispatch.linked``.
+    laws: np.ndarray
 
 
 def _allocate_cuts(index, values, nv, bodies):
@@ -212,8 +216,8 @@ def build_table(elements, tau, bodies, equations, spatial=False, cut_point=None,
     """
     count, most = len(elements), sum(element.sticks for element in elements)
     states = states_of(elements, cuts)
-    acts, cut_count = count > 0 or cuts is not None, 0 if cuts is None else len(cuts[0])
-    with_data = any(element.data is not None for element in elements)
+    cut_count = 0 if cuts is None else len(cuts[0])
+    acts = count > 0 or cut_count > 0
     table = EffectTable(
         kind=np.array([element.kind for element in elements], dtype=np.int64),
         enabled=np.ones(count, dtype=np.int64),
@@ -232,14 +236,15 @@ def build_table(elements, tau, bodies, equations, spatial=False, cut_point=None,
             right=np.zeros(most), bound=np.zeros(most), move=np.zeros(most),
             factor=np.zeros((most, most)), free=np.zeros(most, dtype=np.int64),
             share=np.zeros(most), impulse=np.zeros(most)),
-        data=np.zeros(sum(map(size_of_data, elements))) if with_data else None,
+        data=np.zeros(sum(map(size_of_data, elements))),
         contacts=Contacts(
             rows=np.array([row for row, element in enumerate(elements) if element.touches],
                           dtype=np.int64),
             gap=np.zeros((count, 4)), mode=np.zeros(count, dtype=np.int64)),
-        motions=None if not with_data else cut_point if any(
+        motions=cut_point if any(
             element.kind == PRESCRIBED_MOTION for element in elements) else np.zeros((0, 0)),
-        cuts=None if cuts is None else _allocate_cuts(*cuts, len(tau) - cut_count, bodies))
+        cuts=_allocate_cuts(*cuts or NO_CUTS, len(tau) - cut_count, bodies),
+        laws=np.zeros(0, dtype=np.int64))
     first = begin = 0
     for row, element in enumerate(elements):
         table.index[row, [STATE, DATA]] = first, begin
@@ -275,7 +280,7 @@ def states_of(elements, cuts=None):
 
 def size_of_data(element):
     """Return how many numbers the entries of an element are."""
-    return sum(map(len, element.data or ()))
+    return sum(map(len, element.data))
 
 
 def fill_row(table, row, element):
@@ -283,11 +288,10 @@ def fill_row(table, row, element):
     table.index[row, 1:1 + len(element.index)] = element.index
     table.values[row] = 0.0
     table.values[row, :len(element.values)] = element.values
-    if element.data is not None:
-        begin = table.index[row, DATA]
-        table.data[begin:begin + size_of_data(element)] = [
-            number for entry in element.data for number in entry]
-        table.index[row, ENTRIES] = len(element.data)
+    begin = table.index[row, DATA]
+    table.data[begin:begin + size_of_data(element)] = [
+        number for entry in element.data for number in entry]
+    table.index[row, ENTRIES] = len(element.data)
     table.index[row, LOADED] = element.loaded
     table.loaded[0] = table.index[:, LOADED].sum()
     first = table.index[row, STATE]

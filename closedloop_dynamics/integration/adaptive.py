@@ -103,7 +103,7 @@ def first_step(system, tableau, state, slopes, scale, stage, out):
         [s].
 
     """
-    size, slope, best = 0.0, 0.0, 0.0
+    size, slope = 0.0, 0.0
     count = state.shape[0]
     for i in range(count):
         weight = 1.0 / (scale[0, i] + scale[1, i] * abs(state[i]))
@@ -114,7 +114,7 @@ def first_step(system, tableau, state, slopes, scale, stage, out):
     for _ in range(GUESSES):
         for i in range(count):
             stage[i] = state[i] + guess * slopes[0, i]
-        motion.rate_of_change(system, stage, slopes[1])
+        motion.derivative(system, stage, slopes[1])
         bend = 0.0
         for i in range(count):
             weight = 1.0 / (scale[0, i] + scale[1, i] * abs(state[i]))
@@ -212,7 +212,7 @@ def advance(system, tableau, stabilisation, state, origin, done, step_size, step
         control[STEP_SIZE] = 0.0
         return status
     interpolate(system, tableau, target, control, scratch, state)
-    if is_before(target, control[REACHED]) and not motion.stabilised(system, stabilisation, state):
+    if is_before(target, control[REACHED]) and not motion.stabilise(system, stabilisation, state):
         return OPEN_LOOP
     return DONE
 
@@ -277,7 +277,7 @@ def accepted_step(system, tableau, stabilisation, control, scale, scratch):
         scratch[STAGE], scratch[OUT], scratch[BEFORE], scratch[AFTER], scratch[LAST_STAGE],
         scratch[FIRST_SLOPE:])
     count, stages = after.shape[0], tableau.b.shape[0]
-    motion.rate_of_change(system, after, slopes[0])
+    motion.derivative(system, after, slopes[0])
     landed, sought = motion.begin_contacts(system, after), -1
     if control[STEP_SIZE] > 0.0:
         turned, moved = 0.0, 0.0
@@ -308,7 +308,7 @@ def accepted_step(system, tableau, stabilisation, control, scale, scratch):
         for i in range(count):
             last[i] = stage[i]
         if tableau.error[0, stages] != 0.0:
-            motion.rate_of_change(system, out, slopes[stages])
+            motion.derivative(system, out, slopes[stages])
         error = error_norm(tableau, size, slopes, after, out, scale)
         # Written so that a NaN counts as an error too large.
         if error <= 1.0:
@@ -322,7 +322,7 @@ def accepted_step(system, tableau, stabilisation, control, scale, scratch):
             if part != size:
                 size, cuts = part if sought >= -1 else size, cuts + 1
                 continue
-            if motion.stabilised(system, stabilisation, out):
+            if motion.stabilise(system, stabilisation, out):
                 break
         rejected, sought = True, -1
         control[REJECTED] += 1.0

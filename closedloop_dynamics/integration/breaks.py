@@ -22,18 +22,13 @@ and every method keeps its order.
 
 import math
 
-from ..core.compiled import compiled, inlined
-from ..core.manifold import rates_begin
+from ..core.compiled import inlined, merged
 from ..effects.course import end_of_piece, SAME_TIME
 from ..effects.table import (
     PRESCRIBED_FORCE, PRESCRIBED_MOTION, PRESCRIBED_TORQUE, SPATIAL_PRESCRIBED_FORCE, STATE)
 
-
-@inlined
-def _own(system):
-    """Return the place of the first of the effects' own states."""
-    nv = system.qdd.shape[0]
-    return rates_begin(system.manifold, nv) + nv
+# Kinds of effects that may follow the time.
+OVER_TIME = PRESCRIBED_FORCE, PRESCRIBED_MOTION, PRESCRIBED_TORQUE, SPATIAL_PRESCRIBED_FORCE
 
 
 @inlined
@@ -46,20 +41,24 @@ def _of_time(effects, row):
         or (kind == PRESCRIBED_MOTION and effects.values[row, 1] == 0.0))
 
 
-# As in ``system``: numba drops the branches below for data that are None.
+@merged
+def until_next(effects, own):
+    """
+    Return how long it is until the next corner.
 
-@compiled
-def _until_next(data, effects, own):
-    """Return how long it is until the next corner; infinity where there is none."""
-    wait = math.inf
-    if data is not None:
-        wait = _least_wait(effects, own)
-    return wait
+    Parameters
+    ----------
+    effects : EffectTable
+        Of the system.
+    own : ndarray, shape (nz,)
+        The effects' own states where a step begins.
 
+    Returns
+    -------
+    float
+        [s]; infinity where there is none.
 
-@compiled
-def _least_wait(effects, own):
-    """Return how long it is until the next corner."""
+    """
     wait = math.inf
     for row in range(effects.kind.shape[0]):
         if _of_time(effects, row):
@@ -70,41 +69,19 @@ def _least_wait(effects, own):
     return wait
 
 
-@inlined
-def until_next(effects, system, state):
+@merged
+def pass_corners(effects, own):
     """
-    Return how long it is until the next corner.
+    Let the next pieces begin after a step that has ended at a corner.
 
     Parameters
     ----------
-    effects : EffectTable or None
+    effects : EffectTable
         Of the system.
-    system : System
-        Model and workspace of the mechanism.
-    state : ndarray, shape (ns,)
-        Where a step begins.
-
-    Returns
-    -------
-    float
-        [s]; infinity where there is none.
+    own : ndarray, shape (nz,)
+        The effects' own states after the step; corrected in place.
 
     """
-    if effects is None:
-        return math.inf
-    return _until_next(effects.data, effects, state[_own(system):])
-
-
-@compiled
-def _pass(data, effects, own):
-    """Count the pieces that have been passed, where a scene has machine elements."""
-    if data is not None:
-        _count_pieces(effects, own)
-
-
-@compiled
-def _count_pieces(effects, own):
-    """Count the pieces that have been passed."""
     for row in range(effects.kind.shape[0]):
         if _of_time(effects, row):
             state = effects.index[row, STATE]
@@ -113,20 +90,3 @@ def _count_pieces(effects, own):
             while end_of_piece(effects, row, effects.values[row, 0], piece) <= limit:
                 piece += 1
             own[state + 1] = piece
-
-
-@inlined
-def pass_corners(effects, system, state):
-    """
-    Let the next pieces begin after a step that has ended at a corner.
-
-    Parameters
-    ----------
-    effects, system
-        As for ``until_next``.
-    state : ndarray, shape (ns,)
-        After the step; corrected in place.
-
-    """
-    if effects is not None:
-        _pass(effects.data, effects, state[_own(system):])

@@ -17,10 +17,9 @@
 import numpy as np
 
 from . import adaptive, advance, rosenbrock, switching
-from .motion import narrowed
 from .registry import ADAPTIVE, INTEGRATORS, ROSENBROCK, SCIPY, STABILISATIONS, SWITCHING
 from .scipy_solvers import SciPySolver
-from .system import number_of_states, parts_of_state
+from .system import number_of_states, parts_of_state, stepped_by_euler
 from ..core.manifold import weights
 
 
@@ -45,7 +44,7 @@ class FixedSteps:
 
     Attributes
     ----------
-    moving : System
+    moving : Moving
         What kernels see of the system.
     tableau : Tableau
     stabilisation : int
@@ -56,9 +55,10 @@ class FixedSteps:
 
     def __init__(self, system, integrator, stabilisation):
         """Allocate the scratch of the method."""
-        # The system is kept, as what the kernels see of it may be addresses alone.
-        self._system, self.moving = system, narrowed(system)
         self.tableau = integrator.tableau
+        # The system is kept, as kernels see its addresses alone.
+        self._system = system if len(self.tableau.b) else stepped_by_euler(system)
+        self.moving = self._system.moving
         self.stabilisation = stabilisation
         self.scratch = np.zeros((len(self.tableau.a) + 3, number_of_states(system)))
 
@@ -122,7 +122,7 @@ class ErrorControlled:
 
     def __init__(self, system, integrator, stabilisation, tolerance):
         """Allocate the scratch of the method."""
-        self._system, self._moving = system, narrowed(system)
+        self._system, self._moving = system, system.moving
         self._tableau = integrator.tableau
         self._stabilisation, self._tolerance = stabilisation, tolerance
         self._scale = _error_scale(system, tolerance)
@@ -171,7 +171,7 @@ class Switching:
 
     def __init__(self, system, integrator, stabilisation, accuracy):
         """Allocate the run and its companion."""
-        self._system, self._moving = system, narrowed(system)
+        self._system, self._moving = system, system.moving
         self._tableau = integrator.tableau
         self._stabilisation, self._accuracy = stabilisation, accuracy
         self._runs = switching.allocate_runs(
@@ -220,7 +220,7 @@ class Stiff:
 
     def __init__(self, system, integrator, stabilisation, tolerance):
         """Allocate the scratch of the method."""
-        self._system, self._moving = system, narrowed(system)
+        self._system, self._moving = system, system.moving
         self._stabilisation, self._tolerance = stabilisation, tolerance
         self._adaptive = integrator.kind == ADAPTIVE
         self._scale = _error_scale(system, tolerance)

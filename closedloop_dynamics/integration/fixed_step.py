@@ -19,7 +19,8 @@ from typing import NamedTuple
 import numpy as np
 
 from .advance import advance, DONE
-from .system import apply_effects, evaluate, number_of_states, take_states
+from .evaluation import apply_effects, evaluate, take_states
+from .system import number_of_states
 from ..core import energy, kinematics
 from ..core.compiled import compiled, inlined, released
 from ..core.joint_wrenches import bias_forces, cut_wrenches, joint_wrenches
@@ -182,7 +183,8 @@ def fill_joint_forces(system, torque, zero_order_hold, decimation, state, qdd, l
         q, qd = state[instant, :nq], state[instant, nq:nq + nv]
         kinematics.outward(model, q, qd, work)
         row = max(instant * decimation - 1, 0) // zero_order_hold
-        apply_effects(system.effects, system.manifold, work, q, qd, torque[row])
+        _copy(torque[row], system.tau)
+        apply_effects(system.effects, system.manifold, work, q, qd, system.tau)
         bias_forces(work, scratch)
         joint_wrenches(model, work, qdd[instant], lam[instant], scratch)
         for i in range(1, tree.shape[0]):
@@ -199,8 +201,8 @@ def run(system, moving, tableau, stabilisation, state, step_size, torque, zero_o
     ----------
     system : System
         Model and workspace of the mechanism; ``tau`` is set from ``torque``.
-    moving : System
-        What integrators see of it (``motion.narrowed``).
+    moving : Moving
+        What integrators see of it.
     tableau, stabilisation, step_size, scratch
         As for ``advance.advance``.
     state : ndarray, shape (ns,)

@@ -24,20 +24,35 @@ next step begins at once with the size that suits the new motion.
 
 import math
 
-from ..core.compiled import compiled, inlined
+from ..core.compiled import inlined, merged
 from ..effects.table import FREE, TOUCHING, UNDECIDED
 
 # Gaps of less than this are none [m]: a contact begins or ends there.
 CLOSED = 1e-11
-# Cuts of one step; and the least part of it that is looked for.
-MOST_CUTS, LEAST_PART = 12, 1e-6
+# The least part of a step that is looked for.
+LEAST_PART = 1e-6
 # Halvings of the interval in which it is.
 HALVINGS = 50
 
 
-@compiled
-def _decide(contacts, enabled):
-    """Decide which bodies touch; return whether any begin or cease to do so."""
+@merged
+def begin(contacts, enabled):
+    """
+    Decide, after the evaluation at which a step begins, which bodies touch during it.
+
+    Parameters
+    ----------
+    contacts : Contacts
+        Of the table of effects.
+    enabled : ndarray of int, shape (ne,)
+        Which effects are switched on.
+
+    Returns
+    -------
+    bool
+        Whether any begin or cease to touch just here.
+
+    """
     changed = False
     for k in range(contacts.rows.shape[0]):
         row = contacts.rows[k]
@@ -53,34 +68,11 @@ def _decide(contacts, enabled):
     return changed
 
 
-@inlined
-def begin(effects):
-    """
-    Decide, after the evaluation at which a step begins, which bodies touch during it.
-
-    Parameters
-    ----------
-    effects : EffectTable or None
-        Of the system.
-
-    Returns
-    -------
-    bool
-        Whether any begin or cease to touch just here.
-
-    """
-    if effects is None:
-        return False
-    return _decide(effects.contacts, effects.enabled)
-
-
-@inlined
-def end(effects):
-    """Let gaps decide again which bodies touch, after a step; ``effects`` as for ``begin``."""
-    if effects is not None:
-        contacts = effects.contacts
-        for k in range(contacts.rows.shape[0]):
-            contacts.mode[contacts.rows[k]] = UNDECIDED
+@merged
+def end(contacts):
+    """Let gaps decide again which bodies touch, after a step; ``contacts`` as for ``begin``."""
+    for k in range(contacts.rows.shape[0]):
+        contacts.mode[contacts.rows[k]] = UNDECIDED
 
 
 @inlined
@@ -123,9 +115,29 @@ def _crossing(gap, row, sign, size):
     return 1.0
 
 
-@compiled
-def _first_change(contacts, enabled, size, sought):
-    """Return when the first contact begins or ends, and its row."""
+@merged
+def part(contacts, enabled, size, sought):
+    """
+    Return the part of a step on which no contact begins or ends.
+
+    Parameters
+    ----------
+    contacts, enabled
+        As for ``begin``, after the evaluation of the state after the step.
+    size : float
+        Of the step [s].
+    sought : int
+        Row of the contact at whose change the step is to end; less than zero where none is.
+
+    Returns
+    -------
+    part : float
+        [s]; ``size`` where the step may be taken. Another one is to be tried; twice the size:
+        the same once more.
+    sought : int
+        As given, or found now.
+
+    """
     least, first = 1.0, -1
     for k in range(contacts.rows.shape[0]):
         row = contacts.rows[k]
@@ -145,40 +157,3 @@ def _first_change(contacts, enabled, size, sought):
         if abs(gap) > CLOSED and abs(gap) < 0.5 * size * abs(rate):
             return size - gap / rate, sought
     return size, sought
-
-
-@inlined
-def may_end_a_step(effects, cuts):
-    """Return whether a contact may end a step that has been cut so often, before ``part``."""
-    if effects is None:
-        return False
-    return effects.contacts.rows.shape[0] > 0 and cuts < MOST_CUTS
-
-
-@inlined
-def part(effects, size, sought):
-    """
-    Return the part of a step on which no contact begins or ends.
-
-    Parameters
-    ----------
-    effects : EffectTable or None
-        Of the system, after the evaluation of the state after the step.
-    size : float
-        Of the step [s].
-    sought : int
-        Row of the contact at whose change the step is to end; less than zero where none is.
-
-    Returns
-    -------
-    part : float
-        [s]; ``size`` where the step may be taken. Another one is to be tried; twice the size:
-        the same once more.
-    sought : int
-        As given, or found now.
-
-    """
-    found = size, sought
-    if effects is not None:
-        found = _first_change(effects.contacts, effects.enabled, size, sought)
-    return found

@@ -14,8 +14,8 @@
 
 """The rank-revealing path ahead of time: whether it is on disk, and getting it ready."""
 
-from .system import rank_revealing_acceleration, rank_revealing_correction
-from ..core import compiled, rank_revealing
+from .evaluation import apply_listed
+from ..core import compiled, kinematics, rank_revealing
 
 
 def is_stored(system):
@@ -57,13 +57,16 @@ def preparations(system):
 
 def _kernels(system):
     """Return the kernels with the types that they are called with."""
-    if not hasattr(rank_revealing_acceleration, 'compile'):
+    if not hasattr(rank_revealing.accelerate, 'compile'):
         return []
     from numba import typeof
-    model, work, q, qdd = system.model, system.work, system.tau, system.qdd
-    calls = (
-        (rank_revealing_acceleration, (model, work, system.effects, system.settings, system.tau,
-                                       system.applied, system.manifold, q, q, qdd,
-                                       system.lam)),
-        (rank_revealing_correction, (model, work, rank_revealing.POSITION, q, q, qdd)))
+    model, work, q, qdd = system.model, system.work, system.qdd, system.qdd
+    manifold, effects = system.manifold, system.effects
+    calls = [
+        (kinematics.outward, (model, q, q, work)),
+        (rank_revealing.accelerate,
+         (model, work, system.applied, 0.0, 0.0, manifold, q, q, qdd, system.lam)),
+        (rank_revealing.correct, (model, work, rank_revealing.POSITION, qdd))]
+    if effects is not None:
+        calls.append((apply_listed, (manifold, effects, work, q, q, system.tau)))
     return [(kernel, tuple(typeof(each) for each in arguments)) for kernel, arguments in calls]

@@ -16,13 +16,15 @@
 
 import numpy as np
 
+from .evaluation import CLOSURE_LIMIT, CLOSURE_TOLERANCE
+from .motion import BY_LOOPS, CLOSE, CORRECT, FACTOR, FOLLOW_MOTIONS
 from .registry import INDEPENDENT, PROJECTION, VELOCITY
-from .system import CLOSURE_LIMIT, CLOSURE_TOLERANCE, follow_motions
 from ..core import (
-    articulated_inertia, elimination, forward_dynamics, independent, kinematics, loop_closure,
-    rank_revealing, refinement)
+    articulated_inertia, elimination, forward_dynamics, kinematics, loop_closure, rank_revealing,
+    refinement)
 from ..core.codegen import function_table as calls
-from ..core.compiled import compiled, inlined, merged
+from ..core.codegen.records import call_at
+from ..core.compiled import inlined, merged
 from ..core.manifold import move, normalise, rates_begin
 from ..core.types import CLOSURE, PROJECTION_ITERATIONS, RHS
 
@@ -32,31 +34,20 @@ MOST_CORRECTIONS = 8
 SHARPER = 1e-3
 
 
-@compiled
-def _factor_by_loops(by_loops, system, q, qd):
-    """Prepare corrections by the kernels' loops, where nothing is unrolled."""
-    if by_loops is not None:
-        model, work = system.model, system.work
-        kinematics.outward(model, q, qd, work)
-        # Behind the joints of the tree are cut joints.
-        tau = system.tau[:system.qdd.shape[0]]
-        if forward_dynamics.prepare(model, tau, work):
-            return True
-        kinematics.outward(model, q, qd, work)
-        return refinement.prepare(model, tau, work)
-    return False
+@merged
+def factor_by_loops(system, q, qd):
+    """Do as ``factor_configuration`` does, by the kernels' loops, where nothing is unrolled."""
+    model, work = system.model, system.work
+    kinematics.outward(model, q, qd, work)
+    # Behind the joints of the tree are cut joints.
+    tau = system.tau[:system.qdd.shape[0]]
+    if forward_dynamics.prepare(model, tau, work):
+        return True
+    kinematics.outward(model, q, qd, work)
+    return refinement.prepare(model, tau, work)
 
 
-@inlined
-def _factor_unrolled(unrolled, table, q, qd):
-    """Prepare corrections by the unrolled routine, where there is one."""
-    if unrolled is not None:
-        return (calls.call(table, calls.CORRECTION, q, qd) != 0
-                or calls.call(table, calls.REFINED_CORRECTION, q, qd) != 0)
-    return False
-
-
-@inlined
+@merged
 def factor_configuration(system, q, qd):
     """
     Prepare corrections at a state: closure errors, responses, factors.
@@ -76,36 +67,28 @@ def factor_configuration(system, q, qd):
         Whether the closure equations are independent there.
 
     """
-    return _factor_unrolled(system.unrolled, system.table, q, qd) or _factor_by_loops(
-        system.by_loops, system, q, qd)
+    if system.moving.addresses[BY_LOOPS] != 0:
+        return call_at(system.moving.addresses, FACTOR, 0, q, qd) != 0
+    return (calls.call(system.table, calls.CORRECTION, q, qd) != 0
+            or calls.call(system.table, calls.REFINED_CORRECTION, q, qd) != 0)
 
 
-@compiled
-def _correct_by_loops(by_loops, system, level, out):
-    """Solve for a correction by the kernels' loops, where nothing is unrolled."""
-    if by_loops is not None:
-        model, work = system.model, system.work
-        right = work.right
-        for k in range(right.shape[0]):
-            right[k] = (-work.closure[k] if level == rank_revealing.POSITION
-                        else -work.closure_rate[k])
-        elimination.solve(model, work, right)
-        for i in range(work.body.shape[0]):
-            work.body[i, RHS] = 0.0
-        loop_closure.apply(model, work, right)
-        articulated_inertia.outward_acceleration(model, work, out)
+@merged
+def correct_by_loops(system, level):
+    """Do as ``correction`` does, by the kernels' loops, where nothing is unrolled."""
+    model, work = system.model, system.work
+    right = work.right
+    for k in range(right.shape[0]):
+        right[k] = (-work.closure[k] if level == rank_revealing.POSITION
+                    else -work.closure_rate[k])
+    elimination.solve(model, work, right)
+    for i in range(work.body.shape[0]):
+        work.body[i, RHS] = 0.0
+    loop_closure.apply(model, work, right)
+    articulated_inertia.outward_acceleration(model, work, system.qdd)
 
 
-@inlined
-def _correct_unrolled(unrolled, corrections, level, out):
-    """Take a correction from what the unrolled routine has left."""
-    if unrolled is not None:
-        row = 0 if level == rank_revealing.POSITION else 1
-        for i in range(out.shape[0]):
-            out[i] = corrections[row, i]
-
-
-@inlined
+@merged
 def correction(system, independent, level, q, qd, out):
     """
     Compute -I^-1 J^T (J I^-1 J^T)^+ times the error, the least change in the mass metric.
@@ -126,9 +109,12 @@ def correction(system, independent, level, q, qd, out):
         Written in place; must be ``system.qdd``.
 
     """
-    if independent:
-        _correct_by_loops(system.by_loops, system, level, out)
-        _correct_unrolled(system.unrolled, system.corrections, level, out)
+    if independent and system.moving.addresses[BY_LOOPS] != 0:
+        call_at(system.moving.addresses, CORRECT, level, q, qd)
+    elif independent:
+        row = 0 if level == rank_revealing.POSITION else 1
+        for i in range(out.shape[0]):
+            out[i] = system.corrections[row, i]
     elif level == rank_revealing.POSITION:
         calls.call(system.table, calls.RANK_REVEALING_POSITION, q, qd)
     else:
@@ -212,11 +198,10 @@ def stabilise(system, stabilisation, state):
     normalise(system.manifold, state, 1)
     if stabilisation < VELOCITY:
         return True
-    follow_motions(system.effects, state, nq + nv)
+    if system.moving.addresses[FOLLOW_MOTIONS] != 0:
+        call_at(system.moving.addresses, FOLLOW_MOTIONS, 0, state, state)
     if stabilisation == INDEPENDENT:
-        return independent.close_and_choose(
-            system.partition, system.model, system.work, system.manifold, state[:nq],
-            state[nq:nq + nv], system.settings[CLOSURE_TOLERANCE])
+        return call_at(system.moving.addresses, CLOSE, 1, state, state) == 1
     return project(system, state[:nq], state[nq:nq + nv], stabilisation == PROJECTION)
 
 

@@ -30,6 +30,8 @@ FIXED, ADAPTIVE = 'fixed step', 'adaptive'
 EXPLICIT, ROSENBROCK, SWITCHING, SCIPY = 'explicit', 'rosenbrock', 'switching', 'scipy'
 # The default.
 AUTO = 'auto'
+# Of RODAS4.
+ROSENBROCK_ORDER = 4
 
 
 class Integrator(NamedTuple):
@@ -44,6 +46,11 @@ class Integrator(NamedTuple):
     family: str
     tableau: Optional[Tableau] = None  # Of an explicit method
     solver: Optional[str] = None  # Of SciPy's
+
+    @property
+    def order(self):
+        """Return the order of a method that can take fixed steps."""
+        return self.tableau.order if self.tableau else ROSENBROCK_ORDER
 
 
 _EULER = Tableau(np.zeros((1, 1)), np.zeros(0), np.zeros((2, 1)), np.zeros((1, 0)), 1, 0)

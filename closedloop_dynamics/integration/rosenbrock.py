@@ -99,7 +99,7 @@ def factor_jacobian(system, state, slope, step_size, matrix, pivots, direction, 
         stage[j] = state[j] + change
         # The change that the rounded sum really made.
         change = stage[j] - state[j]
-        motion.rate_of_change(system, stage, moved)
+        motion.derivative(system, stage, moved)
         stage[j] = state[j]
         for i in range(n):
             matrix[i, j] = (slope[i] - moved[i]) / change
@@ -164,7 +164,7 @@ def step(system, state, step_size, matrix, pivots, slopes, stage, out):
         for m in range(k):
             for i in range(n):
                 stage[i] += A[k, m] * slopes[m, i]
-        motion.rate_of_change(system, stage, slopes[k])
+        motion.derivative(system, stage, slopes[k])
         for m in range(k):
             for i in range(n):
                 slopes[k, i] += C[k, m] / step_size * slopes[m, i]
@@ -214,10 +214,10 @@ def advance_fixed(system, stabilisation, state, step_size, steps, matrix, pivots
         # time has a corner.
         while left > 0.0:
             size = min(size, motion.until_corner(system, state))
-            motion.rate_of_change(system, state, slope)
+            motion.derivative(system, state, slope)
             factor_jacobian(system, state, slope, size, matrix, pivots, direction, stage, moved)
             step(system, state, size, matrix, pivots, slopes, stage, out)
-            closed = motion.stabilised(system, stabilisation, out)
+            closed = motion.stabilise(system, stabilisation, out)
             if not (closed and all_finite(out)):
                 for i in range(state.shape[0]):
                     state[i] = start[i]
@@ -280,7 +280,7 @@ def accepted_step(system, stabilisation, state, limit, control, scale, matrix, p
     # has a corner.
     cut, cuts = motion.until_corner(system, state), 0
     size = control[NEXT_STEP] if control[NEXT_STEP] > 0.0 else 1e-4
-    motion.rate_of_change(system, state, slope)
+    motion.derivative(system, state, slope)
     if not all_finite(slope):
         return NOT_FINITE
     motion.begin_contacts(system, state)
@@ -303,7 +303,7 @@ def accepted_step(system, stabilisation, state, limit, control, scale, matrix, p
         factor = SAFETY * max(error, 1e-10) ** -0.25 if error < 1e30 else 0.0
         factor = min(6.0, max(0.2, factor))
         # Written so that a NaN counts as an error too large.
-        if error <= 1.0 and motion.stabilised(system, stabilisation, out):
+        if error <= 1.0 and motion.stabilise(system, stabilisation, out):
             part = motion.until_rest(system, state, out, used, max(
                 stick_slip.least(whole, cuts), LEAST * max(abs(limit), 1e-3)))
             if not part < used:

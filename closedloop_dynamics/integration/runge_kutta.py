@@ -67,7 +67,7 @@ def extend(system, tableau, state, step_size, slopes, stage, first):
     """Evaluate the slopes from number ``first`` on that only dense output needs."""
     for k in range(first, tableau.a.shape[0]):
         combine(tableau.a[k], k, state, step_size, slopes, stage)
-        motion.rate_of_change(system, stage, slopes[k])
+        motion.derivative(system, stage, slopes[k])
 
 
 @merged

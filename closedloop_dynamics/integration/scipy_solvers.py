@@ -17,7 +17,7 @@
 import numpy as np
 
 from .advance import DONE, NOT_FINITE, OPEN_LOOP, STEP_TOO_SMALL
-from .motion import narrowed, rate_of_change, stabilised
+from .motion import derivative, stabilise
 
 # A solver that needs more evaluations than this to the next output has lost its way.
 MOST_EVALUATIONS = 100_000
@@ -36,7 +36,7 @@ class SciPySolver:
         """Start with nothing; the solver is made where the first step starts."""
         # Not before it is wanted: a third of the time that loading the package would take.
         from scipy import integrate
-        self._system, self._moving = system, narrowed(system)
+        self._system, self._moving = system, system.moving
         self._solver_type = getattr(integrate, name)
         self._stabilisation, self._tolerance = stabilisation, tolerance
         self._solver = self._dense = None
@@ -51,7 +51,7 @@ class SciPySolver:
             self.restart()
             return status, 0.0
         out = self._dense(target) if self._dense is not None else state.copy()
-        if not stabilised(self._moving, self._stabilisation, out):
+        if not stabilise(self._moving, self._stabilisation, out):
             return OPEN_LOOP, 0.0
         state[:] = out
         return DONE, steps * step_size
@@ -87,7 +87,7 @@ class SciPySolver:
 
     def _slope(self, time, state):
         out = np.empty(len(state))
-        rate_of_change(self._moving, np.ascontiguousarray(state), out)
+        derivative(self._moving, np.ascontiguousarray(state), out)
         # SciPy's solvers would go on, some of them for ever.
         self._evaluations += 1
         if self._evaluations > MOST_EVALUATIONS:

@@ -27,10 +27,10 @@ import numpy as np
 
 from . import semi_implicit_euler
 from .advance import DONE, NOT_FINITE, OPEN_LOOP
+from .evaluation import BAUMGARTE_GAIN, CLOSURE_LIMIT, CLOSURE_TOLERANCE
 from .projection import all_finite, MOST_CORRECTIONS
 from .registry import INDEPENDENT, PROJECTION, VELOCITY
 from .runge_kutta import combine
-from .system import BAUMGARTE_GAIN, CLOSURE_LIMIT, CLOSURE_TOLERANCE
 from ..core.codegen import function_table as calls, lanes
 from ..core.codegen.lanes import LANES
 from ..core.compiled import compiled, inlined, released
@@ -69,8 +69,7 @@ def fits(system, stabilisation):
         False where nothing is unrolled or effects act by laws of their own.
 
     """
-    return (system.unrolled is not None and system.effects is None
-            and stabilisation != INDEPENDENT)
+    return system.is_bare and stabilisation != INDEPENDENT
 
 
 def build_pack(systems):

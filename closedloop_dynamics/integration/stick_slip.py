@@ -23,10 +23,11 @@ would turn round is cut where it comes to rest; there it sticks, or sets out aga
 
 import math
 
-from ..core import kinematics
-from ..core.compiled import compiled, inlined
+from .motion import CUT_RATES
+from ..core.codegen.records import call_at
+from ..core.compiled import compiled, inlined, merged
 from ..core.manifold import rates_begin
-from ..effects import cut_coordinates, sticking
+from ..effects import sticking
 from ..effects.table import FIRST, JOINT_FRICTION, STATE
 
 # A sliding joint has come to rest where its rate is less than this [rad/s; m/s].
@@ -53,49 +54,20 @@ def _first_rest(effects, grips, before, after, size, floor):
     return shortest if shortest > floor else size
 
 
-@compiled
-def _rates(cuts, effects, system, state, out):
-    """Find the rates of all joints in a state, those of cut joints behind."""
-    nv = system.qdd.shape[0]
-    nq = rates_begin(system.manifold, nv)
-    kinematics.outward(system.model, state[:nq], state[nq:nq + nv], system.work)
-    for i in range(nv):
-        out[i] = state[nq + i]
-    cut_coordinates.measure(
-        cuts.index, cuts.values, system.work.body, effects.states, nv, cuts.q, out)
-
-
-@compiled
-def _part(cuts, effects, system, before, after, size, floor):
-    """Return what ``part`` does, where anything acts in cut joints or not."""
-    nv, found = system.qdd.shape[0], size
-    nq = rates_begin(system.manifold, nv)
-    grips = before[nq + nv:]
-    if cuts is None:
-        found = _first_rest(
-            effects, grips, before[nq:nq + nv], after[nq:nq + nv], size, floor)
-    if cuts is not None:
-        if effects.sticking.response.shape[0] > 1:
-            _rates(cuts, effects, system, before, cuts.before)
-            _rates(cuts, effects, system, after, cuts.qd)
-            found = _first_rest(effects, grips, cuts.before, cuts.qd, size, floor)
-    return found
-
-
 @inlined
 def least(size, cuts):
     """Return the least part of a step worth trying after a number of cuts [s]."""
     return size * (LEAST_PART if cuts < MOST_CUTS else 1.0)
 
 
-@inlined
+@merged
 def part(effects, system, before, after, size, floor):
     """
     Return the part of a step on which no joint turns round.
 
     Parameters
     ----------
-    effects : EffectTable or None
+    effects : EffectTable
         Of the system.
     system : System
         Model and workspace of the mechanism.
@@ -112,15 +84,24 @@ def part(effects, system, before, after, size, floor):
         [s]; ``size`` where the step may be taken. A smaller one is an estimate, to be tried.
 
     """
-    if effects is None:
-        return size
-    return _part(effects.cuts, effects, system, before, after, size, floor)
+    cuts, addresses = effects.cuts, system.moving.addresses
+    nv, found = system.qdd.shape[0], size
+    nq = rates_begin(system.manifold, nv)
+    grips = before[nq + nv:]
+    if addresses[CUT_RATES] == 0:
+        found = _first_rest(
+            effects, grips, before[nq:nq + nv], after[nq:nq + nv], size, floor)
+    elif effects.sticking.response.shape[0] > 1:
+        call_at(addresses, CUT_RATES, 0, before, cuts.before)
+        call_at(addresses, CUT_RATES, 0, after, cuts.qd)
+        found = _first_rest(effects, grips, cuts.before, cuts.qd, size, floor)
+    return found
 
 
 @compiled
 def _stick(effects, rates, own):
     """Tell the effects which joints slide or rest; return whether one at rest still moves."""
-    slow = False
+    slow, first = False, rates.shape[0] - effects.cuts.index.shape[0]
     for row in range(effects.kind.shape[0]):
         if effects.kind[row] == JOINT_FRICTION and effects.enabled[row] == 1:
             joint, place = effects.index[row, FIRST], effects.index[row, STATE]
@@ -129,41 +110,19 @@ def _stick(effects, rates, own):
                 own[place] = math.copysign(1.0, rate)
             elif rate * own[place] <= ARRIVED:
                 own[place] = 0.0
-                slow = slow or abs(rate) > _left_over(effects.cuts, joint)
+                # What rate of a joint of the tree at rest is rounding: none.
+                slow = slow or abs(rate) > (0.0 if joint < first else ROUNDING)
     return slow
 
 
-@compiled
-def _left_over(cuts, joint):
-    """Return what rate of a joint at rest is rounding: none of a joint of the tree."""
-    most = 0.0
-    if cuts is not None:
-        if joint >= cuts.qd.shape[0] - cuts.index.shape[0]:
-            most = ROUNDING
-    return most
-
-
-@compiled
-def _stick_or_slip(cuts, effects, system, state):
-    """Do as ``stick`` does, where anything acts in cut joints or not."""
-    nv, slow = system.qdd.shape[0], False
-    nq = rates_begin(system.manifold, nv)
-    if cuts is None:
-        slow = _stick(effects, state[nq:nq + nv], state[nq + nv:])
-    if cuts is not None:
-        _rates(cuts, effects, system, state, cuts.qd)
-        slow = _stick(effects, cuts.qd, state[nq + nv:])
-    return slow
-
-
-@inlined
+@merged
 def stick(effects, system, state):
     """
     Let joints stick that have come to rest, and slip that have broken away, after a step.
 
     Parameters
     ----------
-    effects : EffectTable or None
+    effects : EffectTable
         Of the system.
     system : System
         Model and workspace of the mechanism.
@@ -176,27 +135,23 @@ def stick(effects, system, state):
         Whether any that stick still move: the state is to be evaluated before ``stop``.
 
     """
-    if effects is None:
-        return False
-    return effects.sticking.response.shape[0] > 1 and _stick_or_slip(
-        effects.cuts, effects, system, state)
-
-
-@compiled
-def _stop(cuts, effects, system, state):
-    """Do as ``stop`` does, where anything acts in cut joints or not."""
-    nv = system.qdd.shape[0]
+    cuts, addresses, nv = effects.cuts, system.moving.addresses, system.qdd.shape[0]
     nq = rates_begin(system.manifold, nv)
-    if cuts is None:
+    rates = state[nq:nq + nv]
+    if addresses[CUT_RATES] != 0:
+        call_at(addresses, CUT_RATES, 0, state, cuts.qd)
+        rates = cuts.qd
+    return _stick(effects, rates, state[nq + nv:])
+
+
+@merged
+def stop(effects, system, state):
+    """Take what is left of their rates from joints that stick; all as for ``stick``."""
+    cuts, nv = effects.cuts, system.qdd.shape[0]
+    nq = rates_begin(system.manifold, nv)
+    if cuts.index.shape[0] == 0:
         sticking.stop(effects, state[nq:nq + nv])
-    if cuts is not None:
+    else:
         sticking.stop(effects, cuts.qd)
         for i in range(nv):
             state[nq + i] = cuts.qd[i]
-
-
-@inlined
-def stop(effects, system, state):
-    """Take what is left of their rates from joints that stick; all as for ``stick``."""
-    if effects is not None:
-        _stop(effects.cuts, effects, system, state)

@@ -178,7 +178,7 @@ def advance(system, tableau, stabilisation, state, origin, done, step_size, step
         control[RUN, STEP_SIZE] = 0.0
         return status
     adaptive.interpolate(system, tableau, target, control[RUN], scratch[RUN], state)
-    if is_before(target, control[RUN, REACHED]) and not motion.stabilised(
+    if is_before(target, control[RUN, REACHED]) and not motion.stabilise(
             system, stabilisation, state):
         return OPEN_LOOP
     return DONE

@@ -14,31 +14,27 @@
 
 """The system of equations that is integrated: a mechanism under joint torques."""
 
-from contextlib import suppress
+from contextlib import contextmanager
+from functools import partial
 import time
-from typing import NamedTuple, Optional
+from typing import NamedTuple, Optional, Tuple
 import warnings
 
 import numpy as np
 
-from ..core import codegen, forward_dynamics, kinematics, rank_revealing, refinement
-from ..core.codegen import function_table as calls, pieces, space
-from ..core.compiled import allocating, compiled, inlined, merged
+from . import stages
+from .evaluation import apply_listed, ASIDE, BAUMGARTE_GAIN, FORMULATION
+from .motion import EVALUATE, Moving
+from ..core import codegen, kinematics, rank_revealing
+from ..core.codegen import function_table as calls, pieces, records, space
 from ..core.equations import Equations, with_all_equations
-from ..core.formulations import accelerate_dense, allocate_dense, DenseWorkspace, SUBSYSTEM
-from ..core.independent import allocate_partition, close, Partition
-from ..core.joint_wrenches import bias_forces
-from ..core.manifold import (
-    fill_numbers, Manifold, manifold_of, power_of_turns, rates_begin, rates_of_coordinates)
+from ..core.formulations import allocate_dense, DenseWorkspace, SUBSYSTEM
+from ..core.independent import allocate_partition, Partition
+from ..core.manifold import Manifold, manifold_of
 from ..core.types import Model, number_of_coordinates, Workspace
 from ..core.workspace import unconnected
-from ..effects import (
-    cut_coordinates, dispatch, joint_reaction, prescribed_motion, sticking)
+from ..effects import dispatch
 from ..effects.table import build_table, EffectTable
-
-# Columns of System.settings: which formulation, Baumgarte's decay rate [1/s] (0: none), the
-# closure error [m, rad] that projection leaves and the one at which it gives up.
-FORMULATION, BAUMGARTE_GAIN, CLOSURE_TOLERANCE, CLOSURE_LIMIT, ASIDE = range(5)
 
 # Unrolled code grows with the mechanism: beyond this number of bodies it takes too long to
 # compile and falls out of the fastest memory; in space, where the loops do more in vain, beyond
@@ -46,18 +42,6 @@ FORMULATION, BAUMGARTE_GAIN, CLOSURE_TOLERANCE, CLOSURE_LIMIT, ASIDE = range(5)
 MOST_UNROLLED_BODIES, MOST_UNROLLED_FREEDOMS = 24, 40
 # No evaluation takes so long, but compiling does [s].
 LONG = 3.0
-
-
-# What stands for yes where None stands for no.
-_YES = np.zeros(0)
-
-
-class Routine(NamedTuple):
-    """What a system does, behind an address; see ``motion``."""
-
-    addresses: np.ndarray  # Of code and record
-    numbers: np.ndarray  # Shape (3,): what is handed over and returned
-    record: np.ndarray  # What the second address is that of
 
 
 class System(NamedTuple):
@@ -68,10 +52,10 @@ class System(NamedTuple):
     ----------
     model : Model
     work : Workspace
-    dense : DenseWorkspace or None
-        Of the dense formulations.
-    partition : Partition or None
-        Of the independent coordinates.
+    dense : DenseWorkspace
+        Of the dense formulations; of no length where none is used.
+    partition : Partition
+        Of the independent coordinates; of no length where they are not used.
     settings : ndarray, shape (5,)
     tau : ndarray, shape (nv + nk,)
         Commanded joint torques [N m] and forces [N], behind them those of the nk cut joints that
@@ -87,16 +71,15 @@ class System(NamedTuple):
     table : ndarray of int
         Of the routines that are called by their address: the rank-revealing path, and those
         unrolled for this mechanism.
-    unrolled, by_loops : ndarray of no length, or None
-        Which way evaluations go; the other one is None, as a branch is dropped only for that.
     corrections : ndarray, shape (2, nv)
-        Of coordinates and rates, as unrolled routines leave them.
+        Of coordinates and rates, as unrolled routines leave them; of no length where there are no
+        such routines.
     manifold : Manifold or None
         Where quaternions are among the coordinates; None where there are none.
-    direct : ndarray of no length, or None
-        Whether integrators call the functions below; else they ask the routine.
-    routine : Routine or None
-        Of what integrators see of a system that they are not compiled for.
+    moving : Moving
+        What integrators see: the addresses of all that can be asked of the system.
+    records : tuple of 2 ndarrays
+        What is behind these addresses, and those of the effects' laws.
 
     Notes
     -----
@@ -108,8 +91,8 @@ class System(NamedTuple):
 
     model: Model
     work: Workspace
-    dense: Optional[DenseWorkspace]
-    partition: Optional[Partition]
+    dense: DenseWorkspace
+    partition: Partition
     settings: np.ndarray
     tau: np.ndarray
     qdd: np.ndarray
@@ -117,16 +100,31 @@ class System(NamedTuple):
     applied: np.ndarray
     effects: Optional[EffectTable]
     table: np.ndarray
-    unrolled: Optional[np.ndarray]
-    by_loops: Optional[np.ndarray]
     corrections: np.ndarray
     manifold: Optional[Manifold]
-    direct: Optional[np.ndarray]
-    routine: Optional[Routine]
+    moving: Moving
+    records: Tuple[np.ndarray, np.ndarray]
+
+    @property
+    def is_unrolled(self):
+        """Whether evaluations are by routines that were unrolled for this mechanism."""
+        return self.corrections.size > 0
+
+    @property
+    def is_bare(self):
+        """Whether one such routine makes a whole evaluation: without effects."""
+        return self.is_unrolled and self.effects is None
+
+    @property
+    def is_independent(self):
+        """Whether independent coordinates are integrated."""
+        return self.partition.order.size > 0
 
     def __reduce__(self):
         """Copy and pickle without addresses, which hold for these very arrays."""
-        return _relinked, tuple(self._replace(table=None))
+        effects = None if self.effects is None else self.effects._replace(laws=None)
+        return _relinked, tuple(self._replace(
+            effects=effects, table=None, moving=None, records=None))
 
 
 def build_system(model, formulation=SUBSYSTEM, baumgarte=0.0, extent=1.0, independent=False,
@@ -170,31 +168,42 @@ def build_system(model, formulation=SUBSYSTEM, baumgarte=0.0, extent=1.0, indepe
         elements, tau, nv, most, space.is_spatial(model), model.cut_point, cuts)
     system = System(
         model=model, work=unconnected(model),
-        dense=None if formulation == SUBSYSTEM else allocate_dense(model, formulation),
-        partition=allocate_partition(model) if independent else None,
+        dense=allocate_dense(model, formulation),
+        partition=allocate_partition(model, independent),
         settings=settings, tau=tau, qdd=np.zeros(nv), lam=np.zeros(nc),
         applied=tau if effects is None else effects.applied[:nv], effects=effects, table=None,
-        unrolled=_YES if unrolled else None, by_loops=None if unrolled else _YES,
-        corrections=np.zeros((2, nv)), manifold=manifold_of(model), direct=_YES, routine=None)
+        corrections=np.zeros((2, nv if unrolled else 0)), manifold=manifold_of(model),
+        moving=None, records=None)
     return _linked(system)
 
 
 def _linked(system):
     """Return a system with the addresses of its own arrays and routines."""
-    model, work = system.model, system.work
+    model, work, law_record = system.model, system.work, np.zeros(0, dtype=np.int64)
     pieces.connect(model, work.piece, work.cut_piece)
+    if system.effects is not None:
+        effects, law_record = dispatch.linked(system.effects, work.body, system.tau)
+        # Of a copy, too, what laws write is what routines read.
+        system = system._replace(effects=effects, applied=effects.applied[:len(system.qdd)])
     table = calls.connect(
         {calls.BODY: model.body, calls.GRAVITY: model.gravity,
          calls.CUT_POINT: model.cut_point, calls.TAU: system.applied, calls.QDD: system.qdd,
          calls.BAUMGARTE: system.settings[BAUMGARTE_GAIN:],
          calls.LAM: system.lam, calls.HEALTH: work.health, calls.WORK_BODY: work.body,
          calls.CLOSURE: work.closure, calls.CLOSURE_RATE: work.closure_rate,
-         calls.CORRECTIONS: system.corrections},
+         calls.CORRECTIONS: system.corrections,
+         **({} if system.effects is None else {calls.REACTION: system.effects.reaction})},
         number_of_coordinates(model), _rank_revealing_routines(system),
-        lambda: codegen.later(model))
-    if system.unrolled is not None:
+        partial(codegen.later, model))
+    if system.is_unrolled:
         codegen.relink(model, table)
-    return system._replace(table=table)
+    return _asked(system._replace(table=table, records=(law_record, law_record)))
+
+
+def _asked(system, by_euler=False):
+    """Return a system with the addresses of what integrators ask of it."""
+    system, record = stages.linked(system, by_euler)
+    return system._replace(records=(record, system.records[1]))
 
 
 def _relinked(*fields):
@@ -213,46 +222,50 @@ def _rank_revealing_routines(system):
         pieces.connect(model, work.piece, work.cut_piece)
         lam, kept = np.zeros(len(work.closure)), Equations(system.model)
 
-    def leave_to_kept(q):
-        system.lam[:] = kept.move(q).of_kept(lam)
-
     def acceleration(q, qd):
-        _reveal_rank(qdd, rank_revealing_acceleration, model, work, effects, settings, tau,
-                     applied, manifold, q, qd, qdd, lam)
+        with _reveal_rank(qdd):
+            kinematics.outward(model, q, qd, work)
+            if effects is not None:
+                apply_listed(manifold, effects, work, q, qd, tau)
+            rank_revealing.accelerate(
+                model, work, applied, settings[BAUMGARTE_GAIN], settings[ASIDE], manifold, q, qd,
+                qdd, lam)
         if kept is not None:
-            _or_nan(system.lam, leave_to_kept, q)
+            with _or_nan(system.lam):
+                system.lam[:] = kept.move(q).of_kept(lam)
 
-    def position(q, qd):
-        _reveal_rank(
-            qdd, rank_revealing_correction, model, work, rank_revealing.POSITION, q, qd, qdd)
-
-    def velocity(q, qd):
-        _reveal_rank(
-            qdd, rank_revealing_correction, model, work, rank_revealing.VELOCITY, q, qd, qdd)
+    def correct(level, q, qd):
+        with _reveal_rank(qdd):
+            kinematics.outward(model, q, qd, work)
+            rank_revealing.correct(model, work, level, qdd)
 
     return {calls.RANK_REVEALING_ACCELERATION: acceleration,
-            calls.RANK_REVEALING_POSITION: position,
-            calls.RANK_REVEALING_VELOCITY: velocity}
+            calls.RANK_REVEALING_POSITION: partial(correct, rank_revealing.POSITION),
+            calls.RANK_REVEALING_VELOCITY: partial(correct, rank_revealing.VELOCITY)}
 
 
-def _reveal_rank(out, kernel, *arguments):
-    """Call a kernel of the rank-revealing path, and say so if it had to be compiled."""
+@contextmanager
+def _reveal_rank(out):
+    """Let kernels of the rank-revealing path fill an array; say so if they had to be compiled."""
     begin = time.perf_counter()
-    _or_nan(out, kernel, *arguments)
+    with _or_nan(out):
+        yield
     elapsed = time.perf_counter() - begin
     if elapsed > LONG:
         warnings.warn(
             'A singular configuration, or loops that repeat one another: what deals with them '
             f'had to be compiled first, which took {elapsed:.0f} s. It is kept on disk; the next '
-            'time there is no delay.', RuntimeWarning, stacklevel=2)
+            'time there is no delay.', RuntimeWarning, stacklevel=4)
 
 
-def _or_nan(out, kernel, *arguments):
-    """Call what fills an array; where it fails there are NaN, which the integrators tell."""
-    out[:] = np.nan
+@contextmanager
+def _or_nan(out):
+    """Let an array be filled; where that fails it is NaN, which the integrators tell."""
     # No decomposition is found of numbers that are not finite, or nearly so.
-    with suppress(ValueError, np.linalg.LinAlgError):
-        kernel(*arguments)
+    try:
+        yield
+    except (ValueError, np.linalg.LinAlgError):
+        out[:] = np.nan
 
 
 def parts_of_state(system):
@@ -299,9 +312,56 @@ def with_equations(system, model):
     work.health[:] = system.work.health
     return _linked(system._replace(
         model=model, work=work, lam=np.zeros(len(work.closure)),
-        dense=None if system.dense is None else allocate_dense(
-            model, int(system.settings[FORMULATION])),
-        partition=None if system.partition is None else allocate_partition(model)))
+        dense=allocate_dense(model, int(system.settings[FORMULATION])),
+        partition=allocate_partition(model, system.is_independent)))
+
+
+def with_partition(system, used):
+    """
+    Return a system with another set of independent coordinates, none chosen yet.
+
+    Parameters
+    ----------
+    system : System
+        As it was; all else is shared.
+    used : bool
+        Whether independent coordinates are used.
+
+    Returns
+    -------
+    System
+
+    """
+    return _asked(system._replace(partition=allocate_partition(system.model, used)))
+
+
+def stepped_by_euler(system):
+    """Return a system that can be asked for steps of semi-implicit Euler; all else is shared."""
+    return _asked(system, True)
+
+
+def on_workspace(system, model, work):
+    """
+    Return a system whose effects act on the bodies of another workspace.
+
+    Parameters
+    ----------
+    system : System
+        As it was; its state, torques and effects are shared.
+    model, work : Model, Workspace
+        Of the same mechanism.
+
+    Returns
+    -------
+    System
+        To be evaluated by parts alone: its routines and stages are those of ``system``.
+
+    """
+    if system.effects is None:
+        return system._replace(model=model, work=work)
+    effects, record = dispatch.linked(system.effects, work.body, system.tau)
+    return system._replace(
+        model=model, work=work, effects=effects, records=(system.records[0], record))
 
 
 def number_of_states(system):
@@ -309,402 +369,56 @@ def number_of_states(system):
     return parts_of_state(system)[-1]
 
 
-# What a scene does not use is None in its system. Numba drops the branches below for an argument
-# that is None, so that it is not even compiled.
-
-@compiled
-def _accelerate_dense(dense, model, work, formulation, tau, baumgarte, qdd, lam):
-    """Compute accelerations and multipliers by a dense formulation, where there is one."""
-    if dense is not None:
-        return accelerate_dense(model, work, dense, formulation, tau, baumgarte, qdd, lam)
-    return True
-
-
-@compiled
-def _close(partition, model, work, manifold, q, qd, tolerance):
-    """Close the loops by the dependent coordinates, where a scene has such."""
-    if partition is not None:
-        close(model, work, partition, manifold, q, qd, tolerance)
-
-
-@inlined
-def apply_effects(effects, manifold, work, q, qd, tau):
+class Probe:
     """
-    Apply the effects, where a scene lists any.
+    Evaluations asked for from Python, one at a time.
 
-    Parameters
+    A compiled kernel called from Python spends several times its own time on unpacking the
+    system; routines are handed addresses.
+
+    Attributes
     ----------
-    effects : EffectTable or None
-        Of the system.
-    manifold : Manifold or None
-        Of the system; laws see the coordinate of each rate.
-    work : Workspace
-        After ``kinematics.outward``.
-    q : ndarray, shape (nq,)
-        Joint coordinates.
-    qd, tau : ndarray, shape (nv,)
-        Rates, and commanded torques.
+    q, qd, own : ndarray, shape (nq,), (nv,), (nz,)
+        Coordinates, rates and effects' states that are evaluated: views of a state vector.
 
     """
-    if effects is not None:
-        if manifold is None:
-            dispatch.apply(work.body, effects, q, qd, tau)
-        else:
-            fill_numbers(manifold, q)
-            dispatch.apply(work.body, effects, manifold.number, qd, tau)
-        if effects.loaded[0] > 0:
-            bias_forces(work, effects.reaction)
 
-
-@inlined
-def _feel_reactions(effects, system, q, qd):
-    """Tell effects the reactions in their joints, where they ask for them."""
-    if effects is not None:
-        if effects.loaded[0] > 0:
-            joint_reaction.load(
-                system.model, system.work, effects, q, qd, system.qdd, system.lam)
-
-
-@inlined
-def take_states(effects, state, first):
-    """
-    Hand the effects' own states over to them, where a scene lists any.
-
-    Parameters
-    ----------
-    effects : EffectTable or None
-        Of the system.
-    state : ndarray, shape (ns,)
-        Coordinates, rates, and what effects add.
-    first : int
-        Place of the first of them: nq + nv.
-
-    """
-    if effects is not None:
-        for k in range(effects.states.shape[0]):
-            effects.states[k] = state[first + k]
-
-
-@inlined
-def _give_rates(effects, first, out):
-    """Copy the rates of the effects' own states into a derivative."""
-    if effects is not None:
-        for k in range(effects.rates.shape[0]):
-            out[first + k] = effects.rates[k]
-
-
-@allocating
-def rank_revealing_acceleration(
-        model, work, effects, settings, tau, applied, manifold, q, qd, qdd, lam):
-    """
-    Compute accelerations and multipliers by the rank-revealing path.
-
-    Parameters
-    ----------
-    model, work, effects, settings, tau, applied, manifold, qdd, lam
-        As a ``System`` has them, with all equations.
-    q : ndarray, shape (nq,)
-        Joint coordinates.
-    qd : ndarray, shape (nv,)
-        Their rates.
-
-    """
-    kinematics.outward(model, q, qd, work)
-    apply_effects(effects, manifold, work, q, qd, tau)
-    rank_revealing.accelerate(
-        model, work, applied, settings[BAUMGARTE_GAIN], settings[ASIDE], manifold, q, qd, qdd,
-        lam)
-
-
-@allocating
-def rank_revealing_correction(model, work, level, q, qd, out):
-    """
-    Compute the least correction of positions or rates by the rank-revealing path.
-
-    Parameters
-    ----------
-    model : Model
-        Constant arrays of the mechanism.
-    work : Workspace
-        Scratch of the evaluation.
-    level : int
-        ``rank_revealing.POSITION`` or ``VELOCITY``.
-    q : ndarray, shape (nq,)
-        Joint coordinates.
-    qd : ndarray, shape (nv,)
-        Their rates.
-    out : ndarray, shape (nv,)
-        Written in place.
-
-    """
-    kinematics.outward(model, q, qd, work)
-    rank_revealing.correct(model, work, level, out)
-
-
-@compiled
-def _evaluate_by_loops(by_loops, system, q, qd):
-    """Evaluate a state by the kernels' loops, where nothing is unrolled."""
-    if by_loops is not None:
-        model, work, formulation = system.model, system.work, int(system.settings[FORMULATION])
-        applied, baumgarte, good = system.applied, system.settings[BAUMGARTE_GAIN], False
-        for attempt in range(2):
-            # An elimination uses up what the outward recursion and the effects leave.
-            kinematics.outward(model, q, qd, work)
-            apply_effects(system.effects, system.manifold, work, q, qd, system.tau)
-            if attempt == 1:
-                good = refinement.accelerate(
-                    model, work, applied, baumgarte, system.qdd, system.lam)
-            elif formulation == SUBSYSTEM:
-                good = forward_dynamics.accelerate(
-                    model, work, applied, baumgarte, system.qdd, system.lam)
-            else:
-                good = _accelerate_dense(system.dense, model, work, formulation, applied,
-                                         baumgarte, system.qdd, system.lam)
-            if good:
-                break
-        if not good:
-            calls.call(system.table, calls.RANK_REVEALING_ACCELERATION, q, qd)
-
-
-@inlined
-def _accelerate_anew(table, q, qd):
-    """Compute accelerations and multipliers where the elimination alone will not do."""
-    if calls.call(table, calls.REFINED_ACCELERATION, q, qd) == 0:
-        calls.call(table, calls.RANK_REVEALING_ACCELERATION, q, qd)
-
-
-@inlined
-def _evaluate_unrolled(unrolled, system, q, qd):
-    """Evaluate a state by unrolled routines, where there are any."""
-    if unrolled is not None:
-        table = system.table
-        calls.call(table, calls.OUTWARD, q, qd)
-        apply_effects(system.effects, system.manifold, system.work, q, qd, system.tau)
-        if calls.call(table, calls.ACCELERATION, q, qd) == 0:
-            _accelerate_anew(table, q, qd)
-
-
-@inlined
-def _evaluate_bare(unrolled, table, effects, q, qd):
-    """Evaluate a state at once, where routines are unrolled and no effect is listed."""
-    if unrolled is not None:
-        if effects is None:
-            if calls.call(table, calls.EVALUATION, q, qd) == 0:
-                calls.call(table, calls.OUTWARD, q, qd)
-                _accelerate_anew(table, q, qd)
-
-
-@inlined
-def _evaluate_among_effects(effects, system, q, qd):
-    """Evaluate a state in parts, where effects are listed."""
-    if effects is not None:
-        _evaluate_unrolled(system.unrolled, system, q, qd)
-
-
-@compiled
-def _hold(cuts, effects, system, q, qd):
-    """Find the friction that holds joints at rest, where it may be that of cut joints or not."""
-    if cuts is None:
-        _hold_joints(effects, system, q, qd)
-    if cuts is not None:
-        _hold_with_cuts(cuts, effects, system, q, qd)
-
-
-@compiled
-def _hold_joints(effects, system, q, qd):
-    """Find the friction that holds joints at rest, by the response to that of each."""
-    count = effects.sticking.rows[0]
-    sticking.keep(effects, system.qdd, system.lam)
-    for place in range(count):
-        row = effects.sticking.rows[place + 1]
-        effects.sticking.hold[row] = effects.output[row, 3]
-        _evaluate_unrolled(system.unrolled, system, q, qd)
-        _evaluate_by_loops(system.by_loops, system, q, qd)
-        sticking.respond(effects, place, system.qdd, system.lam)
-    sticking.balance(effects, system.qdd, system.lam)
-
-
-@compiled
-def _take_accelerations(cuts, system, q, qd):
-    """Put the accelerations of cut joints behind those of the tree."""
-    kinematics.outward(system.model, q, qd, system.work)
-    for i in range(qd.shape[0]):
-        cuts.qdd[i] = system.qdd[i]
-    cut_coordinates.accelerations(
-        cuts, system.model, system.work, system.qdd, True, cuts.qdd)
-
-
-@compiled
-def _hold_with_cuts(cuts, effects, system, q, qd):
-    """Do as ``_hold_joints`` does where cut joints may be at rest, too."""
-    stuck, hold = effects.sticking.rows, effects.sticking.hold
-    count = stuck[0]
-    _take_accelerations(cuts, system, q, qd)
-    sticking.keep(effects, cuts.qdd, system.lam)
-    for place in range(count):
-        row = stuck[place + 1]
-        hold[row] = effects.output[row, 3]
-        _evaluate_unrolled(system.unrolled, system, q, qd)
-        _evaluate_by_loops(system.by_loops, system, q, qd)
-        _take_accelerations(cuts, system, q, qd)
-        sticking.respond(effects, place, cuts.qdd, system.lam)
-    sticking.balance(effects, cuts.qdd, system.lam)
-    for i in range(qd.shape[0]):
-        system.qdd[i] = cuts.qdd[i]
-    if effects.loaded[0] > 0:
-        # Friction at a cut joint acts on bodies: it is part of what the reactions balance.
-        for place in range(count):
-            hold[stuck[place + 1]] = effects.output[stuck[place + 1], 1]
-        kinematics.outward(system.model, q, qd, system.work)
-        apply_effects(effects, system.manifold, system.work, q, qd, system.tau)
-        for place in range(count):
-            hold[stuck[place + 1]] = 0.0
-
-
-@compiled
-def _tell_motions(motions, effects, lam):
-    """Tell the forces of prescribed motions, where a scene lists any."""
-    if motions is not None:
-        if motions.shape[0] > 0:
-            prescribed_motion.tell(effects, lam)
-
-
-@inlined
-def follow_motions(effects, state, first):
-    """
-    Set the right-hand sides of prescribed motions to the time of a state.
-
-    Parameters
-    ----------
-    effects : EffectTable or None
-        Of the system.
-    state : ndarray, shape (ns,)
-        Coordinates, rates, and what effects add.
-    first : int
-        Place of the first of these: nq + nv.
-
-    """
-    if effects is not None:
-        _follow_motions(effects.motions, effects, state, first)
-
-
-@compiled
-def _follow_motions(motions, effects, state, first):
-    """Set right-hand sides, where a scene lists prescribed motions."""
-    if motions is not None:
-        if motions.shape[0] > 0:
-            take_states(effects, state, first)
-            prescribed_motion.follow_all(effects)
-
-
-@inlined
-def _complete(effects, system, q, qd):
-    """Add what depends on the accelerations: friction at rest, forces, reactions in joints."""
-    if effects is not None:
-        if effects.sticking.rows[0] > 0:
-            _hold(effects.cuts, effects, system, q, qd)
-        _tell_motions(effects.motions, effects, system.lam)
-        _feel_reactions(effects, system, q, qd)
-
-
-@compiled
-def evaluate(system, q, qd):
-    """
-    Compute the accelerations and multipliers of a state into ``system.qdd`` and ``system.lam``.
-
-    Poses, velocities and closure errors are left in ``system.work``, too.
-
-    Parameters
-    ----------
-    system : System
-        ``effects.states`` must be those of the state.
-    q : ndarray, shape (nq,)
-        Joint coordinates.
-    qd : ndarray, shape (nv,)
-        Their rates.
-
-    """
-    _evaluate_unrolled(system.unrolled, system, q, qd)
-    _evaluate_by_loops(system.by_loops, system, q, qd)
-    _complete(system.effects, system, q, qd)
-
-
-@merged
-def evaluate_only(system, q, qd):
-    """
-    Do as ``evaluate`` does, but leave nothing else behind: what integrators need.
-
-    Parameters
-    ----------
-    system : System
-        ``effects.states`` must be those of the state.
-    q : ndarray, shape (nq,)
-        Joint coordinates.
-    qd : ndarray, shape (nv,)
-        Their rates.
-
-    """
-    _evaluate_bare(system.unrolled, system.table, system.effects, q, qd)
-    _evaluate_among_effects(system.effects, system, q, qd)
-    _evaluate_by_loops(system.by_loops, system, q, qd)
-    _complete(system.effects, system, q, qd)
-
-
-@merged
-def evaluate_state(system, state):
-    """
-    Evaluate a state vector, shape (ns,), as ``evaluate_only`` does; its effects' states, too.
-
-    Parameters
-    ----------
-    system : System
-        What moves.
-    state : ndarray, shape (ns,)
-        As ``System`` tells.
-
-    """
-    nv = system.qdd.shape[0]
-    nq = rates_begin(system.manifold, nv)
-    take_states(system.effects, state, nq + nv)
-    evaluate_only(system, state[:nq], state[nq:nq + nv])
-
-
-@merged
-def derivative(system, state, out):
-    """
-    Compute the time derivative of a state.
-
-    Parameters
-    ----------
-    system : System
-        What moves.
-    state : ndarray, shape (ns,)
-        As ``System`` tells.
-    out : ndarray, shape (ns,)
-        Written in place.
-
-    """
-    close_stage(system, state)
-    evaluate_state(system, state)
-    take_derivative(system, state, out)
-
-
-@merged
-def close_stage(system, state):
-    """Close the loops of independent coordinates: the others are first guesses only."""
-    nv = system.qdd.shape[0]
-    nq = rates_begin(system.manifold, nv)
-    _close(system.partition, system.model, system.work, system.manifold, state[:nq],
-           state[nq:nq + nv], system.settings[CLOSURE_TOLERANCE])
-
-
-@merged
-def take_derivative(system, state, out):
-    """Put together the derivative of a state that has been evaluated."""
-    nv = system.qdd.shape[0]
-    nq = rates_begin(system.manifold, nv)
-    rates_of_coordinates(system.manifold, state, nv, out, 1)
-    for i in range(nv):
-        out[nq + i] = system.qdd[i]
-    _give_rates(system.effects, nq + nv, out)
-    power_of_turns(system.manifold, system.tau, state, nv, out, 1)
+    def __init__(self, system, state=None):
+        """Evaluate a state vector, shape (ns,), wherever it moves, or one of its own."""
+        self._system, self._routines = system, {}
+        *parts, count = parts_of_state(system)
+        self._state = np.zeros(count) if state is None else state
+        self.q, self.qd, self.own = (self._state[part] for part in parts)
+        self._table = tuple(
+            array.ctypes.data for array in (system.table, self.q, self.qd))
+        self._bare = system.is_bare
+        if not self._bare:
+            self._ask = records.from_python(system.moving.addresses, EVALUATE, self._state)
+
+    def evaluate(self):
+        """Do as ``evaluation.evaluate`` does."""
+        if not self._bare:
+            self._ask()
+            return
+        self._call(calls.OUTWARD)
+        if not self._call(calls.ACCELERATION):
+            self._accelerate_anew()
+
+    def evaluate_only(self):
+        """Do the same, but leave nothing else behind where that is quicker."""
+        if not self._bare:
+            self.evaluate()
+        elif not self._call(calls.EVALUATION):
+            self._call(calls.OUTWARD)
+            self._accelerate_anew()
+
+    def _accelerate_anew(self):
+        if not self._call(calls.REFINED_ACCELERATION):
+            calls.run(self._system.table, calls.RANK_REVEALING_ACCELERATION, self.q, self.qd)
+
+    def _call(self, which):
+        """Call a routine of the table, whose address may have changed since."""
+        address = int(self._system.table[which])
+        if address not in self._routines:
+            self._routines[address] = calls.function(self._system.table, which)
+        return self._routines[address](*self._table)

@@ -24,7 +24,6 @@ import numpy as np
 from ..integration.registry import AUTO, FIXED, INTEGRATORS
 from ..mechanism.mechanism import CUT_WITHOUT_MOMENT, JOINT_FREEDOMS, REVOLUTE
 from ..simulation.errors import SimulationError
-from ..simulation.monitor import ROSENBROCK_ORDER
 from ..simulation.rollout_run import TIME_ROUNDING
 from ..visual.motion import wrench_parts
 
@@ -78,8 +77,7 @@ class ErrorEstimate:
         integrator = INTEGRATORS[method.integrator]
         self._share, key = 1.0, 'accuracy' if method.integrator == AUTO else 'tolerance'
         if integrator.kind == FIXED:
-            order = integrator.tableau.order if integrator.tableau else ROSENBROCK_ORDER
-            self._share, key = 1.0 / (1.0 - 0.5 ** order), 'step_size'
+            self._share, key = 1.0 / (1.0 - 0.5 ** integrator.order), 'step_size'
         value = getattr(method, key) * (0.5 if key == 'step_size' else FINER)
         self.method = f'{key.replace("_", " ")} {value:.3g}'
         self.simulation = type(simulation)(replace(

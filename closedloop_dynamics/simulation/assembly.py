@@ -23,6 +23,7 @@ the mass metric.
 
 from contextlib import suppress
 import math
+from operator import itemgetter
 
 import numpy as np
 
@@ -209,13 +210,13 @@ class Assembler:
         if self.nc > MOST_EQUATIONS or not qd.any():
             return qd
         left, singular, _ = np.linalg.svd(jac)
-        dependent = left[:, _count(singular):]
+        dependent = left[:, rank_from(singular):]
         if not dependent.size:
             return qd
         fastest = np.abs(qd).max()
         ahead = qd * (1e-4 / fastest)
-        bias = (self.jacobian(self._moved(q, ahead))
-                - self.jacobian(self._moved(q, -ahead))) @ qd * (0.5e4 * fastest)
+        bias = (self.jacobian(self._coordinates.moved(q, ahead))
+                - self.jacobian(self._coordinates.moved(q, -ahead))) @ qd * (0.5e4 * fastest)
         if np.abs(dependent.T @ bias).max() > CONTINUATION_TOLERANCE * self.extent * fastest ** 2:
             raise AssemblyError(
                 f'{self.mechanism.name} stands at a change point (a singular position): '
@@ -235,7 +236,7 @@ class Assembler:
             Closing the loops.
 
         """
-        return self.nv - self._largest_rank(q)
+        return self.nv - self._largest_rank(q)[0]
 
     def lost_equations(self, q):
         """
@@ -253,14 +254,15 @@ class Assembler:
             on one another everywhere nearby.
 
         """
-        return self._largest_rank(q) - rank_of(self.jacobian(q))
+        return self._largest_rank(q)[0] - rank_of(self.jacobian(q))
 
-    def _largest_rank(self, q):
-        """Return the largest rank of the Jacobian at a closed position and near it."""
+    def _largest_rank(self, q, seed=0):
+        """Return the largest rank of the Jacobian at a closed position and near it, and where."""
         rank = rank_of(self.jacobian(q))
-        if rank < min(self.nc, self.nv):
-            rank = max([rank, *(rank_of(self.jacobian(near)) for near in self._neighbours(q))])
-        return rank
+        if rank == min(self.nc, self.nv):
+            return rank, q
+        return max(((rank, q), *((rank_of(self.jacobian(near)), near)
+                                 for near in self._neighbours(q, seed))), key=itemgetter(0))
 
     def jacobian_of_largest_rank(self, q):
         """
@@ -280,10 +282,7 @@ class Assembler:
 
     def of_largest_rank(self, q, seed=0):
         """Return a closed position, or one nearby where the Jacobian has a larger rank."""
-        candidates = [q]
-        if rank_of(self.jacobian(q)) < min(self.nc, self.nv):
-            candidates += self._neighbours(q, seed)
-        return max(candidates, key=lambda place: rank_of(self.jacobian(place)))
+        return self._largest_rank(q, seed)[1]
 
     def implies_all(self, q):
         """
@@ -309,7 +308,7 @@ class Assembler:
         for _ in range(NEIGHBOURS):
             with suppress(AssemblyError):
                 near, psi = self._closed(
-                    self._moved(q, NEARBY * size * rng.uniform(-1.0, 1.0, self.nv)),
+                    self._coordinates.moved(q, NEARBY * size * rng.uniform(-1.0, 1.0, self.nv)),
                     np.arange(self.nv))
                 if self._is_closed(psi):
                     yield near
@@ -326,7 +325,7 @@ class Assembler:
         """
         if not 0 < self.nc <= MOST_EQUATIONS:
             return ''
-        rank = self._largest_rank(q)
+        rank, _ = self._largest_rank(q)
         away = [_singular(self.jacobian(near))[rank - 1] for near in self._neighbours(q)]
         if not away or _singular(self.jacobian(q))[rank - 1] > 0.1 * max(away):
             return ''
@@ -404,7 +403,7 @@ class Assembler:
         """Tell that couplings lock the mechanism, which makes no other error."""
         if not self.mechanism.couplings or self.nc > MOST_EQUATIONS:
             return []
-        rank = self._largest_rank(q)
+        rank, _ = self._largest_rank(q)
         if rank < self.nv:
             return []
         names = ', '.join(coupling.name for coupling in self.mechanism.couplings)
@@ -462,8 +461,7 @@ class Assembler:
         # Those of joints that no loop moves are rounding errors: nothing to scale by.
         levers[levers <= NO_LEVER * levers.max(initial=0.0)] = 1.0
         _, singular, right = np.linalg.svd(jac / levers)
-        rank = int(np.sum(singular > RANK_TOLERANCE * singular.max(initial=0.0)))
-        basis = right[rank:] / levers
+        basis = right[rank_from(singular):] / levers
         if not len(basis):
             return
         inertia = basis @ self.inertia(q) @ basis.T
@@ -478,15 +476,11 @@ class Assembler:
             'while nothing that has mass does, so that forces would accelerate it without limit. '
             'Give the bodies there some mass, or close a loop that guides them.')
 
-    def _moved(self, q, change):
-        """Return coordinates after a change, shape (nq,)."""
-        return self._coordinates.moved(q, change)
-
     def _changed(self, q, free, change):
         """Return coordinates after a change of some of the freedoms."""
         whole = np.zeros(self.nv)
         whole[free] = change
-        return self._moved(q, whole)
+        return self._coordinates.moved(q, whole)
 
     def _correct(self, q, psi, free, metric):
         """Return the state after one damped Newton correction, and whether it helped."""
@@ -613,12 +607,13 @@ def _least_change(jac, error, metric, damping=0.0):
 
 def rank_of(jac):
     """Return the number of independent rows of a matrix."""
-    return _count(_singular(jac))
+    return rank_from(_singular(jac))
 
 
 def _singular(jac):
     return np.linalg.svd(jac, compute_uv=False) if jac.size else np.zeros(1)
 
 
-def _count(singular):
+def rank_from(singular):
+    """Return the rank of a matrix by its singular values."""
     return int(np.sum(singular > RANK_TOLERANCE * singular.max(initial=1e-300)))

@@ -35,7 +35,7 @@ import numpy as np
 from .errors import (
     ClosureError, InaccuracyWarning, NumericalError, SingularityError, StiffnessError)
 from ..core.types import SINGULAR_COUNT, SMALLEST_PIVOT
-from ..integration.motion import narrowed, rate_of_change
+from ..integration.motion import derivative
 from ..integration.registry import ADAPTIVE, AUTO, EXPLICIT, FIXED, INTEGRATORS
 from ..integration.system import parts_of_state
 
@@ -97,14 +97,13 @@ def fastest_rate(system, state, own=()):
     silent[:of_effects.start] = False
     silent[of_effects.start + np.array(own, dtype=int)] = False
     slope, moved = np.zeros_like(state), np.zeros_like(state)
-    moving = narrowed(system)
-    rate_of_change(moving, state.copy(), slope)
+    derivative(system.moving, state.copy(), slope)
     direction = np.random.default_rng(0).normal(size=len(state))
     direction[silent] = 0.0
 
     def turned(vector):
         size = DIFFERENCE / max(np.abs(vector).max(), 1e-300)
-        rate_of_change(moving, state + size * vector, moved)
+        derivative(system.moving, state + size * vector, moved)
         result = (moved - slope) / size
         result[silent] = 0.0
         return result
@@ -160,8 +159,7 @@ class EnergyGuard:
         self._method, self._rate, self._limit = method, rate, limit
         self.among_laws = among_laws
         integrator = INTEGRATORS[method.integrator]
-        order = integrator.tableau.order if integrator.tableau else None
-        self._first = FIRST_LOOK_ORDER_1 if order == 1 else FIRST_LOOK
+        self._first = FIRST_LOOK_ORDER_1 if integrator.order == 1 else FIRST_LOOK
         # Where error control steps, how often it is looked at would show in the last digits.
         self._whole = integrator.kind == ADAPTIVE
         self._rarely = LOOK_EVERY_AMONG_LAWS if among_laws else LOOK_EVERY

@@ -19,6 +19,7 @@ import math
 
 import numpy as np
 
+from .loop_model import largest_of_group
 from ..core.types import (
     CLOSURE, CUT_ROW, DOF, EVALUATIONS, PARENT, PRISMATIC,
     PROJECTION_ITERATIONS, RANK, RANK_REVEALING_COUNT, ROW, ROWS, SINGULAR_COUNT,
@@ -196,9 +197,7 @@ def drive_sine(model, equations, jac, passive):
     drives = np.setdiff1d(np.arange(nv), passive)
     rows = np.vstack([by_angles, joints[drives]]) * weight
     lengths = np.linalg.norm(rows, axis=1)
-    longest = np.zeros(groups.max() + 1)
-    np.maximum.at(longest, groups, lengths[:len(groups)])
-    lengths[:len(groups)] = longest[groups]
+    lengths[:len(groups)] = largest_of_group(lengths[:len(groups)], groups)
     # An equation that no motion can change has no length, and cannot be held.
     rows /= np.where(lengths > 0.0, lengths, 1.0)[:, None]
     try:

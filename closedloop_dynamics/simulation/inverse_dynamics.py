@@ -99,13 +99,13 @@ class InverseDynamics:
         kinematics.outward(system.model, q, qd, system.work)
         if len(table.kind):
             self._effects.steady(q, qd)
-            if table.cuts is not None:
+            if len(table.cuts.index):
                 cut_coordinates.accelerations(
                     table.cuts, system.model, system.work, qdd, True, table.cuts.qdd)
                 table.cuts.qdd[:len(qdd)] = qdd
                 self._effects.hold_rotors(table.cuts.qdd)
             dispatch.apply(
-                system.work.body, table, self._mechanism.coordinates.by_freedom(q), qd,
+                system.effects, self._mechanism.coordinates.by_freedom(q), qd,
                 np.zeros(len(system.tau)))
             self._effects.hold_rotors(None)
             self._effects.unsteady()

@@ -233,10 +233,15 @@ def scaled(jac, groups):
     columns = np.abs(jac).max(axis=0, initial=0.0)
     moves = columns > ROUNDING * columns.max(initial=0.0)
     found = np.where(moves, jac / np.where(moves, columns, 1.0), 0.0)
-    rows = np.zeros(groups.max(initial=-1) + 1)
-    np.maximum.at(rows, groups, np.linalg.norm(found, axis=1))
-    rows = rows[groups][:, np.newaxis]
+    rows = largest_of_group(np.linalg.norm(found, axis=1), groups)[:, np.newaxis]
     return np.where(rows > ROUNDING, found / np.maximum(rows, ROUNDING), 0.0)
+
+
+def largest_of_group(values, groups):
+    """Return for each of some values, zero or more, the largest one of its group."""
+    largest = np.zeros(groups.max(initial=-1) + 1)
+    np.maximum.at(largest, groups, values)
+    return largest[groups]
 
 
 def independent(jac, groups):

@@ -35,8 +35,6 @@ from ..integration.registry import FIXED, INTEGRATORS
 FIRST_SAMPLE, SAMPLE_EVERY = 30, 1000
 # An accuracy counts as kept up to this factor.
 KEPT = 3.0
-# Order of the methods that are no tableau: Rosenbrock's.
-ROSENBROCK_ORDER = 4
 
 
 @dataclass(frozen=True)
@@ -142,8 +140,7 @@ class Monitor:
         self._system, self._method = system, method
         integrator = INTEGRATORS[method.integrator]
         self._fixed = integrator.kind == FIXED
-        tableau = getattr(integrator, 'tableau', None)
-        self._order = tableau.order if tableau is not None else ROSENBROCK_ORDER
+        self._order = integrator.order
         self._probe = None
         self.clear()
 
@@ -162,32 +159,26 @@ class Monitor:
         self._to_sample, self._between, self._local_error = 0, FIRST_SAMPLE, math.nan
         control = getattr(self.driver, 'control', None)
         if control is not None:
-            control[[adaptive.ACCEPTED, adaptive.REJECTED, adaptive.ERROR,
-                     adaptive.LARGEST_ERROR]] = 0.0
+            # What stands between is counted, too.
+            control[adaptive.ACCEPTED:adaptive.LARGEST_ERROR + 1] = 0.0
 
     def rewind(self):
         """Begin as a new driver would: a motion repeated is the same to its last digit."""
         self.driver.rewind()
-        if self._system.partition is not None:
-            forget(self._system.partition)
+        forget(self._system.partition)
         self.restart()
         self.clear()
 
     @property
     def memory(self):
-        """Return what outlasts ``restart``: the step to try next, the choice of coordinates."""
-        return np.concatenate((np.zeros(0), *self._memory()))
+        """Return views of what outlasts ``restart``: the next step, the choice of coordinates."""
+        partition = self._system.partition
+        return (*self.driver.memory, partition.order, partition.record)
 
     def recall(self, memory):
         """Take over the memory of another run."""
-        for part in self._memory():
+        for part in self.memory:
             part[:], memory = memory[:len(part)], memory[len(part):]
-
-    def _memory(self):
-        """Return views of what outlasts ``restart``."""
-        partition = self._system.partition
-        chosen = [] if partition is None else [partition.order, partition.record]
-        return [*self.driver.memory, *chosen]
 
     def restart(self, moved=False):
         """Forget the past of the motion, as a driver does."""
@@ -285,6 +276,9 @@ def copy_into(record, target):
         if name == 'table':
             # The routines may be others by now; the arrays they work on are the copy's own.
             calls.take(place, {which: value[which] for which in calls.ALWAYS})
+        elif name in ('moving', 'records', 'laws'):
+            # Addresses of these and of others.
+            continue
         elif isinstance(value, tuple):
             copy_into(value, place)
         elif isinstance(value, np.ndarray):

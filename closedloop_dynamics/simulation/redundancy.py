@@ -19,12 +19,12 @@ from typing import NamedTuple, Tuple
 
 import numpy as np
 
-from .assembly import Assembler, rank_of, RANK_TOLERANCE
+from .assembly import Assembler, rank_from, rank_of
 from .errors import AssemblyError
 from .loop_model import scaled
 from .plane import PlanarGeometry
 from .space import SpatialGeometry
-from ..core.codegen import pieces
+from ..core.codegen import pieces, space
 from ..core.types import CUT_NUMBER, CUT_TYPE, POSSIBLE
 from ..mechanism.mechanism import MechanismError
 
@@ -84,7 +84,7 @@ def find_redundancy(mechanism, q):
             rank_of(changed[kept | (np.arange(len(jac)) == row)]) == rank_of(changed[kept]))
         repeated.append((*names[row], ANY_LENGTHS if always else THESE_LENGTHS))
     left, singular, _ = np.linalg.svd(scaled(jac, groups))
-    common = left[:, np.count_nonzero(singular > RANK_TOLERANCE * singular.max(initial=0.0)):]
+    common = left[:, rank_from(singular):]
     sharing = np.abs(common).max(axis=1) > NO_SHARE
     return Redundancy(tuple(repeated), tuple(dict.fromkeys(
         name for (name, _), shares in zip(names, sharing) if shares)))
@@ -97,9 +97,9 @@ def geometry_of(mechanism, decomposition=None):
 
 def _names(mechanism, geometry):
     """Return the cut joint or coupling and the name of each equation that may fail to hold."""
-    found, equation_names = [], pieces.arrays_of(geometry.model).equation_names
+    found, held = [], pieces.arrays_of(geometry.model).HELD
     for cut in geometry.model.cut[np.argsort(geometry.model.cut[:, CUT_NUMBER])]:
-        equations = equation_names(cut[CUT_TYPE])
+        equations = space.equation_names(cut[CUT_TYPE], held)
         found += [(mechanism.closures[cut[CUT_NUMBER]].name, equation)
                   for n, equation in enumerate(equations) if cut[POSSIBLE] >> n & 1]
     return found

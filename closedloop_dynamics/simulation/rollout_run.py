@@ -61,6 +61,12 @@ class Schedule:
         """Return how many instants are kept, the start among them."""
         return self.intervals // self.decimation + 1
 
+    @property
+    def rows(self):
+        """Return which row of torques acted just before each instant, shape (instants,)."""
+        ends = np.arange(self.instants) * self.decimation
+        return np.maximum(ends - 1, 0) // self.zero_order_hold
+
     def in_steps(self, steps):
         """Return hold, decimation and length of the run in steps, so many of them an interval."""
         return self.zero_order_hold * steps, self.decimation * steps, self.intervals * steps
@@ -123,7 +129,7 @@ def is_plain(simulation):
     """
     effects = simulation.effect_set
     return (isinstance(simulation.monitor.driver, FixedSteps) and not simulation.leaves_out
-            and simulation.system.partition is None and not simulation.energy_guard.among_laws
+            and not simulation.system.is_independent and not simulation.energy_guard.among_laws
             and not any(effects.drives.values()) and not effects.remembers)
 
 
@@ -265,11 +271,10 @@ def _values_asked_for(simulation, buffer, tau, schedule, quantities):
         if name in values:
             values[name][:] = buffer.state[:, columns]
     others = {name: rows for name, rows in values.items() if name not in STATE}
-    ends = np.arange(schedule.instants) * schedule.decimation
-    rows = np.maximum(ends - 1, 0) // schedule.zero_order_hold
+    efforts = tau[schedule.rows]
     for instant in range(schedule.instants if others else 0):
         simulation.integrated[:] = buffer.state[instant]
-        simulation.system.tau[:] = tau[rows[instant]]
+        simulation.system.tau[:] = efforts[instant]
         simulation.touch()
         _note(simulation, others, instant)
     return values
@@ -277,8 +282,7 @@ def _values_asked_for(simulation, buffer, tau, schedule, quantities):
 
 def _efforts(simulation, buffer, tau, schedule):
     """Return the joint torques at the instants: those of the step before."""
-    ends = np.arange(schedule.instants) * schedule.decimation
-    efforts = tau[np.maximum(ends - 1, 0) // schedule.zero_order_hold]
+    efforts = tau[schedule.rows]
     rows, joints = simulation.effect_set.drive_rows()
     efforts[:, joints] = buffer.output[:, rows, 1]
     return efforts

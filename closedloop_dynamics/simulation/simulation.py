@@ -35,9 +35,8 @@ from .rollout import rollout
 from .scene import load_scene
 from .scene_records import Method, Scene
 from ..core import energy, types as t
-from ..core.codegen import later
+from ..core.codegen import later, REACTIONS, REFINED
 from ..core.formulations import AUGMENTED, SUBSYSTEM, SYSTEM
-from ..core.independent import allocate_partition
 from ..core.loop_closure import largest
 from ..effects.delay_line import DelayLine
 from ..effects.effect import Machine
@@ -46,11 +45,11 @@ from ..effects.energy_balance import EnergyBalance
 from ..integration.adaptive import MOST_EVALUATIONS
 from ..integration.advance import DONE, NOT_FINITE, OPEN_LOOP, TOO_MUCH_WORK
 from ..integration.drivers import build_driver
+from ..integration.evaluation import BAUMGARTE_GAIN, CLOSURE_LIMIT
 from ..integration.fixed_step import joint_forces
-from ..integration.motion import Probe
 from ..integration.registry import INTEGRATORS, SCIPY
 from ..integration.system import (
-    BAUMGARTE_GAIN, build_system, CLOSURE_LIMIT, parts_of_state, with_equations)
+    build_system, on_workspace, parts_of_state, Probe, with_equations, with_partition)
 from ..mechanism.couplings import measured
 from ..mechanism.decomposition import decompose
 from ..mechanism.fields import at, FieldError, keys_of, mapping
@@ -79,6 +78,8 @@ class Simulation:
     decomposition : mechanism.decomposition.Decomposition
     coordinates : mechanism.coordinates.Coordinates
         Names and places of the numbers of positions and velocities.
+    acts_in_cuts : bool
+        Whether anything acts along the coordinates of cut joints.
 
     Raises
     ------
@@ -108,8 +109,7 @@ class Simulation:
         self._cuts = CutJoints(self.mechanism, model, self._rows, placements, acted)
         self._coupling_scales = coupling_scales(self.mechanism)
         self._coupled = coupling_moments(self.mechanism)
-        # Whether anything acts along the coordinates of cut joints.
-        self._act_in_cuts = len(acted) > 0 or self._coupled[0].any() or any(
+        self.acts_in_cuts = len(acted) > 0 or self._coupled[0].any() or any(
             measured(self.mechanism, coupling) for coupling in self.mechanism.couplings)
         for name, angle in scene.initial.turned.items():
             self._effects.begin_angle(name, angle)
@@ -227,11 +227,6 @@ class Simulation:
         for note in simulation.start_notes():
             warnings.warn(note, RuntimeWarning, stacklevel=2)
         return simulation
-
-    @property
-    def acts_in_cuts(self):
-        """Return whether anything acts along the coordinates of cut joints."""
-        return self._act_in_cuts
 
     # Names and sizes.
 
@@ -387,7 +382,7 @@ class Simulation:
         error control from where a command changes.
 
         """
-        return np.concatenate((self._state, self._driver.memory))
+        return np.concatenate((self._state, *self._driver.memory))
 
     # For what integrates many states by compiled loops of its own.
 
@@ -496,7 +491,7 @@ class Simulation:
         """
         lam = self._all_multipliers()
         found = self._equations.cut_wrenches(lam, self.system.work.body)[:len(self.cut_joints)]
-        if self._act_in_cuts:
+        if self.acts_in_cuts:
             self._cuts.add_efforts(self.system.work.body, self._cut_efforts(), found)
             if self._coupled[0].any():
                 found[:, 0] += self._coupled[0] @ self.coupling_forces
@@ -598,7 +593,7 @@ class Simulation:
         lam, system = self._all_multipliers(), self.system
         self._fresh = False
         if self.leaves_out:
-            system = system._replace(model=self._equations.model, work=self._equations.work)
+            system = on_workspace(system, self._equations.model, self._equations.work)
         with self._effects.friction_held():
             found = joint_forces(
                 system, system.tau[np.newaxis], 1, 1, self._state[np.newaxis],
@@ -642,7 +637,7 @@ class Simulation:
 
     def _closure_of_all(self):
         """Return the largest closure error, of equations that are left out among others."""
-        return float(np.abs(self._equations.move(self._q).closures()[0]).max(initial=0.0))
+        return self._equations.move(self._q).closure_error()
 
     @property
     def inertia(self):
@@ -978,7 +973,7 @@ class Simulation:
             The state before the failing step is kept.
 
         """
-        if not self._delayed():
+        if not (self._delay_line.pending or any(self._effects.drives.values())):
             self._command(tau)
             self._advance(self.step_size, steps)
             return
@@ -992,13 +987,9 @@ class Simulation:
             self._advance(self.step_size, count)
             steps -= count
 
-    def _delayed(self):
-        """Return whether any command is, or will be, on its way to a drive."""
-        return self._delay_line.pending or any(self._effects.drives.values())
-
     def _command(self, tau):
         """Let joint torques act from now on."""
-        if not np.array_equal(tau, self.system.tau):
+        if not (tau == self.system.tau).all():
             self._add_work()
             self._driver.restart()
             self.system.tau[:] = tau
@@ -1042,7 +1033,7 @@ class Simulation:
         if not self.leaves_out or self.scene.method.stabilisation not in CLOSING:
             self._advance_unguarded(size, steps)
             return
-        state, memory = self._state.copy(), self._driver.memory
+        state = self.state
         when = self._time_base, self._steps
         try:
             self._advance_unguarded(size, steps)
@@ -1056,8 +1047,8 @@ class Simulation:
         except SimulationError:
             # What is left out may have been what held it together.
             pass
-        self._state[:], (self._time_base, self._steps) = state, when
-        self._driver.recall(memory)
+        self._time_base, self._steps = when
+        self._recall(state)
         self._exchange(self._geometry.keep(None))
         self._advance_unguarded(size, steps)
 
@@ -1228,8 +1219,9 @@ class Simulation:
         self._delay_line = DelayLine()
         self.system.tau[:] = 0.0
         self._time_base, self._steps, self._fresh = 0.0, 0, False
-        self.system.work.health[:] = 0.0
-        self.system.work.health[[t.SMALLEST_PIVOT, t.SMALLEST_PIVOT_EVER]] = 1.0
+        health = self.system.work.health
+        health[:] = 0.0
+        health[t.SMALLEST_PIVOT] = health[t.SMALLEST_PIVOT_EVER] = 1.0
         self._feel_loads()
         if self.system.manifold is not None:
             self._state[-1] = 0.0
@@ -1290,8 +1282,7 @@ class Simulation:
         self._require_closable(method.stabilisation)
         before, anew = self.system, self.leaves_out and not self._may_leave_out(method)
         system = with_equations(before, self._geometry.of(None)[0]) if anew else before
-        system = system._replace(partition=allocate_partition(
-            system.model) if method.stabilisation == 'independent' else None)
+        system = with_partition(system, method.stabilisation == 'independent')
         guard = StiffnessGuard(system, method, self._effects.own)
         guard.check(self._state, method.step_size)
         driver = build_driver(system, method)
@@ -1437,22 +1428,26 @@ class Simulation:
         if residual is None:
             residual = self.energy_balance.residual
         self._start_balance()
-        self._state[:] = state[:len(self._state)]
         steps = round(time / self.step_size)
         exact = steps * self.step_size == time
         self._time_base, self._steps = (0.0, steps) if exact else (time, 0)
         self._effects.restart()
-        self._driver.recall(state[len(self._state):])
+        self._recall(state)
         self._driver.restart()
         self._jump()
         self._jump_balance(self.energy_balance.residual - residual)
 
+    def _recall(self, state):
+        """Take back what ``state`` was."""
+        self._state[:] = state[:len(self._state)]
+        self._driver.recall(state[len(self._state):])
+
     def _try_step(self, state, size):
         """Make a step from a copy of a state, leaving all else as it is; return its status."""
-        memory = self._driver.memory
+        before = self.state
         self._driver.restart(moved=True)
         status, _ = self._driver.driver.advance(state, self.time, 0, size, 1)
-        self._driver.recall(memory)
+        self._recall(before)
         self._driver.restart()
         self._fresh = False
         return status
@@ -1467,11 +1462,14 @@ class Simulation:
         """
         self._try_step(self._state.copy(), 1e-9)
         self.constraint_forces, self.energy, self.closure
-        if (not self.mechanism.planar and self.system.unrolled is not None
-                and len(self.system.lam) > 0):
-            # Its refinement is compiled for each mechanism in space, which takes longer than a
-            # controller may wait.
-            later(self.system.model)
+        # What is compiled for each mechanism takes longer than a controller may wait.
+        needed = []
+        if self.system.is_unrolled and self._table.reaction.size:
+            needed.append(REACTIONS)
+        if self.system.is_unrolled and not self.mechanism.planar and len(self.system.lam):
+            needed += REFINED
+        for place in needed:
+            later(self.system.model, place)
 
     @property
     def monitor(self):

@@ -90,23 +90,6 @@ class SpatialGeometry(LoopModel):
         return _placed(self.equations.move(q).work.body, [placement.row],
                        placement.place(position)[np.newaxis])[0][0]
 
-    def poses(self, q):
-        """
-        Return the poses of the bodies at a position.
-
-        Parameters
-        ----------
-        q : ndarray, shape (nq,)
-            Joint coordinates.
-
-        Returns
-        -------
-        ndarray, shape (nb, 7)
-            As ``poses_among`` does.
-
-        """
-        return self.poses_among(self.equations.move(q).work.body)
-
     def poses_among(self, body):
         """
         Return the poses of the bodies where the rows of the tree are.

@@ -26,8 +26,8 @@ from .formulation_errors import exact_dynamics
 from ..core import codegen
 from ..core.compiled import compiled
 from ..core.formulations import SUBSYSTEM
-from ..integration.system import (
-    build_system, evaluate, evaluate_only, MOST_UNROLLED_BODIES)
+from ..integration.evaluation import evaluate, evaluate_only
+from ..integration.system import build_system, MOST_UNROLLED_BODIES
 from ..simulation.modeling import build_model
 from ..simulation.simulation import FORMULATIONS, Simulation
 

@@ -26,9 +26,9 @@ import time
 
 import numpy as np
 
+from ..integration.evaluation import ASIDE
 from ..integration.precompile import is_stored
 from ..integration.registry import ADAPTIVE, INTEGRATORS
-from ..integration.system import ASIDE
 from ..simulation.errors import SimulationError
 from ..simulation.simulation import Simulation
 

@@ -23,9 +23,9 @@ its stages for each kind of body, which the loops over bodies in ``core`` call (
 
 """
 
-from .function_table import ALWAYS, available, REFINED, take
+from .function_table import ALWAYS, available, REACTIONS, REFINED, take
 
-__all__ = ['available', 'later', 'relink']
+__all__ = ['available', 'later', 'REACTIONS', 'REFINED', 'relink']
 
 
 def relink(model, table):
@@ -45,20 +45,22 @@ def relink(model, table):
     take(table, addresses(model, ALWAYS))
 
 
-def later(model):
+def later(model, place):
     """
-    Return the addresses of a model's routines that are not compiled before they are called.
+    Return the address of a model's routine that is not compiled before it is called.
 
     Parameters
     ----------
     model : core.types.Model
         Constant arrays of the mechanism.
+    place : int
+        Of ``function_table.LATER``.
 
     Returns
     -------
-    dict of int to int
+    int
 
     """
     # Here, as there may be no compiler.
     from .routines import addresses
-    return addresses(model, REFINED)
+    return addresses(model, (place,))[place]

@@ -36,16 +36,18 @@ except ImportError:
 # Addresses of unrolled routines: of a state the accelerations and multipliers; the outward
 # recursion alone, and what follows it; the corrections that close the loops.
 (EVALUATION, OUTWARD, ACCELERATION, CORRECTION,
- # The latter two with refinement, which are not compiled before they are needed.
- REFINED_ACCELERATION, REFINED_CORRECTION,
+ # Not compiled before they are called: the latter two with refinement, and the forces in joints
+ # after them.
+ REFINED_ACCELERATION, REFINED_CORRECTION, REACTIONS,
  # Addresses of the rank-revealing path.
- RANK_REVEALING_ACCELERATION, RANK_REVEALING_POSITION, RANK_REVEALING_VELOCITY) = range(9)
+ RANK_REVEALING_ACCELERATION, RANK_REVEALING_POSITION, RANK_REVEALING_VELOCITY) = range(10)
 ALWAYS = (EVALUATION, OUTWARD, ACCELERATION, CORRECTION)
 REFINED = (REFINED_ACCELERATION, REFINED_CORRECTION)
+LATER = (*REFINED, REACTIONS)
 # Addresses of arrays.
 (BODY, GRAVITY, CUT_POINT, TAU, BAUMGARTE, QDD, LAM, HEALTH, WORK_BODY, CLOSURE, CLOSURE_RATE,
- CORRECTIONS) = range(9, 21)
-TABLE_COLUMNS = 21
+ CORRECTIONS, REACTION) = range(10, 23)
+TABLE_COLUMNS = 23
 # States side by side in the vectors of ``lanes``: one of AVX-512, two of AVX2, four of NEON.
 LANES = 8
 
@@ -199,13 +201,13 @@ def connect(arrays, coordinates, rank_revealing, find):
     Parameters
     ----------
     arrays : dict of int to ndarray
-        By the places BODY to CORRECTIONS; they are kept as long as the function table.
+        By the places BODY to REACTION; they are kept as long as the function table.
     coordinates : int
         Length of q.
     rank_revealing : dict of int to callable
         From RANK_REVEALING_ACCELERATION, _POSITION and _VELOCITY; called with q and qd.
     find : callable
-        Returns the addresses of REFINED, as ``take`` has them.
+        Returns the address of one of LATER.
 
     Returns
     -------
@@ -215,7 +217,7 @@ def connect(arrays, coordinates, rank_revealing, find):
     table = np.zeros(TABLE_COLUMNS, dtype=np.int64)
     for place, array in arrays.items():
         table[place] = array.ctypes.data
-    kept = {place: _SIGNATURE(_compiling(find, place)) for place in REFINED}
+    kept = {place: _SIGNATURE(_compiling(find, place)) for place in LATER}
     for place, function in rank_revealing.items():
         kept[place] = _SIGNATURE(_on_arrays(function, coordinates, len(arrays[QDD])))
     for place, routine in kept.items():
@@ -227,7 +229,7 @@ def connect(arrays, coordinates, rank_revealing, find):
 
 def take(table, routines):
     """
-    Give a table other unrolled routines; REFINED ones are found when called.
+    Give a table other unrolled routines; those of LATER are found when called.
 
     Parameters
     ----------
@@ -239,7 +241,7 @@ def take(table, routines):
     """
     for place, address in routines.items():
         table[place] = address
-    for place in REFINED:
+    for place in LATER:
         table[place] = ctypes.cast(
             _callbacks[id(table)][0][place], ctypes.c_void_p).value
 
@@ -247,7 +249,7 @@ def take(table, routines):
 def _compiling(find, place):
     """Return a function that finds a routine, links it in its own place, and calls it."""
     def called(table, q, qd):
-        address = find()[place]
+        address = find(place)
         (ctypes.c_int64 * TABLE_COLUMNS).from_address(table)[place] = address
         return _SIGNATURE(address)(table, q, qd)
 

@@ -86,23 +86,6 @@ def group_of(kind, number):
     return int(kind != CUT_DISTANCE and number >= len(HELD[kind][1]))
 
 
-def equation_names(kind):
-    """
-    Name the equations of a cut joint, as ``space.equation_names``.
-
-    Parameters
-    ----------
-    kind : int
-        Its ``CUT_TYPE``.
-
-    Returns
-    -------
-    list of str
-
-    """
-    return space.equation_names(kind, HELD)
-
-
 def number_equations(cut):
     """
     Fill in the numbers of the equations that the elimination works on.

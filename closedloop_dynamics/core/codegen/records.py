@@ -13,10 +13,14 @@
 # limitations under the License.
 
 """
-Records of arrays behind an address, and compiled functions that are called with one.
+Functions that compiled code calls by their address, each with the address of a record.
 
-What a function is compiled for depends on the type of its arguments. A function that is handed
-the address of a record has one type for all of them: who calls it needs to be compiled only once.
+What a function is compiled for depends on the types of its arguments. Who knows only addresses is
+compiled once, and what a scene does not need has no address: it is not compiled at all.
+
+Addresses are arrays: first that of the record, which all functions work on, then those of the
+functions, zero for those that are not there. Without a compiler they are lists of the things
+themselves.
 
 """
 
@@ -26,7 +30,10 @@ import functools
 import numpy as np
 
 from . import function_table
+from ..compiled import merged, replaced
 
+# Place of the record among addresses.
+RECORD = 0
 _SIGNATURE = ctypes.CFUNCTYPE(
     ctypes.c_int64, ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64, ctypes.c_void_p,
     ctypes.c_void_p)
@@ -94,37 +101,41 @@ if function_table.available():
         return kind(address, types.intp), generate
 
     @intrinsic
-    def call_with_record(typingctx, addresses, what, first, second):
+    def call_at(typingctx, addresses, place, number, first, second):
         """
-        Call a function behind an address.
+        Call a function by its address.
 
         Parameters
         ----------
         typingctx
             Of numba.
         addresses : ndarray of int
-            Of the function and of its record, as ``addresses_of`` returns them.
-        what : int
-            What it shall do.
+            As ``link`` fills it.
+        place : int
+            Of the function among them.
+        number : int
+            What it is told.
         first, second : ndarray, shape (n,)
-            What it shall work on.
+            What it shall work on. It sees both with the length of the first.
 
         Returns
         -------
         int
+            1 where a question is answered by yes.
 
         """
         def generate(context, builder, signature, arguments):
             table, one, other = (
                 context.make_array(signature.args[n])(context, builder, arguments[n])
-                for n in (0, 2, 3))
+                for n in (0, 3, 4))
             function, record = (
-                builder.load(builder.gep(table.data, [WORD(place)])) for place in range(2))
-            handed = [record, arguments[1], one.nitems, one.data, other.data]
+                builder.load(builder.gep(table.data, [place]))
+                for place in (arguments[1], WORD(RECORD)))
+            handed = [record, arguments[2], one.nitems, one.data, other.data]
             kind = ir.FunctionType(WORD, [value.type for value in handed])
             return builder.call(builder.inttoptr(function, kind.as_pointer()), handed)
 
-        return types.int64(addresses, types.int64, first, second), generate
+        return types.int64(addresses, types.intp, types.int64, first, second), generate
 else:
     def record_at(address):
         """Return the record, which without a compiler stands for its address."""
@@ -134,41 +145,61 @@ else:
         """Return the array, which without a compiler stands for its address."""
         return address
 
-    def call_with_record(addresses, what, first, second):
-        """Call the function, which without a compiler stands with its record for both."""
-        function, record = addresses
-        return function(record, what, len(first), first, second)
+    def call_at(addresses, place, number, first, second):
+        """Call the function, which without a compiler stands for its address."""
+        return addresses[place](addresses[RECORD], number, len(first), first, second)
 
 
-def addresses_of(function, record):
+def addressed(function):
     """
-    Return where a function and its record are, the function compiled for such a record.
+    Compile what is called by its address.
 
     Parameters
     ----------
-    function : compiled function
-        By ``compiled.addressed``; of a pointer to the record, what to do, the length of arrays,
-        and pointers to two of them.
+    function : function
+        Of a record, a number, and two arrays of the same length; returns a number, 1 for yes.
+
+    """
+    kernel = merged(function)
+
+    def called(address, number, count, first, second):
+        return int(kernel(
+            record_at(address), number, array_at(first, count), array_at(second, count)))
+
+    return replaced(function, called)
+
+
+def link(record, functions):
+    """
+    Return addresses.
+
+    Parameters
+    ----------
     record : NamedTuple
-        Of arrays, None and further such records.
+        Of arrays, None and further such records; all must outlast the addresses.
+    functions : sequence
+        Of functions that are ``addressed``, compiled here for such a record, or None.
 
     Returns
     -------
-    addresses : ndarray of int, shape (2,)
+    addresses : ndarray of int, shape (1 + number of functions,)
     words : ndarray of int
         The record as it is laid out, to be kept as long as its arrays.
 
     """
     if not function_table.available():
-        return (function, record), None
+        return [record, *(function or 0 for function in functions)], np.zeros(0, dtype=np.int64)
     words, kind = packed(record)
-    if (function, kind) not in _compiled:
-        _compiled[function, kind] = _address(function, typeof(record))
-    return np.array([_compiled[function, kind], words.ctypes.data]), words
+    addresses = [words.ctypes.data]
+    for function in functions:
+        if function is not None and (function, kind) not in _compiled:
+            _compiled[function, kind] = _address(function, typeof(record))
+        addresses.append(0 if function is None else _compiled[function, kind])
+    return np.array(addresses), words
 
 
 def _address(function, record):
-    """Return where a function is, compiled for a type of records."""
+    """Compile a function for a type of records, and return its address."""
     numbers = types.CPointer(types.float64)
     signature = (types.CPointer(record), types.int64, types.int64, numbers, numbers)
     function.compile(signature)
@@ -176,18 +207,18 @@ def _address(function, record):
     return code.library.get_pointer_to_function(code.fndesc.llvm_cfunc_wrapper_name)
 
 
-def from_python(addresses, what, array):
+def from_python(addresses, place, array):
     """
-    Return the function behind addresses as one that Python calls again and again.
+    Return a function behind addresses as one that Python calls again and again.
 
     Parameters
     ----------
     addresses : ndarray of int
-        As ``addresses_of`` returns them.
-    what : int
-        What it shall do.
+        As ``link`` returns them.
+    place : int
+        Of the function among them.
     array : ndarray, shape (n,)
-        On what, which must outlast it; handed over as both.
+        On what, which must outlast it; handed over as both. The function is told zero.
 
     Returns
     -------
@@ -196,10 +227,10 @@ def from_python(addresses, what, array):
 
     """
     if not function_table.available():
-        return functools.partial(call_with_record, addresses, what, array, array)
+        return functools.partial(call_at, addresses, place, 0, array, array)
     return functools.partial(
-        _SIGNATURE(int(addresses[0])), int(addresses[1]), what, len(array), array.ctypes.data,
-        array.ctypes.data)
+        _SIGNATURE(int(addresses[place])), int(addresses[RECORD]), 0, len(array),
+        array.ctypes.data, array.ctypes.data)
 
 
 def packed(record):

@@ -16,23 +16,26 @@
 
 import numpy as np
 
-from . import emit, plane, rows, space
+from . import emit, plane, space
 from .expression_graph import (
     ADD, DIVIDE, ExpressionGraph, LOAD, MULTIPLY, NEGATE, Routine, SUBTRACT, unrolled)
 from .function_table import (
     ACCELERATION, BAUMGARTE, BODY, CLOSURE, CLOSURE_RATE, CORRECTION, CORRECTIONS, CUT_POINT,
-    EVALUATION, GRAVITY, HEALTH, LAM, OUTWARD, QDD, REFINED_ACCELERATION, REFINED_CORRECTION, TAU,
-    WORK_BODY)
+    EVALUATION, GRAVITY, HEALTH, LAM, OUTWARD, QDD, REACTION, REACTIONS, REFINED_ACCELERATION,
+    REFINED_CORRECTION, TAU, WORK_BODY)
 from .packed_writer import PackedWriter
-from .spatial import Recursion
+from .rows import by_column, matrix, six
+from .spatial import Recursion, rigid
+from .vectors import add, scale, subtract, times, ZERO
 from .. import (
     articulated_inertia, elimination, forward_dynamics, kinematics, loop_closure, refinement)
-from ..types import number_of_coordinates, RHS, TYPE, Workspace
+from ..types import (
+    BODY_A, BODY_B, CUT_ROW, DOF, number_of_coordinates, PARENT, RHS, TYPE, Workspace)
 from ..workspace import unconnected
 
 NAMES = {EVALUATION: 'evaluation', OUTWARD: 'outward', ACCELERATION: 'acceleration',
          CORRECTION: 'correction', REFINED_ACCELERATION: 'refined_acceleration',
-         REFINED_CORRECTION: 'refined_correction'}
+         REFINED_CORRECTION: 'refined_correction', REACTIONS: 'reactions'}
 
 
 def topology(model):
@@ -190,9 +193,9 @@ class Unrolling:
                 self.work.body, one.motion, one.inertia, one.force):
             columns = arrays.columns_of(motion)
             if force is not None:
-                columns.update(rows.by_column(force, arrays.FORCES))
+                columns.update(by_column(force, arrays.FORCES))
             if arrays is plane and inertia is not None:
-                columns.update(rows.by_column(inertia, arrays.INERTIAS))
+                columns.update(by_column(inertia, arrays.INERTIAS))
             for place, value in columns.items():
                 if arrays is plane or place < space.OFFSET:
                     row[place] = value
@@ -210,8 +213,8 @@ class Unrolling:
                 acceleration=plane.motion_of(body[0], one.bodies[0], one.ground).acceleration)
             one.motion = [one.ground, *(arrays.motion_of(row, each, one.ground)
                                         for row, each in zip(body[1:], one.bodies[1:]))]
-            one.inertia = [None, *(rows.matrix(row, arrays.INERTIAS) for row in body[1:])]
-        one.force = [None, *(rows.six(row, arrays.FORCES) for row in body[1:])]
+            one.inertia = [None, *(matrix(row, arrays.INERTIAS) for row in body[1:])]
+        one.force = [None, *(six(row, arrays.FORCES) for row in body[1:])]
 
     def acceleration(self, by=forward_dynamics):
         """Accelerations and multipliers after ``outward`` and the effects."""
@@ -233,6 +236,35 @@ class Unrolling:
         self.store(QDD, qdd)
         self.store(LAM, lam)
         self.store(HEALTH, self.work.health)
+
+    def reactions(self):
+        """Sum up the forces in the joints of the trees, by Newton, after the accelerations."""
+        self.recursion.hinges = ()
+        self.read()
+        one, tree = self.recursion, self.constant.tree
+        places = {component: n for n, component in enumerate(self.arrays.FORCES)}
+        # Bias forces, and what effects have added to them.
+        rows = self.symbols(REACTION, (len(tree), 2 * len(places)))
+        qdd, lam = self.symbols(QDD, (self.nv,)), self.symbols(LAM, (self.nc,))
+        for frame, turns in one.balls(self.constant):
+            qdd[turns] = times(frame, qdd[turns])
+        after, forces = [2 * ZERO], [ZERO]
+        for i in range(1, len(tree)):
+            after.append(one.follow(i, after[tree[i, PARENT]], qdd[tree[i, DOF]]))
+            inertia, _ = rigid(one.bodies[i], one.motion[i])
+            forces.append(add(six(rows[i], places), times(inertia, after[i]))[3:])
+        for a, cut in enumerate(self.constant.cut):
+            for row, closure in enumerate(
+                    one.closures(self.model, a), start=cut[CUT_ROW]):
+                for body, unit in ((BODY_A, closure.on_a), (BODY_B, closure.on_b)):
+                    forces[cut[body]] = subtract(forces[cut[body]], scale(unit[3:], lam[row]))
+        for i in range(len(tree) - 1, 0, -1):
+            parent = tree[i, PARENT]
+            forces[parent] = add(forces[parent], forces[i])
+            for component, place in places.items():
+                if component > 2:
+                    rows[i, place] = forces[i][component - 3]
+        self.store(REACTION, rows)
 
     def refined_correction(self):
         """Do as ``correction`` does, for links much lighter than others."""

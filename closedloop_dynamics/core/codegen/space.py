@@ -149,7 +149,7 @@ _TURNS = {(Z, X): 'turning about y', (Z, Y): 'turning about x', (X, Y): 'turning
           (X, Z): 'angle of the axes'}
 
 
-def equation_names(kind, held=HELD):
+def equation_names(kind, held):
     """
     Name the equations of a cut joint; x, y and z are the world's, or its own where it slides.
 
@@ -158,7 +158,7 @@ def equation_names(kind, held=HELD):
     kind : int
         Its ``CUT_TYPE``.
     held : sequence or dict
-        What cut joints hold, by type, as ``HELD``.
+        What cut joints hold, by type: ``HELD``, here or of ``plane``.
 
     Returns
     -------
@@ -502,12 +502,12 @@ def number_equations(cut):
 
 def number_rows(cut, lengths):
     """
-    Do the same.
+    Fill in the numbers of the equations that are kept, given which of these hold places.
 
     Parameters
     ----------
     cut : ndarray of int, shape (number of cuts, CUT_COLUMNS)
-        As above.
+        As for ``number_equations``.
     lengths : sequence of int
         Of each cut joint, the bits of its equations that hold places.
 
