@@ -54,7 +54,7 @@ def load():
             process.wait()
 
 
-def attack(pair, starts, processes, listener):
+def attack(pair, starts, processes, listener, enough=STATES):
     """Start a pair so often; return what those said that did not end well."""
     file, simulated, driven = PAIRS[pair]
     arguments = ['--ros-args', '--params-file', str(file)] if file else []
@@ -72,7 +72,7 @@ def attack(pair, starts, processes, listener):
                 Float64MultiArray, 'torque_command', lambda message: None, 10)
             listener.wait(
                 lambda: simulator.popen.poll() is not None or source.popen.poll() is not None
-                or sum(any(state.effort) for state in states) > STATES, 'a run that ends or lasts')
+                or sum(any(state.effort) for state in states) > enough, 'a run that ends or lasts')
         codes = simulator.stop(), source.stop()
         listener.node.destroy_subscription(ear)
         if codes != (0, 0) or 'Traceback' in simulator.output + source.output:
@@ -82,7 +82,7 @@ def attack(pair, starts, processes, listener):
 
 
 def test_pair_of_commands_ends_well_on_a_busy_machine(processes, listener):
-    assert attack('scraper', 1, processes, listener) == []
+    assert attack('scraper', 1, processes, listener, STATES // 4) == []
 
 
 @pytest.mark.slow

@@ -20,7 +20,7 @@ from .engine import Engine
 from ..reference import cases
 
 
-@pytest.fixture(scope='module', params=cases.ALL, ids=str)
+@pytest.fixture(scope='module', params=cases.PARAMETERS, ids=str)
 def drawn(request):
     """Return (rng, mechanism, q, qd) of each case, the state closed."""
     return cases.drawn(request.param, seed=3)

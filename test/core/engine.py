@@ -19,7 +19,9 @@ from closedloop_dynamics.core import (
     kinematics, loop_closure)
 from closedloop_dynamics.core.formulations import SUBSYSTEM
 from closedloop_dynamics.core.types import ALPHA, NO_RESPONSES, PX, PY, REDUCED
-from closedloop_dynamics.integration.system import build_system, evaluate
+from closedloop_dynamics.effects.forces import velocity
+from closedloop_dynamics.integration.evaluation import evaluate
+from closedloop_dynamics.integration.system import build_system
 from closedloop_dynamics.mechanism.decomposition import decompose
 from closedloop_dynamics.simulation.modeling import body_rows, build_model
 import numpy as np
@@ -70,10 +72,9 @@ class Engine:
 
     def point(self, name, position):
         """Return (place, velocity) of a point on a body after ``move``."""
-        place, velocity = np.empty(2), np.empty(2)
-        kinematics.point_position(self.work, self.body_row[name], *position, place)
-        kinematics.point_velocity(self.work, self.body_row[name], *position, velocity)
-        return place, velocity
+        place, row = np.empty(2), self.body_row[name]
+        kinematics.point_position(self.work, row, *position, place)
+        return place, np.array(velocity(self.work.body, row, *place))
 
     def closure(self, q, qd):
         """Return psi, J qd, Jdot qd."""

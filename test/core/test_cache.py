@@ -13,12 +13,16 @@
 # limitations under the License.
 """Tests of closedloop_dynamics.core.cache: what stored code depends on."""
 
+import gc
 import os
 from pathlib import Path
 import time
 
 from closedloop_dynamics.core import cache
+from closedloop_dynamics.core.codegen import available
 import grimp
+import numba
+from numba.core import event
 import pytest
 
 
@@ -70,3 +74,33 @@ def test_code_is_kept_where_users_keep_caches(tmp_path, monkeypatch, environment
     found = cache.directory.__wrapped__()
     assert found.parent == tmp_path / place / Path(cache.__file__).parents[1].name
     assert found.is_dir()
+
+
+@pytest.fixture
+def thresholds():
+    before = gc.get_threshold()
+    gc.set_threshold(700, 9, 8)
+    yield gc.get_threshold()
+    gc.set_threshold(*before)
+
+
+@pytest.mark.skipif(not available(), reason='nothing is compiled')
+def test_garbage_is_looked_for_as_before_after_code_was_compiled(thresholds):
+    during = []
+    # Neither comes from the disk.
+    good, bad = numba.njit(lambda x: x + 1), numba.njit(lambda x: x + 'one')
+
+    class Listener(event.Listener):
+
+        def on_start(self, _):
+            during.append(gc.get_threshold())
+
+        def on_end(self, _):
+            pass
+
+    with event.install_listener('numba:compile', Listener()):
+        assert good(1) == 2
+        with pytest.raises(numba.TypingError):
+            bad(1)
+    assert len(during) >= 2 and all(objects > 10000 for objects, *_ in during)
+    assert gc.get_threshold() == thresholds

@@ -26,8 +26,9 @@ from closedloop_dynamics.core.codegen.expression_graph import (
 from closedloop_dynamics.core.codegen.packed_writer import (
     by_number, PackedWriter, Packing, WORTH)
 from closedloop_dynamics.core.types import ALPHA, AY, REVOLUTE_ARMATURE, TYPE
-from closedloop_dynamics.integration.motion import narrowed, rate_of_change, stabilised
-from closedloop_dynamics.integration.system import build_system, evaluate
+from closedloop_dynamics.integration.evaluation import evaluate
+from closedloop_dynamics.integration.motion import derivative, stabilise
+from closedloop_dynamics.integration.system import build_system
 from closedloop_dynamics.simulation.modeling import build_model
 import numpy as np
 import pytest
@@ -53,7 +54,7 @@ def test_evaluations_agree(drawn):
     for system in systems(mechanism, baumgarte=3.0):
         system.tau[:] = tau
         out = np.zeros(2 * len(q))
-        rate_of_change(narrowed(system), np.concatenate([q, qd]), out)
+        derivative(system.moving, np.concatenate([q, qd]), out)
         assert_agree(out[:len(q)], qd, SOLVE)
         # What is asked for from Python leaves poses and closure errors, too.
         evaluate(system, q, qd)
@@ -70,7 +71,7 @@ def test_corrections_agree(drawn):
     ends = []
     for system in systems(mechanism):
         state = start.copy()
-        assert stabilised(narrowed(system), PROJECTION, state)
+        assert stabilise(system.moving, PROJECTION, state)
         assert np.abs(system.work.closure).max(initial=0.0) < 1e-11
         ends.append(state)
     assert_agree(*ends, 1e-9)
@@ -89,7 +90,7 @@ def test_change_of_parameters_is_seen_and_a_rotor_links_anew():
             if change == 2:
                 system.model.tree[3, TYPE], system.model.body[3, 7] = REVOLUTE_ARMATURE, 0.7
                 pieces.connect(system.model, system.work.piece, system.work.cut_piece)
-                if system.unrolled is not None:
+                if system.is_unrolled:
                     relink(system.model, system.table)
             evaluate(system, q, qd)
         if change:

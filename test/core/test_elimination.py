@@ -16,6 +16,7 @@
 
 from dataclasses import replace
 
+from closedloop_dynamics.core.codegen import available
 from closedloop_dynamics.core.types import RANK, RANK_REVEALING_COUNT, SMALLEST_PIVOT
 import numpy as np
 import pytest
@@ -66,13 +67,10 @@ def every_loop_twice(mechanism):
         for key in ('cut_joints', 'couplings')})
 
 
-@pytest.mark.parametrize('case', cases.ALL, ids=str)
-def test_every_loop_twice_moves_the_same_and_shares_the_force(case):
+def check_that_doubled_loops_share_the_force(case, unrolled):
     rng, mechanism, q, qd = cases.drawn(case)
     tau = rng.normal(size=len(q))
     qdd, lam = dense.forward_dynamics(mechanism, q, qd, tau)
-    # Unrolling so many equations takes a second or more: random linkages go by loops.
-    unrolled = False if case in cases.RANDOM[4:] else None
     twice = every_loop_twice(mechanism)
     engine = Engine(twice, unrolled=unrolled)
     found, forces = engine.forward_dynamics(q, qd, tau)
@@ -84,6 +82,18 @@ def test_every_loop_twice_moves_the_same_and_shares_the_force(case):
     # Least norm: half on each.
     assert_agree(one, other, 1e-9)
     assert engine.work.health[RANK] == len(lam)
+
+
+@pytest.mark.parametrize('case', cases.ALL, ids=str)
+def test_every_loop_twice_moves_the_same_and_shares_the_force(case):
+    check_that_doubled_loops_share_the_force(case, False)
+
+
+# Unrolling so many equations takes a second: the shipped mechanisms, the others with --all.
+@pytest.mark.skipif(not available(), reason='nothing is unrolled without a compiler')
+@pytest.mark.parametrize('case', cases.first(len(cases.SHIPPED), cases.ALL), ids=str)
+def test_every_loop_twice_moves_the_same_unrolled(case):
+    check_that_doubled_loops_share_the_force(case, None)
 
 
 def test_independent_equations_never_take_the_rank_revealing_path(drawn, engine):

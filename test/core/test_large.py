@@ -17,7 +17,8 @@
 import os
 
 from closedloop_dynamics.core.types import RANK, RANK_REVEALING_COUNT
-from closedloop_dynamics.integration.system import build_system, evaluate
+from closedloop_dynamics.integration.evaluation import evaluate
+from closedloop_dynamics.integration.system import build_system
 from closedloop_dynamics.mechanism.decomposition import decompose
 from closedloop_dynamics.mechanism.validation import validate_mechanism
 from closedloop_dynamics.simulation.modeling import build_model

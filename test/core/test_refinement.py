@@ -17,8 +17,9 @@
 from dataclasses import replace
 
 from closedloop_dynamics.core.types import RANK, RANK_REVEALING_COUNT, SMALLEST_PIVOT
+from closedloop_dynamics.integration.evaluation import evaluate
 from closedloop_dynamics.integration.projection import correction, factor_configuration
-from closedloop_dynamics.integration.system import build_system, evaluate
+from closedloop_dynamics.integration.system import build_system
 from closedloop_dynamics.simulation.modeling import build_model
 import numpy as np
 import pytest

@@ -25,6 +25,7 @@ import numpy as np
 import pytest
 
 from .engine import Engine
+from ..mechanism.test_between import FOUR_BAR
 from ..reference import cases, dense
 from ..reference.compare import assert_agree, IDENTITY, SOLVE
 
@@ -199,3 +200,19 @@ def test_simulation_uses_the_method_by_default():
         q, qd, np.zeros(7))
     for found, value in zip(simulation.forward_dynamics(q, qd), expected):
         assert_agree(found, value, IDENTITY)
+
+
+def test_the_tree_that_is_chosen_moves_as_another_one(tmp_path):
+    # Without a compiler, too, where no operations are counted.
+    (tmp_path / 'scene.yaml').write_text(
+        'mechanism: ./machine.yaml\ninitial: {position: {crank_joint: 1.0, coupler_joint: -0.5, '
+        'tip: 1.2, rocker_joint: 1.7}, hold: [crank_joint]}\n'
+        'effects: {gravity: {type: gravity, acceleration: [0.0, -9.81]}}')
+    accelerations = {}
+    for text in (FOUR_BAR, FOUR_BAR.replace('[0, 0]]}', '[0, 0]], cut: true}')):
+        (tmp_path / 'machine.yaml').write_text(text)
+        simulation = Simulation.from_scene(tmp_path / 'scene.yaml')
+        accelerations[simulation.mechanism.tree.cut] = simulation.acceleration[0]
+    assert set(accelerations) == {('tip',), ('rocker_joint',)}
+    assert abs(accelerations['tip',]) > 1.0
+    assert_agree(*accelerations.values(), SOLVE)

@@ -20,7 +20,8 @@ from closedloop_dynamics.core.codegen import available
 from closedloop_dynamics.core.codegen.plane import possible
 from closedloop_dynamics.core.types import (
     CUT_FIXED, CUT_PRISMATIC, CUT_REVOLUTE, CUT_TYPE, KEPT, SMALLEST_PIVOT)
-from closedloop_dynamics.integration.system import build_system, evaluate
+from closedloop_dynamics.integration.evaluation import evaluate
+from closedloop_dynamics.integration.system import build_system
 from closedloop_dynamics.simulation.modeling import build_model
 import numpy as np
 import pytest

@@ -65,7 +65,8 @@ def accelerations(mechanism, q, qd, tau, effects):
     numbers.move(q, qd)
     body = np.zeros((len(built.model.tree), WORK_COLUMNS))
     numbers.write(body)
-    dispatch.apply(body, table, q, qd, tau)
+    linked, kept = dispatch.linked(table, body, tau)
+    dispatch.apply(linked, q, qd, tau)
     numbers.read(body)
     return numbers.accelerations(table.applied, 0.0)[0], table
 

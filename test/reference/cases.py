@@ -20,10 +20,13 @@ random linkages by number.
 
 """
 
+import copy
+import functools
 import os
 
 from closedloop_dynamics.simulation.scene import load_scene
 import numpy as np
+import pytest
 
 from . import linkages, special, states
 
@@ -38,6 +41,16 @@ RANDOM = range(4 if 'NUMBA_DISABLE_JIT' in os.environ else 20)
 # Rods, pins in slots, couplings.
 ELEMENTS = tuple(f'elements_{n}' for n in range(2 if 'NUMBA_DISABLE_JIT' in os.environ else 8))
 ALL = (*SHIPPED, *SPECIAL, *RANDOM, *ELEMENTS)
+
+
+def first(number, values):
+    """Return the parameters of a test that draws at random: all after the first are slow."""
+    return [value if k < number else pytest.param(value, marks=pytest.mark.slow)
+            for k, value in enumerate(values)]
+
+
+# Two of each kind of random linkage, and half of those with elements; --all takes the others.
+PARAMETERS = (*SHIPPED, *SPECIAL, *first(8, RANDOM), *first(4, ELEMENTS))
 
 
 def drawn(case, seed=0):
@@ -60,6 +73,13 @@ def drawn(case, seed=0):
         A state that closes the loops.
 
     """
+    rng, mechanism, q, qd = _drawn(case, seed)
+    return copy.deepcopy(rng), mechanism, q.copy(), qd.copy()
+
+
+@functools.cache
+def _drawn(case, seed):
+    """Return the same once and for all: many tests draw the same, some by many attempts."""
     rng = np.random.default_rng([ALL.index(case), seed])
     if case in SHIPPED:
         scene = load_scene(case)

@@ -23,7 +23,7 @@ from .compare import assert_agree, IDENTITY, SOLVE
 from .trees import derivative
 
 
-@pytest.fixture(params=cases.ALL, ids=str)
+@pytest.fixture(params=cases.PARAMETERS, ids=str)
 def case(request):
     """Return (rng, mechanism, q, qd), the state closed."""
     return cases.drawn(request.param, seed=2)

@@ -14,9 +14,11 @@
 
 """A running simulation knows its cost and its error, and moves no differently for it."""
 
+from copy import deepcopy
 from dataclasses import replace
 import math
 
+from closedloop_dynamics.integration.evaluation import evaluate
 from closedloop_dynamics.simulation.monitor import FIRST_SAMPLE
 from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
@@ -64,6 +66,16 @@ def test_local_error_of_fixed_steps_is_that_of_a_step():
     fine.step(duration=1e-2)
     actual = np.abs(coarse.position - fine.position).max()
     assert coarse.report().local_error == pytest.approx(actual, rel=0.3)
+
+
+def test_effects_act_on_the_copy_that_samples_are_computed_with():
+    one = Simulation.from_scene('carpet_scraper_on_carpet')
+    other = deepcopy(one.system)
+    one.step(duration=0.1)
+    other.effects.states[:] = one.system.effects.states
+    for system in (one.system, other):
+        evaluate(system, one.position, one.velocity)
+    assert np.array_equal(other.qdd, one.system.qdd)
 
 
 def test_local_error_of_error_control_is_below_the_tolerance():

@@ -23,8 +23,9 @@ from closedloop_dynamics.effects.gravity import Gravity
 from closedloop_dynamics.effects.joint_damping import JointDamping
 from closedloop_dynamics.effects.joint_spring import JointSpring
 from closedloop_dynamics.effects.sensor import Sensor
+from closedloop_dynamics.integration.evaluation import derivative
 from closedloop_dynamics.integration.registry import FIXED, INTEGRATORS
-from closedloop_dynamics.integration.system import derivative, parts_of_state
+from closedloop_dynamics.integration.system import parts_of_state
 from closedloop_dynamics.mechanism.fields import FieldError
 from closedloop_dynamics.mechanism.mechanism import Body, CutJoint, Joint, Mechanism, Point
 from closedloop_dynamics.recording.run import columns, Report, run

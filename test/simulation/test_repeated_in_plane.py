@@ -19,10 +19,12 @@ import math
 
 from closedloop_dynamics.core.codegen import available
 from closedloop_dynamics.core.types import RANK_REVEALING_COUNT
+from closedloop_dynamics.effects.external_force import ExternalForce
 from closedloop_dynamics.effects.joint_friction import JointFriction
 from closedloop_dynamics.effects.prescribed_motion import PrescribedMotion
 from closedloop_dynamics.mechanism.mechanism import (
-    Body, Coupling, CutJoint, DISTANCE, Joint, Mechanism, POINT_ON_LINE, PRISMATIC, REVOLUTE)
+    Body, Coupling, CutJoint, DISTANCE, Joint, Mechanism, Point, POINT_ON_LINE, PRISMATIC,
+    REVOLUTE)
 from closedloop_dynamics.simulation.plane import PlanarGeometry
 from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.simulation.scene_records import Method
@@ -121,6 +123,15 @@ def test_what_repeats_others_is_left_out_and_nothing_else_changes(name):
     assert_same_evaluation(one, by_all_equations(one))
     assert one.system.work.health[RANK_REVEALING_COUNT] == 0
     assert one.closure < 1e-11
+
+
+def test_a_force_on_a_body_is_felt_in_all_joints():
+    mechanism, q, qd = locomotive(3)
+    mechanism = replace(mechanism, points=(Point('end', 'rod_0', (0.3, 0.1)),))
+    one = simulate((mechanism, q, qd), {'pull': ExternalForce('end', (400.0, -700.0), 30.0)},
+                   **STEPS)
+    assert one.leaves_out
+    assert_same_evaluation(one, by_all_equations(one))
 
 
 @pytest.mark.parametrize('formulation', ['system', 'augmented'])

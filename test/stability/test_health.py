@@ -21,7 +21,8 @@ from closedloop_dynamics.core.types import CUT_ROW, ROW
 from closedloop_dynamics.effects.actuator import Actuator
 from closedloop_dynamics.effects.joint_damping import JointDamping
 from closedloop_dynamics.effects.joint_spring import JointSpring
-from closedloop_dynamics.integration.system import build_system, evaluate
+from closedloop_dynamics.integration.evaluation import evaluate
+from closedloop_dynamics.integration.system import build_system
 from closedloop_dynamics.mechanism.mechanism import Body, MechanismError
 from closedloop_dynamics.mechanism.reader import read_mechanism
 from closedloop_dynamics.mechanism.validation import validate_mechanism

@@ -18,7 +18,8 @@ import csv
 import math
 
 from closedloop_dynamics.cli import main
-from closedloop_dynamics.integration.system import build_system, evaluate
+from closedloop_dynamics.integration.evaluation import evaluate
+from closedloop_dynamics.integration.system import build_system
 from closedloop_dynamics.mechanism.mechanism import PRISMATIC
 from closedloop_dynamics.mechanism.validation import validate_mechanism
 from closedloop_dynamics.simulation.modeling import build_model

@@ -24,7 +24,10 @@ import pytest
 PLANAR = [name for name in scene_names() if load_scene(name).mechanism.planar]
 
 
-@pytest.mark.parametrize('name', PLANAR)
+# A cam follower has hundreds of numbers, all but some of the points of its curve.
+@pytest.mark.parametrize('name', [
+    pytest.param(name, marks=pytest.mark.slow) if name == 'cam_follower' else name
+    for name in PLANAR])
 def test_every_number_can_be_reached_and_changed_alone(name):
     scene = load_scene(name)
     before = numbers(scene)

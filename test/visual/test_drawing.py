@@ -27,6 +27,8 @@ import numpy as np
 import pytest
 
 SCENES = ('carpet_scraper', 'four_bar', 'hoeken_pantograph_leg', 'slider_crank', 'three_rrr')
+# Of as many joints, all of them turning, as another one.
+SIMILAR = ('carpet_scraper', 'hoeken_pantograph_leg')
 # Every kind of joint and cut, on the ground and between bodies; no named point.
 EVERYTHING = """
 name: everything
@@ -142,7 +144,9 @@ def check_picture(figure):
     assert '[' in shown[-1].get_xlabel()
 
 
-@pytest.mark.parametrize('scene', SCENES)
+@pytest.mark.parametrize('scene', [
+    pytest.param(scene, marks=pytest.mark.slow) if scene in SIMILAR else scene
+    for scene in SCENES])
 def test_pictures_of_shipped_scenes_are_readable(scene):
     motion, _ = simulated(scene)
     for figure in pictures_of(motion):

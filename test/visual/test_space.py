@@ -26,9 +26,10 @@ import numpy as np
 import pytest
 
 from .test_drawing import check_picture, drawn, pictures_of
-from ..reference import spatial_linkages, spatial_machines, spatial_maximal as twin
+from ..reference import cases, spatial_linkages, spatial_machines, spatial_maximal as twin
 
 MACHINES = ('bricard', 'delta_robot', 'rssr_four_bar', 'stewart_platform')
+LARGE = ('delta_robot', 'stewart_platform')
 
 
 def at_zero(mechanism):
@@ -53,7 +54,7 @@ def waved(name, count=40):
         forces=rng.normal(size=(count, len(mechanism.cut_joints), 6)))
 
 
-@pytest.mark.parametrize('seed', range(40))
+@pytest.mark.parametrize('seed', cases.first(12, range(40)))
 def test_bodies_are_placed_and_loops_seen_as_in_maximal_coordinates(seed):
     rng = np.random.default_rng(seed)
     mechanism, q, qd = spatial_linkages.random_mechanism(rng)
@@ -107,7 +108,9 @@ def test_views_show_space_from_the_side_that_they_are_named_after():
     assert middle == pytest.approx(2.0)
 
 
-@pytest.mark.parametrize('name', MACHINES)
+# Rows for dozens of joints take long to draw.
+@pytest.mark.parametrize('name', [
+    pytest.param(name, marks=pytest.mark.slow) if name in LARGE else name for name in MACHINES])
 def test_pictures_are_readable(name):
     for figure in pictures_of(waved(name)):
         check_picture(figure)
