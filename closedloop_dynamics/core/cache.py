@@ -66,8 +66,10 @@ def directory():
     try:
         base = Path(place).expanduser().absolute() / PACKAGE.name
         path = base / _sources()[:16]
-        if not path.is_dir():
-            path.mkdir(parents=True)
+        new = not path.is_dir()
+        # Processes that start together may each find it missing.
+        path.mkdir(parents=True, exist_ok=True)
+        if new:
             _remove_unused(base)
         # What is used is not removed.
         with contextlib.suppress(OSError):
@@ -91,8 +93,10 @@ def _sources():
 
 def _remove_unused(base):
     for path in base.iterdir():
-        if path.stat().st_mtime < time.time() - UNUSED:
-            shutil.rmtree(path, ignore_errors=True)
+        # Another process may be removing it.
+        with contextlib.suppress(FileNotFoundError):
+            if path.stat().st_mtime < time.time() - UNUSED:
+                shutil.rmtree(path, ignore_errors=True)
 
 
 def read(name):

@@ -64,15 +64,30 @@ def test_code_that_nobody_used_for_long_is_removed(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ['new']
 
 
-@pytest.mark.parametrize('environment, place', [
-    ({'XDG_CACHE_HOME': '{home}/xdg'}, 'xdg'), ({'XDG_CACHE_HOME': ''}, '.cache')])
-def test_code_is_kept_where_users_keep_caches(tmp_path, monkeypatch, environment, place):
+@pytest.fixture
+def home(tmp_path, monkeypatch):
     monkeypatch.setattr(cache.numba.config, 'CACHE_DIR', '')
     monkeypatch.setenv('HOME', str(tmp_path))
-    for name, value in environment.items():
-        monkeypatch.setenv(name, value.format(home=tmp_path))
+    monkeypatch.setenv('XDG_CACHE_HOME', '')
+    return tmp_path
+
+
+def test_processes_that_start_together_share_the_directory(home, monkeypatch):
     found = cache.directory.__wrapped__()
-    assert found.parent == tmp_path / place / Path(cache.__file__).parents[1].name
+    # One looked before another made the directory, and lists what another then removes.
+    answers = iter([False])
+    monkeypatch.setattr(Path, 'is_dir', lambda path: path != found or next(answers, True))
+    monkeypatch.setattr(Path, 'iterdir', lambda path: iter([path / 'removed']))
+    assert cache.directory.__wrapped__() == found
+
+
+@pytest.mark.parametrize('environment, place', [
+    ({'XDG_CACHE_HOME': '{home}/xdg'}, 'xdg'), ({'XDG_CACHE_HOME': ''}, '.cache')])
+def test_code_is_kept_where_users_keep_caches(home, monkeypatch, environment, place):
+    for name, value in environment.items():
+        monkeypatch.setenv(name, value.format(home=home))
+    found = cache.directory.__wrapped__()
+    assert found.parent == home / place / Path(cache.__file__).parents[1].name
     assert found.is_dir()
 
 
