@@ -173,7 +173,8 @@ def accelerate(model, work, tau, baumgarte, aside, manifold, q, qd, qdd, lam):
         Constant topology and geometry.
     work : Workspace
         After ``kinematics.outward`` and the applied forces, afresh: the elimination has used
-        both up. ``health`` tells the rank; what else is left in it belongs to the state, too.
+        both up. ``health`` tells the rank; what else is left in it, forces included, belongs to
+        the state.
     tau, baumgarte, qdd, lam
         As for ``forward_dynamics.accelerate``.
     aside : float
@@ -282,6 +283,7 @@ def accelerate(model, work, tau, baumgarte, aside, manifold, q, qd, qdd, lam):
                         qdd[i] = total[i]
     kinematics.outward(model, q, qd, work)
     update(model, work, NO_RESPONSES)
+    work.body[:, first:last] += applied
 
 
 @allocating

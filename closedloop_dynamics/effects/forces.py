@@ -106,9 +106,15 @@ def elastic_force(stiffness, exponent, gap):
     motion is smooth there, and the end found to the last digits.
 
     """
-    if gap > 0.0:
-        return -stiffness * gap ** exponent
-    return stiffness * (-gap) ** exponent
+    depth = abs(gap)
+    # A power takes longer than all the rest of a contact.
+    if exponent == 1.0:
+        force = stiffness * depth
+    elif exponent == 1.5:
+        force = stiffness * (depth * math.sqrt(depth))
+    else:
+        force = stiffness * depth ** exponent
+    return -force if gap > 0.0 else force
 
 
 @inlined

@@ -159,8 +159,8 @@ class EffectTable(NamedTuple):
     # Shape (nv + nk,): joint torques, of cut joints behind: commands and effects. The commands'
     # own array where no effect is listed.
     applied: np.ndarray
-    # Shape (nb + 1, 6 or 12): scratch of ``joint_reaction``; of no length
-    # where no effect is listed.
+    # Shape (nb + 1, 6 or 12): wrenches in the joints, then scratch; of no length where no effect
+    # is listed.
     reaction: np.ndarray
     sticking: Sticking
     data: np.ndarray  # Shape (nd,): entries of all elements

@@ -18,7 +18,6 @@ from .motion import BY_LOOPS, CLOSE, FEEL_REACTIONS, HOLD, TELL_MOTIONS
 from ..core.codegen import function_table as calls
 from ..core.codegen.records import call_at
 from ..core.compiled import compiled, inlined, merged
-from ..core.joint_wrenches import bias_forces
 from ..core.manifold import fill_numbers, power_of_turns, rates_begin, rates_of_coordinates
 from ..effects import dispatch
 
@@ -63,8 +62,6 @@ def apply_listed(manifold, effects, work, q, qd, tau):
     else:
         fill_numbers(manifold, q)
         dispatch.apply(effects, manifold.number, qd, tau)
-    if effects.loaded[0] > 0:
-        bias_forces(work, effects.reaction)
 
 
 @inlined

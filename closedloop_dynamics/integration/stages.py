@@ -30,6 +30,7 @@ from ..core.codegen import function_table as calls
 from ..core.codegen.records import addressed, call_at, link
 from ..core.compiled import compiled, inlined
 from ..core.formulations import accelerate_dense
+from ..core.joint_wrenches import bias_forces
 from ..core.manifold import normalise, rates_begin
 from ..effects import cut_coordinates, joint_reaction, prescribed_motion, sticking
 from ..effects.table import JOINT_FRICTION, PRESCRIBED_MOTION
@@ -124,6 +125,15 @@ def _move(system, q, qd):
     """Find what accelerations follow from: an elimination uses it up."""
     kinematics.outward(system.model, q, qd, system.work)
     apply_effects(system.effects, system.manifold, system.work, q, qd, system.tau)
+    _keep_forces(system.effects, system.work)
+
+
+@inlined
+def _keep_forces(effects, work):
+    """Keep the forces that reactions are summed up from."""
+    if effects is not None:
+        if effects.loaded[0] > 0:
+            bias_forces(work, effects.reaction)
 
 
 @compiled

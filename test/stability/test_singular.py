@@ -17,6 +17,9 @@ from dataclasses import replace
 import math
 import warnings
 
+from closedloop_dynamics.effects.external_force import ExternalForce
+from closedloop_dynamics.effects.joint_friction import JointFriction
+from closedloop_dynamics.mechanism.mechanism import Point
 from closedloop_dynamics.simulation.errors import ClosureError, NumericalError, SingularityError
 from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.simulation.scene_records import Method
@@ -86,6 +89,17 @@ def test_a_change_point_that_cannot_be_left_is_named_with_a_cure():
     # The coupler goes round in a circle and does not turn.
     assert simulation.position[0] > 0.1
     assert np.allclose(simulation.position, simulation.position[0] * np.array([1, -1, 1]))
+
+
+def test_forces_in_joints_are_those_of_the_change_point_itself():
+    flat, turning = parallelogram(), np.array([1.0, -1.0, 1.0])
+    flat = replace(flat, points=(Point('middle', 'coupler', (0.25, 0.0)),))
+    simulation = simulate((flat, 0.0 * turning, 3.0 * turning), {
+        'load': ExternalForce('middle', (0.0, -200.0)),
+        'bearing': JointFriction('crank_joint', friction_coefficient=0.1, radius=0.01)})
+    carried = np.linalg.norm(simulation.force('crank_joint')[1:])
+    assert simulation.health.near_singular and carried > 10.0
+    assert simulation.effect_readings('bearing')['reaction'] == pytest.approx(carried, rel=1e-12)
 
 
 def test_acceleration_exactly_on_a_change_point_is_the_limit_along_the_branch():

@@ -241,10 +241,7 @@ class Unrolling:
         """Sum up the forces in the joints of the trees, by Newton, after the accelerations."""
         self.recursion.hinges = ()
         self.read()
-        one, tree = self.recursion, self.constant.tree
-        places = {component: n for n, component in enumerate(self.arrays.FORCES)}
-        # Bias forces, and what effects have added to them.
-        rows = self.symbols(REACTION, (len(tree), 2 * len(places)))
+        one, tree, width = self.recursion, self.constant.tree, 2 * len(self.arrays.FORCES)
         qdd, lam = self.symbols(QDD, (self.nv,)), self.symbols(LAM, (self.nc,))
         for frame, turns in one.balls(self.constant):
             qdd[turns] = times(frame, qdd[turns])
@@ -252,7 +249,7 @@ class Unrolling:
         for i in range(1, len(tree)):
             after.append(one.follow(i, after[tree[i, PARENT]], qdd[tree[i, DOF]]))
             inertia, _ = rigid(one.bodies[i], one.motion[i])
-            forces.append(add(six(rows[i], places), times(inertia, after[i]))[3:])
+            forces.append(add(one.force[i], times(inertia, after[i]))[3:])
         for a, cut in enumerate(self.constant.cut):
             for row, closure in enumerate(
                     one.closures(self.model, a), start=cut[CUT_ROW]):
@@ -261,10 +258,10 @@ class Unrolling:
         for i in range(len(tree) - 1, 0, -1):
             parent = tree[i, PARENT]
             forces[parent] = add(forces[parent], forces[i])
-            for component, place in places.items():
+            for place, component in enumerate(self.arrays.FORCES):
                 if component > 2:
-                    rows[i, place] = forces[i][component - 3]
-        self.store(REACTION, rows)
+                    self.outputs.append((
+                        REACTION, i * width + place, forces[i][component - 3]))
 
     def refined_correction(self):
         """Do as ``correction`` does, for links much lighter than others."""
