@@ -76,10 +76,12 @@ QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 # less where states come rarely: so many times per second over the states per second. It answers
 # states that are a period or two old. What weight takes away, its integral gives back.
 DRIVE_RATE, DRIVE_SHARE, INTEGRAL = 50.0, 0.1, 0.3
-# So does the spring that a hand pulls with, by the middle one of so many periods, for the mass
-# that the point feels, which is found anew so often in simulated time [s].
+# The period is the longest of so many.
 PERIODS = 9
-HAND_RATE, HAND_SHARE, FEEL_PERIOD = 30.0, 0.12, 0.1
+# So does the spring that a hand pulls with, for the mass that the point feels, which is found anew
+# so often in simulated time [s]. In shares of the machine's size: how far it stretches at most,
+# and how far the point may move in a period before it is let go.
+HAND_RATE, HAND_SHARE, FEEL_PERIOD, STRETCH, SWING = 30.0, 0.12, 0.02, 0.2, 0.25
 VIEWER_PARAMETERS = (
     Parameter('nodes', '', 'Full names of the simulators to show, with commas between them; not '
                            'given: all that are found.'),
@@ -109,7 +111,7 @@ class Attached:
         self._kinematic, self._busy = False, None
         # Who has taken hold of what: a page, the numbers of a body and of its place, where to.
         self._holder = self._grabbed = self._at = None
-        self._model, self._period, self._passed = None, None, deque(maxlen=PERIODS)
+        self._model, self._passed = None, deque(maxlen=PERIODS)
         self._subscriptions = [
             self._subscribe(String, topics['scene'], self._on_scene, LATCHED_QOS)]
         prefix = name.rstrip('/')
@@ -199,7 +201,6 @@ class Attached:
         passed = stamp - self._start - self._time
         self._time, self._fresh = stamp - self._start, True
         if passed > 0.0:
-            self._period = min(passed, self._period or passed)
             self._passed.append(passed)
             if any(mode == POSITION for mode, *_ in self._drives.values()):
                 self._command(passed)
@@ -319,9 +320,15 @@ class Attached:
         self._felt = {name: float(inertia) if np.isfinite(inertia) else 1.0
                       for name, inertia in zip(self._drives, felt)}
 
+    @property
+    def _period(self):
+        """Time between states [s], by the slowest of late: what answers quicker makes it swing."""
+        # Stamps may be those of the clock, which simulated time outruns.
+        return max(1.0, self._speed) * max(self._passed, default=1.0)
+
     def _command(self, passed=0.0):
         """Publish torques, ``passed`` seconds after the state before; of positions from this."""
-        rate = min(DRIVE_RATE, DRIVE_SHARE / (self._period or 1.0))
+        rate = min(DRIVE_RATE, DRIVE_SHARE / self._period)
         efforts = []
         for name, drive in self._drives.items():
             mode, value, integral = drive
@@ -404,18 +411,25 @@ class Attached:
         arm = turn @ grabs(mechanism, mechanism.bodies[body])[place]
         twist = body_velocities(
             mechanism, self._position, self._velocity[np.newaxis], names)[0, 0]
-        size = len(self._mass)
+        count = len(self._mass)
         now, velocity = pose[:3] + arm, twist[:3] + np.cross(twist[3:], arm)
         if not 0.0 <= self._time - self._felt_at < FEEL_PERIOD:
             self._felt_at = self._time
             with suppress(SimulationError):
                 self._model.set_state(self._position)
                 self._mass = felt_mass(self._model, self._hand.point(body, place))
-        # Stamps may be those of the clock, which simulated time outruns.
-        period = max(1.0, self._speed) * sorted(self._passed)[len(self._passed) // 2]
-        rate = min(HAND_RATE, HAND_SHARE / period)
-        force = self._mass @ (rate * (rate * (np.array(self._at) - now) - 2.0 * velocity))[:size]
-        self._push(turn.T[:, :size] @ force)
+        between, size = np.linalg.norm(velocity) * self._period, self._hand.size
+        if between > SWING * size:
+            self._let_go()
+            self.feed.refuse(
+                f'let go: the point moves by {between:.2g} m from one state to the next, too far '
+                'to be pulled by what is known of it')
+            return
+        stretch = np.array(self._at) - now
+        stretch *= min(1.0, STRETCH * size / max(np.linalg.norm(stretch), 1e-9))
+        rate = min(HAND_RATE, HAND_SHARE / self._period)
+        force = self._mass @ (rate * (rate * stretch - 2.0 * velocity))[:count]
+        self._push(turn.T[:, :count] @ force)
 
     def _push(self, force):
         """Publish a force, along the axes of the body that is held, on its place [N]."""

@@ -73,6 +73,8 @@ class Hand:
         Name of the spring.
     gravity : str
         Name of gravity.
+    size : float
+        Of the mechanism [m].
 
     """
 
@@ -105,7 +107,7 @@ class Hand:
         self.scene = replace(
             scene, effects=effects,
             mechanism=replace(mechanism, points=(*mechanism.points, *added)))
-        self.dimensions, self._size = len(down), size
+        self.dimensions, self.size = len(down), size
 
     def point(self, body, place):
         """Return the name of the point at a place of a body, by their numbers."""
@@ -116,7 +118,7 @@ class Hand:
 
     def require_near(self, at):
         """Refuse a place so far away that the spring would have energy beyond all bounds."""
-        if max(map(abs, at)) > FARTHEST * self._size:
+        if max(map(abs, at)) > FARTHEST * self.size:
             raise FieldError(f'a place within {FARTHEST:g} sizes of the mechanism',
                              shown(list(at)), path=('at',))
 

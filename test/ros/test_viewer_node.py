@@ -164,8 +164,10 @@ def test_a_point_of_a_running_simulator_is_pulled(spinning):
         assert client.scene['hand']
         client.ask('effect', name='gravity', enabled=False)
         client.ask('reset')
+        start = np.float32(simulator.simulation.scene.initial.position[0])
         client.until(lambda client: client.row is not None
-                     and not client.controls['effects']['gravity']['enabled'])
+                     and not client.controls['effects']['gravity']['enabled']
+                     and plotted(client, 'joint position', 'theta_1') == start)
         body = next(k for k, one in enumerate(client.scene['bodies'])
                     if one['name'] == 'platform')
         place = next(k for k, grab in enumerate(client.scene['bodies'][body]['grabs'])
@@ -176,9 +178,13 @@ def test_a_point_of_a_running_simulator_is_pulled(spinning):
         # Who does not hold it moves nothing, and lets nothing go.
         other.ask('pull', at=[9.0, 9.0, 0.0])
         other.ask('release')
-        start = client.time
-        client.until(lambda client: client.time > start + 1.0 and np.abs(
-            client.row[7 * body:7 * body + 3] - at).max() < 5e-3)
+        # Near, and then across the machine.
+        for away in ((0.0, 0.0, 0.0), (-0.5, -0.2, 0.0), (0.4, 0.1, 0.0)):
+            at = at + np.float32(away)
+            client.ask('pull', at=at.tolist())
+            start = client.time
+            client.until(lambda client: client.time > start + 1.0 and np.abs(
+                client.row[7 * body:7 * body + 3] - at).max() < 5e-3)
         assert wrench.counts['wrenches taken'] > 20 and not wrench.counts['wrenches refused']
         assert client.controls['grabbed'] == [body, place]
         refused = client.controls['refused']
@@ -186,6 +192,22 @@ def test_a_point_of_a_running_simulator_is_pulled(spinning):
         client.until(lambda client: client.controls['refused'] == refused + 1)
     # The page that held it is closed.
     while wrench.torques.any():
+        threading.Event().wait(0.01)
+    assert simulator.exit_code is None
+
+
+@pytest.mark.timeout(300)
+def test_what_moves_too_far_between_states_is_let_go(spinning):
+    simulator = spinning(SimulatorNode, scene='three_rrr', publish_rate=5.0)
+    viewer = spinning(ViewerNode, nodes='/closedloop_simulator')
+    with Client(served(viewer)) as client:
+        client.ask('command', joint='theta_1', value=200.0)
+        client.until(lambda client: client.row is not None
+                     and abs(plotted(client, 'joint velocity', 'theta_1')) > 10.0)
+        client.ask('grab', body=0, place=1, at=client.row[:3].tolist())
+        client.until(lambda client: client.controls['refused'] == 1)
+        client.until(lambda client: client.controls['grabbed'] is None)
+    while simulator.live.wrench.torques.any():
         threading.Event().wait(0.01)
     assert simulator.exit_code is None
 
