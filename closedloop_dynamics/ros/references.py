@@ -27,8 +27,6 @@ import math
 from closedloop_dynamics.visual.motion import (
     body_poses, closure_errors, composed, coupling_errors, named_point, pose_of)
 import numpy as np
-from scipy.interpolate import BPoly
-from scipy.interpolate import CubicSpline
 
 # Of what a point of a trajectory gives, in the order of the derivatives.
 KEYS = ('positions', 'velocities', 'accelerations')
@@ -184,6 +182,8 @@ class Trajectory:
     """
 
     def __init__(self, points, time, position, velocity):
+        # A quarter of what a node takes to start, where no trajectory is asked for.
+        from scipy.interpolate import BPoly, CubicSpline
         times = points.times + (points.stamp - time if points.stamp else 0.0)
         ahead = times > 0.0
         if not ahead.any():
@@ -422,6 +422,7 @@ class Ways:
 
     def __init__(self, mechanism, start, name, places, durations, joints):
         point, origin, turned = _point_and_turn(mechanism, start, name)
+        from scipy.interpolate import CubicSpline
         self.places = origin + np.vstack([places, np.zeros(len(origin))])
         self._ends = np.cumsum(durations)
         self._durations, self.period = np.array(durations), float(self._ends[-1])
