@@ -88,8 +88,8 @@ def start(body, scene, cache):
         ``LIBRARY`` or ``NODE``.
     scene : str
         A shipped scene.
-    cache : str
-        The compiler's cache directory.
+    cache : str or None
+        The compiler's cache directory; None: that of this process.
 
     Returns
     -------
@@ -97,7 +97,8 @@ def start(body, scene, cache):
         CPU time of each part [s], memory after the last [bytes].
 
     """
-    environment = {**os.environ, 'NUMBA_CACHE_DIR': cache, 'ROS_LOG_DIR': cache,
+    places = {} if cache is None else {'NUMBA_CACHE_DIR': cache, 'ROS_LOG_DIR': cache}
+    environment = {**os.environ, **places,
                    'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST', 'PYTHONPATH': os.pathsep.join(
                        filter(None, (str(ROOT), os.environ.get('PYTHONPATH'))))}
     run = subprocess.run(
@@ -130,7 +131,7 @@ def measure(quick=False, scene='three_rrr'):
     """
     result = {'machine': description(), 'quick': quick, 'scene': scene, 'rows': []}
     with tempfile.TemporaryDirectory() as empty:
-        cache = os.environ.get('NUMBA_CACHE_DIR', empty) if quick else empty
+        cache = None if quick else empty
         if not quick:
             _add(result, 'Python interface, first start', [start(LIBRARY, scene, cache)])
         _add(result, 'Python interface, warm', [
