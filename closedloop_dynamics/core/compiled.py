@@ -20,6 +20,8 @@ import warnings
 try:
     import numba
     from numba.core import event
+    from numba.core.sigutils import normalize_signature
+    from numba.core.types import unliteral
 except ImportError:
     numba = None
     warnings.warn(
@@ -66,6 +68,10 @@ def _compile(function, allocates=False, from_c=False, stored_as=None, **options)
         error_model='numpy', no_cfunc_wrapper=not from_c,
         no_cpython_wrapper=from_c or function.__name__.startswith('_'), **options)(function)
     if not numba.config.DISABLE_JIT:
+        # Numba would compile anew for every constant that it is called with.
+        compile_for = kernel.compile
+        kernel.compile = lambda signature: compile_for(tuple(
+            unliteral(kind) for kind in normalize_signature(signature)[0]))
         # Numba has no public way to bring a cache of one's own.
         kernel._cache = KernelCache(stored_as or function)
     return kernel
