@@ -40,6 +40,7 @@ FIRST = (
     'test/core/test_forward_dynamics.py', 'test/effects/test_joint_friction.py',
     'test/core', 'test/stability/test_known_answers.py', 'test/studies', 'test/effects',
     'test/test_core_interpreted.py', 'test/stability', 'test/packaging', 'test/simulation',
+    'test/test_benchmark.py', 'test/view/test_browser.py',
     'test/ros/test_simulator_process.py', 'test/test_documentation.py', 'test/ros/test_faults.py',
     'test/ros/test_recorder_process.py', 'test/attack', 'test/ros/test_demo.py',
     'test/test_linters.py', 'test/ros', 'test/recording', 'test/sweep')

@@ -20,6 +20,7 @@ import time
 
 from closedloop_dynamics.core import cache
 from closedloop_dynamics.core.codegen import available
+from closedloop_dynamics.core.compiled import compiled
 import grimp
 import numba
 from numba.core import event
@@ -89,6 +90,23 @@ def test_code_is_kept_where_users_keep_caches(home, monkeypatch, environment, pl
     found = cache.directory.__wrapped__()
     assert found.parent == home / place / Path(cache.__file__).parents[1].name
     assert found.is_dir()
+
+
+@compiled
+def multiplied(number, factor):
+    return number * factor
+
+
+@compiled
+def multiplied_twice(number):
+    return multiplied(number, 2) * multiplied(number, 3)
+
+
+@pytest.mark.skipif(not available(), reason='nothing is compiled')
+def test_nothing_is_compiled_anew_for_another_constant():
+    assert multiplied_twice(5.0) == 150.0
+    # None where it comes from the disk.
+    assert len(multiplied.overloads) <= 1
 
 
 @pytest.fixture
