@@ -137,7 +137,7 @@ def _keep_forces(effects, work):
 
 
 @compiled
-def _accelerate_anew(system, q, qd):
+def _refine_by_loops(system, q, qd):
     """Compute accelerations and multipliers where a formulation alone will not do."""
     _move(system, q, qd)
     if not refinement.accelerate(
@@ -153,7 +153,7 @@ def _by_loops(system, number, q, rates):
     if not forward_dynamics.accelerate(
             system.model, system.work, system.applied, system.settings[BAUMGARTE_GAIN],
             system.qdd, system.lam):
-        _accelerate_anew(system, q, qd)
+        _refine_by_loops(system, q, qd)
     return 1
 
 
@@ -165,7 +165,7 @@ def _by_dense_matrices(system, number, q, rates):
     if not accelerate_dense(
             system.model, system.work, system.dense, int(settings[FORMULATION]), system.applied,
             settings[BAUMGARTE_GAIN], system.qdd, system.lam):
-        _accelerate_anew(system, q, qd)
+        _refine_by_loops(system, q, qd)
     return 1
 
 

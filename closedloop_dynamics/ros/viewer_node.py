@@ -418,7 +418,8 @@ class Attached:
             with suppress(SimulationError):
                 self._model.set_state(self._position)
                 self._mass = felt_mass(self._model, self._hand.point(body, place))
-        between, size = np.linalg.norm(velocity) * self._period, self._hand.size
+        period, size = self._period, self._hand.size
+        between = np.linalg.norm(velocity) * period
         if between > SWING * size:
             self._let_go()
             self.feed.refuse(
@@ -427,7 +428,7 @@ class Attached:
             return
         stretch = np.array(self._at) - now
         stretch *= min(1.0, STRETCH * size / max(np.linalg.norm(stretch), 1e-9))
-        rate = min(HAND_RATE, HAND_SHARE / self._period)
+        rate = min(HAND_RATE, HAND_SHARE / period)
         force = self._mass @ (rate * (rate * stretch - 2.0 * velocity))[:count]
         self._push(turn.T[:, :count] @ force)
 
