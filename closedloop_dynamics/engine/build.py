@@ -1,0 +1,196 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Compile the engine: the C++ sources of this folder into one extension module of Python.
+
+setup.py calls this for every kind of installation, ``scripts/build`` for a checkout. It needs none
+of Python's own flags and headers (python_api.hpp): all compilers get the same commands, and the
+result runs in every supported Python.
+
+"""
+
+import argparse
+from concurrent.futures import ThreadPoolExecutor
+import hashlib
+from importlib.util import find_spec
+import os
+from pathlib import Path
+import shlex
+import shutil
+import subprocess
+import sys
+import tempfile
+
+FOLDER = Path(__file__).resolve().parent
+MODULE = 'native.abi3.so'
+# No instructions beyond the architecture's first ones and no contraction of a * b + c: the same
+# numbers on all machines of an architecture.
+FLAGS = ('-std=c++17', '-O2', '-ffp-contract=off', '-fno-math-errno', '-DNDEBUG', '-fPIC',
+         '-fvisibility=hidden', '-Wall', '-Wextra')
+# With the assertions of Eigen and of ours, too.
+SANITIZERS = ('-UNDEBUG', '-g', '-fno-omit-frame-pointer', '-fsanitize=address,undefined',
+              '-fno-sanitize-recover=all')
+
+
+class BuildError(Exception):
+    """Something that compiling needs is missing, or the compiler found errors."""
+
+
+def sources():
+    """Return the files that are compiled."""
+    return sorted(FOLDER.glob('*.cpp'))
+
+
+def digest():
+    """Return a digest of all that a compiled engine depends on in this folder."""
+    text = hashlib.sha256()
+    for path in sorted([*FOLDER.glob('*.hpp'), *sources(), FOLDER / 'build.py']):
+        text.update(path.name.encode() + b'\0' + path.read_bytes() + b'\0')
+    return text.hexdigest()
+
+
+def compiler():
+    """Return the command of the C++ compiler: ``CXX``, the machine's, or the wheel ziglang."""
+    if os.environ.get('CXX'):
+        return shlex.split(os.environ['CXX'])
+    for name in ('g++', 'clang++', 'c++'):
+        if shutil.which(name):
+            return [name]
+    if find_spec('ziglang'):
+        return zig()
+    raise BuildError(
+        'No C++ compiler was found: CXX is not set, neither g++ nor clang++ is on the PATH, and the '
+        'Python package ziglang, which is a compiler, is not installed. Install one of these.')
+
+
+def zig(target=None):
+    """Return the command of the wheel ziglang, for this machine or for another one."""
+    # It would compile for this very processor.
+    return [sys.executable, '-m', 'ziglang', 'c++', '-mcpu=baseline',
+            *(['-target', target] if target else [])]
+
+
+def eigen():
+    """Return the directory of Eigen's headers: of the wheel cmeel-eigen, or of the machine."""
+    named = os.environ.get('EIGEN3_INCLUDE_DIR')
+    places = [Path(named)] if named else [
+        *(Path(path, 'cmeel.prefix', 'include', 'eigen3') for path in sys.path),
+        *(Path(path, 'include', 'eigen3')
+          for path in (sys.prefix, '/usr', '/usr/local', '/opt/homebrew'))]
+    for place in places:
+        if (place / 'Eigen' / 'Core').is_file():
+            return place
+    raise BuildError(
+        f"EIGEN3_INCLUDE_DIR is '{named}', where there is no Eigen/Core." if named else
+        'The headers of Eigen were not found. Install them (Debian, Ubuntu: libeigen3-dev; pip: '
+        'cmeel-eigen), or set EIGEN3_INCLUDE_DIR to the directory that holds Eigen/.')
+
+
+def run(command):
+    """Run a command; raise BuildError with all that it said if it fails, and show it otherwise."""
+    done = subprocess.run([str(part) for part in command], stdin=subprocess.DEVNULL, text=True,
+                          stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
+    if done.returncode:
+        raise BuildError(
+            f'{shlex.join(map(str, command))}\nexited with {done.returncode}:\n{done.stdout}')
+    if done.stdout:
+        print(done.stdout, file=sys.stderr)
+
+
+def state(command, dependencies):
+    """Return a digest of a command and of the files that it reads; None if one is not there."""
+    text = hashlib.sha256(repr(command).encode())
+    for path in dependencies:
+        if not path.is_file():
+            return None
+        text.update(path.read_bytes())
+    return text.hexdigest()
+
+
+def read_by(rule):
+    """Return the files that a compiler's rule for make names; none if there is no rule."""
+    if not rule.is_file():
+        return []
+    return [Path(name) for name in shlex.split(rule.read_text().replace('\\\n', ''))[1:]]
+
+
+def compile_source(source, command, folder):
+    """Compile one file, unless this was done with the same command and text; return the object."""
+    compiled, rule, kept = (
+        folder / f'{source.stem}.{ending}' for ending in ('o', 'd', 'state'))
+    if not compiled.is_file() or not kept.is_file() or (
+            kept.read_text() != state(command, read_by(rule))):
+        kept.unlink(missing_ok=True)
+        run([*command, '-MMD', '-MF', rule, '-c', source, '-o', compiled])
+        kept.write_text(state(command, read_by(rule)))
+    return compiled
+
+
+def build(output, folder, sanitize=False, target=None):
+    """
+    Compile the engine.
+
+    Parameters
+    ----------
+    output : Path
+        The file to make; it is replaced at once, when all went well.
+    folder : Path
+        Where the objects are kept, so that only what changed is compiled again.
+    sanitize : bool
+        With the checks of addresses and undefined behaviour.
+    target : str
+        Another machine to compile for, by ziglang, such as ``aarch64-linux-gnu``.
+
+    Raises
+    ------
+    BuildError
+        No compiler, no Eigen, or an error in the sources, with what the compiler says.
+
+    """
+    program = zig(target) if target else compiler()
+    flags = [*FLAGS, *(SANITIZERS if sanitize else ())]
+    told = [f'-DENGINE_SOURCES="{digest()}"', f'-DENGINE_FLAGS="{shlex.join(flags)}"']
+    command = [*program, *flags, '-isystem', str(eigen())]
+    folder.mkdir(parents=True, exist_ok=True)
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        compiled = list(pool.map(
+            lambda source: compile_source(
+                source, command + (told if source.stem == 'build_info' else []), folder),
+            sources()))
+    output.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=output.parent) as near:
+        run([*program, *flags, '-shared', *(
+            ['-undefined', 'dynamic_lookup'] if sys.platform == 'darwin' else []),
+            *compiled, '-o', Path(near, MODULE)])
+        os.replace(Path(near, MODULE), output)
+
+
+def main():
+    """Compile the engine as the command line says, into this folder by default."""
+    parser = argparse.ArgumentParser(description='Compile the engine of the package.')
+    parser.add_argument('--sanitize', action='store_true',
+                        help='check addresses and undefined behaviour at run time')
+    parser.add_argument('--target', help='another machine to compile for, by the wheel ziglang')
+    parser.add_argument('--output', type=Path, default=FOLDER / MODULE, help='the file to make')
+    options = parser.parse_args()
+    kind = '-'.join(filter(None, ('engine', options.target, 'sanitize' * options.sanitize)))
+    try:
+        build(options.output, FOLDER.parents[1] / 'build' / kind, options.sanitize, options.target)
+    except BuildError as error:
+        sys.exit(f'Error: {error}')
+
+
+if __name__ == '__main__':
+    main()

@@ -1,0 +1,31 @@
+// Copyright 2026 The closedloop_dynamics authors
+//
+// Licensed under the Apache License, Version 2.0 (the "License");
+// you may not use this file except in compliance with the License.
+// You may obtain a copy of the License at
+//
+//     http://www.apache.org/licenses/LICENSE-2.0
+//
+// Unless required by applicable law or agreed to in writing, software
+// distributed under the License is distributed on an "AS IS" BASIS,
+// WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+// See the License for the specific language governing permissions and
+// limitations under the License.
+
+#include "least_squares.hpp"
+
+#include <Eigen/QR>
+
+namespace closedloop {
+
+long least_squares(
+    Eigen::Map<const Matrix> matrix, Eigen::Map<const Eigen::VectorXd> right, double tolerance,
+    Eigen::Map<Eigen::VectorXd> solution) {
+  Eigen::CompleteOrthogonalDecomposition<Eigen::MatrixXd> factors(matrix.rows(), matrix.cols());
+  factors.setThreshold(tolerance);
+  factors.compute(matrix);
+  solution = factors.solve(right);
+  return factors.rank();
+}
+
+}  // namespace closedloop

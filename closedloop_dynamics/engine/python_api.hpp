@@ -1,0 +1,147 @@
+// Copyright 2026 The closedloop_dynamics authors
+//
+// Licensed under the Apache License, Version 2.0 (the "License");
+// you may not use this file except in compliance with the License.
+// You may obtain a copy of the License at
+//
+//     http://www.apache.org/licenses/LICENSE-2.0
+//
+// Unless required by applicable law or agreed to in writing, software
+// distributed under the License is distributed on an "AS IS" BASIS,
+// WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+// See the License for the specific language governing permissions and
+// limitations under the License.
+
+/// @file
+/// The part of Python's stable binary interface (PEP 384) that the bindings use, under its names.
+///
+/// A module that uses nothing else runs in every Python from 3.11 on, and is compiled without the
+/// headers of any: machines without a C++ compiler rarely have these, and a Python for another
+/// architecture is not needed to compile for it. The sizes and orders of the members are promised
+/// by https://docs.python.org/3/c-api/stable.html. A test compiles this file behind Python.h,
+/// which gives the types then: each declaration below must agree with Python's own.
+
+#pragma once
+
+#include <cstddef>
+
+#ifndef Py_PYTHON_H
+extern "C" {
+using Py_ssize_t = std::ptrdiff_t;
+struct PyTypeObject;
+
+struct PyObject {
+  Py_ssize_t ob_refcnt;
+  PyTypeObject *ob_type;
+};
+
+struct Py_buffer {
+  void *buf;
+  PyObject *obj;
+  Py_ssize_t len;
+  Py_ssize_t itemsize;
+  int readonly;
+  int ndim;
+  char *format;
+  Py_ssize_t *shape;
+  Py_ssize_t *strides;
+  Py_ssize_t *suboffsets;
+  void *internal;
+};
+
+using PyCFunction = PyObject *(*)(PyObject *, PyObject *);
+using visitproc = int (*)(PyObject *, void *);
+using traverseproc = int (*)(PyObject *, visitproc, void *);
+using inquiry = int (*)(PyObject *);
+using freefunc = void (*)(void *);
+
+struct PyMethodDef {
+  const char *ml_name;
+  PyCFunction ml_meth;
+  int ml_flags;
+  const char *ml_doc;
+};
+
+struct PyType_Slot {
+  int slot;
+  void *pfunc;
+};
+
+struct PyType_Spec {
+  const char *name;
+  int basicsize;
+  int itemsize;
+  unsigned int flags;
+  PyType_Slot *slots;
+};
+
+struct PyModuleDef_Slot {
+  int slot;
+  void *value;
+};
+
+struct PyModuleDef_Base {
+  PyObject ob_base;
+  PyObject *(*m_init)();
+  Py_ssize_t m_index;
+  PyObject *m_copy;
+};
+
+struct PyModuleDef {
+  PyModuleDef_Base m_base;
+  const char *m_name;
+  const char *m_doc;
+  Py_ssize_t m_size;
+  PyMethodDef *m_methods;
+  PyModuleDef_Slot *m_slots;
+  traverseproc m_traverse;
+  inquiry m_clear;
+  freefunc m_free;
+};
+}
+#endif
+
+static_assert(sizeof(PyObject) == 16);
+static_assert(sizeof(Py_buffer) == 80 && offsetof(Py_buffer, format) == 40);
+static_assert(offsetof(Py_buffer, shape) == 48 && offsetof(Py_buffer, ndim) == 36);
+static_assert(sizeof(PyMethodDef) == 32 && offsetof(PyMethodDef, ml_doc) == 24);
+static_assert(sizeof(PyType_Slot) == 16 && sizeof(PyType_Spec) == 32);
+static_assert(offsetof(PyType_Spec, flags) == 16 && offsetof(PyType_Spec, slots) == 24);
+static_assert(sizeof(PyModuleDef_Slot) == 16);
+static_assert(sizeof(PyModuleDef) == 104 && offsetof(PyModuleDef, m_slots) == 72);
+
+// Macros, as in Python.h: behind it a second definition must be the same, token by token.
+#define METH_VARARGS 0x0001
+#define METH_NOARGS 0x0004
+#define PyBUF_WRITABLE 0x0001
+#define PyBUF_FORMAT 0x0004
+#define Py_mod_exec 2
+#define Py_tp_dealloc 52
+#define Py_tp_doc 56
+#define Py_tp_methods 64
+#define Py_tp_new 65
+#define Py_tp_free 74
+
+inline constexpr int c_contiguous = 0x0038;  ///< PyBUF_C_CONTIGUOUS
+
+extern "C" {
+extern PyObject *PyExc_MemoryError;
+extern PyObject *PyExc_RuntimeError;
+extern PyObject *PyExc_TypeError;
+extern PyObject *PyExc_ValueError;
+
+int PyArg_ParseTuple(PyObject *, const char *, ...);
+void PyBuffer_Release(Py_buffer *);
+PyObject *PyErr_Format(PyObject *, const char *, ...);
+PyObject *PyErr_Occurred();
+void PyErr_SetString(PyObject *, const char *);
+PyObject *PyLong_FromLong(long);
+int PyModule_AddStringConstant(PyObject *, const char *, const char *);
+int PyModule_AddType(PyObject *, PyTypeObject *);
+PyObject *PyModuleDef_Init(PyModuleDef *);
+int PyObject_GetBuffer(PyObject *, Py_buffer *, int);
+PyObject *PyType_FromSpec(PyType_Spec *);
+PyObject *PyType_GenericAlloc(PyTypeObject *, Py_ssize_t);
+void *PyType_GetSlot(PyTypeObject *, int);
+void Py_DecRef(PyObject *);
+}
