@@ -15,11 +15,15 @@
 from glob import glob
 import os
 from pathlib import Path
+from runpy import run_path
 
+from setuptools import Extension
 from setuptools import find_packages
 from setuptools import setup
+from setuptools.command.build_ext import build_ext
 
 package_name = 'closedloop_dynamics'
+engine = run_path(os.path.join(package_name, 'engine', 'build.py'))
 share = os.path.join('share', package_name)
 
 
@@ -32,11 +36,30 @@ def shared(pattern):
     return list(places.items())
 
 
+class BuildEngine(build_ext):
+    """Compiles the engine with its own commands, not with those of Python."""
+
+    def build_extension(self, extension):
+        """Compile into the file that setuptools expects."""
+        print('Compiling the engine: this takes less than a minute', flush=True)
+        try:
+            engine['build'](Path(self.get_ext_fullpath(extension.name)), Path(self.build_temp))
+        except engine['BuildError'] as error:
+            raise SystemExit(f'Error: {error}') from None
+
+
 setup(
     name=package_name,
     version='0.1.0',
     packages=find_packages(include=[package_name, package_name + '.*']),
     package_data={package_name + '.view': ['page/*']},
+    ext_modules=[Extension(
+        f'{package_name}.engine.native', sorted(glob(f'{package_name}/engine/*.cpp')),
+        py_limited_api=True)],
+    cmdclass={'build_ext': BuildEngine},
+    # One file serves every Python from 3.11 on.
+    options={'bdist_wheel': {'py_limited_api': 'cp311'}},
+    setup_requires=engine['requirements'](),
     data_files=[
         ('share/ament_index/resource_index/packages', ['resource/' + package_name]),
         (share, ['package.xml']),

@@ -35,6 +35,8 @@ import tempfile
 
 FOLDER = Path(__file__).resolve().parent
 MODULE = 'native.abi3.so'
+# The version of the wheel ziglang, a C++ compiler for machines without one.
+ZIG = '0.17.1'
 # No instructions beyond the architecture's first ones and no contraction of a * b + c: the same
 # numbers on all machines of an architecture.
 FLAGS = ('-std=c++17', '-O2', '-ffp-contract=off', '-fno-math-errno', '-DNDEBUG', '-fPIC',
@@ -61,25 +63,33 @@ def digest():
     return text.hexdigest()
 
 
+def fresh(output):
+    """Return whether a compiled engine was made of the sources as they are."""
+    return output.is_file() and digest().encode() in output.read_bytes()
+
+
 def compiler():
-    """Return the command of the C++ compiler: ``CXX``, the machine's, or the wheel ziglang."""
+    """Return the command of the C++ compiler, of ``CXX`` or of the machine; empty if it has none."""
     if os.environ.get('CXX'):
         return shlex.split(os.environ['CXX'])
-    for name in ('g++', 'clang++', 'c++'):
-        if shutil.which(name):
-            return [name]
-    if find_spec('ziglang'):
-        return zig()
-    raise BuildError(
-        'No C++ compiler was found: CXX is not set, neither g++ nor clang++ is on the PATH, and the '
-        'Python package ziglang, which is a compiler, is not installed. Install one of these.')
+    return next(([name] for name in ('g++', 'clang++', 'c++') if shutil.which(name)), [])
 
 
-def zig(target=None):
-    """Return the command of the wheel ziglang, for this machine or for another one."""
-    # It would compile for this very processor.
-    return [sys.executable, '-m', 'ziglang', 'c++', '-mcpu=baseline',
-            *(['-target', target] if target else [])]
+def requirements():
+    """Return what the Python package index must bring: a compiler, on a machine without one."""
+    return [] if compiler() else [f'ziglang=={ZIG}']
+
+
+def zig(*target):
+    """Return the command of the compiler in the wheel ziglang."""
+    found = find_spec('ziglang')
+    if not found:
+        raise BuildError(
+            'No C++ compiler was found: CXX is not set, neither g++ nor clang++ is on the PATH, '
+            'and the wheel ziglang, which is a compiler, is not installed. Install one of these.')
+    program = shutil.which('zig', path=Path(found.origin).parent)
+    # By itself it would compile for this very processor.
+    return [program, 'c++', '-mcpu=baseline', *target]
 
 
 def eigen():
@@ -159,7 +169,7 @@ def build(output, folder, sanitize=False, target=None):
         No compiler, no Eigen, or an error in the sources, with what the compiler says.
 
     """
-    program = zig(target) if target else compiler()
+    program = zig('-target', target) if target else compiler() or zig()
     flags = [*FLAGS, *(SANITIZERS if sanitize else ())]
     told = [f'-DENGINE_SOURCES="{digest()}"', f'-DENGINE_FLAGS="{shlex.join(flags)}"']
     command = [*program, *flags, '-isystem', str(eigen())]
@@ -185,7 +195,10 @@ def main():
     parser.add_argument('--target', help='another machine to compile for, by the wheel ziglang')
     parser.add_argument('--output', type=Path, default=FOLDER / MODULE, help='the file to make')
     options = parser.parse_args()
+    if fresh(options.output):
+        return
     kind = '-'.join(filter(None, ('engine', options.target, 'sanitize' * options.sanitize)))
+    print('Compiling the engine: this takes less than a minute', file=sys.stderr)
     try:
         build(options.output, FOLDER.parents[1] / 'build' / kind, options.sanitize, options.target)
     except BuildError as error:

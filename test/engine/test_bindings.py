@@ -87,7 +87,7 @@ def unwritable(array):
     ({'matrix': [[1.0]]}, TypeError, 'list'),
     ({'right': None}, TypeError, 'NoneType'),
     ({'right': np.frombuffer(bytearray(25), offset=1)}, TypeError, 'right: expected aligned'),
-    ({'solution': unwritable(np.ones(3))}, ValueError, 'not writeable'),
+    ({'solution': unwritable(np.ones(3))}, ValueError, 'read-only'),
     ({'solution': np.ones(4)}, ValueError, r'\(4,\)'),
     ({'tolerance': 'small'}, TypeError, 'real number')])
 def test_what_does_not_fit_is_refused(changed, error, words):
