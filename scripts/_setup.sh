@@ -132,13 +132,24 @@ make_environment() {
     say "Installing ROS 2 Jazzy and the numerics from the Python package index (190 MB, a minute or two)"
   fi
   pip_install --requirement "$root/requirements/runtime.txt" ${wheels[@]+"${wheels[@]}"}
-  # Editable: the code that runs is the checkout's. Some versions of pip and setuptools obey setup.cfg there and put
-  # the programs where ros2 run looks: link those.
+  bring_compiler
+  say 'Compiling the engine (less than a minute)'
+  # Editable: the code that runs is the checkout's.
   pip_install --no-deps --no-build-isolation --editable "$root"
-  local program
-  for program in "$venv"/lib/closedloop_dynamics/closedloop*; do
-    [[ ! -e $program ]] || ln -sf -- "../lib/closedloop_dynamics/${program##*/}" "$venv/bin/"
-  done
+}
+
+build_engine() {
+  "$venv/bin/python" -P "$root/closedloop_dynamics/engine/build.py" "$@"
+}
+
+# Install a C++ compiler into the environment, where there is none.
+bring_compiler() {
+  local wheel
+  wheel=$(build_engine --requirements)
+  if [[ -n $wheel ]]; then
+    say "No C++ compiler is on the PATH: installing $wheel (100 MB; its first use takes a minute)"
+    pip_install "$wheel"
+  fi
 }
 
 # Bring the environment up to date: runtime alone, or with what the tests or the documentation need.
@@ -147,7 +158,7 @@ update_environment() {
   constraints=$requirements/constraints${VERSIONS:+-$VERSIONS}.txt
   [[ $kind == pypi ]] || constraints=$requirements/constraints-ubuntu-24.04.txt
   [[ -e $constraints ]] || fail "VERSIONS=$VERSIONS is unknown: there is no ${constraints#"$root"/}."
-  runtime_key=$(digest "$requirements"/{runtime,ros,constraints*}.txt "$root"/setup.{py,cfg})
+  runtime_key=$(digest "$requirements"/{runtime,ros,constraints*}.txt "$root"/{pyproject.toml,setup.py,setup.cfg})
   wanted_key=$(digest "$requirements"/*.txt)
   if [[ -e $venv/.incomplete ]] || [[ $(cat -- "$venv/.runtime" 2>/dev/null) != "$runtime_key" ]] ||
       ! "$venv/bin/python" -c '' &>/dev/null; then
@@ -164,6 +175,9 @@ update_environment() {
     printf '%s\n' "$wanted_key" > "$venv/.$wanted"
     rm -- "$venv/.incomplete"
   fi
+  # Its sources may have changed since.
+  bring_compiler
+  build_engine || fail 'The engine could not be compiled.'
 }
 
 # Where programs may write, whatever HOME is; and ROS traffic that stays on this machine, apart from other runs.
@@ -187,6 +201,8 @@ use_environment() {
   # Settings of other environments, and packages of the user's own, must not leak in.
   unset PYTHONHOME PIP_TARGET PIP_PREFIX
   export PYTHONNOUSERSITE=1 PIP_USER=0
+  # What the compiler ziglang makes of its own libraries.
+  export ZIG_GLOBAL_CACHE_DIR=${ZIG_GLOBAL_CACHE_DIR:-$root/.cache/zig}
   choose_kind
   check_machine
   venv=$root/.venv/$name

@@ -76,8 +76,8 @@ def compiler():
 
 
 def requirements():
-    """Return what the Python package index must bring: a compiler, on a machine without one."""
-    return [] if compiler() else [f'ziglang=={ZIG}']
+    """Return what the Python package index must bring: a compiler, where there is none yet."""
+    return [] if compiler() or find_spec('ziglang') else [f'ziglang=={ZIG}']
 
 
 def zig(*target):
@@ -181,28 +181,37 @@ def build(output, folder, sanitize=False, target=None):
             sources()))
     output.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=output.parent) as near:
+        # The functions of Python are found in the program that loads the module.
         run([*program, *flags, '-shared', *(
             ['-undefined', 'dynamic_lookup'] if sys.platform == 'darwin' else []),
-            *compiled, '-o', Path(near, MODULE)])
+            *([] if sanitize else ['-Wl,-S']), *compiled, '-o', Path(near, MODULE)])
         os.replace(Path(near, MODULE), output)
 
 
 def main():
     """Compile the engine as the command line says, into this folder by default."""
-    parser = argparse.ArgumentParser(description='Compile the engine of the package.')
+    parser = argparse.ArgumentParser(
+        prog='scripts/build', description='Compile the engine of the package.')
     parser.add_argument('--sanitize', action='store_true',
                         help='check addresses and undefined behaviour at run time')
     parser.add_argument('--target', help='another machine to compile for, by the wheel ziglang')
-    parser.add_argument('--output', type=Path, default=FOLDER / MODULE, help='the file to make')
+    parser.add_argument('--output', type=Path,
+                        help='the file to make (default: in place, or below build/ for a target or '
+                             'with --sanitize)')
+    parser.add_argument('--requirements', action='store_true',
+                        help='only print what pip must install before')
     options = parser.parse_args()
-    if fresh(options.output):
-        return
     kind = '-'.join(filter(None, ('engine', options.target, 'sanitize' * options.sanitize)))
-    print('Compiling the engine: this takes less than a minute', file=sys.stderr)
-    try:
-        build(options.output, FOLDER.parents[1] / 'build' / kind, options.sanitize, options.target)
-    except BuildError as error:
-        sys.exit(f'Error: {error}')
+    folder = FOLDER.parents[1] / 'build' / kind
+    output = options.output or (FOLDER if kind == 'engine' else folder) / MODULE
+    if options.requirements:
+        print(*requirements())
+    elif not fresh(output):
+        print('Compiling the engine: this takes less than a minute', file=sys.stderr)
+        try:
+            build(output, folder, options.sanitize, options.target)
+        except BuildError as error:
+            sys.exit(f'Error: {error}')
 
 
 if __name__ == '__main__':
