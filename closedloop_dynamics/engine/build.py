@@ -42,7 +42,7 @@ ZIG = '0.17.1'
 FLAGS = ('-std=c++17', '-O2', '-ffp-contract=off', '-fno-math-errno', '-DNDEBUG', '-fPIC',
          '-fvisibility=hidden', '-Wall', '-Wextra')
 # With the assertions of Eigen and of ours, too.
-SANITIZERS = ('-UNDEBUG', '-g', '-fno-omit-frame-pointer', '-fsanitize=address,undefined',
+SANITIZERS = ('-UNDEBUG', '-g1', '-fno-omit-frame-pointer', '-fsanitize=address,undefined',
               '-fno-sanitize-recover=all')
 
 

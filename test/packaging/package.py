@@ -21,8 +21,8 @@ import subprocess
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = 'closedloop_dynamics'
-PARTS = (PACKAGE, 'CHANGELOG.rst', 'LICENSE', 'README.md', 'config', 'launch', 'package.xml',
-         'resource', 'setup.cfg', 'setup.py', 'test')
+PARTS = (PACKAGE, 'CHANGELOG.rst', 'LICENSE', 'MANIFEST.in', 'README.md', 'config', 'launch',
+         'package.xml', 'pyproject.toml', 'resource', 'setup.cfg', 'setup.py', 'test')
 PROGRAMS = {
     'closedloop', 'closedloop_recorder', 'closedloop_simulator', 'closedloop_torque_source',
     'closedloop_viewer'}
@@ -40,7 +40,7 @@ def copy_package(destination):
         source = ROOT / part
         if source.is_dir():
             shutil.copytree(source, destination / part,
-                            ignore=shutil.ignore_patterns('__pycache__'))
+                            ignore=shutil.ignore_patterns('__pycache__', '*.so'))
         elif source.is_file():
             shutil.copy(source, destination)
     return destination

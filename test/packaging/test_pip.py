@@ -25,6 +25,7 @@ import venv
 from xml.etree import ElementTree
 from zipfile import ZipFile
 
+from closedloop_dynamics.engine import build
 import pytest
 
 PIP = (sys.executable, '-m', 'pip', '--disable-pip-version-check', '--no-input')
@@ -39,17 +40,20 @@ for line in sys.argv[1:]:
     print(f'> {line}', flush=True)
     assert main(line.split()) == 0
 """
+SHOW_ENGINE = 'from closedloop_dynamics.engine import native; print(native.__file__)'
 SHOW_CONFIG = (
     'from closedloop_dynamics.mechanism.config import config_directory; print(config_directory())')
 
 
 @pytest.fixture(scope='module')
 def wheel(tmp_path_factory):
-    """Return the path of a wheel of the package."""
+    """Return the path of a wheel of the package, made from its archive of sources."""
     directory = tmp_path_factory.mktemp('wheel')
     source = copy_package(directory / 'source')
-    run(*PIP, 'wheel', *OFFLINE, '--no-build-isolation', '--wheel-dir', directory, source,
-        cwd=directory)
+    run(sys.executable, '-c', 'from setuptools.build_meta import build_sdist; build_sdist("..")',
+        cwd=source)
+    run(*PIP, 'wheel', *OFFLINE, '--no-build-isolation', '--wheel-dir', directory,
+        next(directory.glob('*.tar.gz')), cwd=directory)
     return next(directory.glob('*.whl'))
 
 
@@ -85,11 +89,33 @@ def test_programs_are_on_the_path_of_the_environment(environment):
     assert SHARED <= files_below(environment / 'share' / PACKAGE)
 
 
-def test_data_files_of_the_package_are_in_the_wheel(wheel):
+def test_files_of_the_package_are_in_the_wheel_without_what_they_are_compiled_from(wheel):
     here = {str(path.relative_to(ROOT)) for path in (ROOT / PACKAGE).rglob('*')
-            if path.is_file() and '__pycache__' not in path.parts}
-    assert here <= set(ZipFile(wheel).namelist())
+            if path.is_file() and '__pycache__' not in path.parts
+            and path.suffix not in ('.cpp', '.hpp', '.so')}
+    there = {name for name in ZipFile(wheel).namelist() if name.startswith(f'{PACKAGE}/')}
+    assert there - here == {f'{PACKAGE}/engine/{build.MODULE}'}
+    assert here <= there
     assert any(name.endswith('page.html') for name in here)
+
+
+def test_one_wheel_is_for_all_supported_versions_of_python(wheel):
+    assert '-cp311-abi3-linux_' in wheel.name
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('pip', ['pip==23.0.1', 'pip'])
+@pytest.mark.parametrize('options', [(), ('--editable',)])
+def test_every_pip_puts_the_programs_on_the_path(pip, options, tmp_path):
+    source = copy_package(tmp_path / 'source')
+    venv.create(tmp_path / 'venv', with_pip=True)
+    python = tmp_path / 'venv' / 'bin' / 'python'
+    run(python, '-m', 'pip', 'install', pip, cwd=tmp_path)
+    # In an environment of pip's own making, from the package index.
+    run(python, '-m', 'pip', 'install', '--no-deps', *options, source, cwd=tmp_path)
+    assert PROGRAMS <= files_below(tmp_path / 'venv' / 'bin')
+    output = run(python, '-c', SHOW_ENGINE, cwd=tmp_path)
+    assert output.startswith(str(source) if options else str(tmp_path / 'venv'))
 
 
 def test_program_works_in_the_environment_from_another_directory(environment, tmp_path):
