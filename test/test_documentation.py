@@ -54,6 +54,7 @@ AFTERWARDS = 'with what was recorded above'
 PATIENCE = 60.0
 # Commands that are not run from here, and why.
 ELSEWHERE = {
+    'scripts/build': 'test/engine/test_build.py does',
     'scripts/demo': 'test/ros/test_demo.py runs what it calls',
     'scripts/test': 'it runs this test',
     'source': 'set-up of a shell', 'mkdir': 'set-up', 'python3 -m venv': 'set-up',

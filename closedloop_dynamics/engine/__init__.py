@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The compiled part of the package: C++ sources and the extension module made of them, native."""
+"""Kernels in C++, compiled when the package is installed: the extension module native."""
 
 from pathlib import Path
 
