@@ -69,7 +69,7 @@ def fresh(output):
 
 
 def compiler():
-    """Return the command of the C++ compiler, of ``CXX`` or of the machine; empty if it has none."""
+    """Return the command of the C++ compiler, of ``CXX`` or the machine; empty if none."""
     if os.environ.get('CXX'):
         return shlex.split(os.environ['CXX'])
     return next(([name] for name in ('g++', 'clang++', 'c++') if shutil.which(name)), [])
@@ -196,8 +196,8 @@ def main():
                         help='check addresses and undefined behaviour at run time')
     parser.add_argument('--target', help='another machine to compile for, by the wheel ziglang')
     parser.add_argument('--output', type=Path,
-                        help='the file to make (default: in place, or below build/ for a target or '
-                             'with --sanitize)')
+                        help='the file to make (default: in place; below build/ for a target '
+                             'and with --sanitize)')
     parser.add_argument('--requirements', action='store_true',
                         help='only print what pip must install before')
     options = parser.parse_args()
