@@ -76,12 +76,10 @@ def _geometry(model, work):
             i = path_body[entry]
             joint[i, SQUARE] = (
                 1.0 if tree[i, TYPE] == PRISMATIC else max(joint[i, SQUARE], most))
-    for a in range(cut.shape[0]):
-        if cut[a, LENGTHS] == 0:
-            # Of joints that nothing but couplings hold.
-            for entry in range(cut[a, PATH_A], cut[a, PATH_END]):
-                i = path_body[entry]
-                joint[i, SQUARE] = choose(joint[i, SQUARE] > 0.0, joint[i, SQUARE], 1.0)
+    for entry in range(path_body.shape[0]):
+        # Joints that no equation has a lever on, such as those that only couplings hold.
+        i = path_body[entry]
+        joint[i, SQUARE] = choose(joint[i, SQUARE] > 0.0, joint[i, SQUARE], 1.0)
     for a in range(cut.shape[0]):
         for entry in range(cut[a, PATH_A], cut[a, PATH_END]):
             for k in range(cut[a, ROWS]):

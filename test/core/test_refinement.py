@@ -16,11 +16,14 @@
 
 from dataclasses import replace
 
+from closedloop_dynamics.core.codegen import available, function_table as calls, later
 from closedloop_dynamics.core.types import RANK, RANK_REVEALING_COUNT, SMALLEST_PIVOT
 from closedloop_dynamics.integration.evaluation import evaluate
 from closedloop_dynamics.integration.projection import correction, factor_configuration
 from closedloop_dynamics.integration.system import build_system
+from closedloop_dynamics.mechanism.mechanism import Body, Coupling, Joint, Mechanism
 from closedloop_dynamics.simulation.modeling import build_model
+from closedloop_dynamics.simulation.spatial_modeling import build_spatial_model
 import numpy as np
 import pytest
 
@@ -107,3 +110,43 @@ def test_what_nothing_holds_needs_mass():
     system.tau[-1] = 1.0
     evaluate(system, np.append(q, 0.0), np.append(qd, 0.0))
     assert np.isnan(system.qdd).all()
+
+
+def gripper(mass, planar=True):
+    """Return two fingers that slide apart alike on a hinged arm."""
+    def vector(*xy):
+        return xy if planar else (*xy, 0.0)
+
+    def inertia(value):
+        return value if planar else 3 * (value,)
+
+    axes = [{} if planar else {'axis': axis} for axis in (
+        (0.0, 0.0, 1.0), (0.0, 1.0, 0.0), (0.0, -1.0, 0.0))]
+    bodies = (Body('arm', 1.0, vector(0.2, 0.0), inertia(0.02)), *(
+        Body(name, mass, vector(0.0, 0.0), inertia(1e-4 * mass)) for name in ('left', 'right')))
+    joints = (Joint('hinge', 'revolute', 'ground', 'arm', vector(0.0, 0.0), **axes[0]), *(
+        Joint(name, 'prismatic', 'arm', name, vector(0.4, 0.0), **(
+            {'angle': angle} if planar else axis))
+        for name, angle, axis in (('left', 0.5 * np.pi, axes[1]), ('right', -0.5 * np.pi, axes[2]))))
+    return Mechanism('gripper', bodies, joints, (), couplings=(
+        Coupling('fingers', {'left': 1.0, 'right': -1.0}),))
+
+
+@pytest.mark.skipif(not available(), reason='of the unrolled routine')
+@pytest.mark.parametrize('mass', [0.1, 1e-9])
+@pytest.mark.parametrize('planar', [True, False])
+def test_a_hinge_may_lie_on_the_path_of_a_coupling_of_lengths(planar, mass):
+    mechanism = gripper(mass, planar)
+    system = build_system(
+        build_model(mechanism) if planar else build_spatial_model(mechanism).model)
+    system.tau[:] = 0.3, 0.0, 0.0
+    place, speed = 0.05, 3.0
+    q, qd = np.array([0.4, place, place]), np.array([speed, 0.0, 0.0])
+    arrays = [array.ctypes.data for array in (system.table, q, qd)]
+    later(system.model, calls.REFINED_ACCELERATION)
+    for routine in (calls.OUTWARD, calls.REFINED_ACCELERATION):
+        assert calls.function(system.table, routine)(*arrays)
+    # The arm's angular acceleration pushes one finger out and the other one in.
+    np.testing.assert_allclose(system.qdd[1:], place * speed ** 2, rtol=1e-9)
+    both = 0.02 + 0.2 ** 2 + 2.0 * mass * (1e-4 + 0.4 ** 2 + place ** 2)
+    np.testing.assert_allclose(system.qdd[0], 0.3 / both, rtol=1e-9)
