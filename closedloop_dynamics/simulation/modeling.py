@@ -54,7 +54,20 @@ def build_model(mechanism, gravity=(0.0, 0.0), decomposition=None, kept=None):
     closures = _cut_arrays(mechanism, decomposition, tree, body_row)
     cut = closures[0]
     cut[:, t.POSSIBLE] = [plane.possible(kind) for kind in cut[:, t.CUT_TYPE].tolist()]
+    if kept is None:
+        kept = _changeable(cut, tree, closures[2])
     return complete(tree, body, gravity, *closures, decomposition, plane, kept)
+
+
+def _changeable(cut, tree, path_body):
+    """Tell, in the order of the cut joints, whether any motion may change each equation."""
+    for one in cut[np.argsort(cut[:, t.CUT_NUMBER])]:
+        kind, between = one[t.CUT_TYPE], path_body[one[t.PATH_A]:one[t.PATH_COMMON]]
+        # Slides alone never change the angle between two bodies.
+        parallel = kind in (t.CUT_PRISMATIC, t.CUT_FIXED) and (
+            tree[between, t.TYPE] == t.PRISMATIC).all()
+        yield from (not (parallel and plane.group_of(kind, n))
+                    for n in range(6) if one[t.POSSIBLE] >> n & 1)
 
 
 def complete(tree, body, gravity, cut, cut_point, path_body, decomposition, arrays, kept):

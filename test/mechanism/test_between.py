@@ -16,6 +16,7 @@
 
 from dataclasses import replace
 
+from closedloop_dynamics import Simulation
 from closedloop_dynamics.core.codegen import available
 from closedloop_dynamics.mechanism.fields import FieldError
 from closedloop_dynamics.mechanism.mechanism import MechanismError, Point
@@ -184,6 +185,41 @@ def test_the_tree_of_fewest_operations_is_chosen_and_told(tmp_path):
     # Another length changes nothing but numbers.
     other = with_parameters(mechanism, {'crank': 0.12})
     assert other.tree.cut == ('tip',) and other.joints[1].position == (0.12, 0.0)
+
+
+SLIDES = """\
+name: slides
+bodies:
+  table: {mass: 1.0, center_of_mass: [0, 0], inertia: 0.02}
+  tool: {mass: 0.5, center_of_mass: [0, 0], inertia: 0.01}
+joints:
+  bed: {type: prismatic, between: [ground, table], points: [[0, 0], [0, 0]]}
+  rail: {type: prismatic, between: [ground, table], points: [[0, 1], [0, 1]]}
+  slope: {type: prismatic, between: [table, tool], points: [[0, 0], [0, 0]]}
+  guide: {type: prismatic, between: [ground, tool], points: [[0, 0], [0, 0]]}
+"""
+
+
+@pytest.mark.parametrize('stabilisation', ['projection', 'none'])
+@pytest.mark.parametrize('cut', ['', 'cut: true, '])
+def test_slides_alone_close_loops_in_which_nothing_turns(tmp_path, cut, stabilisation):
+    (tmp_path / 'machine.yaml').write_text(SLIDES.replace('guide: {', 'guide: {' + cut))
+    path = tmp_path / 'scene.yaml'
+    path.write_text(
+        'mechanism: ./machine.yaml\ninitial: {position: {bed: 0.1, rail: 0.1, slope: 0.2, '
+        'guide: 0.3}}\n'
+        f'method: {{integrator: rk4, stabilisation: {stabilisation}}}\n'
+        'effects: {gravity: {type: gravity, acceleration: [2.0, -9.81]}}')
+    scene = load_scene(path)
+    assert len(scene.mechanism.tree.cut) == 2
+    assert not cut or 'guide' in scene.mechanism.tree.cut
+    assert '2 = 2 joints - 0 independent equations (4 of 4 repeat others)' in describe(
+        scene.mechanism)
+    simulation = Simulation(scene)
+    simulation.step(duration=0.1)
+    assert simulation.acceleration == pytest.approx(
+        [2.0 if name != 'slope' else 0.0 for name in simulation.joint_names])
+    assert simulation.degrees_of_freedom() == 2
 
 
 @pytest.mark.parametrize('changes, words', [
