@@ -199,8 +199,9 @@ class Assembler:
         left = np.abs(jac @ qd - wanted).max(initial=0.0)
         scale = max(np.abs(qd).max(initial=0.0) * self.extent, np.abs(rate).max(initial=0.0))
         if left > 1e-9 * scale:
+            held = [*hold, *(motion.name for motion in self.mechanism.motions)]
             raise AssemblyError(
-                f'The velocities held at {", ".join(hold)} contradict the loops: the cut joints '
+                f'The velocities held at {", ".join(held)} contradict the loops: the cut joints '
                 f'would separate at {left:.3g} m/s. Hold fewer joints, or start at other '
                 'velocities.')
         return self._continued(q, qd, jac, hold)

@@ -235,11 +235,14 @@ def _degrees_of_freedom(mechanism, simulation, found):
     if freedoms is None:
         return (f'{joints - equations} = {joints} joints - {equations} equations, if none repeats '
                 'others (no position that closes the loops was found to tell)')
-    independent = joints - freedoms
+    # Motions that the loops or one another decide already are refused.
+    motions = 0 if simulation is None else len(simulation.mechanism.motions)
+    independent = joints - freedoms - motions
     several = 'joints' if joints == len(mechanism.joints) else 'of the joints'
     return f'{freedoms} = {joints} {several} - {independent} ' + (
         'equations' if independent == equations else
-        f'independent equations ({equations - independent} of {equations} repeat others)')
+        f'independent equations ({equations - independent} of {equations} repeat others)') + (
+        f' - {motions} prescribed motion{"s" * (motions > 1)}' * bool(motions))
 
 
 def _closed(mechanism):

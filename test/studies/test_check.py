@@ -17,6 +17,7 @@
 from dataclasses import replace
 
 from closedloop_dynamics.mechanism.mechanism import Body, Joint, Mechanism
+from closedloop_dynamics.simulation.motions import moving
 from closedloop_dynamics.simulation.scene import load_scene, scene_names
 from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.studies.check import describe
@@ -121,3 +122,16 @@ def test_every_shipped_scene_is_described_in_plain_columns(name):
 def test_an_over_constrained_mechanism_is_told_what_can_move():
     assert dict(cells(paragraphs(parallelogram(rockers=4))['Summary']))['degrees of freedom'] == (
         '1 = 6 joints - 5 independent equations (3 of 8 repeat others)')
+
+
+@pytest.mark.parametrize('name, motion, told', [
+    ('slider_crank', {'crank_joint': '1.0472'},
+     '0 = 3 joints - 2 equations - 1 prescribed motion'),
+    ('bennett', {'joint_1': '1+2*t'},
+     '0 = 3 joints - 2 independent equations (3 of 5 repeat others) - 1 prescribed motion'),
+    ('rssr_four_bar', {'crank': 't'},
+     '1 = 5 of the joints - 3 equations - 1 prescribed motion')])
+def test_prescribed_motions_are_counted_apart_from_equations(name, motion, told):
+    scene = moving(load_scene(name), motion)
+    assert dict(cells(paragraphs(scene, Simulation(scene))['Summary']))[
+        'degrees of freedom'] == told
