@@ -108,6 +108,7 @@ class Assembler:
         free = self._free(hold)
         q, psi = self._closed(np.array(guess, dtype=float), free)
         if not self._is_closed(psi):
+            self._require_no_surplus(guess, hold)
             raise AssemblyError(self._open_loops(guess, psi, hold))
         if len(hold) > 0:
             self._require_complete(q, free, hold)
@@ -512,6 +513,24 @@ class Assembler:
                 f'Hold {missing} more of {", ".join(self._coordinates.names[k] for k in free)}'
                 ', or hold none to take the nearest closed state.')
 
+    def _require_no_surplus(self, guess, hold):
+        """Refuse held joints that follow from those held before them."""
+        q, psi = self._closed(np.array(guess, dtype=float), np.arange(self.nv))
+        if len(hold) == 0 or not self._is_closed(psi):
+            return
+        jac, held, surplus = self.jacobian_of_largest_rank(q), [], []
+        for name in hold:
+            before, after = (self._free(names) for names in (held, [*held, name]))
+            free = rank_of(jac[:, before]) == rank_of(jac[:, after])
+            (held if free else surplus).append(name)
+        if surplus:
+            count = self.degrees_of_freedom(q)
+            raise AssemblyError(
+                f'{self.mechanism.name} cannot be assembled with {", ".join(hold)} held: expected '
+                f'joints that move independently ({count} degree{"s" * (count != 1)} of freedom), '
+                f'got {", ".join(surplus)}, which follow{"s" * (len(surplus) == 1)} from '
+                f'{", ".join(held) or "the closure equations"}. Leave {", ".join(surplus)} out of hold.')
+
     def _missing(self, q, free):
         """Return how many of some freedoms stay open at a position, where that matters."""
         # No number holds the idle spin of a rod: beside orientations the nearest state will do.
@@ -542,10 +561,6 @@ class Assembler:
         q, psi = self._closed(np.array(guess, dtype=float), np.arange(self.nv))
         if not self._is_closed(psi):
             return f'Nor can it with none held. {nearer}'
-        freedoms = self.degrees_of_freedom(q)
-        if len(hold) > freedoms:
-            return (f'{len(hold)} joints are held, but this mechanism has only {freedoms} '
-                    f'degree{"s" if freedoms != 1 else ""} of freedom: hold fewer.')
         nearest = ', '.join(
             f'{column.partition(".")[2]} = {value:.6g}' for column, value
             in zip(self._coordinates.columns('position'), q) if column.split('.')[1] in hold)

@@ -146,9 +146,17 @@ def test_too_many_and_too_few_held_joints_are_counted_by_what_can_move():
     guess = np.array([1.0, -1.0, 1.0, 1.0, 1.0, 1.0])
     assert one.degrees_of_freedom(one.positions(guess)) == 1
     assert find_degrees_of_freedom(one.mechanism) == 1
-    with pytest.raises(AssemblyError, match='has only 1 degree of freedom: hold fewer'):
+    with pytest.raises(AssemblyError, match=(
+            r'crank_joint, joint_0 held: expected joints that move independently \(1 degree of '
+            r'freedom\), got joint_0, which follows from crank_joint. Leave joint_0 out')):
         one.positions(guess + [0.1, 0, 0, 0, 0, 0], ('crank_joint', 'joint_0'))
     scene = load_scene('three_rrr')
+    # One leg alone places the platform.
+    leg, guess = ('theta_1', 'theta_2', 'theta_3'), np.array(scene.initial.position)
+    guess[0] += 0.1
+    with pytest.raises(AssemblyError, match=(
+            r'\(3 degrees of freedom\), got theta_4, which follows from theta_1, theta_2, th')):
+        assembler(scene.mechanism).positions(guess, (*leg, 'theta_4'))
     with pytest.raises(AssemblyError, match='2 degrees of freedom stay open. Hold 2 more of'):
         assembler(scene.mechanism).positions(scene.initial.position, ('theta_1',))
 
