@@ -104,6 +104,26 @@ def spatial_inertia(value):
     return found
 
 
+# What other programs call a joint, and what it is here.
+_COUPLED_JOINTS = 'write one of the couplings: the sum of joint coordinates, each times its factor'
+_PIN_IN_SLOT = 'write one of the cut_joints, of the type point_on_line'
+_OTHER_NAMES = {
+    **dict.fromkeys(('gear', 'gears', 'belt', 'mimic', 'rack', 'rack_and_pinion'),
+                    _COUPLED_JOINTS),
+    **dict.fromkeys(('pin_in_slot', 'pin_slot', 'slot'), _PIN_IN_SLOT)}
+
+
+def _type_of(*choices):
+    """Return the check for the type of a joint; the error says what stands for other types."""
+    def check(value):
+        try:
+            return one_of(choices)(value)
+        except FieldError as error:
+            error.note = isinstance(value, str) and _OTHER_NAMES.get(value.lower()) or error.note
+            raise
+    return check
+
+
 _COUPLING = {'joints': _factors, 'offset': number, 'radius': partial(_given, positive)}
 # Section of the file (and field of Mechanism) -> its record and the checks of its fields.
 SECTIONS = {
@@ -111,11 +131,11 @@ SECTIONS = {
         'massless': boolean, 'mass': _mass, 'center_of_mass': vector2,
         'inertia': not_negative}),
     'joints': (Joint, {
-        'type': one_of(JOINT_TYPES), 'position': vector2, 'angle': number, 'actuated': boolean,
+        'type': _type_of(*JOINT_TYPES), 'position': vector2, 'angle': number, 'actuated': boolean,
         **dict.fromkeys(('axis', 'second_axis', 'lead'), partial(_left_out, None, 'space')),
         'orientation': partial(_left_out, UNTURNED, 'space')}),
     'cut_joints': (CutJoint, {
-        'type': one_of(tuple(CUT_JOINT_EQUATIONS)), 'point_a': vector2, 'point_b': vector2,
+        'type': _type_of(*CUT_JOINT_EQUATIONS), 'point_a': vector2, 'point_b': vector2,
         'angle': number, 'length': partial(_given, positive), 'actuated': boolean,
         **dict.fromkeys(('axis_a', 'axis_b', 'lead'), partial(_left_out, None, 'space')),
         'orientation': partial(_left_out, UNTURNED, 'space')}),
@@ -128,12 +148,12 @@ SPATIAL_SECTIONS = {
         'massless': boolean, 'mass': _mass, 'center_of_mass': vector3,
         'inertia': spatial_inertia}),
     'joints': (Joint, {
-        'type': one_of(tuple(JOINT_FREEDOMS)), 'position': vector3,
+        'type': _type_of(*JOINT_FREEDOMS), 'position': vector3,
         'angle': partial(_left_out, 0.0, 'the plane'), 'actuated': boolean,
         'orientation': orientation, 'axis': partial(_given, direction),
         'second_axis': partial(_given, direction), 'lead': partial(_given, number)}),
     'cut_joints': (CutJoint, {
-        'type': one_of(tuple(SPATIAL_CUT_JOINT_EQUATIONS)), 'point_a': vector3,
+        'type': _type_of(*SPATIAL_CUT_JOINT_EQUATIONS), 'point_a': vector3,
         'point_b': vector3, 'angle': partial(_left_out, 0.0, 'the plane'),
         'axis_a': partial(_given, direction), 'axis_b': partial(_given, direction),
         'orientation': orientation, 'length': partial(_given, positive), 'actuated': boolean,

@@ -170,6 +170,18 @@ FAULTS = {
     'cut_type_unknown': (
         'type: revolute, body_a', 'type: pin, body_a', 11, 'cut_joints.cut_1.type',
         'one of revolute, prismatic, fixed, distance, point_on_line', "the text 'pin'", ''),
+    'joint_type_gear': (
+        'type: revolute, parent: crank', 'type: gear, parent: crank', 8,
+        'joints.coupler_joint.type', 'one of revolute, prismatic', "the text 'gear'",
+        'write one of the couplings: the sum of joint coordinates, each times its factor'),
+    'cut_type_rack_and_pinion': (
+        'type: revolute, body_a', 'type: Rack_and_Pinion, body_a', 11, 'cut_joints.cut_1.type',
+        'one of revolute, prismatic, fixed, distance, point_on_line', "the text 'Rack_and_Pinion'",
+        'write one of the couplings: the sum of joint coordinates, each times its factor'),
+    'cut_type_pin_in_slot': (
+        'type: revolute, body_a', 'type: pin_in_slot, body_a', 11, 'cut_joints.cut_1.type',
+        'one of revolute, prismatic, fixed, distance, point_on_line', "the text 'pin_in_slot'",
+        'write one of the cut_joints, of the type point_on_line'),
     'actuated_as_yaml_1_1': (
         'actuated: true', 'actuated: yes', 7, 'joints.crank_joint.actuated', 'true or false',
         "the text 'yes'", ''),
