@@ -48,7 +48,7 @@ class Payload(Effect):
         Its centre of mass in the body's frame [m].
     inertia : float, or tuple of 3 or 6 floats in space
         About its own centre of mass, zero or more [kg m^2]; in space in the body's axes: xx, yy,
-        zz, xy, xz, yz.
+        zz, xy, xz, yz, the elements of the matrix: xy is minus the integral of x y dm.
 
     """
 

@@ -129,7 +129,8 @@ class Body:
         In the body frame [m].
     inertia : float, or tuple of 3 or 6 floats
         About the centre of mass [kg m^2], not negative (zero: a point mass). In space the
-        principal moments along the body's axes, or xx, yy, zz, xy, xz, yz.
+        principal moments along the body's axes, or xx, yy, zz, xy, xz, yz: the elements of
+        the matrix, so xy is minus the integral of x y dm.
     massless : bool
         Mass and inertia are zero on purpose: a link that only guides. The loops must then
         determine its motion.
