@@ -29,6 +29,7 @@ from xml.parsers import expat
 import numpy as np
 
 from ..mechanism.fields import among, nearest
+from ..mechanism.files import read_file
 from ..mechanism.mechanism import MechanismError
 
 MOST_BYTES = 10_000_000
@@ -198,8 +199,7 @@ def read_bytes(path):
 
     """
     try:
-        with open(path, 'rb') as file:
-            return file.read(MOST_BYTES + 1)
+        return read_file(path, MOST_BYTES)
     except (OSError, ValueError) as error:
         reason = getattr(error, 'strerror', None) or error
         raise MechanismError(f'{str(path)!r}'[1:-1] + ': expected a file that can be read, got: '

@@ -19,6 +19,7 @@ from pathlib import Path
 
 from .checks import text
 from .fields import FieldError, shown
+from .files import read_file
 
 MOST_BYTES = 4_000_000
 
@@ -49,8 +50,7 @@ def read_columns(value, directory, count):
     """
     path = Path(directory) / text(value)
     try:
-        with open(path, 'rb') as file:
-            content = file.read(MOST_BYTES + 1)
+        content = read_file(path, MOST_BYTES)
         lines = content.decode('utf-8-sig').splitlines()
     except (OSError, ValueError) as error:
         raise FieldError('a CSV file that can be read', f'{path}: {error}') from None

@@ -30,6 +30,7 @@ import re
 import yaml
 
 from .fields import at, FieldError
+from .files import read_file
 
 DEEPEST = 20
 MOST_VALUES = 100_000
@@ -113,10 +114,8 @@ class Document:
     def _text(self):
         """Return what is in the file."""
         try:
-            with open(self.path, 'rb') as file:
-                content = file.read(MOST_BYTES + 1)
+            content = read_file(self.path, MOST_BYTES)
         except (OSError, ValueError) as error:
-            # A ValueError where no path can be so: a NUL, or what no file name can be coded as.
             reason = getattr(error, 'strerror', None) or getattr(error, 'reason', None) or error
             raise self._error_type(f'{str(self.path)!r}'[1:-1] + ': expected a YAML file that '
                                    f'can be read, got: {reason}') from None
@@ -165,8 +164,8 @@ class Document:
                              'for', 'more', path=path)
         if len(path) > DEEPEST:
             raise FieldError(f'a nesting of at most {DEEPEST} levels', 'a deeper one', path=path)
-        if event.tag not in _TAGS:
-            raise FieldError('plain data', f'the tag {event.tag}', 'remove it', path)
+        with at(*path):
+            _require_plain(event)
         first = len(self._read) - 1
         if event.anchor is not None:
             self._anchors[event.anchor] = first, None
@@ -206,7 +205,14 @@ class Document:
     def _key(self, event):
         if not isinstance(event, yaml.ScalarEvent):
             raise FieldError('a key of one word', 'a list or mapping as key')
+        _require_plain(event)
         return event.value
+
+
+def _require_plain(event):
+    """Refuse a tag that makes something else of a value or a key."""
+    if event.tag not in _TAGS:
+        raise FieldError('plain data', f'the tag {event.tag}', 'remove it')
 
 
 def _syntax_error(got):

@@ -15,6 +15,7 @@
 """Each fault of a mechanism's description is named by file, line, key path, expected and got."""
 
 from dataclasses import replace
+import os
 import pickle
 
 from closedloop_dynamics.mechanism import document
@@ -234,6 +235,9 @@ FAULTS = {
     'a_tag': (
         'name: four_bar', 'name: !!python/object/apply:os.getcwd []', 1, 'name', 'plain data',
         'the tag tag:yaml.org,2002:python/object/apply:os.getcwd', 'remove it'),
+    'a_tag_of_a_key': (
+        'mass: 0.5', '!!binary mass: 0.5', 3, 'bodies.crank', 'plain data',
+        'the tag tag:yaml.org,2002:binary', 'remove it'),
     'a_list_as_key': (
         'tip:', '? [tip]\n  :', 12, 'points', 'a key of one word', 'a list or mapping as key', ''),
     'empty_file': (
@@ -355,6 +359,10 @@ def test_unreadable_files_are_named(tmp_path):
                          ('\ud800.yaml', 'surrogates not allowed')):
         assert 'expected a YAML file that can be read, got: ' + reason in refusal(path)
         assert refusal(path).isascii() and refusal(path).isprintable()
+    pipe = tmp_path / 'pipe.yaml'
+    os.mkfifo(pipe)
+    assert refusal(pipe) == (
+        f'{pipe}: expected a YAML file that can be read, got: a pipe or a device')
     binary = tmp_path / 'binary.yaml'
     binary.write_bytes(b'\xff\xfe\x00')
     assert refusal(binary).startswith(f'{binary}:1: ')
