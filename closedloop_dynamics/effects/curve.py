@@ -76,6 +76,7 @@ def pieces(x, y, closed, interpolation, hollow):
     if backwards:
         points = points[::-1]
     ends = np.vstack((points, points[:1])) if closed else points
+    _require_comparable(ends)
     rows = _straight(ends) if interpolation == 'linear' else _spline(ends, closed)
     _require_no_crossing(rows, closed, 1 if interpolation == 'linear' else FINENESS)
     return tuple(tuple(map(float, row)) for row in rows)
@@ -116,6 +117,17 @@ def _checked_points(x, y, closed):
                              'the first point of a closed curve is not repeated',
                              path=('x', index))
     return points
+
+
+def _require_comparable(points):
+    """Refuse points some of which coincide beside the length of the curve, as 0.1 and 1e20 do."""
+    with np.errstate(over='ignore'):
+        length = np.cumsum(np.hypot(*np.diff(points, axis=0).T))
+        overflows = not np.isfinite(length[-1] ** 2)
+    if overflows or not (np.diff(length, prepend=0.0) > 0.0).all():
+        far = points[np.argmax(np.abs(points).max(axis=1))]
+        raise FieldError('points of one curve, no further apart than double precision compares',
+                         f'[{far[0]:g}, {far[1]:g}] among them', path=('x',))
 
 
 def _straight(ends):

@@ -83,18 +83,19 @@ def with_shape(values, spatial):
     with at('shape'):
         kind, found = _read(shape, SHAPES, spatial)
         with at(kind):
-            volume, center, inertia = _properties(kind, found, spatial)
+            volume, center, inertia = _finite_properties(kind, found, spatial)
     values.setdefault('visual', (_visual(kind, found),))
     if density is not None:
         with at('density'):
             density = positive(density)
         if not volume > 0.0:
-            raise FieldError('a radius of a rod with density', 'none',
-                             path=('shape', 'rod', 'radius'))
+            raise FieldError('a volume above zero with density', 'none',
+                             'a rod needs a radius' * (kind == 'rod'), ('shape', kind))
         values['mass'] = density * volume
     with at('mass'):
         mass = positive(values['mass'])
-    inertia = mass * inertia
+    with np.errstate(over='ignore'):
+        inertia = mass * inertia
     return {**values, 'center_of_mass': tuple(center.tolist()), 'inertia': (
         tuple(inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]].tolist()) if spatial
         else float(inertia[2, 2]))}
@@ -180,13 +181,27 @@ def _rod(found, to, spatial):
     """Return the numbers of the cylinder that a rod is."""
     start = np.array(found.get('from', np.zeros(3 if spatial else 2)))
     along = np.array(found['to']) - start
-    length = float(np.linalg.norm(along))
-    if not length > 0.0:
-        raise FieldError('another place than where the rod begins', shown(to), path=('to',))
+    length = math.hypot(*along)
+    if not 0.0 < length < math.inf:
+        raise FieldError('another place than where the rod begins, at a finite distance',
+                         shown(to), path=('to',))
     axis = np.zeros(3)
     axis[:len(along)] = along / length
     return {'radius': found.get('radius', 0.0), 'length': length, 'axis': axis,
             'center': start + 0.5 * along}
+
+
+def _finite_properties(kind, found, spatial):
+    """Return what ``_properties`` does; refuse a size whose powers overflow."""
+    with np.errstate(over='ignore', invalid='ignore'):
+        try:
+            volume, center, inertia = _properties(kind, found, spatial)
+        except OverflowError:
+            volume = math.inf
+    if not (volume < math.inf and np.isfinite(inertia).all()):
+        raise FieldError('a size whose volume and inertia are finite numbers',
+                         'one that is far too large')
+    return volume, center, inertia
 
 
 def _properties(kind, found, spatial):

@@ -106,7 +106,15 @@ def test_shapes_of_the_plane_turn_about_z():
      'shape.cylinder.axis: expected a direction'),
     ({'shape': {'rod': {'to': [0, 0, 0]}}, 'mass': 1.0}, 'shape.rod.to: expected another place'),
     ({'shape': {'rod': {'to': [1, 0, 0]}}, 'density': 1.0},
-     'shape.rod.radius: expected a radius of a rod with density'),
+     r'shape.rod: expected a volume above zero with density, got none \(a rod needs a radius'),
+    *(({'shape': shape, key: 1.0}, 'shape.*: expected a size whose volume and inertia are finite')
+      for key, shape in [
+          ('mass', {'sphere': {'radius': 1e308}}), ('density', {'sphere': {'radius': 1e200}}),
+          ('mass', {'rod': {'to': [1, 0, 0], 'radius': 1e155}}),
+          ('density', {'cylinder': {'radius': 1e308, 'length': 1, 'axis': [0, 0, 1]}}),
+          ('mass', {'box': {'size': [1e308, 1, 1]}})]),
+    ({'shape': {'sphere': {'radius': 1e-200}}, 'density': 1.0},
+     'shape.sphere: expected a volume above zero with density, got none$'),
     ({'shape': {'sphere': {'radius': 1}}, 'massless': True}, 'either massless: true or a shape'),
     ({'shape': {'sphere': {'radius': 1}}, 'density': -1}, 'density: expected a positive number')])
 def test_mistakes_in_shapes_are_named(values, words):
