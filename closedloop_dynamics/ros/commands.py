@@ -18,6 +18,7 @@ import inspect
 import math
 
 from closedloop_dynamics.recording.message_numbers import pose_numbers, twist_numbers
+from closedloop_dynamics.simulation.errors import SimulationError
 import numpy as np
 from rclpy.event_handler import SubscriptionEventCallbacks
 
@@ -43,6 +44,8 @@ class TorqueCommand:
     timeout : float
         Torques fall to zero when no command came, or the last one acted, for so long [s];
         0: the last command holds for ever.
+    require_bearable : callable, optional
+        Takes torques in that order, and raises SimulationError where they are far too large.
 
     Attributes
     ----------
@@ -59,8 +62,9 @@ class TorqueCommand:
 
     """
 
-    def __init__(self, joint_names, actuated_joints, timeout=0.0):
+    def __init__(self, joint_names, actuated_joints, timeout=0.0, require_bearable=None):
         self.actuated_joints, self.timeout = tuple(actuated_joints), timeout
+        self._require_bearable = require_bearable
         self.torque = np.zeros(len(self.actuated_joints))
         self.counts = dict.fromkeys(('accepted', 'rejected', 'timed out', 'lost', NOT_ACTUATED), 0)
         self.expired, self.held = False, 0.0
@@ -75,8 +79,7 @@ class TorqueCommand:
                 f'expected {len(self.actuated_joints)} values '
                 f'({", ".join(self.actuated_joints)}), got {len(values)}')
         self._require_finite(self.actuated_joints, values)
-        self.torque[:] = values
-        self._follow(now)
+        self._follow(np.array(values, dtype=float), now)
 
     def accept_named(self, names, efforts, now):
         """
@@ -101,9 +104,9 @@ class TorqueCommand:
                 f'(positions and velocities are not followed)')
         self._require_finite(actuated, efforts)
         self.counts[NOT_ACTUATED] += len(names) - len(actuated)
-        indices = [self._index[name] for name in actuated]
-        self.torque[indices] = efforts
-        self._follow(now)
+        torque = self.torque.copy()
+        torque[[self._index[name] for name in actuated]] = efforts
+        self._follow(torque, now)
 
     def expire(self, now):
         """
@@ -128,7 +131,13 @@ class TorqueCommand:
         self._last_arrival = None
         self.torque[:] = 0.0
 
-    def _follow(self, now):
+    def _follow(self, torque, now):
+        if self._require_bearable is not None:
+            try:
+                self._require_bearable(torque)
+            except SimulationError as error:
+                raise self._refusal(error) from None
+        self.torque[:] = torque
         self.counts['accepted'] += 1
         self.expired, self.held = False, 0.0
         self._last_arrival = now

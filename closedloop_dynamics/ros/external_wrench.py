@@ -18,6 +18,7 @@ import math
 
 from closedloop_dynamics.effects.actuator import Actuator
 from closedloop_dynamics.ros.commands import CommandError
+from closedloop_dynamics.simulation.errors import SimulationError
 from closedloop_dynamics.visual.motion import wrench_in_joints
 import numpy as np
 
@@ -80,9 +81,20 @@ class ExternalWrench:
         if self._simulation.mechanism.planar and any(parts[2:5]):
             raise CommandError('expected force x and y and torque z, in the plane, got others')
         if any(parts):
+            self._require_bearable(name, np.array(parts))
             self._acting[name] = np.array(parts), self._simulation.time + TIMEOUT
         else:
             self._acting.pop(name, None)
+
+    def _require_bearable(self, name, wrench):
+        """Refuse a wrench that no step can follow."""
+        simulation, tau = self._simulation, self._simulation.joint_torques(None)
+        tau[:len(self.torques)] = wrench_in_joints(
+            simulation.mechanism, simulation.position, *self._places[name], wrench)
+        try:
+            simulation.require_bearable(tau)
+        except SimulationError as error:
+            raise CommandError(error) from None
 
     def forget(self):
         """Let none act."""

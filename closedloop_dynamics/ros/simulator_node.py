@@ -149,7 +149,8 @@ class SimulatorNode(Node):
             {topic: list(forces) for topic, forces in simulation.equation_forces().items()})
         self.command = TorqueCommand(
             (*simulation.joint_names, *simulation.cut_joint_names), simulation.actuated_joints,
-            values['command_timeout'])
+            values['command_timeout'],
+            lambda torque: simulation.require_bearable(simulation.joint_torques(torque)))
         self.pacer = Pacer(simulation.step_size, values['real_time_factor'])
         real_time = values['mode'] == REALTIME
         stamps = Stamps(self, simulation, values['publish_clock'] or not real_time,

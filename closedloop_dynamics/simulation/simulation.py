@@ -60,6 +60,8 @@ FORMULATIONS = {'subsystem': SUBSYSTEM, 'system': SYSTEM, 'augmented': AUGMENTED
 POOR_CHOICE, BETTER = 0.02, 3.0
 # In a step, of a joint [rad, m]: error-controlled methods would divide it for minutes.
 LARGEST_MOTION = 1e3
+# Torques up to this one are not asked for what they would do within a step [N m or N].
+USUAL_TORQUE = 1e6
 
 
 class Simulation:
@@ -990,6 +992,7 @@ class Simulation:
     def _command(self, tau):
         """Let joint torques act from now on."""
         if not (tau == self.system.tau).all():
+            self.require_bearable(tau)
             self._add_work()
             self._driver.restart()
             self.system.tau[:] = tau
@@ -1187,10 +1190,39 @@ class Simulation:
             if self.mechanism.motions:
                 for place in np.flatnonzero(tau):
                     self._require_unmoved(self.torque_names[place])
-        # The sum of squares is finite where all are, and quicker to tell; it may overflow alone.
-        if not (math.isfinite(tau.dot(tau)) or np.isfinite(tau).all()):
+        if not _are_finite(tau):
             raise ValueError(f'torque: expected finite numbers, got {torque!r}')
         return tau
+
+    def require_bearable(self, tau):
+        """
+        Refuse joint torques that no step from the present state can follow.
+
+        Parameters
+        ----------
+        tau : ndarray, shape (number of ``torque_names``,)
+            From ``joint_torques``.
+
+        Raises
+        ------
+        NumericalError
+            Where a joint would move by more than LARGEST_MOTION within a step; nothing is changed.
+
+        """
+        largest_torque = np.abs(tau).max(initial=0.0)
+        if largest_torque <= USUAL_TORQUE:
+            return
+        system, before = self.system, self.system.tau.copy()
+        system.tau[:] = tau
+        self._present.evaluate()
+        system.tau[:], self._fresh = before, False
+        motion = np.abs(system.qdd).max(initial=0.0) * self.step_size ** 2
+        if not (motion <= LARGEST_MOTION and np.isfinite(self._table.rates).all()):
+            raise NumericalError(
+                f'torque: expected torques that a step of {self.step_size:g} s can follow, got '
+                f'up to {largest_torque:.3g} (N m or N), by which a joint would move by '
+                f'{motion:.3g} rad or m; at most {LARGEST_MOTION:g} can be followed. The state '
+                'and the torques before are kept.')
 
     def _require_unmoved(self, name):
         """Refuse a torque of a joint whose motion is prescribed."""
@@ -1786,8 +1818,12 @@ def vector(name, values, length):
 
     """
     array = np.array(values, dtype=float, order='C')
-    # The sum of squares is finite where all are, and quicker to tell; it may overflow alone.
-    if array.shape != (length,) or not (
-            math.isfinite(array.dot(array)) or np.isfinite(array).all()):
+    if array.shape != (length,) or not _are_finite(array):
         raise ValueError(f'{name}: expected {length} finite numbers, got {values!r}')
     return array
+
+
+def _are_finite(array):
+    """Return whether all numbers are finite."""
+    # Their sum is where all are, and quicker to tell; it may overflow alone.
+    return math.isfinite(array.sum()) or np.isfinite(array).all()

@@ -125,14 +125,15 @@ def test_bad_wrenches_are_refused_counted_and_told(make):
     node = make('three_rrr')
     bad = {'frame_id': wrench('platfrom', (1.0, 0.0, 0.0)),
            'finite': wrench('platform', (float('nan'), 0.0, 0.0)),
-           'torque z': wrench('platform', (0.0, 0.0, 1.0))}
+           'torque z': wrench('platform', (0.0, 0.0, 1.0)),
+           'can follow': wrench('platform', (1e308, 0.0, 0.0))}
     for part, message in bad.items():
         node.on_external_wrench(message)
         assert node.warnings[-1].startswith('external_wrench refused: ')
         assert part in node.warnings[-1]
     advance(node, 1)
     assert not node.simulation.effort.any()
-    assert node.live.wrench.counts == {'wrenches taken': 0, 'wrenches refused': 3}
+    assert node.live.wrench.counts == {'wrenches taken': 0, 'wrenches refused': 4}
 
 
 def test_a_scene_with_limited_drives_takes_none(make):

@@ -138,3 +138,22 @@ def test_simulate_tells_the_error_of_the_run(capsys):
 def test_keys_of_a_method_that_mean_nothing_are_named():
     method = load_scene('four_bar').method
     assert set(method.unused) == {'tolerance', 'baumgarte_time_constant'}
+
+
+@pytest.mark.parametrize('torque', [1e308, -1e150, 1e20])
+@pytest.mark.parametrize('method', ['auto', 'rk4'])
+def test_torques_that_no_step_can_follow_are_refused_and_nothing_changes(method, torque):
+    simulation = Simulation.from_scene('slider_crank', integrator=method)
+    simulation.step([2.0], duration=0.01)
+    before, energy = simulation.state, simulation.energy_balance
+    for _ in range(2):
+        with pytest.raises(NumericalError, match='torque: expected torques that a step of 0.001'):
+            simulation.step([torque], duration=0.01)
+    for one, other in zip(simulation.state, before):
+        np.testing.assert_array_equal(one, other)
+    assert simulation.energy_balance == energy
+    # The torque before stays in force.
+    simulation.step([2.0], duration=0.01)
+    undisturbed = Simulation.from_scene('slider_crank', integrator=method)
+    undisturbed.step([2.0], duration=0.02)
+    np.testing.assert_allclose(simulation.position, undisturbed.position, rtol=1e-6)
