@@ -93,6 +93,11 @@ class Assembler:
         """Return the generalized inertia matrix of the spanning tree, shape (nv, nv)."""
         return self._equations.move(q).inertia()
 
+    @property
+    def groups(self):
+        """Numbers that equations of one kind have in common, as ``Equations`` has them."""
+        return self._equations.groups[self._kept]
+
     def positions(self, guess, hold=()):
         """
         Find joint coordinates that close the loops, shape (nq,).

@@ -20,6 +20,7 @@ import numpy as np
 
 from .assembly import rank_of
 from .errors import AssemblyError
+from .loop_model import scaled
 from ..core import types as t
 from ..effects.prescribed_motion import COMMANDED, PrescribedMotion
 from ..mechanism.checks import one_of
@@ -29,6 +30,8 @@ from ..mechanism.fields import at, FieldError
 NO_JUMP = 1e-9
 # A start that differs by more from the one of the scene is told [rad, m].
 OTHER_START = 1e-6
+# Smallest singular value of the scaled Jacobian below which a limit is near: some 0.01 rad.
+AT_LIMIT = 1e-2
 
 
 def with_motions(scene):
@@ -207,7 +210,8 @@ class Motions:
             return
         jac = assembler.jacobian_of_largest_rank(q)
         loops = len(jac) - len(self._names)
-        repeated = rank_of(jac[:loops]) + len(self._names) - rank_of(jac)
+        self._rank = rank_of(jac)
+        repeated = rank_of(jac[:loops]) + len(self._names) - self._rank
         if repeated > 0:
             raise AssemblyError(
                 f'{self.mechanism.name} is not free to move as prescribed by '
@@ -343,4 +347,17 @@ class Motions:
         finally:
             if self:
                 self.follow(time)
-        return ''
+        return self._advice_at_limit(assembler, q)
+
+    def _advice_at_limit(self, assembler, q):
+        """Return why a run cannot go on at a limit of what is moved; '' where it is elsewhere."""
+        if not self:
+            return ''
+        jac = scaled(assembler.jacobian(q), assembler.groups)
+        if np.linalg.svd(jac, compute_uv=False)[self._rank - 1] > AT_LIMIT:
+            return ''
+        moved = ', '.join(motion.freedom or motion.point for motion in self.mechanism.motions)
+        return (f'The prescribed motion has led to a limit of the mechanism, such as a dead centre, '
+                f'where {moved} can go no further: there the other joints would need rates without '
+                'bound, and may go on in more than one way. Prescribe a motion that turns back '
+                'before the limit, or that of a joint that passes it.')
