@@ -58,12 +58,15 @@ from ..mechanism.checks import direction, list_of, name, not_negative, number, p
 from ..mechanism.fields import at, FieldError, shown
 from ..mechanism.mechanism import Vector3
 
-# Numbers of an entry: row of a point's body, place in its frame [m], radius of the pulley [m]; in
-# space one more.
-COLUMNS, SPATIAL_COLUMNS = 4, 5
+# Numbers of an entry: row of a point's body, place in its frame [m], radius of the pulley [m], and
+# how much cable lies on it at the latest evaluation [m]; in space one more.
+COLUMNS, SPATIAL_COLUMNS = 5, 6
 # Columns of EffectTable.values in space: row of the body of the pulleys' axis, less than zero
 # where there are guides alone; the axis in the frame of that row.
 CARRIER, AXIS = 3, 4
+# A start is told where the stretch is a larger share of the free length than wire ropes work at,
+# and the tension more than so many times the weight of all bodies.
+LARGE_STRETCH, LARGE_TENSION = 0.005, 10.0
 
 
 @dataclass(frozen=True)
@@ -132,12 +135,29 @@ class Cable(Effect):
             with at('points'):
                 require_point(mechanism, index, point)
 
+    def windings(self, entries):
+        """Return the turns round pulleys that have a radius, from -pi/2 to 3 pi/2."""
+        return {point: float(entry[-1] / abs(radius)) for point, radius, entry in zip(
+            self.points, self.radii or (), entries) if radius}
+
+    def start_notes(self, name, readings, weight):
+        """Tell of a stretch at the start that few cables bear, by forces that no weight explains."""
+        found = readings()
+        stretch = found['length'] - self.free_length
+        if not (stretch > LARGE_STRETCH * self.free_length
+                and found['tension'] > LARGE_TENSION * weight):
+            return []
+        return [f'The cable {name} starts {found["length"]:.6g} m long, stretched by {stretch:.3g} '
+                f'm, and pulls with {found["tension"]:.3g} N; all bodies together weigh '
+                f'{weight:.3g} N. Check free_length ({self.free_length:g} m), and the signs of '
+                'radii: positive where the cable turns to the left.']
+
     def element(self, machine):
         """Return the effect as a row of the table."""
         entries, radii = [], self.radii or (0.0,) * len(self.points)
         for point, radius in zip(self.points, radii):
             row, spot = machine.point(point)
-            entries.append((float(row), *spot, radius))
+            entries.append((float(row), *spot, radius, 0.0))
         values = [self.stiffness, self.free_length, self.damping]
         if machine.mechanism.planar:
             return ForceElement(CABLE, (), tuple(values), (State(DISSIPATED),),
@@ -206,7 +226,8 @@ def apply(table, row, body, q, qd, tau):
         length += part
         rate += growth
         if k > 0 and data[at + 3] != 0.0:
-            length += _wrapped(data[at + 3], before_x, before_y, x, y)
+            data[at + 4] = _wrapped(data[at + 3], before_x, before_y, x, y)
+            length += data[at + 4]
         before_x, before_y = x, y
     tension = _tension(table, row, length, rate)
     if tension > 0.0:
@@ -302,8 +323,9 @@ def _apply_over_pulleys(table, row, body):
         fleet = max(fleet, math.atan2(abs(high), seen))
         if k > 0 and data[at + 4] != 0.0:
             # Seen along the axis: the turn from one tangent to the next.
-            length += _wrapped(data[at + 4], 1.0, 0.0, dot(before, tangent),
-                               dot(cross(before, tangent), axis))
+            data[at + 5] = _wrapped(data[at + 4], 1.0, 0.0, dot(before, tangent),
+                                    dot(cross(before, tangent), axis))
+            length += data[at + 5]
         before = tangent
     tension = _tension(table, row, length, rate)
     table.output[row, 3] = fleet

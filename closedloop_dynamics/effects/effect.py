@@ -286,6 +286,44 @@ class Effect:
 
         """
 
+    def windings(self, entries):
+        """
+        Return how far a cable is wound round pulleys.
+
+        Parameters
+        ----------
+        entries : ndarray
+            The effect's own numbers in the table, after an evaluation, as ``element`` lists them.
+
+        Returns
+        -------
+        dict of str to float
+            By the point of the pulley [rad].
+
+        """
+        return {}
+
+    def start_notes(self, name, readings, weight):
+        """
+        Tell of a start that may not be the one that was meant.
+
+        Parameters
+        ----------
+        name : str
+            Of the effect.
+        readings : callable
+            Returns the effect's readings at the start, by name.
+        weight : float
+            Of all bodies on earth [N].
+
+        Returns
+        -------
+        list of str
+            Sentences.
+
+        """
+        return []
+
     def instrument(self, sequence=()):
         """
         Return what measures.

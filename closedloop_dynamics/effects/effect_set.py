@@ -27,7 +27,7 @@ import numpy as np
 from . import cut_coordinates
 from .sensor import Chain
 from .table import (
-    build_table, CUT_ROTOR, DISSIPATED, fill_row, FIRST, FOLLOWED, LOADED, OWN,
+    build_table, CUT_ROTOR, DATA, DISSIPATED, fill_row, FIRST, FOLLOWED, LOADED, OWN,
     PRESCRIBED_MOTION, size_of_data, STATE, states_of, STORED, WORK)
 from ..core import codegen, kinematics
 from ..core.codegen import pieces
@@ -392,6 +392,26 @@ class EffectSet:
         values = self._table.output[row]
         return {self.records[name].ENERGY: float(values[STORED]), **self._flows(row, states), **{
             key: float(value) for key, value in zip(self.records[name].READINGS, values[1:])}}
+
+    def windings(self):
+        """
+        Return how far cables are wound round pulleys at the latest evaluation.
+
+        Returns
+        -------
+        dict of (str, str) to float
+            By cable and point [rad].
+
+        """
+        found = {}
+        for row, (name, element) in enumerate(zip(self._rows, self.elements)):
+            if self.enabled[name] and len(element.data):
+                entries = np.array(element.data)
+                first = self._table.index[row, DATA]
+                entries.flat = self._table.data[first:first + entries.size]
+                found.update({(name, point): angle for point, angle in
+                              self.records[name].windings(entries).items()})
+        return found
 
     def drive_rows(self):
         """Return the rows of the drives that are switched on, and the joints they drive."""

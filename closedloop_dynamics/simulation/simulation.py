@@ -15,12 +15,14 @@
 """A scene brought to life: the Python interface that users script with."""
 
 from dataclasses import replace
+from functools import partial
 import math
 import warnings
 
 import numpy as np
 
 from .assembly import angle_notes, Assembler, IMPLIED
+from .cable_guard import CableGuard
 from .cut_joints import acted_in, coordinate_arrays, coupling_moments, CutJoints
 from .errors import (
     AssemblyError, ClosureError, MotionError, NumericalError, SimulationError, StiffnessError)
@@ -60,6 +62,8 @@ FORMULATIONS = {'subsystem': SUBSYSTEM, 'system': SYSTEM, 'augmented': AUGMENTED
 POOR_CHOICE, BETTER = 0.02, 3.0
 # In a step, of a joint [rad, m]: error-controlled methods would divide it for minutes.
 LARGEST_MOTION = 1e3
+# Gravity's acceleration, to compare forces with weights [m/s^2].
+EARTH = 9.81
 # Torques up to this one are not asked for what they would do within a step [N m or N].
 USUAL_TORQUE = 1e6
 
@@ -827,6 +831,19 @@ class Simulation:
         self._evaluate()
         return self._effects.readings(name, self._own)
 
+    def windings(self):
+        """
+        Return how far cables are wound round their pulleys in the present state.
+
+        Returns
+        -------
+        dict of (str, str) to float
+            By cable and point of the pulley [rad].
+
+        """
+        self._evaluate()
+        return self._effects.windings()
+
     def _assembled(self, position, velocity, hold):
         nv = self.coordinates.nv
         q = self._taken(position)
@@ -879,15 +896,18 @@ class Simulation:
 
     def start_notes(self):
         """
-        Tell of the start of a new simulation: its ``assembly_notes``, and angles beyond 2 pi.
+        Tell of the start of a new simulation: its ``assembly_notes``, angles beyond 2 pi, effects.
 
         Returns
         -------
         list of str
 
         """
+        weight = EARTH * sum(body.mass for body in self.mechanism.bodies)
+        effects = [note for name, record in self.scene.effects.items() for note in
+                   record.start_notes(name, partial(self.effect_readings, name), weight)]
         return (angle_notes(self.mechanism, self.scene.initial.position) + self._motions.notes()
-                + self.assembly_notes())
+                + self.assembly_notes() + effects)
 
     def degrees_of_freedom(self):
         """
@@ -1003,7 +1023,9 @@ class Simulation:
         self._stiffness = stiffness
         self.energy_guard = EnergyGuard(
             method, stiffness.rate, stiffness.limit, stiffness.among_laws)
-        self._guards = [self.energy_guard, *[EquationGuard()] * self._geometry.may_leave_out]
+        self._cable_guards = [CableGuard()] * bool(self._effects.windings())
+        self._guards = [*self._cable_guards, self.energy_guard,
+                        *[EquationGuard()] * self._geometry.may_leave_out]
         if method.stabilisation not in CLOSING:
             self._guards.append(ClosureGuard(method, extent(self.mechanism)))
 
@@ -1022,7 +1044,9 @@ class Simulation:
             except MotionError:
                 raise
             except SimulationError:
-                # What stopped it may be steps that cannot be stable.
+                # What stopped it may be a cable at its limit, or steps that cannot be stable.
+                for guard in self._cable_guards:
+                    guard.explain(self)
                 self._stiffness.check(self._state, size)
                 raise
             if remembers:

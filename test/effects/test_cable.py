@@ -23,6 +23,9 @@ from closedloop_dynamics.effects.gravity import Gravity
 from closedloop_dynamics.mechanism.checks import orientation
 from closedloop_dynamics.mechanism.fields import FieldError
 from closedloop_dynamics.mechanism.mechanism import Body, Joint, Mechanism, Point
+from closedloop_dynamics.simulation.errors import NumericalError
+from closedloop_dynamics.simulation.scene import load_scene
+from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest
 
@@ -207,3 +210,39 @@ def test_impossible_cables_are_refused(values, key):
 def test_unknown_points_are_refused():
     with pytest.raises(FieldError, match=r'effects\.rope\.points\[1\]'):
         simulated(flyer(), {'rope': Cable(('ball', 'tip'), 1.0, 1.0)}, [0, 0, 0])
+
+
+@pytest.mark.parametrize('integrator', ['auto', 'rk4'])
+@pytest.mark.parametrize('speed', [4.0, -4.0])
+@pytest.mark.parametrize('free_length', [0.5, 9.0])
+def test_a_cable_that_would_leap_by_a_turn_names_itself_and_its_pulley(
+        speed, integrator, free_length):
+    arm = Mechanism('arm', (Body('arm', 2.0, (0.5, 0.0), 0.2),), (
+        Joint('hinge', 'revolute', 'ground', 'arm', (0.0, 0.0)),), (), (
+        Point('wall', 'ground', (0.0, -2.0)), Point('wheel', 'ground', (0.0, 0.0)),
+        Point('tip', 'arm', (1.0, 0.0))))
+    # Taut or slack, the length is that of a cable wound by up to 270 degrees.
+    simulation = simulated(arm, {'rope': Cable(
+        ('wall', 'wheel', 'tip'), 0.5, free_length, radii=(0.0, 0.1, 0.0))}, [2.0], [speed],
+        integrator=integrator)
+    (angle,) = simulation.windings().values()
+    with pytest.raises(NumericalError, match='The cable rope is wound round the pulley at wheel'):
+        simulation.step(duration=3.0)
+    (last,) = simulation.windings().values()
+    turned = simulation.position[0] - 2.0
+    assert last - angle == pytest.approx(turned, abs=0.3)
+    assert abs(last - (1.5 if speed > 0.0 else -0.5) * math.pi) < 0.2
+    assert abs(simulation.energy_balance.residual) < 1e-6
+
+
+def test_a_rope_with_a_wrong_sign_is_told_at_the_start():
+    scene = load_scene('rope_hoist')
+    assert not Simulation(scene).start_notes()
+    for radii in ((0.0, -0.1, -0.1, 0.0), (0.0, 0.1, 0.1, 0.0), (0.0, -0.1, 0.1, 0.0)):
+        wrong = replace(scene, effects={
+            **scene.effects, 'rope': replace(scene.effects['rope'], radii=radii)})
+        note, = Simulation(wrong).start_notes()
+        assert note.startswith('The cable rope starts 3.') and 'signs of radii' in note
+    with pytest.warns(RuntimeWarning, match=r'stretched by 0.628 m, and pulls with 1.26e\+05 N'):
+        Simulation.from_scene(replace(scene, effects={
+            **scene.effects, 'rope': replace(scene.effects['rope'], free_length=3.0)}))

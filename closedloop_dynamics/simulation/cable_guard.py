@@ -1,0 +1,90 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Cables that would leap by a turn round a pulley."""
+
+import math
+
+from .errors import NumericalError
+
+# Steps between looks: in these no pulley turns round in earnest.
+LOOK_EVERY = 10
+# A winding that changes by more between two looks has leapt by a whole turn [rad].
+LEAP = 1.5 * math.pi
+# A run that stops with a winding this near to its limits stops for that [rad].
+NEAR = 1e-3
+LIMITS = -0.5 * math.pi, 1.5 * math.pi
+
+
+class CableGuard:
+    """Looks whether cables stay within the windings of pulleys that their lengths know."""
+
+    until_look = LOOK_EVERY
+
+    def __init__(self):
+        """Begin with nothing seen."""
+        self.restart()
+
+    def restart(self):
+        """Forget what has been seen."""
+        self._before = None
+
+    jump = restart
+
+    def begin(self, simulation):
+        """See where a run begins."""
+        if self._before is None:
+            self._take(simulation)
+
+    def _take(self, simulation):
+        self._before = (simulation.windings(), simulation.state, simulation.time,
+                        simulation.energy_balance.residual)
+
+    def look(self, simulation, steps):
+        """
+        Raise where the length of a cable has leapt by a turn of a pulley.
+
+        Raises
+        ------
+        NumericalError
+            The state of the latest look is kept.
+
+        """
+        windings, *state = self._before
+        for place, angle in simulation.windings().items():
+            if abs(angle - windings.get(place, angle)) > LEAP:
+                simulation.restore(*state)
+                raise NumericalError(_problem(place, windings[place], simulation.time))
+        self._take(simulation)
+
+    def explain(self, simulation):
+        """
+        Raise where a run has stopped because a winding is at its limit.
+
+        Raises
+        ------
+        NumericalError
+
+        """
+        for place, angle in simulation.windings().items():
+            if min(abs(angle - limit) for limit in LIMITS) < NEAR:
+                raise NumericalError(_problem(place, angle, simulation.time))
+
+
+def _problem(place, angle, time):
+    cable, pulley = place
+    return (f'The cable {cable} is wound round the pulley at {pulley} by '
+            f'{math.degrees(angle):.3g} degrees at t = {time:.9g} s, the state of which is kept, '
+            'and goes on beyond -90 or 270 degrees, where its length would leap by a turn. Let it '
+            'run over more pulleys, or end the motion before.')
