@@ -464,9 +464,7 @@ class Assembler:
     def _require_inertia(self, q):
         """Refuse massless bodies that the loops leave free to move."""
         jac = self.jacobian(q)
-        levers = np.abs(jac).max(axis=0, initial=0.0)
-        # Those of joints that no loop moves are rounding errors: nothing to scale by.
-        levers[levers <= NO_LEVER * levers.max(initial=0.0)] = 1.0
+        levers = _levers(jac)
         _, singular, right = np.linalg.svd(jac / levers)
         basis = right[rank_from(singular):] / levers
         if not len(basis):
@@ -615,15 +613,31 @@ def _least_change(jac, error, metric, damping=0.0):
 
     With a ``damping``, as a share of the largest singular value, it is shorter, and no solution.
 
+    Which equations depend on others is decided on levers alone: in the mass metric those that
+    move a light body all look alike. What they leave open is decided by the masses.
+
     """
-    weighted = np.linalg.solve(metric, jac.T).T
     if damping > 0.0:
+        weighted = np.linalg.solve(metric, jac.T).T
         left, singular, right = np.linalg.svd(weighted, full_matrices=False)
         damped = singular ** 2 + (damping * singular.max(initial=0.0)) ** 2
         y = right.T @ (singular / np.maximum(damped, 1e-300) * (left.T @ error))
-    else:
-        y = np.linalg.lstsq(weighted, error, rcond=RANK_TOLERANCE)[0]
-    return np.linalg.solve(metric.T, y)
+        return np.linalg.solve(metric.T, y)
+    levers = _levers(jac)
+    left, singular, right = np.linalg.svd(jac / levers)
+    rank = rank_from(singular)
+    x = right[:rank].T @ (left[:, :rank].T @ error / singular[:rank]) / levers
+    open_ones = right[rank:].T / levers[:, np.newaxis]
+    return x - open_ones @ np.linalg.lstsq(
+        metric.T @ open_ones, metric.T @ x, rcond=None)[0]
+
+
+def _levers(jac):
+    """Return the longest lever of each coordinate; 1 of those that no equation moves."""
+    levers = np.abs(jac).max(axis=0, initial=0.0)
+    # These are rounding errors: nothing to scale by.
+    levers[levers <= NO_LEVER * levers.max(initial=0.0)] = 1.0
+    return levers
 
 
 def rank_of(jac):

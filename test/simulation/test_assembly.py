@@ -17,6 +17,7 @@
 from dataclasses import replace
 
 from closedloop_dynamics.core.equations import Equations
+from closedloop_dynamics.mechanism.mechanism import Body, CutJoint, Joint, Mechanism
 from closedloop_dynamics.simulation.assembly import (
     angle_notes, Assembler, find_degrees_of_freedom, TOLERANCE)
 from closedloop_dynamics.simulation.errors import AssemblyError
@@ -219,3 +220,24 @@ def test_angles_in_degrees_are_told():
     note, = angle_notes(mechanism, [60.0, -0.5, 6.0])
     assert 'crank_joint = 60.' in note and 'degrees?' in note and 'rocker' not in note
     assert angle_notes(load_scene('slider_crank').mechanism, [0.0, 0.0, 60.0]) == []
+
+
+@pytest.mark.parametrize('block', [
+    Body('block', 0.0, (0.0, 0.0), 0.0, True), Body('block', 1e-9, (0.0, 0.0), 1e-14)],
+    ids=['massless', 'light'])
+def test_a_held_velocity_is_met_by_links_of_next_to_no_inertia(block):
+    # Whitworth's quick-return: the lever turns with the slot that the crank's pin slides in.
+    crank, lever = Body('crank', 0.5, (0.04, 0.0), 2.7e-4), Body('lever', 1.2, (0.2, 0.0), 0.016)
+    one = assembler(Mechanism('whitworth', (crank, block, lever), (
+        Joint('crank_joint', 'revolute', 'ground', 'crank', (0.0, 0.0)),
+        Joint('pin', 'revolute', 'crank', 'block', (0.08, 0.0)),
+        Joint('lever_joint', 'revolute', 'ground', 'lever', (0.0, -0.2))), (
+            CutJoint('slot', 'prismatic', 'block', 'lever', (0.0, 0.0), (0.0, 0.0)),)))
+    q = one.positions([0.3, 1.0, 1.3], ('crank_joint',))
+    assert one.velocities(q, [5.0, 0.0, 0.0], ('crank_joint',))[0] == 5.0
+    pin = 0.08 * np.array([np.cos(0.3), np.sin(0.3)]) + [0.0, 0.2]
+    rate = 5.0 * 0.08 * (pin @ [np.cos(0.3), np.sin(0.3)]) / (pin @ pin)
+    # With nothing held, too, all three rates belong together.
+    for held, guess in ((('crank_joint',), [5.0, 0.0, 0.0]), ((), [5.0, rate - 5.0, rate])):
+        np.testing.assert_allclose(
+            one.velocities(q, guess, held), [5.0, rate - 5.0, rate], rtol=1e-9)
