@@ -38,7 +38,7 @@ from .types import (
 # that differ by 12 decades.
 REFINEMENTS = 2
 # What is left before the last refinement, of the closure accelerations against their terms and of
-# the forces on joints without inertia against theirs; and, where nothing accelerates, of the
+# the forces on joints without inertia against those on all joints, as they may be none; and, where nothing accelerates, of the
 # closure accelerations against those without constraint forces.
 CONVERGED = 1e-7
 ROUNDING = 1e-13
@@ -149,7 +149,7 @@ def _unclosed(model, work, lam, right):
     """
     Add J qdd to ``right``.
 
-    Returns the squares of all terms of J qdd and Jdot qd, and of all forces on massless joints.
+    Returns the squares of all terms of J qdd and Jdot qd, and of all forces on joints.
 
     """
     cut, path_body = model.cut, model.path_body
@@ -165,7 +165,7 @@ def _unclosed(model, work, lam, right):
                 right[row] += term
                 size += term * term
                 term = response[entry, k] * force
-                load += choose(joint[i, STAND_IN] > 0.0, term * term / joint[i, SQUARE], 0.0)
+                load += term * term / joint[i, SQUARE]
     return size, load
 
 

@@ -21,7 +21,7 @@ from closedloop_dynamics.core.types import RANK, RANK_REVEALING_COUNT, SMALLEST_
 from closedloop_dynamics.integration.evaluation import evaluate
 from closedloop_dynamics.integration.projection import correction, factor_configuration
 from closedloop_dynamics.integration.system import build_system
-from closedloop_dynamics.mechanism.mechanism import Body, Coupling, Joint, Mechanism
+from closedloop_dynamics.mechanism.mechanism import Body, Coupling, CutJoint, Joint, Mechanism
 from closedloop_dynamics.simulation.modeling import build_model
 from closedloop_dynamics.simulation.spatial_modeling import build_spatial_model
 import numpy as np
@@ -150,3 +150,25 @@ def test_a_hinge_may_lie_on_the_path_of_a_coupling_of_lengths(planar, mass):
     np.testing.assert_allclose(system.qdd[1:], place * speed ** 2, rtol=1e-9)
     both = 0.02 + 0.2 ** 2 + 2.0 * mass * (1e-4 + 0.4 ** 2 + place ** 2)
     np.testing.assert_allclose(system.qdd[0], 0.3 / both, rtol=1e-9)
+
+
+@pytest.mark.parametrize('unrolled', [None, False], ids=['unrolled', 'loops'])
+def test_a_massless_link_that_no_force_turns_is_regular(unrolled):
+    # A block in the slot of a lever: what it presses passes through its pin.
+    mechanism = Mechanism('whitworth', (
+        Body('crank', 0.5, (0.04, 0.0), 2.7e-4), Body('block', 0.0, (0.0, 0.0), 0.0, True),
+        Body('lever', 1.2, (0.2, 0.0), 0.016)), (
+            Joint('crank_joint', 'revolute', 'ground', 'crank', (0.0, 0.0)),
+            Joint('pin', 'revolute', 'crank', 'block', (0.08, 0.0)),
+            Joint('lever_joint', 'revolute', 'ground', 'lever', (0.0, -0.2))), (
+                CutJoint('slot', 'prismatic', 'block', 'lever', (0.0, 0.0), (0.0, 0.0)),))
+    lever = np.arctan2(0.2 + 0.08 * np.sin(0.3), 0.08 * np.cos(0.3))
+    q, qd = np.array([0.3, lever - 0.3, lever]), np.zeros(3)
+    system = build_system(build_model(mechanism, EARTH), unrolled=unrolled)
+    system.tau[0] = 0.7
+    evaluate(system, q, qd)
+    expected = maximal.forward_dynamics(
+        mechanism, q, qd, system.tau, EARTH, maximal.extended)
+    for found, wanted in ((system.qdd, expected.qdd), (system.lam, expected.lam)):
+        np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-11 * np.abs(wanted).max())
+    assert system.work.health[RANK_REVEALING_COUNT] == 0
