@@ -38,8 +38,8 @@ from .types import (
 # that differ by 12 decades.
 REFINEMENTS = 2
 # What is left before the last refinement, of the closure accelerations against their terms and of
-# the forces on joints without inertia against those on all joints, as they may be none; and, where nothing accelerates, of the
-# closure accelerations against those without constraint forces.
+# the forces on joints without inertia against those on all joints, as they may be none; and, where
+# nothing accelerates, of the closure accelerations against those without constraint forces.
 CONVERGED = 1e-7
 ROUNDING = 1e-13
 # Mobility of a joint without inertia, against that of the lightest one beside it.

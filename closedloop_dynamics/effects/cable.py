@@ -141,14 +141,14 @@ class Cable(Effect):
             self.points, self.radii or (), entries) if radius}
 
     def start_notes(self, name, readings, weight):
-        """Tell of a stretch at the start that few cables bear, by forces that no weight explains."""
+        """Tell of a stretch that few cables bear, by forces that no weight explains."""
         found = readings()
         stretch = found['length'] - self.free_length
         if not (stretch > LARGE_STRETCH * self.free_length
                 and found['tension'] > LARGE_TENSION * weight):
             return []
-        return [f'The cable {name} starts {found["length"]:.6g} m long, stretched by {stretch:.3g} '
-                f'm, and pulls with {found["tension"]:.3g} N; all bodies together weigh '
+        return [f'The cable {name} starts {found["length"]:.6g} m long, stretched by '
+                f'{stretch:.3g} m, and pulls with {found["tension"]:.3g} N; all bodies together weigh '
                 f'{weight:.3g} N. Check free_length ({self.free_length:g} m), and the signs of '
                 'radii: positive where the cable turns to the left.']
 

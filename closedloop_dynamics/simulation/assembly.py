@@ -532,7 +532,8 @@ class Assembler:
                 f'{self.mechanism.name} cannot be assembled with {", ".join(hold)} held: expected '
                 f'joints that move independently ({count} degree{"s" * (count != 1)} of freedom), '
                 f'got {", ".join(surplus)}, which follow{"s" * (len(surplus) == 1)} from '
-                f'{", ".join(held) or "the closure equations"}. Leave {", ".join(surplus)} out of hold.')
+                f'{", ".join(held) or "the closure equations"}. Leave {", ".join(surplus)} '
+                'out of hold.')
 
     def _missing(self, q, free):
         """Return how many of some freedoms stay open at a position, where that matters."""

@@ -357,7 +357,7 @@ class Motions:
         if np.linalg.svd(jac, compute_uv=False)[self._rank - 1] > AT_LIMIT:
             return ''
         moved = ', '.join(motion.freedom or motion.point for motion in self.mechanism.motions)
-        return (f'The prescribed motion has led to a limit of the mechanism, such as a dead centre, '
-                f'where {moved} can go no further: there the other joints would need rates without '
-                'bound, and may go on in more than one way. Prescribe a motion that turns back '
+        return (f'The prescribed motion has led to a limit of the mechanism, such as a dead '
+                f'centre, where {moved} can go no further: there the other joints would need '
+                'rates without bound, and may go on in more than one way. Prescribe a motion that turns back '
                 'before the limit, or that of a joint that passes it.')

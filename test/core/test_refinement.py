@@ -127,7 +127,8 @@ def gripper(mass, planar=True):
     joints = (Joint('hinge', 'revolute', 'ground', 'arm', vector(0.0, 0.0), **axes[0]), *(
         Joint(name, 'prismatic', 'arm', name, vector(0.4, 0.0), **(
             {'angle': angle} if planar else axis))
-        for name, angle, axis in (('left', 0.5 * np.pi, axes[1]), ('right', -0.5 * np.pi, axes[2]))))
+        for name, angle, axis in (
+            ('left', 0.5 * np.pi, axes[1]), ('right', -0.5 * np.pi, axes[2]))))
     return Mechanism('gripper', bodies, joints, (), couplings=(
         Coupling('fingers', {'left': 1.0, 'right': -1.0}),))
 
