@@ -148,8 +148,8 @@ class Cable(Effect):
                 and found['tension'] > LARGE_TENSION * weight):
             return []
         return [f'The cable {name} starts {found["length"]:.6g} m long, stretched by '
-                f'{stretch:.3g} m, and pulls with {found["tension"]:.3g} N; all bodies together weigh '
-                f'{weight:.3g} N. Check free_length ({self.free_length:g} m), and the signs of '
+                f'{stretch:.3g} m, and pulls with {found["tension"]:.3g} N; all bodies together '
+                f'weigh {weight:.3g} N. Check free_length ({self.free_length:g} m), and the signs of '
                 'radii: positive where the cable turns to the left.']
 
     def element(self, machine):

@@ -359,5 +359,5 @@ class Motions:
         moved = ', '.join(motion.freedom or motion.point for motion in self.mechanism.motions)
         return (f'The prescribed motion has led to a limit of the mechanism, such as a dead '
                 f'centre, where {moved} can go no further: there the other joints would need '
-                'rates without bound, and may go on in more than one way. Prescribe a motion that turns back '
-                'before the limit, or that of a joint that passes it.')
+                'rates without bound, and may go on in more than one way. Prescribe a motion that '
+                'turns back before the limit, or that of a joint that passes it.')
