@@ -138,7 +138,7 @@ class Cable(Effect):
     def windings(self, entries):
         """Return the turns round pulleys that have a radius, from -pi/2 to 3 pi/2."""
         return {point: float(entry[-1] / abs(radius)) for point, radius, entry in zip(
-            self.points, self.radii or (), entries) if radius}
+            self.points, self.radii or (), entries.reshape(len(self.points), -1)) if radius}
 
     def start_notes(self, name, readings, weight):
         """Tell of a stretch that few cables bear, by forces that no weight explains."""
@@ -149,8 +149,8 @@ class Cable(Effect):
             return []
         return [f'The cable {name} starts {found["length"]:.6g} m long, stretched by '
                 f'{stretch:.3g} m, and pulls with {found["tension"]:.3g} N; all bodies together '
-                f'weigh {weight:.3g} N. Check free_length ({self.free_length:g} m), and the signs of '
-                'radii: positive where the cable turns to the left.']
+                f'weigh {weight:.3g} N. Check free_length ({self.free_length:g} m), and the '
+                'signs of radii: positive where the cable turns to the left.']
 
     def element(self, machine):
         """Return the effect as a row of the table."""

@@ -293,7 +293,8 @@ class Effect:
         Parameters
         ----------
         entries : ndarray
-            The effect's own numbers in the table, after an evaluation, as ``element`` lists them.
+            The effect's own numbers in the table, after an evaluation: those of ``element``, one
+            row after the other.
 
         Returns
         -------

@@ -406,9 +406,8 @@ class EffectSet:
         found = {}
         for row, (name, element) in enumerate(zip(self._rows, self.elements)):
             if self.enabled[name] and len(element.data):
-                entries = np.array(element.data)
                 first = self._table.index[row, DATA]
-                entries.flat = self._table.data[first:first + entries.size]
+                entries = self._table.data[first:first + size_of_data(element)]
                 found.update({(name, point): angle for point, angle in
                               self.records[name].windings(entries).items()})
         return found
