@@ -44,8 +44,8 @@ import numpy as np
 from . import curve
 from .effect import Effect, require_point
 from .forces import (
-    elastic_force, in_contact, place, place_in_space, push_at, push_there, turned, velocity,
-    velocity_at)
+    elastic_force, in_contact, note_path, place, place_in_space, push_at, push_there, turned,
+    velocity, velocity_at)
 from .law import law
 from .table import (
     CIRCLE_CONTACT, CURVE_CONTACT, DATA, DISSIPATED, FIRST, ForceElement, LINE_CONTACT, SECOND,
@@ -346,6 +346,19 @@ def _press(table, row, body, x, y, nx, ny, distance):
 
 
 @inlined
+def _note_path(table, row, body, x, y, px, py):
+    """
+    Note the path of a roller beside a circle or a curve.
+
+    ``x``, ``y``: its centre in the world; ``px``, ``py``: as the other body sees it [m].
+
+    """
+    vx, vy = velocity(body, table.index[row, FIRST], x, y)
+    ux, uy = velocity(body, table.index[row, SECOND], x, y)
+    note_path(table.contacts, row, px, py, 0.0, vx - ux, vy - uy, 0.0)
+
+
+@inlined
 def _centres(table, row, body):
     """Return the centre of the roller, and the named point of the other body, in the world."""
     values, a, b = table.values, table.index[row, FIRST], table.index[row, SECOND]
@@ -372,11 +385,13 @@ def apply_on_circle(table, row, body, q, qd, tau):
     x, y, ox, oy = _centres(table, row, body)
     nx, ny, between = x - ox, y - oy, 0.0
     between = math.sqrt(nx * nx + ny * ny)
-    # Where the centres meet there is no direction, and inside no contact.
+    _note_path(table, row, body, x, y, nx, ny)
+    side = values[row, 11]
+    # Where the centres meet there is no direction, and no force.
+    in_contact(table.contacts, row, side * (between - values[row, 5]) - values[row, 4], 0.0)
     if between > 0.0:
         nx /= between
         ny /= between
-        side = values[row, 11]
         _press(table, row, body, x, y, side * nx, side * ny, side * (between - values[row, 5]))
 
 
@@ -387,8 +402,9 @@ def apply_on_curve(table, row, body, q, qd, tau):
     x, y, ox, oy = _centres(table, row, body)
     cos, sin = body[b, COS], body[b, SIN]
     dx, dy = x - ox, y - oy
-    mx, my, distance = curve.nearest(
-        table, row, cos * dx + sin * dy, cos * dy - sin * dx, values[row, 5] == 1.0)
+    px, py = cos * dx + sin * dy, cos * dy - sin * dx
+    _note_path(table, row, body, x, y, px, py)
+    mx, my, distance = curve.nearest(table, row, px, py, values[row, 5] == 1.0)
     _press(table, row, body, x, y, cos * mx - sin * my, sin * mx + cos * my, distance)
 
 
@@ -415,12 +431,16 @@ def apply_in_space(table, row, body, q, qd, tau):
         distance = side * (between - values[row, 5])
         nx, ny, nz = side * nx / between, side * ny / between, side * nz / between
     else:
-        # Where the centres meet there is no direction, and inside no contact.
-        distance = values[row, 5] + 2.0 * values[row, 4]
+        # Where the centres meet there is no direction, and no force.
+        distance = -side * values[row, 5]
     radius = values[row, 4]
     gap, px, py, pz = distance - radius, x - radius * nx, y - radius * ny, z - radius * nz
     for k in range(output.shape[1]):
         output[row, k] = 0.0
+    vx, vy, vz = velocity_at(body, a, x, y, z)
+    wx, wy, wz = velocity_at(body, b, x, y, z)
+    note_path(table.contacts, row, between * nx, between * ny, between * nz, vx - wx, vy - wy,
+              vz - wz)
     vx, vy, vz = velocity_at(body, a, px, py, pz)
     wx, wy, wz = velocity_at(body, b, px, py, pz)
     vx, vy, vz = vx - wx, vy - wy, vz - wz

@@ -47,8 +47,8 @@ from typing import Optional, Tuple
 
 from .effect import Effect, require_point
 from .forces import (
-    cross, distance_in_space, dot, place, place_in_space, push_at, push_there, turned, twist,
-    velocity, velocity_at)
+    cross, distance_in_space, dot, in_contact, place, place_in_space, push_at, push_there, turned,
+    twist, velocity, velocity_at)
 from .law import law
 from .table import (
     CABLE, DATA, DISSIPATED, ENTRIES, ForceElement, SPATIAL_CABLE, STATE, State, STORED)
@@ -160,14 +160,14 @@ class Cable(Effect):
             entries.append((float(row), *spot, radius, 0.0))
         values = [self.stiffness, self.free_length, self.damping]
         if machine.mechanism.planar:
-            return ForceElement(CABLE, (), tuple(values), (State(DISSIPATED),),
+            return ForceElement(CABLE, (), tuple(values), (State(DISSIPATED),), touches=True,
                                 data=tuple(entries))
         values.append(-1.0)
         if self.axis is not None:
             placed = machine.placement(machine.carrier(next(
                 point for point, radius in zip(self.points, radii) if radius)))
             values[CARRIER:] = [float(placed.row), *(placed.axes @ self.axis).tolist()]
-        return ForceElement(SPATIAL_CABLE, (), tuple(values), (State(DISSIPATED),),
+        return ForceElement(SPATIAL_CABLE, (), tuple(values), (State(DISSIPATED),), touches=True,
                             data=tuple(entries))
 
 
@@ -205,10 +205,12 @@ def _tension(table, row, length, rate):
     """Return the tension at a length and its rate, and note it."""
     values = table.values
     stretch = length - values[row, 1]
-    elastic = values[row, 0] * max(0.0, stretch)
+    if not in_contact(table.contacts, row, -stretch, -rate):
+        stretch = 0.0
+    elastic = values[row, 0] * stretch
     tension = elastic * max(0.0, 1.0 + values[row, 2] * rate)
     table.rates[table.index[row, STATE]] = (tension - elastic) * rate
-    table.output[row, STORED] = 0.5 * elastic * max(0.0, stretch)
+    table.output[row, STORED] = 0.5 * elastic * stretch
     table.output[row, 1] = tension
     table.output[row, 2] = length
     return tension
@@ -230,7 +232,7 @@ def apply(table, row, body, q, qd, tau):
             length += data[at + 4]
         before_x, before_y = x, y
     tension = _tension(table, row, length, rate)
-    if tension > 0.0:
+    if tension != 0.0:
         for k in range(pieces):
             at = first + COLUMNS * k
             x, y, part, growth = _straight(body, data, at)
@@ -271,7 +273,7 @@ def _apply_over_guides(table, row, body):
         length += part
         rate += growth
     tension = _tension(table, row, length, rate)
-    if tension > 0.0:
+    if tension != 0.0:
         for k in range(pieces):
             at = first + SPATIAL_COLUMNS * k
             px, py, pz, bx, by, bz, x, y, z, part, growth = _straight_in_space(body, data, at)
@@ -329,7 +331,7 @@ def _apply_over_pulleys(table, row, body):
         before = tangent
     tension = _tension(table, row, length, rate)
     table.output[row, 3] = fleet
-    if tension > 0.0:
+    if tension != 0.0:
         for k in range(pieces):
             at = first + SPATIAL_COLUMNS * k
             p, q, tangent, force, seen, high, whole = _tangent_in_space(body, data, at, axis)

@@ -25,7 +25,7 @@ import math
 import numpy as np
 
 from .table import DATA, ENTRIES
-from ..core.compiled import inlined
+from ..core.compiled import compiled, inlined
 from ..mechanism.checks import positive
 from ..mechanism.expressions import Parameters
 from ..mechanism.fields import FieldError
@@ -40,6 +40,8 @@ MOST_POINTS, FINENESS = 2000, 8
 TOUCHING = 1e-12
 # Newton steps to the nearest point of a piece; they stop when they are as short as this.
 MOST_STEPS, SHORT = 30, 1e-15
+# A valley of less than this below an end of a path is no other place than that end [m].
+SHALLOW = 1e-9
 
 
 def pieces(x, y, closed, interpolation, hollow):
@@ -213,6 +215,79 @@ def _nearest_on(data, at, px, py):
             break
     x, y, tx, ty, bx, by = _at(data, at, u)
     return x, y, u, (x - px) * (x - px) + (y - py) * (y - py)
+
+
+@inlined
+def _to_straight(px, py, ax, ay, cx, cy):
+    """Return the way to a place from the nearest one of a straight piece at a, along c."""
+    ox, oy = px - ax, py - ay
+    u = min(1.0, max(0.0, (ox * cx + oy * cy) / (cx * cx + cy * cy)))
+    return ox - u * cx, oy - u * cy
+
+
+@compiled
+def nearest_to_chord(data, first, count, px, py, qx, qy):
+    """
+    Return how near a straight path comes to a curve between its ends.
+
+    Along a straight path the distance from a straight piece has one valley: it counts where its
+    lowest place is between the ends.
+
+    Parameters
+    ----------
+    data : ndarray, shape (nd,)
+        With the pieces of the curve.
+    first, count : int
+        Where they begin, and how many they are.
+    px, py, qx, qy : float
+        Ends of the path, in the frame of the curve's body [m].
+
+    Returns
+    -------
+    distance : float
+        Least distance in any valley [m]; minus infinity where the path crosses the curve;
+        infinity where there is no valley.
+    along : float
+        Share of the path there; half way between the first two crossings.
+
+    """
+    dx, dy = qx - px, qy - py
+    square, least, place = dx * dx + dy * dy, math.inf, 0.5
+    entry, way_out = 2.0, 2.0
+    for k in range(count if square > 0.0 else 0):
+        at = first + COLUMNS * k
+        ax, ay = data[at], data[at + 4]
+        cx = data[at + 1] + data[at + 2] + data[at + 3]
+        cy = data[at + 5] + data[at + 6] + data[at + 7]
+        x, y = _to_straight(px, py, ax, ay, cx, cy)
+        if not x * dx + y * dy < 0.0:
+            continue
+        level = math.sqrt(x * x + y * y)
+        x, y = _to_straight(qx, qy, ax, ay, cx, cy)
+        if not x * dx + y * dy > 0.0:
+            continue
+        level = min(level, math.sqrt(x * x + y * y)) - SHALLOW
+        # Sides of the path's line on which both ends of the piece are.
+        one = dx * (ay - py) - dy * (ax - px)
+        other = one + dx * cy - dy * cx
+        share = 0.5
+        if one * other < 0.0:
+            share = ((ax - px) * cy - (ay - py) * cx) / (dx * cy - dy * cx)
+            if 0.0 < share < 1.0 and level > 0.0:
+                way_out = min(way_out, max(entry, share))
+                entry = min(entry, share)
+                continue
+        for end in range(2):
+            ex, ey = ax + end * cx - px, ay + end * cy - py
+            share = min(0.99, max(0.01, (ex * dx + ey * dy) / square))
+            # Curved pieces: how far they are from there.
+            _, _, _, found = _nearest_on(data, at, px + share * dx, py + share * dy)
+            if found < least * least and found < level * abs(level):
+                least, place = math.sqrt(found), share
+    if entry <= 1.0:
+        least = -math.inf
+        place = min(0.99, max(0.01, 0.5 * (entry + min(way_out, 1.0))))
+    return least, place
 
 
 @inlined

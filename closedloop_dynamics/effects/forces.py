@@ -16,7 +16,8 @@
 
 import math
 
-from .table import TOUCHING, UNDECIDED
+from .table import (
+    FASTEST, FREE, GAP, PLACE, RATE, SPEED, TOUCHING, UNDECIDED, WRONG)
 from ..core.codegen.space import FORCE, FRAME, ORIGIN, SPIN, VELOCITY
 from ..core.compiled import inlined
 from ..core.types import COS, FX, FY, FZ, OMEGA, PX, PY, SIN, VX, VY
@@ -91,10 +92,37 @@ def in_contact(contacts, row, gap, rate):
         Negative where bodies touch [m; rad]; its rate.
 
     """
-    contacts.gap[row, 0] = gap
-    contacts.gap[row, 1] = rate
-    mode = contacts.mode[row]
+    now, trial, mode = contacts.now, contacts.trial, contacts.mode[row]
+    now[row, GAP] = gap
+    now[row, RATE] = rate
+    trial[row, FASTEST] = max(trial[row, FASTEST], abs(rate))
+    if mode != UNDECIDED:
+        trial[row, WRONG] = max(trial[row, WRONG], -gap if mode == FREE else gap)
     return mode == TOUCHING or (mode == UNDECIDED and gap < 0.0)
+
+
+@inlined
+def note_path(contacts, row, x, y, z, u, v, w):
+    """
+    Note where a roller is, beside a body of finite extent that it may pass.
+
+    Parameters
+    ----------
+    contacts : Contacts
+        Of the table.
+    row : int
+        Of the effect.
+    x, y, z : float
+        Place of its centre, in axes in which the body rests [m].
+    u, v, w : float
+        Velocity relative to the body, in any axes [m/s].
+
+    """
+    now, trial = contacts.now, contacts.trial
+    now[row, PLACE] = x
+    now[row, PLACE + 1] = y
+    now[row, PLACE + 2] = z
+    trial[row, SPEED] = max(trial[row, SPEED], math.sqrt(u * u + v * v + w * w))
 
 
 @inlined

@@ -41,6 +41,24 @@ INDEX_COLUMNS = 6
 # Values of Contacts.mode: whether a contact is there while a step is made; undecided, its gap
 # tells.
 UNDECIDED, FREE, TOUCHING = range(3)
+# Columns of Contacts.now, .start and .nodes: gap [m; rad], its rate, and the place of the roller
+# as the other body sees it [m], three numbers; of nodes alone the error of a cubic through gaps
+# and rates, and how far the path departs from its chord [m], both up to the node.
+GAP, RATE, PLACE, ERROR, BEND = 0, 1, 2, 5, 6
+NODE_COLUMNS = 7
+# Columns of Contacts.trial, over all evaluations of a step: the fastest rate of the gap; the
+# fastest motion of the roller; the largest gap on the wrong side; the largest gap of any node;
+# whether the mode has been changed; dissipated energy at the start [J].
+FASTEST, SPEED, WRONG, LARGEST, CHANGED, LOST = range(6)
+TRIAL_COLUMNS = 6
+# Halvings of a step that is searched for contacts.
+LEVELS = 8
+# Places in Contacts.search: the longest part of a step known to agree with the modes, and the
+# shortest that does not [s]; nodes on the stack; cuts on suspicion, and for the sake of the last
+# digits; share and level of each node.
+LOW, HIGH, TOP, SUSPECTED, REFINED, SHARES = range(6)
+NODE_LEVELS = SHARES + LEVELS + 3
+SEARCH_LENGTH = NODE_LEVELS + LEVELS + 3
 VALUE_COLUMNS = 13
 # Last column of EffectTable.values where a law is LOADED: time constant of the reaction [s].
 LOAD_TIME = 11
@@ -123,9 +141,15 @@ class Contacts(NamedTuple):
     """Gaps between what may touch, and what is decided of them while a step is made."""
 
     rows: np.ndarray  # Shape (nk,): of the effects that are contacts
-    # Shape (ne, 4): gap and its rate, written by the law; both at the start of a step [m, m/s].
-    gap: np.ndarray
     mode: np.ndarray  # Shape (ne,): ``UNDECIDED``, ``FREE`` or ``TOUCHING``
+    # Shape (ne, NODE_COLUMNS): written by the law; the same at the start of a step.
+    now: np.ndarray
+    start: np.ndarray
+    trial: np.ndarray  # Shape (ne, TRIAL_COLUMNS): written by the law
+    # Shape (LEVELS + 3, ne, NODE_COLUMNS): where a step is looked into. The first is the left end
+    # of the interval in question, the last on the stack its right end.
+    nodes: np.ndarray
+    search: np.ndarray  # Shape (SEARCH_LENGTH,)
 
 
 class CutCoordinates(NamedTuple):
@@ -240,7 +264,9 @@ def build_table(elements, tau, bodies, equations, spatial=False, cut_point=None,
         contacts=Contacts(
             rows=np.array([row for row, element in enumerate(elements) if element.touches],
                           dtype=np.int64),
-            gap=np.zeros((count, 4)), mode=np.zeros(count, dtype=np.int64)),
+            mode=np.zeros(count, dtype=np.int64), now=np.zeros((count, NODE_COLUMNS)),
+            start=np.zeros((count, NODE_COLUMNS)), trial=np.zeros((count, TRIAL_COLUMNS)),
+            nodes=np.zeros((LEVELS + 3, count, NODE_COLUMNS)), search=np.zeros(SEARCH_LENGTH)),
         motions=cut_point if any(
             element.kind == PRESCRIBED_MOTION for element in elements) else np.zeros((0, 0)),
         cuts=_allocate_cuts(*cuts or NO_CUTS, len(tau) - cut_count, bodies),

@@ -238,15 +238,20 @@ def interpolate(system, tableau, time, control, scratch, out):
         return
     slopes = scratch[FIRST_SLOPE:]
     if control[EXTENDED] == 0.0:
-        first = tableau.b.shape[0]
-        if tableau.error[0, first] != 0.0:
-            first += 1
-        runge_kutta.extend(system, tableau, scratch[BEFORE], control[STEP_SIZE], slopes,
-                           scratch[STAGE], first)
+        _extend(system, tableau, scratch[BEFORE], control[STEP_SIZE], slopes, scratch[STAGE])
         control[EXTENDED] = 1.0
     share = (time - control[STEP_START]) / control[STEP_SIZE]
     runge_kutta.interpolate(tableau, scratch[BEFORE], control[STEP_SIZE], slopes, share, out)
     motion.normalise(system, out)
+
+
+@inlined
+def _extend(system, tableau, state, size, slopes, stage):
+    """Evaluate the slopes that only dense output needs; parameters as of ``runge_kutta``."""
+    first = tableau.b.shape[0]
+    if tableau.error[0, first] != 0.0:
+        first += 1
+    runge_kutta.extend(system, tableau, state, size, slopes, stage, first)
 
 
 @compiled
@@ -295,7 +300,7 @@ def accepted_step(system, tableau, stabilisation, control, scale, scratch):
     if rest > LEAST * max(abs(control[REACHED]), 1e-3):
         # Two steps of a half rather than one and a crumb.
         size = rest if size >= rest else min(size, 0.5 * rest) if size > 0.5 * rest else size
-    rejected, closed, cuts = False, True, 0
+    rejected, closed, extended, cuts = False, True, False, 0
     size_before, error_before = control[STEP_SIZE], max(control[ERROR], TELLING)
     size = min(size, motion.until_corner(system, after))
     while True:
@@ -316,14 +321,23 @@ def accepted_step(system, tableau, stabilisation, control, scale, scratch):
                 system, after, out, size, max(
                     stick_slip.least(max(size, wanted), cuts), LEAST * abs(control[REACHED])))
             if part < size:
+                motion.forget_contacts(system, after)
                 size, cuts, sought = part, cuts + 1, -1
                 continue
-            part, sought = motion.until_contact(system, out, stage, size, sought, cuts)
+            part, sought, share = motion.until_contact(system, out, size, sought, 1.0)
+            extended = share >= 0.0
+            if extended:
+                _extend(system, tableau, after, size, slopes, stage)
+            while share >= 0.0:
+                runge_kutta.interpolate(tableau, after, size, slopes, share, stage)
+                motion.normalise(system, stage)
+                part, sought, share = motion.until_contact(system, stage, size, sought, share)
             if part != size:
                 size, cuts = part if sought >= -1 else size, cuts + 1
                 continue
             if motion.stabilise(system, stabilisation, out):
                 break
+        motion.forget_contacts(system, after)
         rejected, sought = True, -1
         control[REJECTED] += 1.0
         # Loops that cannot be closed after a step can be after a shorter one.
@@ -350,7 +364,7 @@ def accepted_step(system, tableau, stabilisation, control, scale, scratch):
     control[REACHED] += size
     # A step cut short says nothing against the size that was to be tried.
     control[NEXT_STEP] = max(size * max(growth, LARGEST_CUT), wanted if size < wanted else 0.0)
-    control[EXTENDED] = 0.0
+    control[EXTENDED] = 1.0 if extended else 0.0
     control[ACCEPTED] += 1.0
     control[ERROR] = error
     control[LARGEST_ERROR] = max(control[LARGEST_ERROR], error)

@@ -30,15 +30,13 @@ from ..core.compiled import inlined
 
 # Places among Moving.addresses. What integrators ask for.
 (DERIVATIVE, STABILISE, NORMALISE, EULER, UNTIL_CORNER, PASS_CORNERS, BEGIN_CONTACTS,
- END_CONTACTS, UNTIL_CONTACT, UNTIL_REST, STICK, STOP,
+ FORGET_CONTACTS, END_CONTACTS, UNTIL_CONTACT, UNTIL_REST, STICK, STOP,
  # What these ask for: an evaluation, and in it what stands for generated routines, what depends on
  # accelerations, and what follows the time; the same of corrections; closed loops, with 1 after a
  # step; rates and accelerations of cut joints.
  EVALUATE, BY_LOOPS, HOLD, TELL_MOTIONS, FEEL_REACTIONS, FOLLOW_MOTIONS, FACTOR, CORRECT, CLOSE,
- CUT_RATES, CUT_ACCELERATIONS) = range(1, 24)
-PLACES = 24
-# Cuts of one step at contacts that begin or end.
-MOST_CUTS = 12
+ CUT_RATES, CUT_ACCELERATIONS) = range(1, 25)
+PLACES = 25
 
 
 class Moving(NamedTuple):
@@ -147,13 +145,19 @@ def begin_contacts(system, state):
 
 
 @inlined
+def forget_contacts(system, state):
+    """Forget what a trial has shown that fails for other reasons than contacts; shape (ns,)."""
+    _ask(system, FORGET_CONTACTS, state)
+
+
+@inlined
 def end_contacts(system, state):
     """Let gaps decide again which bodies touch, after a step; shape (ns,)."""
     _ask(system, END_CONTACTS, state)
 
 
 @inlined
-def until_contact(system, out, scratch, size, sought, cuts):
+def until_contact(system, state, size, sought, share):
     """
     Return the part of a step on which no contact begins or ends.
 
@@ -161,28 +165,27 @@ def until_contact(system, out, scratch, size, sought, cuts):
     ----------
     system : Moving
         What moves.
-    out, scratch : ndarray, shape (ns,)
-        State after the step; overwritten.
-    size, sought
+    state : ndarray, shape (ns,)
+        At a share of the step.
+    size, sought, share
         As for ``impacts.part``.
-    cuts : int
-        How often the step has been cut.
 
     Returns
     -------
     part : float
         [s]
     sought : int
+    share : float
         As of ``impacts.part``.
 
     """
-    if system.addresses[UNTIL_CONTACT] != 0 and cuts < MOST_CUTS:
+    part, wanted = size, -1.0
+    if system.addresses[UNTIL_CONTACT] != 0:
         numbers = system.numbers
-        derivative(system, out, scratch)
-        numbers[0], numbers[1] = size, sought
-        call_at(system.addresses, UNTIL_CONTACT, 0, out, out)
-        size, sought = numbers[0], int(numbers[1])
-    return size, sought
+        numbers[0], numbers[1], numbers[2] = size, sought, share
+        call_at(system.addresses, UNTIL_CONTACT, 0, state, state)
+        part, sought, wanted = numbers[0], int(numbers[1]), numbers[2]
+    return part, sought, wanted
 
 
 @inlined

@@ -35,7 +35,7 @@ from .adaptive import (
 from .advance import DONE, NOT_FINITE, OPEN_LOOP, STEP_TOO_SMALL, taken
 from .projection import all_finite
 from ..core import lu
-from ..core.compiled import compiled, merged
+from ..core.compiled import compiled, inlined, merged
 
 STAGES = 6
 # Rows of the scratch before the slopes.
@@ -173,6 +173,21 @@ def step(system, state, step_size, matrix, pivots, slopes, stage, out):
         out[i] = stage[i] + slopes[STAGES - 1, i]
 
 
+@inlined
+def _interpolate(state, slope, out, end, size, share, stage):
+    """
+    Compute a state within a step by the cubic through both states and their slopes.
+
+    ``slope``, ``end``: at ``state`` and ``out``; ``stage``: written; all of shape (ns,).
+
+    """
+    left = 1.0 - share
+    for i in range(state.shape[0]):
+        rise = out[i] - state[i]
+        stage[i] = left * state[i] + share * out[i] + share * left * (
+            left * (size * slope[i] - rise) + share * (rise - size * end[i]))
+
+
 @compiled
 def advance_fixed(system, stabilisation, state, step_size, steps, matrix, pivots, scratch):
     """
@@ -307,13 +322,23 @@ def accepted_step(system, stabilisation, state, limit, control, scale, matrix, p
             part = motion.until_rest(system, state, out, used, max(
                 stick_slip.least(whole, cuts), LEAST * max(abs(limit), 1e-3)))
             if not part < used:
-                part, sought = motion.until_contact(system, out, stage, used, sought, cuts)
+                part, sought, share = motion.until_contact(system, out, used, sought, 1.0)
+                if share >= 0.0:
+                    motion.derivative(system, out, moved)
+                while share >= 0.0:
+                    _interpolate(state, slope, out, moved, used, share, stage)
+                    motion.normalise(system, stage)
+                    part, sought, share = motion.until_contact(system, stage, used, sought, share)
                 if part == used:
                     break
                 part = part if sought >= -1 else used
+            else:
+                motion.forget_contacts(system, state)
+                sought = -1
             cut, cuts = part, cuts + 1
             continue
         closed, sought = not error <= 1.0, -1
+        motion.forget_contacts(system, state)
         control[REJECTED] += 1.0
         size = used * (min(factor, SAFETY) if closed else 0.5)
     motion.end_contacts(system, state)

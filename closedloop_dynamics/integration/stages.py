@@ -95,6 +95,7 @@ def _needed_by_effects(system):
         yield from ((motion.FOLLOW_MOTIONS, _follow_motions), (motion.TELL_MOTIONS, _tell_motions))
     if len(effects.contacts.rows):
         yield from ((motion.BEGIN_CONTACTS, _begin_contacts),
+                    (motion.FORGET_CONTACTS, _forget_contacts),
                     (motion.END_CONTACTS, _end_contacts), (motion.UNTIL_CONTACT, _until_contact))
     if JOINT_FRICTION in kinds:
         yield from ((motion.UNTIL_REST, _until_rest), (
@@ -319,8 +320,13 @@ def _own(system):
 
 @addressed
 def _begin_contacts(system, number, state, same):
-    effects = system.effects
-    return impacts.begin(effects.contacts, effects.enabled)
+    return impacts.begin(system.effects)
+
+
+@addressed
+def _forget_contacts(system, number, state, same):
+    impacts.forget(system.effects.contacts)
+    return 1
 
 
 @addressed
@@ -331,9 +337,15 @@ def _end_contacts(system, number, state, same):
 
 @addressed
 def _until_contact(system, number, state, same):
-    effects, numbers = system.effects, system.moving.numbers
-    numbers[0], numbers[1] = impacts.part(
-        effects.contacts, effects.enabled, numbers[0], int(numbers[1]))
+    effects, numbers, own = system.effects, system.moving.numbers, _own(system)
+    nv = system.qdd.shape[0]
+    # Gaps want no accelerations.
+    evaluation.take_states(effects, state, own)
+    kinematics.outward(system.model, state[:own - nv], state[own - nv:own], system.work)
+    apply_effects(effects, system.manifold, system.work, state[:own - nv], state[own - nv:own],
+                  system.tau)
+    numbers[0], numbers[1], numbers[2] = impacts.part(
+        effects, numbers[0], int(numbers[1]), numbers[2])
     return 1
 
 

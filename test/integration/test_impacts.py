@@ -14,8 +14,11 @@
 
 """Impacts are found in time: a ball that bounces on a spring, against its closed form."""
 
+from dataclasses import replace
 import math
 
+from closedloop_dynamics import load_scene, Simulation
+from closedloop_dynamics.effects import curve
 from closedloop_dynamics.effects.body_contact import BodyContact
 from closedloop_dynamics.effects.contact import Contact
 from closedloop_dynamics.effects.end_stop import EndStop
@@ -113,3 +116,48 @@ def test_a_graze_is_not_missed():
     free = START + 2.0 * 0.4 - 0.5 * G * 0.16
     assert simulation.position[0] < free - 100.0 * CLOSED
     assert_balanced(simulation, 1e-9)
+
+
+def test_a_path_is_as_near_to_an_outline_as_its_places_are():
+    rng = np.random.default_rng(5)
+    seen = {'crosses': 0, 'passes': 0, 'neither': 0}
+    for _ in range(200):
+        turns = np.sort(rng.uniform(0.0, 2.0 * np.pi, 7))
+        radii = rng.uniform(0.5, 1.0, 7)
+        corners = np.column_stack((radii * np.cos(turns), radii * np.sin(turns)))
+        data = np.ravel(curve._straight(np.vstack((corners, corners[:1]))))
+        one, other = rng.uniform(-1.5, 1.5, (2, 2))
+        distance, along = curve.nearest_to_chord(data, 0, 7, *one, *other)
+        places = one + np.linspace(0.0, 1.0, 4001)[:, None] * (other - one)
+        way = np.roll(corners, -1, axis=0) - corners
+        share = np.clip(((places[:, None] - corners) * way).sum(axis=2) / (way ** 2).sum(axis=1),
+                        0.0, 1.0)
+        found = np.linalg.norm(places[:, None] - corners - share[..., None] * way, axis=2)
+        # Of each straight piece the valley between the ends, if any.
+        lowest = found.argmin(axis=0)
+        valleys = found.min(axis=0)[(lowest > 0) & (lowest < 4000)]
+        if distance == -math.inf:
+            seen['crosses'] += 1
+            assert valleys.min() < 1e-3
+        elif distance < math.inf:
+            seen['passes'] += 1
+            assert distance == pytest.approx(valleys.min(), abs=1e-3)
+        else:
+            seen['neither'] += 1
+            assert not len(valleys)
+        assert 0.0 < along < 1.0
+    assert min(seen.values()) > 0
+
+
+def test_the_geneva_drive_indexes_its_wheel_ten_times():
+    start = load_scene('geneva_drive')
+    heavy = replace(start.mechanism, bodies=tuple(
+        replace(body, inertia=1e4 * body.inertia) if body.name == 'driver' else body
+        for body in start.mechanism.bodies))
+    simulation = Simulation(replace(start, mechanism=heavy))
+    for turn in range(1, 11):
+        simulation.step(duration=1.0)
+        # The slots are 0.02 mm wider on either side.
+        assert simulation.position[1] == pytest.approx(
+            0.25 * math.pi - 0.5 * math.pi * turn, abs=2e-3)
+    assert_balanced(simulation, 1e-5)
