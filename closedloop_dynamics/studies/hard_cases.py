@@ -20,6 +20,7 @@ from typing import Callable
 
 import numpy as np
 
+from .hard_cases_at_contacts import AT_CONTACTS
 from .hard_cases_in_space import IN_SPACE
 from .hard_machines import (
     bar, change_point_linkage, doubled, G, gravity, gravity_in_space, hinge, in_space, ladder,
@@ -929,6 +930,7 @@ CASES = tuple(Case(name, group, *rest) for group, cases in {
          '100 s (else 2 s).', 'error of its place, or 1000 x its creep [m]', 1e-9, 1e-5, _stick,
          '100 s / 2 s'),
     ),
+    'Grazing and tunnelling': AT_CONTACTS,
     'Machines in space': (
         *IN_SPACE,
         ('mass ratio 1e8 in space',
