@@ -279,15 +279,15 @@ def nearest_to_chord(data, first, count, px, py, qx, qy):
                 continue
         for end in range(2):
             ex, ey = ax + end * cx - px, ay + end * cy - py
-            share = min(0.99, max(0.01, (ex * dx + ey * dy) / square))
+            share = min(1.0, max(0.0, (ex * dx + ey * dy) / square))
             # Curved pieces: how far they are from there.
             _, _, _, found = _nearest_on(data, at, px + share * dx, py + share * dy)
             if found < least * least and found < level * abs(level):
                 least, place = math.sqrt(found), share
     if entry <= 1.0:
-        least = -math.inf
-        place = min(0.99, max(0.01, 0.5 * (entry + min(way_out, 1.0))))
-    return least, place
+        least, place = -math.inf, 0.5 * (entry + min(way_out, 1.0))
+    # An interval is to be parted there.
+    return least, min(0.99, max(0.01, place))
 
 
 @inlined

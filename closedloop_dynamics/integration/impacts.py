@@ -530,12 +530,13 @@ def _nearest(effects, row, left, right):
         square += move * move
     if not 0.0 < inward < square:
         return math.inf, 0.5
-    along, between, one, other = min(0.99, max(0.01, inward / square)), 0.0, 0.0, 0.0
+    along, between, one, other = inward / square, 0.0, 0.0, 0.0
     for i in range(first, first + 3):
         between += (left[row, i] + along * (right[row, i] - left[row, i])) ** 2
         one += left[row, i] ** 2
         other += right[row, i] ** 2
     between = math.sqrt(between)
     if between > math.sqrt(min(one, other)) - NO_GAP:
-        return math.inf, along
-    return between - values[row, 5] - values[row, 4], along
+        return math.inf, 0.5
+    # An interval is to be parted there.
+    return between - values[row, 5] - values[row, 4], min(0.99, max(0.01, along))
