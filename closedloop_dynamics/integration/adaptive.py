@@ -17,7 +17,8 @@
 import math
 
 from . import motion, runge_kutta, stick_slip
-from .advance import DONE, NOT_FINITE, OPEN_LOOP, STEP_TOO_SMALL, TOO_MUCH_WORK
+from .advance import (
+    DONE, NOT_FINITE, OPEN_LOOP, POOR_EQUATIONS, STEP_TOO_SMALL, TOO_MUCH_WORK)
 from .projection import all_finite
 from ..core.compiled import compiled, inlined, merged
 
@@ -39,6 +40,8 @@ TELLING = 1e-2
 GUESSES, FARTHER = 4, 100.0
 # The least step, relative to the time that it has to change; times closer than that are the same.
 LEAST = 1e-14
+# In the place of a step size: there is no step to interpolate, but there is a past.
+NOTHING_BETWEEN = -1.0
 # Rows of the scratch.
 STAGE, OUT, BEFORE, AFTER, LAST_STAGE, FIRST_SLOPE = range(6)
 # What takes more evaluations than this for one step of the raster is no simulation any more.
@@ -193,8 +196,8 @@ def advance(system, tableau, stabilisation, state, origin, done, step_size, step
     Returns
     -------
     int
-        ``DONE``, ``NOT_FINITE``, ``OPEN_LOOP``, ``STEP_TOO_SMALL`` or ``TOO_MUCH_WORK``; on
-        failure ``state`` and REACHED are the latest good ones.
+        ``DONE``, ``NOT_FINITE``, ``OPEN_LOOP``, ``STEP_TOO_SMALL``, ``TOO_MUCH_WORK`` or
+        ``POOR_EQUATIONS``; on failure ``state`` and REACHED are the latest good ones.
 
     """
     if control[STEP_SIZE] == 0.0:
@@ -346,6 +349,9 @@ def accepted_step(system, tableau, stabilisation, control, scale, scratch):
             SAFETY * error ** (-1.0 / (tableau.error_order + 1)))
         size *= max(LARGEST_CUT, cut)
         wanted = size
+    if not motion.equations_serve(system, stabilisation, out):
+        motion.end_contacts(system, after)
+        return POOR_EQUATIONS
     for i in range(count):
         before[i] = after[i]
         after[i] = out[i]

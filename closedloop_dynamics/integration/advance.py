@@ -19,7 +19,7 @@ from .projection import all_finite
 from ..core.compiled import compiled, inlined
 
 # Status of ``advance`` and ``adaptive.advance``.
-DONE, NOT_FINITE, OPEN_LOOP, STEP_TOO_SMALL, TOO_MUCH_WORK = range(5)
+DONE, NOT_FINITE, OPEN_LOOP, STEP_TOO_SMALL, TOO_MUCH_WORK, POOR_EQUATIONS = range(6)
 
 
 @compiled
@@ -47,7 +47,7 @@ def advance(system, tableau, stabilisation, state, step_size, steps, scratch):
     Returns
     -------
     status : int
-        ``DONE``, ``NOT_FINITE`` or ``OPEN_LOOP``.
+        ``DONE``, ``NOT_FINITE``, ``OPEN_LOOP`` or ``POOR_EQUATIONS``.
     done : int
         Steps completed.
 
@@ -71,6 +71,10 @@ def advance(system, tableau, stabilisation, state, step_size, steps, scratch):
                 for i in range(state.shape[0]):
                     state[i] = start[i]
                 return (OPEN_LOOP if all_finite(out) else NOT_FINITE), done
+            if not motion.equations_serve(system, stabilisation, out):
+                for i in range(state.shape[0]):
+                    state[i] = start[i]
+                return POOR_EQUATIONS, done
             left, size, cuts = taken(system, state, out, step_size, left, size, cuts)
     return DONE, steps
 

@@ -56,11 +56,17 @@ class FixedSteps:
     def __init__(self, system, integrator, stabilisation):
         """Allocate the scratch of the method."""
         self.tableau = integrator.tableau
+        self.take(system)
+        self.stabilisation = stabilisation
+        self.scratch = np.zeros((len(self.tableau.a) + 3, number_of_states(system)))
+        # Steps of the latest call, and those of them that the next one need not make again.
+        self._made = self._before = 0
+
+    def take(self, system):
+        """Step with a system that works on other equations."""
         # The system is kept, as kernels see its addresses alone.
         self._system = system if len(self.tableau.b) else stepped_by_euler(system)
         self.moving = self._system.moving
-        self.stabilisation = stabilisation
-        self.scratch = np.zeros((len(self.tableau.a) + 3, number_of_states(system)))
 
     def advance(self, state, origin, done, step_size, steps):
         """
@@ -87,10 +93,16 @@ class FixedSteps:
             Time advanced by [s].
 
         """
+        before, self._before = self._before, 0
         status, made = advance.advance(
-            self.moving, self.tableau, self.stabilisation, state, step_size, steps,
+            self.moving, self.tableau, self.stabilisation, state, step_size, steps - before,
             self.scratch)
-        return status, made * step_size
+        self._made = before + made
+        return status, self._made * step_size
+
+    def go_on(self):
+        """Let the next call, which is the same again, go on from where the latest failed."""
+        self._before = self._made
 
     def restart(self, moved=False):
         """Forget the past: torques, or with ``moved`` the state. Fixed steps have none."""
@@ -122,9 +134,9 @@ class ErrorControlled:
 
     def __init__(self, system, integrator, stabilisation, tolerance):
         """Allocate the scratch of the method."""
-        self._system, self._moving = system, system.moving
         self._tableau = integrator.tableau
         self._stabilisation, self._tolerance = stabilisation, tolerance
+        self._system, self._moving = system, system.moving
         self._scale = _error_scale(system, tolerance)
         self._scratch = np.zeros(
             (len(self._tableau.a) + adaptive.FIRST_SLOPE, self._scale.shape[1]))
@@ -138,6 +150,15 @@ class ErrorControlled:
         if status == advance.DONE:
             return status, steps * step_size
         return status, self.control[adaptive.REACHED] - (origin + done * step_size)
+
+    def take(self, system):
+        """Step with a system that works on other equations."""
+        self._system, self._moving = system, system.moving
+
+    def go_on(self):
+        """Let the next call go on; see ``FixedSteps.go_on``."""
+        if self.control[adaptive.STEP_SIZE] == 0.0:
+            self.control[adaptive.STEP_SIZE] = adaptive.NOTHING_BETWEEN
 
     @property
     def memory(self):
@@ -189,6 +210,15 @@ class Switching:
             return status, steps * step_size
         return status, self.control[adaptive.REACHED] - (origin + done * step_size)
 
+    def take(self, system):
+        """Step with a system that works on other equations."""
+        self._system, self._moving = system, system.moving
+
+    def go_on(self):
+        """Let the next call go on; see ``FixedSteps.go_on``."""
+        if self.control[adaptive.STEP_SIZE] == 0.0:
+            self.control[adaptive.STEP_SIZE] = adaptive.NOTHING_BETWEEN
+
     @property
     def memory(self):
         """Return views of what outlasts ``restart``."""
@@ -228,21 +258,35 @@ class Stiff:
         self._scratch = np.zeros((rosenbrock.STAGES + rosenbrock.FIRST_SLOPE, states))
         self._matrix, self._pivots = np.zeros((states, states)), np.zeros(states, dtype=np.int64)
         self.control = np.zeros(adaptive.CONTROL_COLUMNS)
+        # Of fixed steps as for ``FixedSteps``; of others whether the next call goes on.
+        self._made = self._before = 0
 
     def advance(self, state, origin, done, step_size, steps):
         """Advance a state by ``steps`` times ``step_size``; see ``FixedSteps.advance``."""
+        before, self._before = self._before, 0
         if not self._adaptive:
             status, made = rosenbrock.advance_fixed(
-                self._moving, self._stabilisation, state, step_size, steps, self._matrix,
-                self._pivots, self._scratch)
-            return status, made * step_size
-        begin = self.control[adaptive.REACHED] = origin + done * step_size
+                self._moving, self._stabilisation, state, step_size, steps - before,
+                self._matrix, self._pivots, self._scratch)
+            self._made = before + made
+            return status, self._made * step_size
+        begin, self._made = origin + done * step_size, 1
+        if not before:
+            self.control[adaptive.REACHED] = begin
         status = rosenbrock.advance_adaptive(
             self._moving, self._stabilisation, state, origin + (done + steps) * step_size,
             self.control, self._scale, self._matrix, self._pivots, self._scratch)
         if status == advance.DONE:
             return status, steps * step_size
         return status, self.control[adaptive.REACHED] - begin
+
+    def take(self, system):
+        """Step with a system that works on other equations."""
+        self._system, self._moving = system, system.moving
+
+    def go_on(self):
+        """Let the next call go on; see ``FixedSteps.go_on``."""
+        self._before = self._made
 
     memory = ()
 

@@ -25,6 +25,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from .registry import PROJECTION
 from ..core.codegen.records import call_at
 from ..core.compiled import inlined
 
@@ -35,8 +36,10 @@ from ..core.compiled import inlined
  # accelerations, and what follows the time; the same of corrections; closed loops, with 1 after a
  # step; rates and accelerations of cut joints.
  EVALUATE, BY_LOOPS, HOLD, TELL_MOTIONS, FEEL_REACTIONS, FOLLOW_MOTIONS, FACTOR, CORRECT, CLOSE,
- CUT_RATES, CUT_ACCELERATIONS) = range(1, 25)
-PLACES = 25
+ CUT_RATES, CUT_ACCELERATIONS,
+ # What steppers ask after a step, where equations that repeat others are left out.
+ EQUATIONS_SERVE) = range(1, 26)
+PLACES = 26
 
 
 class Moving(NamedTuple):
@@ -85,6 +88,33 @@ def stabilise(system, stabilisation, state):
 
     """
     return call_at(system.addresses, STABILISE, stabilisation, state, state) == 1
+
+
+@inlined
+def equations_serve(system, stabilisation, state):
+    """
+    Return whether the kept equations still stand for all, after a step that was stabilised.
+
+    Parameters
+    ----------
+    system : Moving
+        What moves.
+    stabilisation : int
+        As for ``projection.stabilise``; loops that it lets drift apart are not looked at.
+    state : ndarray, shape (ns,)
+        After the step.
+
+    Returns
+    -------
+    bool
+        As of ``left_out.serve``; yes where no equations are left out.
+
+    """
+    serves = True
+    if stabilisation >= PROJECTION and system.addresses[EQUATIONS_SERVE] != 0:
+        serves = call_at(
+            system.addresses, EQUATIONS_SERVE, stabilisation, state, state) == 1
+    return serves
 
 
 @inlined

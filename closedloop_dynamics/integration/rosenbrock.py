@@ -32,7 +32,8 @@ from . import motion, stick_slip
 from .adaptive import (
     ACCEPTED, ERROR, is_before, LARGEST_ERROR, LEAST, NEXT_STEP, REACHED, REJECTED, SAFETY,
     STIFFNESS, WORK)
-from .advance import DONE, NOT_FINITE, OPEN_LOOP, STEP_TOO_SMALL, taken
+from .advance import (
+    DONE, NOT_FINITE, OPEN_LOOP, POOR_EQUATIONS, STEP_TOO_SMALL, taken)
 from .projection import all_finite
 from ..core import lu
 from ..core.compiled import compiled, inlined, merged
@@ -237,6 +238,10 @@ def advance_fixed(system, stabilisation, state, step_size, steps, matrix, pivots
                 for i in range(state.shape[0]):
                     state[i] = start[i]
                 return (OPEN_LOOP if all_finite(out) else NOT_FINITE), done
+            if not motion.equations_serve(system, stabilisation, out):
+                for i in range(state.shape[0]):
+                    state[i] = start[i]
+                return POOR_EQUATIONS, done
             left, size, cuts = taken(system, state, out, step_size, left, size, cuts)
     return DONE, steps
 
@@ -342,6 +347,8 @@ def accepted_step(system, stabilisation, state, limit, control, scale, matrix, p
         control[REJECTED] += 1.0
         size = used * (min(factor, SAFETY) if closed else 0.5)
     motion.end_contacts(system, state)
+    if not motion.equations_serve(system, stabilisation, out):
+        return POOR_EQUATIONS
     motion.rest(system, out)
     motion.pass_corners(system, out)
     for i in range(n):

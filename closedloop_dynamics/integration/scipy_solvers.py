@@ -16,8 +16,8 @@
 
 import numpy as np
 
-from .advance import DONE, NOT_FINITE, OPEN_LOOP, STEP_TOO_SMALL
-from .motion import derivative, stabilise
+from .advance import DONE, NOT_FINITE, OPEN_LOOP, POOR_EQUATIONS, STEP_TOO_SMALL
+from .motion import derivative, equations_serve, stabilise
 
 # A solver that needs more evaluations than this to the next output has lost its way.
 MOST_EVALUATIONS = 100_000
@@ -53,6 +53,8 @@ class SciPySolver:
         out = self._dense(target) if self._dense is not None else state.copy()
         if not stabilise(self._moving, self._stabilisation, out):
             return OPEN_LOOP, 0.0
+        if not equations_serve(self._moving, self._stabilisation, out):
+            return POOR_EQUATIONS, 0.0
         state[:] = out
         return DONE, steps * step_size
 
@@ -74,6 +76,14 @@ class SciPySolver:
         except _GaveUp:
             return STEP_TOO_SMALL
         return DONE
+
+    def take(self, system):
+        """Step with a system that works on other equations."""
+        self._system, self._moving = system, system.moving
+
+    def go_on(self):
+        """Let the next call, which is the same again, begin anew."""
+        self.restart()
 
     memory = ()
 

@@ -22,7 +22,8 @@ the latter seem to be as long as the former. What it is asked is told in ``motio
 
 import numpy as np
 
-from . import breaks, evaluation, impacts, motion, projection, semi_implicit_euler, stick_slip
+from . import (
+    breaks, evaluation, impacts, left_out, motion, projection, semi_implicit_euler, stick_slip)
 from .evaluation import (
     apply_effects, BAUMGARTE_GAIN, CLOSURE_TOLERANCE, evaluate_in_parts, FORMULATION)
 from ..core import forward_dynamics, independent, kinematics, refinement
@@ -81,6 +82,8 @@ def _needed(system, by_euler):
         yield from ((motion.FACTOR, _factor), (motion.CORRECT, _correct))
     if system.is_independent:
         yield motion.CLOSE, _close
+    if system.leaves_out:
+        yield motion.EQUATIONS_SERVE, _equations_serve
     if system.effects is not None:
         yield from _needed_by_effects(system)
 
@@ -284,6 +287,13 @@ def _close(system, after_step, state, same):
     return independent.close_and_choose(
         system.model, system.work, system.partition, system.manifold, state[:nq],
         state[nq:nq + nv], system.settings[CLOSURE_TOLERANCE], after_step == 1)
+
+
+@addressed
+def _equations_serve(system, stabilisation, state, same):
+    nv = system.qdd.shape[0]
+    nq = rates_begin(system.manifold, nv)
+    return left_out.serve(system, stabilisation, state[:nq], state[nq:nq + nv])
 
 
 @addressed

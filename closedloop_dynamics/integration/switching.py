@@ -34,8 +34,8 @@ import numpy as np
 from . import adaptive, motion, rosenbrock
 from .adaptive import (
     AFTER, CONTROL_COLUMNS, FIRST_SLOPE, HOLD, is_before, LEAST, MOST_EVALUATIONS, NEXT_STEP,
-    OUT, REACHED, RESTARTED, STEP_SIZE, STIFFNESS, WORK)
-from .advance import DONE, OPEN_LOOP, TOO_MUCH_WORK
+    NOTHING_BETWEEN, OUT, REACHED, RESTARTED, STEP_SIZE, STIFFNESS, WORK)
+from .advance import DONE, OPEN_LOOP, POOR_EQUATIONS, TOO_MUCH_WORK
 from ..core.compiled import compiled, merged
 
 # Columns that follow those of ``adaptive`` in the control record: whether the stiff method steps;
@@ -151,7 +151,7 @@ def advance(system, tableau, stabilisation, state, origin, done, step_size, step
                 system, tableau, stabilisation, now, runs.scale[which], scratch[which])
             if status == DONE:
                 _consider_stiff(now)
-            else:
+            elif status != POOR_EQUATIONS:
                 # What stops the one may not stop the other.
                 status, now[EXPLICIT_RATE] = DONE, 0.0
                 _change(now, 1.0)
@@ -160,22 +160,25 @@ def advance(system, tableau, stabilisation, state, origin, done, step_size, step
                 system, stabilisation, scratch[which, AFTER], limit, now, runs.scale[which],
                 runs.matrix, runs.pivots, runs.stiff_scratch[which])
             if status == DONE:
-                # There is no explicit step to interpolate, but there is a past.
-                now[STEP_SIZE] = -1.0
+                now[STEP_SIZE] = NOTHING_BETWEEN
                 _consider_explicit(now)
-        lost = which == COMPANION and status != DONE
+        if status == POOR_EQUATIONS:
+            now[STEP_SIZE] = NOTHING_BETWEEN
+        lost = which == COMPANION and status not in (DONE, POOR_EQUATIONS)
         if lost:
             status = DONE
         elif control[RUN, WORK] + control[COMPANION, WORK] > most:
             status = TOO_MUCH_WORK
         follows = watch[OPEN] == 1.0 and not lost and is_before(
             control[COMPANION, REACHED], control[RUN, REACHED])
-        if not follows:
+        if not follows and status == DONE:
             _look(system, tableau, runs, lost)
     if status != DONE:
         for i in range(state.shape[0]):
             state[i] = scratch[RUN, AFTER, i]
-        control[RUN, STEP_SIZE] = 0.0
+        # With other equations both go on.
+        if status != POOR_EQUATIONS:
+            control[RUN, STEP_SIZE] = 0.0
         return status
     adaptive.interpolate(system, tableau, target, control[RUN], scratch[RUN], state)
     if is_before(target, control[RUN, REACHED]) and not motion.stabilise(

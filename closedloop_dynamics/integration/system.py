@@ -23,6 +23,7 @@ import warnings
 import numpy as np
 
 from . import stages
+from .left_out import allocate_left_out, LeftOut
 from .evaluation import apply_listed, ASIDE, BAUMGARTE_GAIN, FORMULATION
 from .motion import EVALUATE, Moving
 from ..core import codegen, kinematics, rank_revealing
@@ -56,6 +57,8 @@ class System(NamedTuple):
         Of the dense formulations; of no length where none is used.
     partition : Partition
         Of the independent coordinates; of no length where they are not used.
+    left_out : LeftOut
+        All equations, where some that repeat others are left out.
     settings : ndarray, shape (5,)
     tau : ndarray, shape (nv + nk,)
         Commanded joint torques [N m] and forces [N], behind them those of the nk cut joints that
@@ -93,6 +96,7 @@ class System(NamedTuple):
     work: Workspace
     dense: DenseWorkspace
     partition: Partition
+    left_out: LeftOut
     settings: np.ndarray
     tau: np.ndarray
     qdd: np.ndarray
@@ -119,6 +123,11 @@ class System(NamedTuple):
     def is_independent(self):
         """Whether independent coordinates are integrated."""
         return self.partition.order.size > 0
+
+    @property
+    def leaves_out(self):
+        """Whether equations that repeat others are left out."""
+        return self.left_out.numbers.size > 0
 
     def __reduce__(self):
         """Copy and pickle without addresses, which hold for these very arrays."""
@@ -169,7 +178,7 @@ def build_system(model, formulation=SUBSYSTEM, baumgarte=0.0, extent=1.0, indepe
     system = System(
         model=model, work=unconnected(model),
         dense=allocate_dense(model, formulation),
-        partition=allocate_partition(model, independent),
+        partition=allocate_partition(model, independent), left_out=None,
         settings=settings, tau=tau, qdd=np.zeros(nv), lam=np.zeros(nc),
         applied=tau if effects is None else effects.applied[:nv], effects=effects, table=None,
         corrections=np.zeros((2, nv if unrolled else 0)), manifold=manifold_of(model),
@@ -181,6 +190,7 @@ def _linked(system):
     """Return a system with the addresses of its own arrays and routines."""
     model, work, law_record = system.model, system.work, np.zeros(0, dtype=np.int64)
     pieces.connect(model, work.piece, work.cut_piece)
+    system = system._replace(left_out=allocate_left_out(model, work, system.left_out))
     if system.effects is not None:
         effects, law_record = dispatch.linked(system.effects, work.body, system.tau)
         # Of a copy, too, what laws write is what routines read.
@@ -311,7 +321,7 @@ def with_equations(system, model):
     work = unconnected(model)
     work.health[:] = system.work.health
     return _linked(system._replace(
-        model=model, work=work, lam=np.zeros(len(work.closure)),
+        model=model, work=work, left_out=None, lam=np.zeros(len(work.closure)),
         dense=allocate_dense(model, int(system.settings[FORMULATION])),
         partition=allocate_partition(model, system.is_independent)))
 

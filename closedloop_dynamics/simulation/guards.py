@@ -34,7 +34,7 @@ import numpy as np
 
 from .errors import (
     ClosureError, InaccuracyWarning, NumericalError, SingularityError, StiffnessError)
-from ..core.types import SINGULAR_COUNT, SMALLEST_PIVOT
+from ..core.types import SINGULAR_COUNT
 from ..integration.motion import derivative
 from ..integration.registry import ADAPTIVE, AUTO, EXPLICIT, FIXED, INTEGRATORS
 from ..integration.system import parts_of_state
@@ -59,15 +59,14 @@ ENERGY_WARN, ENERGY_ERROR = 1e-3, 0.1
 # Less than this share of the energy there is may be rounding; and between two looks, less than
 # this share of all that has moved.
 ROUNDING, LITTLE = 1e-9, 1e-6
-# Less energy than this [J] is none.
-NOTHING = 1e-15
+# Less energy than this share of what the scene's forces would do along its length is none.
+NOTHING = 1e-13
 
 # Steps between two looks at the closure; and the closure error, against the size of the mechanism,
 # at which loops count as open.
 CLOSURE_LOOK_EVERY, OPEN = 500, 1e-3
-# Steps between two looks at the equations that the elimination works on, and the most where small
-# pivots are those of the masses, or where pivots hardly change between two looks: by this share.
-EQUATIONS_FIRST_LOOK, EQUATIONS_LOOK_EVERY, STEADY = 16, 512, 0.05
+# Steps between two looks whether equations can be left out again, at first and at most.
+EQUATIONS_FIRST_LOOK, EQUATIONS_LOOK_EVERY = 64, 4096
 # What keeps the loops closed to rounding.
 CLOSING = ('projection', 'independent')
 
@@ -142,19 +141,25 @@ class EnergyGuard:
         Step size times rate up to which the method is stable; infinite where it always is.
     among_laws : bool
         Whether fixed steps are taken among effects with force laws.
+    every_call : bool
+        Whether to look after every call, however few steps it makes.
 
     Attributes
     ----------
     moved : float
-        The most energy that has moved up to any look since the start [J].
+        The most energy that has moved up to any look since the guard began [J].
     among_laws : bool
         As given.
     worst, worst_time : float
         Largest error of the balance relative to what had moved by then, and when [s].
+    worst_lost, worst_moved : float
+        That error and what had moved by then [J].
+    failed : bool
+        Whether a look has ended the run.
 
     """
 
-    def __init__(self, method, rate, limit=math.inf, among_laws=False):
+    def __init__(self, method, rate, limit=math.inf, among_laws=False, every_call=False):
         """Begin with nothing seen."""
         self._method, self._rate, self._limit = method, rate, limit
         self.among_laws = among_laws
@@ -163,12 +168,14 @@ class EnergyGuard:
         # Where error control steps, how often it is looked at would show in the last digits.
         self._whole = integrator.kind == ADAPTIVE
         self._rarely = LOOK_EVERY_AMONG_LAWS if among_laws else LOOK_EVERY
+        self._call = 1 if every_call and integrator.order > 1 else self._first
         self.restart()
 
     def restart(self):
         """Forget what has been seen: a run begins."""
         self._since, self._between, self._look, self._start = 0, self._first, None, None
         self.moved, self.worst, self.worst_time, self._warned = 0.0, 0.0, 0.0, False
+        self.worst_lost, self.worst_moved, self.failed = 0.0, 0.0, False
 
     def jump(self):
         """Do not compare with what was before: the state or an effect has been changed."""
@@ -198,7 +205,24 @@ class EnergyGuard:
         self._since += steps
         if self._since < self._between:
             return
-        self._since, self._between = 0, max(min(2 * self._between, self._rarely), self._first)
+        self._between = max(min(2 * self._between, self._rarely), self._first)
+        self._look_now(simulation)
+
+    def end(self, simulation, steps):
+        """
+        Look after a call, unless that would cost more than its few steps.
+
+        Raises
+        ------
+        StiffnessError, NumericalError
+            As for ``look``.
+
+        """
+        if self._since > 0 and steps >= self._call:
+            self._look_now(simulation)
+
+    def _look_now(self, simulation):
+        self._since = 0
         self.judge(simulation)
         if self.worst > ENERGY_WARN and not self._warned:
             self._warned = True
@@ -223,10 +247,11 @@ class EnergyGuard:
                       + abs(balance.work - before.balance.work))
             lost = abs(balance.residual - before.balance.residual)
             allowed = (ENERGY_ERROR * moving + LITTLE * self.moved
-                       + ROUNDING * (balance.kinetic + abs(balance.stored)) + NOTHING)
+                       + self.rounding(simulation, balance.kinetic + abs(balance.stored)))
             if not lost <= allowed or self.worst > ENERGY_ERROR:
                 worst = self.worst if math.isfinite(lost) else math.inf
                 problem = self._problem(lost, moving, before, simulation, worst)
+                self.failed = True
                 simulation.restore(before.state, before.time, before.balance.residual)
                 raise problem
         self._take(simulation, balance)
@@ -234,46 +259,56 @@ class EnergyGuard:
     def _take(self, simulation, balance):
         self._look = Look(balance, simulation.state, simulation.time)
         if self._start is None and balance is not None:
-            self._start = balance.stored
+            self._start = balance
 
     def note(self, simulation, balance):
         """Note how much energy has moved, and the error of the present balance."""
         if self._look is not None and self._look.balance is None:
-            self._look.balance = simulation.energy_at_start
-            self._start = self._look.balance.stored
-        start = balance.stored if self._start is None else self._start
+            self._look.balance = self._start = simulation.energy_at_start
+        start = balance if self._start is None else self._start
         self.compare(
-            abs(balance.residual),
-            balance.kinetic + abs(balance.stored - start) + abs(balance.dissipated)
-            + abs(balance.work), balance.kinetic + abs(balance.stored), simulation.time)
+            abs(balance.residual - start.residual),
+            balance.kinetic + abs(balance.stored - start.stored)
+            + abs(balance.dissipated - start.dissipated) + abs(balance.work - start.work),
+            self.rounding(simulation, balance.kinetic + abs(balance.stored)), simulation.time)
 
-    def compare(self, lost, moved, present, time):
+    @staticmethod
+    def rounding(simulation, present):
+        """Return how much of an error may be rounding, of the energy that there is [J]."""
+        return ROUNDING * present + NOTHING * simulation.energy_scale
+
+    def missed(self, balance):
+        """Return what a balance misses since the guard began [J]."""
+        return balance.residual - (0.0 if self._start is None else self._start.residual)
+
+    def compare(self, lost, moved, rounding, time):
         """
         Note an error of the energy balance.
 
         Parameters
         ----------
-        lost, moved, present : float
-            Error of the balance, energy that has moved, energy that there is [J].
+        lost, moved, rounding : float
+            Error of the balance, energy that has moved, what of the error may be rounding [J].
         time : float
             [s].
 
         """
         self.moved = max(self.moved, moved)
-        lost -= ROUNDING * present + NOTHING
+        lost -= rounding
         share = lost / self.moved if lost > 0.0 and self.moved > 0.0 else 0.0
         if not math.isfinite(lost):
             share = math.inf
         if not share <= self.worst:
             self.worst, self.worst_time = share, time
+            self.worst_lost, self.worst_moved = lost, self.moved
 
     @property
     def finding(self):
         """Return in words what is wrong with the energy of the run; empty where nothing is."""
         if not self.worst > ENERGY_WARN:
             return ''
-        return (f'the energy balance misses {self.worst * self.moved:.3g} J of the '
-                f'{self.moved:.3g} J that moved (at t = {self.worst_time:.6g} s): '
+        return (f'the energy balance misses {self.worst_lost:.3g} J of the '
+                f'{self.worst_moved:.3g} J that moved until t = {self.worst_time:.6g} s: '
                 f'{_setting(self._method)} does not follow this motion. {_cure(self._method)}')
 
     def _problem(self, lost, moving, before, simulation, worst):
@@ -317,7 +352,7 @@ def _cure(method):
 
 
 class EquationGuard:
-    """Looks whether the equations that the elimination works on still serve."""
+    """Looks whether equations that had to be taken again can be left out again."""
 
     def __init__(self):
         """Begin."""
@@ -325,7 +360,7 @@ class EquationGuard:
 
     def restart(self):
         """Count from here."""
-        self._since, self._between, self._pivot = 0, EQUATIONS_FIRST_LOOK, 0.0
+        self._since, self._between = 0, EQUATIONS_FIRST_LOOK
 
     @property
     def until_look(self):
@@ -339,15 +374,12 @@ class EquationGuard:
         """Do nothing, likewise."""
 
     def look(self, simulation, steps):
-        """Let the simulation exchange equations where that is better; seldom where it is not."""
+        """Let the simulation leave out equations again; ever more seldom, as that may not last."""
         self._since += steps
         if self._since >= self._between:
-            rarely = not simulation.exchange_poor_equations()
-            before, self._pivot = self._pivot, simulation.system.work.health[SMALLEST_PIVOT]
-            steady = abs(self._pivot - before) < STEADY * self._pivot
             self._since = 0
-            self._between = min(2 * self._between, EQUATIONS_LOOK_EVERY) if (
-                rarely or steady) else EQUATIONS_FIRST_LOOK
+            if simulation.leave_out_again():
+                self._between = min(2 * self._between, EQUATIONS_LOOK_EVERY)
 
 
 class ClosureGuard:

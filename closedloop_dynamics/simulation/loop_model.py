@@ -182,7 +182,7 @@ class LoopModel:
         """Go back to the equations that were chosen first; return the model."""
         return self.keep(self._first)
 
-    def closed_anew(self, q, better):
+    def closed_anew(self, q, better, nearby):
         """
         Choose the equations that the elimination works on anew, where the present ones serve ill.
 
@@ -192,6 +192,8 @@ class LoopModel:
             Nearly closing the loops.
         better : float
             How much further from dependent another choice must be.
+        nearby : bool
+            Whether to look at positions nearby where this one is singular, which takes long.
 
         Returns
         -------
@@ -200,7 +202,8 @@ class LoopModel:
             equations to choose here.
 
         """
-        jac = self._jacobian(q)
+        jac = self._jacobian(q) if nearby else Assembler(
+            self.mechanism, self.equations).jacobian(q)
         kept, present = independent(jac, self.equations.groups), self.equations.kept
         if kept.sum() < present.sum() or kept.sum() == present.sum() and not (
                 _distinct(jac, self.equations.groups, kept)

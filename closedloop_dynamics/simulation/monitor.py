@@ -25,7 +25,7 @@ from ..core.codegen import function_table as calls
 from ..core.independent import forget
 from ..core.manifold import weights
 from ..core.types import EVALUATIONS
-from ..integration import adaptive, switching
+from ..integration import adaptive, left_out, switching
 from ..integration.advance import DONE
 from ..integration.drivers import build_driver, Switching
 from ..integration.registry import FIXED, INTEGRATORS
@@ -65,7 +65,8 @@ class RunReport:
         The most energy that has moved since the start [J]; NaN before the first look.
     error_bound : float
         Of ``integrator: auto``: what the error of coordinates within a second was at most, by a
-        companion run with a larger tolerance [rad or m]; NaN for other methods.
+        companion run with a larger tolerance [rad or m]; NaN for other methods, and where the
+        energy balance says otherwise.
     findings : tuple of str
         What is wrong with the run, each with its remedy; empty where nothing is known to be.
 
@@ -132,11 +133,20 @@ class Monitor:
     sampling : bool
         Whether to estimate the error of fixed steps, at the cost of some 20 steps in 1000.
 
+    Parameters
+    ----------
+    driver, system, method
+        As of ``drivers.build_driver``.
+    choose_equations : callable
+        Called where a step failed in the latest good state, the reason its argument, a status of
+        ``integration.advance``; returns whether to go on from there.
+
     """
 
-    def __init__(self, driver, system, method):
+    def __init__(self, driver, system, method, choose_equations):
         """Count from zero."""
         self.driver, self.sampling = driver, True
+        self._choose_equations = choose_equations
         self._system, self._method = system, method
         integrator = INTEGRATORS[method.integrator]
         self._fixed = integrator.kind == FIXED
@@ -144,14 +154,10 @@ class Monitor:
         self._probe = None
         self.clear()
 
-    def take(self, driver, system):
-        """Go on counting with another driver, of a system that works on other equations."""
-        control = getattr(self.driver, 'control', None)
-        if control is not None:
-            driver.control[:] = control
-        for part, before in zip(driver.memory, self.driver.memory):
-            part[:] = before
-        self.driver, self._system, self._probe = driver, system, None
+    def take(self, system):
+        """Go on counting with a system that works on other equations."""
+        self.driver.take(system)
+        self._system, self._probe = system, None
 
     def clear(self):
         """Forget what has been counted: the time starts again."""
@@ -166,6 +172,7 @@ class Monitor:
         """Begin as a new driver would: a motion repeated is the same to its last digit."""
         self.driver.rewind()
         forget(self._system.partition)
+        left_out.forget(self._system.left_out)
         self.restart()
         self.clear()
 
@@ -205,6 +212,9 @@ class Monitor:
         """Advance and add up time and cost."""
         begin = time.perf_counter_ns()
         status, elapsed = self.driver.advance(state, origin, done, step_size, steps)
+        while status != DONE and self._choose_equations(status):
+            self.driver.go_on()
+            status, elapsed = self.driver.advance(state, origin, done, step_size, steps)
         self._nanoseconds += time.perf_counter_ns() - begin
         self._time += elapsed
         self._steps += round(elapsed / step_size)
@@ -228,7 +238,7 @@ class Monitor:
             self._local_error = error if math.isnan(self._local_error) else max(
                 error, self._local_error)
 
-    def report(self, closure, energy_error, energy_guard):
+    def report(self, closure, energy_error, energy_guard, notes=()):
         """
         Report what has been counted and found.
 
@@ -240,17 +250,22 @@ class Monitor:
             Change of energy that neither work nor dissipation explains [J].
         energy_guard : guards.EnergyGuard
             Of the run.
+        notes : tuple of str
+            Findings beside these.
 
         """
         steps, error = self._steps, self._local_error
         control = getattr(self.driver, 'control', None)
         bound = math.nan
-        findings = [energy_guard.finding] if energy_guard.finding else []
+        findings = [*notes, *([energy_guard.finding] if energy_guard.finding else [])]
         if isinstance(self.driver, Switching):
             watch = self.driver.watch
             steps = int(control[adaptive.ACCEPTED])
             error = float(control[adaptive.LARGEST_ERROR]) * watch[switching.TOLERANCE]
             bound = float(watch[switching.LARGEST_BOUND])
+            if energy_guard.failed or energy_guard.finding:
+                # The companion is as wrong as the run.
+                bound = math.nan
             if bound > KEPT * self._method.accuracy:
                 cause = (
                     'although the smallest tolerance there is was taken: differences in the last '

@@ -12,21 +12,21 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Which closure equations repeat others, why, and whose forces they share."""
+"""Which closure equations repeat others, why, and in which joints forces are not unique."""
 
 from dataclasses import replace
-from typing import NamedTuple, Tuple
+from typing import Dict, NamedTuple, Tuple
 
 import numpy as np
 
-from .assembly import Assembler, rank_from, rank_of
+from .assembly import Assembler, rank_of
 from .errors import AssemblyError
 from .loop_model import scaled
 from .plane import PlanarGeometry
 from .space import SpatialGeometry
 from ..core.codegen import pieces, space
 from ..core.types import CUT_NUMBER, CUT_TYPE, POSSIBLE
-from ..mechanism.mechanism import MechanismError
+from ..mechanism.mechanism import GROUND, MechanismError
 
 # Why an equation repeats others.
 ANY_LENGTHS, THESE_LENGTHS = 'at any lengths', 'at these lengths only'
@@ -45,12 +45,15 @@ class Redundancy(NamedTuple):
     repeated : tuple of (str, str, str)
         Cut joint or coupling, its equation, and whether it repeats others at any lengths.
     shared : tuple of str
-        Cut joints and couplings whose forces are not unique: the least are told.
+        Joints, cut joints and couplings whose forces are not unique: the least are told.
+    components : dict of str to tuple of str
+        Of these joints, the components of the wrench, in world axes, that are not unique.
 
     """
 
     repeated: Tuple[Tuple[str, str, str], ...]
     shared: Tuple[str, ...]
+    components: Dict[str, Tuple[str, ...]]
 
 
 def find_redundancy(mechanism, q):
@@ -72,9 +75,12 @@ def find_redundancy(mechanism, q):
     geometry = geometry_of(mechanism)
     geometry.choose(q)
     if not geometry.leaves_out:
-        return Redundancy((), ())
+        return Redundancy((), (), {})
     kept, groups = geometry.equations.kept, geometry.equations.groups
-    jac = Assembler(mechanism, geometry.equations).jacobian_of_largest_rank(q)
+    assembler = Assembler(mechanism, geometry.equations)
+    if rank_of(assembler.jacobian(q)) < kept.sum():
+        q = assembler.of_largest_rank(q, 0)
+    jac = assembler.jacobian(q)
     names = _names(mechanism, geometry)
     changed = _with_other_lengths(mechanism, q)
     changed = None if changed is None else scaled(changed, groups)
@@ -83,11 +89,59 @@ def find_redundancy(mechanism, q):
         always = changed is not None and len(changed) == len(jac) and (
             rank_of(changed[kept | (np.arange(len(jac)) == row)]) == rank_of(changed[kept]))
         repeated.append((*names[row], ANY_LENGTHS if always else THESE_LENGTHS))
-    left, singular, _ = np.linalg.svd(scaled(jac, groups))
-    common = left[:, rank_from(singular):]
+    common = np.linalg.svd(jac)[0][:, kept.sum():]
     sharing = np.abs(common).max(axis=1) > NO_SHARE
-    return Redundancy(tuple(repeated), tuple(dict.fromkeys(
-        name for (name, _), shares in zip(names, sharing) if shares)))
+    components = _components(mechanism, geometry, q, common.T, assembler.extent)
+    return Redundancy(tuple(repeated), tuple(dict.fromkeys((
+        *components, *(name for (name, _), shares in zip(names, sharing) if shares)))),
+        components)
+
+
+def _components(mechanism, geometry, q, common, extent):
+    """
+    Return the components of the wrenches in all joints that multipliers without effect change.
+
+    Parameters
+    ----------
+    common : ndarray, shape (n, nc)
+        Multipliers that move nothing: J^T of each is zero.
+    extent : float
+        Size of the mechanism [m].
+
+    """
+    size = 3 if mechanism.planar else 6
+    names = ('moment', 'force x', 'force y') if mechanism.planar else tuple(
+        f'{kind} {axis}' for kind in ('moment', 'force') for axis in 'xyz')
+    moments = size // 3 if mechanism.planar else 3
+    origin = np.zeros(2 if mechanism.planar else 3)
+    above, joints = {GROUND: ()}, {joint.child: joint for joint in mechanism.joints}
+    for body in (body.name for body in mechanism.bodies):
+        path = [body]
+        while path[-1] != GROUND:
+            path.append(joints[path[-1]].parent)
+        above[body] = tuple(path[:-1])
+    origins = {child: geometry.point(q, child, origin) for child in joints}
+    points = [geometry.point(q, cut.body_a, cut.point_a) for cut in mechanism.cut_joints]
+    unit = np.where(np.arange(size) < moments, 1.0 / extent, 1.0)
+    most = {}
+    for lam in common:
+        wrenches = geometry.equations.move(q).cut_wrenches(
+            lam, geometry.equations.work.body)[:len(points)]
+        found = {cut.name: wrench for cut, wrench in zip(mechanism.cut_joints, wrenches)}
+        for cut, wrench, place in zip(mechanism.cut_joints, wrenches, points):
+            for body, sign in ((cut.body_a, -1.0), (cut.body_b, 1.0)):
+                for child in above[body]:
+                    moved = wrench.copy()
+                    moved[:moments] += np.cross(place - origins[child], wrench[moments:])
+                    name = joints[child].name
+                    found[name] = found.get(name, 0.0) + sign * moved
+        scale = max((np.abs(unit * wrench).max() for wrench in found.values()), default=0.0)
+        for name, wrench in found.items():
+            most[name] = np.maximum(most.get(name, 0.0), np.abs(unit * wrench) / max(
+                scale, NO_SHARE))
+    order = [joint.name for joint in (*mechanism.joints, *mechanism.cut_joints)]
+    return {name: tuple(part for part, share in zip(names, most[name]) if share > NO_SHARE)
+            for name in order if name in most and most[name].max() > NO_SHARE}
 
 
 def geometry_of(mechanism, decomposition=None):

@@ -235,7 +235,7 @@ def verdict(simulation, states, last, work, schedule):
     lost = abs(out[-1].sum() - out[0].sum() - work)
     guard = simulation.energy_guard
     guard.restart()
-    guard.compare(lost, moved, kinetic[-1] + abs(stored[-1]),
+    guard.compare(lost, moved, guard.rounding(simulation, kinetic[-1] + abs(stored[-1])),
                   schedule.interval * schedule.intervals)
     return guard.worst, guard.finding or None
 

@@ -21,7 +21,7 @@ import warnings
 
 import numpy as np
 
-from .assembly import angle_notes, Assembler, IMPLIED
+from .assembly import angle_notes, Assembler
 from .cable_guard import CableGuard
 from .cut_joints import acted_in, coordinate_arrays, coupling_moments, CutJoints
 from .errors import (
@@ -45,10 +45,12 @@ from ..effects.effect import Machine
 from ..effects.effect_set import EffectSet
 from ..effects.energy_balance import EnergyBalance
 from ..integration.adaptive import MOST_EVALUATIONS
-from ..integration.advance import DONE, NOT_FINITE, OPEN_LOOP, TOO_MUCH_WORK
+from ..integration.advance import (
+    DONE, NOT_FINITE, OPEN_LOOP, POOR_EQUATIONS, TOO_MUCH_WORK)
 from ..integration.drivers import build_driver
 from ..integration.evaluation import BAUMGARTE_GAIN, CLOSURE_LIMIT
 from ..integration.fixed_step import joint_forces
+from ..integration.left_out import LENIENT, OPENED
 from ..integration.registry import INTEGRATORS, SCIPY
 from ..integration.system import (
     build_system, on_workspace, parts_of_state, Probe, with_equations, with_partition)
@@ -57,9 +59,8 @@ from ..mechanism.decomposition import decompose
 from ..mechanism.fields import at, FieldError, keys_of, mapping
 
 FORMULATIONS = {'subsystem': SUBSYSTEM, 'system': SYSTEM, 'augmented': AUGMENTED}
-# Pivots from which on other equations are looked for, and how much further from dependent these
-# must be.
-POOR_CHOICE, BETTER = 0.02, 3.0
+# How much further from dependent equations must be to be exchanged for others.
+BETTER = 3.0
 # In a step, of a joint [rad, m]: error-controlled methods would divide it for minutes.
 LARGEST_MOTION = 1e3
 # Gravity's acceleration, to compare forces with weights [m/s^2].
@@ -113,6 +114,7 @@ class Simulation:
         self._effects = EffectSet(scene.effects, model, machine, coordinate_arrays(
             self.mechanism, model, self._rows, placements, acted, True) if acted else None)
         self._cuts = CutJoints(self.mechanism, model, self._rows, placements, acted)
+        self._mass = sum(body.mass for body in self.mechanism.bodies)
         self._coupling_scales = coupling_scales(self.mechanism)
         self._coupled = coupling_moments(self.mechanism)
         self.acts_in_cuts = len(acted) > 0 or self._coupled[0].any() or any(
@@ -145,13 +147,13 @@ class Simulation:
             self._assembler.require_independent(self._initial[0])
         self._fresh = False
         self._require_known_steps(method)
-        self._driver = Monitor(build_driver(self.system, method), self.system, method)
+        self._driver = Monitor(
+            build_driver(self.system, method), self.system, method, self._choose_equations)
         self._set_guards(StiffnessGuard(self.system, method, self._effects.own), method)
         self._inverse = self._inverse_dynamics()
         self._set_probes()
-        # How often the equations that the elimination works on were exchanged; slow evaluations
-        # when that was last looked at.
-        self.exchanges, self._revealed_before = 0, 0.0
+        # How often the equations that the elimination works on were exchanged.
+        self.exchanges = 0
         self.reset()
 
     def _inverse_dynamics(self):
@@ -517,9 +519,7 @@ class Simulation:
 
     @property
     def shared_forces(self):
-        """Names of cut joints and couplings whose forces are not unique: the least are given."""
-        if not self.leaves_out:
-            return ()
+        """Names of joints and couplings whose forces are not unique: the least are given."""
         return find_redundancy(self.mechanism, self._q).shared
 
     @property
@@ -664,6 +664,13 @@ class Simulation:
         # Of torques on rotations, which the state has behind all others.
         turned = 0.0 if self.system.manifold is None else self._state[-1]
         return self._balance.balance(self._own, kinetic, stored, turned)
+
+    @property
+    def energy_scale(self):
+        """Return what weights and torques would do along the mechanism's length [J]."""
+        length = self._assembler.extent
+        return length * self._mass * np.linalg.norm(self.system.model.gravity) + max(length, 1.0) * float(
+            np.abs(self.system.applied).sum())
 
     @property
     def at_start(self):
@@ -907,7 +914,31 @@ class Simulation:
         effects = [note for name, record in self.scene.effects.items() for note in
                    record.start_notes(name, partial(self.effect_readings, name), weight)]
         return (angle_notes(self.mechanism, self.scene.initial.position) + self._motions.notes()
-                + self.assembly_notes() + effects)
+                + self.assembly_notes() + effects + self.load_notes())
+
+    def load_notes(self):
+        """
+        Tell which effects depend on forces that are not unique in the present position.
+
+        Returns
+        -------
+        list of str
+            A sentence for each effect that is switched on and reads such a force.
+
+        """
+        loaded = {name: record for name, record in self._effects.records.items()
+                  if record.feels_reactions and self._effects.enabled[name]}
+        if not loaded:
+            return []
+        components = find_redundancy(self.mechanism, self._q).components
+        return [
+            f'{name} depends on the force in {joint}, which is not unique: closure equations '
+            f'repeat others ({", ".join(parts)} in world axes). The friction is that of the least '
+            'forces, and another choice of cut joints gives another. Replace a joint by one that '
+            'leaves the loop more freedoms, or friction_coefficient by coulomb.'
+            for name, record in loaded.items() for joint, parts in components.items()
+            if (record.joint == joint or record.joint.startswith(f'{joint}.'))
+            and any(part.startswith('force') for part in parts)]
 
     def degrees_of_freedom(self):
         """
@@ -973,10 +1004,11 @@ class Simulation:
         if not (math.isfinite(duration) and duration >= 0.0):
             raise ValueError(f'duration: expected a finite number >= 0 [s], got {duration!r}')
         whole = math.floor(duration / size * (1.0 + 1e-12) + 1e-9)
-        self.advance(tau, whole)
+        self._order(tau, whole)
         rest = duration - whole * size
         if rest > 1e-9 * size:
             self._advance(rest, 1)
+        self.energy_guard.end(self, whole + 1)
 
     def advance(self, tau, steps):
         """
@@ -995,6 +1027,11 @@ class Simulation:
             The state before the failing step is kept.
 
         """
+        self._order(tau, steps)
+        self.energy_guard.end(self, steps)
+
+    def _order(self, tau, steps):
+        """Advance by whole steps; drives follow torques with their delays."""
         if not (self._delay_line.pending or any(self._effects.drives.values())):
             self._command(tau)
             self._advance(self.step_size, steps)
@@ -1022,7 +1059,8 @@ class Simulation:
         """Let a run by a method be watched."""
         self._stiffness = stiffness
         self.energy_guard = EnergyGuard(
-            method, stiffness.rate, stiffness.limit, stiffness.among_laws)
+            method, stiffness.rate, stiffness.limit, stiffness.among_laws,
+            self._geometry.may_leave_out)
         self._cable_guards = [CableGuard()] * bool(self._effects.windings())
         self._guards = [*self._cable_guards, self.energy_guard,
                         *[EquationGuard()] * self._geometry.may_leave_out]
@@ -1040,7 +1078,7 @@ class Simulation:
             portion = 1 if remembers else min(
                 (steps, *(guard.until_look for guard in self._guards)))
             try:
-                self._advance_portion(size, portion)
+                self._advance_unguarded(size, portion)
             except MotionError:
                 raise
             except SimulationError:
@@ -1055,62 +1093,65 @@ class Simulation:
                 guard.look(self, portion)
             steps -= portion
 
-    def _advance_portion(self, size, steps):
-        """Advance; once more with all equations where those left out did not repeat others."""
-        if not self.leaves_out or self.scene.method.stabilisation not in CLOSING:
-            self._advance_unguarded(size, steps)
-            return
-        state = self.state
-        when = self._time_base, self._steps
-        try:
-            self._advance_unguarded(size, steps)
-            error = self._closure_of_all()
-            if error <= IMPLIED * self._assembler.extent or (
-                    error <= self.system.settings[CLOSURE_LIMIT]
-                    and self._geometry.serves(self._q)):
-                return
-        except MotionError:
-            raise
-        except SimulationError:
-            # What is left out may have been what held it together.
-            pass
-        self._time_base, self._steps = when
-        self._recall(state)
-        self._exchange(self._geometry.keep(None))
-        self._advance_unguarded(size, steps)
-
     def _look(self):
         """Let sensors that remember see the present state."""
         self.measured()
         self.measured_cut_joints()
 
-    def exchange_poor_equations(self):
+    def _choose_equations(self, status):
         """
-        Work on other equations where those that were chosen are about to depend on one another.
+        Choose the equations that the elimination works on anew, after a step that failed.
+
+        Parameters
+        ----------
+        status : int
+            Of ``integration.advance``.
 
         Returns
         -------
         bool
-            False where they seem to, but no others are better.
+            Whether to go on from the present state; not where no equations are left out, so that
+            it failed for another reason.
 
         """
-        health = self.system.work.health
-        slow = health[t.RANK_REVEALING_COUNT] > self._revealed_before
-        self._revealed_before = health[t.RANK_REVEALING_COUNT]
-        if not self.leaves_out or self.scene.method.stabilisation not in CLOSING or not (
-                slow or health[t.SMALLEST_PIVOT] < POOR_CHOICE):
-            return True
-        model = self._geometry.closed_anew(self._q, BETTER)
-        if model is not None:
-            self._exchange(model)
-        return model is not None
+        if not self.leaves_out or self.scene.method.stabilisation not in CLOSING:
+            return False
+        numbers = self.system.left_out.numbers
+        opened = status != POOR_EQUATIONS or numbers[OPENED] == 1.0
+        model = self._geometry.closed_anew(self._q, BETTER, opened)
+        if model is None:
+            if status == POOR_EQUATIONS and numbers[LENIENT] == 0.0 and not (
+                    opened and not self._geometry.serves(self._q)):
+                numbers[LENIENT] = 1.0
+                return True
+            # What is left out may be what holds it together.
+            model = self._geometry.keep(None)
+        self._exchange(model)
+        return True
+
+    def leave_out_again(self):
+        """
+        Leave out equations that repeat others, where all were taken again.
+
+        Returns
+        -------
+        bool
+            Whether some are left out from now on that were not.
+
+        """
+        if self.leaves_out or self.scene.method.stabilisation not in CLOSING:
+            return False
+        model = self._geometry.choose(self._q)
+        if not self.leaves_out:
+            return False
+        self._exchange(model)
+        return True
 
     def _exchange(self, model):
-        """Go on with other closure equations, from the same state."""
+        """Evaluate with other closure equations, from the same state."""
         self._take(with_equations(self.system, model))
-        self._driver.take(build_driver(self.system, self.scene.method), self.system)
+        self._driver.take(self.system)
         self._stiffness.move(self.system)
-        self._driver.restart()
         self._fresh = False
         self.exchanges += 1
 
@@ -1260,7 +1301,7 @@ class Simulation:
         if self.exchanges:
             self._exchange(self._geometry.as_at_first() if self._may_leave_out(self.scene.method)
                            else self._geometry.keep(None))
-        self.exchanges, self._revealed_before = 0, 0.0
+        self.exchanges = 0
         self._time_base, self._steps = 0.0, 0
         if self._motions:
             for name, record in self._motions.forget_commands(self.scene.effects).items():
@@ -1356,7 +1397,7 @@ class Simulation:
                 self._take(system)
                 self.exchanges += 1
             self.system = system
-            self._driver = Monitor(driver, system, method)
+            self._driver = Monitor(driver, system, method, self._choose_equations)
             self._take_method(method, guard)
 
         return take_effect
@@ -1506,7 +1547,7 @@ class Simulation:
         self._recall(before)
         self._driver.restart()
         self._fresh = False
-        return status
+        return DONE if status == POOR_EQUATIONS else status
 
     def warm_up(self):
         """
@@ -1543,7 +1584,9 @@ class Simulation:
         """
         balance = self.energy_balance
         self.energy_guard.note(self, balance)
-        return self._driver.report(self.closure, balance.residual, self.energy_guard)
+        return self._driver.report(
+            self.closure, self.energy_guard.missed(balance), self.energy_guard,
+            tuple(self.load_notes()))
 
     def rollout(self, torques=None, initial_position=None, initial_velocity=None, *, hold=None,
                 duration=None, steps=None, every=1, parameters=None,
@@ -1640,13 +1683,16 @@ class Simulation:
         anew = self._try_effect(name, enabled, parameters)
         self._own[anew] = self._effects.initial[anew]
         self._effects.follow_time(self._own, self.time)
-        self._driver.restart()
-        self._jump()
         if self.leaves_out and not self._may_leave_out(self.scene.method):
             self._exchange(self._geometry.keep(None))
+        self._driver.restart()
+        self._jump()
         if len(anew):
             self._feel_loads()
         self._jump_balance(self.energy - before)
+        if self._effects.records[name].feels_reactions:
+            for note in self.load_notes():
+                warnings.warn(note, RuntimeWarning, stacklevel=2)
 
     @property
     def commanded_motions(self):

@@ -198,8 +198,9 @@ def _repeated(mechanism, simulation, found):
         return []
     return [_table('Equations that repeat others', ('of', 'equation', 'repeats others'),
                    told.repeated),
-            'Forces that are not unique, of which the least are told\n  ' + (
-                ', '.join(told.shared))]
+            _table('Forces that are not unique, of which the least are told',
+                   ('in', 'components, in world axes'),
+                   [(name, ', '.join(told.components.get(name, ()))) for name in told.shared])]
 
 
 def _summary(mechanism, decomposition, simulation, found):

@@ -347,7 +347,7 @@ def test_it_is_told_which_equations_repeat_others_and_whose_forces_are_shared():
     one = Simulation(scene)
     told = describe(scene, one)
     assert 'Equations that repeat others: 2\n' in told
-    assert set(one.shared_forces) == {cut.name for cut in one.cut_joints}
+    assert set(one.shared_forces) >= {cut.name for cut in one.cut_joints}
     assert 'Equations that repeat' not in describe(
         load_scene('four_bar'), Simulation(load_scene('four_bar')))
 

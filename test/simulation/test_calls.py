@@ -1,0 +1,69 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Results do not depend on how calls are cut."""
+
+from dataclasses import replace
+import math
+import warnings
+
+from closedloop_dynamics.effects.contact import Contact
+from closedloop_dynamics.effects.joint_friction import JointFriction
+from closedloop_dynamics.mechanism.config import shipped_names
+from closedloop_dynamics.simulation.scene import load_scene
+from closedloop_dynamics.simulation.simulation import Simulation
+import numpy as np
+import pytest
+
+CUTS = (1, 2, 5, 10, 50)
+DURATION = 0.1
+
+
+def bennett():
+    """Return Bennett's linkage with a pin under friction that falls onto a plane."""
+    scene = load_scene('bennett')
+    return replace(scene, effects={
+        **scene.effects,
+        'dry': JointFriction(joint='joint_2', coulomb=0.05),
+        'floor': Contact(point='elbow', origin=(0.0, 0.0, FLOOR), normal=(0.0, 0.0, 1.0),
+                         stiffness=1e5, damping=1.0, friction=0.3)})
+
+
+FLOOR = 0.0
+
+
+def ends(scene, cuts=CUTS, duration=DURATION):
+    """Return the positions after a duration in calls of so many steps."""
+    found = []
+    for cut in cuts:
+        simulation = Simulation(scene)
+        for _ in range(round(duration / (cut * simulation.step_size))):
+            simulation.step(None, cut * simulation.step_size)
+        found.append(simulation.position)
+    return np.array(found)
+
+
+def test_left_out_equations_are_looked_at_however_calls_are_cut():
+    found = ends(bennett(), duration=0.3)
+    assert np.abs(found - found[0]).max() < 1e-6
+
+
+@pytest.mark.parametrize('name', ['bricard', 'four_bar', *(
+    pytest.param(name, marks=pytest.mark.slow) for name in shipped_names('scenes'))])
+def test_results_do_not_depend_on_how_calls_are_cut(name):
+    scene = load_scene(name)
+    with warnings.catch_warnings():
+        warnings.simplefilter('ignore')
+        found = ends(scene)
+    assert np.abs(found - found[0]).max() < scene.method.accuracy
