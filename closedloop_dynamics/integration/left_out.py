@@ -28,11 +28,11 @@ import numpy as np
 from .evaluation import CLOSURE_LIMIT, CLOSURE_TOLERANCE
 from .registry import PROJECTION
 from ..core import energy, kinematics, loop_closure
+from ..core.codegen import pieces
 from ..core.compiled import compiled
 from ..core.equations import with_all_equations
 from ..core.types import Model, NO_RESPONSES, SMALLEST_PIVOT, Workspace
 from ..core.workspace import unconnected
-from ..core.codegen import pieces
 
 # Columns of ``LeftOut.numbers``: the pivot below which other equations are looked for; the most
 # kinetic energy so far [J]; whether there are none better, so that all but open loops is accepted;

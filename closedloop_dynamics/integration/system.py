@@ -23,8 +23,8 @@ import warnings
 import numpy as np
 
 from . import stages
-from .left_out import allocate_left_out, LeftOut
 from .evaluation import apply_listed, ASIDE, BAUMGARTE_GAIN, FORMULATION
+from .left_out import allocate_left_out, LeftOut
 from .motion import EVALUATE, Moving
 from ..core import codegen, kinematics, rank_revealing
 from ..core.codegen import function_table as calls, pieces, records, space

@@ -30,6 +30,9 @@ from ..mechanism.mechanism import GROUND, MechanismError
 
 # Why an equation repeats others.
 ANY_LENGTHS, THESE_LENGTHS = 'at any lengths', 'at these lengths only'
+# Components of a wrench.
+PLANAR_WRENCH = ('moment', 'force x', 'force y')
+SPATIAL_WRENCH = tuple(f'{kind} {axis}' for kind in ('moment', 'force') for axis in 'xyz')
 # How far lengths are changed to see that.
 CHANGE = 1e-3
 # Shares in what equations have in common below this are rounding.
@@ -91,7 +94,8 @@ def find_redundancy(mechanism, q):
         repeated.append((*names[row], ANY_LENGTHS if always else THESE_LENGTHS))
     common = np.linalg.svd(jac)[0][:, kept.sum():]
     sharing = np.abs(common).max(axis=1) > NO_SHARE
-    components = _components(mechanism, geometry, q, common.T, assembler.extent)
+    components = _components(
+        mechanism, geometry, q, np.ascontiguousarray(common.T), assembler.extent)
     return Redundancy(tuple(repeated), tuple(dict.fromkeys((
         *components, *(name for (name, _), shares in zip(names, sharing) if shares)))),
         components)
@@ -103,26 +107,21 @@ def _components(mechanism, geometry, q, common, extent):
 
     Parameters
     ----------
+    mechanism, geometry, q
+        As in ``find_redundancy``.
     common : ndarray, shape (n, nc)
         Multipliers that move nothing: J^T of each is zero.
     extent : float
         Size of the mechanism [m].
 
     """
-    size = 3 if mechanism.planar else 6
-    names = ('moment', 'force x', 'force y') if mechanism.planar else tuple(
-        f'{kind} {axis}' for kind in ('moment', 'force') for axis in 'xyz')
-    moments = size // 3 if mechanism.planar else 3
+    names = PLANAR_WRENCH if mechanism.planar else SPATIAL_WRENCH
+    moments = 1 if mechanism.planar else 3
+    joints = {joint.child: joint for joint in mechanism.joints}
     origin = np.zeros(2 if mechanism.planar else 3)
-    above, joints = {GROUND: ()}, {joint.child: joint for joint in mechanism.joints}
-    for body in (body.name for body in mechanism.bodies):
-        path = [body]
-        while path[-1] != GROUND:
-            path.append(joints[path[-1]].parent)
-        above[body] = tuple(path[:-1])
     origins = {child: geometry.point(q, child, origin) for child in joints}
     points = [geometry.point(q, cut.body_a, cut.point_a) for cut in mechanism.cut_joints]
-    unit = np.where(np.arange(size) < moments, 1.0 / extent, 1.0)
+    unit = np.where(np.arange(len(names)) < moments, 1.0 / extent, 1.0)
     most = {}
     for lam in common:
         wrenches = geometry.equations.move(q).cut_wrenches(
@@ -130,11 +129,12 @@ def _components(mechanism, geometry, q, common, extent):
         found = {cut.name: wrench for cut, wrench in zip(mechanism.cut_joints, wrenches)}
         for cut, wrench, place in zip(mechanism.cut_joints, wrenches, points):
             for body, sign in ((cut.body_a, -1.0), (cut.body_b, 1.0)):
-                for child in above[body]:
+                while body != GROUND:
                     moved = wrench.copy()
-                    moved[:moments] += np.cross(place - origins[child], wrench[moments:])
-                    name = joints[child].name
+                    moved[:moments] += _moment(place - origins[body], wrench[moments:])
+                    name = joints[body].name
                     found[name] = found.get(name, 0.0) + sign * moved
+                    body = joints[body].parent
         scale = max((np.abs(unit * wrench).max() for wrench in found.values()), default=0.0)
         for name, wrench in found.items():
             most[name] = np.maximum(most.get(name, 0.0), np.abs(unit * wrench) / max(
@@ -142,6 +142,11 @@ def _components(mechanism, geometry, q, common, extent):
     order = [joint.name for joint in (*mechanism.joints, *mechanism.cut_joints)]
     return {name: tuple(part for part, share in zip(names, most[name]) if share > NO_SHARE)
             for name in order if name in most and most[name].max() > NO_SHARE}
+
+
+def _moment(arm, force):
+    """Return the moment of a force, in the plane or in space."""
+    return arm[0] * force[1] - arm[1] * force[0] if len(arm) == 2 else np.cross(arm, force)
 
 
 def geometry_of(mechanism, decomposition=None):

@@ -668,9 +668,9 @@ class Simulation:
     @property
     def energy_scale(self):
         """Return what weights and torques would do along the mechanism's length [J]."""
-        length = self._assembler.extent
-        return length * self._mass * np.linalg.norm(self.system.model.gravity) + max(length, 1.0) * float(
-            np.abs(self.system.applied).sum())
+        length, weight = self._assembler.extent, self._mass * float(
+            np.linalg.norm(self.system.model.gravity))
+        return length * weight + max(length, 1.0) * float(np.abs(self.system.applied).sum())
 
     @property
     def at_start(self):

@@ -42,7 +42,7 @@ CALLS, DURATION = 2, 0.25
 
 
 def run(loops, gravity, accuracy):
-    """Return the simulation after its calls, its places after each, and its share of lost energy."""
+    """Return the simulation, its places after each call, and its share of lost energy."""
     simulation = Simulation(Scene(
         'loops', None, '', loops.mechanism, Initial(tuple(loops.q), tuple(loops.qd)),
         {'gravity': Gravity(gravity)}, Method(accuracy=accuracy)))

@@ -23,7 +23,7 @@ from closedloop_dynamics.mechanism.mechanism import (
 import numpy as np
 
 from . import spatial_maximal as twin
-from .spatial_linkages import as_quaternion, random_body
+from .spatial_linkages import random_body
 
 # Cut joints that leave loops their motion: in a plane, about a point, without turning.
 CLOSING = {'plane': (REVOLUTE, REVOLUTE, CYLINDRICAL, SPHERICAL, POINT_ON_LINE, PLANAR),

@@ -13,6 +13,9 @@
 # limitations under the License.
 """Tests of what watches a run: no motion that is none is reported as one."""
 
+from contextlib import suppress
+import math
+
 from closedloop_dynamics.cli import main
 from closedloop_dynamics.simulation.errors import InaccuracyWarning, NumericalError
 from closedloop_dynamics.simulation.scene import load_scene
@@ -58,7 +61,9 @@ def test_a_small_loss_is_a_warning_with_figure_and_remedy():
     with pytest.warns(InaccuracyWarning, match='Take integrator: auto'):
         simulation.step(duration=6.0)
     finding, = simulation.report().findings
-    assert 'J of the' in finding and f'{simulation.report().energy_moved:.3g}' in finding
+    guard = simulation.energy_guard
+    assert f'{guard.worst_lost:.3g} J of the {guard.worst_moved:.3g} J' in finding
+    assert f't = {guard.worst_time:.6g} s' in finding
     simulation.reset()
     assert simulation.report().findings == ()
 
@@ -157,3 +162,46 @@ def test_torques_that_no_step_can_follow_are_refused_and_nothing_changes(method,
     undisturbed = Simulation.from_scene('slider_crank', integrator=method)
     undisturbed.step([2.0], duration=0.02)
     np.testing.assert_allclose(simulation.position, undisturbed.position, rtol=1e-6)
+
+
+@pytest.mark.parametrize('steps', [50, 250, 400, 700])
+def test_a_call_ends_with_its_verdict(steps):
+    simulation = Simulation.from_scene('three_rrr', integrator='rk4')
+    with suppress(NumericalError):
+        simulation.step(WHIRL, steps * simulation.step_size)
+        # What was returned as a success is one.
+        state = simulation.state
+        simulation.judge()
+        assert np.array_equal(simulation.state, state)
+
+
+def test_a_change_of_method_begins_a_new_balance():
+    simulation = Simulation.from_scene('carpet_scraper', integrator='heun', step_size=4e-3)
+    with pytest.warns(InaccuracyWarning):
+        simulation.step(duration=6.0)
+    simulation.prepare_method(integrator='auto', step_size=1e-3)()
+    simulation.step(duration=1.0)
+    simulation.judge()
+    report = simulation.report()
+    assert report.findings == ()
+    assert abs(report.energy_error) < 1e-6 * report.energy_moved
+
+
+def test_the_error_bound_is_withdrawn_where_the_energy_balance_fails():
+    simulation = Simulation.from_scene('four_bar')
+    simulation.step({'crank_joint': 1.0}, 0.1)
+    assert simulation.report().error_bound < 1e-5
+    simulation.energy_guard.compare(1.0, 2.0, 0.0, simulation.time)
+    report = simulation.report()
+    assert math.isnan(report.error_bound) and len(report.findings) == 1
+
+
+def test_rounding_of_weights_that_hardly_move_is_no_loss():
+    simulation = Simulation.from_scene('four_bar', accuracy=1e-9)
+    before = simulation.energy_balance
+    simulation.energy_guard.begin(simulation)
+    lost = 1e-14 * simulation.energy_scale
+    assert simulation.energy_scale > 1.0
+    simulation.energy_guard.compare(
+        lost, 1.01 * lost, simulation.energy_guard.rounding(simulation, 0.0), 0.0)
+    assert simulation.energy_guard.worst == 0.0 and before.residual == 0.0

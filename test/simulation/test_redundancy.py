@@ -20,7 +20,9 @@ from closedloop_dynamics.cli import main
 from closedloop_dynamics.core.codegen import available
 from closedloop_dynamics.core.types import RANK_REVEALING_COUNT
 from closedloop_dynamics.effects.gravity import Gravity
+from closedloop_dynamics.effects.joint_friction import JointFriction
 from closedloop_dynamics.mechanism.mechanism import Body, CutJoint, Joint, Mechanism
+from closedloop_dynamics.mechanism.reader import with_cuts
 from closedloop_dynamics.simulation.assembly import Assembler
 from closedloop_dynamics.simulation.redundancy import (
     ANY_LENGTHS, find_redundancy, THESE_LENGTHS)
@@ -180,3 +182,48 @@ def test_equations_are_exchanged_where_they_no_longer_serve():
     for state in states:
         one.step(None, 0.05)
         assert np.array_equal(one.state, state)
+
+
+def test_components_that_are_not_unique_are_those_that_another_cut_changes():
+    scene, found = load_scene('bricard'), []
+    for mechanism in (scene.mechanism, with_cuts(scene.mechanism, ('joint_6',))):
+        one = Simulation(replace(scene, mechanism=mechanism, initial=Initial(
+            (0.0,) * 5, (0.0,) * 5, ('joint_1',))))
+        forces = dict(zip([joint.name for joint in mechanism.joints], one.joint_forces))
+        found.append(forces | {one.cut_joints[0].name: one.constraint_forces[0]})
+    # Joints 5 and 6 are the other way round in the other tree.
+    changed = {(name, f'force {axis}') for name in ('joint_1', 'joint_2', 'joint_3', 'joint_4')
+               for place, axis in zip((3, 4, 5), 'xyz')
+               if abs(found[0][name][place] - found[1][name][place]) > 1e-6}
+    told = find_redundancy(scene.mechanism, np.zeros(5)).components
+    assert changed == {(name, part) for name in ('joint_1', 'joint_2', 'joint_3', 'joint_4')
+                       for part in told[name] if part.startswith('force')}
+    assert len(changed) == 12
+
+
+def test_joints_outside_the_loop_bear_nothing_that_is_not_unique():
+    one = Simulation(turntable('revolute', axis_a=Y))
+    components = find_redundancy(one.mechanism, one.position).components
+    assert set(components) == {'crank', 'coupler', 'rocker', 'pin'}
+    # Pins of a plane: the force along the pins, and moments across them.
+    for parts in components.values():
+        assert 'force y' in parts and 'moment y' not in parts
+
+
+def test_friction_that_depends_on_a_force_that_is_not_unique_is_warned_of():
+    scene = load_scene('bennett')
+    loaded = replace(scene, effects={
+        **scene.effects, 'dry': JointFriction(joint='joint_2', friction_coefficient=0.2)})
+    with pytest.warns(RuntimeWarning, match='dry depends on the force in joint_2, .*not unique'):
+        simulation = Simulation.from_scene(loaded)
+    assert 'joint_2' in simulation.report().findings[0]
+    simulation.set_effect('dry', enabled=False)
+    assert simulation.report().findings == () and simulation.load_notes() == []
+    with pytest.warns(RuntimeWarning, match='dry depends'):
+        simulation.set_effect('dry', enabled=True)
+    plain = replace(scene, effects={
+        **scene.effects, 'dry': JointFriction(joint='joint_2', coulomb=0.2)})
+    assert Simulation(plain).load_notes() == []
+    # Of independent equations all forces are unique.
+    assert Simulation(replace(load_scene('four_bar'), effects={'dry': JointFriction(
+        joint='crank_joint', friction_coefficient=0.2)})).load_notes() == []
