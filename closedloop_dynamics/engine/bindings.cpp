@@ -1,213 +1,267 @@
-// Copyright 2026 The closedloop_dynamics authors
-//
-// Licensed under the Apache License, Version 2.0 (the "License");
-// you may not use this file except in compliance with the License.
-// You may obtain a copy of the License at
-//
-//     http://www.apache.org/licenses/LICENSE-2.0
-//
-// Unless required by applicable law or agreed to in writing, software
-// distributed under the License is distributed on an "AS IS" BASIS,
-// WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-// See the License for the specific language governing permissions and
-// limitations under the License.
+// SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+// SPDX-License-Identifier: Apache-2.0
 
-/// @file
-/// The engine in Python: shapes and types are checked here, and nothing is computed.
+// The engine in Python: which functions it has there. Nothing is computed here.
 
-#include <cstdint>
-#include <cstring>
-#include <exception>
-#include <new>
+#include <string_view>
 
+#include "arguments.hpp"
+#include "batch.hpp"
 #include "build_info.hpp"
-#include "least_squares.hpp"
-#include "python_api.hpp"
+#include "cut_coordinates.hpp"
+#include "dispatch.hpp"
+#include "elimination.hpp"
+#include "error_control.hpp"
+#include "evaluation.hpp"
+#include "fixed_steps.hpp"
+#include "forward_dynamics.hpp"
+#include "joint_reaction.hpp"
+#include "laws.hpp"
+#include "left_out.hpp"
+#include "loop_closure.hpp"
+#include "manifold.hpp"
+#include "projection.hpp"
+#include "recursion.hpp"
+#include "rollout.hpp"
+#include "rosenbrock.hpp"
+#include "sticking.hpp"
+#include "switching.hpp"
+#include "validation.hpp"
 
-namespace closedloop {
-namespace {
-
-/// Call a function of C++ for Python: an exception becomes Python's, and `failed` is returned.
-template <typename Function, typename Result>
-Result guarded(Function &&function, Result failed) {
-  try {
-    return function();
-  } catch (const std::bad_alloc &) {
-    PyErr_SetString(PyExc_MemoryError, "out of memory");
-  } catch (const std::exception &error) {
-    PyErr_SetString(PyExc_RuntimeError, error.what());
-  } catch (...) {
-    PyErr_SetString(PyExc_RuntimeError, "unknown exception in the engine");
-  }
-  return failed;
+namespace closedloop
+{
+namespace
+{
+double factorize_constraints(const Model & model, const Workspace & work)
+{
+  return factorize(model, work);
 }
 
-/// An array of float64 that Python owns; it stays where it is as long as this exists.
-class Doubles {
- public:
-  Doubles() = default;
-  Doubles(const Doubles &) = delete;
-  Doubles &operator=(const Doubles &) = delete;
-  ~Doubles() { PyBuffer_Release(&view_); }
+void move_coordinates(const Manifold & manifold, Values q, Values change, double share)
+{
+  move(manifold, q, change, share);
+}
 
-  /// Bind an array of so many dimensions; or set Python's error, which names the array, and
-  /// return false.
-  bool bind(PyObject *array, const char *name, int dimensions, bool writable) {
-    if (PyObject_GetBuffer(
-            array, &view_, c_contiguous | PyBUF_FORMAT | (writable ? PyBUF_WRITABLE : 0)) < 0) {
-      return false;
-    }
-    if (view_.format == nullptr || std::strcmp(view_.format, "d") != 0 ||
-        reinterpret_cast<std::uintptr_t>(view_.buf) % alignof(double) != 0) {
-      PyErr_Format(
-          PyExc_TypeError, "%s: expected aligned float64, got format '%s'", name,
-          view_.format == nullptr ? "B" : view_.format);
-      return false;
-    }
-    if (view_.ndim != dimensions) {
-      PyErr_Format(
-          PyExc_ValueError, "%s: expected %d dimensions, got %d", name, dimensions, view_.ndim);
-      return false;
-    }
-    return true;
-  }
+/// Whether a signal, such as that of Ctrl-C, asks to stop; Python's error is set then.
+bool is_interrupted()
+{
+  const PyGILState_STATE state = PyGILState_Ensure();
+  const bool stops = PyErr_CheckSignals() != 0;
+  PyGILState_Release(state);
+  return stops;
+}
 
-  double *data() const { return static_cast<double *>(view_.buf); }
-  Py_ssize_t size(int dimension) const { return view_.shape[dimension]; }
+Status run_batch_for_python(
+  const Batch & batch, const Tableau & tableau, Stabilisation stabilisation, Values state,
+  double step_size, Table torque, Index zero_order_hold, Index decimation, Index steps,
+  Table scratch, Cube<double> position, Cube<double> velocity, Values work)
+{
+  return run_batch(
+    batch, tableau, stabilisation, state, step_size, torque, zero_order_hold, decimation, steps,
+    scratch, position, velocity, work, is_interrupted);
+}
 
- private:
-  Py_buffer view_{};
+const Entry entries[] = {
+  entry<outward>(
+    "outward", "outward(model, q, qd, work): poses, velocities and inertias of all bodies"),
+  entry<inward>(
+    "inward", "inward(model, tau, work, massless): articulated-body inertias and bias forces"),
+  entry<update>(
+    "update", "update(model, work, responses): closure errors, their rates and biases"),
+  entry<largest>("largest", "largest(values): largest absolute value"),
+  entry<assemble>("assemble", "assemble(model, work): entries of the constraint matrix"),
+  entry<factorize_constraints>(
+    "factorize", "factorize(model, work): factors of the constraint matrix; smallest pivot"),
+  entry<energies>("energies", "energies(model, work, qd, out): kinetic and potential energy"),
+  entry<constraint_jacobian>("constraint_jacobian", "constraint_jacobian(model, work, jac)"),
+  entry<generalized_inertia_matrix>(
+    "generalized_inertia_matrix", "generalized_inertia_matrix(model, work, gim)"),
+  entry<cut_wrenches>(
+    "cut_wrenches", "cut_wrenches(cut, cut_point, cut_piece, body, lam, share, out)"),
+  entry<bias_forces>("bias_forces", "bias_forces(work, out)"),
+  entry<joint_wrenches>("joint_wrenches", "joint_wrenches(model, work, qdd, lam, wrench)"),
+  entry<tree_torque>("tree_torque", "tree_torque(model, work, qdd, out)"),
+  entry<point_position>("point_position", "point_position(work, body, x, y, out)"),
+  entry<to_user_order>("to_user_order", "to_user_order(model, ordered, out)"),
+  entry<forward_dynamics>(
+    "forward_dynamics", "forward_dynamics(model, work, q, qd, tau, qdd, lam)"),
+  entry<fill_quaternions>("fill_quaternions", "fill_quaternions(matrices, out)"),
+  entry<move_coordinates>("move", "move(manifold, q, change, share)"),
+  entry<evaluate>("evaluate", "evaluate(system, q, qd): accelerations and multipliers"),
+  entry<evaluate_with_poses>("evaluate_with_poses", "evaluate_with_poses(system, state)"),
+  entry<is_regular>("is_regular", "is_regular(system, q, qd): whether elimination will do"),
+  entry<evaluate_state>("evaluate_state", "evaluate_state(system, state)"),
+  released<evaluate_again>("evaluate_again", "evaluate_again(system, state, count)"),
+  entry<apply_listed>("apply_listed", "apply_listed(system, q, qd): forces of effects"),
+  entry<derivative>("derivative", "derivative(system, state, out)"),
+  entry<stabilise>("stabilise", "stabilise(system, stabilisation, state)"),
+  entry<equations_serve>(
+    "equations_serve", "equations_serve(system, stabilisation, state): after a step"),
+  entry<apply_effects>("apply_effects", "apply_effects(effects, body, q, qd, tau)"),
+  entry<update_driven_motions>("update_driven_motions", "update_driven_motions(effects)"),
+  entry<load_joints>("load_joints", "load_joints(model, work, effects, q, qd, qdd, lam)"),
+  entry<measure_cut_coordinates>(
+    "measure_cut_coordinates",
+    "measure_cut_coordinates(index, values, body, states, first, position, velocity)"),
+  entry<accelerations>(
+    "cut_accelerations", "cut_accelerations(cuts, model, work, qdd, whole, out)"),
+  entry<cut_direction>(
+    "cut_direction", "cut_direction(body, row, planar, values, k, first): axis in the world"),
+  entry<minimise_in_box>("minimise_in_box", "minimise_in_box(sticking, count, out)"),
+  released<advance_fixed>(
+    "advance_fixed",
+    "advance_fixed(system, tableau, stabilisation, state, step_size, steps, scratch)"),
+  released<advance_explicit>(
+    "advance_explicit",
+    "advance_explicit(system, tableau, stabilisation, state, origin, done, step_size, steps, "
+    "control, scale, scratch)"),
+  released<advance_stiff_fixed>(
+    "advance_stiff_fixed",
+    "advance_stiff_fixed(system, stabilisation, state, step_size, steps, matrix, pivots, "
+    "scratch)"),
+  released<advance_stiff>(
+    "advance_stiff",
+    "advance_stiff(system, stabilisation, state, target, control, scale, matrix, pivots, "
+    "scratch)"),
+  released<advance_switching>(
+    "advance_switching",
+    "advance_switching(system, tableau, stabilisation, state, origin, done, step_size, steps, "
+    "runs)"),
+  released<run_fixed>(
+    "run_fixed",
+    "run_fixed(system, tableau, stabilisation, state, step_size, torque, zero_order_hold, "
+    "decimation, steps, scratch, buffer)"),
+  released<annotate>("annotate", "annotate(system, torque, zero_order_hold, decimation, buffer)"),
+  released<fill_joint_forces>(
+    "fill_joint_forces",
+    "fill_joint_forces(system, torque, zero_order_hold, decimation, state, qdd, lam, scratch, "
+    "out)"),
+  released<energies_of_states>("energies_of_states", "energies_of_states(system, state, out)"),
+  released<run_batch_for_python>(
+    "run_batch",
+    "run_batch(batch, tableau, stabilisation, state, step_size, torque, zero_order_hold, "
+    "decimation, steps, scratch, position, velocity, work)"),
 };
 
-/// Least squares on bound arrays.
-struct LeastSquares {
-  PyObject head;
-  Doubles matrix, right, solution;
-  double tolerance;
-};
+constexpr char bound_name[] = "closedloop_dynamics.engine.bound";
 
-LeastSquares &self_of(PyObject *self) { return *reinterpret_cast<LeastSquares *>(self); }
-
-bool bind(LeastSquares &self, PyObject *arguments) {
-  PyObject *matrix, *right, *solution;
-  if (!PyArg_ParseTuple(
-          arguments, "OOOd:LeastSquares", &matrix, &right, &solution, &self.tolerance) ||
-      !self.matrix.bind(matrix, "matrix", 2, false) ||
-      !self.right.bind(right, "right", 1, false) ||
-      !self.solution.bind(solution, "solution", 1, true)) {
-    return false;
-  }
-  const Py_ssize_t rows = self.matrix.size(0), columns = self.matrix.size(1);
-  if (rows == 0 || columns == 0 || self.right.size(0) != rows ||
-      self.solution.size(0) != columns) {
-    PyErr_Format(
-        PyExc_ValueError,
-        "expected matrix (m, n), right (m,), solution (n,) with m, n > 0, "
-        "got (%zd, %zd), (%zd,), (%zd,)",
-        rows, columns, self.right.size(0), self.solution.size(0));
-    return false;
-  }
-  return true;
-}
-
-PyObject *least_squares_new(PyTypeObject *type, PyObject *arguments, PyObject *) {
-  PyObject *object = PyType_GenericAlloc(type, 0);
-  if (object == nullptr) {
-    return nullptr;
-  }
-  // Python fills new memory with zeros, which is an array that is not bound.
-  if (!bind(self_of(object), arguments)) {
-    Py_DecRef(object);
-    return nullptr;
-  }
-  return object;
-}
-
-void least_squares_dealloc(PyObject *object) {
-  PyTypeObject *type = object->ob_type;
-  LeastSquares &self = self_of(object);
-  self.matrix.~Doubles();
-  self.right.~Doubles();
-  self.solution.~Doubles();
-  reinterpret_cast<freefunc>(PyType_GetSlot(type, Py_tp_free))(object);
-  Py_DecRef(reinterpret_cast<PyObject *>(type));
-}
-
-PyObject *least_squares_solve(PyObject *object, PyObject *) {
+PyObject * make_system(PyObject *, PyObject * const * from, Py_ssize_t count)
+{
   return guarded(
-      [&]() -> PyObject * {
-        const LeastSquares &self = self_of(object);
-        const Eigen::Map<const Matrix> matrix(
-            self.matrix.data(), self.matrix.size(0), self.matrix.size(1));
-        const Eigen::Map<const Eigen::VectorXd> right(self.right.data(), self.right.size(0));
-        if (!matrix.allFinite() || !right.allFinite()) {
-          PyErr_SetString(PyExc_ValueError, "matrix and right: expected finite numbers");
-          return nullptr;
+    [&] {
+      if (count != 1) {
+        PyErr_Format(PyExc_TypeError, "system: expected 1 argument, got %zd", count);
+        throw PythonError();
+      }
+      auto handle = std::make_unique<Handle>();
+      read(from[0], handle->system, {"system", 1});
+      if (const char * found = misfit(handle->system)) {
+        PyErr_Format(PyExc_ValueError, "system: arrays that do not fit together: %s", found);
+        throw PythonError();
+      }
+      handle->system.interrupted = is_interrupted;
+      Owned capsule(
+        PyCapsule_New(
+          handle.get(), handle_name, [](PyObject * object) {
+            const std::unique_ptr<Handle> owned(
+              static_cast<Handle *>(PyCapsule_GetPointer(object, handle_name)));
+            Py_DecRef(owned->owner);
+          }));
+      handle->owner = from[0];
+      Py_IncRef(from[0]);
+      handle.release();
+      return capsule.release();
+    });
+}
+
+PyObject * call_bound(PyObject * capsule, PyObject *)
+{
+  return guarded(
+    [&] {return static_cast<Bound *>(PyCapsule_GetPointer(capsule, bound_name))->run();});
+}
+
+PyMethodDef bound_method = {
+  "bound", call_bound, METH_NOARGS, "Call a function of the engine with its bound arguments."};
+
+PyObject * bind(PyObject *, PyObject * const * from, Py_ssize_t count)
+{
+  return guarded(
+    [&]() -> PyObject * {
+      const char * name = count > 0 ? PyUnicode_AsUTF8AndSize(from[0], nullptr) : nullptr;
+      if (name == nullptr) {
+        PyErr_SetString(PyExc_TypeError, "bind: expected the name of a function");
+        throw PythonError();
+      }
+      for (const Entry & each : entries) {
+        if (std::string_view(each.name) == name) {
+          std::unique_ptr<Bound> bound = each.bind(from + 1, count - 1, each.name);
+          for (Py_ssize_t n = 1; n < count; ++n) {
+            bound->keep(from[n]);
+          }
+          Owned capsule(
+            PyCapsule_New(
+              bound.get(), bound_name, [](PyObject * object) {
+                delete static_cast<Bound *>(PyCapsule_GetPointer(object, bound_name));
+              }));
+          bound.release();
+          return PyCFunction_NewEx(&bound_method, capsule.get(), nullptr);
         }
-        return PyLong_FromLong(least_squares(
-            matrix, right, self.tolerance,
-            Eigen::Map<Eigen::VectorXd>(self.solution.data(), self.solution.size(0))));
-      },
-      static_cast<PyObject *>(nullptr));
+      }
+      PyErr_Format(PyExc_ValueError, "bind: there is no function '%s'", name);
+      throw PythonError();
+    });
 }
 
-/// The void pointer that Python's tables hold.
-template <typename Function>
-void *erased(Function *function) {
-  return reinterpret_cast<void *>(function);
+/// The void pointer that Python's tables hold, and the type that they declare.
+template<class Function>
+PyCFunction as_method(Function * function)
+{
+  return reinterpret_cast<PyCFunction>(reinterpret_cast<void *>(function));
 }
 
-PyMethodDef least_squares_methods[] = {
-    {"solve", least_squares_solve, METH_NOARGS, "Write the solution and return the rank."},
-    {}};
+PyMethodDef methods[2 + std::size(entries)] = {
+  {"system", as_method(make_system), METH_FASTCALL,
+    "system(fields): a System whose arrays the engine works on; they are kept"},
+  {"bind", as_method(bind), METH_FASTCALL,
+    "bind(name, *arguments): a function without arguments, read once; they are kept"},
+};
 
-PyType_Slot least_squares_slots[] = {
-    {Py_tp_new, erased(least_squares_new)},
-    {Py_tp_dealloc, erased(least_squares_dealloc)},
-    {Py_tp_methods, least_squares_methods},
-    {Py_tp_doc,
-     const_cast<char *>(
-         "LeastSquares(matrix, right, solution, tolerance): shortest solution of least residual.")},
-    {}};
-
-PyType_Spec least_squares_spec = {
-    "closedloop_dynamics.engine.native.LeastSquares", sizeof(LeastSquares), 0, 0,
-    least_squares_slots};
-
-bool add_type(PyObject *module, PyType_Spec &spec) {
-  PyObject *type = PyType_FromSpec(&spec);
-  const bool added =
-      type != nullptr && PyModule_AddType(module, reinterpret_cast<PyTypeObject *>(type)) == 0;
-  if (type != nullptr) {
-    Py_DecRef(type);
+int fill_module(PyObject * module)
+{
+  for (std::size_t n = 0; n < std::size(entries); ++n) {
+    methods[2 + n] = {
+      entries[n].name, as_method(entries[n].call), METH_FASTCALL, entries[n].doc};
   }
-  return added;
+  for (PyMethodDef & method : methods) {
+    PyObject * function = PyCFunction_NewEx(&method, nullptr, nullptr);
+    if (function == nullptr || PyModule_AddObjectRef(module, method.ml_name, function) < 0) {
+      return -1;
+    }
+    Py_DecRef(function);
+  }
+  return PyModule_AddStringConstant(module, "sources", sources) == 0 &&
+         PyModule_AddStringConstant(module, "compiler", compiler) == 0 &&
+         PyModule_AddStringConstant(module, "flags", flags) == 0 ? 0 : -1;
 }
 
-int fill_module(PyObject *module) {
-  const bool filled = PyModule_AddStringConstant(module, "sources", sources) == 0 &&
-                      PyModule_AddStringConstant(module, "compiler", compiler) == 0 &&
-                      PyModule_AddStringConstant(module, "flags", flags) == 0 &&
-                      add_type(module, least_squares_spec);
-  return filled ? 0 : -1;
-}
-
-PyModuleDef_Slot module_slots[] = {{Py_mod_exec, erased(fill_module)}, {}};
+PyModuleDef_Slot module_slots[] = {
+  {Py_mod_exec, reinterpret_cast<void *>(fill_module)}, {0, nullptr}};
 
 PyModuleDef module_definition = {
-    {{1, nullptr}, nullptr, 0, nullptr},
-    "closedloop_dynamics.engine.native",
-    "Compiled kernels of the package.",
-    0,
-    nullptr,
-    module_slots,
-    nullptr,
-    nullptr,
-    nullptr};
+  {{1, nullptr}, nullptr, 0, nullptr},
+  "closedloop_dynamics.engine.native",
+  "Compiled kernels of the package.",
+  0,
+  nullptr,
+  module_slots,
+  nullptr,
+  nullptr,
+  nullptr};
 
 }  // namespace
 }  // namespace closedloop
 
-extern "C" __attribute__((visibility("default"))) PyObject *PyInit_native() {
+extern "C" __attribute__((visibility("default"))) PyObject * PyInit_native()
+{
   return PyModuleDef_Init(&closedloop::module_definition);
 }

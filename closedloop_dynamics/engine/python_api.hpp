@@ -29,6 +29,8 @@
 extern "C" {
 using Py_ssize_t = std::ptrdiff_t;
 struct PyTypeObject;
+struct PyThreadState;
+enum PyGILState_STATE { PyGILState_LOCKED, PyGILState_UNLOCKED };
 
 struct PyObject {
   Py_ssize_t ob_refcnt;
@@ -62,19 +64,6 @@ struct PyMethodDef {
   const char *ml_doc;
 };
 
-struct PyType_Slot {
-  int slot;
-  void *pfunc;
-};
-
-struct PyType_Spec {
-  const char *name;
-  int basicsize;
-  int itemsize;
-  unsigned int flags;
-  PyType_Slot *slots;
-};
-
 struct PyModuleDef_Slot {
   int slot;
   void *value;
@@ -105,22 +94,16 @@ static_assert(sizeof(PyObject) == 16);
 static_assert(sizeof(Py_buffer) == 80 && offsetof(Py_buffer, format) == 40);
 static_assert(offsetof(Py_buffer, shape) == 48 && offsetof(Py_buffer, ndim) == 36);
 static_assert(sizeof(PyMethodDef) == 32 && offsetof(PyMethodDef, ml_doc) == 24);
-static_assert(sizeof(PyType_Slot) == 16 && sizeof(PyType_Spec) == 32);
-static_assert(offsetof(PyType_Spec, flags) == 16 && offsetof(PyType_Spec, slots) == 24);
 static_assert(sizeof(PyModuleDef_Slot) == 16);
 static_assert(sizeof(PyModuleDef) == 104 && offsetof(PyModuleDef, m_slots) == 72);
 
 // Macros, as in Python.h: behind it a second definition must be the same, token by token.
 #define METH_VARARGS 0x0001
 #define METH_NOARGS 0x0004
+#define METH_FASTCALL 0x0080
 #define PyBUF_WRITABLE 0x0001
 #define PyBUF_FORMAT 0x0004
 #define Py_mod_exec 2
-#define Py_tp_dealloc 52
-#define Py_tp_doc 56
-#define Py_tp_methods 64
-#define Py_tp_new 65
-#define Py_tp_free 74
 
 inline constexpr int c_contiguous = 0x0038;  ///< PyBUF_C_CONTIGUOUS
 
@@ -129,19 +112,34 @@ extern PyObject *PyExc_MemoryError;
 extern PyObject *PyExc_RuntimeError;
 extern PyObject *PyExc_TypeError;
 extern PyObject *PyExc_ValueError;
+extern PyObject _Py_NoneStruct;
 
-int PyArg_ParseTuple(PyObject *, const char *, ...);
+PyObject *PyBool_FromLong(long);
 void PyBuffer_Release(Py_buffer *);
+void *PyCapsule_GetPointer(PyObject *, const char *);
+PyObject *PyCapsule_New(void *, const char *, void (*)(PyObject *));
+PyObject *PyCFunction_NewEx(PyMethodDef *, PyObject *, PyObject *);
+int PyErr_CheckSignals();
 PyObject *PyErr_Format(PyObject *, const char *, ...);
 PyObject *PyErr_Occurred();
 void PyErr_SetString(PyObject *, const char *);
-PyObject *PyLong_FromLong(long);
+void PyEval_RestoreThread(PyThreadState *);
+PyThreadState *PyEval_SaveThread();
+double PyFloat_AsDouble(PyObject *);
+PyObject *PyFloat_FromDouble(double);
+PyGILState_STATE PyGILState_Ensure();
+void PyGILState_Release(PyGILState_STATE);
+long long PyLong_AsLongLong(PyObject *);
+PyObject *PyLong_FromLongLong(long long);
+int PyModule_AddObjectRef(PyObject *, const char *, PyObject *);
 int PyModule_AddStringConstant(PyObject *, const char *, const char *);
-int PyModule_AddType(PyObject *, PyTypeObject *);
 PyObject *PyModuleDef_Init(PyModuleDef *);
 int PyObject_GetBuffer(PyObject *, Py_buffer *, int);
-PyObject *PyType_FromSpec(PyType_Spec *);
-PyObject *PyType_GenericAlloc(PyTypeObject *, Py_ssize_t);
-void *PyType_GetSlot(PyTypeObject *, int);
+int PyObject_IsTrue(PyObject *);
+PyObject *PyTuple_GetItem(PyObject *, Py_ssize_t);
+PyObject *PyTuple_Pack(Py_ssize_t, ...);
+Py_ssize_t PyTuple_Size(PyObject *);
+const char *PyUnicode_AsUTF8AndSize(PyObject *, Py_ssize_t *);
 void Py_DecRef(PyObject *);
+void Py_IncRef(PyObject *);
 }

@@ -1,0 +1,394 @@
+// SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+// SPDX-License-Identifier: Apache-2.0
+
+#ifndef CLOSEDLOOP_DYNAMICS__ENGINE__ARGUMENTS_HPP_
+#define CLOSEDLOOP_DYNAMICS__ENGINE__ARGUMENTS_HPP_
+
+#include <cstdint>
+#include <cstring>
+#include <exception>
+#include <memory>
+#include <new>
+#include <tuple>
+#include <type_traits>
+#include <utility>
+#include <vector>
+
+#include "forces.hpp"
+#include "python_api.hpp"
+#include "system.hpp"
+
+// Functions of C++ as functions of Python: arguments are converted by the types of the parameters.
+// Arrays are seen where they are (C-contiguous, of float64 or int64), named tuples of arrays become
+// the structs of the same fields, None an empty one.
+
+namespace closedloop
+{
+
+/// Thrown where Python's error is set.
+struct PythonError {};
+
+/// A reference that is given back.
+class Owned
+{
+public:
+  explicit Owned(PyObject * object)
+  : object_(object)
+  {
+    if (object == nullptr) {
+      throw PythonError();
+    }
+  }
+  Owned(Owned && other) noexcept
+  : object_(std::exchange(other.object_, nullptr)) {}
+  Owned(const Owned &) = delete;
+  Owned & operator=(const Owned &) = delete;
+  Owned & operator=(Owned &&) = delete;
+  ~Owned()
+  {
+    if (object_ != nullptr) {
+      Py_DecRef(object_);
+    }
+  }
+  PyObject * get() const {return object_;}
+  PyObject * release() {return std::exchange(object_, nullptr);}
+
+private:
+  PyObject * object_;
+};
+
+/// Which argument is read, for messages.
+struct Place
+{
+  const char * function;
+  Py_ssize_t argument;
+};
+
+template<class Record>
+void read_record(PyObject * from, Record & to, Place place);
+
+struct Ignore
+{
+  template<class ... Field>
+  void operator()(Field & ...) const {}
+};
+
+template<class Type, class = void>
+struct IsRecord : std::false_type {};
+template<class Type>
+struct IsRecord<Type, std::void_t<decltype(std::declval<Type &>().fields(Ignore{}))>>
+  : std::true_type {};
+
+/// See an array as numbers of a type, with so many dimensions.
+template<class Number>
+Number * read_array(PyObject * from, int dimensions, Index * shape, Place place)
+{
+  Py_buffer view{};
+  const int flags = c_contiguous | PyBUF_FORMAT | (std::is_const_v<Number>? 0 : PyBUF_WRITABLE);
+  if (PyObject_GetBuffer(from, &view, flags) < 0) {
+    throw PythonError();
+  }
+  // The array is kept by who hands it over.
+  PyBuffer_Release(&view);
+  constexpr bool is_real = std::is_same_v<std::remove_const_t<Number>, double>;
+  const char kind = view.format != nullptr && view.format[0] != '\0' && view.format[1] == '\0' ?
+    view.format[0] : '?';
+  const bool fits = view.itemsize == 8 && (is_real ? kind == 'd' : kind == 'l' || kind == 'q');
+  if (!fits || view.ndim != dimensions ||
+    reinterpret_cast<std::uintptr_t>(view.buf) % alignof(Number) != 0)
+  {
+    PyErr_Format(
+      PyExc_TypeError, "%s, argument %zd: expected %s of %d dimensions, got format '%c' of %d",
+      place.function, place.argument, is_real ? "float64" : "int64", dimensions, kind, view.ndim);
+    throw PythonError();
+  }
+  for (int n = 0; n < dimensions; ++n) {
+    shape[n] = view.shape[n];
+  }
+  return static_cast<Number *>(view.buf);
+}
+
+template<class Number>
+void read(PyObject * from, Vector<Number> & to, Place place)
+{
+  to.data = read_array<Number>(from, 1, &to.size, place);
+}
+
+template<class Number>
+void read(PyObject * from, Matrix<Number> & to, Place place)
+{
+  Index shape[2];
+  to.data = read_array<Number>(from, 2, shape, place);
+  to.rows = shape[0];
+  to.columns = shape[1];
+}
+
+template<class Number>
+void read(PyObject * from, Cube<Number> & to, Place place)
+{
+  Index shape[3];
+  to.data = read_array<Number>(from, 3, shape, place);
+  to.pages = shape[0];
+  to.rows = shape[1];
+  to.columns = shape[2];
+}
+
+inline void read(PyObject * from, double & to, Place)
+{
+  to = PyFloat_AsDouble(from);
+  if (to == -1.0 && PyErr_Occurred() != nullptr) {
+    throw PythonError();
+  }
+}
+
+inline void read(PyObject * from, Index & to, Place)
+{
+  to = PyLong_AsLongLong(from);
+  if (to == -1 && PyErr_Occurred() != nullptr) {
+    throw PythonError();
+  }
+}
+
+inline void read(PyObject * from, bool & to, Place)
+{
+  const int found = PyObject_IsTrue(from);
+  if (found < 0) {
+    throw PythonError();
+  }
+  to = found == 1;
+}
+
+template<class Type>
+auto read(PyObject * from, Type & to, Place place)
+->std::enable_if_t<std::is_enum_v<Type>>
+{
+  Index number;
+  read(from, number, place);
+  to = static_cast<Type>(number);
+}
+
+template<class Type>
+auto read(PyObject * from, Type & to, Place place)->std::enable_if_t<IsRecord<Type>::value>
+{
+  read_record(from, to, place);
+}
+
+template<class Record>
+void read_record(PyObject * from, Record & to, Place place)
+{
+  if (from == &_Py_NoneStruct) {
+    return;
+  }
+  to.fields(
+    [&](auto & ... field) {
+      if (PyTuple_Size(from) != static_cast<Py_ssize_t>(sizeof...(field))) {
+        PyErr_Format(
+          PyExc_TypeError, "%s, argument %zd: expected a tuple of %zd fields", place.function,
+          place.argument, static_cast<Py_ssize_t>(sizeof...(field)));
+        throw PythonError();
+      }
+      Py_ssize_t n = 0;
+      (read(PyTuple_GetItem(from, n++), field, place), ...);
+    });
+}
+
+/// A system, with the tuple that keeps its arrays.
+struct Handle
+{
+  System system;
+  PyObject * owner = nullptr;
+};
+
+inline constexpr char handle_name[] = "closedloop_dynamics.engine.System";
+
+/// What a parameter of a type is read into.
+template<class Type>
+struct Holder
+{
+  Type value{};
+  void take(PyObject * from, Place place) {read(from, value, place);}
+  Type & get() {return value;}
+};
+
+template<>
+struct Holder<System>
+{
+  const System * value = nullptr;
+  void take(PyObject * from, Place)
+  {
+    void * found = PyCapsule_GetPointer(from, handle_name);
+    if (found == nullptr) {
+      throw PythonError();
+    }
+    value = &static_cast<Handle *>(found)->system;
+  }
+  const System & get() {return *value;}
+};
+
+inline PyObject * to_python(bool value) {return PyBool_FromLong(value);}
+inline PyObject * to_python(double value) {return PyFloat_FromDouble(value);}
+inline PyObject * to_python(Index value) {return PyLong_FromLongLong(value);}
+inline PyObject * to_python(Status value) {return PyLong_FromLongLong(static_cast<Index>(value));}
+inline PyObject * to_python(Vector3 value)
+{
+  Owned x(to_python(value.x)), y(to_python(value.y)), z(to_python(value.z));
+  return PyTuple_Pack(3, x.get(), y.get(), z.get());
+}
+template<class First, class Second>
+PyObject * to_python(const std::pair<First, Second> & value)
+{
+  Owned first(to_python(value.first)), second(to_python(value.second));
+  return PyTuple_Pack(2, first.get(), second.get());
+}
+
+/// Call a function for Python: an exception becomes Python's.
+template<class Function>
+PyObject * guarded(Function && function)
+{
+  try {
+    return function();
+  } catch (const PythonError &) {
+  } catch (const std::bad_alloc &) {
+    PyErr_SetString(PyExc_MemoryError, "out of memory");
+  } catch (const std::exception & error) {
+    PyErr_SetString(PyExc_RuntimeError, error.what());
+  } catch (...) {
+    PyErr_SetString(PyExc_RuntimeError, "unknown exception in the engine");
+  }
+  return nullptr;
+}
+
+/// Lets other threads of Python go on while a function runs.
+class Released
+{
+public:
+  Released()
+  : state_(PyEval_SaveThread()) {}
+  Released(const Released &) = delete;
+  Released & operator=(const Released &) = delete;
+  ~Released() {PyEval_RestoreThread(state_);}
+
+private:
+  PyThreadState * state_;
+};
+
+/// A function with arguments that are read once.
+class Bound
+{
+public:
+  Bound() = default;
+  Bound(const Bound &) = delete;
+  Bound & operator=(const Bound &) = delete;
+  virtual ~Bound()
+  {
+    for (PyObject * each : owners) {
+      Py_DecRef(each);
+    }
+  }
+  virtual PyObject * run() = 0;
+  void keep(PyObject * object)
+  {
+    owners.push_back(object);
+    Py_IncRef(object);
+  }
+
+private:
+  std::vector<PyObject *> owners;
+};
+
+template<auto Function, bool Releases>
+struct Kernel;
+
+template<class Result, class ... Parameters, Result(*Function)(Parameters...), bool Releases>
+struct Kernel<Function, Releases>: Bound
+{
+  std::tuple<Holder<std::decay_t<Parameters>>...> arguments;
+
+  void take(PyObject * const * from, Py_ssize_t count, const char * name)
+  {
+    if (count != static_cast<Py_ssize_t>(sizeof...(Parameters))) {
+      PyErr_Format(
+        PyExc_TypeError, "%s: expected %zd arguments, got %zd", name,
+        static_cast<Py_ssize_t>(sizeof...(Parameters)), count);
+      throw PythonError();
+    }
+    std::apply(
+      [&](auto & ... holder) {
+        Py_ssize_t n = 0;
+        ((holder.take(from[n], {name, n + 1}), ++n), ...);
+      }, arguments);
+  }
+
+  Result call()
+  {
+    return std::apply([](auto & ... holder) {return Function(holder.get() ...);}, arguments);
+  }
+
+  PyObject * run() override
+  {
+    if constexpr (std::is_void_v<Result>) {
+      release_and_call();
+      if (PyErr_Occurred() != nullptr) {
+        return nullptr;
+      }
+      Py_IncRef(&_Py_NoneStruct);
+      return &_Py_NoneStruct;
+    } else {
+      const Result result = release_and_call();
+      return PyErr_Occurred() != nullptr ? nullptr : to_python(result);
+    }
+  }
+
+private:
+  Result release_and_call()
+  {
+    if constexpr (Releases) {
+      const Released released;
+      return call();
+    } else {
+      return call();
+    }
+  }
+};
+
+/// A function as Python's tables and `bind` see it.
+struct Entry
+{
+  const char * name;
+  const char * doc;
+  PyObject * (*call)(PyObject *, PyObject * const *, Py_ssize_t);
+  std::unique_ptr<Bound> (*bind)(PyObject * const *, Py_ssize_t, const char * name);
+};
+
+/// The name under which a function is called, for messages.
+template<auto Function>
+inline const char * name_of = "";
+
+template<auto Function, bool Releases = false>
+Entry entry(const char * name, const char * doc)
+{
+  name_of<Function> = name;
+  return {
+    name, doc,
+    [](PyObject *, PyObject * const * from, Py_ssize_t count) {
+      return guarded(
+        [&] {
+          Kernel<Function, Releases> kernel;
+          kernel.take(from, count, name_of<Function>);
+          return kernel.run();
+        });
+    },
+    [](PyObject * const * from, Py_ssize_t count, const char * of) -> std::unique_ptr<Bound> {
+      auto kernel = std::make_unique<Kernel<Function, Releases>>();
+      kernel->take(from, count, of);
+      return kernel;
+    }};
+}
+
+/// The same for a function that may take long: other threads go on, and Ctrl-C is heard.
+template<auto Function>
+Entry released(const char * name, const char * doc) {return entry<Function, true>(name, doc);}
+
+}  // namespace closedloop
+
+#endif  // CLOSEDLOOP_DYNAMICS__ENGINE__ARGUMENTS_HPP_

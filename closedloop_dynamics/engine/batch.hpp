@@ -1,0 +1,51 @@
+// SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+// SPDX-License-Identifier: Apache-2.0
+
+#ifndef CLOSEDLOOP_DYNAMICS__ENGINE__BATCH_HPP_
+#define CLOSEDLOOP_DYNAMICS__ENGINE__BATCH_HPP_
+
+#include "runge_kutta.hpp"
+
+// Whole runs of several states at a time, side by side in vector lanes.
+
+namespace closedloop
+{
+
+/// Lanes of a batch; core/codegen/function_table.py has the same number.
+constexpr Index LANES = 8;
+
+/// Mechanisms of one topology in all lanes; arrays are stored lane by lane.
+struct Batch
+{
+  Indices table;  ///< Of their routines
+  Values tau;  ///< Shape (LANES * nv,): joint torques
+  Values qdd;  ///< Shape (LANES * nv,): accelerations
+  Values closure;  ///< Shape (LANES * nc,): closure errors of the latest correction
+  Table corrections;  ///< Shape (2, LANES * nv): of coordinates and rates
+  Values tolerance;  ///< Shape (LANES,): closure error that projection leaves
+  Values limit;  ///< Shape (LANES,): closure error at which it gives up
+  Values error;  ///< Shape (LANES,): largest closure error of each lane
+  Manifold manifold;  ///< Of all of them
+
+  Index nv() const {return qdd.size / LANES;}
+  Index nq() const {return nv() + manifold.balls.rows;}
+
+  template<class Visitor>
+  void fields(Visitor && visit)
+  {
+    visit(table, tau, qdd, closure, corrections, tolerance, limit, error, manifold);
+  }
+};
+
+/// Make whole runs of fixed steps of all lanes; arguments as of `run_fixed`, `torque` of shape
+/// (rows, LANES * nv). Positions and velocities, shapes (LANES, instants, nq or nv), and the work
+/// of the torques, shape (LANES,), are written in place. SINGULAR: a state needs what only single
+/// runs have. `interrupted`: as of System.
+Status run_batch(
+  const Batch &, const Tableau &, Stabilisation, Values state, double step_size, Table torque,
+  Index zero_order_hold, Index decimation, Index steps, Table scratch, Cube<double> position,
+  Cube<double> velocity, Values work, bool (* interrupted)());
+
+}  // namespace closedloop
+
+#endif  // CLOSEDLOOP_DYNAMICS__ENGINE__BATCH_HPP_

@@ -1,0 +1,124 @@
+// SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+// SPDX-License-Identifier: Apache-2.0
+
+#ifndef CLOSEDLOOP_DYNAMICS__ENGINE__COLUMNS_HPP_
+#define CLOSEDLOOP_DYNAMICS__ENGINE__COLUMNS_HPP_
+
+#include "array.hpp"
+
+// What the columns of the arrays hold. The names and meanings are those of core/types.py,
+// core/codegen/space.py, core/codegen/function_table.py and effects/table.py; a test compares them.
+
+namespace closedloop
+{
+
+/// Model.tree, a row for each body.
+namespace tree
+{
+enum : Index {PARENT, DOF, TYPE, SUBSYSTEM, COORDINATE, AXIS};
+enum Type : Index {REVOLUTE, PRISMATIC, REVOLUTE_ARMATURE, HELICAL, BALL};
+}
+
+/// Workspace.body, a row for each body: in the plane and in space.
+namespace work
+{
+enum : Index {DINV, RHS, DZ};
+}
+
+/// Workspace.body in the plane.
+namespace plane
+{
+enum : Index
+{
+  ALPHA = 3, COS, SIN, PX, PY, RX, RY, OMEGA, VX, VY, AX, AY,
+  IZZ, HX, HY, MXX, MXY, MYY, FZ, FX, FY, UZ, UX, UY, SX, SY, DX, DY,
+  POSITION, RATE, CUT_POINT_COLUMNS = 5
+};
+}
+
+/// Workspace.body in space.
+namespace space
+{
+enum : Index
+{
+  ORIGIN = 3, FRAME = 6, SPIN = 15, VELOCITY = 18, FORCE = 21, OFFSET = 27, SPIN_RATE = 30,
+  ACCELERATION = 33, JOINT_AXIS = 36, JOINT_POSITION = 75, JOINT_RATE = 76,
+  CUT_POINT_COLUMNS = 25
+};
+}
+
+/// Workspace.piece and Workspace.cut_piece: addresses of the code generated for each joint type.
+namespace stage
+{
+enum : Index
+{
+  MOVE, ELIMINATE, ELIMINATE_MASSLESS, ACCELERATE, REDUCE, LEVER, CARRY, COMPOSE, MEASURE, NEWTON,
+  SHIFT, TORQUE, REDUCE_COUPLED
+};
+enum Cut : Index {EQUATIONS, WRENCH};
+}
+
+/// Workspace.joint, a row for each body.
+namespace joint
+{
+enum : Index {SQUARE, STAND_IN, TOTAL};
+}
+
+/// Model.cut, a row for each cut joint.
+namespace cut
+{
+enum : Index
+{
+  TYPE, BODY_A, BODY_B, ROWS, CUT_ROW, ROW, PATH_A, PATH_B, PATH_COMMON, PATH_END, NUMBER, KEPT,
+  POSSIBLE, LENGTHS
+};
+enum Type : Index {PRISMATIC = 1, COUPLING = 11, PRESCRIBED_JOINT = 12, COUPLED_PLACE = 15};
+/// Columns of Model.cut_point for couplings, and how many prescribed motions take at the end.
+enum Point : Index {HELD_SUM = 0, FACTORS = 1, MOTION_COLUMNS = 3};
+}
+
+/// Workspace.health.
+namespace health
+{
+enum : Index
+{
+  SMALLEST_PIVOT, SMALLEST_PIVOT_EVER, RANK, EVALUATIONS, RANK_REVEALING_COUNT,
+  PROJECTION_ITERATIONS, CLOSURE, SINGULAR_COUNT, MOST_DISTINCT, LOOKED_BESIDE
+};
+}
+
+/// System.settings.
+namespace setting
+{
+enum : Index {FORMULATION, BAUMGARTE_GAIN, CLOSURE_TOLERANCE, CLOSURE_LIMIT, ASIDE};
+enum Formulation : Index {SUBSYSTEM, SYSTEM, AUGMENTED};
+}
+
+/// The function table: addresses of the routines generated for one mechanism.
+namespace routine
+{
+enum : Index
+{
+  EVALUATION, OUTWARD, ACCELERATION, CORRECTION, REFINED_ACCELERATION, REFINED_CORRECTION, REACTIONS
+};
+}
+
+/// What `update` computes of unit cut forces.
+enum class Responses {NONE, REDUCED, LEVERS};
+
+/// What a rank-revealing solution is asked for.
+enum class Level : Index {POSITION, VELOCITY, ACCELERATION};
+
+/// How a state is corrected after a step.
+enum class Stabilisation : Index {NONE, BAUMGARTE, VELOCITY, PROJECTION, INDEPENDENT};
+
+/// How an advance ended.
+enum class Status : Index
+{
+  DONE, NOT_FINITE, OPEN_LOOP, STEP_TOO_SMALL, TOO_MUCH_WORK, INTERRUPTED, POOR_EQUATIONS,
+  SINGULAR = 9
+};
+
+}  // namespace closedloop
+
+#endif  // CLOSEDLOOP_DYNAMICS__ENGINE__COLUMNS_HPP_

@@ -1,0 +1,48 @@
+// SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+// SPDX-License-Identifier: Apache-2.0
+
+#ifndef CLOSEDLOOP_DYNAMICS__ENGINE__COURSE_HPP_
+#define CLOSEDLOOP_DYNAMICS__ENGINE__COURSE_HPP_
+
+#include "effect_table.hpp"
+
+// Functions of the time: chains of pieces, each a polynomial and a sine,
+//
+//     y(t) = c0 + u (c1 + ... u c5) + a sin(w u + p),     u = t - (start of the piece),
+//
+// and expressions, as operations on a stack. The first two states of an effect with such a chain
+// are the time and the number of the present piece, counted on through all periods.
+
+namespace closedloop
+{
+
+/// Times closer than this, relative to their size, are the same.
+constexpr double SAME_TIME = 1e-12;
+
+/// First and second derivative by the time.
+struct CourseDerivatives
+{
+  double rate;
+  double change;
+};
+
+/// Number of a piece from the state that counts them: whole but for the differences that stiff
+/// methods take.
+Index piece_number(double state);
+
+/// Value of an effect's course at the time in its first state; `period` [s]: zero without.
+double course_value(const EffectTable &, Index row, double period);
+
+/// Derivatives of the same.
+CourseDerivatives course_derivatives(const EffectTable &, Index row, double period);
+
+/// When a piece of a course ends [s]; infinity where it is the last one.
+double end_of_piece(const EffectTable &, Index row, double period, Index piece);
+
+/// Value at a time of the expression whose entry begins at a place of EffectTable.data, with the
+/// room for its stack.
+double expression_value(const EffectTable &, Index at, double time);
+
+}  // namespace closedloop
+
+#endif  // CLOSEDLOOP_DYNAMICS__ENGINE__COURSE_HPP_

@@ -1,0 +1,202 @@
+// SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+// SPDX-License-Identifier: Apache-2.0
+
+#include "curve.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+namespace closedloop
+{
+
+namespace
+{
+// Numbers of a piece: x = c0 + u (c1 + u (c2 + u c3)), and y.
+constexpr Index COLUMNS = 8;
+// Newton steps to the nearest point of a piece; they stop when they are as short as this.
+constexpr int MOST_STEPS = 30;
+constexpr double SHORT = 1e-15;
+// A valley of less than this below an end of a path is no other place than that end [m].
+constexpr double SHALLOW = 1e-9;
+
+/// A place on a piece, and its first and second derivative by u.
+struct CurvePoint
+{
+  Vector2 place;
+  Vector2 tangent;
+  Vector2 bend;
+};
+
+/// The nearest place on a piece.
+struct Nearest
+{
+  Vector2 place;
+  double u;
+  double square;
+};
+
+CurvePoint evaluate(const double * c, double u)
+{
+  return {
+    {c[0] + u * (c[1] + u * (c[2] + u * c[3])), c[4] + u * (c[5] + u * (c[6] + u * c[7]))},
+    {c[1] + u * (2.0 * c[2] + u * 3.0 * c[3]), c[5] + u * (2.0 * c[6] + u * 3.0 * c[7])},
+    {2.0 * c[2] + 6.0 * u * c[3], 2.0 * c[6] + 6.0 * u * c[7]}};
+}
+
+/// From the start of a piece to its end.
+Vector2 chord(const double * c)
+{
+  return {c[1] + c[2] + c[3], c[5] + c[6] + c[7]};
+}
+
+double within_piece(double u)
+{
+  return std::min(1.0, std::max(0.0, u));
+}
+
+/// To a point from the nearest place of a straight piece.
+Vector2 from_straight(Vector2 point, Vector2 start, Vector2 whole)
+{
+  const Vector2 apart = point - start;
+  const double u = within_piece(dot(apart, whole) / dot(whole, whole));
+  return apart - u * whole;
+}
+
+Nearest nearest_on_piece(const double * piece, Vector2 point)
+{
+  // The chord's nearest place to begin with.
+  const Vector2 whole = chord(piece), start = {piece[0], piece[4]};
+  double u = within_piece(dot(point - start, whole) / dot(whole, whole));
+  for (int step = 0; step < MOST_STEPS; ++step) {
+    const CurvePoint at = evaluate(piece, u);
+    const Vector2 apart = at.place - point;
+    const double slope = dot(apart, at.tangent);
+    double bend = at.tangent.x * at.tangent.x + at.tangent.y * at.tangent.y +
+      apart.x * at.bend.x + apart.y * at.bend.y;
+    // Where the distance is no valley, as if the piece were straight.
+    if (!(bend > 0.25 * dot(at.tangent, at.tangent))) {
+      bend = dot(at.tangent, at.tangent);
+    }
+    const double better = within_piece(u - slope / bend);
+    const double move = std::fabs(better - u);
+    u = better;
+    if (move <= SHORT) {
+      break;
+    }
+  }
+  const Vector2 place = evaluate(piece, u).place, apart = place - point;
+  return {place, u, dot(apart, apart)};
+}
+
+/// The piece whose chord is nearest: it and its neighbours come into question.
+Index nearest_chord(const double * pieces, Index count, Vector2 point)
+{
+  double least = std::numeric_limits<double>::infinity();
+  Index best = 0;
+  for (Index k = 0; k < count; ++k) {
+    const double * piece = pieces + COLUMNS * k;
+    const Vector2 apart = from_straight(point, {piece[0], piece[4]}, chord(piece));
+    const double square = dot(apart, apart);
+    if (square < least) {
+      least = square;
+      best = k;
+    }
+  }
+  return best;
+}
+}  // namespace
+
+CurveDistance distance_from_curve(const EffectTable & table, Index row, Vector2 point, bool closed)
+{
+  const double * pieces = table.data.data + table.index(row, effect::DATA);
+  const Index count = table.index(row, effect::ENTRIES);
+  const Index best = nearest_chord(pieces, count, point);
+  Nearest nearest = {{0.0, 0.0}, 0.0, std::numeric_limits<double>::infinity()};
+  Index piece = best;
+  for (Index neighbour = best - 1; neighbour < best + 2; ++neighbour) {
+    const Index k = closed ? (neighbour + count) % count : neighbour;
+    if (0 <= k && k < count) {
+      const Nearest found = nearest_on_piece(pieces + COLUMNS * k, point);
+      if (found.square < nearest.square) {
+        nearest = found;
+        piece = k;
+      }
+    }
+  }
+  Vector2 tangent = evaluate(pieces + COLUMNS * piece, nearest.u).tangent;
+  tangent = tangent / std::sqrt(dot(tangent, tangent));
+  // At a corner, the direction half way round it.
+  Index beside = piece;
+  if (nearest.u == 0.0) {
+    beside = piece - 1;
+  } else if (nearest.u == 1.0) {
+    beside = piece + 1;
+  }
+  if (closed) {
+    beside = (beside + count) % count;
+  }
+  if (beside != piece && 0 <= beside && beside < count) {
+    const Vector2 other = evaluate(pieces + COLUMNS * beside, 1.0 - nearest.u).tangent;
+    tangent = tangent + other / std::sqrt(dot(other, other));
+  }
+  const double distance = std::sqrt(nearest.square);
+  if (distance > 0.0) {
+    const Vector2 apart = point - nearest.place;
+    // Past the end of an open curve there is nothing solid.
+    const bool past = beside < 0 || beside >= count;
+    const double sign = past ? 1.0 : std::copysign(1.0, cross(tangent, apart));
+    return {(sign * apart) / distance, sign * distance};
+  }
+  const double length = std::sqrt(dot(tangent, tangent));
+  return {{-tangent.y / length, tangent.x / length}, 0.0};
+}
+
+ChordDistance nearest_to_chord(const double * pieces, Index count, Vector2 start, Vector2 end)
+{
+  const Vector2 path = end - start;
+  const double square = dot(path, path);
+  double least = std::numeric_limits<double>::infinity(), along = 0.5;
+  double entry = 2.0, way_out = 2.0;
+  for (Index k = 0; k < (square > 0.0 ? count : 0); ++k) {
+    const double * piece = pieces + COLUMNS * k;
+    const Vector2 first = {piece[0], piece[4]}, whole = chord(piece);
+    Vector2 apart = from_straight(start, first, whole);
+    if (!(dot(apart, path) < 0.0)) {
+      continue;
+    }
+    double level = std::sqrt(dot(apart, apart));
+    apart = from_straight(end, first, whole);
+    if (!(dot(apart, path) > 0.0)) {
+      continue;
+    }
+    level = std::min(level, std::sqrt(dot(apart, apart))) - SHALLOW;
+    // Sides of the path's line on which both ends of the piece are.
+    const double one = cross(path, first - start);
+    const double other = one + path.x * whole.y - path.y * whole.x;
+    if (one * other < 0.0) {
+      const double share = cross(first - start, whole) / cross(path, whole);
+      if (0.0 < share && share < 1.0 && level > 0.0) {
+        way_out = std::min(way_out, std::max(entry, share));
+        entry = std::min(entry, share);
+        continue;
+      }
+    }
+    for (double u : {0.0, 1.0}) {
+      const double share = within_piece(dot(first + u * whole - start, path) / square);
+      // Curved pieces: how far they are from there.
+      const double found = nearest_on_piece(piece, start + share * path).square;
+      if (found < least * least && found < level * std::abs(level)) {
+        least = std::sqrt(found);
+        along = share;
+      }
+    }
+  }
+  if (entry <= 1.0) {
+    least = -std::numeric_limits<double>::infinity();
+    along = 0.5 * (entry + std::min(way_out, 1.0));
+  }
+  return {least, std::min(0.99, std::max(0.01, along))};
+}
+
+}  // namespace closedloop

@@ -1,0 +1,47 @@
+// SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+// SPDX-License-Identifier: Apache-2.0
+
+#ifndef CLOSEDLOOP_DYNAMICS__ENGINE__CURVE_HPP_
+#define CLOSEDLOOP_DYNAMICS__ENGINE__CURVE_HPP_
+
+#include "effect_table.hpp"
+#include "forces.hpp"
+
+// Distance of a point from a curve of a body: a chain of cubics (x, y)(u), 0 <= u <= 1, whose free
+// side is on the left.
+
+namespace closedloop
+{
+
+/// How far a point is from a curve.
+struct CurveDistance
+{
+  /// Normal to the free side, in the frame of the curve's body.
+  Vector2 normal;
+  /// On the free side; negative in the solid [m].
+  double distance;
+};
+
+/// Distance of a point, in the frame of the curve's body [m], from the curve of an effect;
+/// `closed`: the curve ends where it begins.
+CurveDistance distance_from_curve(
+  const EffectTable &, Index row, Vector2 point, bool closed);
+
+/// How near a straight path comes to a curve between its ends. Along a straight path the distance
+/// from a straight piece has one valley: it counts where its lowest place is between the ends.
+struct ChordDistance
+{
+  /// Least distance in any valley [m]; minus infinity where the path crosses the curve; infinity
+  /// where there is no valley.
+  double distance;
+  /// Share of the path there, not quite 0 or 1; half way between the first two crossings.
+  double along;
+};
+
+/// The same of the path between two points, in the frame of the body of so many pieces [m].
+ChordDistance nearest_to_chord(
+  const double * pieces, Index count, Vector2 start, Vector2 end);
+
+}  // namespace closedloop
+
+#endif  // CLOSEDLOOP_DYNAMICS__ENGINE__CURVE_HPP_

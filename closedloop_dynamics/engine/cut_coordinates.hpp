@@ -1,0 +1,43 @@
+// SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+// SPDX-License-Identifier: Apache-2.0
+
+#ifndef CLOSEDLOOP_DYNAMICS__ENGINE__CUT_COORDINATES_HPP_
+#define CLOSEDLOOP_DYNAMICS__ENGINE__CUT_COORDINATES_HPP_
+
+#include "effect_table.hpp"
+#include "forces.hpp"
+#include "model.hpp"
+
+// Coordinates of cut joints: the angle of body A in body B about an axis, or how far the point of
+// A is from that of B along it. Laws see them behind those of the tree. `index` and `values` are
+// those of CutCoordinates; bodies are rows of Workspace.body after `outward`.
+
+namespace closedloop
+{
+
+/// A direction in row `k` of the values, from column `first` on, in world axes; `row`: of the body
+/// that it is fixed in.
+Vector3 cut_direction(
+  Table body, Index row, bool planar, Table values, Index k, Index first);
+
+/// Coordinates [rad, m] and their rates, written from place `first` on. `states`, shape (nz,), are
+/// the effects' own, among them angles and integrals of rates that are followed. Angles in space
+/// are within half a turn of the one that is followed, or of zero; integrals of rates that are not
+/// followed are zero.
+void measure_cut_coordinates(
+  Indexes index, Table values, Table body, Values states, Index first, Values position,
+  Values velocity);
+
+/// Apply efforts along the coordinates [N m; N], from place `first` on: bias forces are reduced.
+void apply_cut_efforts(
+  Indexes index, Table values, Table body, Values efforts, Index first);
+
+/// Accelerations of the coordinates [rad/s^2, m/s^2] for those of the tree, `qdd`, shape (nv,),
+/// written to the last nk of `out`. `whole`: with what velocities make up; without, this is J qdd,
+/// J being the derivatives of the coordinates by those of the tree.
+void accelerations(
+  const CutCoordinates &, const Model &, const Workspace &, Values qdd, bool whole, Values out);
+
+}  // namespace closedloop
+
+#endif  // CLOSEDLOOP_DYNAMICS__ENGINE__CUT_COORDINATES_HPP_

@@ -1,0 +1,315 @@
+// SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+// SPDX-License-Identifier: Apache-2.0
+
+#include "error_control.hpp"
+
+#include <algorithm>
+
+#include "contact_events.hpp"
+#include "evaluation.hpp"
+#include "left_out.hpp"
+#include "manifold.hpp"
+#include "projection.hpp"
+#include "stick_slip.hpp"
+#include "time_events.hpp"
+
+namespace closedloop
+{
+
+namespace
+{
+// Hairer's choices: change the step gently.
+constexpr double LARGEST_GROWTH = 6.0, LARGEST_CUT = 0.2;
+// Errors of the step before that are smaller say little about where the motion goes.
+constexpr double SIGNIFICANT = 1e-2;
+// Guesses of the first step, each this many times the one before.
+constexpr int GUESSES = 4;
+constexpr double FARTHER = 100.0;
+
+/// Error of a step relative to the tolerance (1: just accepted). Hairer, Norsett and Wanner (1993),
+/// section II.10: a coarser estimate, where the method has one, keeps the finer from being fooled.
+double error_norm(
+  const Tableau & tableau, double step_size, Table slopes, Values state, Values out, Table scale)
+{
+  double fine = 0.0, coarse = 0.0;
+  const Index count = state.size;
+  for (Index i = 0; i < count; ++i) {
+    double first = 0.0, second = 0.0;
+    for (Index k = 0; k < tableau.error.columns; ++k) {
+      first += tableau.error(0, k) * slopes(k, i);
+      second += tableau.error(1, k) * slopes(k, i);
+    }
+    const double weight =
+      1.0 / (scale(0, i) + scale(1, i) * std::max(std::abs(state[i]), std::abs(out[i])));
+    fine += (first * weight) * (first * weight);
+    coarse += (second * weight) * (second * weight);
+  }
+  if (coarse > 0.0) {
+    return step_size * fine / std::sqrt((fine + 0.01 * coarse) * static_cast<double>(count));
+  }
+  return step_size * std::sqrt(fine / static_cast<double>(count));
+}
+
+/// Guess the size of the first step [s] (Hairer, Norsett and Wanner 1993, section II.4). Where
+/// their guess is cut short, as for a mechanism that starts at rest with all coordinates zero,
+/// another is made from there: an evaluation costs less than small steps do.
+double first_step(
+  const System & system, const Tableau & tableau, Values state, Table slopes, Table scale,
+  Values stage)
+{
+  double size = 0.0, slope = 0.0;
+  const Index count = state.size;
+  const auto weight = [&](Index i) {
+      return 1.0 / (scale(0, i) + scale(1, i) * std::abs(state[i]));
+    };
+  for (Index i = 0; i < count; ++i) {
+    const double one = state[i] * weight(i), other = slopes(0, i) * weight(i);
+    size += one * one;
+    slope += other * other;
+  }
+  size = std::sqrt(size / static_cast<double>(count));
+  slope = std::sqrt(slope / static_cast<double>(count));
+  double guess = size < 1e-5 || slope < 1e-5 ? 1e-6 : 0.01 * size / slope;
+  for (int n = 0; n < GUESSES; ++n) {
+    for (Index i = 0; i < count; ++i) {
+      stage[i] = state[i] + guess * slopes(0, i);
+    }
+    derivative(system, stage, slopes[1]);
+    double bend = 0.0;
+    for (Index i = 0; i < count; ++i) {
+      const double change = (slopes(1, i) - slopes(0, i)) * weight(i);
+      bend += change * change;
+    }
+    const double steepest =
+      std::max(slope, std::sqrt(bend / static_cast<double>(count)) / guess);
+    if (steepest <= 1e-15) {
+      return std::max(1e-6, guess * 1e-3);
+    }
+    const double best =
+      std::pow(0.01 / steepest, 1.0 / static_cast<double>(tableau.error_order + 1));
+    guess *= FARTHER;
+    if (!(best > guess)) {
+      return std::min(guess, best);
+    }
+  }
+  return guess;
+}
+
+/// Evaluate the slopes that only dense output needs.
+void extend_slopes(
+  const System & system, const Tableau & tableau, Values state, double size, Table slopes,
+  Values stage)
+{
+  Index first = tableau.steps();
+  if (tableau.error(0, first) != 0.0) {
+    ++first;
+  }
+  extend(system, tableau, state, size, slopes, stage, first);
+}
+}  // namespace
+
+void ExplicitRun::begin(double time, Values state) const
+{
+  control[control::HOLD] = time - control[control::RESTARTED];
+  control[control::RESTARTED] = control[control::REACHED] = time;
+  control[control::STIFFNESS] = 0.0;
+  copy(state, scratch[scratch::AFTER]);
+}
+
+void ExplicitRun::interpolate_at(const System & system, double time, Values out) const
+{
+  const Values before = scratch[scratch::BEFORE];
+  const double size = control[control::STEP_SIZE];
+  if (size == 0.0 || !is_before(time, control[control::REACHED])) {
+    copy(scratch[scratch::AFTER], out);
+    return;
+  }
+  const Table slopes = scratch.from(scratch::FIRST_SLOPE);
+  if (control[control::EXTENDED] == 0.0) {
+    extend_slopes(system, tableau, before, size, slopes, scratch[scratch::STAGE]);
+    control[control::EXTENDED] = 1.0;
+  }
+  interpolate(
+    tableau, before, size, slopes, (time - control[control::STEP_START]) / size, out);
+  normalise(system.manifold, out);
+}
+
+// Torques are expected to change again after as long as they were held the last time: a step ends
+// there, since what goes beyond would be thrown away.
+//
+// The step size times the fastest rate is estimated as by Hairer and Wanner (1996), section IV.2:
+// two states at the end of a step, the last stage's and the result, differ most in the direction
+// of the largest eigenvalue.
+//
+// The next step follows the trend of the error, too (Gustafsson's predictive control, Hairer and
+// Wanner 1996, section IV.8): where steps have to become smaller, every one would be rejected once
+// otherwise.
+Status ExplicitRun::accepted_step(const System & system, Interrupt & interrupt) const
+{
+  const Values stage = scratch[scratch::STAGE], out = scratch[scratch::OUT];
+  const Values before = scratch[scratch::BEFORE], after = scratch[scratch::AFTER];
+  const Values last = scratch[scratch::LAST_STAGE];
+  const Table slopes = scratch.from(scratch::FIRST_SLOPE);
+  const Index count = after.size, stages = tableau.steps();
+  const double exponent = 1.0 / static_cast<double>(tableau.error_order + 1);
+  const double reached = control[control::REACHED];
+  const double least = LEAST * std::max(std::abs(reached), 1e-3);
+  derivative(system, after, slopes[0]);
+  const bool landed = freeze_modes(system);
+  ContactSearch contacts;
+  if (control[control::STEP_SIZE] > 0.0) {
+    double turned = 0.0, moved = 0.0;
+    for (Index i = 0; i < count; ++i) {
+      const double turn = slopes(0, i) - slopes(stages - 1, i), move = after[i] - last[i];
+      turned += turn * turn;
+      moved += move * move;
+    }
+    control[control::STIFFNESS] =
+      moved > 0.0 ? control[control::STEP_SIZE] * std::sqrt(turned / moved) : 0.0;
+  }
+  double size = control[control::NEXT_STEP];
+  if (size == 0.0) {
+    size = first_step(system, tableau, after, slopes, scale, stage);
+  } else if (landed) {
+    // A good size of the motion before says little now.
+    size = std::min(size, first_step(system, tableau, after, slopes, scale, stage));
+  }
+  double wanted = size;
+  const double rest = control[control::RESTARTED] + control[control::HOLD] - reached;
+  if (rest > least) {
+    // Two steps of a half rather than one and a crumb.
+    size = size >= rest ? rest : size > 0.5 * rest ? std::min(size, 0.5 * rest) : size;
+  }
+  bool rejected = false, closed = true, extended = false;
+  int cuts = 0;
+  double error = 0.0;
+  const double size_before = control[control::STEP_SIZE];
+  const double error_before = std::max(control[control::ERROR], SIGNIFICANT);
+  if (system.has_effects()) {
+    size = std::min(size, time_to_next_corner(system.effects, after.from(system.own())));
+  }
+  while (true) {
+    if (!(size > least)) {
+      release_modes(system);
+      return !all_finite(slopes[0]) ? Status::NOT_FINITE :
+             closed ? Status::STEP_TOO_SMALL : Status::OPEN_LOOP;
+    }
+    if (interrupt.after(stages)) {
+      release_modes(system);
+      return Status::INTERRUPTED;
+    }
+    step(system, tableau, after, size, slopes, stage, out);
+    control[control::WORK] += static_cast<double>(stages);
+    copy(stage, last);
+    if (tableau.error(0, stages) != 0.0) {
+      derivative(system, out, slopes[stages]);
+    }
+    error = error_norm(tableau, size, slopes, after, out, scale);
+    // Written so that a NaN counts as an error too large.
+    if (error <= 1.0) {
+      const double part = locate_stick_event(
+        system, after, out, size,
+        std::max(least_part(std::max(size, wanted), cuts), LEAST * std::abs(reached)));
+      if (part < size) {
+        size = part;
+        ++cuts;
+        contacts.sought = -1;
+        forget_trials(system);
+        continue;
+      }
+      extended = false;
+      const double touched = contacts.part(
+        system, out, size, [&](double share) {
+          if (!extended) {
+            extend_slopes(system, tableau, after, size, slopes, stage);
+            extended = true;
+          }
+          interpolate(tableau, after, size, slopes, share, stage);
+          normalise(system.manifold, stage);
+          return stage;
+        });
+      if (touched != size) {
+        size = contacts.sought >= -1 ? touched : size;
+        ++cuts;
+        continue;
+      }
+      if (stabilise(system, stabilisation, out)) {
+        break;
+      }
+    }
+    rejected = true;
+    contacts.sought = -1;
+    forget_trials(system);
+    control[control::REJECTED] += 1.0;
+    // Loops that cannot be closed after a step can be after a shorter one.
+    closed = !(error <= 1.0);
+    const double cut = !closed ? 0.5 : !(error < 1e30) ? 0.0 : SAFETY * std::pow(error, -exponent);
+    size *= std::max(LARGEST_CUT, cut);
+    wanted = size;
+  }
+  if (!equations_serve(system, stabilisation, out)) {
+    release_modes(system);
+    return Status::POOR_EQUATIONS;
+  }
+  copy(after, before);
+  copy(out, after);
+  release_modes(system);
+  update_friction_modes(system, after);
+  if (system.has_effects()) {
+    pass_corners(system.effects, after.from(system.own()));
+  }
+  double growth = error < 1e-10 ? LARGEST_GROWTH :
+    std::min(LARGEST_GROWTH, SAFETY * std::pow(error, -exponent));
+  if (rejected) {
+    growth = std::min(growth, 1.0);
+  }
+  if (size_before > 0.0 && error > SIGNIFICANT) {
+    growth *= std::min(1.0, size / size_before * std::pow(error_before / error, exponent));
+  }
+  control[control::STEP_START] = reached;
+  control[control::STEP_SIZE] = size;
+  control[control::REACHED] += size;
+  // A step cut short says nothing against the size that was to be tried.
+  control[control::NEXT_STEP] =
+    std::max(size * std::max(growth, LARGEST_CUT), size < wanted ? wanted : 0.0);
+  control[control::EXTENDED] = extended ? 1.0 : 0.0;
+  control[control::ACCEPTED] += 1.0;
+  control[control::ERROR] = error;
+  control[control::LARGEST_ERROR] = std::max(control[control::LARGEST_ERROR], error);
+  return Status::DONE;
+}
+
+Status advance_explicit(
+  const System & system, const Tableau & tableau, Stabilisation stabilisation, Values state,
+  double origin, Index done, double step_size, Index steps, Values control, Table scale,
+  Table scratch)
+{
+  const Grid grid{origin, done, step_size, steps};
+  const ExplicitRun run{tableau, stabilisation, control, scale, scratch};
+  Interrupt interrupt(system.interrupted);
+  if (control[control::STEP_SIZE] == 0.0) {
+    run.begin(grid.start(), state);
+  }
+  const double target = grid.target();
+  const double most =
+    control[control::WORK] + MOST_EVALUATIONS * static_cast<double>(steps);
+  Status status = Status::DONE;
+  while (is_before(control[control::REACHED], target) && status == Status::DONE) {
+    status = run.accepted_step(system, interrupt);
+    if (status == Status::DONE && control[control::WORK] > most) {
+      status = Status::TOO_MUCH_WORK;
+    }
+  }
+  if (status != Status::DONE) {
+    copy(scratch[scratch::AFTER], state);
+    control[control::STEP_SIZE] = 0.0;
+    return status;
+  }
+  run.interpolate_at(system, target, state);
+  if (is_before(target, control[control::REACHED]) && !stabilise(system, stabilisation, state)) {
+    return Status::OPEN_LOOP;
+  }
+  return Status::DONE;
+}
+
+}  // namespace closedloop

@@ -1,0 +1,91 @@
+// SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+// SPDX-License-Identifier: Apache-2.0
+
+#ifndef CLOSEDLOOP_DYNAMICS__ENGINE__ERROR_CONTROL_HPP_
+#define CLOSEDLOOP_DYNAMICS__ENGINE__ERROR_CONTROL_HPP_
+
+#include <cmath>
+
+#include "interrupt.hpp"
+#include "runge_kutta.hpp"
+
+// Error-controlled steps of an embedded Runge-Kutta pair, with dense output between them.
+
+namespace closedloop
+{
+
+/// Columns of the control record, of all error-controlled methods: the time reached by whole steps;
+/// the step to try next (0: to be guessed); the start and the size of the latest step (0: there is
+/// none to interpolate); whether its slopes for dense output are complete; steps accepted and
+/// rejected since the last reset; the latest and the largest accepted error relative to the
+/// tolerance; evaluations; the time of the latest restart and how long before it the one before
+/// was; step size times fastest rate, as the latest step shows it.
+namespace control
+{
+enum : Index
+{
+  REACHED, NEXT_STEP, STEP_START, STEP_SIZE, EXTENDED, ACCEPTED, REJECTED, ERROR, LARGEST_ERROR,
+  WORK, RESTARTED, HOLD, STIFFNESS, COLUMNS
+};
+}
+
+/// Rows of the scratch of the explicit methods, shape (stages + FIRST_SLOPE, ns).
+namespace scratch
+{
+enum : Index {STAGE, OUT, BEFORE, AFTER, LAST_STAGE, FIRST_SLOPE};
+}
+
+/// The step size aimed a little below the tolerance.
+constexpr double SAFETY = 0.9;
+/// The least step, relative to the time that it has to change; times closer than that are the same.
+constexpr double LEAST = 1e-14;
+/// In the place of a step size: there is no step to interpolate, but there is a past.
+constexpr double NOTHING_BETWEEN = -1.0;
+/// Evaluation limit for each output step.
+constexpr double MOST_EVALUATIONS = 200000;
+
+/// Whether a time is before another by more than rounding.
+inline bool is_before(double time, double target)
+{
+  return target - time > LEAST * std::fmax(std::abs(target), 1e-3);
+}
+
+/// Times of output on a grid: number n is at origin + n * step_size.
+struct Grid
+{
+  double origin;
+  Index done;  ///< Steps before this call
+  double step_size;
+  Index steps;  ///< Steps to advance
+
+  double start() const {return origin + static_cast<double>(done) * step_size;}
+  double target() const {return origin + static_cast<double>(done + steps) * step_size;}
+};
+
+/// An error-controlled explicit run: the method, its tolerances, shape (2, ns), and its memory.
+struct ExplicitRun
+{
+  const Tableau & tableau;
+  Stabilisation stabilisation;
+  Values control;
+  Table scale;
+  Table scratch;
+
+  /// Start at a state, or start again where torques have changed.
+  void begin(double time, Values state) const;
+  /// Make one accepted step from where the latest ended.
+  Status accepted_step(const System &, Interrupt &) const;
+  /// State at a time within the latest step, before it is stabilised.
+  void interpolate_at(const System &, double time, Values out) const;
+};
+
+/// Advance a state, shape (ns,), over the grid by error-controlled steps that need not end on it.
+/// With STEP_SIZE zero the integration starts at the state; otherwise it goes on from where the
+/// latest step ended. On failure the state and REACHED are the latest good ones.
+Status advance_explicit(
+  const System &, const Tableau &, Stabilisation, Values state, double origin, Index done,
+  double step_size, Index steps, Values control, Table scale, Table scratch);
+
+}  // namespace closedloop
+
+#endif  // CLOSEDLOOP_DYNAMICS__ENGINE__ERROR_CONTROL_HPP_

@@ -1,0 +1,290 @@
+// SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+// SPDX-License-Identifier: Apache-2.0
+
+#include "evaluation.hpp"
+
+#include "cut_coordinates.hpp"
+#include "dispatch.hpp"
+#include "formulations.hpp"
+#include "forward_dynamics.hpp"
+#include "independent.hpp"
+#include "interrupt.hpp"
+#include "joint_reaction.hpp"
+#include "laws.hpp"
+#include "manifold.hpp"
+#include "null_space.hpp"
+#include "rank_revealing.hpp"
+#include "recursion.hpp"
+#include "refinement.hpp"
+#include "routines.hpp"
+#include "sticking.hpp"
+
+namespace closedloop
+{
+
+namespace
+{
+/// Kinematics and applied forces, which an elimination overwrites.
+void move_bodies(const System & system, Values q, Values qd)
+{
+  outward(system.model, q, qd, system.work);
+  apply_listed(system, q, qd);
+  if (system.has_effects() && system.effects.loaded[0] > 0) {
+    bias_forces(system.work, system.effects.reaction);
+  }
+}
+
+/// Accelerations with all closure equations, of which some depend on others.
+void accelerate_with_all_equations(const System & system, Values q, Values qd)
+{
+  const AllEquations & all = system.all;
+  const Model & model = all.empty() ? system.model : all.model;
+  const Workspace & work = all.empty() ? system.work : all.work;
+  const Values & settings = system.settings;
+  outward(model, q, qd, work);
+  apply_listed(system, q, qd);
+  accelerate_rank_revealing(
+    model, work, system.applied, settings[setting::BAUMGARTE_GAIN], settings[setting::ASIDE],
+    system.manifold, q, qd, system.qdd, all.empty() ? system.lam : all.lam);
+  if (!all.empty()) {
+    DenseMatrix jac(model.equations(), model.joints());
+    constraint_jacobian(model, work, view(jac));
+    multipliers_of_kept(jac, all.lam, all.kept, system.lam);
+  }
+}
+
+/// Accelerations by loops over bodies, where nothing is unrolled.
+void accelerate_by_loops(const System & system, Values q, Values qd)
+{
+  const Values & settings = system.settings;
+  const double gain = settings[setting::BAUMGARTE_GAIN];
+  move_bodies(system, q, qd);
+  const bool good = system.dense.gim.data != nullptr && system.dense.gim.rows > 0 ?
+    accelerate_dense(
+    system.model, system.work, system.dense,
+    static_cast<Index>(settings[setting::FORMULATION]), system.applied, gain, system.qdd,
+    system.lam) :
+    accelerate(system.model, system.work, system.applied, gain, system.qdd, system.lam);
+  if (good) {
+    return;
+  }
+  move_bodies(system, q, qd);
+  if (!accelerate_refined(
+      system.model, system.work, system.applied, gain, system.qdd, system.lam))
+  {
+    accelerate_with_all_equations(system, q, qd);
+  }
+}
+
+/// Accelerations where the elimination alone will not do, by what follows it.
+void accelerate_beyond_elimination(const System & system, Values q, Values qd)
+{
+  if (system.table[routine::REFINED_ACCELERATION] != 0) {
+    if (call(system.table, routine::REFINED_ACCELERATION, q, qd)) {
+      return;
+    }
+  } else {
+    move_bodies(system, q, qd);
+    if (accelerate_refined(
+        system.model, system.work, system.applied,
+        system.settings[setting::BAUMGARTE_GAIN], system.qdd, system.lam))
+    {
+      return;
+    }
+  }
+  accelerate_with_all_equations(system, q, qd);
+}
+
+/// Accelerations of all joints, those of cut joints behind.
+void accelerations_with_cuts(const System & system, Values q, Values qd)
+{
+  const CutCoordinates & cuts = system.effects.cuts;
+  outward(system.model, q, qd, system.work);
+  copy(system.qdd, cuts.qdd.part(0, system.nv()));
+  accelerations(cuts, system.model, system.work, system.qdd, true, cuts.qdd);
+}
+
+/// Solve the complementarity problem of static friction by the response to that of each joint at
+/// rest.
+void hold_joints_at_rest(const System & system, Values q, Values qd)
+{
+  const EffectTable & effects = system.effects;
+  const bool with_cuts = system.has_cut_coordinates();
+  const Values qdd = with_cuts ? effects.cuts.qdd : system.qdd;
+  const Indices & stuck = effects.sticking.rows;
+  const Values & hold = effects.sticking.hold;
+  const Index count = stuck[0];
+  if (with_cuts) {
+    accelerations_with_cuts(system, q, qd);
+  }
+  keep_frictionless(effects, qdd, system.lam);
+  for (Index place = 0; place < count; ++place) {
+    const Index row = stuck[place + 1];
+    hold[row] = effects.output(row, 3);
+    evaluate_in_parts(system, q, qd);
+    if (with_cuts) {
+      accelerations_with_cuts(system, q, qd);
+    }
+    keep_response(effects, place, qdd, system.lam);
+  }
+  balance_friction(effects, qdd, system.lam);
+  if (with_cuts) {
+    copy(qdd, system.qdd);
+    if (effects.loaded[0] > 0) {
+      // Friction at a cut joint acts on bodies: it is part of what the reactions balance.
+      for (Index place = 0; place < count; ++place) {
+        hold[stuck[place + 1]] = effects.output(stuck[place + 1], 1);
+      }
+      move_bodies(system, q, qd);
+      for (Index place = 0; place < count; ++place) {
+        hold[stuck[place + 1]] = 0.0;
+      }
+    }
+  }
+}
+
+/// Evaluate the reactions in joints that loaded effects read.
+void evaluate_joint_loads(const System & system, Values q, Values qd)
+{
+  if (system.is_unrolled()) {
+    call(system.table, routine::REACTIONS, q, qd);
+    update_joint_loads(system.model, system.work, system.effects, qd, system.lam);
+  } else {
+    load_joints(
+      system.model, system.work, system.effects, q, qd, system.qdd, system.lam);
+  }
+}
+
+/// Add what depends on the accelerations.
+void complete(const System & system, Values q, Values qd)
+{
+  if (!system.has_effects()) {
+    return;
+  }
+  if (system.effects.sticking.rows[0] > 0) {
+    hold_joints_at_rest(system, q, qd);
+  }
+  if (system.effects.motions.rows > 0) {
+    output_driving_forces(system.effects, system.lam);
+  }
+  if (system.effects.loaded[0] > 0) {
+    evaluate_joint_loads(system, q, qd);
+  }
+}
+}  // namespace
+
+void take_states(const System & system, Values state)
+{
+  if (system.has_effects()) {
+    copy(state.from(system.own()), system.effects.states);
+  }
+}
+
+void apply_listed(const System & system, Values q, Values qd)
+{
+  if (!system.has_effects()) {
+    return;
+  }
+  Values positions = q;
+  if (!system.manifold.empty()) {
+    fill_numbers(system.manifold, q);
+    positions = system.manifold.number;
+  }
+  apply_effects(system.effects, system.work.body, positions, qd, system.tau);
+}
+
+void evaluate_in_parts(const System & system, Values q, Values qd)
+{
+  if (!system.is_unrolled()) {
+    accelerate_by_loops(system, q, qd);
+    return;
+  }
+  call(system.table, routine::OUTWARD, q, qd);
+  apply_listed(system, q, qd);
+  if (!call(system.table, routine::ACCELERATION, q, qd)) {
+    accelerate_beyond_elimination(system, q, qd);
+  }
+}
+
+void evaluate(const System & system, Values q, Values qd)
+{
+  evaluate_in_parts(system, q, qd);
+  complete(system, q, qd);
+}
+
+void evaluate_with_poses(const System & system, Values state)
+{
+  take_states(system, state);
+  evaluate(system, system.q(state), system.qd(state));
+}
+
+bool is_regular(const System & system, Values q, Values qd)
+{
+  if (!system.is_unrolled()) {
+    move_bodies(system, q, qd);
+    return prepare(system.model, system.applied, system.work);
+  }
+  call(system.table, routine::OUTWARD, q, qd);
+  apply_listed(system, q, qd);
+  return call(system.table, routine::ACCELERATION, q, qd);
+}
+
+void evaluate_state(const System & system, Values state)
+{
+  const Values q = system.q(state), qd = system.qd(state);
+  if (system.has_effects()) {
+    take_states(system, state);
+    evaluate(system, q, qd);
+  } else if (!system.is_unrolled()) {
+    accelerate_by_loops(system, q, qd);
+  } else if (!call(system.table, routine::EVALUATION, q, qd)) {
+    call(system.table, routine::OUTWARD, q, qd);
+    accelerate_beyond_elimination(system, q, qd);
+  }
+}
+
+void evaluate_again(const System & system, Values state, Index count)
+{
+  Interrupt interrupt(system.interrupted);
+  for (Index n = 0; n < count && !interrupt.after(1); ++n) {
+    evaluate_state(system, state);
+    for (Index i = 0; i < system.nv(); ++i) {
+      state[i] += 0.0 * system.qdd[i];
+    }
+  }
+}
+
+void derivative(const System & system, Values state, Values out)
+{
+  if (system.is_independent()) {
+    close_by_dependent(
+      system.model, system.work, system.partition, system.manifold, system.q(state),
+      system.qd(state), system.settings[setting::CLOSURE_TOLERANCE], false);
+  }
+  evaluate_state(system, state);
+  rates_of_coordinates(system.manifold, state, system.nv(), out);
+  copy(system.qdd, out.part(system.nq(), system.nv()));
+  if (system.has_effects()) {
+    copy(system.effects.rates, out.part(system.own(), system.effects.rates.size));
+  }
+  power_of_turns(system.manifold, system.tau, state, system.nv(), out);
+}
+
+void rates_with_cuts(const System & system, Values state, Values out)
+{
+  const CutCoordinates & cuts = system.effects.cuts;
+  outward(system.model, system.q(state), system.qd(state), system.work);
+  copy(system.qd(state), out.part(0, system.nv()));
+  measure_cut_coordinates(
+    cuts.index, cuts.values, system.work.body, system.effects.states, system.nv(), cuts.q, out);
+}
+
+void update_motions(const System & system, Values state)
+{
+  if (system.has_effects() && system.effects.motions.rows > 0) {
+    take_states(system, state);
+    update_driven_motions(system.effects);
+  }
+}
+
+}  // namespace closedloop

@@ -1,0 +1,53 @@
+// SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+// SPDX-License-Identifier: Apache-2.0
+
+#ifndef CLOSEDLOOP_DYNAMICS__ENGINE__EVALUATION_HPP_
+#define CLOSEDLOOP_DYNAMICS__ENGINE__EVALUATION_HPP_
+
+#include "system.hpp"
+
+// One evaluation of a system: its accelerations, multipliers, and the rates of effects' states.
+
+namespace closedloop
+{
+
+/// Accelerations and multipliers of a state into System.qdd and System.lam; poses, velocities and
+/// closure errors are left in System.work. Effects' states are those in System.effects.
+void evaluate(const System &, Values q, Values qd);
+
+/// The same without friction at rest, driving forces and joint loads.
+void evaluate_in_parts(const System &, Values q, Values qd);
+
+/// The same of a state vector, shape (ns,), with the effects' states in it.
+void evaluate_with_poses(const System &, Values state);
+
+/// Whether an elimination alone gives the accelerations of a state.
+bool is_regular(const System &, Values q, Values qd);
+
+/// Accelerations, multipliers and rates of effects' states of a state vector, shape (ns,); poses
+/// and closure errors may be left undefined.
+void evaluate_state(const System &, Values state);
+
+/// Evaluate a state again and again, to be timed without the calls; each evaluation waits for the
+/// one before, as in a simulation.
+void evaluate_again(const System &, Values state, Index count);
+
+/// Time derivative of a state, both of shape (ns,). Of independent coordinates the others are first
+/// guesses only: they are corrected in `state`.
+void derivative(const System &, Values state, Values out);
+
+/// Hand the effects' own states over to them.
+void take_states(const System &, Values state);
+
+/// Forces of the listed effects on the bodies, and joint torques, after `outward`.
+void apply_listed(const System &, Values q, Values qd);
+
+/// Rates of all joints of a state, those of cut joints behind, shape (nv + nk,).
+void rates_with_cuts(const System &, Values state, Values out);
+
+/// Bring the closure equations of driven motions up to the time of a state.
+void update_motions(const System &, Values state);
+
+}  // namespace closedloop
+
+#endif  // CLOSEDLOOP_DYNAMICS__ENGINE__EVALUATION_HPP_

@@ -1,0 +1,94 @@
+// SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+// SPDX-License-Identifier: Apache-2.0
+
+#include "forces.hpp"
+#include "laws.hpp"
+
+namespace closedloop
+{
+
+namespace
+{
+// Numbers of an entry: stroke at which a piece begins, coefficients, energy there.
+constexpr Index COLUMNS = 6;
+
+struct ForceAndEnergy
+{
+  double force;
+  double energy;
+};
+
+/// Force and energy at a stroke.
+ForceAndEnergy look_up(const EffectTable & table, Index row, double stroke)
+{
+  const double * pieces = table.data.data + table.index(row, effect::DATA);
+  // The piece before the table begins where its first one does.
+  Index low = 0, high = table.index(row, effect::ENTRIES) - 1;
+  if (stroke < pieces[0]) {
+    high = 0;
+  }
+  while (high - low > 0) {
+    const Index middle = (low + high + 1) / 2;
+    if (pieces[COLUMNS * middle] <= stroke) {
+      low = middle;
+    } else {
+      high = middle - 1;
+    }
+  }
+  const double * c = pieces + COLUMNS * low;
+  const double u = stroke - c[0];
+  return {
+    c[1] + u * (c[2] + u * (c[3] + u * c[4])),
+    c[5] + u * (c[1] + u * (c[2] / 2.0 + u * (c[3] / 3.0 + u * c[4] / 4.0)))};
+}
+
+void write_readings(
+  const EffectTable & table, Index row, double force, double stroke, double energy,
+  double dissipated)
+{
+  table.rates[table.index(row, effect::STATE)] = dissipated;
+  table.output(row, effect::STORED) = energy;
+  table.output(row, 1) = force;
+  table.output(row, 2) = stroke;
+}
+}  // namespace
+
+void apply_joint_force_table(
+  const EffectTable & table, Index row, Table, Values q, Values qd, Values)
+{
+  const Index joint = table.index(row, effect::FIRST);
+  const double damping = table.values(row, 0);
+  const auto [force, energy] = look_up(table, row, q[joint]);
+  const double loss = damping * qd[joint];
+  table.applied[joint] += force - loss;
+  write_readings(table, row, force - loss, q[joint], -energy, loss * qd[joint]);
+}
+
+void apply_point_force_table(
+  const EffectTable & table, Index row, Table body, Values, Values, Values)
+{
+  const double * values = table.values.row(row);
+  const Index a = table.index(row, effect::FIRST), b = table.index(row, effect::SECOND);
+  const Vector2 point_a = vector2(values + 1), point_b = vector2(values + 3);
+  const Line<Vector2> line = line_between(body, a, point_a, b, point_b);
+  const auto [force, energy] = look_up(table, row, line.length);
+  const double tension = line.length > 0.0 ? force + values[0] * line.rate : 0.0;
+  apply_force(body, a, to_world(body, a, point_a), tension * line.direction);
+  apply_force(body, b, to_world(body, b, point_b), -tension * line.direction);
+  write_readings(table, row, tension, line.length, energy, values[0] * line.rate * line.rate);
+}
+
+void apply_spatial_force_table(
+  const EffectTable & table, Index row, Table body, Values, Values, Values)
+{
+  const double * values = table.values.row(row);
+  const Index a = table.index(row, effect::FIRST), b = table.index(row, effect::SECOND);
+  const Line<Vector3> line = line_between(body, a, vector3(values + 1), b, vector3(values + 4));
+  const auto [force, energy] = look_up(table, row, line.length);
+  const double tension = line.length > 0.0 ? force + values[0] * line.rate : 0.0;
+  apply_force_at(body, a, line.start, tension * line.direction);
+  apply_force_at(body, b, line.end, -tension * line.direction);
+  write_readings(table, row, tension, line.length, energy, values[0] * line.rate * line.rate);
+}
+
+}  // namespace closedloop

@@ -1,0 +1,146 @@
+// SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+// SPDX-License-Identifier: Apache-2.0
+
+#include <algorithm>
+#include <cmath>
+
+#include "forces.hpp"
+#include "laws.hpp"
+#include "sticking.hpp"
+
+namespace closedloop
+{
+
+namespace
+{
+// The driving torque of an actuator fades over this part of its speed range.
+constexpr double FADING = 0.1;
+
+/// The largest friction at a rate [N m; N].
+double friction_limit(const EffectTable & table, Index row, double rate)
+{
+  const Values values = table.values[row];
+  double level = values[0] + values[3] * table.states[table.index(row, effect::STATE) + 1];
+  const double excess = values[1] - 1.0;
+  if (excess > 0.0) {
+    const double ratio = rate / values[2];
+    level *= 1.0 + excess * std::exp(-(ratio * ratio));
+  }
+  return level;
+}
+
+/// List an effect among those whose force follows from accelerations.
+void list_sticking(const Sticking & sticking, Index row)
+{
+  sticking.rows[0] += 1;
+  sticking.rows[sticking.rows[0]] = row;
+}
+}  // namespace
+
+void apply_joint_damping(
+  const EffectTable & table, Index row, Table, Values, Values qd, Values)
+{
+  const Index joint = table.index(row, effect::FIRST), state = table.index(row, effect::STATE);
+  const double torque = -table.values(row, 0) * qd[joint];
+  table.applied[joint] += torque;
+  table.rates[state] = -torque * qd[joint];
+  table.output(row, 1) = torque;
+}
+
+void apply_joint_spring(
+  const EffectTable & table, Index row, Table, Values q, Values, Values)
+{
+  const Index joint = table.index(row, effect::FIRST);
+  const double stiffness = table.values(row, 0);
+  const double stretch = q[joint] - table.values(row, 1);
+  table.applied[joint] -= stiffness * stretch;
+  table.output(row, effect::STORED) = 0.5 * stiffness * stretch * stretch;
+  table.output(row, 1) = -stiffness * stretch;
+}
+
+void apply_end_stop(
+  const EffectTable & table, Index row, Table, Values q, Values qd, Values)
+{
+  const Values values = table.values[row];
+  const Index joint = table.index(row, effect::FIRST), state = table.index(row, effect::STATE);
+  // Beyond the nearer stop; as a rule less than zero.
+  double sign = 1.0, depth = q[joint] - values[2];
+  if (values[1] - q[joint] > depth) {
+    sign = -1.0;
+    depth = values[1] - q[joint];
+  }
+  const double rate = sign * qd[joint];
+  if (!update_contact(table.contacts, row, -depth, -rate)) {
+    depth = 0.0;
+  }
+  const double elastic = values[0] * depth;
+  const double push = elastic * std::max(0.0, 1.0 + values[3] * rate);
+  table.applied[joint] -= sign * push;
+  table.rates[state] = (push - elastic) * rate;
+  table.output(row, effect::STORED) = 0.5 * elastic * depth;
+  table.output(row, 1) = -sign * push;
+  table.output(row, 2) = depth;
+}
+
+void apply_joint_friction(
+  const EffectTable & table, Index row, Table, Values, Values qd, Values)
+{
+  const Index joint = table.index(row, effect::FIRST), state = table.index(row, effect::STATE);
+  const double rate = qd[joint];
+  const double most = friction_limit(table, row, rate);
+  double direction = table.states[state], torque;
+  // A joint that breaks away within a step goes on as one that slides.
+  if (std::fabs(direction) < 0.5 && std::fabs(rate) > REST) {
+    direction = rate;
+  }
+  if (std::fabs(direction) < 0.5 && std::fabs(rate) <= REST) {
+    list_sticking(table.sticking, row);
+    torque = table.sticking.hold[row];
+  } else {
+    torque = -std::copysign(most, direction);
+  }
+  table.applied[joint] += torque;
+  table.rates[state] = 0.0;
+  table.rates[state + 2] = 0.0 - torque * rate;
+  table.output(row, 1) = torque;
+  table.output(row, 3) = most;
+}
+
+void apply_actuator(
+  const EffectTable & table, Index row, Table, Values, Values qd, Values tau)
+{
+  const Values values = table.values[row];
+  const Index joint = table.index(row, effect::FIRST), state = table.index(row, effect::STATE);
+  const double limit = values[0], rate = qd[joint];
+  const double command = std::max(-limit, std::min(limit, tau[joint]));
+  double torque = command;
+  if (values[2] > 0.0) {
+    torque = table.states[state];
+    table.rates[state] = (command - torque) / values[2];
+    // A limit may have been lowered since.
+    torque = std::max(-limit, std::min(limit, torque));
+  }
+  const double speed = std::fabs(rate);
+  if (torque * rate > 0.0 && speed > (1.0 - FADING) * values[1]) {
+    torque *= std::max(0.0, 1.0 - speed / values[1]) / FADING;
+  }
+  table.applied[joint] += torque - tau[joint];
+  table.rates[state + 1] = torque * rate;
+  table.output(row, 1) = torque;
+}
+
+void apply_cut_rotor(
+  const EffectTable & table, Index row, Table, Values, Values qd, Values)
+{
+  const Index joint = table.index(row, effect::FIRST);
+  const double inertia = table.values(row, 0), torque = table.sticking.hold[row];
+  if (inertia > 0.0) {
+    list_sticking(table.sticking, row);
+  }
+  table.applied[joint] += torque;
+  table.output(row, effect::STORED) = 0.5 * inertia * qd[joint] * qd[joint];
+  table.output(row, 1) = torque;
+  table.output(row, 3) = inertia;
+}
+
+}  // namespace closedloop

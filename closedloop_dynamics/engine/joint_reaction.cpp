@@ -1,0 +1,128 @@
+// SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+// SPDX-License-Identifier: Apache-2.0
+
+#include "joint_reaction.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include "cut_coordinates.hpp"
+#include "forces.hpp"
+#include "recursion.hpp"
+#include "routines.hpp"
+
+namespace closedloop
+{
+
+namespace
+{
+// Places in a planar wrench.
+constexpr Index FORCE_X = 1, FORCE_Y = 2;
+
+bool is_loaded(const EffectTable & table, Index row)
+{
+  return table.enabled[row] == 1 && table.index(row, effect::LOADED) == 1;
+}
+
+/// The state of an effect follows a reaction [N].
+void follow_load(const EffectTable & table, Index row, double size)
+{
+  const Index state = table.index(row, effect::STATE) + 1;
+  table.rates[state] =
+    (size - table.states[state]) / table.values(row, effect::LOAD_TIME);
+  table.output(row, 2) = size;
+}
+
+/// Force in a joint of the tree, across the axis of one that slides [N]: in the plane, in space.
+double planar_load(Indexes tree, Table body, Table reaction, Index i)
+{
+  const double fx = reaction(i, FORCE_X), fy = reaction(i, FORCE_Y);
+  if (tree(i, tree::TYPE) == tree::PRISMATIC) {
+    return std::fabs(body(i, plane::SX) * fy - body(i, plane::SY) * fx);
+  }
+  return std::sqrt(fx * fx + fy * fy);
+}
+
+double spatial_load(Indexes tree, Table body, Table reaction, Index i)
+{
+  const Vector3 force = vector3(reaction.row(i) + 3);
+  double square = dot(force, force);
+  if (tree(i, tree::TYPE) == tree::PRISMATIC) {
+    // Z of the row's frame, or the axis that it slides along.
+    const double * axis = body.row(i) + space::FRAME + tree(i, tree::AXIS);
+    const double along = axis[0] * force.x + axis[3] * force.y + axis[6] * force.z;
+    square = std::max(0.0, square - along * along);
+  }
+  return std::sqrt(square);
+}
+
+/// Force in the cut joint of coordinate `k` [N].
+double cut_load(
+  const EffectTable & table, const Model & model, const Workspace & work, Values lam, Index k)
+{
+  const CutCoordinates & cuts = table.cuts;
+  const Indexes & cut = model.cut;
+  const Index a = cuts.index(k, cut_coordinate::CUT);
+  const double * share = work.share.data;
+  wrenches_of_cut(cut, model.cut_point, work.cut_piece, work.body, lam, work.share, a);
+  const bool planar = cuts.index(k, cut_coordinate::IN_PLANE) == 1;
+  Vector3 force = planar ? Vector3{share[FORCE_X], share[FORCE_Y], 0.0} : vector3(share + 3);
+  if (cuts.index(k, cut_coordinate::ACROSS) == 0) {
+    // What acts along the joint's slides passes through it, too.
+    const Index first = table.applied.size - cuts.index.rows;
+    for (Index n = 0; n < cuts.index.rows; ++n) {
+      if (cuts.index(n, cut_coordinate::CUT) == a && cuts.index(n, cut_coordinate::SLIDES) == 1) {
+        force = force + table.applied[first + n] * cut_direction(
+          work.body, cuts.index(n, cut_coordinate::ROW_B), planar, cuts.values, n,
+          cut_coordinate::AXIS);
+      }
+    }
+  }
+  double square = dot(force, force);
+  if (cuts.index(k, cut_coordinate::ACROSS) == 1) {
+    const Vector3 axis = cut_direction(
+      work.body, cuts.index(k, cut_coordinate::ROW_B), planar, cuts.values, k,
+      cut_coordinate::AXIS);
+    const double along = dot(axis, force);
+    square = std::max(0.0, square - along * along);
+  }
+  return std::sqrt(square);
+}
+}  // namespace
+
+void load_joints(
+  const Model & model, const Workspace & work, const EffectTable & table, Values q, Values qd,
+  Values qdd, Values lam)
+{
+  if (!work.planar()) {
+    // The elimination leaves less behind than is read here.
+    outward(model, q, qd, work);
+  }
+  joint_wrenches(model, work, qdd, lam, table.reaction);
+  update_joint_loads(model, work, table, qd, lam);
+}
+
+void update_joint_loads(
+  const Model & model, const Workspace & work, const EffectTable & table, Values qd, Values lam)
+{
+  const bool planar = work.planar();
+  for (Index row = 0; row < table.count(); ++row) {
+    if (is_loaded(table, row) && table.index(row, effect::FIRST) < qd.size) {
+      const Index i = table.index(row, effect::SECOND);
+      follow_load(
+        table, row, planar ? planar_load(model.tree, work.body, table.reaction, i) :
+        spatial_load(model.tree, work.body, table.reaction, i));
+    }
+  }
+  if (table.cuts.index.rows > 0) {
+    for (Index row = 0; row < table.count(); ++row) {
+      if (is_loaded(table, row) && table.index(row, effect::FIRST) >= qd.size) {
+        follow_load(
+          table, row,
+          cut_load(table, model, work, lam, table.index(row, effect::FIRST) - qd.size));
+      }
+    }
+  }
+}
+
+}  // namespace closedloop

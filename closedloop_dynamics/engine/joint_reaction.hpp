@@ -1,0 +1,30 @@
+// SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+// SPDX-License-Identifier: Apache-2.0
+
+#ifndef CLOSEDLOOP_DYNAMICS__ENGINE__JOINT_REACTION_HPP_
+#define CLOSEDLOOP_DYNAMICS__ENGINE__JOINT_REACTION_HPP_
+
+#include "effect_table.hpp"
+#include "model.hpp"
+
+// Reactions in joints, for effects that depend on them: friction. Each follows its reaction with a
+// lag, in a state of its own.
+
+namespace closedloop
+{
+
+/// Compute the wrenches in the joints, and update the loads. EffectTable.reaction is as
+/// `bias_forces` leaves it; of the workspace only poses are read. `qdd`, shape (nv,), `lam`, shape
+/// (nc,): accelerations and multipliers.
+void load_joints(
+  const Model &, const Workspace &, const EffectTable &, Values q, Values qd, Values qdd,
+  Values lam);
+
+/// Write the rates of the loads and the readings; EffectTable.reaction has the wrenches in the
+/// joints of the trees.
+void update_joint_loads(
+  const Model &, const Workspace &, const EffectTable &, Values qd, Values lam);
+
+}  // namespace closedloop
+
+#endif  // CLOSEDLOOP_DYNAMICS__ENGINE__JOINT_REACTION_HPP_

@@ -1,0 +1,78 @@
+// SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+// SPDX-License-Identifier: Apache-2.0
+
+#include "left_out.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include "loop_closure.hpp"
+#include "recursion.hpp"
+
+namespace closedloop
+{
+
+namespace
+{
+// Columns of AllEquations.numbers (integration/left_out.py).
+enum : Index {PIVOT, KINETIC, LENIENT, OPENED};
+// Closure errors of equations that follow from others, of the closure tolerance.
+constexpr double IMPLIED = 1e3;
+// Kinetic energy that the projection may discard after a step, of the most that there was: more is
+// no error of the step, but equations that hinder the motion.
+constexpr double DISCARDED = 1e-6;
+// Pivots that are good enough; how much smaller one must have become; and how fast, from step to
+// step, the pivot that this is measured by may grow.
+constexpr double GOOD_PIVOT = 0.02, SMALLER = 0.25, GROWTH = 1.1;
+
+/// Kinetic energy of a state [J].
+double kinetic_energy(const AllEquations & all, Values q, Values qd)
+{
+  outward(all.model, q, qd, all.own);
+  energies(all.model, all.own, qd, all.energy);
+  return all.energy[0];
+}
+}  // namespace
+
+bool equations_serve(const System & system, Stabilisation stabilisation, Values state)
+{
+  const AllEquations & all = system.all;
+  if (all.empty() || stabilisation < Stabilisation::PROJECTION) {
+    return true;
+  }
+  const Values q = system.q(state), qd = system.qd(state), & settings = system.settings;
+  const Values & numbers = all.numbers;
+  // The projection has left in `qdd` its change of the rates.
+  const double discarded = stabilisation == Stabilisation::PROJECTION ?
+    kinetic_energy(all, q, system.qdd) : 0.0;
+  numbers[KINETIC] = std::max(numbers[KINETIC], kinetic_energy(all, q, qd));
+  update(all.model, all.own, Responses::NONE);
+  double fastest = 1.0;
+  for (double rate : qd) {
+    fastest = std::max(fastest, std::abs(rate));
+  }
+  const double implied = IMPLIED * settings[setting::CLOSURE_TOLERANCE];
+  const double error = largest(all.own.closure);
+  const bool hold = error <= implied && largest(all.own.closure_rate) <= implied * fastest;
+  const bool strict = hold && discarded <= DISCARDED * numbers[KINETIC];
+  const double pivot = system.work.health[health::SMALLEST_PIVOT];
+  const bool worn = pivot < numbers[PIVOT];
+  if ((numbers[LENIENT] == 0.0 && (worn || !strict)) ||
+    !(error <= settings[setting::CLOSURE_LIMIT]))
+  {
+    numbers[OPENED] = hold ? 0.0 : 1.0;
+    return false;
+  }
+  if (strict) {
+    numbers[LENIENT] = 0.0;
+  }
+  const double limit = std::min(GOOD_PIVOT, SMALLER * pivot);
+  if (worn || numbers[PIVOT] == 0.0) {
+    numbers[PIVOT] = limit;
+  } else {
+    numbers[PIVOT] = std::max(numbers[PIVOT], std::min(limit, GROWTH * numbers[PIVOT]));
+  }
+  return true;
+}
+
+}  // namespace closedloop

@@ -1,0 +1,277 @@
+// SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+// SPDX-License-Identifier: Apache-2.0
+
+#include "loop_closure.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include "routines.hpp"
+
+namespace closedloop
+{
+
+/// Carry a wrench inward over entries of a path; keep its share in each joint.
+static void carry(
+  const Model & model, const Workspace & work, Index piece, Index first, Index last,
+  double * wrench, Index row)
+{
+  for (Index entry = first; entry < last; ++entry) {
+    const Index i = model.path_body[entry];
+    run_piece(
+      work.piece(i, piece), model.body.row(i), work.body.row(i), work.body.row(i), wrench,
+      work.share.data);
+    work.response(entry, row) = work.share[0];
+    work.response_scaled(entry, row) = work.share[1];
+  }
+}
+
+/// Set the wrenches that arrive at the bodies of a path, and at their parents, to zero.
+static void clear_arrived(const Model & model, const Workspace & work, Index first, Index last)
+{
+  for (Index entry = first; entry < last; ++entry) {
+    const Index i = model.path_body[entry];
+    for (Index n = 0; n < 6; ++n) {
+      work.force(i, n) = work.force(model.tree(i, tree::PARENT), n) = 0.0;
+    }
+  }
+}
+
+/// Respond to a coupling of joints; a path entry's body comes before its parent.
+static void respond_in_joints(
+  const Model & model, const Workspace & work, Index piece, Index a, Index row)
+{
+  const Indexes & cut = model.cut;
+  const Table & arrived = work.force;
+  const Values & share = work.share;
+  const Index first = cut(a, cut::PATH_A), last = cut(a, cut::PATH_END);
+  clear_arrived(model, work, first, last);
+  for (Index entry = first; entry < last; ++entry) {
+    const Index i = model.path_body[entry], p = model.tree(i, tree::PARENT);
+    const double factor = model.cut_point(a, cut::FACTORS + entry - first);
+    share[0] = factor;
+    share[1] = 0.0;
+    if (piece == stage::REDUCE) {
+      run_piece(
+        work.piece(i, stage::REDUCE_COUPLED), model.body.row(i), work.body.row(i),
+        work.body.row(i), arrived.row(i), share.data);
+      for (Index n = 0; n < 6; ++n) {
+        arrived(p, n) += arrived(i, n);
+      }
+    } else if (piece == stage::LEVER && work.planar()) {
+      // A joint's angle is its body's less its parent's; a slide turns with its parent.
+      if (model.tree(i, tree::TYPE) == tree::PRISMATIC) {
+        arrived(p, 0) += arrived(i, 0);
+      } else {
+        share[0] += arrived(i, 0);
+        arrived(p, 0) -= factor;
+      }
+    }
+    work.response(entry, row) = share[0];
+    work.response_scaled(entry, row) = share[1];
+  }
+}
+
+/// Respond to a place or angle of two bodies that joints are coupled to.
+static void respond_in_both(const Model & model, const Workspace & work, Index piece, Index a)
+{
+  const Indexes & cut = model.cut;
+  const Table & arrived = work.force;
+  const Values & share = work.share, & equation = work.equation;
+  const Index first = cut(a, cut::PATH_A), last = cut(a, cut::PATH_END), size = work.size();
+  const Index own_columns = work.planar() ?
+    static_cast<Index>(plane::CUT_POINT_COLUMNS) : static_cast<Index>(space::CUT_POINT_COLUMNS);
+  const Index before = cut::FACTORS + own_columns - first;
+  clear_arrived(model, work, first, last);
+  for (Index n = 0; n < size; ++n) {
+    arrived(cut(a, cut::BODY_A), n) = equation[3 + n];
+  }
+  for (Index n = 0; n < size; ++n) {
+    arrived(cut(a, cut::BODY_B), n) += equation[3 + size + n];
+  }
+  for (Index entry = first; entry < last; ++entry) {
+    const Index i = model.path_body[entry], p = model.tree(i, tree::PARENT);
+    const double factor = model.cut_point(a, before + entry);
+    share[0] = factor;
+    share[1] = 0.0;
+    const bool reduces = piece == stage::REDUCE;
+    run_piece(
+      work.piece(i, reduces ? static_cast<Index>(stage::REDUCE_COUPLED) : piece),
+      model.body.row(i), work.body.row(i), work.body.row(i), arrived.row(i), share.data);
+    if (!reduces) {
+      share[0] += factor;
+    }
+    for (Index n = 0; n < size; ++n) {
+      arrived(p, n) += arrived(i, n);
+    }
+    if (piece == stage::LEVER && size == 3) {
+      // As above, in a column that no planar wrench has.
+      if (model.tree(i, tree::TYPE) == tree::PRISMATIC) {
+        arrived(p, 3) += arrived(i, 3);
+      } else {
+        share[0] += arrived(i, 3);
+        arrived(p, 3) -= factor;
+      }
+    }
+    work.response(entry, 0) = share[0];
+    work.response_scaled(entry, 0) = share[1];
+  }
+}
+
+void respond(const Model & model, const Workspace & work, Index piece, Index a, Index row)
+{
+  const Indexes & cut = model.cut;
+  const Table & wrench = work.wrench;
+  const Index size = work.size();
+  if (cut(a, cut::TYPE) == cut::COUPLING || cut(a, cut::TYPE) == cut::PRESCRIBED_JOINT) {
+    respond_in_joints(model, work, piece, a, row);
+    return;
+  }
+  if (cut(a, cut::TYPE) >= cut::COUPLED_PLACE) {
+    respond_in_both(model, work, piece, a);
+    return;
+  }
+  const Index place = row * (3 + 2 * size) + 3;
+  for (Index n = 0; n < size; ++n) {
+    wrench(0, n) = work.equation[place + n];
+    wrench(1, n) = work.equation[place + size + n];
+  }
+  const Index middle = cut(a, cut::PATH_B), common = cut(a, cut::PATH_COMMON);
+  const Index end = cut(a, cut::PATH_END);
+  carry(model, work, piece, cut(a, cut::PATH_A), middle, wrench.row(0), row);
+  if (middle < end) {
+    carry(model, work, piece, middle, common, wrench.row(1), row);
+    if (common < end) {
+      for (Index n = 0; n < size; ++n) {
+        wrench(0, n) += wrench(1, n);
+      }
+      carry(model, work, piece, common, end, wrench.row(0), row);
+    }
+  }
+}
+
+/// Value and rate of what a coupling makes of the joints of the tree, less what it holds.
+static void sum_of_joints(
+  const Model & model, const Workspace & work, Index a, Index begin, double & value,
+  double & rate)
+{
+  const Indexes & cut = model.cut;
+  const Index position = work.planar() ?
+    static_cast<Index>(plane::POSITION) : static_cast<Index>(space::JOINT_POSITION);
+  const Index speed = work.planar() ?
+    static_cast<Index>(plane::RATE) : static_cast<Index>(space::JOINT_RATE);
+  value = -model.cut_point(a, begin + cut::HELD_SUM);
+  rate = 0.0;
+  for (Index entry = cut(a, cut::PATH_A); entry < cut(a, cut::PATH_END); ++entry) {
+    const double factor =
+      model.cut_point(a, begin + cut::FACTORS + entry - cut(a, cut::PATH_A));
+    if (factor != 0.0) {
+      value += factor * work.body(model.path_body[entry], position);
+      rate += factor * work.body(model.path_body[entry], speed);
+    }
+  }
+}
+
+void measure(const Model & model, const Workspace & work, Index a)
+{
+  const Indexes & cut = model.cut;
+  const Table & point = model.cut_point;
+  const Index type = cut(a, cut::TYPE), last = point.columns - cut::MOTION_COLUMNS;
+  double value, rate;
+  if (type == cut::COUPLING || type == cut::PRESCRIBED_JOINT) {
+    sum_of_joints(model, work, a, 0, value, rate);
+    work.equation[0] = value;
+    work.equation[1] = rate;
+    work.equation[2] = 0.0;
+    if (type == cut::PRESCRIBED_JOINT) {
+      for (Index n = 0; n < cut::MOTION_COLUMNS; ++n) {
+        work.equation[n] -= point(a, last + n);
+      }
+    }
+    return;
+  }
+  if (type >= cut::COUPLED_PLACE) {
+    sum_of_joints(
+      model, work, a,
+      work.planar() ?
+      static_cast<Index>(plane::CUT_POINT_COLUMNS) : static_cast<Index>(space::CUT_POINT_COLUMNS),
+      value, rate);
+    point(a, last) = -value;
+    point(a, last + 1) = -rate;
+    point(a, last + 2) = 0.0;
+  }
+  run_piece(
+    work.cut_piece(a, stage::EQUATIONS), point.row(a), work.body.row(cut(a, cut::BODY_A)),
+    work.body.row(cut(a, cut::BODY_B)), work.equation.data, work.share.data);
+}
+
+void update(const Model & model, const Workspace & work, Responses responses)
+{
+  const Indexes & cut = model.cut;
+  const Values & equation = work.equation;
+  const Index size = 3 + 2 * work.size();
+  for (Index a = 0; a < cut.rows; ++a) {
+    measure(model, work, a);
+    for (Index k = 0; k < cut(a, cut::ROWS); ++k) {
+      const Index row = cut(a, cut::ROW) + k;
+      work.closure[row] = equation[k * size];
+      work.closure_rate[row] = equation[k * size + 1];
+      work.bias[row] = equation[k * size + 2];
+      if (responses != Responses::NONE) {
+        respond(
+          model, work,
+          responses == Responses::REDUCED ? stage::REDUCE : stage::LEVER, a, k);
+      }
+    }
+  }
+}
+
+double largest(Values values)
+{
+  double most = 0.0;
+  for (double value : values) {
+    if (!(std::abs(value) <= most)) {
+      most = std::abs(value);
+    }
+  }
+  return most;
+}
+
+void free_acceleration(const Model & model, const Workspace & work, Values out)
+{
+  const Indexes & cut = model.cut;
+  for (Index a = 0; a < cut.rows; ++a) {
+    for (Index k = 0; k < cut(a, cut::ROWS); ++k) {
+      double total = 0.0;
+      for (Index entry = cut(a, cut::PATH_A); entry < cut(a, cut::PATH_END); ++entry) {
+        total += work.response_scaled(entry, k) * work.body(model.path_body[entry], work::RHS);
+      }
+      out[cut(a, cut::ROW) + k] = total;
+    }
+  }
+}
+
+void apply(const Model & model, const Workspace & work, Values lam)
+{
+  const Indexes & cut = model.cut;
+  for (Index a = 0; a < cut.rows; ++a) {
+    for (Index entry = cut(a, cut::PATH_A); entry < cut(a, cut::PATH_END); ++entry) {
+      double & total = work.body(model.path_body[entry], work::RHS);
+      for (Index k = 0; k < cut(a, cut::ROWS); ++k) {
+        total += work.response(entry, k) * lam[cut(a, cut::ROW) + k];
+      }
+    }
+  }
+}
+
+void to_user_order(const Model & model, Values ordered, Values out)
+{
+  const Indexes & cut = model.cut;
+  for (Index a = 0; a < cut.rows; ++a) {
+    for (Index k = 0; k < cut(a, cut::ROWS); ++k) {
+      out[cut(a, cut::CUT_ROW) + k] = ordered[cut(a, cut::ROW) + k];
+    }
+  }
+}
+
+}  // namespace closedloop

@@ -1,0 +1,23 @@
+// SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+// SPDX-License-Identifier: Apache-2.0
+
+#ifndef CLOSEDLOOP_DYNAMICS__ENGINE__LU_HPP_
+#define CLOSEDLOOP_DYNAMICS__ENGINE__LU_HPP_
+
+#include "array.hpp"
+
+// Dense LU factors with partial pivoting, in place and kept for many right-hand sides: Eigen's
+// allocate when they are made.
+
+namespace closedloop
+{
+
+/// Factor a matrix in place; return the smallest pivot relative to the largest.
+double factorize(Table matrix, Indices pivots);
+
+/// Solve in place with the factors.
+void solve(Table matrix, Indices pivots, Values right);
+
+}  // namespace closedloop
+
+#endif  // CLOSEDLOOP_DYNAMICS__ENGINE__LU_HPP_

@@ -1,0 +1,150 @@
+// SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+// SPDX-License-Identifier: Apache-2.0
+
+#include "projection.hpp"
+
+#include <cmath>
+
+#include "elimination.hpp"
+#include "evaluation.hpp"
+#include "forward_dynamics.hpp"
+#include "independent.hpp"
+#include "loop_closure.hpp"
+#include "manifold.hpp"
+#include "rank_revealing.hpp"
+#include "recursion.hpp"
+#include "refinement.hpp"
+#include "routines.hpp"
+
+namespace closedloop
+{
+
+namespace
+{
+// Newton's method doubles the digits each time: what eight corrections do not close stays open.
+constexpr int MOST_CORRECTIONS = 8;
+// Closure tolerance near a singular configuration, against the ordinary one.
+constexpr double SHARPER = 1e-3;
+
+/// Which code knows the corrections of a state.
+enum class By {ROUTINE, LOOPS, RANK};
+
+/// Factor by loops over bodies; return whether the closure equations are independent.
+bool factor_by_loops(const System & system, Values q, Values qd)
+{
+  // Behind the joints of the tree are cut joints.
+  const Values tau = system.tau.part(0, system.nv());
+  outward(system.model, q, qd, system.work);
+  if (prepare(system.model, tau, system.work)) {
+    return true;
+  }
+  outward(system.model, q, qd, system.work);
+  return prepare_refined(system.model, tau, system.work);
+}
+
+/// Prepare corrections at a state: closure errors, responses, factors.
+By factor_configuration(const System & system, Values q, Values qd)
+{
+  if (system.is_unrolled()) {
+    if (call(system.table, routine::CORRECTION, q, qd)) {
+      return By::ROUTINE;
+    }
+    if (system.table[routine::REFINED_CORRECTION] != 0) {
+      return call(system.table, routine::REFINED_CORRECTION, q, qd) ? By::ROUTINE : By::RANK;
+    }
+  }
+  return factor_by_loops(system, q, qd) ? By::LOOPS : By::RANK;
+}
+
+void correct_by_loops(const System & system, Level level)
+{
+  const Workspace & work = system.work;
+  const Values & error = level == Level::POSITION ? work.closure : work.closure_rate;
+  for (Index k = 0; k < work.right.size; ++k) {
+    work.right[k] = -error[k];
+  }
+  solve(system.model, work, work.right);
+  for (Index i = 0; i < work.body.rows; ++i) {
+    work.body(i, work::RHS) = 0.0;
+  }
+  apply(system.model, work, work.right);
+  outward_acceleration(system.model, work, system.qdd);
+}
+
+/// -I^-1 J^T (J I^-1 J^T)^+ times the error into System.qdd: the least change in the mass metric.
+void correction(const System & system, By by, Level level, Values q, Values qd)
+{
+  if (by == By::LOOPS) {
+    correct_by_loops(system, level);
+  } else if (by == By::ROUTINE) {
+    copy(system.corrections[level == Level::POSITION ? 0 : 1], system.qdd);
+  } else {
+    const AllEquations & all = system.all;
+    const Model & model = all.empty() ? system.model : all.model;
+    const Workspace & work = all.empty() ? system.work : all.work;
+    outward(model, q, qd, work);
+    correct_rank_revealing(model, work, level, system.qdd);
+  }
+}
+
+/// Correct rates, and positions if asked; return whether the loops are closed, to the tolerance or,
+/// where closure equations are dependent, to the limit.
+bool project(const System & system, Values q, Values qd, bool positions)
+{
+  const Workspace & work = system.work;
+  const Values & out = system.qdd, & settings = system.settings;
+  int corrections = 0;
+  By by = factor_configuration(system, q, qd);
+  double error = largest(work.closure);
+  // Near a singular configuration a small closure error is a large one of the state.
+  while (positions && corrections < MOST_CORRECTIONS &&
+    error > settings[setting::CLOSURE_TOLERANCE] * (by == By::RANK ? SHARPER : 1.0))
+  {
+    correction(system, by, Level::POSITION, q, qd);
+    move(system.manifold, q, out, 1.0);
+    ++corrections;
+    by = factor_configuration(system, q, qd);
+    const double before = error;
+    error = largest(work.closure);
+    if (!(error < 0.5 * before)) {
+      break;
+    }
+  }
+  correction(system, by, Level::VELOCITY, q, qd);
+  for (Index i = 0; i < qd.size; ++i) {
+    qd[i] += out[i];
+  }
+  work.health[health::PROJECTION_ITERATIONS] = corrections;
+  work.health[health::CLOSURE] = error;
+  return !positions || error <= settings[setting::CLOSURE_LIMIT];
+}
+}  // namespace
+
+bool stabilise(const System & system, Stabilisation stabilisation, Values state)
+{
+  // A step leaves the unit sphere by its error.
+  normalise(system.manifold, state);
+  if (stabilisation < Stabilisation::VELOCITY) {
+    return true;
+  }
+  update_motions(system, state);
+  const Values q = system.q(state), qd = system.qd(state);
+  if (stabilisation == Stabilisation::INDEPENDENT) {
+    return close_by_dependent(
+      system.model, system.work, system.partition, system.manifold, q, qd,
+      system.settings[setting::CLOSURE_TOLERANCE], true);
+  }
+  return project(system, q, qd, stabilisation == Stabilisation::PROJECTION);
+}
+
+bool all_finite(Values values)
+{
+  for (double value : values) {
+    if (!std::isfinite(value)) {
+      return false;
+    }
+  }
+  return true;
+}
+
+}  // namespace closedloop

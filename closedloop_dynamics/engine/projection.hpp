@@ -1,0 +1,23 @@
+// SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+// SPDX-License-Identifier: Apache-2.0
+
+#ifndef CLOSEDLOOP_DYNAMICS__ENGINE__PROJECTION_HPP_
+#define CLOSEDLOOP_DYNAMICS__ENGINE__PROJECTION_HPP_
+
+#include "system.hpp"
+
+// Corrections of a state: onto the loop closures, in the mass metric, and onto unit quaternions.
+
+namespace closedloop
+{
+
+/// Correct a state, shape (ns,), in place; return whether the loops are closed where positions
+/// were to be corrected. Quaternions get norm 1 in any case, which keeps the order of the method.
+bool stabilise(const System &, Stabilisation, Values state);
+
+/// Whether no value is infinite or NaN.
+bool all_finite(Values);
+
+}  // namespace closedloop
+
+#endif  // CLOSEDLOOP_DYNAMICS__ENGINE__PROJECTION_HPP_

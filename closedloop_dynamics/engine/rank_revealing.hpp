@@ -1,0 +1,26 @@
+// SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+// SPDX-License-Identifier: Apache-2.0
+
+#ifndef CLOSEDLOOP_DYNAMICS__ENGINE__RANK_REVEALING_HPP_
+#define CLOSEDLOOP_DYNAMICS__ENGINE__RANK_REVEALING_HPP_
+
+#include "model.hpp"
+
+// Accelerations and corrections where closure equations depend on one another: next to singular
+// positions, and where loops are redundant.
+
+namespace closedloop
+{
+
+/// Accelerations and multipliers, after `outward` and the effects; `aside` [rad] is how far from
+/// the state the branch is asked where the state itself does not determine them.
+void accelerate_rank_revealing(
+  const Model &, const Workspace &, Values tau, double baumgarte, double aside, const Manifold &,
+  Values q, Values qd, Values qdd, Values lam);
+
+/// Least change in the mass metric that closes positions or rates, after `outward`; shape (nv,).
+void correct_rank_revealing(const Model &, const Workspace &, Level, Values out);
+
+}  // namespace closedloop
+
+#endif  // CLOSEDLOOP_DYNAMICS__ENGINE__RANK_REVEALING_HPP_

@@ -1,0 +1,227 @@
+// SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+// SPDX-License-Identifier: Apache-2.0
+
+#include "recursion.hpp"
+
+#include "loop_closure.hpp"
+#include "routines.hpp"
+
+namespace closedloop
+{
+
+void outward(const Model & model, Values q, Values qd, const Workspace & work)
+{
+  const Indexes & tree = model.tree;
+  const Table & body = work.body;
+  const Index first = model.gravity.size == 2 ?
+    static_cast<Index>(plane::AX) : static_cast<Index>(space::ACCELERATION);
+  for (Index k = 0; k < model.gravity.size; ++k) {
+    body(0, first + k) = -model.gravity[k];
+  }
+  for (Index i = 1; i < tree.rows; ++i) {
+    run_piece(
+      work.piece(i, stage::MOVE), model.body.row(i), body.row(i), body.row(tree(i, tree::PARENT)),
+      q.data + tree(i, tree::COORDINATE), qd.data + tree(i, tree::DOF));
+  }
+}
+
+void turn_spherical(Indexes tree, Table body, double * values, bool outward, Index stride)
+{
+  const Index z = 2;
+  for (Index i = 1; i < tree.rows; ++i) {
+    if (tree(i, tree::TYPE) == tree::BALL && tree(i, tree::AXIS) == z) {
+      double * entry = values + stride * (tree(i, tree::DOF) - 2);
+      const double x[3] = {entry[0], entry[stride], entry[2 * stride]};
+      for (Index n = 0; n < 3; ++n) {
+        const Index row = outward ? space::FRAME + 3 * n : space::FRAME + n;
+        const Index step = outward ? 1 : 3;
+        entry[n * stride] =
+          body(i, row) * x[0] + body(i, row + step) * x[1] + body(i, row + 2 * step) * x[2];
+      }
+    }
+  }
+}
+
+void inward(const Model & model, Values tau, const Workspace & work, bool massless)
+{
+  const Indexes & tree = model.tree;
+  const Table & body = work.body;
+  for (Index i = 0; i < work.torque.size; ++i) {
+    work.torque[i] = tau[i];
+  }
+  turn_spherical(tree, body, work.torque.data, true);
+  const Index which = massless ? stage::ELIMINATE_MASSLESS : stage::ELIMINATE;
+  for (Index i = tree.rows - 1; i > 0; --i) {
+    run_piece(
+      work.piece(i, which), model.body.row(i), body.row(i), body.row(tree(i, tree::PARENT)),
+      work.torque.data + tree(i, tree::DOF), work.torque.data);
+  }
+}
+
+void outward_acceleration(const Model & model, const Workspace & work, Values qdd)
+{
+  const Indexes & tree = model.tree;
+  const Table & body = work.body;
+  for (Index i = 1; i < tree.rows; ++i) {
+    run_piece(
+      work.piece(i, stage::ACCELERATE), model.body.row(i), body.row(i),
+      body.row(tree(i, tree::PARENT)), qdd.data + tree(i, tree::DOF), qdd.data);
+  }
+  turn_spherical(tree, body, qdd.data, false);
+}
+
+void energies(const Model & model, const Workspace & work, Values qd, Values out)
+{
+  const Indexes & tree = model.tree;
+  const Table & body = work.body;
+  double * moment = work.equation.data;
+  out[0] = out[1] = 0.0;
+  for (Index i = 1; i < tree.rows; ++i) {
+    run_piece(
+      work.piece(i, stage::MEASURE), model.body.row(i), body.row(i),
+      body.row(tree(i, tree::PARENT)), moment, qd.data + tree(i, tree::DOF));
+    out[0] += 0.5 * moment[0];
+    for (Index k = 0; k < model.gravity.size; ++k) {
+      out[1] -= model.gravity[k] * moment[1 + k];
+    }
+  }
+}
+
+void point_position(const Workspace & work, Index i, double x, double y, Values out)
+{
+  const Table & body = work.body;
+  out[0] = body(i, plane::PX) + body(i, plane::COS) * x - body(i, plane::SIN) * y;
+  out[1] = body(i, plane::PY) + body(i, plane::SIN) * x + body(i, plane::COS) * y;
+}
+
+void bias_forces(const Workspace & work, Table out)
+{
+  const Index size = work.size(), first = work.first_force();
+  for (Index i = 0; i < out.rows; ++i) {
+    for (Index n = 0; n < size; ++n) {
+      out(i, n) = work.body(i, first + n);
+    }
+  }
+}
+
+void newton(const Model & model, const Workspace & work, Values qdd, Table wrench)
+{
+  const Indexes & tree = model.tree;
+  const Table & body = work.body;
+  for (Index i = 0; i < work.torque.size; ++i) {
+    work.torque[i] = qdd[i];
+  }
+  turn_spherical(tree, body, work.torque.data, true);
+  for (Index i = 1; i < tree.rows; ++i) {
+    run_piece(
+      work.piece(i, stage::NEWTON), model.body.row(i), body.row(i),
+      wrench.row(tree(i, tree::PARENT)), wrench.row(i), work.torque.data + tree(i, tree::DOF));
+  }
+}
+
+void wrenches_of_cut(
+  Indexes cut, Table cut_point, Indexes cut_piece, Table body, Values lam, Values share, Index a)
+{
+  run_piece(
+    cut_piece(a, stage::WRENCH), cut_point.row(a), body.row(cut(a, cut::BODY_A)),
+    body.row(cut(a, cut::BODY_B)), lam.data + cut(a, cut::CUT_ROW), share.data);
+}
+
+/// Carry the wrench of a body's row to its parent's.
+static void shift(const Model & model, const Workspace & work, Table wrench, Index i)
+{
+  run_piece(
+    work.piece(i, stage::SHIFT), model.body.row(i), work.body.row(i),
+    wrench.row(model.tree(i, tree::PARENT)), wrench.row(i), work.share.data);
+}
+
+void joint_wrenches(
+  const Model & model, const Workspace & work, Values qdd, Values lam, Table wrench)
+{
+  const Indexes & cut = model.cut;
+  const Index size = work.size();
+  newton(model, work, qdd, wrench);
+  for (Index a = 0; a < cut.rows; ++a) {
+    wrenches_of_cut(cut, model.cut_point, work.cut_piece, work.body, lam, work.share, a);
+    for (Index n = 0; n < size; ++n) {
+      wrench(cut(a, cut::BODY_A), n) -= work.share[size + n];
+      wrench(cut(a, cut::BODY_B), n) -= work.share[2 * size + n];
+    }
+  }
+  for (Index i = model.tree.rows - 1; i > 0; --i) {
+    shift(model, work, wrench, i);
+  }
+}
+
+void cut_wrenches(
+  Indexes cut, Table cut_point, Indexes cut_piece, Table body, Values lam, Values share,
+  Table out)
+{
+  for (Index a = 0; a < out.rows; ++a) {
+    wrenches_of_cut(cut, cut_point, cut_piece, body, lam, share, a);
+    for (Index n = 0; n < out.columns; ++n) {
+      out(cut(a, cut::NUMBER), n) = share[n];
+    }
+  }
+}
+
+void tree_torque(const Model & model, const Workspace & work, Values qdd, Values out)
+{
+  const Table & wrench = work.force;
+  bias_forces(work, wrench);
+  newton(model, work, qdd, wrench);
+  for (Index i = model.tree.rows - 1; i > 0; --i) {
+    run_piece(
+      work.piece(i, stage::TORQUE), model.body.row(i), work.body.row(i), work.body.row(i),
+      wrench.row(i), out.data + model.tree(i, tree::DOF));
+    shift(model, work, wrench, i);
+  }
+  turn_spherical(model.tree, work.body, out.data, false);
+}
+
+void constraint_jacobian(const Model & model, const Workspace & work, Table jac)
+{
+  const Indexes & cut = model.cut;
+  jac.fill(0.0);
+  for (Index a = 0; a < cut.rows; ++a) {
+    measure(model, work, a);
+    for (Index k = 0; k < cut(a, cut::ROWS); ++k) {
+      respond(model, work, stage::CARRY, a, k);
+      double * row = jac.row(cut(a, cut::CUT_ROW) + k);
+      for (Index entry = cut(a, cut::PATH_A); entry < cut(a, cut::PATH_END); ++entry) {
+        row[model.tree(model.path_body[entry], tree::DOF)] = work.response(entry, k);
+      }
+      turn_spherical(model.tree, work.body, row, false);
+    }
+  }
+}
+
+void generalized_inertia_matrix(const Model & model, const Workspace & work, Table gim)
+{
+  const Indexes & tree = model.tree;
+  const Table & body = work.body;
+  double * wrench = work.wrench.row(0);
+  gim.fill(0.0);
+  for (Index i = tree.rows - 1; i > 0; --i) {
+    // Force of the composite body for a unit acceleration of its joint, then inward.
+    run_piece(
+      work.piece(i, stage::COMPOSE), model.body.row(i), body.row(i),
+      body.row(tree(i, tree::PARENT)), wrench, work.share.data);
+    const Index row = tree(i, tree::DOF);
+    gim(row, row) = work.share[0];
+    for (Index k = tree(i, tree::PARENT); k > 0; k = tree(k, tree::PARENT)) {
+      run_piece(
+        work.piece(k, stage::CARRY), model.body.row(k), body.row(k), body.row(k), wrench,
+        work.share.data);
+      gim(row, tree(k, tree::DOF)) = gim(tree(k, tree::DOF), row) = work.share[0];
+    }
+  }
+  for (Index i = 0; i < gim.rows; ++i) {
+    turn_spherical(tree, body, gim.row(i), false);
+  }
+  for (Index i = 0; i < gim.columns; ++i) {
+    turn_spherical(tree, body, gim.data + i, false, gim.columns);
+  }
+}
+
+}  // namespace closedloop

@@ -1,0 +1,302 @@
+// SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+// SPDX-License-Identifier: Apache-2.0
+
+#include "rosenbrock.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include "contact_events.hpp"
+#include "evaluation.hpp"
+#include "fixed_steps.hpp"
+#include "left_out.hpp"
+#include "lu.hpp"
+#include "manifold.hpp"
+#include "projection.hpp"
+#include "stick_slip.hpp"
+#include "time_events.hpp"
+
+namespace closedloop
+{
+
+namespace
+{
+constexpr Index STAGES = 6;
+// Rows of the scratch.
+enum : Index {STAGE, OUT, SLOPE, MOVED, DIRECTION, START, FIRST_SLOPE};
+constexpr double GAMMA = 0.25;
+constexpr double A[STAGES][STAGES - 1] = {
+  {0.0, 0.0, 0.0, 0.0, 0.0},
+  {1.544, 0.0, 0.0, 0.0, 0.0},
+  {0.9466785280815826, 0.2557011698983284, 0.0, 0.0, 0.0},
+  {3.314825187068521, 2.896124015972201, 0.9986419139977817, 0.0, 0.0},
+  {1.221224509226641, 6.019134481288629, 12.53708332932087, -0.6878860361058950, 0.0},
+  {1.221224509226641, 6.019134481288629, 12.53708332932087, -0.6878860361058950, 1.0}};
+constexpr double C[STAGES][STAGES - 1] = {
+  {0.0, 0.0, 0.0, 0.0, 0.0},
+  {-5.6688, 0.0, 0.0, 0.0, 0.0},
+  {-2.430093356833875, -0.2063599157091915, 0.0, 0.0, 0.0},
+  {-0.1073529058151375, -9.594562251023355, -20.47028614809616, 0.0, 0.0},
+  {7.496443313967647, -10.24680431464352, -33.99990352819905, 11.70890893206160, 0.0},
+  {8.083246795921522, -7.981132988064893, -31.52159432874371, 16.31930543123136,
+    -6.058818238834054}};
+// Step of the finite differences, relative to a state of size 1: half the digits each for
+// truncation and rounding.
+constexpr double DIFFERENCE = 1.5e-8;
+
+/// Multiply a direction, shape (ns,), by a matrix twice; return the root of the growth of its
+/// length: of a conjugate pair of eigenvalues two products show the magnitude.
+double fastest_rate(Table matrix, Values direction, Values once, Values twice)
+{
+  const Index n = direction.size;
+  double length = 0.0;
+  for (double each : direction) {
+    length += each * each;
+  }
+  for (Index i = 0; i < n; ++i) {
+    // Any direction that is no eigenvector to begin with.
+    direction[i] = length > 0.0 ?
+      direction[i] / std::sqrt(length) : std::cos(static_cast<double>(i * i) + 1.0);
+  }
+  for (Index i = 0; i < n; ++i) {
+    once[i] = 0.0;
+    for (Index j = 0; j < n; ++j) {
+      once[i] += matrix(i, j) * direction[j];
+    }
+  }
+  length = 0.0;
+  for (Index i = 0; i < n; ++i) {
+    twice[i] = 0.0;
+    for (Index j = 0; j < n; ++j) {
+      twice[i] += matrix(i, j) * once[j];
+    }
+    length += twice[i] * twice[i];
+  }
+  for (Index i = 0; i < n; ++i) {
+    direction[i] = length > 0.0 && std::isfinite(length) ? twice[i] : 0.0;
+  }
+  return std::pow(length, 0.25);
+}
+
+/// Factor I / (h gamma) - J at a state; return the fastest rate of the motion there [1/s].
+double factor_jacobian(
+  const System & system, Values state, double step_size, Table matrix, Indices pivots,
+  Table scratch)
+{
+  const Values stage = scratch[STAGE], slope = scratch[SLOPE], moved = scratch[MOVED];
+  const Index n = state.size;
+  copy(state, stage);
+  for (Index j = 0; j < n; ++j) {
+    stage[j] = state[j] + DIFFERENCE * std::max(1.0, std::abs(state[j]));
+    // The change that the rounded sum really made.
+    const double change = stage[j] - state[j];
+    derivative(system, stage, moved);
+    stage[j] = state[j];
+    for (Index i = 0; i < n; ++i) {
+      matrix(i, j) = (slope[i] - moved[i]) / change;
+    }
+  }
+  const double rate = fastest_rate(matrix, scratch[DIRECTION], stage, moved);
+  for (Index i = 0; i < n; ++i) {
+    matrix(i, i) += 1.0 / (step_size * GAMMA);
+  }
+  factorize(matrix, pivots);
+  return rate;
+}
+
+/// Make one step with a factored Jacobian into OUT; the last of the slopes is the error estimate.
+void stiff_step(
+  const System & system, Values state, double step_size, Table matrix, Indices pivots,
+  Table scratch)
+{
+  const Values stage = scratch[STAGE], out = scratch[OUT];
+  const Table slopes = scratch.from(FIRST_SLOPE);
+  const Index n = state.size;
+  for (Index k = 0; k < STAGES; ++k) {
+    copy(state, stage);
+    for (Index m = 0; m < k; ++m) {
+      for (Index i = 0; i < n; ++i) {
+        stage[i] += A[k][m] * slopes(m, i);
+      }
+    }
+    derivative(system, stage, slopes[k]);
+    for (Index m = 0; m < k; ++m) {
+      for (Index i = 0; i < n; ++i) {
+        slopes(k, i) += C[k][m] / step_size * slopes(m, i);
+      }
+    }
+    solve(matrix, pivots, slopes[k]);
+  }
+  for (Index i = 0; i < n; ++i) {
+    out[i] = stage[i] + slopes(STAGES - 1, i);
+  }
+}
+
+/// State within a step by the cubic through both states and their slopes `slope` and `end`.
+void interpolate_cubic(
+  Values state, Values slope, Values out, Values end, double size, double share, Values stage)
+{
+  const double left = 1.0 - share;
+  for (Index i = 0; i < state.size; ++i) {
+    const double rise = out[i] - state[i];
+    stage[i] = left * state[i] + share * out[i] + share * left * (
+      left * (size * slope[i] - rise) + share * (rise - size * end[i]));
+  }
+}
+
+/// Time until the next corner of a force over time [s].
+double time_to_corner(const System & system, Values state)
+{
+  return system.has_effects() ? time_to_next_corner(
+    system.effects, state.from(system.own())) : std::numeric_limits<double>::infinity();
+}
+}  // namespace
+
+std::pair<Status, Index> advance_stiff_fixed(
+  const System & system, Stabilisation stabilisation, Values state, double step_size, Index steps,
+  Table matrix, Indices pivots, Table scratch)
+{
+  const Values out = scratch[OUT], start = scratch[START];
+  Interrupt interrupt(system.interrupted);
+  for (Index done = 0; done < steps; ++done) {
+    Parts parts(step_size);
+    copy(state, start);
+    // Once, but where a joint under dry friction comes to rest within the step, or a force over
+    // time has a corner.
+    while (parts.left > 0.0) {
+      parts.size = std::min(parts.size, time_to_corner(system, state));
+      derivative(system, state, scratch[SLOPE]);
+      factor_jacobian(system, state, parts.size, matrix, pivots, scratch);
+      stiff_step(system, state, parts.size, matrix, pivots, scratch);
+      const bool closed = stabilise(system, stabilisation, out);
+      const bool finite = all_finite(out), stops = interrupt.after(state.size + STAGES + 1);
+      if (!(closed && finite) || stops) {
+        copy(start, state);
+        return {stops ? Status::INTERRUPTED : finite ? Status::OPEN_LOOP : Status::NOT_FINITE,
+          done};
+      }
+      if (!equations_serve(system, stabilisation, out)) {
+        copy(start, state);
+        return {Status::POOR_EQUATIONS, done};
+      }
+      parts.accept(system, state, out);
+    }
+  }
+  return {Status::DONE, steps};
+}
+
+Status advance_stiff(
+  const System & system, Stabilisation stabilisation, Values state, double target, Values control,
+  Table scale, Table matrix, Indices pivots, Table scratch)
+{
+  const StiffRun run{stabilisation, control, scale, matrix, pivots, scratch};
+  Interrupt interrupt(system.interrupted);
+  Status status = Status::DONE;
+  while (status == Status::DONE && is_before(control[control::REACHED], target)) {
+    status = run.accepted_step(system, state, target, interrupt);
+  }
+  return status;
+}
+
+Status StiffRun::accepted_step(
+  const System & system, Values state, double limit, Interrupt & interrupt) const
+{
+  const Values stage = scratch[STAGE], out = scratch[OUT], slope = scratch[SLOPE];
+  const Values moved = scratch[MOVED];
+  const Table slopes = scratch.from(FIRST_SLOPE);
+  const Index n = state.size;
+  const double rest = limit - control[control::REACHED];
+  const double least = LEAST * std::max(std::abs(limit), 1e-3);
+  // A smaller step, at whose end a joint under dry friction comes to rest, or a force over time
+  // has a corner.
+  double cut = time_to_corner(system, state);
+  double size = control[control::NEXT_STEP] > 0.0 ? control[control::NEXT_STEP] : 1e-4;
+  derivative(system, state, slope);
+  if (!all_finite(slope)) {
+    return Status::NOT_FINITE;
+  }
+  freeze_modes(system);
+  ContactSearch contacts;
+  bool closed = true, last = false;
+  int cuts = 0;
+  double error = 0.0, factor = 1.0, rate = 0.0, used = 0.0;
+  while (true) {
+    const double whole = std::min(size, rest);
+    last = size >= rest && !(cut < whole);
+    used = std::min(whole, cut);
+    if (!(used > least)) {
+      release_modes(system);
+      return closed ? Status::STEP_TOO_SMALL : Status::OPEN_LOOP;
+    }
+    if (interrupt.after(n + STAGES + 1)) {
+      release_modes(system);
+      return Status::INTERRUPTED;
+    }
+    rate = factor_jacobian(system, state, used, matrix, pivots, scratch);
+    stiff_step(system, state, used, matrix, pivots, scratch);
+    control[control::WORK] += static_cast<double>(n + STAGES + 1 + n / 8);
+    double total = 0.0;
+    for (Index i = 0; i < n; ++i) {
+      const double each = slopes(STAGES - 1, i) / (
+        scale(0, i) + scale(1, i) * std::max(std::abs(state[i]), std::abs(out[i])));
+      total += each * each;
+    }
+    error = std::sqrt(total / static_cast<double>(n));
+    factor = error < 1e30 ? SAFETY * std::pow(std::max(error, 1e-10), -0.25) : 0.0;
+    factor = std::min(6.0, std::max(0.2, factor));
+    // Written so that a NaN counts as an error too large.
+    if (error <= 1.0 && stabilise(system, stabilisation, out)) {
+      double part = locate_stick_event(
+        system, state, out, used, std::max(least_part(whole, cuts), least));
+      if (!(part < used)) {
+        bool ended = false;
+        part = contacts.part(
+          system, out, used, [&](double share) {
+            if (!ended) {
+              derivative(system, out, moved);
+              ended = true;
+            }
+            interpolate_cubic(state, slope, out, moved, used, share, stage);
+            normalise(system.manifold, stage);
+            return stage;
+          });
+        if (part == used) {
+          break;
+        }
+        part = contacts.sought >= -1 ? part : used;
+      } else {
+        forget_trials(system);
+        contacts.sought = -1;
+      }
+      cut = part;
+      ++cuts;
+      continue;
+    }
+    closed = !(error <= 1.0);
+    contacts.sought = -1;
+    forget_trials(system);
+    control[control::REJECTED] += 1.0;
+    size = used * (closed ? std::min(factor, SAFETY) : 0.5);
+  }
+  release_modes(system);
+  if (!equations_serve(system, stabilisation, out)) {
+    return Status::POOR_EQUATIONS;
+  }
+  update_friction_modes(system, out);
+  if (system.has_effects()) {
+    pass_corners(system.effects, out.from(system.own()));
+  }
+  copy(out, state);
+  control[control::REACHED] = last ? limit : control[control::REACHED] + used;
+  control[control::ACCEPTED] += 1.0;
+  control[control::ERROR] = error;
+  control[control::LARGEST_ERROR] = std::max(control[control::LARGEST_ERROR], error);
+  control[control::STIFFNESS] = rate;
+  // A step cut short says nothing against the size that was to be tried.
+  const bool shortened = last || cuts > 0 || cut <= used;
+  control[control::NEXT_STEP] = shortened ? std::max(size, used * factor) : used * factor;
+  return Status::DONE;
+}
+
+}  // namespace closedloop

@@ -1,0 +1,32 @@
+// SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+// SPDX-License-Identifier: Apache-2.0
+
+#ifndef CLOSEDLOOP_DYNAMICS__ENGINE__ROUTINES_HPP_
+#define CLOSEDLOOP_DYNAMICS__ENGINE__ROUTINES_HPP_
+
+#include "array.hpp"
+
+// The one calling convention to generated code: addresses are numbers in tables.
+
+namespace closedloop
+{
+
+/// Call the code generated for a body or a cut joint, on rows that it reads and writes.
+inline void run_piece(
+  Index address, const double * constant, double * own, double * other, double * first,
+  double * second)
+{
+  using Piece = Index (*)(const double *, double *, double *, double *, double *);
+  reinterpret_cast<Piece>(address)(constant, own, other, first, second);
+}
+
+/// Call a routine generated for a mechanism; return whether its results are good.
+inline bool call(Indices table, Index which, Vector<double> q, Vector<double> qd)
+{
+  using Routine = Index (*)(const Index *, const double *, const double *);
+  return reinterpret_cast<Routine>(table[which])(table.data, q.data, qd.data) != 0;
+}
+
+}  // namespace closedloop
+
+#endif  // CLOSEDLOOP_DYNAMICS__ENGINE__ROUTINES_HPP_

@@ -1,0 +1,132 @@
+// SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+// SPDX-License-Identifier: Apache-2.0
+
+#include "stick_slip.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include "evaluation.hpp"
+#include "sticking.hpp"
+
+namespace closedloop
+{
+
+namespace
+{
+// A sliding joint has come to rest where its rate is less than this [rad/s; m/s].
+constexpr double ARRIVED = 1e-9;
+// A cut joint at rest has rates of rounding [rad/s; m/s].
+constexpr double RATE_ROUNDING = 1e-12;
+// Cuts of one step: beyond, it is taken as it is.
+constexpr int MOST_CUTS = 200;
+// The least part of a step that is made.
+constexpr double LEAST_PART = 1e-12;
+
+bool has_friction(const EffectTable & effects, Index row)
+{
+  return effects.kind[row] == effect::JOINT_FRICTION && effects.enabled[row] == 1;
+}
+
+/// Whether any effect listed is dry friction, switched on or not.
+bool lists_friction(const System & system)
+{
+  for (Index kind : system.effects.kind) {
+    if (kind == effect::JOINT_FRICTION) {
+      return true;
+    }
+  }
+  return false;
+}
+
+/// When the first joint comes to rest, by the secant; `size` where none does.
+double first_rest(
+  const EffectTable & effects, Values grips, Values before, Values after, double size,
+  double floor)
+{
+  double shortest = size;
+  for (Index row = 0; row < effects.count(); ++row) {
+    if (has_friction(effects, row)) {
+      const Index joint = effects.index(row, effect::FIRST);
+      const double grip = grips[effects.index(row, effect::STATE)];
+      const double start = std::max(0.0, grip * before[joint]), end = grip * after[joint];
+      if (end < -ARRIVED) {
+        shortest = std::min(shortest, size * start / (start - end));
+      }
+    }
+  }
+  return shortest > floor ? shortest : size;
+}
+
+/// Update the modes of joints by their rates; return whether one at rest still moves.
+bool stick(const EffectTable & effects, Values rates, Values own)
+{
+  bool slow = false;
+  const Index first = rates.size - effects.cuts.index.rows;
+  for (Index row = 0; row < effects.count(); ++row) {
+    if (has_friction(effects, row)) {
+      const Index joint = effects.index(row, effect::FIRST);
+      double & mode = own[effects.index(row, effect::STATE)];
+      const double rate = rates[joint];
+      if (std::abs(rate) > REST) {
+        mode = std::copysign(1.0, rate);
+      } else if (rate * mode <= ARRIVED) {
+        mode = 0.0;
+        // Rounding in the rate of a joint of the tree at rest: none.
+        slow = slow || std::abs(rate) > (joint < first ? 0.0 : RATE_ROUNDING);
+      }
+    }
+  }
+  return slow;
+}
+}  // namespace
+
+double least_part(double size, int cuts)
+{
+  return size * (cuts < MOST_CUTS ? LEAST_PART : 1.0);
+}
+
+double locate_stick_event(
+  const System & system, Values before, Values after, double size, double floor)
+{
+  if (!lists_friction(system)) {
+    return size;
+  }
+  const EffectTable & effects = system.effects;
+  const Values grips = before.from(system.own());
+  if (!system.has_cut_coordinates()) {
+    return first_rest(effects, grips, system.qd(before), system.qd(after), size, floor);
+  }
+  if (effects.sticking.response.rows <= 1) {
+    return size;
+  }
+  rates_with_cuts(system, before, effects.cuts.before);
+  rates_with_cuts(system, after, effects.cuts.qd);
+  return first_rest(effects, grips, effects.cuts.before, effects.cuts.qd, size, floor);
+}
+
+void update_friction_modes(const System & system, Values state)
+{
+  const EffectTable & effects = system.effects;
+  // Without joints that may stick there is no response to their friction.
+  if (!system.has_effects() || effects.sticking.right.size == 0) {
+    return;
+  }
+  const bool with_cuts = system.has_cut_coordinates();
+  Values rates = system.qd(state);
+  if (with_cuts) {
+    rates_with_cuts(system, state, effects.cuts.qd);
+    rates = effects.cuts.qd;
+  }
+  if (!stick(effects, rates, state.from(system.own()))) {
+    return;
+  }
+  evaluate_state(system, state);
+  // The evaluation measures the rates of cut joints anew, of the same state.
+  stop_sticking_joints(effects, rates);
+  if (with_cuts) {
+    copy(rates, system.qd(state));
+  }
+}
+
+}  // namespace closedloop

@@ -1,0 +1,233 @@
+// SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+// SPDX-License-Identifier: Apache-2.0
+
+#include "sticking.hpp"
+
+#include <cmath>
+#include <limits>
+
+namespace closedloop
+{
+
+namespace
+{
+// Joints whose responses agree to this share one freedom: the first of them bears its load.
+constexpr double DEPENDENT = 1e-8;
+// Accelerations below this part of what they are a sum of are rounding.
+constexpr double ROUNDING = 1e-10;
+// Changes of the active set, for each joint; more are a circle among equals.
+constexpr Index MOST_CHANGES = 5;
+
+/// The joint, or cut joint, of an entry of Sticking.rows.
+Index joint_of(const EffectTable & table, Index place)
+{
+  return table.index(table.sticking.rows[place + 1], effect::FIRST);
+}
+
+/// Accelerations and multipliers without the friction of any joint at rest.
+Values free_response(const Sticking & sticking)
+{
+  return sticking.response[sticking.response.rows - 1];
+}
+
+/// Move to the minimum in the free unknowns, by a factorization L D L^T.
+void compute_move(const Sticking & sticking, Index count, Values out)
+{
+  const Table & matrix = sticking.matrix, & factor = sticking.factor;
+  const Indices & free = sticking.free;
+  const Values & move = sticking.move;
+  for (Index a = 0; a < count; ++a) {
+    move[a] = -sticking.right[a] * free[a];
+    for (Index b = 0; b < count; ++b) {
+      move[a] -= matrix(a, b) * out[b] * free[a];
+    }
+    for (Index b = 0; b < a + 1; ++b) {
+      double entry = matrix(a, b) * free[a] * free[b];
+      for (Index c = 0; c < b; ++c) {
+        entry -= factor(a, c) * factor(b, c) * factor(c, c);
+      }
+      if (b == a) {
+        factor(a, a) = entry > DEPENDENT * matrix(a, a) ? entry : 0.0;
+      } else {
+        factor(a, b) = factor(b, b) > 0.0 ? entry / factor(b, b) : 0.0;
+      }
+    }
+    for (Index b = 0; b < a; ++b) {
+      move[a] -= factor(a, b) * move[b];
+    }
+  }
+  for (Index a = count - 1; a >= 0; --a) {
+    move[a] = factor(a, a) > 0.0 ? move[a] / factor(a, a) : 0.0;
+    for (Index b = a + 1; b < count; ++b) {
+      move[a] -= factor(b, a) * move[b];
+    }
+  }
+}
+
+/// The unknown that the slope pulls away from its bound most; less than zero if none.
+Index most_loose(const Sticking & sticking, Index count, Values out)
+{
+  const Table & matrix = sticking.matrix;
+  Index loose = -1;
+  double strongest = 0.0;
+  for (Index a = 0; a < count; ++a) {
+    if (sticking.free[a] == 1 || out[a] == 0.0) {
+      continue;
+    }
+    double slope = sticking.right[a], size = std::fabs(sticking.right[a]);
+    for (Index b = 0; b < count; ++b) {
+      slope += matrix(a, b) * out[b];
+      size += std::fabs(matrix(a, b) * out[b]);
+    }
+    const double pull = std::copysign(slope, slope * out[a]);
+    if (pull > ROUNDING * size && pull * pull > strongest * matrix(a, a)) {
+      loose = a;
+      strongest = pull * pull / matrix(a, a);
+    }
+  }
+  return loose;
+}
+
+/// Whether a joint at rest stays there.
+bool stays_at_rest(const EffectTable & table, Index place)
+{
+  const Sticking & sticking = table.sticking;
+  return table.kind[sticking.rows[place + 1]] != effect::CUT_ROTOR &&
+         std::fabs(sticking.share[place]) < 1.0 && sticking.matrix(place, place) > 0.0;
+}
+}  // namespace
+
+void minimise_in_box(const Sticking & sticking, Index count, Values out)
+{
+  const Table & matrix = sticking.matrix;
+  const Values & bound = sticking.bound, & move = sticking.move;
+  const Indices & free = sticking.free;
+  for (Index a = 0; a < count; ++a) {
+    out[a] = 0.0;
+    free[a] = bound[a] > 0.0 && matrix(a, a) > 0.0 ? 1 : 0;
+  }
+  for (Index change = 0; change < MOST_CHANGES * (count + 1); ++change) {
+    compute_move(sticking, count, out);
+    double share = 1.0;
+    Index blocking = -1;
+    for (Index a = 0; a < count; ++a) {
+      if (std::fabs(out[a] + move[a]) > bound[a] && free[a] == 1) {
+        const double most = (std::copysign(bound[a], move[a]) - out[a]) / move[a];
+        if (most < share) {
+          share = most;
+          blocking = a;
+        }
+      }
+    }
+    for (Index a = 0; a < count; ++a) {
+      out[a] += share * move[a];
+    }
+    if (blocking >= 0) {
+      free[blocking] = 0;
+      out[blocking] = std::copysign(bound[blocking], move[blocking]);
+    } else {
+      const Index loose = most_loose(sticking, count, out);
+      if (loose < 0) {
+        return;
+      }
+      free[loose] = 1;
+    }
+  }
+}
+
+void keep_frictionless(const EffectTable & table, Values qdd, Values lam)
+{
+  const Values base = free_response(table.sticking);
+  for (Index i = 0; i < qdd.size; ++i) {
+    base[i] = qdd[i];
+  }
+  for (Index i = 0; i < lam.size; ++i) {
+    base[qdd.size + i] = lam[i];
+  }
+}
+
+void keep_response(const EffectTable & table, Index place, Values qdd, Values lam)
+{
+  const Sticking & sticking = table.sticking;
+  const Values base = free_response(sticking), response = sticking.response[place];
+  const Index nv = qdd.size;
+  for (Index i = 0; i < nv; ++i) {
+    response[i] = qdd[i] - base[i];
+  }
+  for (Index i = 0; i < lam.size; ++i) {
+    response[nv + i] = lam[i] - base[nv + i];
+  }
+  const Index row = sticking.rows[place + 1];
+  table.applied[joint_of(table, place)] -= sticking.hold[row];
+  sticking.hold[row] = 0.0;
+}
+
+void balance_friction(const EffectTable & table, Values qdd, Values lam)
+{
+  const Sticking & sticking = table.sticking;
+  const Index nv = qdd.size, count = sticking.rows[0];
+  const Table & response = sticking.response;
+  const Values base = free_response(sticking);
+  for (Index a = 0; a < count; ++a) {
+    const Index row = sticking.rows[a + 1], joint = joint_of(table, a);
+    const double limit = table.output(row, 3);
+    sticking.right[a] = limit * base[joint];
+    sticking.bound[a] = 1.0;
+    for (Index b = 0; b < count; ++b) {
+      sticking.matrix(a, b) = limit * response(b, joint);
+    }
+    if (table.kind[row] == effect::CUT_ROTOR) {
+      // Its limit is its inertia: the force of a unit acceleration.
+      sticking.bound[a] = std::numeric_limits<double>::infinity();
+      sticking.matrix(a, a) += limit;
+    }
+  }
+  minimise_in_box(sticking, count, sticking.share);
+  for (Index i = 0; i < nv; ++i) {
+    qdd[i] = base[i];
+  }
+  for (Index i = 0; i < lam.size; ++i) {
+    lam[i] = base[nv + i];
+  }
+  for (Index a = 0; a < count; ++a) {
+    const Index row = sticking.rows[a + 1];
+    const double share = sticking.share[a], friction = share * table.output(row, 3);
+    table.applied[joint_of(table, a)] += friction;
+    table.output(row, 1) = friction;
+    for (Index i = 0; i < nv; ++i) {
+      qdd[i] += share * response(a, i);
+    }
+    for (Index i = 0; i < lam.size; ++i) {
+      lam[i] += share * response(a, nv + i);
+    }
+  }
+  for (Index a = 0; a < count; ++a) {
+    if (stays_at_rest(table, a)) {
+      qdd[joint_of(table, a)] = 0.0;
+    }
+  }
+}
+
+void stop_sticking_joints(const EffectTable & table, Values qd)
+{
+  const Sticking & sticking = table.sticking;
+  const Index count = sticking.rows[0];
+  for (Index a = 0; a < count; ++a) {
+    sticking.right[a] = table.output(sticking.rows[a + 1], 3) * qd[joint_of(table, a)];
+    sticking.bound[a] =
+      stays_at_rest(table, a) ? std::numeric_limits<double>::infinity() : 0.0;
+  }
+  minimise_in_box(sticking, count, sticking.impulse);
+  for (Index a = 0; a < count; ++a) {
+    for (Index i = 0; i < qd.size; ++i) {
+      qd[i] += sticking.impulse[a] * sticking.response(a, i);
+    }
+  }
+  for (Index a = 0; a < count; ++a) {
+    if (sticking.bound[a] > 0.0) {
+      qd[joint_of(table, a)] = 0.0;
+    }
+  }
+}
+
+}  // namespace closedloop

@@ -1,0 +1,55 @@
+// SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+// SPDX-License-Identifier: Apache-2.0
+
+#ifndef CLOSEDLOOP_DYNAMICS__ENGINE__STICKING_HPP_
+#define CLOSEDLOOP_DYNAMICS__ENGINE__STICKING_HPP_
+
+#include "effect_table.hpp"
+
+// Static friction: joints at rest, and rotors at cut joints, whose forces follow from
+// accelerations. Between rigid bodies, friction at rest is whatever keeps the joint at rest, up to
+// its limit: the complementarity problem
+//
+//     a = a_0 + W tau,     a_i = 0 with |tau_i| <= F_i,  or  tau_i = -F_i sign(a_i)
+//
+// for the accelerations a of all joints at rest; a_0 are those without their friction, W is the
+// response of the mechanism, its loops closed. These are the conditions of a convex problem,
+// min tau W tau / 2 + a_0 tau in a box, so that a is unique, even where several joints share one
+// freedom and tau is not. A rotor of inertia I at a cut joint is one more unknown without bounds,
+// tau = -I a: it adds tau^2 / (2 I) to what is least.
+//
+// a_0 and W come from one evaluation without that friction and one with the limit of each:
+// `keep_frictionless`, `keep_response`, then `balance_friction`. `qdd`, shape (nv,) or, where
+// anything acts in cut joints, (nv + nk,); `lam`, shape (nc,).
+
+namespace closedloop
+{
+
+/// Rates below this are rest while a step is made [rad/s; m/s]; wide enough for the finite
+/// differences that stiff methods and rate estimates take.
+constexpr double REST = 1e-6;
+
+/// Store accelerations and multipliers without the friction of the joints at rest.
+void keep_frictionless(const EffectTable &, Values qdd, Values lam);
+
+/// Store the response to the limit of one friction, number `place` of the joints at rest, after an
+/// evaluation with that friction in Sticking.hold; take it back from there.
+void keep_response(const EffectTable &, Index place, Values qdd, Values lam);
+
+/// Find the friction at rest; write the accelerations and multipliers with it, and complete
+/// EffectTable.applied and the readings.
+void balance_friction(const EffectTable &, Values qdd, Values lam);
+
+/// Take what is left of their rates from the joints that stay at rest, by an impulse; `qd` as
+/// `qdd`.
+void stop_sticking_joints(const EffectTable &, Values qd);
+
+/// Minimise x matrix x / 2 + right x in a box, with `count` unknowns, by the active-set method.
+/// Sticking.matrix is symmetric, positive semidefinite; `bound`: the largest magnitude of each
+/// unknown, zero leaves it out. Nocedal and Wright, Numerical Optimization, 2nd ed. (2006),
+/// section 16.5.
+void minimise_in_box(const Sticking &, Index count, Values out);
+
+}  // namespace closedloop
+
+#endif  // CLOSEDLOOP_DYNAMICS__ENGINE__STICKING_HPP_

@@ -1,0 +1,76 @@
+// SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+// SPDX-License-Identifier: Apache-2.0
+
+#ifndef CLOSEDLOOP_DYNAMICS__ENGINE__SWITCHING_HPP_
+#define CLOSEDLOOP_DYNAMICS__ENGINE__SWITCHING_HPP_
+
+#include "rosenbrock.hpp"
+
+// The default method: error control that changes between DOP853 and RODAS4.
+//
+// Where steps of the explicit method are limited by stability, the stiff one is tried, and
+// whichever takes less work for the same time goes on; work is counted in evaluations, so that the
+// same run changes at the same steps every time.
+//
+// The local tolerance is a thousandth of the accuracy that is asked for. Whether that is enough is
+// monitored: in windows of one second a reference run with a tolerance 30 times as large starts
+// from the same state. The distance of the two bounds the global error of the run within a second;
+// the tolerance of both is tightened where that bound comes near the accuracy.
+
+namespace closedloop
+{
+
+/// Columns of the control record that follow those of error_control.hpp: whether the stiff method
+/// steps; explicit steps in a row that stability seems to limit and those that it does not; how
+/// many of the first kind let the stiff method be tried; work and time when that count, or the
+/// trial, began; work per time of the explicit method before the trial; steps of the trial.
+namespace switching
+{
+enum : Index
+{
+  STIFF = control::COLUMNS, STIFF_COUNT, NONSTIFF_COUNT, STIFF_THRESHOLD, SINCE_WORK, SINCE_TIME,
+  EXPLICIT_RATE, TRIAL_STEPS
+};
+}
+
+/// Columns of the monitor: the accuracy; the present tolerance; whether a window is open; when it
+/// ends or the next begins; how long the next pause is; the smallest step in a window; the bound of
+/// the error in the present window, the part of it from before the reference run was set back, and
+/// the largest of all windows; the bound at which the tolerance is tightened next; how often it
+/// was.
+namespace monitor
+{
+enum : Index
+{
+  ACCURACY, TOLERANCE, OPEN, UNTIL, PAUSE, SMALLEST, BOUND, CARRIED, LARGEST_BOUND, NEXT_BOUND,
+  TIGHTENED
+};
+}
+
+/// A run and its reference run (integration/switching.py).
+struct Runs
+{
+  Table control;
+  Cube<double> scale;
+  Cube<double> scratch;
+  Cube<double> stiff_scratch;
+  Table matrix;
+  Indices pivots;
+  Values monitor;
+  Values weight;
+
+  template<class Visitor>
+  void fields(Visitor && visit)
+  {
+    visit(control, scale, scratch, stiff_scratch, matrix, pivots, monitor, weight);
+  }
+};
+
+/// Advance a state over the grid; arguments and result as of `advance_explicit`.
+Status advance_switching(
+  const System &, const Tableau &, Stabilisation, Values state, double origin, Index done,
+  double step_size, Index steps, const Runs &);
+
+}  // namespace closedloop
+
+#endif  // CLOSEDLOOP_DYNAMICS__ENGINE__SWITCHING_HPP_

@@ -1,0 +1,58 @@
+// SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+// SPDX-License-Identifier: Apache-2.0
+
+#include "time_events.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include "course.hpp"
+
+namespace closedloop
+{
+
+namespace
+{
+/// Whether an effect follows the time.
+bool follows_time(const EffectTable & effects, Index row)
+{
+  const Index kind = effects.kind[row];
+  return effects.enabled[row] == 1 && (
+    kind == effect::PRESCRIBED_TORQUE || kind == effect::PRESCRIBED_FORCE ||
+    kind == effect::SPATIAL_PRESCRIBED_FORCE ||
+    (kind == effect::PRESCRIBED_MOTION && effects.values(row, 1) == 0.0));
+}
+
+}  // namespace
+
+double time_to_next_corner(const EffectTable & effects, Values own)
+{
+  double wait = std::numeric_limits<double>::infinity();
+  for (Index row = 0; row < effects.count(); ++row) {
+    if (follows_time(effects, row)) {
+      const Index state = effects.index(row, effect::STATE);
+      wait = std::min(
+        wait,
+        end_of_piece(effects, row, effects.values(row, 0), piece_number(own[state + 1])) - own[state]);
+    }
+  }
+  return wait;
+}
+
+void pass_corners(const EffectTable & effects, Values own)
+{
+  for (Index row = 0; row < effects.count(); ++row) {
+    if (follows_time(effects, row)) {
+      const Index state = effects.index(row, effect::STATE);
+      const double limit = own[state] + SAME_TIME * std::max(1.0, std::abs(own[state]));
+      Index piece = piece_number(own[state + 1]);
+      while (end_of_piece(effects, row, effects.values(row, 0), piece) <= limit) {
+        ++piece;
+      }
+      own[state + 1] = static_cast<double>(piece);
+    }
+  }
+}
+
+}  // namespace closedloop
