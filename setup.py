@@ -70,9 +70,9 @@ setup(
     ],
     python_requires='>=3.11',
     install_requires=[
+        'llvmlite>=0.43',
         'matplotlib>=3.6',
         'mcap>=1.6',
-        'numba>=0.60',
         'numpy>=1.26',
         'PyYAML>=6.0',
         'rosbags>=0.11',

@@ -125,7 +125,7 @@ make_environment() {
     "$base_python" -m venv --system-site-packages "$venv"
     "$venv/bin/python" "$root/scripts/_prefer_installed.py" "$constraints" > "$venv/constraints.txt"
     constraints=$venv/constraints.txt
-    say "Installing what the sourced ROS 2 Jazzy does not bring: numba, rosbags, mcap (70 MB or more, a minute)"
+    say "Installing what the sourced ROS 2 Jazzy does not bring: llvmlite, rosbags, mcap (60 MB or more, a minute)"
   else
     "$base_python" -m venv "$venv"
     wheels=(--requirement "$root/requirements/ros.txt")
@@ -185,9 +185,9 @@ export_environment() {
   local cache=$root/.cache
   export VIRTUAL_ENV=$venv PATH=$venv/bin:$PATH PYTHONPATH=$root${PYTHONPATH:+:$PYTHONPATH}
   export MPLCONFIGDIR=${MPLCONFIGDIR:-$cache/matplotlib}
-  # Compiled code goes to the user's cache, whoever compiles; where there is none, here.
-  if [[ -z ${NUMBA_CACHE_DIR:-} ]] && ! mkdir -p -- "${XDG_CACHE_HOME:-${HOME:-}/.cache}/closedloop_dynamics" 2>/dev/null; then
-    export NUMBA_CACHE_DIR=$cache
+  # Generated code goes to the user's cache, whoever generates it; where there is none, here.
+  if [[ -z ${CLOSEDLOOP_CACHE_DIR:-} ]] && ! mkdir -p -- "${XDG_CACHE_HOME:-${HOME:-}/.cache}/closedloop_dynamics" 2>/dev/null; then
+    export CLOSEDLOOP_CACHE_DIR=$cache
   fi
   export ROS_LOG_DIR=${ROS_LOG_DIR:-$cache/ros_log}
   export ROS_AUTOMATIC_DISCOVERY_RANGE=${ROS_AUTOMATIC_DISCOVERY_RANGE:-LOCALHOST}

@@ -85,7 +85,7 @@ Columns of the table: largest errors, over 100 instants, of positions [rad or
 m], velocities [rad/s or m/s] and forces at the cut joints [N or N m]; largest
 closure error [m or rad]; largest change of energy less the work done [J];
 evaluations of the accelerations, and CPU time, for one simulated second (median
-of repeats, in turn; compiling apart). Then the cheapest setting that holds a
+of repeats, in turn). Then the cheapest setting that holds a
 target, as lines to paste into a scene.
 """,
     epilog="""\

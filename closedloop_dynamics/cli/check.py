@@ -51,7 +51,7 @@ def _run(arguments):
         return 0
     read = with_numbers(read, arguments)
     try:
-        with announced('Assembling (compiling takes half a minute the very first time) ...'):
+        with announced('Assembling ...'):
             simulation = Simulation(read)
             _require_finite(simulation)
     except MechanismError as error:

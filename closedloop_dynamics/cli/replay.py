@@ -39,7 +39,7 @@ def _add_arguments(parser):
 def _run(arguments):
     if arguments.picture:
         require_free(arguments, arguments.picture, option='--picture')
-    with announced('Reading and compiling ...'):
+    with announced('Reading ...'):
         recording = recording_of(arguments, arguments.bag)
     with progress_to(len(recording.motion.time), 'states', recording.scene.name) as show:
         result = replay(recording, show)

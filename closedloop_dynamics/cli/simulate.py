@@ -40,7 +40,7 @@ from ..visual.progress import announced, progress_to
 STANDARD_OUTPUT = '-'
 # Simulated time up to which the error is estimated unless told otherwise [s].
 LONGEST_ESTIMATED = 10.0
-COMPILING = 'Compiling (half a minute the very first time, seconds from then on) ...'
+LOADING = 'Loading ...'
 
 
 def _add_arguments(parser):
@@ -123,13 +123,13 @@ def _run(arguments):
 
 
 def _prepared(arguments):
-    """Return the simulation, compiled, and the torques; errors here are the user's."""
+    """Return the simulation and the torques; errors here are the user's."""
     torque, motion = mapping(arguments.torque, '--torque'), mapping(arguments.motion, '--motion')
     if arguments.accuracy is not None:
         if arguments.integrator is not None:
             raise UsageError('--accuracy: expected it without --integrator, got both')
         arguments.integrator = AUTO
-    with announced(COMPILING):
+    with announced(LOADING):
         simulation = checked_torques(arguments.scene, lambda: Simulation.from_scene(
             _moved(with_numbers(load_scene(arguments.scene), arguments), motion),
             step_size=arguments.step_size, integrator=arguments.integrator,
@@ -137,7 +137,6 @@ def _prepared(arguments):
             tolerance=arguments.tolerance, accuracy=arguments.accuracy), torque)
         if arguments.output not in (None, STANDARD_OUTPUT) and Path(arguments.output).is_file():
             require_free(arguments, Path(arguments.output))
-        simulation.warm_up()
     return simulation, torque
 
 
@@ -182,7 +181,7 @@ def _summary(simulation, report, arguments, estimate):
         f'  closure   largest error of the loops {report.largest_closure:.2g} m or rad',
         f'  energy    {report.first_energy:.9g} J at the start, changed by {change:+.3g} J{work}; '
         f'balance: {energy_in_words(told.energy_error, told.energy_moved)}',
-        f'  CPU time  {report.cpu_time:.3g} s, {share:.2%} of real time, without compiling; '
+        f'  CPU time  {report.cpu_time:.3g} s, {share:.2%} of real time; '
         f'{1e6 * told.time_per_step:.3g} us per step',
     ]
     if math.isfinite(report.error):

@@ -45,7 +45,7 @@ RATE, MOST_ROWS = 60.0, 36_000
 RECORDINGS = ('.csv', '.mcap', '.db3', '.zstd')
 # Only ros/ knows ROS: the node is a process of its own.
 VIEWER = 'from closedloop_dynamics.ros.process import viewer; viewer()'
-COMPILING = 'Compiling (half a minute the very first time, seconds from then on) ...'
+LOADING = 'Loading ...'
 
 
 def _add_arguments(parser):
@@ -110,7 +110,7 @@ def _live(arguments):
     # The server's library takes a while, which no other command should.
     from ..view.runner import Runner
     scene = load_scene(arguments.what)
-    with announced(COMPILING):
+    with announced(LOADING):
         try:
             runner = Runner(scene)
         except AssemblyError as error:
@@ -189,9 +189,8 @@ def _save(arguments):
 def _simulated_page(arguments):
     torque = mapping(arguments.torque, '--torque')
     scene = load_scene(arguments.what)
-    with announced(COMPILING):
+    with announced(LOADING):
         simulation = checked_torques(arguments.what, lambda: Simulation(scene), torque)
-        simulation.warm_up()
     with progress_to(arguments.duration, 's', scene.name) as show:
         columns, times, rows = simulated(simulation, arguments.duration, RATE, torque, show)
     return recorded_page(

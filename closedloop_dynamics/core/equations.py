@@ -14,43 +14,18 @@
 
 """What is asked of a state beside its motion: dense matrices, energies, forces, from Python."""
 
-from typing import NamedTuple
-
 import numpy as np
 
-from . import energy, jacobian, joint_wrenches, kinematics, loop_closure
 from .codegen import pieces
-from .codegen.records import addressed, from_python, link
 from .types import (
-    CUT_NUMBER, CUT_ROW, CUT_TYPE, KEPT, Model, NO_RESPONSES, number_of_coordinates, POSSIBLE,
-    ROW, ROWS, Workspace)
+    CUT_NUMBER, CUT_ROW, CUT_TYPE, KEPT, NO_RESPONSES, number_of_coordinates, POSSIBLE, ROW, ROWS)
 from .workspace import allocate
+from ..engine import native
 
 # Singular values below this times the largest belong to equations that repeat others.
 DEPENDENT = 1e-9
 # What is left of accelerations of closure errors, of the largest that it is a sum of.
 CLOSED = 1e-6
-
-
-class _Machine(NamedTuple):
-    model: Model
-    work: Workspace
-
-
-@addressed
-def _move(machine, number, state, same):
-    """Take a state: coordinates, and behind them rates."""
-    nq = state.shape[0] - (machine.model.tree.shape[0] - 1)
-    kinematics.outward(machine.model, state[:nq], state[nq:], machine.work)
-    return 1
-
-
-@addressed
-def _close(machine, number, error, same):
-    """Find the closure errors of the state that was taken, and the largest of positions."""
-    loop_closure.update(machine.model, machine.work, NO_RESPONSES)
-    error[0] = loop_closure.largest(machine.work.closure)
-    return 1
 
 
 def with_all_equations(model):
@@ -128,10 +103,10 @@ class Equations:
         nq = number_of_coordinates(model)
         state = np.zeros(nq + self.nv)
         self._q, self._qd = state[:nq], state[nq:]
-        self._error, self._jacobian = np.zeros(1), None
-        addresses, self._record = link(_Machine(self.model, self.work), (_move, _close))
-        self._move = from_python(addresses, 1, state)
-        self._close = from_python(addresses, 2, self._error)
+        self._jacobian = None
+        self._move = native.bind('outward', self.model, self._q, self._qd, self.work)
+        self._close = native.bind('update', self.model, self.work, NO_RESPONSES)
+        self._largest = native.bind('largest', self.work.closure)
 
     def _constants(self):
         """Return what decides which code is for which body."""
@@ -178,7 +153,7 @@ class Equations:
     def closure_error(self):
         """Return the largest closure error of positions [m or rad]."""
         self._close()
-        return float(self._error[0])
+        return self._largest()
 
     def jacobian(self):
         """
@@ -191,7 +166,7 @@ class Equations:
         """
         if self._jacobian is None:
             self._jacobian = np.zeros((self.nc, self.nv))
-            jacobian.constraint_jacobian(self.model, self.work, self._jacobian)
+            native.constraint_jacobian(self.model, self.work, self._jacobian)
         return self._jacobian
 
     def inertia(self):
@@ -204,7 +179,7 @@ class Equations:
 
         """
         gim = np.zeros((self.nv, self.nv))
-        jacobian.generalized_inertia_matrix(self.model, self.work, gim)
+        native.generalized_inertia_matrix(self.model, self.work, gim)
         # That has used up the bodies' own inertias.
         self._move()
         return gim
@@ -219,7 +194,7 @@ class Equations:
 
         """
         found = np.zeros(2)
-        energy.energies(*energy.parts(self.model, self.work), self._qd, found)
+        native.energies(self.model, self.work, self._qd, found)
         return float(found[0]), float(found[1])
 
     def closes(self, qdd):
@@ -298,6 +273,6 @@ class Equations:
         """
         model, work = self.model, self.work
         found = np.empty((len(model.cut), work.wrench.shape[1]))
-        joint_wrenches.cut_wrenches(
+        native.cut_wrenches(
             model.cut, model.cut_point, work.cut_piece, body, lam, work.share, found)
         return found

@@ -31,8 +31,7 @@ import math
 from typing import Optional
 
 from .effect import Effect
-from .law import law
-from .table import ACTUATOR, FIRST, ForceElement, OWN, STATE, State, WORK
+from .table import ACTUATOR, ForceElement, OWN, State, WORK
 from ..mechanism.checks import freedom, not_negative, positive
 
 # Share of the speed limit over which the driving torque fades.
@@ -85,23 +84,3 @@ class Actuator(Effect):
     def drive(self):
         """Return the joint whose command passes through here, and its delay [s]."""
         return self.joint, self.delay
-
-
-@law
-def apply(table, row, body, q, qd, tau):
-    """Replace the command by what the drive makes of it; see ``dispatch.apply``."""
-    values, joint, state = table.values, table.index[row, FIRST], table.index[row, STATE]
-    limit, rate = values[row, 0], qd[joint]
-    command = max(-limit, min(limit, tau[joint]))
-    torque = command
-    if values[row, 2] > 0.0:
-        torque = table.states[state]
-        table.rates[state] = (command - torque) / values[row, 2]
-        # A limit may have been lowered since.
-        torque = max(-limit, min(limit, torque))
-    speed = abs(rate)
-    if torque * rate > 0.0 and speed > (1.0 - FADING) * values[row, 1]:
-        torque *= max(0.0, 1.0 - speed / values[row, 1]) / FADING
-    table.applied[joint] += torque - tau[joint]
-    table.rates[state + 1] = torque * rate
-    table.output[row, 1] = torque

@@ -40,15 +40,8 @@ from typing import Optional, Union
 import numpy as np
 
 from .effect import Effect
-from .forces import (
-    dot, place, place_in_space, push_at, push_there, turned, twist, velocity, velocity_at)
-from .law import law
-from .table import (
-    BUSHING, DATA, DISSIPATED, FIRST, ForceElement, SECOND, SPATIAL_BUSHING, STATE, State, STORED)
-from ..core.codegen.space import SPIN
+from .table import BUSHING, DISSIPATED, ForceElement, SPATIAL_BUSHING, State
 from ..core.codegen.spatial import rotation
-from ..core.compiled import inlined
-from ..core.types import ALPHA, COS, FZ, OMEGA, SIN
 from ..mechanism.checks import list_of, name, not_negative, number, orientation, vector
 from ..mechanism.fields import FieldError, shown
 from ..mechanism.mechanism import GROUND, Quaternion, UNTURNED, Vector, Vector3
@@ -172,86 +165,3 @@ class Bushing(Effect):
             (State(DISSIPATED),), data=((
                 *place_a, *place_b, *axes_a.T.ravel().tolist(), *axes_b.T.ravel().tolist(),
                 *along, *damping),))
-
-
-@law
-def apply(table, row, body, q, qd, tau):
-    """Apply the forces; see ``dispatch.apply``."""
-    values, data, at = table.values, table.data, table.index[row, DATA]
-    a, b = table.index[row, FIRST], table.index[row, SECOND]
-    px, py = place(body, a, data[at], data[at + 1])
-    x, y = place(body, b, data[at + 2], data[at + 3])
-    # The first axis (cx, cy), the second (-cy, cx).
-    cx = body[a, COS] * values[row, 3] - body[a, SIN] * values[row, 4]
-    cy = body[a, SIN] * values[row, 3] + body[a, COS] * values[row, 4]
-    vx, vy = velocity(body, b, x, y)
-    # What of body a would be at point b: so the axes' turning is seen.
-    ux, uy = velocity(body, a, x, y)
-    dx, dy, wx, wy = x - px, y - py, vx - ux, vy - uy
-    along, across = cx * dx + cy * dy, cx * dy - cy * dx
-    rate_1, rate_2 = cx * wx + cy * wy, cx * wy - cy * wx
-    turn = body[b, ALPHA] - body[a, ALPHA] - values[row, 2]
-    spin = body[b, OMEGA] - body[a, OMEGA]
-    force_1 = -data[at + 4] * along - data[at + 6] * rate_1
-    force_2 = -data[at + 5] * across - data[at + 7] * rate_2
-    moment = -values[row, 0] * turn - values[row, 1] * spin
-    fx, fy = cx * force_1 - cy * force_2, cy * force_1 + cx * force_2
-    push_at(body, b, x, y, fx, fy)
-    push_at(body, a, x, y, -fx, -fy)
-    body[b, FZ] -= moment
-    body[a, FZ] += moment
-    table.rates[table.index[row, STATE]] = (
-        data[at + 6] * rate_1 * rate_1 + data[at + 7] * rate_2 * rate_2
-        + values[row, 1] * spin * spin)
-    table.output[row, STORED] = 0.5 * (
-        data[at + 4] * along * along + data[at + 5] * across * across
-        + values[row, 0] * turn * turn)
-    table.output[row, 1] = force_1
-    table.output[row, 2] = force_2
-    table.output[row, 3] = moment
-
-
-@inlined
-def _axis(body, row, data, at):
-    """Return an axis of a bushing in the world."""
-    return turned(body, row, data[at], data[at + 1], data[at + 2])
-
-
-@law
-def apply_in_space(table, row, body, q, qd, tau):
-    """Apply the forces in space; see ``dispatch.apply``."""
-    values, data, at = table.values, table.data, table.index[row, DATA]
-    a, b, output = table.index[row, FIRST], table.index[row, SECOND], table.output
-    px, py, pz = place_in_space(body, a, data[at], data[at + 1], data[at + 2])
-    x, y, z = place_in_space(body, b, data[at + 3], data[at + 4], data[at + 5])
-    vx, vy, vz = velocity_at(body, b, x, y, z)
-    # What of body a would be at point b: so the axes' turning is seen.
-    ux, uy, uz = velocity_at(body, a, x, y, z)
-    sx, sy, sz = (body[b, SPIN] - body[a, SPIN], body[b, SPIN + 1] - body[a, SPIN + 1],
-                  body[b, SPIN + 2] - body[a, SPIN + 2])
-    fx, fy, fz, mx, my, mz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    stored, lost = 0.0, 0.0
-    for k in range(3):
-        axis = ax, ay, az = _axis(body, a, data, at + AXES_A + 3 * k)
-        other = bx, by, bz = _axis(body, b, data, at + AXES_B + 3 * k)
-        along = dot(axis, (x - px, y - py, z - pz))
-        rate = dot(axis, (vx - ux, vy - uy, vz - uz))
-        spin = dot(axis, (sx, sy, sz))
-        stiffness, damping = data[at + ALONG + k], data[at + LOSS + k]
-        force = -stiffness * along - damping * rate
-        output[row, 1 + k] = force
-        fx, fy, fz = fx + force * ax, fy + force * ay, fz + force * az
-        # 1 - a . b of both bodies' axes: its gradient is the vector product of the two.
-        share, loss = values[row, k], -values[row, 3 + k] * spin
-        mx += share * (by * az - bz * ay) + loss * ax
-        my += share * (bz * ax - bx * az) + loss * ay
-        mz += share * (bx * ay - by * ax) + loss * az
-        stored += 0.5 * stiffness * along * along + share * (1.0 - dot(axis, other))
-        lost += damping * rate * rate - loss * spin
-    push_there(body, b, x, y, z, fx, fy, fz)
-    push_there(body, a, x, y, z, -fx, -fy, -fz)
-    twist(body, b, mx, my, mz)
-    twist(body, a, -mx, -my, -mz)
-    table.rates[table.index[row, STATE]] = lost
-    output[row, STORED] = stored
-    output[row, 4] = math.sqrt(mx * mx + my * my + mz * mz)

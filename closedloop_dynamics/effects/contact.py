@@ -37,13 +37,7 @@ import math
 from typing import Optional
 
 from .effect import Effect
-from .forces import (
-    elastic_force, in_contact, offset, push, push_in_space, turned, velocity_in_space)
-from .law import law
-from .table import CONTACT, DISSIPATED, FIRST, ForceElement, SPATIAL_CONTACT, STATE, State, STORED
-from ..core.codegen.space import ORIGIN
-from ..core.compiled import inlined
-from ..core.types import OMEGA, PX, PY, VX, VY
+from .table import CONTACT, DISSIPATED, ForceElement, SPATIAL_CONTACT, State
 from ..mechanism.checks import direction, name, not_negative, number, positive, vector
 from ..mechanism.fields import FieldError, shown
 from ..mechanism.mechanism import Vector, Vector3
@@ -127,67 +121,3 @@ class Contact(Effect):
         height = sum(n * x for n, x in zip(self.normal, self.origin))
         return ForceElement(
             SPATIAL_CONTACT, (row,), (*place, *self.normal, *law, height), states, touches=True)
-
-
-@inlined
-def _press(table, row, depth, rate, slip):
-    """Return the forces out of the line or plane and along the sliding, and note them."""
-    values, output = table.values, table.output
-    sign = slip / math.sqrt(slip * slip + values[row, 10] * values[row, 10])
-    elastic = elastic_force(values[row, 6], values[row, 7], -depth)
-    normal = elastic * max(0.0, 1.0 + values[row, 8] * rate)
-    friction = values[row, 9] * normal * sign
-    scraping = values[row, 11] * depth * sign
-    along = -friction - scraping
-    table.rates[table.index[row, STATE]] = (normal - elastic) * rate - along * slip
-    output[row, STORED] = elastic * depth / (values[row, 7] + 1.0)
-    output[row, 1] = depth
-    output[row, 2] = normal
-    output[row, 3] = -friction
-    output[row, 4] = -scraping
-    return normal, along
-
-
-@law
-def apply(table, row, body, q, qd, tau):
-    """Apply the force; see ``dispatch.apply``."""
-    values, output, i = table.values, table.output, table.index[row, FIRST]
-    rx, ry = offset(body, i, values[row, 0], values[row, 1])
-    # Along the line (ux, uy), out of it (-uy, ux).
-    ux, uy = values[row, 4], values[row, 5]
-    depth = (uy * (body[i, PX] + rx - values[row, 2])
-             - ux * (body[i, PY] + ry - values[row, 3]))
-    for k in range(output.shape[1]):
-        output[row, k] = 0.0
-    vx = body[i, VX] - body[i, OMEGA] * ry
-    vy = body[i, VY] + body[i, OMEGA] * rx
-    rate = uy * vx - ux * vy
-    if in_contact(table.contacts, row, -depth, -rate):
-        slip = ux * vx + uy * vy
-        normal, along = _press(table, row, depth, rate, slip)
-        push(body, i, rx, ry, along * ux - normal * uy, along * uy + normal * ux)
-
-
-@law
-def apply_in_space(table, row, body, q, qd, tau):
-    """Apply the force in space; see ``dispatch.apply``."""
-    values, output, i = table.values, table.output, table.index[row, FIRST]
-    rx, ry, rz = turned(body, i, values[row, 0], values[row, 1], values[row, 2])
-    nx, ny, nz = values[row, 3], values[row, 4], values[row, 5]
-    depth = values[row, 12] - (
-        nx * (body[i, ORIGIN] + rx) + ny * (body[i, ORIGIN + 1] + ry)
-        + nz * (body[i, ORIGIN + 2] + rz))
-    for k in range(output.shape[1]):
-        output[row, k] = 0.0
-    vx, vy, vz = velocity_in_space(body, i, rx, ry, rz)
-    rate = -(nx * vx + ny * vy + nz * vz)
-    if in_contact(table.contacts, row, -depth, -rate):
-        # What is left of the velocity slides.
-        vx += rate * nx
-        vy += rate * ny
-        vz += rate * nz
-        slip = math.sqrt(vx * vx + vy * vy + vz * vz)
-        normal, along = _press(table, row, depth, rate, slip)
-        drag = along / slip if slip > 0.0 else 0.0
-        push_in_space(body, i, rx, ry, rz, normal * nx + drag * vx, normal * ny + drag * vy,
-                      normal * nz + drag * vz)

@@ -18,7 +18,7 @@ Courses over time: a quantity as a chain of pieces, each a polynomial and a sine
     y(t) = c0 + u (c1 + ... u c5) + a sin(w u + p),     u = t - (start of the piece)
 
 A state of the effect counts the pieces, so that within a step one formula holds; steps end where
-the next begins (``integration.breaks``). With a period the chain begins anew again and again.
+the next begins (``engine/time_events.hpp``). With a period the chain begins anew again and again.
 
 """
 
@@ -27,8 +27,6 @@ import math
 
 import numpy as np
 
-from .table import DATA, ENTRIES, STATE
-from ..core.compiled import inlined
 from ..mechanism.fields import FieldError, shown
 
 # Columns of a piece: its start [s], c0 to c5, a, w, p.
@@ -274,71 +272,3 @@ def present(found, period, time):
     starts = [piece[0] for piece in found[1:]]
     inside = time if period is None else time - cycle * period
     return float(cycle * len(found) + int(np.searchsorted(starts, inside, 'right')))
-
-
-@inlined
-def _present(table, row, period):
-    """Return where the present piece of a course is among the data, and the time since then."""
-    data, state, count = table.data, table.index[row, STATE], table.index[row, ENTRIES]
-    # A float that is whole, but for the differences that stiff methods take.
-    piece = int(math.floor(table.states[state + 1] + 0.5))
-    time, cycle = table.states[state], 0
-    if period > 0.0:
-        cycle = piece // count
-        time -= cycle * period
-    at = table.index[row, DATA] + COLUMNS * (piece - cycle * count)
-    return at, time - data[at]
-
-
-@inlined
-def value(table, row, period):
-    """
-    Return the value of a course at the time in the effect's first state.
-
-    Parameters
-    ----------
-    table : EffectTable
-        The effect's first two states are the time and the count of its pieces.
-    row : int
-        Of the effect.
-    period : float
-        [s]; zero without.
-
-    """
-    data = table.data
-    at, u = _present(table, row, period)
-    y = data[at + 1] + u * (data[at + 2] + u * (data[at + 3] + u * (
-        data[at + 4] + u * (data[at + 5] + u * data[at + 6]))))
-    if data[at + 7] != 0.0:
-        y += data[at + 7] * math.sin(data[at + 8] * u + data[at + 9])
-    return y
-
-
-@inlined
-def derivatives(table, row, period):
-    """Return the first and the second derivative by the time; as for ``value``."""
-    data = table.data
-    at, u = _present(table, row, period)
-    fourth, fifth = data[at + 5], data[at + 6]
-    rate = data[at + 2] + u * (2.0 * data[at + 3] + 3.0 * u * data[at + 4])
-    change = 2.0 * data[at + 3] + 6.0 * u * data[at + 4]
-    if fourth != 0.0 or fifth != 0.0:
-        rate += u * u * u * (4.0 * fourth + 5.0 * u * fifth)
-        change += u * u * (12.0 * fourth + 20.0 * u * fifth)
-    if data[at + 7] != 0.0:
-        turning, angle = data[at + 8], data[at + 8] * u + data[at + 9]
-        rate += data[at + 7] * turning * math.cos(angle)
-        change -= data[at + 7] * turning * turning * math.sin(angle)
-    return rate, change
-
-
-@inlined
-def end_of_piece(table, row, period, piece):
-    """Return when a piece of a course ends [s]; infinity where it is the last one."""
-    count, following, cycle = table.index[row, ENTRIES], piece + 1, 0
-    if period > 0.0:
-        cycle = following // count
-    elif following >= count:
-        return math.inf
-    at = table.index[row, DATA] + COLUMNS * (following - cycle * count)
-    return table.data[at] + cycle * period

@@ -17,6 +17,9 @@
 from ..mechanism.checks import one_of, vector2, vector3
 from ..mechanism.fields import among, at, FieldError, normalise
 
+# Whose axes a force is given in.
+WORLD, BODY = 'world', 'body'
+
 
 class Machine:
     """
@@ -152,8 +155,8 @@ class Effect:
     # Fields that are vectors: of two numbers in the plane, of three in space.
     VECTORS = ()
     # Whether steps must end where the effect's joint comes to rest, its first own state being the
-    # direction in which the joint slides (``integration.stick_slip``), or where its course over
-    # time has corners (``integration.breaks``).
+    # direction in which the joint slides (``engine/stick_slip.hpp``), or where its course over
+    # time has corners (``engine/time_events.hpp``).
     ENDS_STEPS = False
     # Whether the effect exerts in its joint what a drive would be told to.
     COMMANDS = False
@@ -281,7 +284,7 @@ class Effect:
         Returns
         -------
         tuple of 2 floats, or None
-            The time, and which piece of its course is the present one (``integration.breaks``);
+            The time, and which piece of its course is the present one (``engine/time_events.hpp``);
             None where the effect knows no time.
 
         """

@@ -24,14 +24,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from . import cut_coordinates
 from .sensor import Chain
 from .table import (
     build_table, CUT_ROTOR, DATA, DISSIPATED, fill_row, FIRST, FOLLOWED, LOADED, OWN,
     PRESCRIBED_MOTION, size_of_data, STATE, states_of, STORED, WORK)
-from ..core import codegen, kinematics
+from ..core import codegen
 from ..core.codegen import pieces
 from ..core.types import TYPE
+from ..engine import native
 from ..mechanism.checks import boolean, one_of
 from ..mechanism.fields import at, FieldError, keys_of, mapping
 
@@ -283,9 +283,9 @@ class EffectSet:
         if self.cuts is None:
             return qd
         cuts, nv = self._table.cuts, len(qd)
-        kinematics.outward(self._system.model, q, qd, self._system.work)
+        native.outward(self._system.model, q, qd, self._system.work)
         cuts.qd[:nv] = qd
-        cut_coordinates.measure(
+        native.measure_cut_coordinates(
             cuts.index, cuts.values, self._system.work.body, self._table.states, nv, cuts.q,
             cuts.qd)
         return cuts.qd.copy()

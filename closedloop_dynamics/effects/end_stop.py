@@ -30,9 +30,7 @@ import math
 from typing import Optional
 
 from .effect import Effect
-from .forces import in_contact
-from .law import law
-from .table import DISSIPATED, END_STOP, FIRST, ForceElement, STATE, State, STORED
+from .table import DISSIPATED, END_STOP, ForceElement, State
 from ..mechanism.checks import freedom, not_negative, number, positive
 from ..mechanism.fields import FieldError
 
@@ -79,23 +77,3 @@ class EndStop(Effect):
             self.stiffness, -math.inf if self.lower is None else self.lower,
             math.inf if self.upper is None else self.upper, self.damping), (State(DISSIPATED),),
             touches=True)
-
-
-@law
-def apply(table, row, body, q, qd, tau):
-    """Add the torque; see ``dispatch.apply``."""
-    values, joint, state = table.values, table.index[row, FIRST], table.index[row, STATE]
-    # Beyond the nearer stop; as a rule less than zero.
-    sign, depth = 1.0, q[joint] - values[row, 2]
-    if values[row, 1] - q[joint] > depth:
-        sign, depth = -1.0, values[row, 1] - q[joint]
-    rate = sign * qd[joint]
-    if not in_contact(table.contacts, row, -depth, -rate):
-        depth = 0.0
-    elastic = values[row, 0] * depth
-    push = elastic * max(0.0, 1.0 + values[row, 3] * rate)
-    table.applied[joint] -= sign * push
-    table.rates[state] = (push - elastic) * rate
-    table.output[row, STORED] = 0.5 * elastic * depth
-    table.output[row, 1] = -sign * push
-    table.output[row, 2] = depth

@@ -21,10 +21,7 @@ Expressions in the time, as compiled code evaluates them: a list of operations o
 """
 
 import ast
-import math
 
-from .table import DATA
-from ..core.compiled import compiled
 from ..mechanism.expressions import CONSTANTS, FUNCTIONS, parsed
 from ..mechanism.fields import among, FieldError, nearest, shown
 
@@ -221,84 +218,3 @@ def _quotient(one, other):
 
 def _called(name, argument):
     return ast.Call(ast.Name(name), [argument], [])
-
-
-@compiled
-def value(table, row, time):
-    """Return the value at a time of the expression that an effect's entry has."""
-    return value_at(table, table.index[row, DATA], time)
-
-
-@compiled
-def value_at(table, at, time):
-    """Return the value at a time of the expression whose entry begins at a place of the data."""
-    data = table.data
-    count = int(data[at])
-    top = at + 2 * count
-    for k in range(count):
-        operation = int(data[at + 1 + 2 * k])
-        if operation <= TIME:
-            top += 1
-            data[top] = time if operation == TIME else data[at + 2 + 2 * k]
-        elif operation >= ADD:
-            top -= 1
-            data[top] = _of_two(operation, data[top], data[top + 1])
-        else:
-            data[top] = _of_one(operation, data[top])
-    return data[top]
-
-
-@compiled
-def _of_one(operation, x):
-    y = x
-    if operation == NEG:
-        y = -x
-    elif operation == ABS:
-        y = abs(x)
-    elif operation == SIN:
-        y = math.sin(x)
-    elif operation == COS:
-        y = math.cos(x)
-    elif operation == TAN:
-        y = math.tan(x)
-    elif operation == ASIN:
-        y = math.asin(x)
-    elif operation == ACOS:
-        y = math.acos(x)
-    elif operation == ATAN:
-        y = math.atan(x)
-    elif operation == SQRT:
-        y = math.sqrt(x)
-    elif operation == EXP:
-        y = math.exp(x)
-    elif operation == LOG:
-        y = math.log(x)
-    elif operation == RADIANS:
-        y = math.radians(x)
-    elif operation == DEGREES:
-        y = math.degrees(x)
-    return y
-
-
-@compiled
-def _of_two(operation, x, y):
-    z = x
-    if operation == ADD:
-        z = x + y
-    elif operation == SUB:
-        z = x - y
-    elif operation == MUL:
-        z = x * y
-    elif operation == DIV:
-        z = x / y
-    elif operation == POW:
-        z = x ** y
-    elif operation == ATAN2:
-        z = math.atan2(x, y)
-    elif operation == HYPOT:
-        z = math.hypot(x, y)
-    elif operation == MIN:
-        z = min(x, y)
-    elif operation == MAX:
-        z = max(x, y)
-    return z

@@ -26,12 +26,8 @@ from a topic).
 from dataclasses import dataclass
 from typing import Union
 
-from .effect import Effect
-from .forces import BODY, offset, push, push_in_space, turned, twist, velocity_in_space, WORLD
-from .law import law
-from .table import EXTERNAL_FORCE, FIRST, ForceElement, SPATIAL_FORCE, STATE, State, WORK
-from ..core.codegen.space import SPIN
-from ..core.types import FZ, OMEGA, VX, VY
+from .effect import BODY, Effect, WORLD
+from .table import EXTERNAL_FORCE, ForceElement, SPATIAL_FORCE, State, WORK
 from ..mechanism.checks import name, number, one_of, one_or_several, vector, vector3
 from ..mechanism.fields import at
 from ..mechanism.mechanism import Vector, Vector3
@@ -87,39 +83,3 @@ class ExternalForce(Effect):
             axes = machine.placement(machine.carrier(self.point)).axes
             force, torque = axes @ force, axes @ torque
         return ForceElement(SPATIAL_FORCE, (row,), (*place, *force, *torque, turns), states)
-
-
-@law
-def apply(table, row, body, q, qd, tau):
-    """Apply force and torque; see ``dispatch.apply``."""
-    values, i = table.values, table.index[row, FIRST]
-    rx, ry = offset(body, i, values[row, 0], values[row, 1])
-    fx, fy, torque = values[row, 2], values[row, 3], values[row, 4]
-    if values[row, 5] > 0.0:
-        fx, fy = offset(body, i, fx, fy)
-    push(body, i, rx, ry, fx, fy)
-    power = (fx * (body[i, VX] - body[i, OMEGA] * ry) + fy * (body[i, VY] + body[i, OMEGA] * rx))
-    if torque != 0.0:
-        body[i, FZ] -= torque
-        power += torque * body[i, OMEGA]
-    table.rates[table.index[row, STATE]] = power
-    table.output[row, 1] = power
-
-
-@law
-def apply_in_space(table, row, body, q, qd, tau):
-    """Apply force and torque in space; see ``dispatch.apply``."""
-    values, i = table.values, table.index[row, FIRST]
-    rx, ry, rz = turned(body, i, values[row, 0], values[row, 1], values[row, 2])
-    fx, fy, fz = values[row, 3], values[row, 4], values[row, 5]
-    tx, ty, tz = values[row, 6], values[row, 7], values[row, 8]
-    if values[row, 9] > 0.0:
-        fx, fy, fz = turned(body, i, fx, fy, fz)
-        tx, ty, tz = turned(body, i, tx, ty, tz)
-    push_in_space(body, i, rx, ry, rz, fx, fy, fz)
-    twist(body, i, tx, ty, tz)
-    vx, vy, vz = velocity_in_space(body, i, rx, ry, rz)
-    power = (fx * vx + fy * vy + fz * vz + tx * body[i, SPIN] + ty * body[i, SPIN + 1]
-             + tz * body[i, SPIN + 2])
-    table.rates[table.index[row, STATE]] = power
-    table.output[row, 1] = power

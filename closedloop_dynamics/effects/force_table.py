@@ -31,12 +31,8 @@ from typing import Optional, Tuple
 import numpy as np
 
 from .effect import Effect
-from .forces import distance, distance_in_space, pull, push_there
-from .law import law
 from .table import (
-    DATA, DISSIPATED, ENTRIES, FIRST, ForceElement, JOINT_FORCE_TABLE, POINT_FORCE_TABLE, SECOND,
-    SPATIAL_FORCE_TABLE, STATE, State, STORED)
-from ..core.compiled import inlined
+    DISSIPATED, ForceElement, JOINT_FORCE_TABLE, POINT_FORCE_TABLE, SPATIAL_FORCE_TABLE, State)
 from ..mechanism.checks import freedom, list_of, name, not_negative, number, one_of, vector
 from ..mechanism.fields import FieldError, shown
 from ..mechanism.mechanism import Vector
@@ -140,70 +136,3 @@ def _pieces(strokes, forces, interpolation):
     rows += [(start, *row, energy) for start, row, energy in zip(strokes, inside, energies)]
     rows.append((strokes[-1], forces[-1], slope, 0.0, 0.0, energies[-1]))
     return tuple(tuple(map(float, row)) for row in rows)
-
-
-@inlined
-def _look_up(table, row, stroke):
-    """Return force and energy at a stroke, and note them."""
-    data, first = table.data, table.index[row, DATA]
-    # The piece before the table begins where its first one does.
-    low, high = 0, table.index[row, ENTRIES] - 1
-    if stroke < data[first]:
-        high = 0
-    while high - low > 0:
-        middle = (low + high + 1) // 2
-        if data[first + COLUMNS * middle] <= stroke:
-            low = middle
-        else:
-            high = middle - 1
-    at = first + COLUMNS * low
-    u = stroke - data[at]
-    force = data[at + 1] + u * (data[at + 2] + u * (data[at + 3] + u * data[at + 4]))
-    energy = data[at + 5] + u * (data[at + 1] + u * (
-        data[at + 2] / 2.0 + u * (data[at + 3] / 3.0 + u * data[at + 4] / 4.0)))
-    return force, energy
-
-
-@inlined
-def _note(table, row, force, stroke, energy, dissipated):
-    table.rates[table.index[row, STATE]] = dissipated
-    table.output[row, STORED] = energy
-    table.output[row, 1] = force
-    table.output[row, 2] = stroke
-
-
-@law
-def apply(table, row, body, q, qd, tau):
-    """Add the torque; see ``dispatch.apply``."""
-    joint, damping = table.index[row, FIRST], table.values[row, 0]
-    force, energy = _look_up(table, row, q[joint])
-    loss = damping * qd[joint]
-    table.applied[joint] += force - loss
-    _note(table, row, force - loss, q[joint], -energy, loss * qd[joint])
-
-
-@law
-def apply_between_points(table, row, body, q, qd, tau):
-    """Apply the forces between points; see ``dispatch.apply``."""
-    values, a, b = table.values, table.index[row, FIRST], table.index[row, SECOND]
-    x, y, length, rate = distance(
-        body, a, values[row, 1], values[row, 2], b, values[row, 3], values[row, 4])
-    force, energy = _look_up(table, row, length)
-    tension = force + values[row, 0] * rate if length > 0.0 else 0.0
-    pull(body, a, values[row, 1], values[row, 2], tension * x, tension * y)
-    pull(body, b, values[row, 3], values[row, 4], -tension * x, -tension * y)
-    _note(table, row, tension, length, energy, values[row, 0] * rate * rate)
-
-
-@law
-def apply_in_space(table, row, body, q, qd, tau):
-    """Apply the forces between points in space; see ``dispatch.apply``."""
-    values, a, b = table.values, table.index[row, FIRST], table.index[row, SECOND]
-    px, py, pz, bx, by, bz, x, y, z, length, rate = distance_in_space(
-        body, a, values[row, 1], values[row, 2], values[row, 3],
-        b, values[row, 4], values[row, 5], values[row, 6])
-    force, energy = _look_up(table, row, length)
-    tension = force + values[row, 0] * rate if length > 0.0 else 0.0
-    push_there(body, a, px, py, pz, tension * x, tension * y, tension * z)
-    push_there(body, b, bx, by, bz, -tension * x, -tension * y, -tension * z)
-    _note(table, row, tension, length, energy, values[row, 0] * rate * rate)

@@ -25,8 +25,7 @@ grows with the rate and vanishes at rest.
 from dataclasses import dataclass
 
 from .effect import Effect
-from .law import law
-from .table import DISSIPATED, FIRST, ForceElement, JOINT_DAMPING, STATE, State
+from .table import DISSIPATED, ForceElement, JOINT_DAMPING, State
 from ..mechanism.checks import freedom, not_negative
 
 
@@ -57,13 +56,3 @@ class JointDamping(Effect):
         """Return the effect as a row of the table."""
         return ForceElement(JOINT_DAMPING, (machine.joint(self.joint),), (self.coefficient,),
                             (State(DISSIPATED),))
-
-
-@law
-def apply(table, row, body, q, qd, tau):
-    """Add the torque; see ``dispatch.apply``."""
-    joint, state = table.index[row, FIRST], table.index[row, STATE]
-    torque = -table.values[row, 0] * qd[joint]
-    table.applied[joint] += torque
-    table.rates[state] = -torque * qd[joint]
-    table.output[row, 1] = torque

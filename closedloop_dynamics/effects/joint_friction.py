@@ -21,8 +21,8 @@ Dry friction in a joint: Coulomb and Stribeck, with exact rest.
 
 Nothing is regularised: the joint does not give way, creep, or swing, and no stiffness limits the
 steps. A state tells which way the joint slides (1 or -1) or that it is at rest (0); it
-is constant within a step and changes between steps (``integration.stick_slip``). What holds the
-joints at rest is found with each evaluation (``sticking``), which costs an evaluation
+is constant within a step and changes between steps (``engine/stick_slip.hpp``). What holds the
+joints at rest is found with each evaluation (``engine/sticking.hpp``), which costs an evaluation
 more for each of them, while they rest.
 
 R is the magnitude of the joint's own constraint force (in a prismatic joint: its part across
@@ -38,12 +38,13 @@ from dataclasses import dataclass
 import math
 
 from .effect import Effect
-from .law import law
-from .sticking import REST
-from .table import DISSIPATED, FIRST, ForceElement, JOINT_FRICTION, LOAD_TIME, OWN, STATE, State
-from ..core.compiled import inlined
+from .table import DISSIPATED, ForceElement, JOINT_FRICTION, LOAD_TIME, OWN, State
 from ..mechanism.checks import freedom, not_negative, positive
 from ..mechanism.fields import FieldError
+
+
+# Rates below this are rest while a step is made, as in engine/sticking.hpp [rad/s; m/s].
+REST = 1e-6
 
 
 @dataclass(frozen=True)
@@ -113,37 +114,3 @@ class JointFriction(Effect):
     def direction(self, rate):
         """Return the direction in which the joint slides at a rate; 0 at rest."""
         return math.copysign(1.0, rate) if abs(rate) > REST else 0.0
-
-
-@inlined
-def limit(table, row, rate):
-    """Return the largest friction at a rate."""
-    values = table.values
-    level = values[row, 0] + values[row, 3] * table.states[table.index[row, STATE] + 1]
-    excess = values[row, 1] - 1.0
-    if excess > 0.0:
-        level *= 1.0 + excess * math.exp(-(rate / values[row, 2]) ** 2)
-    return level
-
-
-@law
-def apply(table, row, body, q, qd, tau):
-    """Add the torque, or list the joint among those at rest; see ``dispatch.apply``."""
-    joint, state, sticking = table.index[row, FIRST], table.index[row, STATE], table.sticking
-    rate = qd[joint]
-    most = limit(table, row, rate)
-    direction = table.states[state]
-    # A joint that breaks away within a step goes on as one that slides.
-    if abs(direction) < 0.5 and abs(rate) > REST:
-        direction = rate
-    if abs(direction) < 0.5 and abs(rate) <= REST:
-        sticking.rows[0] += 1
-        sticking.rows[sticking.rows[0]] = row
-        torque = sticking.hold[row]
-    else:
-        torque = -math.copysign(most, direction)
-    table.applied[joint] += torque
-    table.rates[state] = 0.0
-    table.rates[state + 2] = 0.0 - torque * rate
-    table.output[row, 1] = torque
-    table.output[row, 3] = most

@@ -25,8 +25,7 @@ a large k) a joint that is meant to stand still.
 from dataclasses import dataclass
 
 from .effect import Effect
-from .law import law
-from .table import FIRST, ForceElement, JOINT_SPRING, STORED
+from .table import ForceElement, JOINT_SPRING
 from ..mechanism.checks import freedom, not_negative, number
 
 
@@ -56,13 +55,3 @@ class JointSpring(Effect):
         """Return the effect as a row of the table."""
         return ForceElement(
             JOINT_SPRING, (machine.joint(self.joint),), (self.stiffness, self.rest))
-
-
-@law
-def apply(table, row, body, q, qd, tau):
-    """Add the torque; see ``dispatch.apply``."""
-    joint, stiffness = table.index[row, FIRST], table.values[row, 0]
-    stretch = q[joint] - table.values[row, 1]
-    table.applied[joint] -= stiffness * stretch
-    table.output[row, STORED] = 0.5 * stiffness * stretch * stretch
-    table.output[row, 1] = -stiffness * stretch

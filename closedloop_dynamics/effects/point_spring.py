@@ -24,18 +24,10 @@ absorbers, a cord's elasticity.
 """
 
 from dataclasses import dataclass
-import math
 from typing import Optional
 
 from .effect import Effect
-from .forces import offset, push, push_in_space, turned, velocity_in_space
-from .law import law
-from .table import (
-    DISSIPATED, FIRST, ForceElement, POINT_SPRING, SECOND, SPATIAL_POINT_SPRING, STATE, State,
-    STORED)
-from ..core.codegen.space import ORIGIN
-from ..core.compiled import inlined
-from ..core.types import OMEGA, PX, PY, VX, VY
+from .table import DISSIPATED, ForceElement, POINT_SPRING, SPATIAL_POINT_SPRING, State
 from ..mechanism.checks import name, not_negative, vector
 from ..mechanism.fields import FieldError
 from ..mechanism.mechanism import Vector
@@ -90,61 +82,3 @@ class PointSpring(Effect):
         return ForceElement(kind, (row_a, row_b), (
             self.stiffness, self.damping, self.free_length, *place_a, *place_b),
             (State(DISSIPATED),))
-
-
-@inlined
-def _tension(table, row, length, rate):
-    """Return the tension at a length and its rate, and note it."""
-    values = table.values
-    stretch, tension = length - values[row, 2], 0.0
-    if length > 0.0:
-        tension = values[row, 0] * stretch + values[row, 1] * rate
-    table.rates[table.index[row, STATE]] = values[row, 1] * rate * rate
-    table.output[row, STORED] = 0.5 * values[row, 0] * stretch * stretch
-    table.output[row, 1] = tension
-    table.output[row, 2] = length
-    return tension
-
-
-@law
-def apply(table, row, body, q, qd, tau):
-    """Apply the forces; see ``dispatch.apply``."""
-    values, a, b = table.values, table.index[row, FIRST], table.index[row, SECOND]
-    ax, ay = offset(body, a, values[row, 3], values[row, 4])
-    bx, by = offset(body, b, values[row, 5], values[row, 6])
-    x = body[b, PX] - body[a, PX] + bx - ax
-    y = body[b, PY] - body[a, PY] + by - ay
-    length, rate = math.sqrt(x * x + y * y), 0.0
-    if length > 0.0:
-        x /= length
-        y /= length
-        vx = body[b, VX] - body[a, VX] - body[b, OMEGA] * by + body[a, OMEGA] * ay
-        vy = body[b, VY] - body[a, VY] + body[b, OMEGA] * bx - body[a, OMEGA] * ax
-        rate = x * vx + y * vy
-    tension = _tension(table, row, length, rate)
-    if length > 0.0:
-        push(body, a, ax, ay, tension * x, tension * y)
-        push(body, b, bx, by, -tension * x, -tension * y)
-
-
-@law
-def apply_in_space(table, row, body, q, qd, tau):
-    """Apply the forces in space; see ``dispatch.apply``."""
-    values, a, b = table.values, table.index[row, FIRST], table.index[row, SECOND]
-    ax, ay, az = turned(body, a, values[row, 3], values[row, 4], values[row, 5])
-    bx, by, bz = turned(body, b, values[row, 6], values[row, 7], values[row, 8])
-    x = body[b, ORIGIN] - body[a, ORIGIN] + bx - ax
-    y = body[b, ORIGIN + 1] - body[a, ORIGIN + 1] + by - ay
-    z = body[b, ORIGIN + 2] - body[a, ORIGIN + 2] + bz - az
-    length, rate = math.sqrt(x * x + y * y + z * z), 0.0
-    if length > 0.0:
-        x /= length
-        y /= length
-        z /= length
-        vx, vy, vz = velocity_in_space(body, b, bx, by, bz)
-        ux, uy, uz = velocity_in_space(body, a, ax, ay, az)
-        rate = x * (vx - ux) + y * (vy - uy) + z * (vz - uz)
-    tension = _tension(table, row, length, rate)
-    if length > 0.0:
-        push_in_space(body, a, ax, ay, az, tension * x, tension * y, tension * z)
-        push_in_space(body, b, bx, by, bz, -tension * x, -tension * y, -tension * z)

@@ -29,14 +29,10 @@ import math
 from typing import Optional, Tuple
 
 from . import course, expression
-from .effect import Effect
-from .forces import BODY, offset, push, push_in_space, turned, velocity_in_space, WORLD
-from .law import law
+from .effect import BODY, Effect, WORLD
 from .table import (
-    FIRST, ForceElement, OWN, PRESCRIBED_FORCE, PRESCRIBED_TORQUE, SPATIAL_PRESCRIBED_FORCE, STATE,
-    State, WORK)
-from ..core.compiled import inlined
-from ..core.types import COS, OMEGA, SIN, VX, VY
+    ForceElement, OWN, PRESCRIBED_FORCE, PRESCRIBED_TORQUE, SPATIAL_PRESCRIBED_FORCE, State,
+    WORK)
 from ..mechanism.checks import (
     freedom, list_of, name, not_negative, number, one_of, positive, text, vector)
 from ..mechanism.fields import at, FieldError, shown
@@ -170,57 +166,3 @@ class PrescribedForce(Effect):
         return ForceElement(
             kind, (row,), (self.period or 0.0, written, *place, *direction, turns), states,
             data=self._data)
-
-
-@inlined
-def _value(table, row):
-    """Return the present value of the course."""
-    if table.values[row, 1] == 1.0:
-        return expression.value(table, row, table.states[table.index[row, STATE]])
-    return course.value(table, row, table.values[row, 0])
-
-
-@inlined
-def _note(table, row, force, power):
-    state = table.index[row, STATE]
-    table.rates[state] = 1.0
-    table.rates[state + 2] = power
-    table.output[row, 1] = force
-    table.output[row, 2] = power
-
-
-@law
-def apply(table, row, body, q, qd, tau):
-    """Add the torque; see ``dispatch.apply``."""
-    joint = table.index[row, FIRST]
-    torque = _value(table, row)
-    table.applied[joint] += torque
-    _note(table, row, torque, torque * qd[joint])
-
-
-@law
-def apply_at_point(table, row, body, q, qd, tau):
-    """Apply the force at a point; see ``dispatch.apply``."""
-    values, i = table.values, table.index[row, FIRST]
-    rx, ry = offset(body, i, values[row, 2], values[row, 3])
-    force = _value(table, row)
-    x, y = values[row, 4], values[row, 5]
-    if values[row, 6] == 1.0:
-        x, y = body[i, COS] * x - body[i, SIN] * y, body[i, SIN] * x + body[i, COS] * y
-    push(body, i, rx, ry, force * x, force * y)
-    _note(table, row, force, force * (
-        x * (body[i, VX] - body[i, OMEGA] * ry) + y * (body[i, VY] + body[i, OMEGA] * rx)))
-
-
-@law
-def apply_in_space(table, row, body, q, qd, tau):
-    """Apply the force at a point in space; see ``dispatch.apply``."""
-    values, i = table.values, table.index[row, FIRST]
-    rx, ry, rz = turned(body, i, values[row, 2], values[row, 3], values[row, 4])
-    force = _value(table, row)
-    x, y, z = values[row, 5], values[row, 6], values[row, 7]
-    if values[row, 8] == 1.0:
-        x, y, z = turned(body, i, x, y, z)
-    push_in_space(body, i, rx, ry, rz, force * x, force * y, force * z)
-    vx, vy, vz = velocity_in_space(body, i, rx, ry, rz)
-    _note(table, row, force, force * (x * vx + y * vy + z * vz))

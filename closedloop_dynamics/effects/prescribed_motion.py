@@ -34,10 +34,8 @@ import numpy as np
 
 from . import course, expression
 from .effect import Effect
-from .law import law
-from .table import (
-    build_table, DATA, FIRST, ForceElement, OWN, PRESCRIBED_MOTION, SECOND, STATE, State, WORK)
-from ..core.compiled import compiled, inlined
+from .table import build_table, ForceElement, OWN, PRESCRIBED_MOTION, State, WORK
+from ..engine import native
 from ..mechanism.checks import (
     count, freedom, list_of, name, not_negative, number, one_of, positive, text, vector)
 from ..mechanism.fields import at, FieldError, shown
@@ -314,7 +312,7 @@ class PrescribedMotion(Effect):
         table = build_table(
             (self._element(0, 0, 0, start),), np.zeros(0), 0, 0, cut_point=held)
         table.states[:2] = self.clock(time)
-        follow_all(table)
+        native.update_driven_motions(table)
         return held[0]
 
     def _element(self, row, multiplier, place, start):
@@ -447,57 +445,3 @@ def _at(piece, u):
     for factor in piece[-4:0:-1]:
         value, rate = factor + u * value, value + u * rate
     return value + height * math.sin(angle), rate + height * turning * math.cos(angle)
-
-
-@inlined
-def follow(table, row):
-    """Set the right-hand sides of the equation to the time that the effect's state tells."""
-    values, state = table.values, table.index[row, STATE]
-    period, held = values[row, 0], table.motions[table.index[row, FIRST]]
-    place = int(values[row, 3])
-    if values[row, 1] == 1.0:
-        begin, time = table.index[row, DATA], table.states[state]
-        y = expression.value_at(table, begin, time)
-        rate = expression.value_at(table, begin + int(values[row, 4]), time)
-        change = expression.value_at(table, begin + int(values[row, 5]), time)
-    else:
-        y = course.value(table, row, period)
-        rate, change = course.derivatives(table, row, period)
-    held[place], held[place + 1], held[place + 2] = values[row, 2] + y, rate, change
-
-
-@compiled
-def follow_all(table):
-    """Set the right-hand sides of all prescribed motions to the time that their states tell."""
-    for row in range(table.kind.shape[0]):
-        if table.kind[row] == PRESCRIBED_MOTION:
-            follow(table, row)
-
-
-@law
-def apply(table, row, body, q, qd, tau):
-    """Take the time; see ``dispatch.apply``."""
-    follow(table, row)
-    table.rates[table.index[row, STATE]] = 1.0
-
-
-@compiled
-def tell(table, lam):
-    """
-    Tell the forces of all prescribed motions, their power and the rate of their work.
-
-    Parameters
-    ----------
-    table : EffectTable
-        After the evaluation.
-    lam : ndarray, shape (nc,)
-        Its multipliers.
-
-    """
-    for row in range(table.kind.shape[0]):
-        if table.kind[row] == PRESCRIBED_MOTION:
-            held, place = table.motions[table.index[row, FIRST]], int(table.values[row, 3])
-            force, rate = lam[table.index[row, SECOND]], held[place + 1]
-            table.rates[table.index[row, STATE] + 2] = force * rate
-            table.output[row, 1], table.output[row, 2] = force, force * rate
-            table.output[row, 3], table.output[row, 4] = held[place], rate

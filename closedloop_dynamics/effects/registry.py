@@ -17,7 +17,7 @@ The effects that a scene may list: what ``type`` names.
 
 A new effect is one file beside this one, holding a frozen dataclass of its
 parameters that checks itself when built, and one line here; its compiled law, if it
-has one, is one branch of ``dispatch.apply``.
+has one, is one branch of ``engine/dispatch.cpp``.
 
 """
 

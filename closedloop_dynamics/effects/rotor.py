@@ -33,7 +33,7 @@ carrier's, in its own description or by a payload. When: geared drives, whose ro
 the link; flywheels.
 
 At a joint that closes a loop its torque -I_r qdd depends on accelerations that follow from it: it
-is found with them, as friction at rest is (``sticking``), by one evaluation more. In space only
+is found with them, as friction at rest is (``engine/sticking.hpp``), by one evaluation more. In space only
 where the joint's carrier, body B, is the ground, or where its turning does not count.
 
 """
@@ -44,8 +44,7 @@ from typing import Optional
 import numpy as np
 
 from .effect import Effect
-from .law import law
-from .table import CUT_ROTOR, FIRST, ForceElement, STORED
+from .table import CUT_ROTOR, ForceElement
 from ..core.codegen import space
 from ..core.codegen.spatial import rotation
 from ..core.types import ARMATURE, PARENT, REVOLUTE, REVOLUTE_ARMATURE, TYPE
@@ -142,16 +141,3 @@ def _turns(mechanism, body):
             return True
         body = carrier[body].parent
     return False
-
-
-@law
-def apply(table, row, body, q, qd, tau):
-    """List a rotor among what follows from accelerations; see ``dispatch.apply``."""
-    joint, sticking, inertia = table.index[row, FIRST], table.sticking, table.values[row, 0]
-    if inertia > 0.0:
-        sticking.rows[0] += 1
-        sticking.rows[sticking.rows[0]] = row
-    table.applied[joint] += sticking.hold[row]
-    table.output[row, STORED] = 0.5 * inertia * qd[joint] * qd[joint]
-    table.output[row, 1] = sticking.hold[row]
-    table.output[row, 3] = inertia

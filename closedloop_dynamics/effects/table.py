@@ -13,10 +13,9 @@
 # limitations under the License.
 
 """
-The effects as compiled code sees them: flat arrays, one row for each listed effect.
+The effects as the engine sees them: flat arrays, one row for each listed effect.
 
-The kind of a row chooses its law in ``dispatch``, which is called by its address; which rows there
-are is data, so that one compiled code serves every scene.
+The kind of a row chooses its law in ``engine/dispatch.cpp``; which rows there are is data.
 
 """
 
@@ -65,10 +64,6 @@ LOAD_TIME = 11
 # First column of EffectTable.output: stored energy [J]. The others are the law's readings.
 STORED = 0
 OUTPUT_COLUMNS = 5
-
-# Places among EffectTable.laws: of what finds the coordinates of cut joints, and what lets efforts
-# along them act, zero where nothing acts in such; then the law of each row.
-MEASURE, EXERT, FIRST_LAW = range(1, 4)
 
 # Columns of CutCoordinates.index: whether it slides; whether it is one in the plane; the rows of
 # bodies A and B; where among the effects' states its angle is followed, less than zero where it is
@@ -120,7 +115,7 @@ class Sticking(NamedTuple):
     # Shape (nf + 1,): how many joints stick, and the rows of their effects; nf effects may
     # stick. A rotor at a cut joint always does so: its force, too, follows from accelerations.
     rows: np.ndarray
-    # Shape (ne,): friction that ``dispatch.apply`` gives to a joint that sticks [N m; N]:
+    # Shape (ne,): friction that ``engine/dispatch.cpp`` gives to a joint that sticks [N m; N]:
     # zero but while responses are computed.
     hold: np.ndarray
     # Shape (nf + 1, nv + nk + nc): what the limit of each friction changes of accelerations, those
@@ -132,7 +127,7 @@ class Sticking(NamedTuple):
     bound: np.ndarray
     move: np.ndarray
     factor: np.ndarray  # Shape (nf, nf)
-    free: np.ndarray  # Shape (nf,): of ``sticking.solve``
+    free: np.ndarray  # Shape (nf,): of the active set
     share: np.ndarray  # Shape (nf,): friction relative to its limit
     impulse: np.ndarray  # Shape (nf,)
 
@@ -193,8 +188,6 @@ class EffectTable(NamedTuple):
     # are none.
     motions: np.ndarray
     cuts: CutCoordinates  # Freedoms of cut joints that anything acts in, nk of them
-    # Addresses of what ``dispatch.apply`` calls; see ``dispatch.linked``.
-    laws: np.ndarray
 
 
 def _allocate_cuts(index, values, nv, bodies):
@@ -269,8 +262,7 @@ def build_table(elements, tau, bodies, equations, spatial=False, cut_point=None,
             nodes=np.zeros((LEVELS + 3, count, NODE_COLUMNS)), search=np.zeros(SEARCH_LENGTH)),
         motions=cut_point if any(
             element.kind == PRESCRIBED_MOTION for element in elements) else np.zeros((0, 0)),
-        cuts=_allocate_cuts(*cuts or NO_CUTS, len(tau) - cut_count, bodies),
-        laws=np.zeros(0, dtype=np.int64))
+        cuts=_allocate_cuts(*cuts or NO_CUTS, len(tau) - cut_count, bodies))
     first = begin = 0
     for row, element in enumerate(elements):
         table.index[row, [STATE, DATA]] = first, begin

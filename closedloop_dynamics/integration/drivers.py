@@ -14,13 +14,17 @@
 
 """Drivers, which advance the state of a simulation: one class for each way of stepping."""
 
+from typing import NamedTuple
+
 import numpy as np
 
-from . import adaptive, advance, rosenbrock, switching
+from . import control as columns
+from .control import DONE
 from .registry import ADAPTIVE, INTEGRATORS, ROSENBROCK, SCIPY, STABILISATIONS, SWITCHING
 from .scipy_solvers import SciPySolver
-from .system import number_of_states, parts_of_state, stepped_by_euler
+from .system import number_of_states, parts_of_state
 from ..core.manifold import weights
+from ..engine import native
 
 
 def build_driver(system, method):
@@ -38,18 +42,41 @@ def build_driver(system, method):
     return FixedSteps(system, integrator, stabilisation)
 
 
+# Rows of all arrays of ``Runs``.
+RUN, REFERENCE = range(2)
+
+
+class Runs(NamedTuple):
+    """A run of the default method and its reference run: records, tolerances and scratch."""
+
+    control: np.ndarray  # Shape (2, SWITCHING_COLUMNS)
+    scale: np.ndarray  # Shape (2, 2, ns): absolute and relative tolerance of each component
+    # Shape (2, rows, ns): of the explicit method; its row AFTER is the state at REACHED.
+    scratch: np.ndarray
+    stiff_scratch: np.ndarray  # Shape (2, STIFF_ROWS, ns): of the stiff method
+    matrix: np.ndarray  # Shape (ns, ns)
+    pivots: np.ndarray  # Shape (ns,)
+    monitor: np.ndarray  # Shape (MONITOR_COLUMNS,)
+    weight: np.ndarray  # Shape (nq,): of a component in the distance of the two
+
+
+def _allocate_runs(tableau, states, weight):
+    return Runs(
+        np.zeros((2, columns.SWITCHING_COLUMNS)), np.zeros((2, 2, states)),
+        np.zeros((2, len(tableau.a) + columns.FIRST_SLOPE, states)),
+        np.zeros((2, columns.STIFF_ROWS, states)), np.zeros((states, states)),
+        np.zeros(states, dtype=np.int64), np.zeros(columns.MONITOR_COLUMNS), weight)
+
+
 class FixedSteps:
     """
     Steps of one size.
 
     Attributes
     ----------
-    moving : Moving
-        What kernels see of the system.
     tableau : Tableau
     stabilisation : int
     scratch : ndarray, shape (stages + 3, ns)
-        Of ``advance.advance``.
 
     """
 
@@ -64,9 +91,7 @@ class FixedSteps:
 
     def take(self, system):
         """Step with a system that works on other equations."""
-        # The system is kept, as kernels see its addresses alone.
-        self._system = system if len(self.tableau.b) else stepped_by_euler(system)
-        self.moving = self._system.moving
+        self._system = system.native
 
     def advance(self, state, origin, done, step_size, steps):
         """
@@ -88,14 +113,14 @@ class FixedSteps:
         Returns
         -------
         status : int
-            Of ``integration.advance``.
+            Of ``integration.control``.
         elapsed : float
             Time advanced by [s].
 
         """
         before, self._before = self._before, 0
-        status, made = advance.advance(
-            self.moving, self.tableau, self.stabilisation, state, step_size, steps - before,
+        status, made = native.advance_fixed(
+            self._system, self.tableau, self.stabilisation, state, step_size, steps - before,
             self.scratch)
         self._made = before + made
         return status, self._made * step_size
@@ -125,7 +150,7 @@ class ErrorControlled:
     integrator : Integrator
         Of the registry.
     stabilisation : int
-        One of ``projection``.
+        One of ``registry``.
     tolerance : float
         Local error allowed per step: in each coordinate [rad, m], and in each rate relative
         to 1 rad/s (1 m/s) plus its own size.
@@ -136,29 +161,29 @@ class ErrorControlled:
         """Allocate the scratch of the method."""
         self._tableau = integrator.tableau
         self._stabilisation, self._tolerance = stabilisation, tolerance
-        self._system, self._moving = system, system.moving
+        self._system = system
         self._scale = _error_scale(system, tolerance)
         self._scratch = np.zeros(
-            (len(self._tableau.a) + adaptive.FIRST_SLOPE, self._scale.shape[1]))
-        self.control = np.zeros(adaptive.CONTROL_COLUMNS)
+            (len(self._tableau.a) + columns.FIRST_SLOPE, self._scale.shape[1]))
+        self.control = np.zeros(columns.CONTROL_COLUMNS)
 
     def advance(self, state, origin, done, step_size, steps):
         """Advance a state by ``steps`` times ``step_size``; see ``FixedSteps.advance``."""
-        status = adaptive.advance(
-            self._moving, self._tableau, self._stabilisation, state, origin, done, step_size,
+        status = native.advance_explicit(
+            self._system.native, self._tableau, self._stabilisation, state, origin, done, step_size,
             steps, self.control, self._scale, self._scratch)
-        if status == advance.DONE:
+        if status == DONE:
             return status, steps * step_size
-        return status, self.control[adaptive.REACHED] - (origin + done * step_size)
+        return status, self.control[columns.REACHED] - (origin + done * step_size)
 
     def take(self, system):
         """Step with a system that works on other equations."""
-        self._system, self._moving = system, system.moving
+        self._system = system
 
     def go_on(self):
         """Let the next call go on; see ``FixedSteps.go_on``."""
-        if self.control[adaptive.STEP_SIZE] == 0.0:
-            self.control[adaptive.STEP_SIZE] = adaptive.NOTHING_BETWEEN
+        if self.control[columns.STEP_SIZE] == 0.0:
+            self.control[columns.STEP_SIZE] = columns.NOTHING_BETWEEN
 
     @property
     def memory(self):
@@ -167,7 +192,7 @@ class ErrorControlled:
 
     def restart(self, moved=False):
         """Forget the past: torques, effects, or with ``moved`` the state have changed."""
-        self.control[adaptive.STEP_SIZE] = 0.0
+        self.control[columns.STEP_SIZE] = 0.0
         _follow_effects(self._system, self._tolerance, self._scale)
 
     def rewind(self):
@@ -183,65 +208,65 @@ class Switching:
 
     Attributes
     ----------
-    control : ndarray, shape (switching.COLUMNS,)
+    control : ndarray, shape (SWITCHING_COLUMNS,)
         Of the run.
-    watch : ndarray, shape (switching.WATCH_COLUMNS,)
+    watch : ndarray, shape (MONITOR_COLUMNS,)
         Of its error.
 
     """
 
     def __init__(self, system, integrator, stabilisation, accuracy):
         """Allocate the run and its companion."""
-        self._system, self._moving = system, system.moving
+        self._system = system
         self._tableau = integrator.tableau
         self._stabilisation, self._accuracy = stabilisation, accuracy
-        self._runs = switching.allocate_runs(
+        self._runs = _allocate_runs(
             self._tableau, number_of_states(system), weights(system.manifold, len(system.qdd)))
         self._unit = _error_scale(system, 1.0)
-        self.control, self.watch = self._runs.control[switching.RUN], self._runs.watch
+        self.control, self.watch = self._runs.control[RUN], self._runs.monitor
         self.rewind()
 
     def advance(self, state, origin, done, step_size, steps):
         """Advance a state by ``steps`` times ``step_size``; see ``FixedSteps.advance``."""
-        status = switching.advance(
-            self._moving, self._tableau, self._stabilisation, state, origin, done, step_size,
+        status = native.advance_switching(
+            self._system.native, self._tableau, self._stabilisation, state, origin, done, step_size,
             steps, self._runs)
-        if status == advance.DONE:
+        if status == DONE:
             return status, steps * step_size
-        return status, self.control[adaptive.REACHED] - (origin + done * step_size)
+        return status, self.control[columns.REACHED] - (origin + done * step_size)
 
     def take(self, system):
         """Step with a system that works on other equations."""
-        self._system, self._moving = system, system.moving
+        self._system = system
 
     def go_on(self):
         """Let the next call go on; see ``FixedSteps.go_on``."""
-        if self.control[adaptive.STEP_SIZE] == 0.0:
-            self.control[adaptive.STEP_SIZE] = adaptive.NOTHING_BETWEEN
+        if self.control[columns.STEP_SIZE] == 0.0:
+            self.control[columns.STEP_SIZE] = columns.NOTHING_BETWEEN
 
     @property
     def memory(self):
         """Return views of what outlasts ``restart``."""
         runs = self._runs
-        return (runs.control.ravel(), runs.watch,
-                runs.scratch[switching.COMPANION, adaptive.AFTER])
+        return (runs.control.ravel(), runs.monitor,
+                runs.scratch[REFERENCE, columns.AFTER])
 
     def restart(self, moved=False):
         """Forget the past: torques, effects, or with ``moved`` the state have changed."""
-        self.control[adaptive.STEP_SIZE] = 0.0
+        self.control[columns.STEP_SIZE] = 0.0
         if moved:
-            self.control[switching.PATIENCE] = 0.0
+            self.control[columns.STIFF_THRESHOLD] = 0.0
         _follow_effects(self._system, 1.0, self._unit)
-        for scale, factor in zip(self._runs.scale, (1.0, switching.LOOSER)):
-            np.multiply(self._unit, factor * self.watch[switching.TOLERANCE], out=scale)
+        for scale, factor in zip(self._runs.scale, (1.0, columns.LOOSER)):
+            np.multiply(self._unit, factor * self.watch[columns.TOLERANCE], out=scale)
 
     def rewind(self):
         """Begin as a new driver would."""
         for array in (self._runs.control, self.watch, self._runs.stiff_scratch):
             array[:] = 0.0
-        self.watch[switching.ACCURACY] = self._accuracy
-        self.watch[switching.TOLERANCE] = max(
-            switching.SHARE * self._accuracy, switching.FLOOR)
+        self.watch[columns.ACCURACY] = self._accuracy
+        self.watch[columns.TOLERANCE] = max(
+            columns.SHARE * self._accuracy, columns.FLOOR)
         self.restart(moved=True)
 
 
@@ -250,14 +275,14 @@ class Stiff:
 
     def __init__(self, system, integrator, stabilisation, tolerance):
         """Allocate the scratch of the method."""
-        self._system, self._moving = system, system.moving
+        self._system = system
         self._stabilisation, self._tolerance = stabilisation, tolerance
         self._adaptive = integrator.kind == ADAPTIVE
         self._scale = _error_scale(system, tolerance)
         states = self._scale.shape[1]
-        self._scratch = np.zeros((rosenbrock.STAGES + rosenbrock.FIRST_SLOPE, states))
+        self._scratch = np.zeros((columns.STIFF_ROWS, states))
         self._matrix, self._pivots = np.zeros((states, states)), np.zeros(states, dtype=np.int64)
-        self.control = np.zeros(adaptive.CONTROL_COLUMNS)
+        self.control = np.zeros(columns.CONTROL_COLUMNS)
         # Of fixed steps as for ``FixedSteps``; of others whether the next call goes on.
         self._made = self._before = 0
 
@@ -265,24 +290,24 @@ class Stiff:
         """Advance a state by ``steps`` times ``step_size``; see ``FixedSteps.advance``."""
         before, self._before = self._before, 0
         if not self._adaptive:
-            status, made = rosenbrock.advance_fixed(
-                self._moving, self._stabilisation, state, step_size, steps - before,
+            status, made = native.advance_stiff_fixed(
+                self._system.native, self._stabilisation, state, step_size, steps - before,
                 self._matrix, self._pivots, self._scratch)
             self._made = before + made
             return status, self._made * step_size
         begin, self._made = origin + done * step_size, 1
         if not before:
-            self.control[adaptive.REACHED] = begin
-        status = rosenbrock.advance_adaptive(
-            self._moving, self._stabilisation, state, origin + (done + steps) * step_size,
+            self.control[columns.REACHED] = begin
+        status = native.advance_stiff(
+            self._system.native, self._stabilisation, state, origin + (done + steps) * step_size,
             self.control, self._scale, self._matrix, self._pivots, self._scratch)
-        if status == advance.DONE:
+        if status == DONE:
             return status, steps * step_size
-        return status, self.control[adaptive.REACHED] - begin
+        return status, self.control[columns.REACHED] - begin
 
     def take(self, system):
         """Step with a system that works on other equations."""
-        self._system, self._moving = system, system.moving
+        self._system = system
 
     def go_on(self):
         """Let the next call go on; see ``FixedSteps.go_on``."""
@@ -292,7 +317,7 @@ class Stiff:
 
     def restart(self, moved=False):
         """Forget the step size: torques, effects, or with ``moved`` the state have changed."""
-        self.control[adaptive.NEXT_STEP] = 0.0
+        self.control[columns.NEXT_STEP] = 0.0
         _follow_effects(self._system, self._tolerance, self._scale)
 
     def rewind(self):

@@ -13,11 +13,12 @@
 # limitations under the License.
 
 """
-Whether the closure equations that are kept stand for all, where some that repeat others are not.
+All closure equations, where those that repeat others are left out.
 
 Which equations repeat others changes with the position: those that are kept may come to depend on
-one another, and part from those that are left out. Looked at after every step that is accepted,
-so that a step at which they do not serve can be repeated with others.
+one another, and part from those that are left out. The engine looks at them after every accepted
+step (``engine/left_out.hpp``), so that a step at which they do not serve can be repeated with
+others.
 
 """
 
@@ -25,131 +26,59 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .evaluation import CLOSURE_LIMIT, CLOSURE_TOLERANCE
-from .registry import PROJECTION
-from ..core import energy, kinematics, loop_closure
 from ..core.codegen import pieces
-from ..core.compiled import compiled
-from ..core.equations import with_all_equations
-from ..core.types import Model, NO_RESPONSES, SMALLEST_PIVOT, Workspace
+from ..core.equations import Equations, with_all_equations
+from ..core.types import Model, Workspace
 from ..core.workspace import unconnected
 
-# Columns of ``LeftOut.numbers``: the pivot below which other equations are looked for; the most
-# kinetic energy so far [J]; whether there are none better, so that all but open loops is accepted;
-# whether those left out have opened at the latest step that was refused.
+# Columns of ``AllEquations.numbers``: the pivot below which other equations are looked for; the
+# most kinetic energy so far [J]; whether there are none better, so that all but open loops is
+# accepted; whether those left out have opened at the latest step that was refused.
 PIVOT, KINETIC, LENIENT, OPENED = range(4)
-# Closure errors of equations that follow from others, of the closure tolerance.
-IMPLIED = 1e3
-# Kinetic energy that the projection may discard after a step, of the most that there was: more is
-# no error of the step, but equations that hinder the motion.
-DISCARDED = 1e-6
-# Pivots that are good enough; how much smaller one must have become; and how fast, from step to
-# step, the pivot that this is measured by may grow.
-GOOD_PIVOT, SMALLER, GROWTH = 0.02, 0.25, 1.1
 
 
-class LeftOut(NamedTuple):
-    """All equations of a system that works on some; its own arrays where it works on all."""
+class AllEquations(NamedTuple):
+    """All closure equations of a mechanism of which the elimination works on some."""
 
     model: Model
-    work: Workspace
-    numbers: np.ndarray  # Shape (4,); of no length where no equations are left out
+    work: Workspace  # On the bodies of the system
+    lam: np.ndarray  # Shape (nc,)
+    kept: np.ndarray  # Shape (nc,), of int: 1 for those that the elimination works on
+    own: Workspace  # On bodies of its own
+    numbers: np.ndarray  # Shape (4,)
     energy: np.ndarray  # Shape (2,): scratch
 
 
-def allocate_left_out(model, work, before=None):
+def all_equations(model, work, before=None):
     """
-    Allocate what a system needs to look at the equations that it leaves out.
+    Allocate all equations of a system that works on some.
 
     Parameters
     ----------
     model, work : Model, Workspace
         Of the system.
-    before : LeftOut, optional
+    before : AllEquations, optional
         Whose numbers are taken over.
 
     Returns
     -------
-    LeftOut
+    AllEquations or None
+        None where the system works on all equations.
 
     """
     whole = with_all_equations(model)
     if whole is model:
-        return LeftOut(model, work, np.zeros(0), np.zeros(2))
+        return None
+    shared = unconnected(whole)._replace(body=work.body, piece=work.piece, health=work.health)
+    pieces.connect(whole, shared.piece, shared.cut_piece)
     # The bodies' own code may be exchanged when effects change their inertia.
-    own = unconnected(whole)._replace(piece=work.piece)
-    pieces.connect(whole, own.piece, own.cut_piece)
-    return LeftOut(whole, own, np.zeros(4) if before is None else before.numbers, np.zeros(2))
+    own = unconnected(whole)._replace(piece=work.piece, cut_piece=shared.cut_piece)
+    return AllEquations(
+        whole, shared, np.zeros(len(shared.closure)), Equations(model).kept.astype(np.int64), own,
+        np.zeros(4) if before is None else before.numbers, np.zeros(2))
 
 
-def forget(left_out):
-    """
-    Forget the motion so far.
-
-    Parameters
-    ----------
-    left_out : LeftOut
-        Changed in place.
-
-    """
-    left_out.numbers[:] = 0.0
-
-
-@compiled
-def _kinetic(left_out, q, qd):
-    """Return the kinetic energy of a state [J]."""
-    model, work = left_out.model, left_out.work
-    kinematics.outward(model, q, qd, work)
-    energy.energies(model.tree, model.body, model.gravity, work.piece, work.body, work.equation,
-                    qd, left_out.energy)
-    return left_out.energy[0]
-
-
-@compiled
-def serve(system, stabilisation, q, qd):
-    """
-    Return 1 where the equations that are kept serve, after a step that was stabilised.
-
-    They do not where those that are left out have opened, where they have come closer to depending
-    on one another, or where the projection has discarded energy.
-
-    Parameters
-    ----------
-    system : System
-        Of which ``qdd`` is what the projection has just changed the rates by.
-    stabilisation : int
-        One of ``projection``.
-    q, qd : ndarray, shape (nq,), (nv,)
-        The state.
-
-    Returns
-    -------
-    int
-
-    """
-    left_out, settings = system.left_out, system.settings
-    numbers, work = left_out.numbers, left_out.work
-    discarded = 0.0
-    if stabilisation == PROJECTION:
-        discarded = _kinetic(left_out, q, system.qdd)
-    numbers[KINETIC] = max(numbers[KINETIC], _kinetic(left_out, q, qd))
-    loop_closure.update(left_out.model, work, NO_RESPONSES)
-    fastest = 1.0
-    for i in range(qd.shape[0]):
-        fastest = max(fastest, abs(qd[i]))
-    implied, error = IMPLIED * settings[CLOSURE_TOLERANCE], loop_closure.largest(work.closure)
-    hold = error <= implied and loop_closure.largest(work.closure_rate) <= implied * fastest
-    strict = hold and discarded <= DISCARDED * numbers[KINETIC]
-    pivot = system.work.health[SMALLEST_PIVOT]
-    worn = pivot < numbers[PIVOT]
-    if numbers[LENIENT] == 0.0 and (worn or not strict) or not error <= settings[CLOSURE_LIMIT]:
-        numbers[OPENED] = 0.0 if hold else 1.0
-        return 0
-    if strict:
-        numbers[LENIENT] = 0.0
-    limit = min(GOOD_PIVOT, SMALLER * pivot)
-    if worn or numbers[PIVOT] == 0.0:
-        numbers[PIVOT] = limit
-    else:
-        numbers[PIVOT] = max(numbers[PIVOT], min(limit, GROWTH * numbers[PIVOT]))
-    return 1
+def forget(system):
+    """Forget the motion of a system so far."""
+    if system.leaves_out:
+        system.all.numbers[:] = 0.0

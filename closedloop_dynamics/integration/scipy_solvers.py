@@ -16,8 +16,8 @@
 
 import numpy as np
 
-from .advance import DONE, NOT_FINITE, OPEN_LOOP, POOR_EQUATIONS, STEP_TOO_SMALL
-from .motion import derivative, equations_serve, stabilise
+from .control import DONE, NOT_FINITE, OPEN_LOOP, POOR_EQUATIONS, STEP_TOO_SMALL
+from ..engine import native
 
 # A solver that needs more evaluations than this to the next output has lost its way.
 MOST_EVALUATIONS = 100_000
@@ -36,7 +36,7 @@ class SciPySolver:
         """Start with nothing; the solver is made where the first step starts."""
         # Not before it is wanted: a third of the time that loading the package would take.
         from scipy import integrate
-        self._system, self._moving = system, system.moving
+        self._system = system
         self._solver_type = getattr(integrate, name)
         self._stabilisation, self._tolerance = stabilisation, tolerance
         self._solver = self._dense = None
@@ -51,9 +51,9 @@ class SciPySolver:
             self.restart()
             return status, 0.0
         out = self._dense(target) if self._dense is not None else state.copy()
-        if not stabilise(self._moving, self._stabilisation, out):
+        if not native.stabilise(self._system.native, self._stabilisation, out):
             return OPEN_LOOP, 0.0
-        if not equations_serve(self._moving, self._stabilisation, out):
+        if not native.equations_serve(self._system.native, self._stabilisation, out):
             return POOR_EQUATIONS, 0.0
         state[:] = out
         return DONE, steps * step_size
@@ -79,7 +79,7 @@ class SciPySolver:
 
     def take(self, system):
         """Step with a system that works on other equations."""
-        self._system, self._moving = system, system.moving
+        self._system = system
 
     def go_on(self):
         """Let the next call, which is the same again, begin anew."""
@@ -97,7 +97,7 @@ class SciPySolver:
 
     def _slope(self, time, state):
         out = np.empty(len(state))
-        derivative(self._moving, np.ascontiguousarray(state), out)
+        native.derivative(self._system.native, np.ascontiguousarray(state), out)
         # SciPy's solvers would go on, some of them for ever.
         self._evaluations += 1
         if self._evaluations > MOST_EVALUATIONS:

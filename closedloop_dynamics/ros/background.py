@@ -13,35 +13,24 @@
 # limitations under the License.
 
 """
-Processes that help this one, and end with it.
+A process that helps this one, and ends with it.
 
-    python -m closedloop_dynamics.ros.background spend CORE PARENT
+    python -m closedloop_dynamics.ros.background CORE PARENT
 
 uses up the spare time of a core, so that the core does not fall asleep: in a virtual machine it
 may take a millisecond until a sleeping core runs again. It runs when nothing else wants to.
 
-    python -m closedloop_dynamics.ros.background compile SCENE PARENT
-
-compiles the rank-revealing path of a scene, for other processes to find it on disk. That takes
-half a minute, and most runs never need it. So the simulator begins without, and starts this
-process meanwhile, once for an installation.
-
 """
 
 import ctypes
-import fcntl
 import os
 import signal
 import subprocess
 import sys
-import time
 
 COMMAND = (sys.executable, '-m', 'closedloop_dynamics.ros.background')
 # Of prctl(): which signal a process gets when its parent ends.
 _PR_SET_PDEATHSIG = 1
-# A node that ends sooner has not begun to compile anything [s].
-DELAY = 5.0
-LOWEST_PRIORITY = 19
 
 
 def start_child(*command):
@@ -87,7 +76,7 @@ class Awake:
         """
         if awake and self._process is None:
             core = ctypes.CDLL(None).sched_getcpu()
-            self._process = start_child(*COMMAND, 'spend', str(core))
+            self._process = start_child(*COMMAND, str(core))
             os.sched_setaffinity(self._thread, {core})
         elif not awake and self._process is not None:
             self._process.kill()
@@ -112,63 +101,6 @@ def set_priority(priority):
                                   os.sched_param(priority))
 
 
-class Preparation:
-    """Gets the rank-revealing path of a scene's system ready: from disk, or in the background."""
-
-    def __init__(self, scene, system, logger):
-        from closedloop_dynamics.integration import precompile
-        self._scene, self._logger = scene, logger
-        self._process, self._due = None, time.monotonic() + DELAY
-        self._left = precompile.preparations(system)
-        self.over = precompile.is_stored(system)
-        while self.over and self._left:
-            self._left.pop()()
-
-    def look(self):
-        """Do what can be done now; to be called once a second until it is ``over``."""
-        if self.over:
-            return
-        if self._process is None:
-            if time.monotonic() >= self._due:
-                self._start()
-            return
-        code = self._process.poll()
-        if code is None:
-            return
-        if code != 0:
-            self._give_up(f'exit code {code}')
-        elif self._left:
-            # One kernel at a time, for loading one takes 0.05 s.
-            self._left.pop()()
-        else:
-            self.over = True
-            self._logger.info(
-                f'singular configurations: ready after {time.monotonic() - self._due:.0f} s')
-
-    def close(self):
-        """End the process, if it still runs."""
-        self.over = True
-        if self._process is not None and self._process.poll() is None:
-            self._process.kill()
-            self._process.wait()
-
-    def _start(self):
-        try:
-            self._process = start_child(*COMMAND, 'compile', self._scene)
-        except OSError as error:
-            self._give_up(str(error))
-            return
-        self._logger.info(
-            'compiling the code for singular configurations in the background (once for an '
-            'installation, about a minute)')
-
-    def _give_up(self, reason):
-        self.over = True
-        self._logger.warning(
-            f'the code for singular configurations could not be compiled ahead ({reason}): '
-            'the simulation will stand still for about a minute where it first meets one')
-
-
 def spend(core):
     """Use up the spare time of a core of that number."""
     os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
@@ -177,25 +109,7 @@ def spend(core):
         pass
 
 
-def compile_ahead(scene):
-    """Compile the rank-revealing path of a scene, unless another process does or has done so."""
-    from closedloop_dynamics.core import cache
-    from closedloop_dynamics.integration import precompile
-    from closedloop_dynamics.simulation.simulation import Simulation
-    os.nice(LOWEST_PRIORITY)
-    system = Simulation.from_scene(scene).system
-    if cache.directory() is None:
-        sys.exit('there is no place to store compiled code')
-    with (cache.directory() / 'prepare.lock').open('w') as lock:
-        # Who waited finds all of it on disk.
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        for get_ready in precompile.preparations(system):
-            get_ready()
-    if not precompile.is_stored(system):
-        sys.exit('compiled code could not be stored')
-
-
 if __name__ == '__main__':
-    task, subject, parent_number = sys.argv[1:]
+    own_core, parent_number = sys.argv[1:]
     die_with(int(parent_number))
-    spend(int(subject)) if task == 'spend' else compile_ahead(subject)
+    spend(int(own_core))

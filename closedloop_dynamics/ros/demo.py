@@ -48,8 +48,8 @@ DEFAULT_OUTPUT = 'demo_output'
 SHOWN = ('carpet_scraper', 'three_rrr')
 EXIT_CODES = ('Exit codes: 0 done; 1 a node failed, or a machine did not do what was wanted; '
               '2 a wrong option or scene; 130 interrupted.')
-# For compiling, for nodes to find each other, and to end [s].
-COMPILING, FINDING, ENDING = 600.0, 60.0, 20.0
+# For loading, for nodes to find each other, and to end [s].
+LOADING, FINDING, ENDING = 120.0, 60.0, 20.0
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
@@ -131,7 +131,7 @@ def demonstrate(scene, duration, directory):
     namespace = '/demo_' + re.sub(r'\W', '_', scene.name, flags=re.ASCII)
     drive = drive_for(scene)
     _say('driven by', drive.description)
-    _say('starting', 'the nodes (compiling takes half a minute the very first time) ...')
+    _say('starting', 'the nodes ...')
     last_words = _run_nodes(scene, drive, namespace, duration, directory.resolve())
     run, aim = read_run(directory / 'bag', namespace), aim_of(drive, scene)
     _say('simulator', last_words)
@@ -186,7 +186,7 @@ def _run_nodes(scene, drive, namespace, duration, directory):
         waiting = {'wait_for_command': 'true'} if drive.parameters else {}
         simulator = programs.start(
             SIMULATOR, namespace, parameters, **waiting, scene=scene.path.resolve())
-        simulator.wait_for(READY[SIMULATOR], COMPILING, programs.check)
+        simulator.wait_for(READY[SIMULATOR], LOADING, programs.check)
         heard('joint_states', 'replay_log', *cuts)
         source = None
         if drive.parameters:
@@ -194,7 +194,7 @@ def _run_nodes(scene, drive, namespace, duration, directory):
             given = {} if drive.file else drive.parameters
             source = programs.start(
                 TORQUE_SOURCE, namespace, parameters, wait_for_subscribers=2, **given)
-            source.wait_for(READY[TORQUE_SOURCE], COMPILING, programs.check)
+            source.wait_for(READY[TORQUE_SOURCE], LOADING, programs.check)
             heard('torque_command')
         _let_run(programs, duration, scene.name)
         # The recorder first: what the simulator does without its torques is no part of the show.

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Load a scene for a node: compiled, and with its errors in one line."""
+"""Load a scene for a node, with its errors in one line."""
 
 import time
 
@@ -25,15 +25,14 @@ from closedloop_dynamics.simulation.simulation import Simulation
 
 def load_simulation(scene, logger, moved='', **method):
     """
-    Return the simulation of a scene, compiled, and the scene's own method; say so.
+    Return the simulation of a scene, and the scene's own method; say so.
 
     ``moved`` names joints, with commas between them, whose motion is commanded beside those of
     the scene; ``method`` is what differs from the scene's own; None: nothing. Raises StartError
     if the scene cannot be read or simulated.
 
     """
-    logger.info(f"loading scene '{scene}' and compiling (a quarter of a minute at the very first "
-                'start, seconds from then on) ...')
+    logger.info(f"loading scene '{scene}' ...")
     begin = time.monotonic()
     try:
         with leaving_at_once():
@@ -41,7 +40,6 @@ def load_simulation(scene, logger, moved='', **method):
             joints = [name.strip() for name in moved.split(',') if name.strip()]
             simulation = Simulation.from_scene(read, {
                 joint: PrescribedMotion(COMMANDED, joint=joint) for joint in joints}, **method)
-            simulation.warm_up()
     except (ValueError, OSError, SimulationError) as error:
         raise StartError(f"scene '{scene}': {error}") from None
     logger.info(f'loaded in {time.monotonic() - begin:.1f} s')

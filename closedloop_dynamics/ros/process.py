@@ -89,7 +89,7 @@ def leaving_at_once():
     """
     Let a signal end the process at once while the body of a ``with`` runs.
 
-    For work that cannot be interrupted, such as compiling, while there is nothing to lose.
+    For work that cannot be interrupted, such as loading, while there is nothing to lose.
 
     """
     with _watch.reacting(_leave_at_once):
@@ -99,7 +99,7 @@ def leaving_at_once():
 
 
 def _leave_at_once(number=None):
-    print('stopped while loading or compiling', file=sys.stderr, flush=True)
+    print('stopped while loading', file=sys.stderr, flush=True)
     os._exit(0)
 
 

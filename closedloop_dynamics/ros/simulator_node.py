@@ -27,7 +27,7 @@ from functools import partial
 import time
 
 from closedloop_dynamics.ros.auxiliary_publishers import Descriptions, ReplayLog
-from closedloop_dynamics.ros.background import Awake, Preparation, set_priority
+from closedloop_dynamics.ros.background import Awake, set_priority
 from closedloop_dynamics.ros.commands import (
     CommandError, NOT_ACTUATED, poses_of, state_of, subscribe, TorqueCommand)
 from closedloop_dynamics.ros.diagnostics import Diagnostics
@@ -118,8 +118,6 @@ class SimulatorNode(Node):
         self.add_on_set_parameters_callback(self._check_change)
         self.add_post_set_parameters_callback(self._change)
         self._awake = Awake()
-        self._preparation = Preparation(
-            values['scene'], self.simulation.system, self.get_logger())
         self.create_timer(DIAGNOSTIC_PERIOD, self.look_after,
                           clock=Clock(clock_type=ClockType.STEADY_TIME))
         # Time begins when all is there.
@@ -299,7 +297,7 @@ class SimulatorNode(Node):
                 f'simulation stopped at {self.simulation.time:.6g} s: {error}')
 
     def look_after(self):
-        """Publish diagnostics, and get ahead with what is compiled in the background."""
+        """Publish diagnostics."""
         self.diagnostics.publish(
             self.standing, {**self.command.counts, **self.counts, **self._motion_counts,
                             **self.live.wrench.counts},
@@ -307,7 +305,6 @@ class SimulatorNode(Node):
                 f'{info.node_namespace.rstrip("/")}/{info.node_name}'
                 for topic in ('torque_command', 'joint_command')
                 for info in self.get_publishers_info_by_topic(topic))))
-        self._preparation.look()
 
     @property
     def _motion_counts(self):
@@ -402,7 +399,7 @@ class SimulatorNode(Node):
     # Parameters that change while time runs.
 
     def _check_change(self, parameters):
-        """Refuse what is impossible; compile a method that is not in use yet."""
+        """Refuse what is impossible; prepare a method that is not in use yet."""
         self._method_prepared = None
         values = self._changeable(parameters)
         try:
@@ -415,8 +412,7 @@ class SimulatorNode(Node):
                              changes.get('step_size', self.simulation.step_size))
             if changes:
                 self.get_logger().info(
-                    'taking another method: ' + ', '.join(f'{k} {v}' for k, v in changes.items())
-                    + ' (time stands still while it compiles, if it has not been used before)')
+                    'taking another method: ' + ', '.join(f'{k} {v}' for k, v in changes.items()))
                 with self._standing_still(), leaving_at_once():
                     self._method_prepared = self.simulation.prepare_method(**changes)
         except (ValueError, SimulationError) as error:
@@ -505,7 +501,6 @@ class SimulatorNode(Node):
     def close(self):
         """Say what was done."""
         self._stop_ticking()
-        self._preparation.close()
         self._awake.keep(False)
         pacer, counts = self.pacer, self.command.counts
         if pacer.simulated > 0.0 and self.exit_code is None:

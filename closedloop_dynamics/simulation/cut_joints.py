@@ -21,10 +21,10 @@ from .spatial_modeling import Placement
 from ..core import types as t
 from ..core.codegen.space import FRAME
 from ..core.codegen.spatial import rotation
-from ..effects import cut_coordinates
 from ..effects.table import (
     ACROSS_B, AXIS, CUT_INDEX_COLUMNS, CUT_VALUE_COLUMNS, CutCoordinates, IN_PLANE, POINT_A,
     POINT_B, ROW_B, SCALE, SIDE_A, SIDE_B, SLIDES, ZERO)
+from ..engine import native
 from ..mechanism.cut_freedoms import cut_freedoms
 from ..mechanism.mechanism import CYLINDRICAL, GROUND, HELICAL, PLANAR, REVOLUTE, SPHERICAL
 
@@ -213,7 +213,7 @@ class CutJoints:
 
         """
         position, velocity = np.zeros(self.count), np.zeros(self.count)
-        cut_coordinates.measure(
+        native.measure_cut_coordinates(
             self._index, self._values, body, self._none, 0, position, velocity)
         return position, velocity
 
@@ -250,7 +250,7 @@ class CutJoints:
             Accelerations of the tree.
 
         """
-        cut_coordinates.accelerations(
+        native.cut_accelerations(
             self._arrays, equations.model, equations.work, qdd, True, self._arrays.qdd)
         return self._arrays.qdd[len(qdd):].copy()
 
@@ -277,7 +277,7 @@ class CutJoints:
                 continue
             one, line = self._index[place], self._values[place]
             wrench = wrenches[self._numbers[place]]
-            axis = np.array(cut_coordinates.direction(
+            axis = np.array(native.cut_direction(
                 body, one[ROW_B], bool(one[IN_PLANE]), self._values, place, AXIS))
             along = self._signs[place] * line[SCALE] * effort * axis
             if one[IN_PLANE]:
@@ -304,6 +304,6 @@ class CutJoints:
         nv, out = len(model.tree) - 1, self._arrays.qdd
         columns = []
         for unit in np.eye(nv):
-            cut_coordinates.accelerations(self._arrays, model, work, unit, False, out)
+            native.cut_accelerations(self._arrays, model, work, unit, False, out)
             columns.append(out[[nv + self.names.index(name) for name in names]])
         return np.array(columns).reshape(nv, len(names)).T

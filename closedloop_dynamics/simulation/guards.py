@@ -35,7 +35,7 @@ import numpy as np
 from .errors import (
     ClosureError, InaccuracyWarning, NumericalError, SingularityError, StiffnessError)
 from ..core.types import SINGULAR_COUNT
-from ..integration.motion import derivative
+from ..engine import native
 from ..integration.registry import ADAPTIVE, AUTO, EXPLICIT, FIXED, INTEGRATORS
 from ..integration.system import parts_of_state
 
@@ -96,13 +96,13 @@ def fastest_rate(system, state, own=()):
     silent[:of_effects.start] = False
     silent[of_effects.start + np.array(own, dtype=int)] = False
     slope, moved = np.zeros_like(state), np.zeros_like(state)
-    derivative(system.moving, state.copy(), slope)
+    native.derivative(system.native, state.copy(), slope)
     direction = np.random.default_rng(0).normal(size=len(state))
     direction[silent] = 0.0
 
     def turned(vector):
         size = DIFFERENCE / max(np.abs(vector).max(), 1e-300)
-        derivative(system.moving, state + size * vector, moved)
+        native.derivative(system.native, state + size * vector, moved)
         result = (moved - slope) / size
         result[silent] = 0.0
         return result

@@ -17,10 +17,9 @@
 import numpy as np
 
 from .errors import SimulationError
-from ..core import kinematics, types as t
+from ..core import types as t
 from ..core.codegen import space
-from ..core.joint_wrenches import bias_forces, tree_torque
-from ..effects import cut_coordinates, dispatch, joint_reaction
+from ..engine import native
 
 
 class InverseDynamics:
@@ -65,7 +64,7 @@ class InverseDynamics:
                 return torque, lam
             # Friction driven by reactions depends on the result: a fixed point, fast because
             # friction is the smaller part.
-            joint_reaction.load(
+            native.load_joints(
                 self._equations.model, self._equations.work, table, q, qd, qdd, lam)
             places, values = self._effects.loads()
             change = np.abs(table.states[places] - values).max()
@@ -96,21 +95,21 @@ class InverseDynamics:
     def _needed(self, q, qd, qdd):
         """Return what torques and constraint forces must add up to at the joints."""
         need, table, system = np.zeros(len(qd)), self._table, self._system
-        kinematics.outward(system.model, q, qd, system.work)
+        native.outward(system.model, q, qd, system.work)
         if len(table.kind):
             self._effects.steady(q, qd)
             if len(table.cuts.index):
-                cut_coordinates.accelerations(
+                native.cut_accelerations(
                     table.cuts, system.model, system.work, qdd, True, table.cuts.qdd)
                 table.cuts.qdd[:len(qdd)] = qdd
                 self._effects.hold_rotors(table.cuts.qdd)
-            dispatch.apply(
-                system.effects, self._mechanism.coordinates.by_freedom(q), qd,
+            native.apply_effects(
+                table, system.work.body, self._mechanism.coordinates.by_freedom(q), qd,
                 np.zeros(len(system.tau)))
             self._effects.hold_rotors(None)
             self._effects.unsteady()
-            bias_forces(system.work, table.reaction)
-        tree_torque(system.model, system.work, qdd, need)
+            native.bias_forces(system.work, table.reaction)
+        native.tree_torque(system.model, system.work, qdd, need)
         return need - table.applied[:len(need)] if len(table.kind) else need
 
     def _least_torques(self, need, jac):

@@ -21,12 +21,12 @@ import time
 
 import numpy as np
 
-from ..core.codegen import function_table as calls
+from ..core.codegen.function_table import BODY
 from ..core.independent import forget
 from ..core.manifold import weights
 from ..core.types import EVALUATIONS
-from ..integration import adaptive, left_out, switching
-from ..integration.advance import DONE
+from ..integration import control as columns, left_out
+from ..integration.control import DONE
 from ..integration.drivers import build_driver, Switching
 from ..integration.registry import FIXED, INTEGRATORS
 
@@ -166,13 +166,13 @@ class Monitor:
         control = getattr(self.driver, 'control', None)
         if control is not None:
             # What stands between is counted, too.
-            control[adaptive.ACCEPTED:adaptive.LARGEST_ERROR + 1] = 0.0
+            control[columns.ACCEPTED:columns.LARGEST_ERROR + 1] = 0.0
 
     def rewind(self):
         """Begin as a new driver would: a motion repeated is the same to its last digit."""
         self.driver.rewind()
         forget(self._system.partition)
-        left_out.forget(self._system.left_out)
+        left_out.forget(self._system)
         self.restart()
         self.clear()
 
@@ -260,9 +260,9 @@ class Monitor:
         findings = [*notes, *([energy_guard.finding] if energy_guard.finding else [])]
         if isinstance(self.driver, Switching):
             watch = self.driver.watch
-            steps = int(control[adaptive.ACCEPTED])
-            error = float(control[adaptive.LARGEST_ERROR]) * watch[switching.TOLERANCE]
-            bound = float(watch[switching.LARGEST_BOUND])
+            steps = int(control[columns.ACCEPTED])
+            error = float(control[columns.LARGEST_ERROR]) * watch[columns.TOLERANCE]
+            bound = float(watch[columns.LARGEST_BOUND])
             if energy_guard.failed or energy_guard.finding:
                 # The companion is as wrong as the run.
                 bound = math.nan
@@ -270,14 +270,14 @@ class Monitor:
                 cause = (
                     'although the smallest tolerance there is was taken: differences in the last '
                     'digit grow that large in this motion'
-                    if watch[switching.TOLERANCE] <= switching.FLOOR else
+                    if watch[columns.TOLERANCE] <= columns.FLOOR else
                     'before the tolerance was tightened. Ask for a smaller accuracy')
                 findings.append(
                     f'the accuracy of {self._method.accuracy:g} rad or m within a second was not '
                     f'kept: the error was about {bound:.2g}, {cause}.')
         elif not self._fixed and control is not None:
-            steps = int(control[adaptive.ACCEPTED])
-            error = float(control[adaptive.LARGEST_ERROR]) * self._method.tolerance
+            steps = int(control[columns.ACCEPTED])
+            error = float(control[columns.LARGEST_ERROR]) * self._method.tolerance
         method = f'{self._method.integrator}, {self._method.stabilisation}'
         return RunReport(
             method, self._time, steps, 1e-9 * self._nanoseconds, error, closure, energy_error,
@@ -290,10 +290,7 @@ def copy_into(record, target):
     for name, value, place in zip(record._fields, record, target):
         if name == 'table':
             # The routines may be others by now; the arrays they work on are the copy's own.
-            calls.take(place, {which: value[which] for which in calls.ALWAYS})
-        elif name in ('moving', 'records', 'laws'):
-            # Addresses of these and of others.
-            continue
+            place[:BODY] = value[:BODY]
         elif isinstance(value, tuple):
             copy_into(value, place)
         elif isinstance(value, np.ndarray):

@@ -27,10 +27,12 @@ from typing import Optional
 import numpy as np
 
 from .errors import SimulationError
-from ..integration import simd
-from ..integration.advance import DONE
+from ..core.codegen.lanes import LANES, spread
+from ..engine import native
+from ..integration.batch import build_batch, filled, fits
+from ..integration.control import DONE
 from ..integration.drivers import FixedSteps
-from ..integration.fixed_step import allocate_buffer, annotate, energies, joint_forces, run
+from ..integration.recorded_run import allocate_buffer, joint_forces
 from ..mechanism.checks import one_of
 from ..mechanism.fields import at
 
@@ -38,7 +40,7 @@ STATE = ('position', 'velocity')
 QUANTITIES = (*STATE, 'acceleration', 'effort', 'constraint_forces', 'joint_forces', 'points',
               'closure', 'energy')
 # So many runs at least, and at most, are made together in the lanes of a vector.
-FEWEST, MOST = 3, simd.LANES
+FEWEST, MOST = 3, LANES
 # A time counts as a multiple of the step up to this share of the step.
 TIME_ROUNDING = 1e-9
 # Instants of a run at which its energy is looked at.
@@ -184,8 +186,8 @@ def _in_one_loop(simulation, tau, schedule, steps, quantities):
     """Return the record of a run made by one compiled loop; None where it fails."""
     system, driver = simulation.system, simulation.monitor.driver
     buffer = buffer_for(simulation, schedule, quantities)
-    status, _ = run(
-        system, driver.moving, driver.tableau, driver.stabilisation, simulation.integrated,
+    status, _ = native.run_fixed(
+        system.native, driver.tableau, driver.stabilisation, simulation.integrated,
         simulation.step_size, tau, *schedule.in_steps(steps), driver.scratch, buffer)
     simulation.touch()
     if status != DONE:
@@ -226,7 +228,7 @@ def verdict(simulation, states, last, work, schedule):
     looked = np.vstack((states[some], last[:states.shape[1]]))
     out = np.empty((len(looked), 2))
     if simulation.mechanism.planar:
-        energies(simulation.system, looked, out)
+        native.energies_of_states(simulation.system.native, looked, out)
     else:
         for state, place in zip(looked, out):
             place[:] = simulation.energies_of(state)
@@ -334,7 +336,7 @@ class Start:
 
 def fits_simd(simulation, schedule):
     """Tell whether runs of a simulation can share the lanes of a vector at all."""
-    return bool(is_plain(simulation) and schedule.steps(simulation.step_size) and simd.fits(
+    return bool(is_plain(simulation) and schedule.steps(simulation.step_size) and fits(
         simulation.system, simulation.monitor.driver.stabilisation))
 
 
@@ -373,19 +375,19 @@ class SimdRuns:
             return None
         driver, steps = first.monitor.driver, schedule.steps(first.step_size)
         torques = [all_torques(start.simulation, start.torques) for start in starts]
-        spread = np.stack(simd.filled(torques), axis=-1).reshape(len(torques[0]), -1)
-        state = simd.lanes.spread(simd.filled([start.state for start in starts]))
+        efforts = np.stack(filled(torques), axis=-1).reshape(len(torques[0]), -1)
+        state = spread(filled([start.state for start in starts]))
         if room is None:
             names = first.coordinates
-            room = tuple(np.empty((simd.LANES, schedule.instants, count))
+            room = tuple(np.empty((LANES, schedule.instants, count))
                          for count in (names.nq, names.nv))
-        work = np.zeros(simd.LANES)
-        status = simd.run(
-            pack, driver.tableau, driver.stabilisation, state, first.step_size, spread,
+        work = np.zeros(LANES)
+        status = native.run_batch(
+            tuple(pack)[:-1], driver.tableau, driver.stabilisation, state, first.step_size, efforts,
             *schedule.in_steps(steps), np.zeros((len(driver.scratch), len(state))), *room, work)
         if status != DONE:
             return None
-        ends = state.reshape(-1, simd.LANES).T
+        ends = state.reshape(-1, LANES).T
         judged = [verdict(start.simulation, np.hstack(motion), end, done, schedule)
                   for start, end, done, *motion in zip(starts, ends, work, *room)]
         if not all(share <= ENERGY_ERROR for share, _ in judged):
@@ -398,7 +400,7 @@ class SimdRuns:
         """Return a pack of systems, the last one where they are still the same."""
         if len(systems) != len(self._systems) or any(
                 one is not other for one, other in zip(systems, self._systems)):
-            self._systems, self._pack = systems, simd.build_pack(systems)
+            self._systems, self._pack = systems, build_batch(systems)
         return self._pack
 
 
@@ -411,6 +413,6 @@ def _values_of_motion(simulation, tau, schedule, steps, quantities, position, ve
     buffer.state[:, :position.shape[1] + velocity.shape[1]] = np.hstack((position, velocity))
     if not simulation.mechanism.planar:
         return values_of(simulation, buffer, tau, schedule, quantities)
-    annotate(simulation.system, tau, *schedule.in_steps(steps)[:2], buffer)
+    native.annotate(simulation.system.native, tau, *schedule.in_steps(steps)[:2], buffer)
     simulation.touch()
     return values_of(simulation, buffer, tau, schedule, quantities)

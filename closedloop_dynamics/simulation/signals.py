@@ -16,7 +16,7 @@
 Handling of signals that ask a program to stop, for all programs of the package.
 
 This module is light on purpose: a program begins to watch for signals before it imports rclpy
-and numba, which take seconds.
+and LLVM, which take a while.
 
 """
 

@@ -36,24 +36,21 @@ from .redundancy import find_redundancy, geometry_of
 from .rollout import rollout
 from .scene import load_scene
 from .scene_records import Method, Scene
-from ..core import energy, types as t
-from ..core.codegen import later, REACTIONS, REFINED
+from ..core import types as t
 from ..core.formulations import AUGMENTED, SUBSYSTEM, SYSTEM
-from ..core.loop_closure import largest
 from ..effects.delay_line import DelayLine
 from ..effects.effect import Machine
 from ..effects.effect_set import EffectSet
 from ..effects.energy_balance import EnergyBalance
-from ..integration.adaptive import MOST_EVALUATIONS
-from ..integration.advance import (
-    DONE, NOT_FINITE, OPEN_LOOP, POOR_EQUATIONS, TOO_MUCH_WORK)
+from ..engine import native
+from ..integration.control import (
+    DONE, MOST_EVALUATIONS, NOT_FINITE, OPEN_LOOP, POOR_EQUATIONS, TOO_MUCH_WORK)
 from ..integration.drivers import build_driver
-from ..integration.evaluation import BAUMGARTE_GAIN, CLOSURE_LIMIT
-from ..integration.fixed_step import joint_forces
 from ..integration.left_out import LENIENT, OPENED
+from ..integration.recorded_run import joint_forces
 from ..integration.registry import INTEGRATORS, SCIPY
 from ..integration.system import (
-    build_system, on_workspace, parts_of_state, Probe, with_equations, with_partition)
+    BAUMGARTE_GAIN, build_system, CLOSURE_LIMIT, on_workspace, parts_of_state, Probe, with_equations, with_partition)
 from ..mechanism.couplings import measured
 from ..mechanism.decomposition import decompose
 from ..mechanism.fields import at, FieldError, keys_of, mapping
@@ -634,7 +631,7 @@ class Simulation:
         if self.leaves_out:
             return self._closure_of_all()
         self._evaluate()
-        return float(largest(self.system.work.closure))
+        return native.largest(self.system.work.closure)
 
     @property
     def constraint_jacobian(self):
@@ -734,7 +731,7 @@ class Simulation:
         """Return kinetic and stored energy of the present state."""
         self._evaluate()
         found = np.empty(2)
-        energy.energies(*energy.parts(self.system.model, self.system.work), self._qd, found)
+        native.energies(self.system.model, self.system.work, self._qd, found)
         kinetic, stored = self._effects.energies()
         return float(found[0]) + kinetic, float(found[1]) + stored
 
@@ -1116,7 +1113,7 @@ class Simulation:
         """
         if not self.leaves_out or self.scene.method.stabilisation not in CLOSING:
             return False
-        numbers = self.system.left_out.numbers
+        numbers = self.system.all.numbers
         opened = status != POOR_EQUATIONS or numbers[OPENED] == 1.0
         model = self._geometry.closed_anew(self._q, BETTER, opened)
         if model is None:
@@ -1350,7 +1347,7 @@ class Simulation:
 
     def prepare_method(self, **changes):
         """
-        Check and compile another method, leaving everything as it is.
+        Check and prepare another method, leaving everything as it is.
 
         Parameters
         ----------
@@ -1548,25 +1545,6 @@ class Simulation:
         self._driver.restart()
         self._fresh = False
         return DONE if status == POOR_EQUATIONS else status
-
-    def warm_up(self):
-        """
-        Compile all that a run needs, leaving the state as it is.
-
-        Not the rank-revealing path, which takes several times as long as all the rest: that is
-        compiled, once for an installation, where a mechanism first needs it.
-
-        """
-        self._try_step(self._state.copy(), 1e-9)
-        self.constraint_forces, self.energy, self.closure
-        # What is compiled for each mechanism takes longer than a controller may wait.
-        needed = []
-        if self.system.is_unrolled and self._table.reaction.size:
-            needed.append(REACTIONS)
-        if self.system.is_unrolled and not self.mechanism.planar and len(self.system.lam):
-            needed += REFINED
-        for place in needed:
-            later(self.system.model, place)
 
     @property
     def monitor(self):

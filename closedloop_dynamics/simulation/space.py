@@ -18,9 +18,10 @@ import numpy as np
 
 from .loop_model import LoopModel
 from .spatial_modeling import build_spatial_model
-from ..core import manifold, types as t
+from ..core import types as t
 from ..core.codegen import space
 from ..core.equations import Equations
+from ..engine import native
 from ..mechanism.mechanism import FIXED
 
 
@@ -170,7 +171,7 @@ def quaternions(matrices):
 
     """
     found = np.empty((len(matrices), 4))
-    manifold.fill_quaternions(np.ascontiguousarray(matrices), found)
+    native.fill_quaternions(np.ascontiguousarray(matrices), found)
     return found
 
 

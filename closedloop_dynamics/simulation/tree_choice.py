@@ -16,7 +16,6 @@
 
 from .modeling import build_model
 from .spatial_modeling import build_spatial_model
-from ..core.codegen import available
 from ..core.codegen.routines import operations
 from ..mechanism.fields import FieldError
 from ..mechanism.mechanism import MechanismError
@@ -40,7 +39,7 @@ def count_operations(mechanism):
     Returns
     -------
     int or None
-        None for a mechanism that is too large to count, and where there is no compiler.
+        None for a mechanism that is too large to count.
 
     Raises
     ------
@@ -48,7 +47,7 @@ def count_operations(mechanism):
         Where a loop cannot close.
 
     """
-    if len(mechanism.joints) > MOST_JOINTS or not available():
+    if len(mechanism.joints) > MOST_JOINTS:
         return None
     build = build_model if mechanism.planar else build_spatial_model
     built = build(mechanism)

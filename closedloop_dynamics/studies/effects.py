@@ -273,8 +273,6 @@ def _times(scene, types):
         variants['alone', kind] = Simulation(_without(scene, others))
         variants['without', kind] = Simulation(_without(scene, names))
     measured = {key: [] for key in variants}
-    for simulation in variants.values():
-        simulation.warm_up()
     keys, shuffle = list(variants), np.random.default_rng(0)
     for _ in range(REPEATS):
         for k in shuffle.permutation(len(keys)):

@@ -23,10 +23,8 @@ import numpy as np
 
 from .families import chain, ladder
 from .formulation_errors import exact_dynamics
-from ..core import codegen
-from ..core.compiled import compiled
 from ..core.formulations import SUBSYSTEM
-from ..integration.evaluation import evaluate, evaluate_only
+from ..engine import native
 from ..integration.system import build_system, MOST_UNROLLED_BODIES
 from ..simulation.modeling import build_model
 from ..simulation.simulation import FORMULATIONS, Simulation
@@ -45,7 +43,7 @@ GROWTH = 3.0
 # What is compared: the formulations, all by loops, and the subsystem-level one as it runs.
 UNROLLED = 'unrolled'
 VARIANTS = {**{name: (formulation, False) for name, formulation in FORMULATIONS.items()},
-            UNROLLED: (SUBSYSTEM, codegen.available())}
+            UNROLLED: (SUBSYSTEM, True)}
 
 
 @dataclass(frozen=True)
@@ -75,21 +73,6 @@ class Row:
     # Largest error relative to the largest value.
     acceleration_error: float = math.nan
     force_error: float = math.nan
-
-
-@compiled
-def evaluate_again(system, q, qd, count):
-    """
-    Evaluate a state ``count`` times, to be timed without the call from Python.
-
-    ``system`` holds the result; ``q`` and ``qd`` have shape (nv,).
-
-    """
-    for _ in range(count):
-        evaluate_only(system, q, qd)
-        # Nothing is added, but each evaluation waits for the one before, as in a simulation.
-        for k in range(qd.shape[0]):
-            q[k] += 0.0 * system.qdd[k]
 
 
 def growing_case(family, size):
@@ -150,10 +133,9 @@ def _measured(case, expected):
             continue
         system = build_system(model, formulation, unrolled=unrolled)
         system.tau[:] = case.tau
-        evaluate(system, case.q, case.qd)
+        native.evaluate(system.native, case.q, case.qd)
         errors[name] = [_relative(value, reference) for value, reference in zip(
             (system.qdd, system.lam), exact)]
-        evaluate_again(system, case.q, case.qd, 1)
         systems[name] = system, _repeats(system, case)
     for turn in range(TURNS):
         for name, (system, repeats) in systems.items():
@@ -179,7 +161,7 @@ def _repeats(system, case):
 def _time(system, case, count):
     """Return the CPU time of some evaluations [s]."""
     begin = time.thread_time()
-    evaluate_again(system, case.q, case.qd, count)
+    native.evaluate_again(system.native, np.concatenate((case.q, case.qd)), count)
     return time.thread_time() - begin
 
 

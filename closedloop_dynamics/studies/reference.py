@@ -26,8 +26,7 @@ import time
 
 import numpy as np
 
-from ..integration.evaluation import ASIDE
-from ..integration.precompile import is_stored
+from ..integration.system import ASIDE
 from ..integration.registry import ADAPTIVE, INTEGRATORS
 from ..simulation.errors import SimulationError
 from ..simulation.simulation import Simulation
@@ -96,7 +95,6 @@ def record(simulation, tau, steps, outputs, patience=float('inf')):
 
     """
     # Compiling, half a minute in a new installation, does not count as computing time.
-    simulation.warm_up()
     simulation.reset()
     simulation.advance(tau, 0)
     position, velocity, force, closure, energy_error = [], [], [], 0.0, 0.0
@@ -203,11 +201,4 @@ def _motion(scene, torque, interval, outputs, integrator, value, stabilisation, 
         formulation='subsystem', baumgarte_time_constant=None)
     simulation = Simulation(replace(scene, method=method))
     simulation.system.settings[ASIDE] *= aside
-    stored, tau = is_stored(simulation.system), simulation.joint_torques(torque)
-    try:
-        return record(simulation, tau, steps, outputs, PATIENCE)
-    except TooSlow:
-        if stored or not is_stored(simulation.system):
-            raise
-        # What deals with singular configurations was compiled on the way; that took the time.
-        return record(simulation, tau, steps, outputs, PATIENCE)
+    return record(simulation, simulation.joint_torques(torque), steps, outputs, PATIENCE)

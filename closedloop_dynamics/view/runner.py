@@ -145,13 +145,12 @@ class Runner:
     """
 
     def __init__(self, scene, clock=time.monotonic):
-        """Build the simulation, compiled, standing still at its start."""
+        """Build the simulation, standing still at its start."""
         self._hand = Hand(scene, extent(scene.mechanism))
         self.simulation = simulation = Simulation(self._hand.scene)
         for name in self._hand.off:
             simulation.set_effect(name, enabled=False)
         simulation.reset()
-        simulation.warm_up()
         self._clock, self.playing, self._kinematic = clock, False, False
         self._pacer = Pacer(simulation.step_size, 1.0, clock)
         self._failure, self._holder, self._grabbed = None, None, None
@@ -380,10 +379,10 @@ class Runner:
             self.simulation.prepare_method(**values)()
             self._pacer.step_size = self.simulation.step_size
 
-        self._busily('compiling the method', change)
+        self._busily('preparing the method', change)
 
     def _busily(self, what, action):
-        """Do what may compile for long, saying so; time stands still meanwhile."""
+        """Do what may take long, saying so; time stands still meanwhile."""
         running = self.playing
         if running:
             self._pacer.stop()

@@ -17,20 +17,23 @@ Code generated for one mechanism.
 
 The recursions over the bodies are written once, in space (``spatial``), and run on symbols
 (``expression_graph``); a mechanism in the plane (``plane``) reduces them to its own. The
-arithmetic that is left is compiled (``emit``) to routines that compiled code calls by their
-address (``function_table``): a whole evaluation of a mechanism of a few bodies (``routines``), or
-its stages for each kind of body, which the loops over bodies in ``core`` call (``pieces``).
+arithmetic that is left is compiled (``emit``) to routines that the engine calls by their address
+(``function_table``): a whole evaluation of a mechanism of a few bodies (``routines``), or its
+stages for each kind of body, which the engine's loops over bodies call (``pieces``).
 
 """
 
-from .function_table import ALWAYS, available, REACTIONS, REFINED, take
+import numpy as np
 
-__all__ = ['available', 'later', 'REACTIONS', 'REFINED', 'relink']
+from .function_table import ALWAYS, BODY, REACTIONS, REFINED
+from .routines import addresses
+
+__all__ = ['ALWAYS', 'link', 'REACTIONS', 'REFINED', 'relink']
 
 
-def relink(model, table):
+def link(model, table, which=ALWAYS):
     """
-    Give a function table the routines of a model, also when its topology has changed.
+    Give a function table routines of a model.
 
     Parameters
     ----------
@@ -38,29 +41,22 @@ def relink(model, table):
         Constant arrays of the mechanism.
     table : ndarray of int
         Changed in place.
+    which : tuple of int
+        Places of the routines in it.
 
     """
-    # Here, as there may be no compiler.
-    from .routines import addresses
-    take(table, addresses(model, ALWAYS))
+    for place, address in addresses(model, which).items():
+        table[place] = address
 
 
-def later(model, place):
+def relink(model, table):
     """
-    Return the address of a model's routine that is not compiled before it is called.
+    Replace the routines of a function table, when the structure of the model has changed.
 
     Parameters
     ----------
-    model : core.types.Model
-        Constant arrays of the mechanism.
-    place : int
-        Of ``function_table.LATER``.
-
-    Returns
-    -------
-    int
+    model, table
+        As for ``link``.
 
     """
-    # Here, as there may be no compiler.
-    from .routines import addresses
-    return addresses(model, (place,))[place]
+    link(model, table, tuple(np.flatnonzero(table[:BODY]).tolist()))

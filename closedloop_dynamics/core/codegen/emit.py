@@ -12,26 +12,20 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""From unrolled arithmetic to machine code, by the LLVM that numba brings along."""
+"""From unrolled arithmetic to LLVM's intermediate representation."""
 
-import hashlib
-
-from llvmlite import binding, ir
+from llvmlite import ir
 
 from . import sincos
 from .expression_graph import (
-    ADD, BOTH, CHOOSE, COSINE, DIVIDE, GREATER_EQUAL, LESS, LOAD, MULTIPLY, needed_for, NEGATE,
-    SINE, SUBTRACT)
-from .. import cache
+    ADD, BOTH, CHOOSE, COSINE, DIVIDE, GREATER_EQUAL, LESS, LOAD, MULTIPLY, needed_for, NEGATE, Q,
+    QD, SINE, SUBTRACT)
 
 _DOUBLE, _WORD = ir.DoubleType(), ir.IntType(64)
 _FUNCTION = ir.FunctionType(_WORD, [_WORD.as_pointer()] + 2 * [_DOUBLE.as_pointer()])
 # A multiplication and an addition may become one instruction that rounds once.
 _FLAGS = ('contract',)
 _ARITHMETIC = {ADD: 'fadd', SUBTRACT: 'fsub', MULTIPLY: 'fmul', DIVIDE: 'fdiv'}
-
-
-Q, QD = -1, -2
 
 
 class Writer:
@@ -142,50 +136,23 @@ class PieceWriter(Writer):
         return self.builder.gep(self.function.args[source], [_WORD(place)])
 
 
-# Machine code in use: it must stay where it is as long as the process lives.
-_engines = []
-
-
-def machine_code(key, routines, writer=Writer):
+def intermediate_code(routines, writer):
     """
-    Return the addresses of routines, compiled now or by an earlier process.
+    Return LLVM's intermediate representation of routines.
 
     Parameters
     ----------
-    key : tuple
-        What the routines depend on.
-    routines : callable
-        Returns the list of Routine; called only where nothing is cached.
+    routines : list of Routine
+        What is to be computed.
     writer : type
-        ``Writer``, ``PieceWriter`` or ``LaneWriter``.
+        ``Writer`` or one derived from it.
 
     Returns
     -------
-    callable
-        From a routine's name to its address.
+    str
 
     """
-    binding.initialize_native_target()
-    binding.initialize_native_asmprinter()
-    target = binding.Target.from_default_triple()
-    cpu, features = binding.get_host_cpu_name(), binding.get_host_cpu_features().flatten()
-    machine = target.create_target_machine(cpu=cpu, features=features, opt=3)
-    digest = hashlib.sha256(repr(
-        (key, writer.__name__, cpu, features)).encode()).hexdigest()[:32]
-    name = f'codegen.{digest}.o'
-    # An engine needs a module to start from; the code itself is added as an object.
-    engine = binding.create_mcjit_compiler(binding.parse_assembly(''), machine)
-    code = cache.read(name)
-    if code is None:
-        module = ir.Module()
-        module.triple = target.triple
-        for routine in routines():
-            writer(module, routine).write()
-        parsed = binding.parse_assembly(str(module))
-        parsed.verify()
-        code = machine.emit_object(parsed)
-        cache.write(name, code)
-    engine.add_object_file(binding.ObjectFileRef.from_data(code))
-    engine.finalize_object()
-    _engines.append(engine)
-    return engine.get_function_address
+    module = ir.Module()
+    for routine in routines:
+        writer(module, routine).write()
+    return str(module)

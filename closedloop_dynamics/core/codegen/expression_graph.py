@@ -22,13 +22,12 @@ added.
 """
 
 import math
-import types
-
-from ..compiled import choose
 
 # Operations. A LOAD names an input and the place in it; a SINE and a COSINE their angle.
 (LOAD, ADD, SUBTRACT, MULTIPLY, DIVIDE, NEGATE, SINE, COSINE, LESS, GREATER_EQUAL, CHOOSE,
  BOTH) = range(12)
+# Inputs beside those of a function table: coordinates and rates.
+Q, QD = -1, -2
 
 
 class ExpressionGraph:
@@ -249,7 +248,7 @@ def cosine(angle):
 
 
 def chosen(condition, yes, no):
-    """Return one of two values, as ``compiled.choose`` does."""
+    """Return one of two values, without a branch; both are computed."""
     if isinstance(condition, bool):
         return yes if condition else no
     return condition._put(CHOOSE, condition, yes, no)
@@ -260,52 +259,3 @@ def larger(first, second):
     if first is second or not (isinstance(first, Symbol) or isinstance(second, Symbol)):
         return max(first, second)
     return chosen(second > first, second, first)
-
-
-class _Unrolled:
-    """A module of kernels, each made to work on symbols when it is asked for."""
-
-    def __init__(self, module, known):
-        self._module, self._known = module, known
-
-    def __getattr__(self, name):
-        return _translate(getattr(self._module, name), self._known)
-
-
-def _translate(value, known):
-    if value is choose:
-        return chosen
-    function = getattr(value, 'py_func', None)
-    if function is not None:
-        return unrolled(value, known)
-    if isinstance(value, types.ModuleType):
-        return _Unrolled(value, known)
-    return value
-
-
-def unrolled(kernel, known):
-    """
-    Return a kernel as a Python function that works on arrays of symbols.
-
-    Parameters
-    ----------
-    kernel : numba dispatcher
-        One that branches on topology only, and chooses by ``choose``.
-    known : dict of function to function
-        What stands in for kernels, by their Python functions; those translated here are added.
-
-    Returns
-    -------
-    function
-
-    """
-    function = kernel.py_func
-    if function not in known:
-        names = {'max': larger, '__builtins__': function.__globals__['__builtins__']}
-        copy = types.FunctionType(
-            function.__code__, names, function.__name__, function.__defaults__)
-        known[function] = copy
-        for name in function.__code__.co_names:
-            if name in function.__globals__:
-                names[name] = _translate(function.__globals__[name], known)
-    return known[function]

@@ -24,8 +24,10 @@ lanes is stored lane by lane: number k of lane n at place ``LANES * k + n``.
 import numpy as np
 
 from .function_table import (
-    BAUMGARTE, BODY, CLOSURE, CLOSURE_RATE, CORRECTION, CORRECTIONS, CUT_POINT, EVALUATION,
-    GRAVITY, HEALTH, LAM, LANES, QDD, TABLE_COLUMNS, TAU)
+    BAUMGARTE, BODY, CLOSURE, CLOSURE_RATE, connect as connect_arrays, CORRECTION, CORRECTIONS,
+    CUT_POINT, EVALUATION, GRAVITY, HEALTH, LAM, LANES, QDD, TAU)
+from .machine_code import LANES as IN_LANES
+from .routines import addresses
 from ..types import HEALTH_COLUMNS
 
 
@@ -46,13 +48,8 @@ def connect(model, arrays):
     ndarray of int, shape (TABLE_COLUMNS,)
 
     """
-    # Here, as there may be no compiler.
-    from .lane_writer import LaneWriter
-    from .routines import addresses
-    table = np.zeros(TABLE_COLUMNS, dtype=np.int64)
-    for place, array in arrays.items():
-        table[place] = array.ctypes.data
-    for which, address in addresses(model, (EVALUATION, CORRECTION), LaneWriter).items():
+    table = connect_arrays(arrays)
+    for which, address in addresses(model, (EVALUATION, CORRECTION), IN_LANES).items():
         table[which] = address
     return table
 

@@ -25,8 +25,7 @@ import numpy as np
 
 from . import plane, space
 from .expression_graph import ExpressionGraph, LOAD, Routine
-from .function_table import available
-from .interpreted import Interpreted
+from .machine_code import machine_code, PIECE
 from .rows import by_column, matrix, six
 from .spatial import at_parent, Body, Recursion, rigid, shifted, Z
 from .vectors import add, cross, dot, is_zero, times, ZERO
@@ -77,13 +76,8 @@ def _addresses(arrays, make, kind, model, row):
     """Return the addresses of the pieces of a kind, of which a row of a model is one."""
     key = arrays.__name__.rpartition('.')[2], make.__name__, kind
     if key not in _known:
-        if available():
-            # Here, as there may be no compiler.
-            from .emit import machine_code, PieceWriter
-            find = machine_code(key, lambda: make(arrays, model, row).pieces(), PieceWriter)
-            _known[key] = [find(name) for name in make.NAMES]
-        else:
-            _known[key] = [Interpreted(one).number for one in make(arrays, model, row).pieces()]
+        find = machine_code(key, lambda: make(arrays, model, row).pieces(), PIECE)
+        _known[key] = [find(name) for name in make.NAMES]
     return _known[key]
 
 

@@ -16,19 +16,17 @@
 
 import numpy as np
 
-from . import emit, plane, space
+from . import elimination, forward_dynamics, plane, refinement, space
 from .expression_graph import (
-    ADD, DIVIDE, ExpressionGraph, LOAD, MULTIPLY, NEGATE, Routine, SUBTRACT, unrolled)
+    ADD, DIVIDE, ExpressionGraph, LOAD, MULTIPLY, NEGATE, Q, QD, Routine, SUBTRACT)
 from .function_table import (
     ACCELERATION, BAUMGARTE, BODY, CLOSURE, CLOSURE_RATE, CORRECTION, CORRECTIONS, CUT_POINT,
     EVALUATION, GRAVITY, HEALTH, LAM, OUTWARD, QDD, REACTION, REACTIONS, REFINED_ACCELERATION,
     REFINED_CORRECTION, TAU, WORK_BODY)
-from .packed_writer import PackedWriter
+from .machine_code import machine_code, PACKED, SCALAR
 from .rows import by_column, matrix, six
 from .spatial import Recursion, rigid
 from .vectors import add, scale, subtract, times, ZERO
-from .. import (
-    articulated_inertia, elimination, forward_dynamics, kinematics, loop_closure, refinement)
 from ..types import (
     BODY_A, BODY_B, CUT_ROW, DOF, number_of_coordinates, PARENT, RHS, TYPE, Workspace)
 from ..workspace import unconnected
@@ -63,7 +61,7 @@ def topology(model):
 _addresses = {}
 
 
-def addresses(model, which, writer=emit.Writer):
+def addresses(model, which, form=SCALAR):
     """
     Return the addresses of a mechanism's routines, compiled where nobody has before.
 
@@ -73,20 +71,20 @@ def addresses(model, which, writer=emit.Writer):
         Constant arrays of the mechanism.
     which : tuple of int
         Places in the function table.
-    writer : type
-        Who writes them.
+    form : tuple
+        Of ``machine_code``; single states of a mechanism in space are packed.
 
     Returns
     -------
     dict of int to int
 
     """
-    if writer is emit.Writer and space.is_spatial(model):
-        writer = PackedWriter
-    key = topology(model), which, writer.__name__
+    if form is SCALAR and space.is_spatial(model):
+        form = PACKED
+    key = topology(model), which, form
     if key not in _addresses:
-        find = emit.machine_code(
-            key, lambda: [Unrolling(model).routine(one) for one in which], writer)
+        find = machine_code(
+            key, lambda: [Unrolling(model).routine(one) for one in which], form)
         _addresses[key] = {one: find(NAMES[one]) for one in which}
     return _addresses[key]
 
@@ -133,8 +131,8 @@ class Unrolling:
             cut_point=self.symbols(CUT_POINT, model.cut_point.shape))
         work = Workspace(*(_zeros(*array.shape) for array in unconnected(model)))
         self.work = work._replace(health=self.symbols(HEALTH, work.health.shape))
-        self.q = self.symbols(emit.Q, (number_of_coordinates(model),))
-        self.qd = self.symbols(emit.QD, (self.nv,))
+        self.q = self.symbols(Q, (number_of_coordinates(model),))
+        self.qd = self.symbols(QD, (self.nv,))
         self.outputs = []
         # What the arrays hold, of a mechanism in space or in the plane.
         self.arrays = space if space.is_spatial(model) else plane
@@ -143,16 +141,6 @@ class Unrolling:
         self.recursion = Recursion(
             bodies, cuts, (*self.model.gravity, *(3 - len(model.gravity)) * (0.0,)),
             space.hinges(model, bodies, cuts) if self.arrays is space else ())
-        # The elimination and what leads up to it are the kernels' own.
-        self.known = {stage.py_func: own for stage, own in (
-            (kinematics.outward, self.recursion.outward),
-            (articulated_inertia.inward, self.recursion.inward),
-            (articulated_inertia.outward_acceleration, self.recursion.outward_acceleration),
-            (loop_closure.update, self.recursion.update))}
-
-    def run(self, kernel, *arguments):
-        """Run a kernel on symbols."""
-        return unrolled(kernel, self.known)(*arguments)
 
     def symbols(self, source, shape):
         """Return an array of numbers to be read from an input."""
@@ -232,7 +220,7 @@ class Unrolling:
         """Unroll the forward dynamics of one of the modules."""
         baumgarte = self.symbols(BAUMGARTE, (1,))[0]
         tau, qdd, lam = self.symbols(TAU, (self.nv,)), _zeros(self.nv), _zeros(self.nc)
-        bool(self.run(by.accelerate, self.model, self.work, tau, baumgarte, qdd, lam))
+        bool(by.accelerate(self.recursion, self.model, self.work, tau, baumgarte, qdd, lam))
         self.store(QDD, qdd)
         self.store(LAM, lam)
         self.store(HEALTH, self.work.health)
@@ -272,12 +260,12 @@ class Unrolling:
         """Least changes of coordinates and of rates that close the loops, one after the other."""
         model, work = self.model, self.work
         self.recursion.outward(model, self.q, self.qd, work)
-        bool(self.run(by.prepare, model, _zeros(self.nv), work))
+        bool(by.prepare(self.recursion, model, _zeros(self.nv), work))
         for n, error in enumerate((work.closure, work.closure_rate)):
             right, out = -error, _zeros(self.nv)
-            self.run(elimination.solve, model, work, right)
+            elimination.solve(model, work, right)
             work.body[:, RHS] = 0.0
-            self.run(loop_closure.apply, model, work, right)
+            forward_dynamics.apply(model, work, right)
             self.recursion.outward_acceleration(model, work, out)
             self.store(CORRECTIONS, out, n * self.nv)
         self.store(CLOSURE, work.closure)

@@ -14,13 +14,12 @@
 
 """The subsystem-level forward dynamics on one page (doc/theory.md)."""
 
-from . import articulated_inertia, elimination, kinematics, loop_closure
-from .compiled import compiled, inlined
-from .types import CUT_ROW, EVALUATIONS, REDUCED, ROW, ROWS
+from . import elimination
+from ..types import (
+    CUT_ROW, EVALUATIONS, PATH_A, PATH_END, REDUCED, RHS, ROW, ROWS)
 
 
-@inlined
-def prepare(model, tau, work):
+def prepare(recursion, model, tau, work):
     """
     Factor the inertias of the trees and the constraint matrix.
 
@@ -31,7 +30,7 @@ def prepare(model, tau, work):
     tau : ndarray, shape (nv,)
         Joint torques [N m] and forces [N].
     work : Workspace
-        After ``kinematics.outward`` and whatever subtracted applied forces from FZ, FX, FY.
+        After ``outward`` and whatever subtracted applied forces from FZ, FX, FY.
 
     Returns
     -------
@@ -39,23 +38,22 @@ def prepare(model, tau, work):
         Whether every pivot was good.
 
     """
-    articulated_inertia.inward(model, tau, work)
-    loop_closure.update(model, work, REDUCED)
+    recursion.inward(model, tau, work)
+    recursion.update(model, work, REDUCED)
     elimination.assemble(model, work)
     return elimination.factorize_well(model, work)
 
 
-@inlined
-def accelerate(model, work, tau, baumgarte, qdd, lam):
+def accelerate(recursion, model, work, tau, baumgarte, qdd, lam):
     """
-    Compute joint accelerations and multipliers after ``kinematics.outward``.
+    Compute joint accelerations and multipliers after ``outward``.
 
     Parameters
     ----------
     model : Model
         Constant topology and geometry.
     work : Workspace
-        After ``kinematics.outward`` and whatever subtracted applied forces from FZ, FX, FY.
+        After ``outward`` and whatever subtracted applied forces from FZ, FX, FY.
     tau : ndarray, shape (nv,)
         Joint torques [N m] and forces [N].
     baumgarte : float
@@ -80,18 +78,66 @@ def accelerate(model, work, tau, baumgarte, qdd, lam):
     """
     right = work.right
     work.health[EVALUATIONS] += 1.0
-    if not prepare(model, tau, work):
+    if not prepare(recursion, model, tau, work):
         return False
-    loop_closure.free_acceleration(model, work, right)
+    free_acceleration(model, work, right)
     constraint_right_side(work, baumgarte, right)
     elimination.solve(model, work, right)
-    loop_closure.apply(model, work, right)
-    articulated_inertia.outward_acceleration(model, work, qdd)
+    apply(model, work, right)
+    recursion.outward_acceleration(model, work, qdd)
     to_user_order(model, right, lam)
     return True
 
 
-@inlined
+def free_acceleration(model, work, out):
+    """
+    Compute J I^-1 phi, the acceleration of each closure error without cut forces.
+
+    Parameters
+    ----------
+    model : Model
+        Constant arrays of the mechanism.
+    work : Workspace
+        After ``update``.
+    out : ndarray, shape (nc,)
+        Written in place, in elimination order.
+
+    """
+    body, scaled = work.body, work.response_scaled
+    cut, path_body = model.cut, model.path_body
+    for a in range(cut.shape[0]):
+        for k in range(cut[a, ROWS]):
+            total = 0.0
+            for entry in range(cut[a, PATH_A], cut[a, PATH_END]):
+                total += scaled[entry, k] * body[path_body[entry], RHS]
+            out[cut[a, ROW] + k] = total
+
+
+def apply(model, work, lam):
+    """
+    Add J^T lambda, reduced, to the right-hand sides of the joints.
+
+    Parameters
+    ----------
+    model : Model
+        Constant arrays of the mechanism.
+    work : Workspace
+        After ``update``; RHS is added to.
+    lam : ndarray, shape (nc,)
+        Multipliers in elimination order.
+
+    """
+    body, response = work.body, work.response
+    cut, path_body = model.cut, model.path_body
+    for a in range(cut.shape[0]):
+        for entry in range(cut[a, PATH_A], cut[a, PATH_END]):
+            i = path_body[entry]
+            total = body[i, RHS]
+            for k in range(cut[a, ROWS]):
+                total += response[entry, k] * lam[cut[a, ROW] + k]
+            body[i, RHS] = total
+
+
 def constraint_right_side(work, baumgarte, right):
     """
     Turn J I^-1 phi into what is left for the multipliers to do.
@@ -99,7 +145,7 @@ def constraint_right_side(work, baumgarte, right):
     Parameters
     ----------
     work : Workspace
-        After ``loop_closure.update``.
+        After ``update``.
     baumgarte : float
         Decay rate [1/s] of closure errors.
     right : ndarray, shape (nc,)
@@ -111,35 +157,8 @@ def constraint_right_side(work, baumgarte, right):
             2.0 * work.closure_rate[k] + baumgarte * work.closure[k])
 
 
-@compiled
-def forward_dynamics(model, work, q, qd, tau, qdd, lam):
-    """
-    Compute joint accelerations and multipliers of a state under joint torques.
-
-    Parameters
-    ----------
-    model : Model
-        Constant arrays of the mechanism.
-    work : Workspace
-        Scratch of the evaluation.
-    q, qd, tau : ndarray, shape (nv,)
-        Joint coordinates, rates, torques.
-    qdd : ndarray, shape (nv,)
-        Written in place.
-    lam : ndarray, shape (nc,)
-        Written in place.
-
-    Returns
-    -------
-    bool
-        As ``accelerate`` does.
-
-    """
-    kinematics.outward(model, q, qd, work)
-    return accelerate(model, work, tau, 0.0, qdd, lam)
 
 
-@inlined
 def to_user_order(model, ordered, out):
     """
     Copy closure-sized values from elimination order to the order of the mechanism.

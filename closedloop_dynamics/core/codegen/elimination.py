@@ -22,8 +22,8 @@ joint's rows are neighbours, so the block pivots are its 2 x 2 or 3 x 3 blocks.
 
 """
 
-from .compiled import choose, inlined
-from .types import (
+from .expression_graph import chosen, larger
+from ..types import (
     CUT_PRISMATIC, CUT_TYPE, LENGTHS, PATH_A, PATH_END, RANK, ROW, ROWS, SMALLEST_PIVOT,
     SMALLEST_PIVOT_EVER)
 
@@ -40,7 +40,6 @@ POOR_PIVOT = 1e-4
 MANY_JOINTS = 100.0
 
 
-@inlined
 def assemble(model, work):
     """
     Assemble Ibar, lower blocks only, from the reduced responses of the cut forces.
@@ -77,9 +76,8 @@ def assemble(model, work):
             scale[cut[a, ROW] + c] = factor[place]
         if cut[a, CUT_TYPE] != CUT_PRISMATIC and cut[a, LENGTHS] > 1:
             first = cut[a, ROW]
-            larger = max(scale[first], scale[first + 1])
-            scale[first] = larger
-            scale[first + 1] = larger
+            most = larger(scale[first], scale[first + 1])
+            scale[first] = scale[first + 1] = most
     for n in range(block.shape[0]):
         later, earlier = block[n, 0], block[n, 1]
         for c in range(cut[earlier, ROWS]):
@@ -91,7 +89,6 @@ def assemble(model, work):
                 factor[place + k] = total
 
 
-@inlined
 def factorize(model, work):
     """
     Factor the assembled Ibar = L D L^T in place; keep L D, and 1/D apart.
@@ -127,12 +124,11 @@ def factorize(model, work):
                 factor[t] = scatter[row[t]]
         ratio = factor[first] / scale[j]
         # Written so that a NaN (0/0: an equation no motion can change) counts as poor.
-        smallest = choose(ratio >= smallest, smallest, choose(ratio > 0.0, ratio, 0.0))
+        smallest = chosen(ratio >= smallest, smallest, chosen(ratio > 0.0, ratio, 0.0))
         inverse[j] = 1.0 / factor[first]
     return smallest
 
 
-@inlined
 def good(model, smallest, limit):
     """
     Tell whether a smallest pivot is good enough.
@@ -154,7 +150,6 @@ def good(model, smallest, limit):
     return smallest >= limit * min(1.0, MANY_JOINTS / model.tree.shape[0])
 
 
-@inlined
 def factorize_well(model, work):
     """
     Do as ``factorize`` does; note a good smallest pivot in ``health``.
@@ -175,11 +170,10 @@ def factorize_well(model, work):
     smallest = factorize(model, work)
     fine = good(model, smallest, SMALL_PIVOT)
     # A small one may be that of the masses alone: what is told is what ``refinement`` finds.
-    note(model, work, choose(fine, smallest, 1.0))
+    note(model, work, chosen(fine, smallest, 1.0))
     return fine
 
 
-@inlined
 def note(model, work, smallest):
     """
     Keep a smallest pivot in ``health``.
@@ -198,10 +192,9 @@ def note(model, work, smallest):
     health[RANK] = model.column.shape[0] - 1
     health[SMALLEST_PIVOT] = smallest
     ever = health[SMALLEST_PIVOT_EVER]
-    health[SMALLEST_PIVOT_EVER] = choose(smallest < ever, smallest, ever)
+    health[SMALLEST_PIVOT_EVER] = chosen(smallest < ever, smallest, ever)
 
 
-@inlined
 def solve(model, work, right):
     """
     Solve Ibar x = ``right`` with the factors.

@@ -27,10 +27,10 @@ refinement removes.
 
 """
 
-from . import articulated_inertia, elimination, loop_closure
-from .compiled import choose, inlined
-from .forward_dynamics import constraint_right_side
-from .types import (
+from . import elimination
+from .expression_graph import chosen, larger
+from .forward_dynamics import apply, constraint_right_side, free_acceleration
+from ..types import (
     CUT_PRISMATIC, CUT_ROW, CUT_TYPE, DINV, DOF, DZ, LENGTHS, LEVERS, PATH_A, PATH_END, PRISMATIC,
     REDUCED, RHS, ROW, ROWS, SQUARE, STAND_IN, TOTAL, TYPE)
 
@@ -46,8 +46,7 @@ ROUNDING = 1e-13
 VERY_MOBILE = 1e8
 
 
-@inlined
-def _geometry(model, work):
+def _geometry(recursion, model, work):
     """
     Factor J W J^T for the angles of the bodies and the slides, weighted by W.
 
@@ -58,7 +57,7 @@ def _geometry(model, work):
     tree, cut, path_body = model.tree, model.cut, model.path_body
     response, scaled, lever, joint = (
         work.response, work.response_scaled, work.lever, work.joint)
-    loop_closure.update(model, work, LEVERS)
+    recursion.update(model, work, LEVERS)
     for i in range(tree.shape[0]):
         joint[i, SQUARE] = 0.0
     for a in range(cut.shape[0]):
@@ -71,15 +70,15 @@ def _geometry(model, work):
                 square = response[entry, 0] * response[entry, 0]
                 if cut[a, CUT_TYPE] != CUT_PRISMATIC and cut[a, LENGTHS] > 1:
                     square += response[entry, 1] * response[entry, 1]
-                most = max(most, square)
+                most = larger(most, square)
         for entry in range(cut[a, PATH_A], cut[a, PATH_END]):
             i = path_body[entry]
             joint[i, SQUARE] = (
-                1.0 if tree[i, TYPE] == PRISMATIC else max(joint[i, SQUARE], most))
+                1.0 if tree[i, TYPE] == PRISMATIC else larger(joint[i, SQUARE], most))
     for entry in range(path_body.shape[0]):
         # Joints that no equation has a lever on, such as those that only couplings hold.
         i = path_body[entry]
-        joint[i, SQUARE] = choose(joint[i, SQUARE] > 0.0, joint[i, SQUARE], 1.0)
+        joint[i, SQUARE] = chosen(joint[i, SQUARE] > 0.0, joint[i, SQUARE], 1.0)
     for a in range(cut.shape[0]):
         for entry in range(cut[a, PATH_A], cut[a, PATH_END]):
             for k in range(cut[a, ROWS]):
@@ -89,7 +88,6 @@ def _geometry(model, work):
     return elimination.factorize(model, work)
 
 
-@inlined
 def _stand_in(model, work):
     """
     Give joints a small inertia where they have none.
@@ -101,18 +99,17 @@ def _stand_in(model, work):
     most, held = 0.0, 1.0
     for entry in range(path_body.shape[0]):
         i = path_body[entry]
-        most = max(most, body[i, DINV] * joint[i, SQUARE])
+        most = larger(most, body[i, DINV] * joint[i, SQUARE])
     for i in range(1, body.shape[0]):
         mobility = VERY_MOBILE * most / joint[i, SQUARE]
         heavy = body[i, DINV] > 0.0
-        joint[i, STAND_IN] = choose(heavy, 0.0, 1.0 / mobility)
-        body[i, DINV] = choose(heavy, body[i, DINV], mobility)
-        held = choose(heavy, held, choose(joint[i, SQUARE] > 0.0, held, 0.0))
+        joint[i, STAND_IN] = chosen(heavy, 0.0, 1.0 / mobility)
+        body[i, DINV] = chosen(heavy, body[i, DINV], mobility)
+        held = chosen(heavy, held, chosen(joint[i, SQUARE] > 0.0, held, 0.0))
     return held > 0.0
 
 
-@inlined
-def prepare(model, tau, work):
+def prepare(recursion, model, tau, work):
     """
     Judge the configuration, and factor the constraint matrix where it is regular.
 
@@ -123,7 +120,7 @@ def prepare(model, tau, work):
     tau : ndarray, shape (nv,)
         Joint torques [N m] and forces [N].
     work : Workspace
-        After ``kinematics.outward``, afresh, and the applied forces. ``health`` tells the smallest
+        After ``outward``, afresh, and the applied forces. ``health`` tells the smallest
         relative pivot, without masses.
 
     Returns
@@ -132,19 +129,18 @@ def prepare(model, tau, work):
         Whether it is regular.
 
     """
-    smallest = _geometry(model, work)
+    smallest = _geometry(recursion, model, work)
     elimination.note(model, work, smallest)
     if not elimination.good(model, smallest, elimination.POOR_PIVOT):
         return False
-    articulated_inertia.inward(model, tau, work, True)
+    recursion.inward(model, tau, work, True)
     if not _stand_in(model, work):
         return False
-    loop_closure.update(model, work, REDUCED)
+    recursion.update(model, work, REDUCED)
     elimination.assemble(model, work)
     return elimination.factorize(model, work) > 0.0
 
 
-@inlined
 def _unclosed(model, work, lam, right):
     """
     Add J qdd to ``right``.
@@ -169,7 +165,6 @@ def _unclosed(model, work, lam, right):
     return size, load
 
 
-@inlined
 def _hand_over(model, work):
     """
     Add the latest change to the accelerations, and leave what refinement has to do.
@@ -184,12 +179,11 @@ def _hand_over(model, work):
         joint[i, TOTAL] += latest
         force = joint[i, STAND_IN] * latest
         body[i, RHS] = force
-        total += choose(joint[i, STAND_IN] > 0.0, force * force / joint[i, SQUARE], 0.0)
+        total += chosen(joint[i, STAND_IN] > 0.0, force * force / joint[i, SQUARE], 0.0)
     return total
 
 
-@inlined
-def accelerate(model, work, tau, baumgarte, qdd, lam):
+def accelerate(recursion, model, work, tau, baumgarte, qdd, lam):
     """
     Compute accelerations and multipliers, as ``forward_dynamics.accelerate`` does.
 
@@ -198,7 +192,7 @@ def accelerate(model, work, tau, baumgarte, qdd, lam):
     model, tau, baumgarte, qdd, lam
         As for ``forward_dynamics.accelerate``.
     work : Workspace
-        After ``kinematics.outward`` and the applied forces, afresh: the elimination has used
+        After ``outward`` and the applied forces, afresh: the elimination has used
         both up.
 
     Returns
@@ -213,7 +207,7 @@ def accelerate(model, work, tau, baumgarte, qdd, lam):
 
     """
     cut, joint, right, change = model.cut, work.joint, work.right, work.change
-    if not prepare(model, tau, work):
+    if not prepare(recursion, model, tau, work):
         return False
     for i in range(qdd.shape[0]):
         qdd[i] = 0.0
@@ -226,7 +220,7 @@ def accelerate(model, work, tau, baumgarte, qdd, lam):
                 joint[i, TOTAL] = 0.0
         else:
             left = _hand_over(model, work)
-        loop_closure.free_acceleration(model, work, right)
+        free_acceleration(model, work, right)
         size, load = _unclosed(model, work, lam, right)
         constraint_right_side(work, baumgarte, right)
         error = 0.0
@@ -235,8 +229,8 @@ def accelerate(model, work, tau, baumgarte, qdd, lam):
         if n == 0:
             first = error
         elimination.solve(model, work, right)
-        loop_closure.apply(model, work, right)
-        articulated_inertia.outward_acceleration(model, work, change)
+        apply(model, work, right)
+        recursion.outward_acceleration(model, work, change)
         for i in range(qdd.shape[0]):
             qdd[i] += change[i]
         for a in range(cut.shape[0]):

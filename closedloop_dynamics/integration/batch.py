@@ -1,0 +1,97 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Whole runs of several mechanisms of one topology at once, one in every lane of a vector (SIMD).
+
+The steps are those of single runs, number by number; only the routines compute all lanes at
+once. What a lane alone would do otherwise (the rank-revealing path, a failure) ends the run: its
+mechanisms are then run one by one.
+
+"""
+
+from typing import NamedTuple, Optional
+
+import numpy as np
+
+from .registry import INDEPENDENT
+from .system import BAUMGARTE_GAIN, CLOSURE_LIMIT, CLOSURE_TOLERANCE
+from ..core.codegen import function_table as calls, lanes
+from ..core.codegen.lanes import LANES
+from ..core.codegen.routines import topology
+from ..core.manifold import Manifold
+
+
+class Batch(NamedTuple):
+    """Mechanisms of one topology in all lanes; arrays are stored lane by lane."""
+
+    table: np.ndarray  # Of their routines
+    # Shape (LANES * nv,): joint torques, accelerations.
+    tau: np.ndarray
+    qdd: np.ndarray
+    closure: np.ndarray  # Shape (LANES * nc,): closure errors of the latest correction
+    corrections: np.ndarray  # Shape (2, LANES * nv): of coordinates and rates
+    # Shape (LANES,): closure error that projection leaves, and the one at which it gives up.
+    tolerance: np.ndarray
+    limit: np.ndarray
+    error: np.ndarray  # Shape (LANES,): largest closure error of each
+    manifold: Optional[Manifold]  # Of all of them
+    kept: tuple  # Tuple of ndarrays that only the routines read and write
+
+
+def fits(system, stabilisation):
+    """
+    Tell whether a system may take a lane.
+
+    Returns
+    -------
+    bool
+        False where nothing is unrolled or effects act by laws of their own.
+
+    """
+    return system.is_bare and stabilisation != INDEPENDENT
+
+
+def build_batch(systems):
+    """
+    Allocate a batch.
+
+    Returns
+    -------
+    Batch or None
+        None where the systems cannot go together.
+
+    """
+    systems = filled(systems)
+    first = systems[0]
+    settings = np.array([system.settings for system in systems])
+    shape = topology(first.model)
+    if (settings[:, BAUMGARTE_GAIN] != settings[0, BAUMGARTE_GAIN]).any() or any(
+            topology(system.model) != shape for system in systems if system is not first):
+        return None
+    nv, nc = len(first.qdd), len(first.lam)
+    arrays = lanes.allocate([system.model for system in systems], (nv, nc),
+                            settings[0, BAUMGARTE_GAIN:BAUMGARTE_GAIN + 1].copy())
+    return Batch(
+        table=lanes.connect(first.model, arrays), tau=arrays[calls.TAU],
+        qdd=arrays[calls.QDD], closure=arrays[calls.CLOSURE],
+        corrections=arrays[calls.CORRECTIONS].reshape(2, -1),
+        tolerance=settings[:, CLOSURE_TOLERANCE].copy(), limit=settings[:, CLOSURE_LIMIT].copy(),
+        error=np.zeros(LANES), manifold=first.manifold,
+        kept=tuple(arrays.values()))
+
+
+def filled(items):
+    """Return one item for every lane."""
+    return [*items, *[items[-1]] * (LANES - len(items))]

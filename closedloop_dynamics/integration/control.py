@@ -1,0 +1,53 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+How an advance ended, and the columns of the records that the engine's steppers keep.
+
+The meanings are told in ``engine/error_control.hpp`` and ``engine/switching.hpp``; a test compares
+the places.
+
+"""
+
+# Status of an advance. SINGULAR: of a batch, which has no rank-revealing path.
+(DONE, NOT_FINITE, OPEN_LOOP, STEP_TOO_SMALL, TOO_MUCH_WORK, INTERRUPTED,
+ POOR_EQUATIONS) = range(7)
+SINGULAR = 9
+
+# Evaluation limit for each output step of the error-controlled methods.
+MOST_EVALUATIONS = 200_000
+
+# In the place of a step size: there is no step to interpolate, but there is a past.
+NOTHING_BETWEEN = -1.0
+
+# Columns of the control record of every error-controlled method.
+(REACHED, NEXT_STEP, STEP_START, STEP_SIZE, EXTENDED, ACCEPTED, REJECTED, ERROR,
+ LARGEST_ERROR, WORK, RESTARTED, HOLD, STIFFNESS) = range(13)
+CONTROL_COLUMNS = 13
+# Columns that the default method adds.
+(STIFF, STIFF_COUNT, NONSTIFF_COUNT, STIFF_THRESHOLD, SINCE_WORK, SINCE_TIME, EXPLICIT_RATE,
+ TRIAL_STEPS) = range(CONTROL_COLUMNS, CONTROL_COLUMNS + 8)
+SWITCHING_COLUMNS = CONTROL_COLUMNS + 8
+# Columns of its monitor.
+(ACCURACY, TOLERANCE, OPEN, UNTIL, PAUSE, SMALLEST, BOUND, CARRIED, LARGEST_BOUND, NEXT_BOUND,
+ TIGHTENED) = range(11)
+MONITOR_COLUMNS = 11
+# The least tolerance of the default method; its tolerance against the accuracy, and that of the
+# reference run against it.
+FLOOR, SHARE, LOOSER = 1e-13, 1e-3, 30.0
+
+# Rows of the scratch of explicit methods before the slopes, and the one with the latest state.
+FIRST_SLOPE, AFTER = 5, 3
+# Rows of the scratch of the stiff method.
+STIFF_ROWS = 12

@@ -1,0 +1,100 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The record of a whole run under a sequence of torques, and the forces in its joints."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from .system import number_of_states
+from ..engine import native
+
+
+class RunBuffer(NamedTuple):
+    """Results of a run at its instants; arrays that are not wanted have no length."""
+
+    state: np.ndarray  # Shape (instants, ns)
+    qdd: np.ndarray  # Shape (instants, nv)
+    lam: np.ndarray  # Shape (instants, nc)
+    # Shape (instants, 3): closure error [m or rad], kinetic energy, potential energy in
+    # gravity [J].
+    scalars: np.ndarray
+    # Shape (instants, ne, 2): stored energy and first reading of every effect with a law.
+    output: np.ndarray
+    wrench: np.ndarray  # Shape (instants, number of cuts, 3): at the cut joints [N m, N]
+    body: np.ndarray  # Shape (n,): of the named points
+    point: np.ndarray  # Shape (n, 2): in that body's frame [m]
+    place: np.ndarray  # Shape (instants, n, 2): in the world [m]
+    work: np.ndarray  # Shape (1,): of the torques over the whole run [J]
+    since: np.ndarray  # Shape (ns,): state since which it is still to be added
+
+
+def allocate_buffer(system, instants, evaluated, body, point):
+    """
+    Allocate the buffer of a run.
+
+    Parameters
+    ----------
+    system : System
+        Model and workspace of the mechanism.
+    instants : int
+        How many there will be.
+    evaluated : bool
+        Whether more than the state is wanted; of planar mechanisms.
+    body : ndarray of int, shape (n,)
+        Of the named points.
+    point : ndarray, shape (n, 2)
+        In that body's frame [m].
+
+    """
+    count = instants if evaluated else 0
+    effects = 0 if system.effects is None else len(system.effects.kind)
+    return RunBuffer(
+        state=np.zeros((instants, number_of_states(system))),
+        qdd=np.zeros((count, len(system.qdd))), lam=np.zeros((count, len(system.lam))),
+        scalars=np.zeros((count, 3)), output=np.zeros((count, effects, 2)),
+        wrench=np.zeros((count, len(system.model.cut), 3)), body=body, point=point,
+        place=np.zeros((count, len(body), 2)), work=np.zeros(1),
+        since=np.zeros(number_of_states(system)))
+
+
+def joint_forces(system, torque, zero_order_hold, decimation, state, qdd, lam):
+    """
+    Compute the wrenches in the joints of the trees at instants of a known motion.
+
+    Parameters
+    ----------
+    system : System
+        Model and workspace of the mechanism; the workspace is overwritten.
+    torque, zero_order_hold, decimation
+        As for ``run``.
+    state : ndarray, shape (instants, ns)
+        Coordinates, rates, and what effects add.
+    qdd : ndarray, shape (instants, nv)
+        Joint accelerations.
+    lam : ndarray, shape (instants, nc)
+        Multipliers.
+
+    Returns
+    -------
+    ndarray, shape (instants, nv, 3 or 6)
+        Moment and force that the parent exerts on the child [N m, N].
+
+    """
+    out = np.empty((*qdd.shape, system.work.wrench.shape[1]))
+    native.fill_joint_forces(
+        system.native, torque, zero_order_hold, decimation, state, qdd, lam,
+        np.zeros_like(system.work.force), out)
+    return out
