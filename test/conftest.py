@@ -15,7 +15,7 @@
 """
 What all tests share: ``--all`` and ``--starts``, and an environment that harms nothing around it.
 
-The environment is set here, before anything imports numba or rclpy, for runs without
+The environment is set here, before anything imports rclpy, for runs without
 ``scripts/test``: by hand, or by ``colcon test``. What is set already is left alone.
 
 """
@@ -39,7 +39,7 @@ FIRST = (
     'test/integration/test_methods.py', 'test/effects/test_effect_set.py',
     'test/core/test_forward_dynamics.py', 'test/effects/test_joint_friction.py',
     'test/core', 'test/stability/test_known_answers.py', 'test/studies', 'test/effects',
-    'test/test_core_interpreted.py', 'test/stability', 'test/packaging', 'test/simulation',
+    'test/stability', 'test/packaging', 'test/simulation',
     'test/test_benchmark.py', 'test/view/test_browser.py',
     'test/ros/test_simulator_process.py', 'test/test_documentation.py', 'test/ros/test_faults.py',
     'test/ros/test_recorder_process.py', 'test/attack', 'test/ros/test_demo.py',

@@ -193,7 +193,7 @@ def test_warnings_are_told_in_one_line(capsys, monkeypatch):
     def warn(*arguments, **options):
         warnings.warn('something to know', RuntimeWarning)
 
-    monkeypatch.setattr(Simulation, 'warm_up', warn)
+    monkeypatch.setattr(Simulation, 'report', warn)
     code, _, errors = call(capsys, 'simulate', 'four_bar', '--duration', '0.01')
     assert code == 0
     assert 'closedloop simulate: something to know\n' in errors

@@ -11,35 +11,30 @@
 # WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
 # See the License for the specific language governing permissions and
 # limitations under the License.
-"""Attack on stored compiled code: whatever becomes of the files, results stay right."""
 
+"""Attack: damaged, foreign and unwritable stores of generated code; processes that race."""
+
+from concurrent.futures import ThreadPoolExecutor
 import os
 from pathlib import Path
 import random
 import resource
 import subprocess
 import sys
-import warnings
 
-from closedloop_dynamics.core import cache, compiled
-import numba
+from closedloop_dynamics.core import cache
+from closedloop_dynamics.core.codegen.expression_graph import (
+    ExpressionGraph, LOAD, Q, QD, Routine)
+from closedloop_dynamics.core.codegen.machine_code import machine_code, SCALAR
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 DAMAGES = 300
-KERNELS = """\
-from closedloop_dynamics.core.compiled import compiled
-
-@compiled
-def _square(x):
-    return x * x
-
-@compiled
-def total(x):
-    return _square(x) + 1.0
-
-if __name__ == '__main__':
-    print(total(3.0))
+RUN = """\
+from closedloop_dynamics.simulation.simulation import Simulation
+simulation = Simulation.from_scene('four_bar', integrator='rk4')
+simulation.step(duration=0.01)
+print(simulation.position.tobytes().hex())
 """
 
 
@@ -64,86 +59,101 @@ def damaged(content, rng):
 @pytest.fixture
 def directory(tmp_path, monkeypatch):
     monkeypatch.setattr(cache, 'directory', lambda: tmp_path)
-    monkeypatch.setattr(cache, '_said', set())
     return tmp_path
 
 
-def cube(x):
-    return x * x * x
+def halves():
+    """Return a routine that halves a number."""
+    graph = ExpressionGraph()
+    return [Routine('half', graph, [(QD, 0, graph.put(LOAD, Q, 0) * 0.5)])]
 
 
 def test_no_damaged_file_is_ever_loaded(directory):
-    kernel, rng = compiled.compiled(cube), random.Random(1)
-    assert kernel(2.0) == 8.0
+    machine_code(('attack', 1), halves, SCALAR)
     stored, = directory.iterdir()
-    content, signature = stored.read_bytes(), (numba.float64,)
-    counts = {}
-    with warnings.catch_warnings(record=True) as told:
-        warnings.simplefilter('always')
-        for _ in range(DAMAGES):
-            kind, data = damaged(content, rng)
-            stored.write_bytes(data)
-            assert kernel._cache.load_overload(signature, kernel.targetctx) is None, kind
-            assert [path.name for path in directory.iterdir()] == [f'{stored.name}.damaged']
-            counts[kind] = counts.get(kind, 0) + 1
-    assert len(told) == 1 and str(stored) in str(told[0].message)
-    print(f'tried {DAMAGES}: {counts}; compiled again {DAMAGES}, loaded 0')
-    stored.write_bytes(content)
-    assert kernel._cache.load_overload(signature, kernel.targetctx).entry_point is not None
+    content, rng, counts = stored.read_bytes(), random.Random(1), {}
+    assert cache.read(stored.name) == content[32:]
+    for _ in range(DAMAGES):
+        kind, data = damaged(content, rng)
+        stored.write_bytes(data)
+        assert cache.read(stored.name) is None, kind
+        counts[kind] = counts.get(kind, 0) + 1
+    assert sum(counts.values()) == DAMAGES and len(counts) == 6
+    assert list(directory.iterdir()) == [stored]
 
 
-def test_whole_file_of_another_kind_is_set_aside_and_replaced(directory):
-    kernel = compiled.compiled(cube)
-    kernel(2.0)
+def test_damaged_code_is_generated_again_and_replaced(directory):
+    made = []
+
+    def counted():
+        made.append(True)
+        return halves()
+
+    machine_code(('attack', 1), counted, SCALAR)
     stored, = directory.iterdir()
-    cache.write(stored.name, b'no pickle')
-    again = compiled.compiled(cube)
-    with pytest.warns(RuntimeWarning, match='damaged'):
-        assert again(2.0) == 8.0
-    assert again._cache.load_overload((numba.float64,), again.targetctx) is not None
+    content = stored.read_bytes()
+    stored.write_bytes(content[:-1])
+    for count in (2, 2):
+        machine_code(('attack', 1), counted, SCALAR)
+        assert len(made) == count
+        assert stored.read_bytes() == content
 
 
-def test_a_function_with_the_code_of_another_signature_does_not_share_it(directory):
-    kernel = compiled.compiled(cube)
-    assert (kernel(2.0), kernel(2)) == (8.0, 8)
-    assert len(list(directory.iterdir())) == 2
+def start(directory, **options):
+    """Return a process that simulates with a store of its own."""
+    return subprocess.Popen(
+        [sys.executable, '-c', RUN], text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+        env={**os.environ, 'PYTHONPATH': str(ROOT),
+             'CLOSEDLOOP_CACHE_DIR': str(directory / 'cache')}, **options)
 
 
-def run(directory, **options):
-    """Run the kernels in a process of their own; return its result and what it complained of."""
-    script = directory / 'kernels.py'
-    script.write_text(KERNELS)
-    done = subprocess.run(
-        [sys.executable, str(script)], text=True, capture_output=True, check=True, env={
-            **os.environ, 'PYTHONPATH': str(ROOT), 'NUMBA_CACHE_DIR': str(directory / 'cache')},
-        **options)
-    assert float(done.stdout) == 10.0
-    return done.stderr
+def result(process):
+    """Return what a process computed; it must not complain."""
+    found, complaints = process.communicate(timeout=300)
+    assert process.returncode == 0 and complaints == '', complaints
+    return found
 
 
-def test_process_says_once_what_is_damaged_and_the_next_finds_it_repaired(tmp_path):
-    assert run(tmp_path) == ''
-    stored = sorted((tmp_path / 'cache').rglob('*.nbc'))
-    assert len(stored) == 2
-    for path in stored:
+def files(directory):
+    """Return the stored files by name."""
+    return {path.name: path for path in (directory / 'cache').rglob('*') if path.is_file()}
+
+
+def test_processes_find_stored_code_and_repair_what_is_damaged(tmp_path):
+    expected = result(start(tmp_path))
+    stored = files(tmp_path)
+    contents = {name: path.read_bytes() for name, path in stored.items()}
+    assert stored
+    for path in stored.values():
         path.write_bytes(path.read_bytes()[:-1])
-    said = run(tmp_path)
-    assert said.count('RuntimeWarning') == 1 and 'is damaged' in said
-    assert run(tmp_path) == ''
+    assert result(start(tmp_path)) == expected
+    assert {name: path.read_bytes() for name, path in files(tmp_path).items()} == contents
 
 
-def test_full_disk_leaves_a_result_one_warning_and_no_temporary_file(tmp_path):
+def test_two_processes_that_race_find_the_same_and_leave_whole_files(tmp_path):
+    with ThreadPoolExecutor(2) as pool:
+        one, other = pool.map(result, [start(tmp_path) for _ in range(2)])
+    assert one == other
+    stored = files(tmp_path)
+    assert stored
+    for path in stored.values():
+        content = path.read_bytes()
+        assert cache.hashlib.sha256(content[32:]).digest() == content[:32], path.name
+    assert result(start(tmp_path)) == one
+    assert files(tmp_path) == stored
+
+
+def test_full_disk_leaves_a_result_and_no_temporary_file(tmp_path):
     def fill():
         resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))
 
-    said = run(tmp_path, preexec_fn=fill)
-    assert said.count('RuntimeWarning') == 1
-    assert f"cannot be stored in {tmp_path / 'cache'}" in said
-    assert [path for path in (tmp_path / 'cache').rglob('*') if path.is_file()] == []
+    assert result(start(tmp_path, preexec_fn=fill)) == result(start(tmp_path))
+    for path in files(tmp_path).values():
+        content = path.read_bytes()
+        assert cache.hashlib.sha256(content[32:]).digest() == content[:32], path.name
 
 
-def test_no_directory_to_write_to_is_said_once(tmp_path):
+def test_no_directory_to_write_to_is_no_error(tmp_path):
     (tmp_path / 'cache').write_text('a file')
-    said = run(tmp_path)
-    assert said.count('RuntimeWarning') == 1
-    assert f"cannot be stored in {tmp_path / 'cache'}" in said
+    (tmp_path / 'other').mkdir()
+    assert result(start(tmp_path)) == result(start(tmp_path / 'other'))

@@ -14,13 +14,9 @@
 
 """The compiled kernels on one mechanism, called one by one; what they write is copied out."""
 
-from closedloop_dynamics.core import (
-    articulated_inertia, elimination, energy, forward_dynamics, jacobian, joint_wrenches,
-    kinematics, loop_closure)
 from closedloop_dynamics.core.formulations import SUBSYSTEM
-from closedloop_dynamics.core.types import ALPHA, NO_RESPONSES, PX, PY, REDUCED
-from closedloop_dynamics.effects.forces import velocity
-from closedloop_dynamics.integration.evaluation import evaluate
+from closedloop_dynamics.core.types import ALPHA, NO_RESPONSES, OMEGA, PX, PY, REDUCED, VX, VY
+from closedloop_dynamics.engine import native
 from closedloop_dynamics.integration.system import build_system
 from closedloop_dynamics.mechanism.decomposition import decompose
 from closedloop_dynamics.simulation.modeling import body_rows, build_model
@@ -59,12 +55,12 @@ class Engine:
     def forward_dynamics(self, q, qd, tau):
         """Return (qdd, lam)."""
         self.system.tau[:] = tau
-        evaluate(self.system, q, qd)
+        native.evaluate(self.system.native, q, qd)
         return self.system.qdd.copy(), self.system.lam.copy()
 
     def move(self, q, qd=None):
         """Update poses and velocities."""
-        kinematics.outward(self.model, q, np.zeros(self.nv) if qd is None else qd, self.work)
+        native.outward(self.model, q, np.zeros(self.nv) if qd is None else qd, self.work)
 
     def pose(self, name):
         """Return x, y, alpha of a body after ``move``."""
@@ -73,58 +69,60 @@ class Engine:
     def point(self, name, position):
         """Return (place, velocity) of a point on a body after ``move``."""
         place, row = np.empty(2), self.body_row[name]
-        kinematics.point_position(self.work, row, *position, place)
-        return place, np.array(velocity(self.work.body, row, *place))
+        native.point_position(self.work, row, *position, place)
+        body = self.work.body[row]
+        x, y = place - body[[PX, PY]]
+        return place, body[[VX, VY]] + body[OMEGA] * np.array((-y, x))
 
     def closure(self, q, qd):
         """Return psi, J qd, Jdot qd."""
         self.move(q, qd)
-        loop_closure.update(self.model, self.work, NO_RESPONSES)
+        native.update(self.model, self.work, NO_RESPONSES)
         return [self.in_user_order(values) for values in (
             self.work.closure, self.work.closure_rate, self.work.bias)]
 
     def in_user_order(self, values):
         """Return closure-sized values in the order of the mechanism's cut joints."""
         out = np.empty(self.nc)
-        forward_dynamics.to_user_order(self.model, values, out)
+        native.to_user_order(self.model, values, out)
         return out
 
     def jacobian(self, q):
         """Return the constraint Jacobian."""
         self.move(q)
         jac = np.full((self.nc, self.nv), np.nan)
-        jacobian.constraint_jacobian(self.model, self.work, jac)
+        native.constraint_jacobian(self.model, self.work, jac)
         return jac
 
     def generalized_inertia_matrix(self, q):
         """Return the generalized inertia matrix."""
         self.move(q)
         gim = np.full((self.nv, self.nv), np.nan)
-        jacobian.generalized_inertia_matrix(self.model, self.work, gim)
+        native.generalized_inertia_matrix(self.model, self.work, gim)
         return gim
 
     def tree_torque(self, q, qd, qdd):
         """Return I qdd + c."""
         self.move(q, qd)
         out = np.full(self.nv, np.nan)
-        joint_wrenches.tree_torque(self.model, self.work, qdd, out)
+        native.tree_torque(self.model, self.work, qdd, out)
         return out
 
     def energies(self, q, qd):
         """Return (kinetic, potential) energy."""
         self.move(q, qd)
         out = np.empty(2)
-        energy.energies(*energy.parts(self.model, self.work), qd, out)
+        native.energies(self.model, self.work, qd, out)
         return tuple(out.tolist())
 
     def constraint_matrix(self, q):
         """Return (J I^-1 J^T as assembled, its factor L D, 1/D), dense, in elimination order."""
         self.move(q)
-        articulated_inertia.inward(self.model, np.zeros(self.nv), self.work)
-        loop_closure.update(self.model, self.work, REDUCED)
-        elimination.assemble(self.model, self.work)
+        native.inward(self.model, np.zeros(self.nv), self.work, False)
+        native.update(self.model, self.work, REDUCED)
+        native.assemble(self.model, self.work)
         matrix = self.lower_triangle()
-        elimination.factorize(self.model, self.work)
+        native.factorize(self.model, self.work)
         return (matrix + np.tril(matrix, -1).T, self.lower_triangle(),
                 self.work.pivot_inverse.copy())
 

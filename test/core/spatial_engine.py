@@ -14,6 +14,8 @@
 
 """The engine on one mechanism in space."""
 
+import ctypes
+
 from closedloop_dynamics.core import types as t
 from closedloop_dynamics.core.codegen import (
     expression_graph as graph, function_table as calls, routines, space)
@@ -126,8 +128,9 @@ class SpatialEngine:
         if self.system is not None:
             system = self.system
             system.tau[:] = tau
-            good = calls.function(system.table, calls.EVALUATION)(
-                system.table.ctypes.data, q.ctypes.data, qd.ctypes.data)
+            evaluation = ctypes.CFUNCTYPE(ctypes.c_int64, *3 * [ctypes.c_void_p])(
+                int(system.table[calls.EVALUATION]))
+            good = evaluation(system.table.ctypes.data, q.ctypes.data, qd.ctypes.data)
             return system.qdd.copy(), system.lam.copy(), bool(good)
         return self.interpreted(routines.Unrolling(self.model), self.model, q, qd, tau)
 

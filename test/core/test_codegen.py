@@ -20,14 +20,15 @@ import math
 import pickle
 
 from closedloop_dynamics.core import cache
-from closedloop_dynamics.core.codegen import available, emit, function_table, pieces, relink
+from closedloop_dynamics.core.codegen import pieces, relink
 from closedloop_dynamics.core.codegen.expression_graph import (
-    cosine, ExpressionGraph, LOAD, Routine, sine)
+    cosine, ExpressionGraph, LOAD, Q, QD, Routine, sine)
+from closedloop_dynamics.core.codegen.machine_code import machine_code, PACKED, SCALAR
 from closedloop_dynamics.core.codegen.packed_writer import (
-    by_number, PackedWriter, Packing, WORTH)
+    by_number, Packing, WORTH)
 from closedloop_dynamics.core.types import ALPHA, AY, REVOLUTE_ARMATURE, TYPE
-from closedloop_dynamics.integration.evaluation import evaluate
-from closedloop_dynamics.integration.motion import derivative, stabilise
+from closedloop_dynamics.engine import native
+from closedloop_dynamics.integration.registry import PROJECTION
 from closedloop_dynamics.integration.system import build_system
 from closedloop_dynamics.simulation.modeling import build_model
 import numpy as np
@@ -35,9 +36,6 @@ import pytest
 
 from ..reference import cases
 from ..reference.compare import assert_agree, SOLVE
-
-PROJECTION = 3
-pytestmark = pytest.mark.skipif(not available(), reason='nothing is unrolled without a compiler')
 
 
 def systems(mechanism, **options):
@@ -54,10 +52,10 @@ def test_evaluations_agree(drawn):
     for system in systems(mechanism, baumgarte=3.0):
         system.tau[:] = tau
         out = np.zeros(2 * len(q))
-        derivative(system.moving, np.concatenate([q, qd]), out)
+        native.derivative(system.native, np.concatenate([q, qd]), out)
         assert_agree(out[:len(q)], qd, SOLVE)
         # What is asked for from Python leaves poses and closure errors, too.
-        evaluate(system, q, qd)
+        native.evaluate(system.native, q, qd)
         assert_agree(system.qdd, out[len(q):], SOLVE)
         results.append((system.qdd, system.lam, system.work.closure_rate,
                         system.work.body[:, ALPHA:AY + 1], system.work.health[[0, 2]]))
@@ -71,7 +69,7 @@ def test_corrections_agree(drawn):
     ends = []
     for system in systems(mechanism):
         state = start.copy()
-        assert stabilise(system.moving, PROJECTION, state)
+        assert native.stabilise(system.native, PROJECTION, state)
         assert np.abs(system.work.closure).max(initial=0.0) < 1e-11
         ends.append(state)
     assert_agree(*ends, 1e-9)
@@ -92,7 +90,7 @@ def test_change_of_parameters_is_seen_and_a_rotor_links_anew():
                 pieces.connect(system.model, system.work.piece, system.work.cut_piece)
                 if system.is_unrolled:
                     relink(system.model, system.table)
-            evaluate(system, q, qd)
+            native.evaluate(system.native, q, qd)
         if change:
             assert np.abs(pair[0].qdd - before).max() > 1e-3
         assert_agree(pair[0].qdd, pair[1].qdd, SOLVE)
@@ -104,22 +102,13 @@ def test_change_of_parameters_is_seen_and_a_rotor_links_anew():
 def test_copies_work_on_arrays_of_their_own(duplicate):
     rng, mechanism, q, qd = cases.drawn('three_rrr')
     system = build_system(build_model(mechanism))
-    evaluate(system, q, qd)
+    native.evaluate(system.native, q, qd)
     expected, other = system.qdd.copy(), duplicate(system)
     system.qdd[:] = 7.0
     assert other.applied is other.tau
-    evaluate(other, q, qd)
+    native.evaluate(other.native, q, qd)
     assert np.array_equal(other.qdd, expected)
     assert np.all(system.qdd == 7.0)
-
-
-def test_linkages_let_go_of_what_they_call():
-    rng, mechanism, q, qd = cases.drawn('four_bar')
-    before = len(function_table._callbacks)
-    system = build_system(build_model(mechanism))
-    assert len(function_table._callbacks) == before + 1
-    del system
-    assert len(function_table._callbacks) == before
 
 
 def branches(seed, number=5, length=150):
@@ -128,7 +117,7 @@ def branches(seed, number=5, length=150):
     results = []
     for branch in range(number):
         random = np.random.default_rng(seed)
-        values = [graph.put(LOAD, emit.Q, 6 * branch + k) for k in range(6)]
+        values = [graph.put(LOAD, Q, 6 * branch + k) for k in range(6)]
         for _ in range(length):
             one, other = (values[k] for k in random.integers(0, len(values), 2))
             kind = random.integers(0, 5)
@@ -148,8 +137,8 @@ def test_vectors_of_branches_round_as_single_numbers_do(seed):
         made.needed())
     random, found = np.random.default_rng(seed), []
     inputs = [random.normal(size=30) for _ in range(20)]
-    for writer in (emit.Writer, PackedWriter):
-        address = emit.machine_code(('branches', seed), lambda: [branches(seed)], writer)('whole')
+    for form in (SCALAR, PACKED):
+        address = machine_code(('branches', seed), lambda: [branches(seed)], form)('whole')
         run = ctypes.CFUNCTYPE(ctypes.c_int64, *3 * [ctypes.c_void_p])(address)
         out = np.zeros((len(inputs), len(made.outputs)))
         for q, row in zip(inputs, out):
@@ -161,24 +150,22 @@ def test_vectors_of_branches_round_as_single_numbers_do(seed):
 
 def test_machine_code_is_read_back(tmp_path, monkeypatch):
     monkeypatch.setattr(cache, 'directory', lambda: tmp_path)
-    monkeypatch.setattr(cache, '_said', set())
     made = []
 
     def halves():
         made.append(True)
         graph = ExpressionGraph()
-        value = graph.put(LOAD, emit.Q, 0)
-        return [Routine('half', graph, [(emit.QD, 0, value * 0.5)])]
+        value = graph.put(LOAD, Q, 0)
+        return [Routine('half', graph, [(QD, 0, value * 0.5)])]
 
     for _ in range(2):
-        half = run(emit.machine_code(('test', 1), halves)('half'), np.array([3.0]), np.zeros(1))
+        half = run(machine_code(('test', 1), halves, SCALAR)('half'), np.array([3.0]), np.zeros(1))
         assert half[0] == 1.5
     assert len(made) == 1
     # A file cut short by a full disk is no code: it is made again.
     path, = tmp_path.iterdir()
     path.write_bytes(path.read_bytes()[:100])
-    with pytest.warns(RuntimeWarning, match='damaged'):
-        half = run(emit.machine_code(('test', 1), halves)('half'), np.ones(1), np.zeros(1))
+    half = run(machine_code(('test', 1), halves, SCALAR)('half'), np.ones(1), np.zeros(1))
     assert half[0] == 0.5
     assert len(made) == 2
 
@@ -195,12 +182,12 @@ def turned():
     """Return a function to the sines and cosines of seven angles."""
     def waves():
         graph = ExpressionGraph()
-        angles = [graph.put(LOAD, emit.Q, k) for k in range(7)]
+        angles = [graph.put(LOAD, Q, k) for k in range(7)]
         return [Routine('waves', graph, [
-            (emit.QD, 2 * k + n, (sine, cosine)[n](angle))
+            (QD, 2 * k + n, (sine, cosine)[n](angle))
             for k, angle in enumerate(angles) for n in range(2)])]
 
-    address = emit.machine_code(('test of sines', 1), waves)('waves')
+    address = machine_code(('test of sines', 1), waves, SCALAR)('waves')
     return lambda angles: run(address, np.array(angles), np.zeros(14)).reshape(7, 2)
 
 

@@ -16,7 +16,6 @@
 
 from dataclasses import replace
 
-from closedloop_dynamics.core.codegen import available
 from closedloop_dynamics.core.types import RANK, RANK_REVEALING_COUNT, SMALLEST_PIVOT
 import numpy as np
 import pytest
@@ -90,7 +89,6 @@ def test_every_loop_twice_moves_the_same_and_shares_the_force(case):
 
 
 # Unrolling so many equations takes a second: the shipped mechanisms, the others with --all.
-@pytest.mark.skipif(not available(), reason='nothing is unrolled without a compiler')
 @pytest.mark.parametrize('case', cases.first(len(cases.SHIPPED), cases.ALL), ids=str)
 def test_every_loop_twice_moves_the_same_unrolled(case):
     check_that_doubled_loops_share_the_force(case, None)

@@ -15,7 +15,7 @@
 """Three hinges through one place cost what a spherical joint costs, and move as hinges."""
 
 from closedloop_dynamics.core import types as t
-from closedloop_dynamics.core.codegen import available, function_table as calls, routines, space
+from closedloop_dynamics.core.codegen import function_table as calls, routines, space
 from closedloop_dynamics.mechanism.mechanism import Body, Coupling, CutJoint, Joint, Mechanism
 from closedloop_dynamics.mechanism.validation import validate_mechanism
 from closedloop_dynamics.simulation.far_assembly import find_closed, Loops
@@ -27,7 +27,6 @@ from .spatial_engine import _array, _inputs, interpret, SpatialEngine
 from ..reference.compare import assert_agree
 from ..reference.numbers import Numbers
 
-pytestmark = pytest.mark.skipif(not available(), reason='nothing is unrolled without a compiler')
 TURNED = (0.18257418583505536, 0.3651483716701107, 0.5477225575051661, 0.7302967433402214)
 AXES = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 

@@ -14,10 +14,8 @@
 
 """Mechanisms of thousands of joints: linear in size, well posed, no dense matrix anywhere."""
 
-import os
-
 from closedloop_dynamics.core.types import RANK, RANK_REVEALING_COUNT
-from closedloop_dynamics.integration.evaluation import evaluate
+from closedloop_dynamics.engine import native
 from closedloop_dynamics.integration.system import build_system
 from closedloop_dynamics.mechanism.decomposition import decompose
 from closedloop_dynamics.mechanism.validation import validate_mechanism
@@ -35,14 +33,13 @@ def held(build, size):
     return build_system(build_model(validate_mechanism(mechanism))), mechanism, position
 
 
-@pytest.mark.skipif('NUMBA_DISABLE_JIT' in os.environ, reason='interpreted it takes minutes')
 @pytest.mark.parametrize('build, size', LARGE)
 def test_large_mechanism_is_well_posed(build, size):
     # Its smallest pivot falls with the size; that alone must not bring the dense path in.
     system, mechanism, position = held(build, size)
     q = np.array(position)
     system.tau[:] = np.random.default_rng(2).uniform(-1.0, 1.0, len(q))
-    evaluate(system, q, np.zeros(len(q)))
+    native.evaluate(system.native, q, np.zeros(len(q)))
     assert system.work.health[RANK] == mechanism.number_of_equations
     assert system.work.health[RANK_REVEALING_COUNT] == 0
     assert np.isfinite(system.qdd).all() and np.isfinite(system.lam).all()

@@ -14,10 +14,10 @@
 
 """The loops over bodies in space against the recursions on numbers; the plane has other tests."""
 
-from closedloop_dynamics.core import energy, forward_dynamics, jacobian, joint_wrenches, kinematics
 from closedloop_dynamics.core.types import (
     AXIS, BALL, BODY_A, COORDINATE, CUT_NUMBER, number_of_coordinates, TYPE)
 from closedloop_dynamics.core.workspace import allocate
+from closedloop_dynamics.engine import native
 from closedloop_dynamics.simulation.spatial_modeling import build_spatial_model
 import numpy as np
 import pytest
@@ -49,7 +49,7 @@ class Loops:
 
     def outward(self):
         """Leave motion and rigid bodies in the workspace."""
-        kinematics.outward(self.model, self.q, self.qd, self.work)
+        native.outward(self.model, self.q, self.qd, self.work)
         return self.model, self.work
 
 
@@ -60,7 +60,7 @@ def loops(request):
 
 def check_accelerations(loops):
     qdd, lam = np.empty(loops.nv), np.empty(loops.nc)
-    assert forward_dynamics.forward_dynamics(
+    assert native.forward_dynamics(
         loops.model, loops.work, loops.q, loops.qd, loops.tau, qdd, lam)
     expected, forces, _ = loops.numbers.accelerations(loops.tau, 0.0)
     assert_agree(qdd, expected, 1e-9)
@@ -79,29 +79,29 @@ def test_random_mechanisms(seed):
 
 def test_dense_matrices(loops):
     jac, gim = np.empty((loops.nc, loops.nv)), np.empty((loops.nv, loops.nv))
-    jacobian.constraint_jacobian(*loops.outward(), jac)
+    native.constraint_jacobian(*loops.outward(), jac)
     assert_agree(jac, loops.numbers.jacobian(), IDENTITY)
-    jacobian.generalized_inertia_matrix(*loops.outward(), gim)
+    native.generalized_inertia_matrix(*loops.outward(), gim)
     assert_agree(gim, loops.numbers.inertia(), IDENTITY)
 
 
 def test_inverse_dynamics(loops):
     qdd, torque = np.random.default_rng(1).normal(size=loops.nv), np.empty(loops.nv)
-    joint_wrenches.tree_torque(*loops.outward(), qdd, torque)
+    native.tree_torque(*loops.outward(), qdd, torque)
     assert_agree(torque, loops.numbers.bias_force() + loops.numbers.inertia() @ qdd, IDENTITY)
 
 
 def test_energies(loops):
     found = np.empty(2)
-    energy.energies(*energy.parts(*loops.outward()), loops.qd, found)
+    native.energies(*loops.outward(), loops.qd, found)
     assert_agree(found, loops.numbers.energies(), IDENTITY)
 
 
 def test_wrenches_at_cut_joints(loops):
     loops.outward()
     model, work, found = loops.model, loops.work, np.empty((len(loops.model.cut), 6))
-    joint_wrenches.cut_wrenches(model.cut, model.cut_point, work.cut_piece, work.body, loops.lam,
-                                work.share, found)
+    native.cut_wrenches(model.cut, model.cut_point, work.cut_piece, work.body, loops.lam,
+                        work.share, found)
     recursion, expected = loops.numbers.recursion, np.zeros_like(found)
     for place, a, equation in equations(recursion, model):
         expected[model.cut[a, CUT_NUMBER]] += loops.lam[place] * np.array(equation.on_a)
@@ -116,10 +116,10 @@ def test_wrenches_at_cut_joints(loops):
 def test_wrenches_in_joints_hold_the_bodies(loops):
     model, work, size = loops.model, loops.work, len(loops.model.tree)
     qdd, torque = np.random.default_rng(2).normal(size=loops.nv), np.empty(loops.nv)
-    joint_wrenches.tree_torque(*loops.outward(), qdd, torque)
+    native.tree_torque(*loops.outward(), qdd, torque)
     wrench = np.zeros((size, 12))
-    joint_wrenches.bias_forces(work, wrench)
-    joint_wrenches.joint_wrenches(model, work, qdd, loops.lam, wrench)
+    native.bias_forces(work, wrench)
+    native.joint_wrenches(model, work, qdd, loops.lam, wrench)
     # In its own direction, a joint hands over what drives it: the torque less the cut forces'.
     needed = torque - loops.numbers.jacobian().T @ loops.lam
     axes = [motion.axis for motion in loops.numbers.recursion.motion]

@@ -16,7 +16,9 @@
 
 from dataclasses import replace
 
-from closedloop_dynamics.core.codegen import available
+from closedloop_dynamics.core.codegen import expression_graph as graph, routines
+from closedloop_dynamics.core.codegen.function_table import (
+    ACCELERATION, CORRECTION, EVALUATION, REFINED_ACCELERATION, REFINED_CORRECTION)
 from closedloop_dynamics.core.types import ROWS
 from closedloop_dynamics.mechanism.mechanism import (
     Body, CutJoint, Joint, Mechanism, SPATIAL_CUT_JOINT_EQUATIONS)
@@ -24,17 +26,10 @@ from closedloop_dynamics.simulation.modeling import build_model
 import numpy as np
 import pytest
 
+from .spatial_engine import SpatialEngine
 from ..reference import cases, spatial_linkages, spatial_machines, spatial_maximal as twin
 from ..reference.compare import assert_agree, IDENTITY
 from ..reference.numbers import Numbers
-
-pytestmark = pytest.mark.skipif(not available(), reason='nothing is unrolled without a compiler')
-if available():
-    from closedloop_dynamics.core.codegen import expression_graph as graph, routines
-    from closedloop_dynamics.core.codegen.function_table import (
-        ACCELERATION, CORRECTION, EVALUATION, REFINED_ACCELERATION, REFINED_CORRECTION)
-
-    from .spatial_engine import SpatialEngine
 
 # Of the body's frame: angular acceleration, then that of the centre of mass. References are
 # maximal coordinates with quaternions, to twelve digits.

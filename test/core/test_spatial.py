@@ -16,11 +16,13 @@
 
 import copy
 
-from closedloop_dynamics.core.codegen import available
+from closedloop_dynamics.core.codegen import expression_graph as graph, routines
+from closedloop_dynamics.core.codegen.function_table import EVALUATION
 from closedloop_dynamics.core.codegen.plane import possible
+from closedloop_dynamics.core.codegen.vectors import is_zero
 from closedloop_dynamics.core.types import (
     CUT_FIXED, CUT_PRISMATIC, CUT_REVOLUTE, CUT_TYPE, KEPT, SMALLEST_PIVOT)
-from closedloop_dynamics.integration.evaluation import evaluate
+from closedloop_dynamics.engine import native
 from closedloop_dynamics.integration.system import build_system
 from closedloop_dynamics.simulation.modeling import build_model
 import numpy as np
@@ -28,12 +30,6 @@ import pytest
 
 from ..reference import cases
 from ..reference.compare import assert_agree, IDENTITY
-
-pytestmark = pytest.mark.skipif(not available(), reason='nothing is unrolled without a compiler')
-if available():
-    from closedloop_dynamics.core.codegen import expression_graph as graph, routines
-    from closedloop_dynamics.core.codegen.function_table import EVALUATION
-    from closedloop_dynamics.core.codegen.vectors import is_zero
 
 ARITHMETIC = ('ADD', 'SUBTRACT', 'MULTIPLY', 'DIVIDE', 'NEGATE')
 # Additions, multiplications, divisions and negations for accelerations and multipliers that
@@ -91,7 +87,7 @@ def test_planar_results_are_those_of_planar_loops(name):
         for unrolled in (True, False):
             system = build_system(copy.deepcopy(model), unrolled=unrolled)
             system.tau[:] = tau
-            evaluate(system, q, qd)
+            native.evaluate(system.native, q, qd)
             results.append((system.qdd, system.lam))
         # Elimination multiplies rounding by the reciprocal of its smallest pivot.
         rounding = 100.0 * np.finfo(float).eps / system.work.health[SMALLEST_PIVOT]

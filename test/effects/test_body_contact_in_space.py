@@ -14,7 +14,6 @@
 
 """Balls on planes, spheres and cylinders: forces, rolling, impacts, balance."""
 
-from closedloop_dynamics.core.codegen import available
 from closedloop_dynamics.effects.body_contact import BodyContact
 from closedloop_dynamics.effects.contact import Contact
 from closedloop_dynamics.effects.gravity import Gravity
@@ -29,7 +28,6 @@ from ..reference.compare import assert_agree
 
 EARTH = Gravity((0.0, 0.0, -9.81))
 MASS, RADIUS = 0.8, 0.05
-needs_compiler = pytest.mark.skipif(not available(), reason='nothing moves in space uncompiled')
 
 
 def balls(*names):
@@ -96,7 +94,6 @@ def test_bodies_push_each_other_as_in_maximal_coordinates(seed, shape):
         depth, pressed, -0.4 * pressed * speed / np.hypot(speed, 0.2)], 1e-9)
 
 
-@needs_compiler
 def test_on_a_plane_of_the_ground_it_is_the_contact_of_a_point():
     law = {'exponent': 1.5, 'damping': 0.4, 'friction': 0.3, 'slip_velocity': 0.2}
     normal = (0.0, 0.6, 0.8)
@@ -110,7 +107,6 @@ def test_on_a_plane_of_the_ground_it_is_the_contact_of_a_point():
     assert np.allclose(*found, rtol=0.0, atol=1e-11)
 
 
-@needs_compiler
 def test_a_sliding_ball_comes_to_roll_at_five_sevenths_of_its_speed():
     one = simulated(balls('one'), {'gravity': EARTH, 'floor': BodyContact(
         'in_one', 'floor', 'plane', 1e5, radius=RADIUS, normal=(0.0, 0.0, 1.0), friction=0.3,
@@ -122,7 +118,6 @@ def test_a_sliding_ball_comes_to_roll_at_five_sevenths_of_its_speed():
     assert_balanced(one, 1e-6)
 
 
-@needs_compiler
 @pytest.mark.parametrize('keys', [
     {'shape': 'sphere', 'other_radius': 0.2},
     {'shape': 'cylinder', 'other_radius': 0.2, 'axis': (0.0, 1.0, 0.0)}])
@@ -138,7 +133,6 @@ def test_balls_that_meet_keep_their_momentum_and_the_restitution(keys):
     assert_balanced(one, 1e-7)
 
 
-@needs_compiler
 def test_a_ball_in_a_bowl_swings_like_a_pendulum():
     bowl, reach = 0.5, 1e-4
     one = simulated(balls('one'), {'gravity': EARTH, 'bowl': BodyContact(

@@ -16,10 +16,6 @@
 
 from dataclasses import replace
 import math
-import os
-from pathlib import Path
-import subprocess
-import sys
 
 from closedloop_dynamics import Simulation
 from closedloop_dynamics.core.codegen.spatial import rotation
@@ -37,6 +33,7 @@ from closedloop_dynamics.effects.sensor import Sensor
 from closedloop_dynamics.formats.mjcf_writing import mjcf
 from closedloop_dynamics.formats.sdf_writing import sdf
 from closedloop_dynamics.formats.urdf_writing import urdf_with_loops
+from closedloop_dynamics.integration import system
 from closedloop_dynamics.mechanism.checks import orientation
 from closedloop_dynamics.mechanism.fields import FieldError
 from closedloop_dynamics.mechanism.mechanism import (
@@ -170,29 +167,22 @@ def test_what_acts_at_a_cut_joint_acts_as_in_the_tree(tmp_path, pins, spatial):
 
 
 def largest_difference(directory):
-    """Return by how much motions of a few steps differ, without a compiler: by loops."""
+    """Return by how much motions of a few steps differ."""
     sims = [simulation(mechanism(directory, PINS, cut, 'far'), ALL, 2.0)
             for cut in ('far', 'rocker_joint')]
     cut, tree = (motion(sim, {'far': 2.0}, 0.002, 2) for sim in sims)
     return np.abs(cut - tree)[:, :2].max()
 
 
-@pytest.fixture(scope='module')
-def without_compiler(tmp_path_factory):
-    """Return what functions here find without a compiler, by loops over bodies."""
-    names = ('largest_difference', 'largest_error_of_rotors', 'largest_error_of_loops')
-    # They find every access beyond the end of an array. One process for all: it starts slowly.
-    done = subprocess.run(
-        [sys.executable, '-c', f'from pathlib import Path; import {__name__} as here; '
-         f'print(*(getattr(here, name)(Path({str(tmp_path_factory.mktemp("loops"))!r})) '
-         f'for name in {names}))'],
-        cwd=Path(__file__).parents[2], env={**os.environ, 'NUMBA_DISABLE_JIT': '1'},
-        stdout=subprocess.PIPE, check=True, text=True)
-    return dict(zip(names, map(float, done.stdout.split())))
+@pytest.fixture
+def by_loops(monkeypatch):
+    """Unroll nothing."""
+    monkeypatch.setattr(system, 'MOST_UNROLLED_BODIES', 0)
+    monkeypatch.setattr(system, 'MOST_UNROLLED_FREEDOMS', 0)
 
 
-def test_loops_over_bodies_know_cut_joints_too(without_compiler):
-    assert without_compiler['largest_difference'] < 1e-10
+def test_loops_over_bodies_know_cut_joints_too(tmp_path, by_loops):
+    assert largest_difference(tmp_path) < 1e-10
 
 
 def test_a_cut_joint_under_friction_rests_as_in_the_tree(tmp_path):
@@ -348,20 +338,20 @@ def largest_error_of_rotors(directory):
             (PINS, 'far', False), (GUIDE, 'slide', False), (GUIDE, 'slide', True))))
 
 
-def test_loops_over_bodies_know_rotors_at_cut_joints(without_compiler):
-    assert without_compiler['largest_error_of_rotors'] < 1e-11
+def test_loops_over_bodies_know_rotors_at_cut_joints(tmp_path, by_loops):
+    assert largest_error_of_rotors(tmp_path) < 1e-11
 
 
 def largest_error_of_loops(directory):
-    """Return the largest difference between cut and not cut, of all, without a compiler."""
+    """Return the largest difference between cut and not cut, of all."""
     return max(np.abs(cut - tree)[:, :2].max() for (cut, tree), _ in (
         driven(directory, pins, joint, spatial, moved, 0.0004, 1)
         for pins, joint in ((GUIDE, 'slide'), (PINS, 'far'))
         for spatial in (False, True) for moved in (False, True)))
 
 
-def test_loops_over_bodies_move_and_couple_cut_joints_too(without_compiler):
-    assert without_compiler['largest_error_of_loops'] < 1e-11
+def test_loops_over_bodies_move_and_couple_cut_joints_too(tmp_path, by_loops):
+    assert largest_error_of_loops(tmp_path) < 1e-11
 
 
 def test_inverse_dynamics_finds_the_torque_of_a_cut_joint(tmp_path):

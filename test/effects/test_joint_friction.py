@@ -14,16 +14,19 @@
 
 """Dry friction in a joint."""
 
+from dataclasses import replace
+
 from closedloop_dynamics import Simulation
 from closedloop_dynamics.effects.gravity import Gravity
 from closedloop_dynamics.effects.joint_friction import JointFriction
 from closedloop_dynamics.effects.joint_spring import JointSpring
-from closedloop_dynamics.effects.sticking import solve
 from closedloop_dynamics.effects.table import build_table, ForceElement, JOINT_FRICTION
+from closedloop_dynamics.engine import native
 from closedloop_dynamics.integration.registry import INTEGRATORS, SCIPY
 from closedloop_dynamics.mechanism.fields import FieldError
 from closedloop_dynamics.mechanism.mechanism import REVOLUTE
 from closedloop_dynamics.simulation.errors import SimulationError
+from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.simulation.scene_records import Initial, Method, Scene
 import numpy as np
 import pytest
@@ -179,6 +182,22 @@ def test_friction_in_all_joints_brings_a_mechanism_to_rest_and_holds_it(case):
     assert np.abs(torques).max() <= 20.0
 
 
+@pytest.mark.parametrize('scene', ['four_bar', 'rssr_four_bar'])
+def test_a_coefficient_given_later_is_the_same_as_from_the_start(scene):
+    scene, ends = load_scene(scene), []
+    joint = scene.mechanism.joints[0].name
+    for coefficient in (0.3, 0.0):
+        friction = JointFriction(
+            joint, coulomb=1e-3, friction_coefficient=coefficient, radius=0.02)
+        simulation = Simulation(replace(scene, effects={**scene.effects, 'dry': friction}))
+        simulation.set_effect('dry', friction_coefficient=0.3)
+        simulation.reset()
+        simulation.step(duration=0.1)
+        assert simulation.effect_readings('dry')['reaction'] > 0.1
+        ends.append(simulation.state)
+    np.testing.assert_array_equal(*ends)
+
+
 def test_friction_at_rest_makes_the_accelerations_least():
     rng = np.random.default_rng(0)
     for _ in range(200):
@@ -191,7 +210,7 @@ def test_friction_at_rest_makes_the_accelerations_least():
         table = build_table(rows, np.zeros(1), 1, 0).sticking
         table.matrix[:], table.right[:], table.bound[:] = root.T @ root, root.T @ free, 1.0
         found = np.zeros(count)
-        solve(table, count, found)
+        native.minimise_in_box(table, count, found)
         best = lsq_linear(root, -free, (-1.0, 1.0), method='bvls', tol=1e-15, max_iter=500)
         assert np.abs(found).max() <= 1.0
         assert np.linalg.norm(root @ found + free) <= np.sqrt(2.0 * best.cost) * (

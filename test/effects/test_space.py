@@ -17,9 +17,7 @@
 from dataclasses import replace
 from types import SimpleNamespace
 
-from closedloop_dynamics.core.codegen import available
 from closedloop_dynamics.core.codegen.space import WORK_COLUMNS
-from closedloop_dynamics.effects import dispatch
 from closedloop_dynamics.effects.actuator import Actuator
 from closedloop_dynamics.effects.bushing import Bushing
 from closedloop_dynamics.effects.cable import Cable
@@ -37,6 +35,7 @@ from closedloop_dynamics.effects.point_spring import PointSpring
 from closedloop_dynamics.effects.prescribed_force import PrescribedForce
 from closedloop_dynamics.effects.rotor import Rotor
 from closedloop_dynamics.effects.table import build_table
+from closedloop_dynamics.engine import native
 from closedloop_dynamics.mechanism.fields import FieldError
 from closedloop_dynamics.mechanism.mechanism import Body, GROUND, Joint, Mechanism, Point
 from closedloop_dynamics.simulation.spatial_modeling import build_spatial_model
@@ -48,7 +47,6 @@ from ..reference import spatial_linkages, spatial_machines, spatial_maximal as t
 from ..reference.compare import assert_agree
 from ..reference.numbers import Numbers
 
-needs_compiler = pytest.mark.skipif(not available(), reason='nothing moves in space uncompiled')
 TIGHT = {'integrator': 'dop853', 'tolerance': 1e-12}
 MASSLESS = ((0.0, 0.0, 0.0), 0.0, True)
 
@@ -65,8 +63,7 @@ def accelerations(mechanism, q, qd, tau, effects):
     numbers.move(q, qd)
     body = np.zeros((len(built.model.tree), WORK_COLUMNS))
     numbers.write(body)
-    linked, kept = dispatch.linked(table, body, tau)
-    dispatch.apply(linked, q, qd, tau)
+    native.apply_effects(table, body, q, qd, tau)
     numbers.read(body)
     return numbers.accelerations(table.applied, 0.0)[0], table
 
@@ -205,7 +202,6 @@ def test_bushings_push_along_and_turn_about_their_axes(seed):
     assert_agree(table.rates.sum(), lost, 1e-10, smallest=1.0)
 
 
-@needs_compiler
 def test_a_body_swings_on_a_bushing_about_each_axis():
     mechanism = Mechanism(
         'mounted', (Body('block', 2.0, (0.0, 0.0, 0.0), (0.02, 0.03, 0.04)),),
@@ -372,7 +368,6 @@ def point_mass():
         (), (Point('center', 'ball', (0.0, 0.0, 0.0)),))
 
 
-@needs_compiler
 def test_a_mass_on_a_spring_of_no_length_runs_in_an_ellipse():
     place, velocity = np.array([0.4, -0.2, 0.1]), np.array([0.3, 0.5, -0.6])
     one = simulated(point_mass(), {'cord': PointSpring(
@@ -385,7 +380,6 @@ def test_a_mass_on_a_spring_of_no_length_runs_in_an_ellipse():
     assert_balanced(one, 1e-9)
 
 
-@needs_compiler
 def test_a_mass_slides_down_a_plane_with_friction():
     tilt, mu, gravity = 0.6, 0.2, 9.81
     normal = np.array([np.sin(tilt), 0.0, np.cos(tilt)])
@@ -418,7 +412,6 @@ def gyroscope():
         (), (Point('center', 'housing', (0.2, 0.0, 0.0)),))
 
 
-@needs_compiler
 @pytest.mark.parametrize('tilt', [0.0, -0.5])
 def test_a_gyroscope_precesses_steadily(tilt):
     # A rotor of 0.003 kg m^2 turns ten times as fast as the wheel.
@@ -442,7 +435,6 @@ def test_a_gyroscope_precesses_steadily(tilt):
     assert_balanced(one, 1e-9)
 
 
-@needs_compiler
 def test_a_linkage_with_all_of_it_keeps_its_energy_in_balance():
     mechanism, torque = spatial_machines.rssr_four_bar()
     mechanism = replace(spatial_machines.with_single_freedoms(mechanism), points=(
@@ -515,7 +507,6 @@ def two_wheels():
                second_axis=tuple(y), actuated=True)))
 
 
-@needs_compiler
 def test_effects_act_on_single_freedoms_of_joints():
     effects = {f'oil_{axis}': JointDamping(f'ball.r{axis}', 0.1) for axis in 'xyz'}
     effects['spring'] = JointSpring('hip.2', 5.0, 0.1)

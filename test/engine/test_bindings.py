@@ -12,94 +12,291 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What the bindings promise: shapes, types, lifetimes; and the least squares of the engine."""
+"""What the bindings promise: arguments that do not fit are refused, bound arrays live on."""
 
 import gc
+import inspect
+import re
 import sys
+import weakref
 
 from closedloop_dynamics.engine import native
+from closedloop_dynamics.integration.drivers import build_driver
+from closedloop_dynamics.integration.registry import PROJECTION
+from closedloop_dynamics.integration.system import build_system, number_of_states
+from closedloop_dynamics.simulation.modeling import build_model
+from closedloop_dynamics.simulation.scene_records import Method
 import numpy as np
 import pytest
 
+from ..reference import cases
 
-def solve(matrix, right, tolerance=1e-12):
-    """Return solution and rank by the engine."""
-    solution = np.full(matrix.shape[1], np.nan)
-    rank = native.LeastSquares(matrix, right, solution, tolerance).solve()
-    return solution, rank
-
-
-@pytest.mark.parametrize('rows, columns, rank', [
-    (1, 1, 1), (5, 5, 5), (7, 3, 3), (3, 7, 3), (6, 6, 2), (9, 4, 1), (4, 9, 2), (40, 30, 17),
-    (3, 3, 0)])
-def test_least_squares_are_those_of_numpy(rows, columns, rank):
-    random = np.random.default_rng(rows + 10 * columns)
-    matrix = random.normal(size=(rows, rank)) @ random.normal(size=(rank, columns))
-    right = random.normal(size=rows)
-    solution, found = solve(matrix, right)
-    expected, _, expected_rank, _ = np.linalg.lstsq(matrix, right, rcond=1e-12)
-    assert found == expected_rank == rank
-    np.testing.assert_allclose(solution, expected, rtol=1e-11, atol=1e-13)
+PARAMETERS = {
+    name: re.match(rf'{name}\(([^)]*)\)', function.__doc__)[1].split(', ')
+    for name, function in inspect.getmembers(native, callable)
+    if name != 'bind' and not name.startswith('_')}
 
 
-def test_bound_arrays_are_read_and_written_at_each_call():
-    matrix, right, solution = np.eye(2), np.ones(2), np.empty(2)
-    problem = native.LeastSquares(matrix, right, solution, 1e-12)
-    for scale in (1.0, 2.0, 0.5):
-        matrix[:] = scale * np.eye(2)
-        assert problem.solve() == 2
-        assert solution.tolist() == [1 / scale, 1 / scale]
+@pytest.fixture
+def system():
+    """Return a system of seven joints in a state that is no special one."""
+    _, mechanism, q, qd = cases.drawn('three_rrr')
+    made = build_system(build_model(mechanism))
+    made.tau[:] = 0.1
+    return made, np.concatenate([q, qd])
 
 
-def test_arrays_live_as_long_as_what_they_are_bound_to():
-    right = np.ones(300)
-    before = sys.getrefcount(right)
-    problem = native.LeastSquares(np.eye(300), right, np.empty(300), 1e-12)
-    with pytest.raises(ValueError, match='resize'):
-        right.resize(5, refcheck=True)
-    gc.collect()
-    assert problem.solve() == 300
-    del problem
-    assert sys.getrefcount(right) == before
-    # Nothing keeps it either where only some of the arrays were bound.
-    with pytest.raises(ValueError):
-        native.LeastSquares(np.eye(300), right, np.empty((3, 3)), 1e-12)
-    assert sys.getrefcount(right) == before
+def parts(system):
+    """Return a system's good arguments for some functions, by their names."""
+    one, state = system
+    nv = len(one.qdd)
+    q, qd = state[:nv].copy(), state[nv:].copy()
+    driver = build_driver(one, Method(integrator='rk4'))
+    return {
+        'outward': (one.model, q, qd, one.work),
+        'inward': (one.model, one.tau, one.work, False),
+        'largest': (q,),
+        'forward_dynamics': (one.model, one.work, q, qd, one.tau, one.qdd, one.lam),
+        'evaluate': (one.native, q, qd),
+        'derivative': (one.native, state.copy(), np.zeros(2 * nv)),
+        'stabilise': (one.native, PROJECTION, state.copy()),
+        'advance_fixed': (one.native, driver.tableau, PROJECTION, state.copy(), 1e-3, 3,
+                          driver.scratch),
+        'energies_of_states': (one.native, state[np.newaxis].copy(), np.zeros((1, 2)))}
+
+
+FUNCTIONS = ('outward', 'inward', 'largest', 'forward_dynamics', 'evaluate', 'derivative',
+             'stabilise', 'advance_fixed', 'energies_of_states')
 
 
 def unwritable(array):
-    array.flags.writeable = False
-    return array
+    """Return a copy that must not be written."""
+    copied = array.copy()
+    copied.flags.writeable = False
+    return copied
 
 
-@pytest.mark.parametrize('changed, error, words', [
-    ({'matrix': np.eye(3)[:, ::2]}, ValueError, 'contiguous'),
-    ({'matrix': np.eye(3, order='F')[:2]}, ValueError, 'contiguous'),
-    ({'matrix': np.eye(3, dtype=np.float32)}, TypeError, "matrix: .* format 'f'"),
-    ({'matrix': np.eye(3, dtype='>f8')}, TypeError, "matrix: .* format '>d'"),
-    ({'matrix': np.eye(3, dtype=int)}, TypeError, "matrix: .* format 'l'"),
-    ({'matrix': np.eye(3).astype(complex)}, TypeError, "matrix: .* format 'Zd'"),
-    ({'matrix': np.eye(3).astype(object)}, TypeError, "matrix: .* format 'O'"),
-    ({'matrix': np.ones(9)}, ValueError, 'matrix: expected 2 dimensions, got 1'),
-    ({'matrix': np.ones((4, 3))}, ValueError, r'got \(4, 3\), \(3,\), \(3,\)'),
-    ({'matrix': np.ones((0, 3)), 'right': np.ones(0)}, ValueError, 'm, n > 0'),
-    ({'matrix': bytes(72)}, TypeError, "matrix: .* format 'B'"),
-    ({'matrix': [[1.0]]}, TypeError, 'list'),
-    ({'right': None}, TypeError, 'NoneType'),
-    ({'right': np.frombuffer(bytearray(25), offset=1)}, TypeError, 'right: expected aligned'),
-    ({'solution': unwritable(np.ones(3))}, ValueError, 'read-only'),
-    ({'solution': np.ones(4)}, ValueError, r'\(4,\)'),
-    ({'tolerance': 'small'}, TypeError, 'real number')])
-def test_what_does_not_fit_is_refused(changed, error, words):
-    arguments = {'matrix': np.eye(3), 'right': np.ones(3), 'solution': np.ones(3),
-                 'tolerance': 1e-12, **changed}
-    with pytest.raises(error, match=words):
-        native.LeastSquares(*arguments.values())
+WRONG_ARRAYS = {
+    'float32': lambda array: array.astype(np.float32),
+    'bytes in another order': lambda array: array.astype(array.dtype.newbyteorder()),
+    'whole numbers for real ones, or the reverse': lambda array: array.astype(
+        np.float64 if array.dtype == np.int64 else np.int64),
+    'int32': lambda array: array.astype(np.int32),
+    'complex': lambda array: array.astype(complex),
+    'object': lambda array: array.astype(object),
+    'one dimension more': lambda array: array[np.newaxis].copy(),
+    'no dimension': lambda array: array.ravel()[0].reshape(()).copy(),
+    'not contiguous': lambda array: np.repeat(array, 2, axis=-1)[..., ::2],
+    'backwards': lambda array: array[::-1],
+    'read-only': unwritable,
+    'not aligned': lambda array: np.frombuffer(
+        bytearray(array.nbytes + 1), offset=1, dtype=array.dtype).reshape(array.shape),
+    'a list': lambda array: array.tolist(),
+    'None': lambda array: None,
+    'a number': lambda array: 1.0,
+    'a record': lambda array: (array,),
+    'text': lambda array: 'array'}
 
 
-@pytest.mark.parametrize('number', [np.nan, np.inf, -np.inf])
-def test_numbers_that_are_not_finite_are_refused(number):
-    with pytest.raises(ValueError, match='finite'):
-        solve(np.full((2, 2), number), np.ones(2))
-    with pytest.raises(ValueError, match='finite'):
-        solve(np.ones((2, 2)), np.full(2, number))
+def kept(array, wrong):
+    """Return whether what was done to an array leaves it as good as it was."""
+    return isinstance(wrong, np.ndarray) and wrong.dtype == array.dtype and (
+        wrong.ndim == array.ndim and wrong.flags.c_contiguous and wrong.flags.aligned
+        and wrong.flags.writeable)
+
+
+@pytest.mark.parametrize('name', PARAMETERS)
+def test_wrong_number_of_arguments_is_refused(name):
+    count = len(PARAMETERS[name])
+    for number in {0, count - 1, count + 1, 40}:
+        with pytest.raises(TypeError, match=rf'{name}: expected {count} arguments?, got {number}'):
+            getattr(native, name)(*[np.zeros(3)] * number)
+    with pytest.raises(TypeError):
+        getattr(native, name)(**dict.fromkeys(PARAMETERS[name], 0))
+
+
+@pytest.mark.parametrize('thing', [
+    object(), 'text', 2 ** 80, float('nan'), [1.0], (), (1, 2), {}, np.zeros((2, 2, 2, 2)),
+    native, print], ids=lambda thing: type(thing).__name__)
+@pytest.mark.parametrize('name', PARAMETERS)
+def test_nonsense_is_refused_by_every_function(name, thing):
+    with pytest.raises((TypeError, ValueError, OverflowError)):
+        getattr(native, name)(*[thing] * len(PARAMETERS[name]))
+
+
+@pytest.mark.parametrize('name', FUNCTIONS)
+def test_good_arguments_are_taken(system, name):
+    arguments = parts(system)[name]
+    assert len(arguments) == len(PARAMETERS[name])
+    getattr(native, name)(*arguments)
+    native.bind(name, *arguments)()
+
+
+@pytest.mark.parametrize('wrong', WRONG_ARRAYS)
+@pytest.mark.parametrize('name', FUNCTIONS)
+def test_wrong_arrays_are_refused(system, name, wrong):
+    arguments = parts(system)[name]
+    for place, value in enumerate(arguments):
+        if isinstance(value, np.ndarray):
+            changed = WRONG_ARRAYS[wrong](value)
+            if kept(value, changed):
+                continue
+            broken = (*arguments[:place], changed, *arguments[place + 1:])
+            for call in (getattr(native, name), lambda *given: native.bind(name, *given)):
+                with pytest.raises((TypeError, ValueError, BufferError)):
+                    call(*broken)
+
+
+@pytest.mark.parametrize('wrong', WRONG_ARRAYS)
+def test_wrong_arrays_within_records_are_refused(system, wrong):
+    one, _ = system
+    arguments = parts(system)['outward']
+    for place in (0, 3):
+        for field, array in arguments[place]._asdict().items():
+            if not array.size:
+                continue
+            changed = WRONG_ARRAYS[wrong](array)
+            if kept(array, changed):
+                continue
+            broken = list(arguments)
+            broken[place] = arguments[place]._replace(**{field: changed})
+            with pytest.raises((TypeError, ValueError, BufferError)):
+                native.outward(*broken)
+    for field, part in one._asdict().items():
+        if isinstance(part, np.ndarray) and part.size:
+            changed = WRONG_ARRAYS[wrong](part)
+            if not kept(part, changed):
+                with pytest.raises((TypeError, ValueError, BufferError)):
+                    native.system(tuple(one._replace(**{field: changed}))[:-1])
+
+
+def test_records_of_another_length_are_refused(system):
+    one, _ = system
+    model, q, qd, work = parts(system)['outward']
+    for wrong in (tuple(model)[:-1], (*model, q), (), (model,), list(model), dict(model._asdict())):
+        with pytest.raises(TypeError, match='outward, argument 1: expected a tuple of 13 fields'):
+            native.outward(wrong, q, qd, work)
+    for wrong in (tuple(one), tuple(one)[:-2], (), list(one)):
+        with pytest.raises(TypeError, match='system, argument 1: expected a tuple of 14 fields'):
+            native.system(wrong)
+    with pytest.raises(TypeError, match='tuple of 6 fields'):
+        native.advance_fixed(one.native, (), 0, q, 1e-3, 1, np.zeros((9, 14)))
+
+
+@pytest.mark.parametrize('wrong', [None, 1, 'system', (), np.zeros(3), object()],
+                         ids=lambda wrong: type(wrong).__name__)
+def test_what_is_no_system_is_refused(system, wrong):
+    for name, arguments in parts(system).items():
+        if PARAMETERS[name][0] == 'system':
+            with pytest.raises((TypeError, ValueError)):
+                getattr(native, name)(wrong, *arguments[1:])
+
+
+def test_a_capsule_of_another_kind_is_no_system(system):
+    import datetime
+    other = datetime.datetime_CAPI
+    assert type(other) is type(system[0].native)
+    bound = native.bind('largest', np.zeros(3)).__self__
+    assert type(bound) is type(other)
+    for capsule in (other, bound):
+        with pytest.raises(ValueError, match='PyCapsule'):
+            native.evaluate(capsule, np.zeros(7), np.zeros(7))
+
+
+@pytest.mark.parametrize('field, change', [
+    ('qdd', lambda one: one.qdd[1:].copy()), ('lam', lambda one: np.zeros(len(one.lam) + 1)),
+    ('tau', lambda one: one.tau[1:].copy()), ('settings', lambda one: one.settings[1:].copy()),
+    ('table', lambda one: one.table[1:].copy()), ('corrections', lambda one: np.zeros((2, 3))),
+    ('model', lambda one: one.model._replace(tree=one.model.tree[:-1].copy())),
+    ('model', lambda one: one.model._replace(tree=one.model.tree + 1)),
+    ('model', lambda one: one.model._replace(path_body=one.model.path_body + 7)),
+    ('model', lambda one: one.model._replace(gravity=np.zeros(5))),
+    ('work', lambda one: one.work._replace(closure=np.zeros(1))),
+    ('work', lambda one: one.work._replace(body=one.work.body[:-1].copy())),
+    ('model', lambda one: None), ('work', lambda one: None)])
+def test_fields_that_do_not_belong_together_are_refused(system, field, change):
+    one, _ = system
+    with pytest.raises((TypeError, ValueError)):
+        native.system(tuple(one._replace(**{field: change(one)}))[:-1])
+
+
+def test_bind_refuses_what_it_does_not_know():
+    for arguments, error in (((), TypeError), ((3,), TypeError), (('',), ValueError),
+                             (('evaluatte',), ValueError), (('bind',), ValueError),
+                             (('largest',), TypeError), ((None, 1), TypeError)):
+        with pytest.raises(error):
+            native.bind(*arguments)
+    bound = native.bind('largest', np.array([1.0, -3.0]))
+    assert bound() == 3.0
+    with pytest.raises(TypeError):
+        bound(1)
+
+
+def test_bound_arrays_are_read_at_each_call():
+    values = np.zeros(3)
+    largest = native.bind('largest', values)
+    for number in (0.0, 2.5, -7.0):
+        values[1] = number
+        assert largest() == abs(number)
+
+
+def test_bound_arrays_live_as_long_as_what_they_are_bound_to():
+    class Watched(np.ndarray):
+        """An array that can be watched."""
+
+    values = np.full(100_000, -2.0).view(Watched)
+    watched, before = weakref.ref(values), sys.getrefcount(values)
+    largest = native.bind('largest', values)
+    assert sys.getrefcount(values) == before + 1
+    with pytest.raises(TypeError):
+        native.bind('largest', values, values)
+    with pytest.raises(TypeError):
+        native.bind('move', None, values, 'text', 1.0)
+    assert sys.getrefcount(values) == before + 1
+    del values
+    gc.collect()
+    # What was given back would be used by another.
+    others = [np.full(100_000, 9.0) for _ in range(20)]
+    assert watched() is not None and largest() == 2.0
+    del largest, others
+    gc.collect()
+    assert watched() is None
+
+
+def test_a_system_keeps_all_its_arrays(system):
+    one, state = system
+    nv = len(one.qdd)
+    native.evaluate(one.native, state[:nv], state[nv:])
+    expected, qdd = one.qdd.copy(), weakref.ref(one.model.body)
+    # The table of routines has addresses of arrays, too: all are in the tuple of the system.
+    handle, out = one.native, np.zeros(number_of_states(one))
+    del one, system
+    gc.collect()
+    others = [np.full(100, 9.0) for _ in range(2000)]
+    derivative = native.bind('derivative', handle, state, out)
+    del handle
+    gc.collect()
+    derivative()
+    np.testing.assert_array_equal(out[nv:], expected)
+    del others, derivative
+    gc.collect()
+    assert qdd() is None or sys.getrefcount(qdd()) > 1
+
+
+def test_no_reference_is_lost_or_kept_by_calls(system):
+    arguments = parts(system)['forward_dynamics']
+    watched = [*arguments, *arguments[0], *arguments[1]]
+
+    def calls():
+        native.forward_dynamics(*arguments)
+        with pytest.raises(TypeError):
+            native.forward_dynamics(*arguments[:-1], 'text')
+        with pytest.raises(TypeError):
+            native.forward_dynamics(*arguments[:-1])
+        gc.collect()
+
+    calls()
+    before = [sys.getrefcount(each) for each in watched]
+    for _ in range(50):
+        calls()
+    assert [sys.getrefcount(each) for each in watched] == before

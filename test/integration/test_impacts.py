@@ -23,8 +23,7 @@ from closedloop_dynamics.effects.body_contact import BodyContact
 from closedloop_dynamics.effects.contact import Contact
 from closedloop_dynamics.effects.end_stop import EndStop
 from closedloop_dynamics.effects.gravity import Gravity
-from closedloop_dynamics.integration.adaptive import ACCEPTED, REJECTED
-from closedloop_dynamics.integration.impacts import CLOSED
+from closedloop_dynamics.integration.control import ACCEPTED, REJECTED
 from closedloop_dynamics.mechanism.mechanism import Body, Joint, Mechanism, Point
 import numpy as np
 import pytest
@@ -36,6 +35,8 @@ BALL = Mechanism(
     (Joint('height', 'prismatic', 'ground', 'ball', (0.0, 0.0), math.pi / 2, True),), (),
     (Point('south', 'ball', (0.0, 0.0)), Point('floor', 'ground', (0.0, 0.0))))
 G, START = 9.81, 0.5
+# A gap that counts as closed [m], as in engine/contact_events.cpp.
+CLOSED = 1e-11
 EARTH = Gravity((0.0, -G))
 FLOORS = {
     'contact': lambda k: Contact('south', (0.0, 0.0), k),

@@ -17,7 +17,7 @@
 from dataclasses import replace
 
 from closedloop_dynamics import NumericalError, Simulation
-from closedloop_dynamics.integration import adaptive
+from closedloop_dynamics.integration.control import ACCEPTED
 from closedloop_dynamics.integration.registry import ADAPTIVE, INTEGRATORS, STABILISATIONS
 from closedloop_dynamics.integration.tableau import DOP853, DOPRI5, HEUN, RK4
 import numpy as np
@@ -87,7 +87,7 @@ def test_asking_often_does_not_cut_steps(integrator, references):
     counts = []
     for raster in (0.1, 1e-3):
         simulation = run('three_rrr', integrator=integrator, tolerance=1e-9, step_size=raster)
-        counts.append(simulation._driver.driver.control[adaptive.ACCEPTED])
+        counts.append(simulation._driver.driver.control[ACCEPTED])
         assert np.abs(simulation.position - references['three_rrr']).max() < 1e-6
     assert counts[0] == counts[1]
 

@@ -15,7 +15,7 @@
 
 from dataclasses import replace
 
-from closedloop_dynamics.integration import adaptive, switching
+from closedloop_dynamics.integration.control import ACCEPTED, STIFF
 from closedloop_dynamics.simulation.scene import load_scene, scene_names
 from closedloop_dynamics.simulation.scene_records import Method
 from closedloop_dynamics.simulation.simulation import Simulation
@@ -138,7 +138,7 @@ def test_steps_end_where_torques_are_expected_to_change():
     for number in range(50):
         held.step([5.0 + 1e-9 * number, -3.0, 2.0], 0.01)
     free.step([5.0, -3.0, 2.0], 0.5)
-    steps = held.monitor.driver.control[adaptive.ACCEPTED]
+    steps = held.monitor.driver.control[ACCEPTED]
     # One for each torque, but for the first interval, of which nothing was known.
     assert steps <= 60
     assert np.abs(held.position - free.position).max() < 1e-5
@@ -155,8 +155,8 @@ def test_what_is_stiff_is_stepped_stiffly_and_back():
     was_stiff = False
     for _ in range(20):
         simulation.advance(tau, 10)
-        was_stiff = was_stiff or control[switching.STIFF] == 1.0
+        was_stiff = was_stiff or control[STIFF] == 1.0
     assert was_stiff
     # An explicit method would need a million steps a second.
-    assert control[adaptive.ACCEPTED] < 3e4
+    assert control[ACCEPTED] < 3e4
     assert simulation.report().findings == ()

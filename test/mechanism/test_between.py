@@ -17,7 +17,6 @@
 from dataclasses import replace
 
 from closedloop_dynamics import Simulation
-from closedloop_dynamics.core.codegen import available
 from closedloop_dynamics.mechanism.fields import FieldError
 from closedloop_dynamics.mechanism.mechanism import MechanismError, Point
 from closedloop_dynamics.mechanism.reader import read_mechanism, with_cuts, with_parameters
@@ -154,7 +153,6 @@ def test_points_stay_where_they_are(tmp_path):
                  (1.0, -1.0, 1.0), 1e-12)
 
 
-@pytest.mark.skipif(not available(), reason='operations are not counted uncompiled')
 def test_the_tree_of_fewest_operations_is_chosen_and_told(tmp_path):
     (tmp_path / 'machine.yaml').write_text(FOUR_BAR)
     (tmp_path / 'scene.yaml').write_text(

@@ -16,7 +16,6 @@
 
 from dataclasses import replace
 
-from closedloop_dynamics.core.codegen import available
 from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.simulation.scene_records import Method
 from closedloop_dynamics.simulation.simulation import Simulation
@@ -27,7 +26,6 @@ import pytest
 from ..reference import spatial_maximal as twin
 from ..reference.compare import assert_agree
 
-pytestmark = pytest.mark.skipif(not available(), reason='nothing moves in space uncompiled')
 # Bodies, equations that do not always hold, independent ones, degrees of freedom.
 MACHINES = {
     'bennett': (3, 5, 2, 1),

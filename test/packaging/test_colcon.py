@@ -84,9 +84,7 @@ def start(copied):
     """Return a function that starts an installed executable; none outlives the test."""
     started = []
     with reserve_domain() as domain:
-        # Compiling in a new place takes minutes where many tests run, and is not the point here.
-        environment = sourced(
-            copied, ROS_DOMAIN_ID=str(domain), PYTHONUNBUFFERED='1', NUMBA_DISABLE_JIT='1')
+        environment = sourced(copied, ROS_DOMAIN_ID=str(domain), PYTHONUNBUFFERED='1')
 
         def start(executable, *arguments):
             # As ros2 run does.

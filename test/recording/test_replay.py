@@ -16,7 +16,6 @@
 
 from dataclasses import replace
 
-from closedloop_dynamics.core.codegen import available
 from closedloop_dynamics.effects.gravity import Gravity
 from closedloop_dynamics.effects.joint_damping import JointDamping
 from closedloop_dynamics.recording.recording import Log, Recording
@@ -106,7 +105,6 @@ def test_deviations_are_zero(scene):
     assert not result.notes
 
 
-@pytest.mark.skipif(not available(), reason='nothing moves in space uncompiled')
 @pytest.mark.parametrize('name', ['rssr_four_bar', 'bricard'])
 def test_deviations_in_space_are_zero(name):
     mechanism, _ = getattr(spatial_machines, name)()

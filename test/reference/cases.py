@@ -22,7 +22,6 @@ random linkages by number.
 
 import copy
 import functools
-import os
 
 from closedloop_dynamics.simulation.scene import load_scene
 import numpy as np
@@ -35,11 +34,10 @@ SPECIAL = {'ladder': lambda rng: special.ladder(4, rng.uniform(-1.0, 1.0), rng.n
            'parallelogram': lambda rng: special.parallelogram(rng.uniform(0.2, 1.0)),
            'chain': lambda rng: special.chain(rng, 6),
            'star': lambda rng: special.star(rng, 4)}
-# One to four subsystems each, listed in order and shuffled. Interpreted, they are there for
-# their lines, not for their numbers: one of each kind.
-RANDOM = range(4 if 'NUMBA_DISABLE_JIT' in os.environ else 20)
+# One to four subsystems each, listed in order and shuffled.
+RANDOM = range(20)
 # Rods, pins in slots, couplings.
-ELEMENTS = tuple(f'elements_{n}' for n in range(2 if 'NUMBA_DISABLE_JIT' in os.environ else 8))
+ELEMENTS = tuple(f'elements_{n}' for n in range(8))
 ALL = (*SHIPPED, *SPECIAL, *RANDOM, *ELEMENTS)
 
 

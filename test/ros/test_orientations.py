@@ -23,7 +23,6 @@ from test.simulation.test_orientations import scene
 from xml.etree import ElementTree
 
 from closedloop_dynamics.cli import main
-from closedloop_dynamics.core.codegen import available
 from closedloop_dynamics.mechanism.mechanism import Body, Joint, Mechanism
 from closedloop_dynamics.recording.recording import read_recording
 from closedloop_dynamics.ros.auxiliary_publishers import LATCHED_QOS
@@ -36,8 +35,6 @@ from sensor_msgs.msg import JointState
 from sensor_msgs.msg import MultiDOFJointState
 from std_msgs.msg import Float64MultiArray
 from std_msgs.msg import String
-
-pytestmark = pytest.mark.skipif(not available(), reason='nothing moves in space uncompiled')
 
 
 def machine():

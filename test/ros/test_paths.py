@@ -14,7 +14,6 @@
 
 """Paths in space: points go where they should, and joints with them."""
 
-from closedloop_dynamics.core.codegen import available
 from closedloop_dynamics.ros.process import StartError
 from closedloop_dynamics.ros.references import Circle, freedoms_of, PathError, solve, Ways
 from closedloop_dynamics.ros.torque_source_node import Orientations
@@ -29,7 +28,6 @@ import pytest
 from sensor_msgs.msg import JointState
 from sensor_msgs.msg import MultiDOFJointState
 
-pytestmark = pytest.mark.skipif(not available(), reason='nothing moves in space uncompiled')
 CENTER = 'platform_center'
 
 

@@ -23,7 +23,6 @@ from xml.etree import ElementTree
 
 from builtin_interfaces.msg import Time
 from closedloop_dynamics.cli import main
-from closedloop_dynamics.core.codegen import available
 from closedloop_dynamics.mechanism.mechanism import Point
 from closedloop_dynamics.recording.recording import read_recording
 from closedloop_dynamics.ros.auxiliary_publishers import LATCHED_QOS
@@ -43,8 +42,6 @@ from std_msgs.msg import Float64MultiArray
 from std_msgs.msg import String
 from std_srvs.srv import SetBool
 from std_srvs.srv import Trigger
-
-pytestmark = pytest.mark.skipif(not available(), reason='nothing moves in space uncompiled')
 
 
 def file_of(made, directory):

@@ -16,7 +16,6 @@
 
 from dataclasses import replace
 
-from closedloop_dynamics.core.codegen import available
 from closedloop_dynamics.effects.gravity import Gravity
 from closedloop_dynamics.mechanism.fields import FieldError
 from closedloop_dynamics.mechanism.mechanism import (
@@ -35,7 +34,6 @@ import pytest
 from ..reference import spatial_machines
 from ..reference.compare import assert_agree
 
-pytestmark = pytest.mark.skipif(not available(), reason='nothing moves in space uncompiled')
 GRAVITY = {'gravity': Gravity(spatial_machines.GRAVITY)}
 TIGHT = Method(integrator='dop853', tolerance=1e-12)
 X, Y, Z = (tuple(map(float, axis)) for axis in np.eye(3))

@@ -18,7 +18,7 @@ from copy import deepcopy
 from dataclasses import replace
 import math
 
-from closedloop_dynamics.integration.evaluation import evaluate
+from closedloop_dynamics.engine import native
 from closedloop_dynamics.simulation.monitor import FIRST_SAMPLE
 from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
@@ -41,7 +41,6 @@ def test_motion_is_the_same_without_samples_of_the_error(method):
 
 def test_cost_is_counted_from_the_reset():
     simulation = Simulation.from_scene('four_bar', integrator='rk4')
-    simulation.warm_up()
     assert simulation.report().steps == 0 and math.isnan(simulation.report().share)
     simulation.step(duration=0.5)
     report = simulation.report()
@@ -74,7 +73,7 @@ def test_effects_act_on_the_copy_that_samples_are_computed_with():
     one.step(duration=0.1)
     other.effects.states[:] = one.system.effects.states
     for system in (one.system, other):
-        evaluate(system, one.position, one.velocity)
+        native.evaluate(system.native, one.position, one.velocity)
     assert np.array_equal(other.qdd, one.system.qdd)
 
 

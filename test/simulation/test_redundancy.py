@@ -17,7 +17,7 @@
 from dataclasses import replace
 
 from closedloop_dynamics.cli import main
-from closedloop_dynamics.core.codegen import available
+from closedloop_dynamics.core.codegen.routines import operations
 from closedloop_dynamics.core.types import RANK_REVEALING_COUNT
 from closedloop_dynamics.effects.gravity import Gravity
 from closedloop_dynamics.effects.joint_friction import JointFriction
@@ -37,10 +37,6 @@ import pytest
 from .test_space import tilted_four_bar, TURN
 from ..reference import spatial_machines
 from ..reference.compare import assert_agree
-
-pytestmark = pytest.mark.skipif(not available(), reason='nothing moves in space uncompiled')
-if available():
-    from closedloop_dynamics.core.codegen.routines import operations
 
 Y, Z = (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 NOWHERE = (0.0, 0.0, 0.0)

@@ -17,7 +17,6 @@
 from dataclasses import replace
 import math
 
-from closedloop_dynamics.core.codegen import available
 from closedloop_dynamics.core.types import RANK_REVEALING_COUNT
 from closedloop_dynamics.effects.external_force import ExternalForce
 from closedloop_dynamics.effects.joint_friction import JointFriction
@@ -367,7 +366,6 @@ STANDING_IN = {
     'ladder': lambda one: replace(one, cut_joints=one.cut_joints[:2])}
 
 
-@pytest.mark.skipif(not available(), reason='counts operations of generated code')
 @pytest.mark.parametrize('name', STANDING_IN)
 def test_repeated_equations_cost_no_more_than_independent_ones(name):
     from closedloop_dynamics.core.codegen.routines import operations

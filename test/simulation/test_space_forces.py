@@ -16,34 +16,28 @@
 
 from dataclasses import replace
 
-from closedloop_dynamics.core.codegen import available
 from closedloop_dynamics.core.equations import Equations
-from closedloop_dynamics.core.joint_wrenches import bias_forces, joint_wrenches, tree_torque
 from closedloop_dynamics.effects.external_force import ExternalForce
 from closedloop_dynamics.effects.joint_friction import JointFriction
 from closedloop_dynamics.effects.joint_spring import JointSpring
 from closedloop_dynamics.effects.point_spring import PointSpring
 from closedloop_dynamics.effects.rotor import Rotor
+from closedloop_dynamics.engine import native
 from closedloop_dynamics.integration import system
 from closedloop_dynamics.mechanism.mechanism import (
     GROUND, JOINT_FREEDOMS, Point, PRISMATIC, REVOLUTE)
 from closedloop_dynamics.recording.run import columns, row
 from closedloop_dynamics.simulation.errors import SimulationError
 from closedloop_dynamics.simulation.scene import load_scene
+from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest
 
 from .test_space import machine, scene, TIGHT
+from ..core.spatial_engine import SpatialEngine
 from ..reference import spatial_linkages, spatial_maximal as twin
 from ..reference.compare import assert_agree
 from ..reference.numbers import Numbers
-if available():
-    from closedloop_dynamics.simulation.simulation import Simulation
-
-    from ..core.spatial_engine import SpatialEngine
-
-pytestmark = pytest.mark.skipif(not available(), reason='nothing moves in space uncompiled')
-
 
 def at(model, q, qd):
     """Return the equations of a model, as the loops over bodies have them, in a state."""
@@ -93,8 +87,8 @@ def test_forces_in_joints_are_those_of_maximal_coordinates(seed):
     qdd, lam, _ = engine.forward_dynamics(q, qd, tau)
     equations = at(engine.model, q, qd)
     rows = np.zeros((len(engine.model.tree), 12))
-    bias_forces(equations.work, rows)
-    joint_wrenches(equations.model, equations.work, qdd, lam, rows)
+    native.bias_forces(equations.work, rows)
+    native.joint_wrenches(equations.model, equations.work, qdd, lam, rows)
     rows = rows[:, :6]
     motions = twin.forward(mechanism, q, qd, qdd)[0]
     known, found = reactions(mechanism, q, qd, expected), {}
@@ -109,7 +103,7 @@ def test_forces_in_joints_are_those_of_maximal_coordinates(seed):
     assert_agree(list(found.values()), [known[name] for name in found], 1e-8)
     # Along the joints' freedoms they are the forces that drive them, loops closed.
     forces = np.zeros(engine.nv)
-    tree_torque(equations.model, equations.work, qdd, forces)
+    native.tree_torque(equations.model, equations.work, qdd, forces)
     assert_agree(forces, tau + equations.jacobian().T @ lam, 1e-9)
     # Wrenches at the cut joints, of all equations.
     assert_agree(equations.cut_wrenches(lam, equations.work.body)[:len(mechanism.cut_joints)],
@@ -131,7 +125,7 @@ def test_what_the_loops_over_bodies_give_is_what_the_recursions_give_on_numbers(
     assert_agree(equations.jacobian(), numbers.jacobian(), 1e-12)
     assert_agree(equations.inertia(), numbers.inertia(), 1e-12)
     force = np.zeros(engine.nv)
-    tree_torque(equations.model, equations.work, np.zeros(engine.nv), force)
+    native.tree_torque(equations.model, equations.work, np.zeros(engine.nv), force)
     assert_agree(force, numbers.bias_force(), 1e-12)
 
 

@@ -19,8 +19,8 @@ from dataclasses import replace
 import math
 
 from closedloop_dynamics.cli import main
-from closedloop_dynamics.integration.evaluation import ASIDE
 from closedloop_dynamics.integration.registry import INTEGRATORS, STABILISATIONS
+from closedloop_dynamics.integration.system import ASIDE
 from closedloop_dynamics.simulation.errors import SimulationError
 from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.simulation.scene_records import FORMULATIONS, Method

@@ -17,7 +17,6 @@
 from dataclasses import replace
 from test.sweep.files import need, read
 
-from closedloop_dynamics.core.codegen import available
 from closedloop_dynamics.mechanism.mechanism import Body, Joint, Mechanism, Point
 from closedloop_dynamics.simulation.rollout_run import fits_simd, QUANTITIES, Schedule
 from closedloop_dynamics.simulation.simulation import Simulation
@@ -27,8 +26,6 @@ import pytest
 
 from ..reference import spatial_machines
 from ..simulation.test_orientations import scene
-
-pytestmark = pytest.mark.skipif(not available(), reason='nothing moves in space uncompiled')
 
 
 def linkage(**method):

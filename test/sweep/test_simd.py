@@ -16,17 +16,15 @@
 
 import math
 
-from closedloop_dynamics.core import codegen
 from closedloop_dynamics.core.codegen import lanes
-from closedloop_dynamics.integration import simd
-from closedloop_dynamics.integration.advance import DONE
-from closedloop_dynamics.integration.simd import LANES
+from closedloop_dynamics.core.codegen.lanes import LANES
+from closedloop_dynamics.engine import native
+from closedloop_dynamics.integration.batch import build_batch
+from closedloop_dynamics.integration.control import DONE, SINGULAR
 from closedloop_dynamics.simulation.rollout_run import QUANTITIES, SimdRuns
 from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest
-
-pytestmark = pytest.mark.skipif(not codegen.available(), reason='there is no compiler')
 
 
 @pytest.fixture
@@ -117,14 +115,14 @@ def test_other_steps_are_not_made_together(packs):
 def test_angles_beyond_the_polynomials_are_not_for_lanes():
     simulation = Simulation.from_scene('four_bar', integrator='rk4', stabilisation='none')
     system, driver = simulation.system, simulation.monitor.driver
-    pack = simd.build_pack([system])
-    for turns, status in ((2e5, DONE), (3e5, simd.SINGULAR)):
+    pack = tuple(build_batch([system]))
+    for turns, status in ((2e5, DONE), (3e5, SINGULAR)):
         start = np.concatenate((simulation.position, simulation.velocity))
         state = lanes.spread([start] * LANES)
         # Of one lane alone.
         state[LANES - 1] += 2.0 * math.pi * turns
         motion = np.zeros((2, LANES, 2, 3))
-        assert simd.run(
-            pack, driver.tableau, driver.stabilisation, state, 1e-3, np.zeros((1, 3 * LANES)),
+        assert native.run_batch(
+            pack[:-1], driver.tableau, driver.stabilisation, state, 1e-3, np.zeros((1, 3 * LANES)),
             1, 1, 1, np.zeros((len(driver.scratch), 6 * LANES)), *motion,
             np.zeros(LANES)) == status

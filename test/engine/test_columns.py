@@ -1,0 +1,185 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Columns, codes and fields are the same in the engine's C++ as in Python."""
+
+from pathlib import Path
+import re
+
+from closedloop_dynamics import engine
+from closedloop_dynamics.core import formulations, independent, manifold, types
+from closedloop_dynamics.core.codegen import (
+    elimination, function_table, refinement, space as code_in_space)
+from closedloop_dynamics.effects import (
+    actuator, body_contact, bushing, cable, course, curve, expression, force_table,
+    joint_friction, table)
+from closedloop_dynamics.integration import (
+    batch, control, drivers, recorded_run, registry, system, tableau)
+import pytest
+
+FOLDER = Path(engine.__file__).parent
+# Namespace and name of an enum; the module with the same names, and those that differ there.
+ENUMS = {
+    'tree': (types, {}),
+    'tree.Type': (types, {}),
+    'work': (types, {}),
+    'plane': (types, {}),
+    'space': (code_in_space, {}),
+    'stage': (types, {}),
+    'stage.Cut': (types, {}),
+    'joint': (types, {}),
+    'cut': (types, {'TYPE': 'CUT_TYPE', 'NUMBER': 'CUT_NUMBER'}),
+    'cut.Type': (types, {'PRISMATIC': 'CUT_PRISMATIC', 'COUPLING': 'CUT_COUPLING'}),
+    'cut.Point': (types, {}),
+    'health': (types, {}),
+    'setting': (system, {}),
+    'setting.Formulation': (formulations, {}),
+    'routine': (function_table, {}),
+    'Responses': (types, {'NONE': 'NO_RESPONSES'}),
+    'Stabilisation': (registry, {}),
+    'Status': (control, {}),
+    'effect': (table, {}),
+    'effect.Column': (table, {}),
+    'effect.Kind': (table, {}),
+    'contact': (table, {}),
+    'cut_coordinate': (table, {}),
+    'cut_coordinate.Value': (table, {}),
+    'control': (control, {'COLUMNS': 'CONTROL_COLUMNS'}),
+    'switching': (control, {}),
+    'monitor': (control, {}),
+    # Only the end of the first rows, and the state at REACHED, are Python's business.
+    'scratch': (control, {name: None for name in ('STAGE', 'OUT', 'BEFORE', 'LAST_STAGE')}),
+    'course.cpp: Operation': (expression, {}),
+    'independent.cpp: CHOSEN_RATIO': (independent, {}),
+    'manifold.cpp: QUATERNION': (manifold, {}),
+    'switching.cpp: RUN': (drivers, {}),
+}
+# The engine's alone.
+INNER = {'Level', 'contact_events.cpp: GAP', 'projection.cpp: By', 'rosenbrock.cpp: STAGE',
+         'python_api.hpp: PyGILState_STATE'}
+# Constants of the same name.
+CONSTANTS = {
+    'batch.hpp': (function_table, ('LANES',)),
+    'rosenbrock.hpp': (control, ('STIFF_ROWS',)),
+    'error_control.hpp': (control, ('MOST_EVALUATIONS',)),
+    'switching.cpp': (control, ('FLOOR',)),
+    'elimination.hpp': (elimination, ('POOR_PIVOT',)),
+    'elimination.cpp': (elimination, ('SMALL_PIVOT', 'MANY_JOINTS')),
+    'refinement.cpp': (refinement, ('REFINEMENTS', 'CONVERGED', 'ROUNDING', 'VERY_MOBILE')),
+    'manifold.cpp': (manifold, ('HALF',)),
+    'course.hpp': (course, ('SAME_TIME',)),
+    'course.cpp': (course, ('COLUMNS',)),
+    'curve.cpp': (curve, ('COLUMNS', 'MOST_STEPS', 'SHORT')),
+    'cable_laws.cpp': (cable, ('COLUMNS', 'SPATIAL_COLUMNS', 'CARRIER', 'AXIS')),
+    'force_table_laws.cpp': (force_table, ('COLUMNS',)),
+    'body_contact_laws.cpp': (body_contact, ('PLACE_B', 'DIRECTION', 'FLAT', 'ROUND')),
+    'bushing_laws.cpp': (bushing, ('AXES_A', 'AXES_B', 'ALONG', 'LOSS')),
+    'joint_laws.cpp': (actuator, ('FADING',)),
+    'sticking.hpp': (joint_friction, ('REST',)),
+    'validation.cpp': (types, ('TREE_COLUMNS', 'CUT_COLUMNS', 'HEALTH_COLUMNS', 'BODY_STAGES')),
+}
+RECORDS = {
+    'Model': types.Model, 'Workspace': types.Workspace, 'Manifold': manifold.Manifold,
+    'DenseWorkspace': formulations.DenseWorkspace, 'Partition': independent.Partition,
+    'AllEquations': system.AllEquations, 'System': system.System, 'Sticking': table.Sticking,
+    'Contacts': table.Contacts, 'CutCoordinates': table.CutCoordinates,
+    'EffectTable': table.EffectTable, 'Tableau': tableau.Tableau, 'Runs': drivers.Runs,
+    'RunBuffer': recorded_run.RunBuffer, 'Batch': batch.Batch}
+
+
+def text(path):
+    """Return a source without its comments."""
+    return re.sub(r'//.*', '', path.read_text())
+
+
+def sources():
+    """Return the text of the headers and sources of the engine by name."""
+    return {path.name: text(path) for path in sorted([*FOLDER.glob('*.hpp'),
+                                                      *FOLDER.glob('*.cpp')])}
+
+
+def values(body, known):
+    """Return the enumerators of the text between the braces, by name."""
+    found, following = {}, 0
+    for entry in filter(None, (part.strip() for part in body.split(','))):
+        name, _, given = (part.strip() for part in entry.partition('='))
+        if given:
+            following = int(given) if given.isdigit() else known[given]
+        found[name] = following
+        following += 1
+    return found
+
+
+def enums():
+    """Return the enumerators of every enum by its name: namespace, file where it has none."""
+    found, known = {}, {}
+    for name, source in sources().items():
+        # Namespaces that begin and end at the margin, none within another, beside the outermost.
+        spaces = [(match.start(), source.index('\n}\n', match.start()), match[1])
+                  for match in re.finditer(r'^namespace (\w+)\n\{', source, re.MULTILINE)
+                  if match[1] != 'closedloop']
+        for match in re.finditer(r'\benum (?:class )?(\w*)\s*(?:: \w+)?\s*\{([^}]*)\}', source):
+            inside = [space for begin, end, space in spaces if begin < match.start() < end]
+            first = re.match(r'\s*(\w+)', match[2])[1]
+            title = '.'.join(filter(None, [*inside, match[1]]))
+            if not inside and (not match[1] or not name.endswith('.hpp') or 'Py' in match[1]):
+                title = f'{name}: {match[1] or first}'
+            found[title] = values(match[2], known)
+            known.update({f'{title}::{key}': value for key, value in found[title].items()})
+    return found
+
+
+def test_every_enum_is_compared_or_the_engine_s_alone():
+    found = set(enums())
+    assert found == {*ENUMS, *INNER}
+
+
+@pytest.mark.parametrize('name', ENUMS)
+def test_columns_and_codes_are_those_of_python(name):
+    module, others = ENUMS[name]
+    found = enums()[name]
+    assert found
+    expected = {key: getattr(module, others.get(key, key)) for key in found
+                if others.get(key, key) is not None}
+    assert {key: found[key] for key in expected} == expected
+
+
+@pytest.mark.parametrize('name, constant', [
+    (name, constant) for name, (_, constants) in CONSTANTS.items() for constant in constants])
+def test_constants_are_those_of_python(name, constant):
+    found = re.findall(rf'constexpr \w+ (?:[^;]*[ ,])?{constant} = ([-+.e\d]+)[,;]',
+                       text(FOLDER / name))
+    assert [float(number) for number in found] == [getattr(CONSTANTS[name][0], constant)]
+
+
+def fields():
+    """Return the fields of every record that bindings read, by its name."""
+    found = {}
+    for source in sources().values():
+        for match in re.finditer(r'^struct (\w+)\n\{(.*?)^\};', source, re.MULTILINE | re.DOTALL):
+            visited = re.search(r'visit\(([^)]*)\);', match[2])
+            if visited:
+                found[match[1]] = re.findall(r'\w+', visited[1])
+    return found
+
+
+def test_every_record_has_its_tuple():
+    assert set(fields()) == set(RECORDS)
+
+
+@pytest.mark.parametrize('name', RECORDS)
+def test_records_have_the_fields_of_the_tuples(name):
+    expected = list(RECORDS[name]._fields)
+    # Not the engine's: arrays of routines, which are kept, and the engine's own view.
+    assert fields()[name] == expected[:-1 if name in ('Batch', 'System') else None]

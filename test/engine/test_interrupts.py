@@ -1,0 +1,145 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Long computations: Ctrl-C ends them at once, and other threads go on meanwhile."""
+
+import json
+import os
+from pathlib import Path
+import subprocess
+import sys
+import threading
+
+from closedloop_dynamics.simulation.simulation import Simulation
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+# How much CPU time may pass between the signal and the exception [s].
+HEARD = 0.2
+# One thread does what takes long; the other sends the signal when the first is within the engine,
+# where its Python code stands still although this thread has the lock of the interpreter.
+CHILD = """
+import json, os, signal, sys, threading, time
+from closedloop_dynamics.simulation.simulation import Simulation
+
+scene, method, action = json.loads(sys.argv[1])
+simulation = Simulation.from_scene(scene, **method)
+na, main, sent = len(simulation.actuated_joints), threading.main_thread().ident, []
+
+
+def place():
+    frame = sys._current_frames()[main]
+    return frame.f_code.co_name, frame.f_lasti
+
+
+def interrupt():
+    seen, times = None, 0
+    while times < 5:
+        time.sleep(0.005)
+        here = place()
+        seen, times = here, times + 1 if here == seen and here[0] in WITHIN else 0
+    sent.append(time.process_time())
+    os.kill(os.getpid(), signal.SIGINT)
+    while time.process_time() < sent[0] + 3.0:
+        time.sleep(0.005)
+    print(json.dumps({'within': seen[0], 'unheard': True}), flush=True)
+    os._exit(1)
+
+
+# Where Python waits for the engine, or for threads that do.
+WITHIN = ('advance', '_each', 'wait', 'record', 'record_motion', '_run', 'run', 'result', 'shutdown',
+          '_fixed_steps', '_advance_unguarded', '_recorded')
+threading.Thread(target=interrupt, daemon=True).start()
+try:
+    if action == 'step':
+        simulation.step(duration=1e6)
+    else:
+        simulation.rollout(np.zeros((action['samples'], 1, na)), steps=action['steps'],
+                           every=action['steps'], threads=action['threads'])
+except KeyboardInterrupt:
+    took = time.process_time() - sent[0]
+before = simulation.position.tolist()
+# It is as good as before.
+if action == 'step':
+    assert simulation.time > 0.0
+simulation.step(duration=0.01)
+print(json.dumps({'took': took, 'finite': bool(np.isfinite(simulation.position).all()),
+                  'time': simulation.time}), flush=True)
+os._exit(0)
+""".replace('import json,', 'import numpy as np\nimport json,', 1)
+
+
+def interrupted(scene, method, action):
+    """Return what a process says that was interrupted while it did something."""
+    done = subprocess.run(
+        [sys.executable, '-c', CHILD, json.dumps([scene, method, action])], text=True,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, timeout=240, check=False,
+        env={**os.environ, 'PYTHONPATH': str(ROOT)})
+    assert done.stdout, done.stderr
+    said = json.loads(done.stdout.splitlines()[-1])
+    assert done.returncode == 0, (said, done.stderr)
+    return said
+
+
+@pytest.mark.parametrize('scene, integrator', [
+    ('three_rrr', 'rk4'), ('three_rrr', 'auto'), ('three_rrr', 'dop853'),
+    ('three_rrr', 'rodas4'), ('three_rrr', 'rodas4_fixed'), ('three_rrr', 'semi_implicit_euler'),
+    ('carpet_scraper_on_carpet', 'auto'), ('stewart_platform', 'rk4')])
+def test_an_interrupt_ends_a_long_step(scene, integrator):
+    method = {'integrator': integrator}
+    if 'euler' not in integrator:
+        method.update(step_size=1e-4 if integrator in ('rk4', 'rodas4_fixed') else 1e-3)
+    said = interrupted(scene, method, 'step')
+    assert said['took'] < HEARD and said['finite'] and said['time'] >= 0.01
+
+
+@pytest.mark.parametrize('integrator, samples, threads', [
+    ('rk4', 1, 1), ('rk4', 8, 1), ('rk4', 24, 2), ('rodas4_fixed', 2, 2), ('auto', 1, 1),
+    ('auto', 2, 2)])
+def test_an_interrupt_ends_a_long_rollout(integrator, samples, threads):
+    said = interrupted('three_rrr', {'integrator': integrator, 'step_size': 1e-4},
+                       {'samples': samples, 'steps': 500_000_000, 'threads': threads})
+    assert said['took'] < HEARD and said['finite']
+
+
+def test_two_rollouts_in_two_threads_run_at_once():
+    long, short = (Simulation.from_scene('three_rrr', integrator='rk4') for _ in range(2))
+    torques = np.zeros((1, 3))
+    alone = short.rollout(torques, steps=50).position
+    short.reset()
+    inside, results = threading.Event(), {}
+
+    def run():
+        inside.set()
+        results['long'] = long.rollout(torques, steps=200_000, every=200_000)
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    inside.wait()
+    # Each of these needs the lock of the interpreter, which the long one would keep to its end.
+    found = [short.rollout(torques, steps=50).position for _ in range(3)]
+    was_over = not thread.is_alive()
+    thread.join()
+    assert not was_over and results['long'].failures == {}
+    for position in found:
+        np.testing.assert_array_equal(position, alone)
+
+
+def test_results_do_not_depend_on_threads():
+    simulation = Simulation.from_scene('carpet_scraper', integrator='auto')
+    torques = np.random.default_rng(1).normal(size=(6, 1, 1))
+    one, more = (simulation.rollout(torques, duration=0.05, threads=threads).position
+                 for threads in (1, 3))
+    np.testing.assert_array_equal(one, more)
