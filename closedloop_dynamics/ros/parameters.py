@@ -24,6 +24,7 @@ from rcl_interfaces.msg import FloatingPointRange
 from rcl_interfaces.msg import IntegerRange
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.exceptions import InvalidParameterValueException
+from rclpy.exceptions import ParameterNotDeclaredException
 from rclpy.parameter import Parameter as RosParameter
 
 _Type = RosParameter.Type
@@ -150,13 +151,21 @@ def _widened(given, kind):
         float(value) if kind == _Type.DOUBLE else list(map(float, value))))
 
 
-def accept_whole_numbers(node):
-    """Let whole numbers set the floating-point parameters of a node; once for a node."""
-    def widen(parameters):
-        return [_widened(given, _Type(node.describe_parameter(given.name).type))
-                if node.has_parameter(given.name) else given for given in parameters]
+def watch_changes(node):
+    """
+    Let whole numbers set floating-point parameters, and refuse undeclared names; once for a node.
 
-    node.add_pre_set_parameters_callback(widen)
+    rclpy itself takes an empty name for a declared one, and leaves out the name that it refuses.
+
+    """
+    def checked(parameters):
+        unknown = [given.name for given in parameters if not node.has_parameter(given.name)]
+        if unknown:
+            raise ParameterNotDeclaredException(unknown)
+        return [_widened(given, _Type(node.describe_parameter(given.name).type))
+                for given in parameters]
+
+    node.add_pre_set_parameters_callback(checked)
 
 
 def usage(name, node_class, parameters):

@@ -21,7 +21,7 @@ import time
 
 from closedloop_dynamics.recording.writer import COMPRESSIONS
 from closedloop_dynamics.ros.bag import BagError, BagWriter, MessageTypes, UnknownTypeError
-from closedloop_dynamics.ros.parameters import accept_whole_numbers, declare, Parameter, usage
+from closedloop_dynamics.ros.parameters import declare, Parameter, usage, watch_changes
 from closedloop_dynamics.ros.process import run, StartError
 from rclpy.clock import Clock
 from rclpy.clock import ClockType
@@ -81,7 +81,7 @@ class RecorderNode(Node):
     def __init__(self, **options):
         super().__init__(NAME, **options)
         self.exit_code = None
-        accept_whole_numbers(self)
+        watch_changes(self)
         self.received = Counter()
         self.lost = Counter()
         self._values = declare(self, PARAMETERS)

@@ -40,7 +40,7 @@ from closedloop_dynamics.ros.messages import Stamps, StatePublisher
 from closedloop_dynamics.ros.motion_command import LOST, MotionCommand
 from closedloop_dynamics.ros.pacing import (
     LOCKSTEP, MODES, period_steps, PORTION, REALTIME, Throttle)
-from closedloop_dynamics.ros.parameters import accept_whole_numbers, declare, declare_fact, usage
+from closedloop_dynamics.ros.parameters import declare, declare_fact, usage, watch_changes
 from closedloop_dynamics.ros.process import leaving_at_once, run, StartError, stop_requested
 from closedloop_dynamics.ros.simulator_parameters import (
     CHANGEABLE, METHOD, method_changes, SIMULATOR_PARAMETERS)
@@ -98,7 +98,7 @@ class SimulatorNode(Node):
     def __init__(self, **options):
         super().__init__(NAME, **options)
         self.exit_code = None
-        accept_whole_numbers(self)
+        watch_changes(self)
         self._values = values = declare(self, SIMULATOR_PARAMETERS)
         lockstep = values['mode'] == LOCKSTEP
         self.simulation, self._own_method = load_simulation(

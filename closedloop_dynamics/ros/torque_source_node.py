@@ -23,7 +23,7 @@ from closedloop_dynamics.recording.message_numbers import stamp_of
 from closedloop_dynamics.ros.commands import CommandError, poses_of
 from closedloop_dynamics.ros.loading import load_simulation
 from closedloop_dynamics.ros.pacing import Throttle
-from closedloop_dynamics.ros.parameters import accept_whole_numbers, declare, usage
+from closedloop_dynamics.ros.parameters import declare, usage, watch_changes
 from closedloop_dynamics.ros.process import run, StartError
 from closedloop_dynamics.ros.references import points_of, TrajectoryError
 from closedloop_dynamics.ros.torque_source_parameters import (
@@ -154,7 +154,7 @@ class TorqueSourceNode(Node):
     def __init__(self, **options):
         super().__init__(NAME, **options)
         self.exit_code = None
-        accept_whole_numbers(self)
+        watch_changes(self)
         self.published = 0
         self.joints = ()
         self._values = declare(self, TORQUE_SOURCE_PARAMETERS)

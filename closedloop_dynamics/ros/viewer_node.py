@@ -27,7 +27,7 @@ from closedloop_dynamics.mechanism.fields import FieldError
 from closedloop_dynamics.recording.message_numbers import (
     constraint_force, pose_numbers, stamp_of, twist_numbers)
 from closedloop_dynamics.ros.auxiliary_publishers import LATCHED_QOS
-from closedloop_dynamics.ros.parameters import declare, Parameter, usage
+from closedloop_dynamics.ros.parameters import declare, Parameter, usage, watch_changes
 from closedloop_dynamics.ros.process import run
 from closedloop_dynamics.ros.simulator_parameters import METHOD
 from closedloop_dynamics.simulation.errors import SimulationError
@@ -489,6 +489,7 @@ class ViewerNode(Node):
 
     def __init__(self, **options):
         super().__init__(NAME, **options)
+        watch_changes(self)
         self.exit_code, self.server = None, None
         self._values = declare(self, VIEWER_PARAMETERS)
         self._wanted = [self._full(name) for name in self._values['nodes'].split(',')

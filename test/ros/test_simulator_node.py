@@ -24,6 +24,7 @@ from closedloop_dynamics.ros.process import StartError
 from closedloop_dynamics.ros.simulator_node import SimulatorNode
 import numpy as np
 import pytest
+from rclpy.exceptions import ParameterNotDeclaredException
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
@@ -241,6 +242,13 @@ def test_parameters_that_cannot_change_are_refused_with_a_reason(node, name, val
     assert not result.successful
     assert name in result.reason or 'type' in result.reason
     assert node.get_parameter(name).value == before
+
+
+@pytest.mark.parametrize('name', ['', 'no_such'])
+def test_undeclared_parameters_are_refused_by_name(node, name):
+    with pytest.raises(ParameterNotDeclaredException, match=repr(name)):
+        node.set_parameters([Parameter(name, value=1.0)])
+    assert not node.has_parameter(name)
 
 
 def test_parameters_are_described(node):
