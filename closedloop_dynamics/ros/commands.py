@@ -21,8 +21,11 @@ from closedloop_dynamics.recording.message_numbers import pose_numbers, twist_nu
 from closedloop_dynamics.simulation.errors import SimulationError
 import numpy as np
 from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.qos import QoSProfile
 
-
+# Of services and their clients. The answers of a service share one topic: with rclpy's ten, those
+# to calls that are not read in time are lost, whoever called.
+SERVICE_QOS = QoSProfile(depth=1000)
 NOT_ACTUATED = 'efforts of joints not actuated'
 
 

@@ -29,7 +29,7 @@ import time
 from closedloop_dynamics.ros.auxiliary_publishers import Descriptions, ReplayLog
 from closedloop_dynamics.ros.background import Awake, set_priority
 from closedloop_dynamics.ros.commands import (
-    CommandError, NOT_ACTUATED, poses_of, state_of, subscribe, TorqueCommand)
+    CommandError, NOT_ACTUATED, poses_of, SERVICE_QOS, state_of, subscribe, TorqueCommand)
 from closedloop_dynamics.ros.diagnostics import Diagnostics
 from closedloop_dynamics.ros.effect_parameters import EffectParameters
 from closedloop_dynamics.ros.frames import FRAME_PARAMETERS, Frames
@@ -191,13 +191,16 @@ class SimulatorNode(Node):
         self.create_subscription(
             WrenchStamped, 'external_wrench', self.on_external_wrench,
             QoSProfile(depth=WRENCH_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT))
-        self.create_subscription(JointState, '~/set_state', self.on_set_state, 10)
+        self.create_subscription(
+            JointState, '~/set_state', self.on_set_state, COMMAND_DEPTH)
         if self.simulation.coordinates.with_orientation:
             self.create_subscription(
-                MultiDOFJointState, '~/set_multi_dof_state', self.on_set_multi_dof_state, 10)
-        self.create_service(Trigger, '~/reset', self.on_reset)
-        self.create_service(SetBool, '~/pause', self.on_pause)
-        self.create_service(Trigger, '~/step', self.on_step)
+                MultiDOFJointState, '~/set_multi_dof_state', self.on_set_multi_dof_state,
+                COMMAND_DEPTH)
+        for kind, service, answer in (
+                (Trigger, '~/reset', self.on_reset), (SetBool, '~/pause', self.on_pause),
+                (Trigger, '~/step', self.on_step)):
+            self.create_service(kind, service, answer, qos_profile=SERVICE_QOS)
 
     def _take_priority(self, priority):
         try:

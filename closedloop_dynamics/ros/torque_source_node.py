@@ -20,7 +20,7 @@ from math import isfinite
 import time
 
 from closedloop_dynamics.recording.message_numbers import stamp_of
-from closedloop_dynamics.ros.commands import CommandError, poses_of
+from closedloop_dynamics.ros.commands import CommandError, poses_of, SERVICE_QOS
 from closedloop_dynamics.ros.loading import load_simulation
 from closedloop_dynamics.ros.pacing import Throttle
 from closedloop_dynamics.ros.parameters import declare, usage, watch_changes
@@ -69,7 +69,8 @@ class JointQuestion:
 
     def __init__(self, node, simulator):
         self.answer = None
-        self._client = node.create_client(GetParameters, f'{simulator}/get_parameters')
+        self._client = node.create_client(
+            GetParameters, f'{simulator}/get_parameters', qos_profile=SERVICE_QOS)
         self._pending = None
         self._asked = None
 

@@ -27,6 +27,7 @@ from closedloop_dynamics.mechanism.fields import FieldError
 from closedloop_dynamics.recording.message_numbers import (
     constraint_force, pose_numbers, stamp_of, twist_numbers)
 from closedloop_dynamics.ros.auxiliary_publishers import LATCHED_QOS
+from closedloop_dynamics.ros.commands import SERVICE_QOS
 from closedloop_dynamics.ros.parameters import declare, Parameter, usage, watch_changes
 from closedloop_dynamics.ros.process import run
 from closedloop_dynamics.ros.simulator_parameters import METHOD
@@ -115,11 +116,11 @@ class Attached:
         self._subscriptions = [
             self._subscribe(String, topics['scene'], self._on_scene, LATCHED_QOS)]
         prefix = name.rstrip('/')
-        self._pause = node.create_client(SetBool, f'{prefix}/pause')
-        self._triggers = {what: node.create_client(Trigger, f'{prefix}/{what}')
-                          for what in ('reset', 'step')}
-        self._set = node.create_client(
-            SetParametersAtomically, f'{prefix}/set_parameters_atomically')
+        self._pause, *triggers, self._set = (
+            node.create_client(kind, f'{prefix}/{what}', qos_profile=SERVICE_QOS)
+            for kind, what in ((SetBool, 'pause'), (Trigger, 'reset'), (Trigger, 'step'),
+                               (SetParametersAtomically, 'set_parameters_atomically')))
+        self._triggers = dict(zip(('reset', 'step'), triggers))
         self._commands = None
         self._wrenches = self._publish(WrenchStamped, topics[WRENCHES], 1) \
             if WRENCHES in topics else None

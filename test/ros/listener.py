@@ -16,6 +16,7 @@
 
 import time
 
+from closedloop_dynamics.ros.commands import SERVICE_QOS
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
@@ -83,18 +84,33 @@ class Listener:
                 self._executor.spin_once(timeout_sec=0.05)
 
     def call(self, service_class, name, request):
-        """Call a service, again where the answer is lost (see ``send``), and return it."""
+        """Call a service and return the answer."""
+        return self.call_all(service_class, name, [request])[0]
+
+    def call_all(self, service_class, name, requests):
+        """
+        Call a service with all requests, and return the answers.
+
+        The first one is sent again where its answer is lost (see ``send``). Once it is there,
+        both sides know each other, and the others are sent at once.
+
+        """
         for _ in range(round(PATIENCE / REPEAT_CALL)):
-            client = self.node.create_client(service_class, name)
+            client = self.node.create_client(service_class, name, qos_profile=SERVICE_QOS)
             self.wait(client.service_is_ready, f'service {name}')
-            future = client.call_async(request)
+            first = client.call_async(requests[0])
             again = time.monotonic() + REPEAT_CALL
-            while time.monotonic() < again and not future.done():
+            while time.monotonic() < again and not first.done():
                 self._executor.spin_once(timeout_sec=0.05)
+            if first.done():
+                break
             self.node.destroy_client(client)
-            if future.done():
-                return future.result()
-        raise AssertionError(f'no answer of {name} within {PATIENCE} s')
+        else:
+            raise AssertionError(f'no answer of {name} within {PATIENCE} s')
+        futures = [first, *map(client.call_async, requests[1:])]
+        self.wait(lambda: all(future.done() for future in futures), f'answers of {name}')
+        self.node.destroy_client(client)
+        return [future.result() for future in futures]
 
     def destroy(self):
         """Leave the domain."""

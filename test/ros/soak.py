@@ -36,6 +36,7 @@ from test.ros.domains import reserve_domain
 from test.ros.taker import Taker
 import time
 
+from closedloop_dynamics.ros.commands import SERVICE_QOS
 from closedloop_dynamics.ros.process import build_executor
 from closedloop_dynamics.ros.programs import Programs
 from rcl_interfaces.srv import SetParameters
@@ -71,8 +72,9 @@ class Traffic:
         self._listener = rclpy.create_node('soak_listener', context=context)
         self.taken = Taker(self._listener, scene)
         self._passing = None
-        self._reset = self.node.create_client(Trigger, f'{SIMULATOR}/reset')
-        self._parameters = self.node.create_client(SetParameters, f'{SIMULATOR}/set_parameters')
+        self._reset, self._parameters = (
+            self.node.create_client(kind, f'{SIMULATOR}/{name}', qos_profile=SERVICE_QOS)
+            for kind, name in ((Trigger, 'reset'), (SetParameters, 'set_parameters')))
         self.rounds = 0
 
     def disturb(self):

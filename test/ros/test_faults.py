@@ -34,6 +34,8 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from std_msgs.msg import String
+from std_srvs.srv import SetBool
+from std_srvs.srv import Trigger
 
 SIMULATOR = 'closedloop_simulator'
 # Place of the running number of the state in an entry of replay_log.
@@ -182,25 +184,35 @@ def test_clock_that_jumps_and_stops_does_not_disturb_the_simulation(processes, l
 def test_flood_of_parameters_is_answered(processes, listener):
     simulator = processes.start(SIMULATOR, scene='four_bar').wait_until_ready()
     states = listener.listen('joint_states', JointState)
-    client = listener.node.create_client(SetParameters, f'{SIMULATOR}/set_parameters')
-    listener.wait(client.service_is_ready, 'service')
     before = memory(simulator)
-    futures = []
-    for k in range(300):
-        values = (('publish_rate', 50.0 + k % 100), ('real_time_factor', -1.0),
-                  ('command_timeout', 0.01 * k), ('no_such', 1.0), ('step_count', k))
-        futures.append(client.call_async(SetParameters.Request(parameters=[
-            Parameter(name, value=value).to_parameter_msg() for name, value in values])))
-        if k % 10 == 9:
-            listener.wait(lambda: all(future.done() for future in futures), 'answers')
-    results = [[result.successful for result in future.result().results] for future in futures]
-    assert results == [[True, False, True, False, k > 0] for k in range(300)]
+    # All at once: there is room for the answers to all, on both sides.
+    answers = listener.call_all(SetParameters, f'{SIMULATOR}/set_parameters', [
+        SetParameters.Request(parameters=[
+            Parameter(name, value=value).to_parameter_msg() for name, value in (
+                ('publish_rate', 50.0 + k % 100), ('real_time_factor', -1.0),
+                ('command_timeout', 0.01 * k), ('no_such', 1.0), ('', 1.0), ('step_count', k))])
+        for k in range(300)])
+    results = [[result.successful for result in answer.results] for answer in answers]
+    assert results == [[True, False, True, False, False, k > 0] for k in range(300)]
     assert memory(simulator) - before < 30e6
     values = listener.call(GetParameters, f'{SIMULATOR}/get_parameters',
                            GetParameters.Request(names=['publish_rate', 'step_count'])).values
     assert (values[0].double_value, values[1].integer_value) == (149.0, 299)
     seen = len(states)
     listener.wait(lambda: len(states) > seen + 20, 'states')
+    ends_well(simulator)
+
+
+@pytest.mark.parametrize('name, request_', [
+    ('pause', SetBool.Request(data=True)), ('step', Trigger.Request()),
+    ('reset', Trigger.Request())])
+def test_flood_of_calls_is_answered(processes, listener, name, request_):
+    simulator = processes.start(SIMULATOR, scene='four_bar').wait_until_ready()
+    if name == 'step':
+        listener.call(SetBool, f'{SIMULATOR}/pause', SetBool.Request(data=True))
+    kind = SetBool if name == 'pause' else Trigger
+    answers = listener.call_all(kind, f'{SIMULATOR}/{name}', [request_] * 300)
+    assert all(answer.success for answer in answers)
     ends_well(simulator)
 
 
