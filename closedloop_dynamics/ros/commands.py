@@ -88,9 +88,11 @@ class TorqueCommand:
         """
         Follow efforts by joint name that arrived now; joints not named keep their value.
 
-        Joints that are not actuated are ignored, and counted: the hardware interfaces of
-        ros2_control name all joints of their tag. Efforts are as many as names, or as there are
-        actuated joints among them. Raises CommandError if the command is refused.
+        So do those whose effort is NaN, as the hardware interfaces of ros2_control send it for
+        joints that no controller has written; a command of nothing else is a sign of life.
+        Joints that are not actuated are ignored, and counted: those interfaces name all joints of
+        their tag. Efforts are as many as names, or as there are actuated joints among them.
+        Raises CommandError if the command is refused.
 
         """
         if not names:
@@ -105,10 +107,12 @@ class TorqueCommand:
             raise self._refusal(
                 f'expected one effort per name, got {len(efforts)} for {len(names)} names '
                 f'(positions and velocities are not followed)')
-        self._require_finite(actuated, efforts)
+        given = {name: effort for name, effort in zip(actuated, efforts)
+                 if not math.isnan(effort)}
+        self._require_finite(given, given.values())
         self.counts[NOT_ACTUATED] += len(names) - len(actuated)
         torque = self.torque.copy()
-        torque[[self._index[name] for name in actuated]] = efforts
+        torque[[self._index[name] for name in given]] = list(given.values())
         self._follow(torque, now)
 
     def expire(self, now):

@@ -234,7 +234,9 @@ def _add_hardware(robot, mechanism, command_topic, state_topic):
     for name in (mechanism.coordinates.names[place] for place in mechanism.coordinates.actuated
                  if place in single):
         joint = ElementTree.SubElement(control, 'joint', name=name)
-        ElementTree.SubElement(joint, 'command_interface', name='effort')
+        command = ElementTree.SubElement(joint, 'command_interface', name='effort')
+        # Until a controller writes one: without it, NaN.
+        ElementTree.SubElement(command, 'param', name='initial_value').text = '0.0'
         for key in ('position', 'velocity', 'effort'):
             ElementTree.SubElement(joint, 'state_interface', name=key)
 

@@ -86,7 +86,7 @@ def test_bad_values_are_refused_and_change_nothing(command, values, problem):
     (['a', 'b', 'b'], [5.0, 1.0, 2.0], 'named twice'),
     (['a', 'b', 'c'], [5.0], 'got 1 for 3'),
     (['a', 'a'], [5.0, 6.0], 'named twice'),
-    (['a', 'c'], [5.0, math.nan], "'c' is nan"),
+    (['a', 'c'], [math.nan, -math.inf], "'c' is -inf"),
     (['c', 'a'], [5.0, math.inf], "'a' is inf"),
 ])
 def test_bad_named_efforts_are_refused_and_change_nothing(command, names, efforts, problem):
@@ -94,6 +94,16 @@ def test_bad_named_efforts_are_refused_and_change_nothing(command, names, effort
         command.accept_named(names, efforts, now=1.0)
     assert command.torque.tolist() == [1.0, 2.0]
     assert counted(command) == (1, 1)
+
+
+def test_joints_that_no_controller_has_written_are_not_named(command):
+    command.accept_named(['a', 'c'], [5.0, math.nan], now=0.4)
+    assert command.torque.tolist() == [5.0, 2.0]
+    # Nothing new, but the sender lives.
+    command.accept_named(['a', 'c'], [math.nan, math.nan], now=0.8)
+    assert command.torque.tolist() == [5.0, 2.0]
+    assert counted(command) == (3, 0)
+    assert not command.expire(now=1.2)
 
 
 @pytest.mark.parametrize('efforts', [[5.0, math.nan, 6.0], [5.0, 6.0]])

@@ -102,7 +102,7 @@ def test_commands_of_both_kinds_are_applied_and_bad_ones_change_nothing(processe
         (joints, JointState(name=['theta_2'], effort=[9.0])),
         (joints, JointState(name=['elbow'], effort=[9.0])),
         (joints, JointState(name=['theta_1'], position=[9.0])),
-        (joints, JointState(name=['theta_1', 'theta_6'], effort=[9.0, math.nan])),
+        (joints, JointState(name=['theta_1', 'theta_6'], effort=[9.0, math.inf])),
         (joints, JointState()),
     ]
     for publisher, message in bad:

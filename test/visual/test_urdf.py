@@ -286,12 +286,14 @@ def test_actuated_joints_can_be_controlled_by_topics():
     robot = ElementTree.fromstring(urdf(simulation.mechanism, '/left/joint_command'))
     control = robot.find('ros2_control')
     assert control.get('type') == 'system'
-    assert {param.get('name'): param.text for param in control.iter('param')} == {
+    assert {param.get('name'): param.text for param in control.findall('hardware/param')} == {
         'joint_commands_topic': '/left/joint_command', 'joint_states_topic': 'joint_states',
         'trigger_joint_command_threshold': '-1'}
     joints = control.findall('joint')
     assert tuple(joint.get('name') for joint in joints) == tuple(simulation.actuated_joints)
     for joint in joints:
-        assert [one.get('name') for one in joint.findall('command_interface')] == ['effort']
+        command, = joint.findall('command_interface')
+        assert command.get('name') == 'effort'
+        assert command.find("param[@name='initial_value']").text == '0.0'
         assert [one.get('name') for one in joint.findall('state_interface')] == [
             'position', 'velocity', 'effort']
