@@ -89,8 +89,6 @@ class LiveSimulation:
                   for each in (simulation.equation_forces() if self._others else {}).values()]
         if not all(np.isfinite(each).all() for each in (forces, *others)):
             raise NumericalError('the constraint forces are not finite numbers')
-        # The clock first: who answers the state knows the time.
-        self.stamps.publish()
         cuts = (*simulation.measured_cut_joints(), simulation.cut_effort) if (
             simulation.cut_joint_names) else ()
         self.states.publish(stamp, *simulation.measured(),
@@ -98,6 +96,8 @@ class LiveSimulation:
         self._published_at, self._published_stamp = time.monotonic(), stamp
         for publish in self.on_published:
             publish(self.states.stamp)
+        # Last: who begins a period by the clock finds the state there.
+        self.stamps.publish()
 
     def refresh(self, late=0.0):
         """Publish the state if it has a new stamp, or again, for latecomers, after a while."""

@@ -66,6 +66,6 @@ class MotionCommand:
     def _simulated(self, stamp):
         """Return the simulated time [s] that a stamp stands for [ns]."""
         if self._stamps.simulated:
-            return stamp / NANOSECONDS
+            return self._stamps.simulated_time(stamp)
         later = (stamp - self._stamps.now()) / NANOSECONDS
         return self._simulation.time + later * self._pacer.real_time_factor

@@ -152,7 +152,7 @@ class SimulatorNode(Node):
         self.pacer = Pacer(simulation.step_size, values['real_time_factor'])
         real_time = values['mode'] == REALTIME
         stamps = Stamps(self, simulation, values['publish_clock'] or not real_time,
-                        values['publish_clock'])
+                        values['publish_clock'], 1.0 / values['publish_rate'])
         self.live = LiveSimulation(simulation, self.command, stamps, self.states,
                                    self.pacer if real_time else None, self.get_logger())
         self.motion = MotionCommand(simulation, stamps, self.pacer)

@@ -70,7 +70,8 @@ SIMULATOR_PARAMETERS = (
         'the scene; they take no torques.'),
     Parameter(
         'publish_clock', False,
-        'Publish simulated time on /clock, and stamp all messages with it.'),
+        'Publish simulated time on /clock, from one publishing period on, and stamp all messages '
+        'with it.'),
     Parameter(
         'keep_core_awake', False,
         'Stay on one core and use up its spare time, at a priority that gives way to everything, '

@@ -399,10 +399,19 @@ def test_system_that_does_not_let_a_core_be_kept_awake_is_told(build, monkeypatc
     assert said == ['keep_core_awake: not on this system (no)']
 
 
+def test_clock_follows_the_state_that_it_belongs_to(build, monkeypatch):
+    node, order = build(publish_clock=True), []
+    node.live.on_published.append(lambda stamp: order.append('state'))
+    monkeypatch.setattr(node.live.stamps, 'publish', lambda: order.append('clock'))
+    advance(node, 0.03, ticks=3)
+    assert order == ['state', 'clock'] * 3
+
+
 def test_stamps_are_those_of_simulated_time_when_the_clock_is_published(build):
     node = build(publish_clock=True, real_time_factor=0.5)
     advance(node, 0.1, ticks=10)
-    assert node.stamps_seen[-1] == 50_000_000
+    # From one period on.
+    assert node.stamps_seen[-1] == 60_000_000
     pause(node)
     seen = len(node.stamps_seen)
     advance(node, 0.1, ticks=10)

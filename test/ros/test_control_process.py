@@ -14,6 +14,7 @@
 
 """Control, time and diagnostics of a simulator as a process of its own, over DDS."""
 
+import math
 from pathlib import Path
 import signal
 
@@ -52,7 +53,8 @@ def test_run_is_paused_stepped_moved_and_reset(processes, listener):
         Parameter('step_count', value=50).to_parameter_msg()]))
     assert listener.call(Trigger, f'{SIMULATOR}/step', Trigger.Request()).success
     # Once, or again where the first answer was lost.
-    listener.wait(lambda: stamp(states[-1]) - before in (50_000_000, 100_000_000),
+    # The clock is one period ahead of simulated time.
+    listener.wait(lambda: stamp(states[-1]) - before in (60_000_000, 110_000_000),
                   'the state 50 steps later')
     mover = listener.publisher(f'{SIMULATOR}/set_state', JointState)
     listener.send(
@@ -61,10 +63,10 @@ def test_run_is_paused_stepped_moved_and_reset(processes, listener):
     mover.publish(JointState(name=['theta_1'], position=[1.2]))
     simulator.wait_for('set_state refused: Holding theta_1 is not a complete choice')
     assert listener.call(Trigger, f'{SIMULATOR}/reset', Trigger.Request()).success
-    listener.wait(lambda: stamp(states[-1]) == 0, 'the initial state')
+    listener.wait(lambda: stamp(states[-1]) == 10_000_000, 'the initial state')
     assert 'not paused' in listener.call(
         SetBool, f'{SIMULATOR}/pause', SetBool.Request(data=False)).message
-    listener.wait(lambda: stamp(states[-1]) > 0, 'motion')
+    listener.wait(lambda: stamp(states[-1]) > 10_000_000, 'motion')
     assert simulator.stop() == 0
 
 
@@ -92,7 +94,7 @@ def test_core_that_is_kept_awake_delays_nothing_and_nothing_stays_behind(
     listener.wait(lambda: not Path(f'/proc/{keeper}').exists(), 'end of the other process')
 
 
-def test_clock_is_ahead_of_every_state_and_follows_the_factor(processes, listener):
+def test_clock_has_the_time_of_every_state_and_follows_the_factor(processes, listener):
     clocks = listener.listen('/clock', Clock)
     states = listener.listen('joint_states', JointState)
     simulator = processes.start(
@@ -107,6 +109,37 @@ def test_clock_is_ahead_of_every_state_and_follows_the_factor(processes, listene
     # Steps of 1 ms, half as many as milliseconds have passed.
     assert all(value % 1_000_000 == 0 for value in stamps)
     assert 'at 0.5 x real time' in simulator.output
+
+
+@pytest.mark.parametrize('waits', [{'mode': 'lockstep'}, {'wait_for_command': 'true'}])
+def test_controller_manager_that_waits_for_the_clock_gets_it(processes, listener, waits):
+    """A loop like that of ros2_control_node: no command before time begins, one a period then."""
+    simulator = processes.start(SIMULATOR, scene='three_rrr', publish_clock='true', **waits)
+    simulator.wait_until_ready()
+    clocks, states = listener.listen('/clock', Clock), listener.listen('joint_states', JointState)
+    commands = listener.publisher('joint_command', JointState)
+    period, now = 10_000_000, 0
+    for cycle in range(50):
+        # A command that was sent before the simulator knew this publisher is sent again.
+        message = JointState(
+            name=['theta_1', 'theta_6', 'theta_7'],
+            effort=[math.nan] * 3 if cycle < 10 else [0.5, math.nan, math.nan])
+        if cycle == 1:
+            listener.send(commands, message, lambda: after(clocks, now, period), 'time')
+        else:
+            if cycle > 1:
+                commands.publish(message)
+            listener.wait(lambda: after(clocks, now, period), 'time')
+        now = after(clocks, now, period)
+    listener.wait(lambda: list(states[-1].effort[:1]) == [0.5], 'the effort')
+    assert simulator.stop() == 0
+    assert ' 0 rejected' in simulator.output
+
+
+def after(clocks, now, period):
+    """Return the newest time of the clock if it is a period after ``now`` [ns], or None."""
+    newest = Time.from_msg(clocks[-1].clock).nanoseconds if clocks else 0
+    return newest if newest >= now + period else None
 
 
 def test_node_with_use_sim_time_lives_in_simulated_time(processes, listener):

@@ -131,11 +131,13 @@ def test_names_of_any_length_move_the_numbers_but_not_into_one_another(publisher
 
 def test_clock_carries_simulated_time(make_node):
     simulation = type('Simulation', (), {'time': 3.25})()
-    stamps = Stamps(make_node(_Plain), simulation, True, True)
+    stamps = Stamps(make_node(_Plain), simulation, True, True, 0.01)
     stamps._publisher = Recorder(Clock)
     stamps.publish()
     clock = stamps._publisher.messages[0].clock
-    assert (clock.sec, clock.nanosec) == (3, 250_000_000)
+    # From one period on: zero would be no time at all.
+    assert (clock.sec, clock.nanosec) == (3, 260_000_000)
+    assert stamps.simulated_time(stamps.now()) == 3.25
 
 
 def test_cut_joint_that_cannot_be_a_topic_is_refused(publisher):
