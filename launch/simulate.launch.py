@@ -84,7 +84,7 @@ def start(context):
         # Looked for before anything starts, so that nothing is left running.
         require('rviz:=true', 'rviz2', *(['tf2_ros'] if values['frame_prefix'] else []))
         overrides['publish_tf'] = True
-    nodes = [node('closedloop_simulator', values, [*files, overrides], on_exit=end)]
+    nodes = [node('closedloop_simulator', values, [*files, overrides])]
     if values['drive']:
         of_source = {'scene': given['scene']} if given['scene'] else {}
         nodes.append(node('closedloop_torque_source', values, [*files, of_source]))
@@ -96,13 +96,6 @@ def start(context):
             package='rviz2', executable='rviz2', namespace=values['namespace'], output='screen',
             arguments=['-d', str(config_directory() / 'rviz' / 'mechanism.rviz')]))
     return nodes
-
-
-def end(event, context):
-    """End the launch with the simulator; as a failure if it failed."""
-    if event.returncode != 0:
-        raise RuntimeError(f'closedloop_simulator ended with exit code {event.returncode}')
-    return Shutdown(reason='closedloop_simulator ended')
 
 
 def require(argument, *packages):
@@ -126,10 +119,17 @@ def converted(parameter, text):
             f"'{text}'") from None
 
 
-def node(executable, values, parameters, **options):
-    """Return one of the package's nodes."""
+def node(executable, values, parameters):
+    """Return one of the package's nodes, with which the launch ends."""
+    def end(event, context):
+        # What is left is of no use without it, and nobody would notice. An exception is how a
+        # launch ends with an exit code other than 0.
+        if event.returncode != 0:
+            raise RuntimeError(f'{executable} ended with exit code {event.returncode}')
+        return Shutdown(reason=f'{executable} ended')
+
     return Node(package=PACKAGE, executable=executable, namespace=values['namespace'],
-                parameters=parameters, output='screen', **options)
+                parameters=parameters, output='screen', on_exit=end)
 
 
 def drive_file(name):

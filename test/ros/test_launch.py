@@ -169,13 +169,16 @@ def test_what_is_not_installed_is_named_before_anything_starts(simulate, prefix,
         simulate(rviz='true', frame_prefix=prefix)
 
 
-def test_launch_ends_with_the_simulator_and_fails_with_it(simulate):
-    simulator, = simulate()
-    action = simulator.on_exit(SimpleNamespace(returncode=0), None)
-    assert type(action).__name__ == 'Shutdown'
-    for code in (1, 2, -9):
-        with pytest.raises(RuntimeError, match=f'exit code {code}'):
-            simulator.on_exit(SimpleNamespace(returncode=code), None)
+def test_launch_ends_with_any_of_its_nodes_and_fails_with_it(simulate):
+    nodes = simulate(drive='three_rrr_circle', record='true')
+    assert len(nodes) == 3
+    for node in nodes:
+        action = node.on_exit(SimpleNamespace(returncode=0), None)
+        assert type(action).__name__ == 'Shutdown'
+        for code in (1, 2, -9):
+            with pytest.raises(
+                    RuntimeError, match=f'{node.executable} ended with exit code {code}'):
+                node.on_exit(SimpleNamespace(returncode=code), None)
 
 
 def test_launch_files_need_no_more_than_names_of_the_package():
