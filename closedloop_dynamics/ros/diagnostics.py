@@ -77,7 +77,7 @@ class Diagnostics:
         self._live, self._mode, self._logger = live, mode, node.get_logger()
         self._publisher = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
         self._prefix = node.get_fully_qualified_name().lstrip('/')
-        self._singular, self._sources = Throttle(), ()
+        self._singular, self._sources, self._graph = Throttle(), (), None
         self._redundant = False
         self._mark({})
 
@@ -92,14 +92,20 @@ class Diagnostics:
             self._redundant = not health.unique_forces
             self._logger.warning(str(health).rpartition('\n')[2])
 
-    def publish(self, standing, counts, sources):
+    def publish(self, standing, counts, sources, graph):
         """
         Publish all findings, and begin another period.
 
         ``standing`` says why time does not run; ``counts`` and ``sources`` are as for
-        ``commands_finding``.
+        ``commands_finding``, ``graph`` is a finding about the other nodes.
 
         """
+        # Nodes find each other one by one: what is seen twice in a row is meant.
+        if graph.level != OK and (graph.message, False) == self._graph:
+            self._logger.warning(graph.message)
+            self._graph = graph.message, True
+        elif self._graph is None or graph.message != self._graph[0]:
+            self._graph = graph.message, False
         if len(sources) > 1 and sources != self._sources:
             self._logger.warning(f'{len(sources)} sources of commands ({", ".join(sources)}): '
                                  'the last command counts, whoever sent it')
@@ -115,7 +121,8 @@ class Diagnostics:
                 simulation.health, min(self._worst, simulation.health.smallest_pivot)),
             'commands': commands_finding(
                 counts, self._counts, sources, self._live.command.expired),
-            'effects': self._effects()})
+            'effects': self._effects(),
+            'graph': graph})
         self._mark(counts)
 
     def fail(self, reason):
@@ -300,6 +307,29 @@ def commands_finding(counts, before, sources, zero_after_timeout):
     elif zero_after_timeout:
         level, message = WARN, 'torques are zero: no command came in time'
     return Finding(level, message, {**counts, 'sources': ', '.join(sources)})
+
+
+def graph_finding(name, namesakes, clocks, waits_for_clock):
+    """
+    Judge what shares this node's names.
+
+    ``namesakes`` is how many nodes have its full ``name``, itself included, ``clocks`` how many
+    publish /clock; ``waits_for_clock`` whether it takes the time from there.
+
+    """
+    level, message = OK, 'alone of its name'
+    if namesakes > 1:
+        level, message = WARN, (
+            f'{namesakes} nodes are called {name}, and share topics and services: start one in '
+            'another namespace (-r __ns:=/other); one that was killed is seen for some seconds')
+    elif clocks > 1:
+        level, message = WARN, (
+            f'{clocks} nodes publish /clock: time will jump; remap that of all but one')
+    elif waits_for_clock and not clocks:
+        level, message = WARN, (
+            'use_sim_time is true, and nobody publishes /clock: stamps stand still; take '
+            'publish_clock:=true in one simulator, or use_sim_time:=false')
+    return Finding(level, message, {'nodes of this name': namesakes, 'publishers of /clock': clocks})
 
 
 def near_singular(pivot):

@@ -30,7 +30,7 @@ from closedloop_dynamics.ros.auxiliary_publishers import Descriptions, ReplayLog
 from closedloop_dynamics.ros.background import Awake, set_priority
 from closedloop_dynamics.ros.commands import (
     CommandError, NOT_ACTUATED, poses_of, SERVICE_QOS, state_of, subscribe, TorqueCommand)
-from closedloop_dynamics.ros.diagnostics import Diagnostics
+from closedloop_dynamics.ros.diagnostics import Diagnostics, graph_finding
 from closedloop_dynamics.ros.effect_parameters import EffectParameters
 from closedloop_dynamics.ros.frames import FRAME_PARAMETERS, Frames
 from closedloop_dynamics.ros.live import LiveSimulation
@@ -307,7 +307,16 @@ class SimulatorNode(Node):
             tuple(sorted(
                 f'{info.node_namespace.rstrip("/")}/{info.node_name}'
                 for topic in ('torque_command', 'joint_command')
-                for info in self.get_publishers_info_by_topic(topic))))
+                for info in self.get_publishers_info_by_topic(topic))), self._look_around())
+
+    def _look_around(self):
+        """Return what is found about the other nodes."""
+        own = self.get_name(), self.get_namespace()
+        return graph_finding(
+            self.get_fully_qualified_name(),
+            sum(found == own for found in self.get_node_names_and_namespaces()),
+            self.count_publishers(self.resolve_topic_name('/clock')),
+            self.get_clock().ros_time_is_active and not self.live.stamps.simulated)
 
     @property
     def _motion_counts(self):

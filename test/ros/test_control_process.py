@@ -220,7 +220,8 @@ def test_diagnostics_tell_how_the_run_goes(processes, listener):
     told = {status.name.split(': ')[1]: {pair.key: pair.value for pair in status.values}
             for status in messages[-1].status}
     assert set(told) == {
-        'time', 'method', 'closure', 'energy', 'elimination', 'commands', 'effects'}
+        'time', 'method', 'closure', 'energy', 'elimination', 'commands', 'effects',
+        'graph'}
     assert told['time']['mode'] == 'realtime'
     assert told['method']['method'] == 'heun, projection'
     assert float(told['method']['step size [s]']) == 0.0005

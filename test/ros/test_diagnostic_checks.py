@@ -84,6 +84,14 @@ def test_singular_configurations_are_told_though_they_are_over():
     assert '1 of 4 closure equations' in dependent.message
 
 
+@pytest.mark.parametrize('found, level, word', [
+    ((1, 0, False), OK, 'alone'), ((1, 1, True), OK, 'alone'), ((2, 1, True), WARN, '2 nodes'),
+    ((1, 2, False), WARN, 'time will jump'), ((1, 0, True), WARN, 'nobody publishes /clock')])
+def test_names_that_are_shared_and_clocks_that_are_not_there_are_told(found, level, word):
+    finding = checks.graph_finding('/left/simulator', *found)
+    assert finding.level == level and word in finding.message
+
+
 @pytest.mark.parametrize('change, sources, expired, level, word', [
     ({}, ['/a'], False, OK, 'from /a'), ({}, [], False, OK, 'nobody'),
     ({'rejected': 3}, ['/a'], False, WARN, '3 refused'),

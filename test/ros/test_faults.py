@@ -145,6 +145,19 @@ def test_two_sources_of_commands_are_reported(processes, listener, context):
     ends_well(simulator)
 
 
+def test_namesakes_and_a_clock_that_is_missing_are_reported(processes):
+    simulators = [processes.start(SIMULATOR, namespace='/left', scene='four_bar')
+                  for _ in range(2)]
+    late = processes.start(SIMULATOR, scene='four_bar', use_sim_time='true')
+    for simulator in simulators:
+        simulator.wait_for('2 nodes are called /left/closedloop_simulator')
+        ends_well(simulator)
+    late.wait_for('use_sim_time is true, and nobody publishes /clock')
+    ends_well(late)
+    assert late.output.count('nobody publishes /clock') == 1
+    assert 'are called' not in late.output
+
+
 def test_simulator_is_killed_and_started_again_under_traffic(processes, listener):
     states = listener.listen('joint_states', JointState)
     source = processes.start('closedloop_torque_source', torque='[1.0, 2.0, 3.0]')
