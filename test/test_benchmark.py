@@ -297,7 +297,10 @@ def test_quick_results_make_sense(quick_results):
     model, = json.loads((quick_results / 'models.json').read_text())['models']
     assert (model['name'], model['rank'], model['loops']) == ('four_bar', 2, 1)
     assert model['times']['ours']['best'] > 0.0
-    assert all(error < 1e-8 for error in model['errors'].values())
+    # Of what is installed: lcaba keeps loops closed by a penalty, with one iteration, which leaves
+    # an error of its own (1.5e-7 here); the others tell that of ours.
+    assert all(error < (1e-5 if name == 'lcaba' else 1e-8)
+               for name, error in model['errors'].items())
     for result in json.loads((quick_results / 'peers.json').read_text()).values():
         assert min(row['error'] for row in result['motions']) < 1e-8
 
