@@ -125,6 +125,10 @@ class Diagnostics:
             'graph': graph})
         self._mark(counts)
 
+    def stall(self, reason):
+        """Publish that a step takes long, and nothing that would disturb it."""
+        self._send({'time': Finding(WARN, reason)})
+
     def fail(self, reason):
         """Publish that the simulation has stopped, and why."""
         self._send({'time': Finding(ERROR, f'stopped: {reason}')})

@@ -16,6 +16,7 @@
 """Effects of a running simulation as parameters ``effects.NAME.KEY``, and forces from topics."""
 
 from dataclasses import fields
+from functools import partial
 
 from closedloop_dynamics.effects.external_force import ExternalForce
 from closedloop_dynamics.effects.registry import effect_type
@@ -42,7 +43,7 @@ class EffectParameters:
     """
 
     def __init__(self, node, simulation):
-        self._simulation, self._logger = simulation, node.get_logger()
+        self._simulation, self._logger, self._node = simulation, node.get_logger(), node
         self._rejection = Throttle()
         given = [parameter for name, record in simulation.effects.items()
                  for parameter in self._declare(node, name, record)]
@@ -109,6 +110,9 @@ class EffectParameters:
 
     def on_force(self, name, message):
         """Let a force from a topic act, or refuse it."""
+        self._node.do(partial(self._act, name, message))
+
+    def _act(self, name, message):
         force = (message.x, message.y)
         if not self._simulation.mechanism.planar:
             force = (*force, message.z)

@@ -24,6 +24,11 @@ The executables watch for signals before they import their node: the import take
 and Ctrl-C must not end in a traceback there either. They leave without Python's own clean-up,
 which takes seconds, too, with all that was compiled.
 
+A step of a simulation may take long: next to a singular position, or while code for one is
+compiled. What is to be done in time is done outside the executor, and while it takes long, another
+thread runs the callbacks: services answer, and are told that the simulation is busy. A signal then
+ends the process after a while, in the midst of the step.
+
 rclpy's events executor takes a third of the processor time of the single-threaded one, which
 builds its wait set anew for every message. Its ``spin()`` does not work in every build of rclpy,
 and neither does ``spin_once()`` without a timeout; with one it does. Its timers and timeouts wake
@@ -36,6 +41,7 @@ from contextlib import contextmanager
 import gc
 from importlib import import_module
 from importlib.util import find_spec
+import math
 import os
 import sys
 import threading
@@ -51,6 +57,11 @@ LONGEST_WAIT = 0.1
 # Nearer to a beat than this, what happens waits for it; further, the executor waits until a
 # little before it [s].
 NEAR, BEFORE = 0.004, 0.002
+# A beat that takes longer than this lets another thread run the callbacks; which looks so often,
+# and gives the executor back after so long [s].
+LONG_BEAT, LOOK, TURN = 0.5, 0.1, 0.02
+# For a node to end after a signal, before its process does so without it [s].
+STOP_PATIENCE = 1.5
 
 
 class StartError(RuntimeError):
@@ -110,14 +121,15 @@ def _nothing():
 _watch, _stop = SignalWatch(_leave_at_once), StopRequest()
 
 
-def run(create_node, name, help_text, args=None, timed=False):
+def run(create_node, name, help_text, args=None, timed=False, loses_nothing=False):
     """
     Create a node, spin it until a signal or the node itself ends it, close it.
 
     ``create_node()`` returns the node, which offers ``exit_code`` (None as long as it wants to go
     on) and ``close()``, called while its context is alive. ``name`` is that of the executable;
     ``help_text`` is for ``--help``; ``args`` is the command line with the program's name first, or
-    None: that of this process. A node that is ``timed`` offers what ``spin`` asks of a beat.
+    None: that of this process. A node that is ``timed`` offers what ``spin`` asks of a beat. After
+    a signal one that ``loses_nothing`` has ``STOP_PATIENCE`` to end in order.
 
     Returns the exit code: the node's own, 0 after a signal, 2 if it could not start.
 
@@ -139,7 +151,7 @@ def run(create_node, name, help_text, args=None, timed=False):
         # From here on there may be something to close, such as a bag: a signal waits until it
         # can be.
         with _watch.reacting(_stop):
-            return _run_in_context(create_node, name, timed)
+            return _run_in_context(create_node, name, timed, loses_nothing)
     finally:
         _watch.ignore()
         rclpy.try_shutdown()
@@ -155,7 +167,7 @@ def leave(code):
     os._exit(code)
 
 
-def _run_in_context(create_node, name, timed):
+def _run_in_context(create_node, name, timed, loses_nothing):
     from rclpy.exceptions import NameValidationException
     from rclpy.logging import get_logger
     warnings.showwarning = lambda message, *where: get_logger(name).warning(_one_line(message))
@@ -169,19 +181,34 @@ def _run_in_context(create_node, name, timed):
     gc.freeze()
     executor = build_executor()
     executor.add_node(node)
-    # An empty task is what makes a waiting spin_once() return.
-    _stop.wake = lambda: executor.create_task(_nothing)
+    overdue = threading.Timer(STOP_PATIENCE, _leave_in_the_midst, [name])
+    overdue.daemon = True
+
+    def wake():
+        if loses_nothing:
+            overdue.start()
+        # An empty task is what makes a waiting spin_once() return.
+        executor.create_task(_nothing)
+
+    _stop.wake = wake
     try:
         spin(executor, lambda: node.exit_code is not None or stop_requested(),
              node if timed else None)
     finally:
         _stop.wake = _nothing
+        overdue.cancel()
         try:
             node.close()
         finally:
             executor.shutdown()
             node.destroy_node()
     return node.exit_code or 0
+
+
+def _leave_in_the_midst(name):
+    """End the process while a step is computed, which cannot be interrupted."""
+    print(f'[{name}] stopped in the midst of a step', file=sys.stderr, flush=True)
+    leave(0)
 
 
 def _plain_arguments(argv):
@@ -220,22 +247,78 @@ def spin(executor, over, beat=None):
 
     ``over()`` is asked after every callback whether to end. ``beat`` is something to be done in
     time: ``take_over()`` is called once where this is possible, ``due()`` tells when (of the
-    steady clock [s]; None: not now), ``act()`` does it.
+    steady clock [s]; -inf: at once; None: not now), ``act()`` does it. While ``act()`` takes long, callbacks run
+    in another thread.
 
     """
     from rclpy.executors import SingleThreadedExecutor
+    attendant = None
     if beat is not None and not isinstance(executor, SingleThreadedExecutor):
         beat.take_over()
-    while not over():
-        due = beat.due() if beat is not None else None
-        ahead = due - time.monotonic() if due is not None else LONGEST_WAIT + BEFORE
-        if ahead > NEAR:
-            executor.spin_once(timeout_sec=min(ahead - BEFORE, LONGEST_WAIT))
-            continue
-        if ahead > 0.0:
-            time.sleep(ahead)
-        _catch_up(executor)
-        beat.act()
+        attendant = _Attendant(executor)
+    try:
+        while not over():
+            due = beat.due() if beat is not None else None
+            ahead = due - time.monotonic() if due is not None else LONGEST_WAIT + BEFORE
+            if ahead > NEAR:
+                executor.spin_once(timeout_sec=min(ahead - BEFORE, LONGEST_WAIT))
+                continue
+            if ahead > 0.0:
+                time.sleep(ahead)
+            # What a callback has asked for comes before other callbacks.
+            if due > -math.inf:
+                _catch_up(executor)
+            if attendant is None:
+                beat.act()
+            else:
+                with attendant:
+                    beat.act()
+    finally:
+        if attendant is not None:
+            attendant.close()
+
+
+class _Attendant:
+    """A context: while its body takes long, another thread runs the callbacks of an executor."""
+
+    def __init__(self, executor):
+        self._executor, self._since, self._over = executor, None, False
+        self._error = None
+        # Who holds it may use the executor.
+        self._turn = threading.Lock()
+        self._turn.acquire()
+        self._thread = threading.Thread(target=self._attend, name='attendant', daemon=True)
+        self._thread.start()
+
+    def __enter__(self):
+        self._since = time.monotonic()
+        self._turn.release()
+
+    def __exit__(self, *_):
+        self._since = None
+        self._turn.acquire()
+        if self._error is not None:
+            raise self._error
+
+    def close(self):
+        """End the thread."""
+        self._over = True
+        self._turn.release()
+        self._thread.join()
+
+    def _attend(self):
+        while not self._over:
+            since = self._since
+            if since is None or time.monotonic() - since < LONG_BEAT:
+                time.sleep(LOOK)
+                continue
+            with self._turn:
+                if self._since is None:
+                    continue
+                try:
+                    self._executor.spin_once(timeout_sec=TURN)
+                except Exception as error:
+                    self._error, self._over = error, True
 
 
 def _catch_up(executor):

@@ -22,8 +22,10 @@ node.
 
 """
 
+from collections import deque
 from contextlib import contextmanager
 from functools import partial
+import math
 import time
 
 from closedloop_dynamics.ros.auxiliary_publishers import Descriptions, ReplayLog
@@ -105,7 +107,7 @@ class SimulatorNode(Node):
             values['scene'], self.get_logger(), values['motion_joints'],
             **{key: values[key] or None for key in METHOD})
         self._throttles = {key: Throttle() for key in (
-            'rejected', 'motion', 'wrench', 'lost', 'refused', 'overload')}
+            'rejected', 'motion', 'wrench', 'lost', 'refused', 'overload', 'busy')}
         self._told_not_actuated, self._method_prepared = False, None
         self.paused, self.waiting = False, values['wait_for_command'] and not lockstep
         self.counts = {'states set': 0, 'states refused': 0}
@@ -122,7 +124,9 @@ class SimulatorNode(Node):
                           clock=Clock(clock_type=ClockType.STEADY_TIME))
         # Time begins when all is there.
         self._timer = self._due = None
-        self._beats = False
+        # Where the process lets this node act: what it is to do beside ticks, and since when it
+        # has been busy.
+        self._beats, self._pending, self._busy_since = False, deque(), None
         if self.running:
             self.mode.start()
         self._renew_timer()
@@ -225,11 +229,15 @@ class SimulatorNode(Node):
 
     def on_torque_command(self, message):
         """Follow or refuse one value per actuated joint."""
-        self._follow('torque_command', self.command.accept_values, message.data)
+        self.do(partial(
+            self._follow, 'torque_command', self.command.accept_values, message.data,
+            time.monotonic()))
 
     def on_joint_command(self, message):
         """Follow or refuse efforts by joint name."""
-        self._follow('joint_command', self.command.accept_named, message.name, message.effort)
+        self.do(partial(
+            self._follow, 'joint_command', self.command.accept_named, message.name, message.effort,
+            time.monotonic()))
         if self.command.counts[NOT_ACTUATED] and not self._told_not_actuated:
             self._told_not_actuated = True
             self.get_logger().info(
@@ -237,15 +245,31 @@ class SimulatorNode(Node):
 
     def _follow(self, topic, accept, *content):
         try:
-            accept(*content, time.monotonic())
+            accept(*content)
         except CommandError as error:
             self.warn('rejected', f'{topic} rejected: {error}')
             return
         self._end_waiting()
         self._guarded(self.mode.take_command)
 
+    def do(self, action):
+        """
+        Do something with the simulation: at once, or when the node acts next.
+
+        What makes steps is done outside the executor, where the node may act there, and all else
+        is while steps are made: the present thread may be another one then.
+
+        """
+        if self._beats and (self.mode.name != REALTIME or self._busy_since is not None):
+            self._pending.append(action)
+        else:
+            action()
+
     def on_motion_command(self, message):
         """Let motions that are commanded follow a trajectory, or refuse it."""
+        self.do(partial(self._follow_motion, message))
+
+    def _follow_motion(self, message):
         try:
             self.motion.accept(message)
         except CommandError as error:
@@ -255,6 +279,9 @@ class SimulatorNode(Node):
 
     def on_external_wrench(self, message):
         """Let a wrench act on a body for a while, or refuse it."""
+        self.do(partial(self._feel, message))
+
+    def _feel(self, message):
         try:
             self.live.wrench.accept(message)
         except CommandError as error:
@@ -276,6 +303,10 @@ class SimulatorNode(Node):
     def _note_lost_motion(self, number):
         self.motion.counts[LOST] += number
         self.warn('lost', f'motion_command: {number} trajectories were lost on the way')
+
+    def _on_timer(self):
+        if not self._pending:
+            self.do(self.tick)
 
     def tick(self):
         """Let the mode advance the simulation, and what depends on the clock happen."""
@@ -301,6 +332,11 @@ class SimulatorNode(Node):
 
     def look_after(self):
         """Publish diagnostics."""
+        busy = self.busy
+        if busy:
+            self.diagnostics.stall(busy)
+            self.warn('busy', busy)
+            return
         self.diagnostics.publish(
             self.standing, {**self.command.counts, **self.counts, **self._motion_counts,
                             **self.live.wrench.counts},
@@ -325,8 +361,19 @@ class SimulatorNode(Node):
 
     # Services.
 
+    @property
+    def busy(self):
+        """Return the answer to requests while a step is computed in another thread, or ''."""
+        since = self._busy_since
+        return '' if since is None else (
+            f'busy: a step at t = {self.simulation.time:.9g} s has been computing for '
+            f'{time.monotonic() - since:.1f} s; ask again')
+
     def on_reset(self, request, response):
         """Return to the start: initial state, time zero, no torque."""
+        response.message = self.busy
+        if response.message:
+            return response
         self._guarded(self._reset)
         response.success = self.exit_code is None
         response.message = (
@@ -352,6 +399,9 @@ class SimulatorNode(Node):
 
     def on_pause(self, request, response):
         """Let time stand still, or go on."""
+        response.message = self.busy
+        if response.message:
+            return response
         if request.data != self.paused:
             self.paused = request.data
             self._guarded(self.mode.start if self.running else self.mode.stop)
@@ -365,8 +415,9 @@ class SimulatorNode(Node):
 
     def on_step(self, request, response):
         """Advance by ``step_count`` steps while paused."""
-        if not self.paused:
-            response.message = 'refused: time runs; call ~/pause with data: true first'
+        busy = self.busy
+        if busy or not self.paused:
+            response.message = busy or 'refused: time runs; call ~/pause with data: true first'
             return response
         self._guarded(self._step)
         response.success = self.exit_code is None
@@ -384,13 +435,14 @@ class SimulatorNode(Node):
 
     def on_set_state(self, message):
         """Move to the nearest state that closes the loops, or refuse."""
-        self._set_state(partial(
-            state_of, measured=self.simulation.mechanism.measured_cuts), message)
+        self.do(partial(self._set_state, partial(
+            state_of, measured=self.simulation.mechanism.measured_cuts), message))
 
     def on_set_multi_dof_state(self, message):
         """Do the same for joints with an orientation."""
         cut = self.simulation.mechanism.cut_coordinates
-        self._set_state(partial(poses_of, measured=cut.with_orientation), message)
+        self.do(partial(
+            self._set_state, partial(poses_of, measured=cut.with_orientation), message))
 
     def _set_state(self, read, message):
         simulation = self.simulation
@@ -412,6 +464,9 @@ class SimulatorNode(Node):
 
     def _check_change(self, parameters):
         """Refuse what is impossible; prepare a method that is not in use yet."""
+        busy = self.busy
+        if busy:
+            return SetParametersResult(successful=False, reason=busy)
         self._method_prepared = None
         values = self._changeable(parameters)
         try:
@@ -477,7 +532,7 @@ class SimulatorNode(Node):
             # A steady clock: neither a jump of the system's time nor a stopped
             # /clock may stop the simulation.
             self._timer = self.create_timer(
-                self.mode.tick_period, self.tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
+                self.mode.tick_period, self._on_timer, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._attend_to_core()
 
     def _stop_ticking(self):
@@ -491,12 +546,21 @@ class SimulatorNode(Node):
         self._renew_timer()
 
     def due(self):
-        """Return when the next tick is due [s of the steady clock]; None: a timer tells."""
-        return self._due
+        """Return when there is something to do [s of the steady clock]; None: a timer tells."""
+        return -math.inf if self._pending else self._due
 
     def act(self):
         """Do what is due."""
-        if self._due is None:
+        self._busy_since = time.monotonic()
+        try:
+            while self._pending:
+                self._pending.popleft()()
+            self._tick_if_due()
+        finally:
+            self._busy_since = None
+
+    def _tick_if_due(self):
+        if self._due is None or time.monotonic() < self._due:
             return
         late, period = time.monotonic() - self._due, self.mode.tick_period
         # Ticks that were missed are made up for by this one.
@@ -531,7 +595,8 @@ class SimulatorNode(Node):
         """
         Log a warning, one of each kind per ``pacing.MESSAGE_PERIOD``.
 
-        Kinds are ``'rejected'``, ``'motion'``, ``'wrench'``, ``'lost'`` and ``'refused'``.
+        Kinds are ``'rejected'``, ``'motion'``, ``'wrench'``, ``'lost'``, ``'refused'`` and
+        ``'busy'``.
 
         """
         throttle = self._throttles[kind]
@@ -544,4 +609,4 @@ class SimulatorNode(Node):
 def main(args=None):
     """Run the node; return the exit code."""
     return run(SimulatorNode, NAME, usage(NAME, SimulatorNode, (
-        *SIMULATOR_PARAMETERS, *FRAME_PARAMETERS, *MARKER_PARAMETERS)), args, timed=True)
+        *SIMULATOR_PARAMETERS, *FRAME_PARAMETERS, *MARKER_PARAMETERS)), args, timed=True, loses_nothing=True)

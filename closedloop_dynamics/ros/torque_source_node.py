@@ -424,4 +424,4 @@ class TorqueSourceNode(Node):
 def main(args=None):
     """Run the node; return the exit code."""
     return run(TorqueSourceNode, NAME, usage(
-        NAME, TorqueSourceNode, TORQUE_SOURCE_PARAMETERS), args)
+        NAME, TorqueSourceNode, TORQUE_SOURCE_PARAMETERS), args, loses_nothing=True)

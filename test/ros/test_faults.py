@@ -291,3 +291,30 @@ def test_twenty_simulators_in_one_domain(processes, listener):
         simulator.send(signal.SIGINT)
     for simulator in simulators:
         assert simulator.wait() == 0
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_services_answer_and_signals_are_heard_while_a_step_takes_long(
+        processes, listener, number):
+    # Two hundred steps at once, of a crank that reaches 1e5 rad/s: tens of seconds.
+    simulator = processes.start(
+        SIMULATOR, scene='four_bar', mode='lockstep', publish_rate='5.0').wait_until_ready()
+    findings = listener.listen('/diagnostics', DiagnosticArray)
+    publisher = listener.publisher('torque_command', Float64MultiArray)
+    listener.send(publisher, Float64MultiArray(data=[1e5]),
+                  lambda: 'busy: a step at t = 0 s' in simulator.output, 'a long step')
+    for name in ('pause', 'step', 'reset'):
+        kind = SetBool if name == 'pause' else Trigger
+        answer = listener.call(kind, f'{SIMULATOR}/{name}', kind.Request())
+        assert not answer.success and answer.message.startswith('busy: ')
+    result, = listener.call(
+        SetParameters, f'{SIMULATOR}/set_parameters', SetParameters.Request(parameters=[
+            Parameter('step_count', value=5).to_parameter_msg()])).results
+    assert not result.successful and result.reason.startswith('busy: ')
+    assert listener.call(GetParameters, f'{SIMULATOR}/get_parameters', GetParameters.Request(
+        names=['step_count'])).values[0].integer_value == 1
+    listener.wait(lambda: any(
+        status.message.startswith('busy: ') and status.level == DiagnosticStatus.WARN
+        for message in findings for status in message.status), 'a finding')
+    ends_well(simulator, number)
+    assert 'stopped in the midst of a step' in simulator.output
