@@ -333,7 +333,8 @@ def graph_finding(name, namesakes, clocks, waits_for_clock):
         level, message = WARN, (
             'use_sim_time is true, and nobody publishes /clock: stamps stand still; take '
             'publish_clock:=true in one simulator, or use_sim_time:=false')
-    return Finding(level, message, {'nodes of this name': namesakes, 'publishers of /clock': clocks})
+    return Finding(level, message, {
+        'nodes of this name': namesakes, 'publishers of /clock': clocks})
 
 
 def near_singular(pivot):

@@ -43,7 +43,7 @@ class EffectParameters:
     """
 
     def __init__(self, node, simulation):
-        self._simulation, self._logger, self._node = simulation, node.get_logger(), node
+        self._simulation, self._logger, self._do = simulation, node.get_logger(), node.do
         self._rejection = Throttle()
         given = [parameter for name, record in simulation.effects.items()
                  for parameter in self._declare(node, name, record)]
@@ -110,7 +110,7 @@ class EffectParameters:
 
     def on_force(self, name, message):
         """Let a force from a topic act, or refuse it."""
-        self._node.do(partial(self._act, name, message))
+        self._do(partial(self._act, name, message))
 
     def _act(self, name, message):
         force = (message.x, message.y)

@@ -247,8 +247,8 @@ def spin(executor, over, beat=None):
 
     ``over()`` is asked after every callback whether to end. ``beat`` is something to be done in
     time: ``take_over()`` is called once where this is possible, ``due()`` tells when (of the
-    steady clock [s]; -inf: at once; None: not now), ``act()`` does it. While ``act()`` takes long, callbacks run
-    in another thread.
+    steady clock [s]; -inf: at once; None: not now), ``act()`` does it. While ``act()`` takes long,
+    callbacks run in another thread.
 
     """
     from rclpy.executors import SingleThreadedExecutor

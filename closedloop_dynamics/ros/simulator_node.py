@@ -532,7 +532,8 @@ class SimulatorNode(Node):
             # A steady clock: neither a jump of the system's time nor a stopped
             # /clock may stop the simulation.
             self._timer = self.create_timer(
-                self.mode.tick_period, self._on_timer, clock=Clock(clock_type=ClockType.STEADY_TIME))
+                self.mode.tick_period, self._on_timer,
+                clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._attend_to_core()
 
     def _stop_ticking(self):
@@ -609,4 +610,5 @@ class SimulatorNode(Node):
 def main(args=None):
     """Run the node; return the exit code."""
     return run(SimulatorNode, NAME, usage(NAME, SimulatorNode, (
-        *SIMULATOR_PARAMETERS, *FRAME_PARAMETERS, *MARKER_PARAMETERS)), args, timed=True, loses_nothing=True)
+        *SIMULATOR_PARAMETERS, *FRAME_PARAMETERS, *MARKER_PARAMETERS)), args,
+        timed=True, loses_nothing=True)
