@@ -102,8 +102,14 @@ class LiveSimulation:
     def refresh(self, late=0.0):
         """Publish the state if it has a new stamp, or again, for latecomers, after a while."""
         if (not self.stamps.simulated or self.stamps.now() != self._published_stamp
-                or time.monotonic() - self._published_at >= REPEAT_PERIOD):
+                or self.is_stale):
             self.publish(late)
+
+    @property
+    def is_stale(self):
+        """Return whether the latest state was published so long ago that it is repeated."""
+        return self._published_at is None or (
+            time.monotonic() - self._published_at >= REPEAT_PERIOD)
 
     def is_received(self):
         """Return whether reliable subscribers have received all states."""

@@ -99,14 +99,15 @@ class Stamps:
     The time for the next messages: that of a node's clock, or simulated; and ``/clock``.
 
     ``simulated`` says which of the two, ``publish_clock`` whether simulated time is published.
-    It then begins at ``period`` [s]: nodes of rclcpp take a clock at zero for one that has not
-    begun, and ros2_control waits for another time before it sends the first command.
+    It then begins at ``period`` [s], as nodes of rclcpp take a clock at zero for one that has not
+    begun. ros2_control waits for the next period, too, before it sends the first command.
 
     """
 
     def __init__(self, node, simulation, simulated, publish_clock, period):
         self._source, self._simulation, self.simulated = node.get_clock(), simulation, simulated
-        self._begin = round(period * NANOSECONDS) if publish_clock else 0
+        self._period = round(period * NANOSECONDS) if publish_clock else 0
+        self._begin = self._period
         self._clock = SerializedTemplate(
             lambda sec, nanosec: Clock(clock=Time(sec=sec, nanosec=nanosec)), ())
         self._publisher = node.create_publisher(
@@ -116,6 +117,10 @@ class Stamps:
     def simulated_nanoseconds(self):
         """Return the stamp of the simulated time [ns]."""
         return self._begin + round(self._simulation.time * NANOSECONDS)
+
+    def let_period_pass(self):
+        """Let the clock go on by a period, if there is one, and simulated time not."""
+        self._begin += self._period
 
     def simulated_time(self, nanoseconds):
         """Return the simulated time [s] of a simulated stamp [ns]."""

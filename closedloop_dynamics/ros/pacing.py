@@ -81,6 +81,8 @@ class RealTime:
     """
 
     name = REALTIME
+    # Whether it waits for the answer to a first state.
+    unanswered = False
 
     def __init__(self, machine, pacer):
         self._machine, self.pacer = machine, pacer
@@ -155,6 +157,7 @@ class _Periodic:
     """Shared part of the modes in which a period is a number of steps, whatever the clock says."""
 
     missed_ticks = left_out = 0
+    unanswered = False
 
     def __init__(self, machine, pacer):
         self._machine, self.pacer = machine, pacer
@@ -238,6 +241,11 @@ class Lockstep(_Periodic):
         super().__init__(machine, pacer)
         self._owed = False
         self._answered = False
+
+    @property
+    def unanswered(self):
+        """Return whether it waits for the answer to a first state."""
+        return self.running and not self._answered
 
     def start(self):
         """Let commands advance the time; one that came meanwhile does so now."""

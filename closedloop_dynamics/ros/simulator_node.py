@@ -312,6 +312,9 @@ class SimulatorNode(Node):
         """Let the mode advance the simulation, and what depends on the clock happen."""
         if self.mode.name != LOCKSTEP:
             self.live.expire()
+        if not self.paused and (self.waiting or self.mode.unanswered) and self.live.is_stale:
+            # Controllers may wait for time to pass before they send the command that is waited for.
+            self.live.stamps.let_period_pass()
         dropped = self.pacer.dropped
         self._guarded(self.mode.tick)
         if self.pacer.dropped > dropped and self._throttles['overload'].ready():

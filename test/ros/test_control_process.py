@@ -113,24 +113,28 @@ def test_clock_has_the_time_of_every_state_and_follows_the_factor(processes, lis
 
 @pytest.mark.parametrize('waits', [{'mode': 'lockstep'}, {'wait_for_command': 'true'}])
 def test_controller_manager_that_waits_for_the_clock_gets_it(processes, listener, waits):
-    """A loop like that of ros2_control_node: no command before time begins, one a period then."""
+    """
+    A loop like that of ros2_control_node.
+
+    It waits for a clock above zero, then for a period; no command goes out before the hardware
+    is active; then one a period, of nothing until a controller writes.
+
+    """
     simulator = processes.start(SIMULATOR, scene='three_rrr', publish_clock='true', **waits)
     simulator.wait_until_ready()
     clocks, states = listener.listen('/clock', Clock), listener.listen('joint_states', JointState)
     commands = listener.publisher('joint_command', JointState)
     period, now = 10_000_000, 0
     for cycle in range(50):
-        # A command that was sent before the simulator knew this publisher is sent again.
         message = JointState(
             name=['theta_1', 'theta_6', 'theta_7'],
             effort=[math.nan] * 3 if cycle < 10 else [0.5, math.nan, math.nan])
-        if cycle == 1:
+        if cycle == 3:
+            # Sent again where the simulator did not know this publisher yet.
             listener.send(commands, message, lambda: after(clocks, now, period), 'time')
-        else:
-            if cycle > 1:
-                commands.publish(message)
-            listener.wait(lambda: after(clocks, now, period), 'time')
-        now = after(clocks, now, period)
+        elif cycle > 3:
+            commands.publish(message)
+        now = listener.wait(lambda: after(clocks, now, period), 'time')
     listener.wait(lambda: list(states[-1].effort[:1]) == [0.5], 'the effort')
     assert simulator.stop() == 0
     assert ' 0 rejected' in simulator.output
