@@ -84,11 +84,17 @@ def start(context):
         # Looked for before anything starts, so that nothing is left running.
         require('rviz:=true', 'rviz2', *(['tf2_ros'] if values['frame_prefix'] else []))
         overrides['publish_tf'] = True
+    recorded = values['record'].lower() != 'false'
+    if recorded:
+        # The recorder is to miss no motion, and no command.
+        overrides.setdefault('wait_for_subscribers', 1)
     nodes = [node('closedloop_simulator', values, [*files, overrides])]
     if values['drive']:
         of_source = {'scene': given['scene']} if given['scene'] else {}
+        if recorded:
+            of_source['wait_for_subscribers'] = 2
         nodes.append(node('closedloop_torque_source', values, [*files, of_source]))
-    if values['record'].lower() != 'false':
+    if recorded:
         output = '' if values['record'].lower() == 'true' else values['record']
         nodes.append(node('closedloop_recorder', values, [{'output': output}]))
     if shown and not values['frame_prefix']:

@@ -292,6 +292,11 @@ class StatePublisher:
             self._state.filled(sec, nanosec, position, velocity, effort))
         self.published += 1 + len(self._force_publishers) + len(self._others)
 
+    @property
+    def subscribers(self):
+        """Return how many subscribe to joint_states."""
+        return self._state_publisher.get_subscription_count()
+
     def is_received(self):
         """
         Return whether reliable subscribers have received everything, waiting a little for it.

@@ -110,6 +110,7 @@ class SimulatorNode(Node):
             'rejected', 'motion', 'wrench', 'lost', 'refused', 'overload', 'busy')}
         self._told_not_actuated, self._method_prepared = False, None
         self.paused, self.waiting = False, values['wait_for_command'] and not lockstep
+        self._expected = values['wait_for_subscribers']
         self.counts = {'states set': 0, 'states refused': 0}
         declare_fact(self, 'actuated_joints', self.simulation.actuated_joints,
                      'Order of the values of torque_command; told by the scene.')
@@ -138,8 +139,8 @@ class SimulatorNode(Node):
             f'{self.simulation.step_size:g} s, {pace}; torque_command takes '
             f'{", ".join(self.simulation.actuated_joints) or "no joint"}'
             + (f'; motion_command moves {", ".join(self.simulation.commanded_motions)}'
-               if self.simulation.commanded_motions else '') +
-            f'{"; waiting for the first command" if self.waiting else ""}')
+               if self.simulation.commanded_motions else '')
+            + self._but())
 
     def _create_simulation(self):
         """Create what advances and publishes the simulation."""
@@ -219,13 +220,17 @@ class SimulatorNode(Node):
     @property
     def running(self):
         """Return whether time runs."""
-        return not (self.paused or self.waiting)
+        return not self.standing
 
     @property
     def standing(self):
         """Return what keeps time from running, if anything does."""
-        return 'paused' if self.paused else (
-            'waiting for the first command' if self.waiting else '')
+        if self.paused:
+            return 'paused'
+        if self._expected:
+            return (f'waiting for {self._expected} subscribers of joint_states, there are '
+                    f'{self.states.subscribers} (wait_for_subscribers)')
+        return 'waiting for the first command' if self.waiting else ''
 
     def on_torque_command(self, message):
         """Follow or refuse one value per actuated joint."""
@@ -291,9 +296,13 @@ class SimulatorNode(Node):
         """Let time run if it has waited for a command."""
         if self.waiting:
             self.waiting = False
-            if not self.paused:
-                self.mode.start()
-                self._renew_timer()
+            self._go_on()
+
+    def _go_on(self):
+        """Let time run if nothing keeps it from that any more."""
+        if self.running:
+            self._guarded(self.mode.start)
+            self._renew_timer()
 
     def _note_lost(self, topic, number):
         self.command.counts['lost'] += number
@@ -310,6 +319,10 @@ class SimulatorNode(Node):
 
     def tick(self):
         """Let the mode advance the simulation, and what depends on the clock happen."""
+        if self._expected and self.states.subscribers >= self._expected:
+            # Once begun, it goes on whoever leaves.
+            self._expected = 0
+            self._go_on()
         if self.mode.name != LOCKSTEP:
             self.live.expire()
         if not self.paused and (self.waiting or self.mode.unanswered) and self.live.is_stale:

@@ -65,6 +65,10 @@ SIMULATOR_PARAMETERS = (
         'Keep the initial state, and publish it, until the first command arrives; otherwise a '
         'machine with weight falls while its controller is starting.'),
     Parameter(
+        'wait_for_subscribers', 0,
+        'Keep the initial state, and publish it, until so many have subscribed to joint_states '
+        '[1], so that a recorder misses no motion; 0: begin at once.', (0, 100)),
+    Parameter(
         'motion_joints', '',
         'Joints, with commas between them, whose motion follows motion_command, beside those of '
         'the scene; they take no torques.'),

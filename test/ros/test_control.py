@@ -417,3 +417,16 @@ def test_stamps_are_those_of_simulated_time_when_the_clock_is_published(build):
     advance(node, 0.1, ticks=10)
     # Nothing new: no flood of messages with one and the same stamp.
     assert len(node.stamps_seen) == seen
+
+
+@pytest.mark.parametrize('mode', ['realtime', 'lockstep', 'as_fast_as_possible'])
+def test_time_waits_for_subscribers(build, listener, mode):
+    node = build(mode=mode, wait_for_subscribers=1)
+    node.on_torque_command(Float64MultiArray(data=[1.0, 2.0, 3.0]))
+    advance(node, 0.05, ticks=5)
+    assert node.simulation.time == 0.0
+    assert node.standing.startswith('waiting for 1 subscribers of joint_states, there are 0')
+    listener.listen('joint_states', JointState)
+    listener.wait(lambda: node.states.subscribers, 'a subscriber')
+    advance(node, 0.05, ticks=5)
+    assert node.simulation.time > 0.0 and not node.standing

@@ -147,7 +147,12 @@ def test_a_drive_brings_its_torque_source(simulate, drive):
 
 
 def test_recorder_is_started_when_asked_for(simulate):
-    *_, recorder = simulate(record='true', namespace='left')
+    simulator, recorder = simulate(record='true', namespace='left')
+    # Whose first states and commands it is not to miss.
+    assert simulator.parameters[-1]['wait_for_subscribers'] == 1
+    assert simulate(record='true', drive='three_rrr_circle')[1].parameters[-1] == {
+        'wait_for_subscribers': 2}
+    assert 'wait_for_subscribers' not in simulate()[0].parameters[-1]
     assert (recorder.executable, recorder.namespace) == ('closedloop_recorder', 'left')
     assert recorder.parameters == [{'output': ''}]
     *_, recorder = simulate(record='my_bag')
