@@ -114,6 +114,7 @@ setup(
     entry_points={
         'console_scripts': [
             'closedloop = closedloop_dynamics.cli:program',
+            'closedloop_joint_states = closedloop_dynamics.ros.process:joint_states',
             'closedloop_recorder = closedloop_dynamics.ros.process:recorder',
             'closedloop_simulator = closedloop_dynamics.ros.process:simulator',
             'closedloop_torque_source = closedloop_dynamics.ros.process:torque_source',

@@ -76,7 +76,7 @@ class Diagnostics:
     def __init__(self, node, live, mode):
         self._live, self._mode, self._logger = live, mode, node.get_logger()
         self._publisher = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
-        self._prefix = node.get_fully_qualified_name().lstrip('/')
+        self._name = node.get_fully_qualified_name()
         self._singular, self._sources, self._graph = Throttle(), (), None
         self._redundant = False
         self._mark({})
@@ -180,16 +180,21 @@ class Diagnostics:
         return Finding(OK, ', '.join(enabled) or 'none', values)
 
     def _send(self, findings):
-        message = DiagnosticArray()
-        message.header.stamp = self._live.stamps.message()
-        message.status = [
-            DiagnosticStatus(
-                level=finding.level, name=f'{self._prefix}: {name}', message=finding.message,
-                hardware_id=self._live.simulation.scene.name,
-                values=[KeyValue(key=key, value=_text(value))
-                        for key, value in finding.values.items()])
-            for name, finding in findings.items()]
-        self._publisher.publish(message)
+        send(self._publisher, self._name, self._live.stamps.message(),
+             self._live.simulation.scene.name, findings)
+
+
+def send(publisher, node_name, stamp, subject, findings):
+    """Publish findings by their names, of a node and of the subject that it deals with."""
+    message = DiagnosticArray()
+    message.header.stamp = stamp
+    message.status = [
+        DiagnosticStatus(
+            level=finding.level, name=f'{node_name.lstrip("/")}: {name}', message=finding.message,
+            hardware_id=subject, values=[
+                KeyValue(key=key, value=_text(value)) for key, value in finding.values.items()])
+        for name, finding in findings.items()]
+    publisher.publish(message)
 
 
 def _text(value):

@@ -177,6 +177,8 @@ class StatePublisher:
         Frames that these refer to.
     cuts : mechanism.coordinates.Coordinates, optional
         Names and places of the coordinates of cut joints, which follow those of the tree.
+    prefix : str, optional
+        Of the names of the topics of joints.
     others : mapping of str to sequence of str
         By topic, a JointState beside those of the joints: what is named in it, and has efforts.
 
@@ -194,7 +196,7 @@ class StatePublisher:
 
     """
 
-    def __init__(self, node, coordinates, cut_names, frames, cuts=None, others=None):
+    def __init__(self, node, coordinates, cut_names, frames, cuts=None, others=None, prefix=''):
         self.stamp, self.published = Time(), 0
         self._stuck_since = None
         # Of the tree, then of the cut joints.
@@ -214,12 +216,13 @@ class StatePublisher:
             self._turned = SerializedTemplate(
                 self.multi_dof_joint_state, [7 * count, 6 * count, 6 * count])
             self._turned_publisher = node.create_publisher(
-                MultiDOFJointState, 'multi_dof_joint_states', STATE_QOS)
+                MultiDOFJointState, f'{prefix}multi_dof_joint_states', STATE_QOS)
         self._messages = [
             SerializedTemplate(partial(wrench_stamped, frame), (6,)) for frame in frames]
         # Forces of all cut joints as the messages have them: force, then torque.
         self._wrenches = np.zeros((len(cut_names), 6))
-        self._state_publisher = node.create_publisher(JointState, 'joint_states', STATE_QOS)
+        self._state_publisher = node.create_publisher(
+            JointState, f'{prefix}joint_states', STATE_QOS)
         try:
             self._force_publishers = [
                 node.create_publisher(WrenchStamped, f'constraint_forces/{name}', STATE_QOS)

@@ -349,6 +349,11 @@ def recorder():
     _run_main('recorder_node')
 
 
+def joint_states():
+    """Run ``closedloop_joint_states``; end the process with its exit code."""
+    _run_main('joint_states_node')
+
+
 def _run_main(module):
     """Watch for signals, then load a node's module and run its ``main``."""
     watch_signals()

@@ -31,12 +31,14 @@ FUNCTIONS = {
     'closedloop_simulator': 'simulator',
     'closedloop_torque_source': 'torque_source',
     'closedloop_recorder': 'recorder',
+    'closedloop_joint_states': 'joint_states',
 }
 # Said by a node when it works.
 READY = {
     'closedloop_simulator': 'simulating',
     'closedloop_torque_source': 'driving',
     'closedloop_recorder': 'recording',
+    'closedloop_joint_states': 'completing',
 }
 # The first start may compile everything [s].
 PATIENCE = 120.0

@@ -326,7 +326,7 @@ class SimulatorNode(Node):
         if self.mode.name != LOCKSTEP:
             self.live.expire()
         if not self.paused and (self.waiting or self.mode.unanswered) and self.live.is_stale:
-            # Controllers may wait for time to pass before they send the command that is waited for.
+            # Controllers may wait for time to pass before they command.
             self.live.stamps.let_period_pass()
         dropped = self.pacer.dropped
         self._guarded(self.mode.tick)

@@ -17,6 +17,7 @@
 from pathlib import Path
 
 from closedloop_dynamics.ros.frames import FRAME_PARAMETERS
+from closedloop_dynamics.ros.joint_states_node import JOINT_STATES_PARAMETERS
 from closedloop_dynamics.ros.markers import MARKER_PARAMETERS
 from closedloop_dynamics.ros.parameters import in_yaml
 from closedloop_dynamics.ros.recorder_node import PARAMETERS as RECORDER_PARAMETERS
@@ -42,6 +43,7 @@ def row(parameter):
 @pytest.mark.parametrize('row', [
     row(parameter) for parameter in (
         *SIMULATOR_PARAMETERS, *FRAME_PARAMETERS, *MARKER_PARAMETERS,
-        *TORQUE_SOURCE_PARAMETERS, *RECORDER_PARAMETERS, *VIEWER_PARAMETERS)])
+        *TORQUE_SOURCE_PARAMETERS, *RECORDER_PARAMETERS, *VIEWER_PARAMETERS,
+        *JOINT_STATES_PARAMETERS)])
 def test_parameter_is_described_as_it_is(row):
     assert row in DOCUMENT.read_text().splitlines()

@@ -1,0 +1,234 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+The node ``closedloop_joint_states``: all joints of a mechanism from those that a robot measures.
+
+A robot with loops measures its drives; RViz and planners want every joint. Positions and rates
+that close the loops are found for each message, and published with its stamp.
+
+"""
+
+from closedloop_dynamics.recording.message_numbers import stamp_of
+from closedloop_dynamics.ros.auxiliary_publishers import LATCHED_QOS
+from closedloop_dynamics.ros.diagnostics import ERROR, Finding, OK, send, WARN
+from closedloop_dynamics.ros.loading import load_simulation
+from closedloop_dynamics.ros.messages import StatePublisher
+from closedloop_dynamics.ros.pacing import Throttle
+from closedloop_dynamics.ros.parameters import declare, Parameter, usage, watch_changes
+from closedloop_dynamics.ros.process import run, StartError
+from closedloop_dynamics.simulation.completion import Completion, CompletionError
+from closedloop_dynamics.visual.urdf import urdf
+from diagnostic_msgs.msg import DiagnosticArray
+import numpy as np
+from rclpy.clock import Clock
+from rclpy.clock import ClockType
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+
+NAME = 'closedloop_joint_states'
+# Only the newest measurement is worth an answer.
+MEASURED_QOS = QoSProfile(depth=1)
+DIAGNOSTIC_PERIOD = 1.0
+# Sine of the angle to a singular position below which a pose is worth a warning.
+SINGULAR = 0.02
+COMPLETED, NOT_USABLE, NOT_CLOSED = 'completed', 'not usable', 'not closed'
+
+JOINT_STATES_PARAMETERS = (
+    Parameter('scene', '', 'The mechanism: a shipped scene by name, or a file of a scene or a '
+              'model. Its initial position is on the branch that is followed.'),
+    Parameter('joints', [''], 'Measured joints of the tree. Not given: the actuated ones.'),
+    Parameter('deviations', [1.0], 'Standard deviation of each measured position [rad or m]: one '
+              'value for all joints, or one per joint. They matter where more joints are measured '
+              'than there are degrees of freedom.'),
+    Parameter('tolerance', 1e-3, 'Measured joints that are further away from what closes the '
+              'loops are reported [rad or m].', (0.0, 10.0)),
+    Parameter('forces', False, 'Publish constraint forces, from measured efforts and the model.'),
+)
+
+
+class JointStatesNode(Node):
+    """
+    Publish all joints of a mechanism, passive and cut ones included, from measured ones.
+
+    Attributes
+    ----------
+    exit_code : int or None
+        None while the node wants to go on.
+    completion : simulation.completion.Completion
+    counts : dict of str to int
+        Messages completed, not usable, and those whose positions close no loops.
+
+    """
+
+    def __init__(self, **options):
+        super().__init__(NAME, **options)
+        watch_changes(self)
+        self.exit_code = None
+        self._values = values = declare(self, JOINT_STATES_PARAMETERS)
+        if not values['scene']:
+            raise StartError("parameter 'scene': expected a scene or a model, got none")
+        self._simulation = simulation = load_simulation(values['scene'], self.get_logger())[0]
+        self.completion = self._build_completion()
+        self._index = [simulation.joint_names.index(name) for name in self.completion.measured]
+        self._names, self._places = None, None
+        self._complaint, self._reason = Throttle(), ''
+        self.counts = dict.fromkeys((COMPLETED, NOT_USABLE, NOT_CLOSED), 0)
+        self._before = dict(self.counts)
+        cuts = simulation.cut_joints if values['forces'] else ()
+        self._states = StatePublisher(
+            self, simulation.coordinates, [cut.name for cut in cuts], ['world'] * len(cuts),
+            simulation.mechanism.cut_coordinates, prefix='complete_')
+        self._no_forces = np.zeros((0, 3 if simulation.mechanism.planar else 6))
+        self._description = self.create_publisher(String, 'robot_description', LATCHED_QOS)
+        self._description.publish(String(data=urdf(simulation.mechanism)))
+        self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
+        self.create_subscription(
+            JointState, 'joint_states', self.on_joint_states, MEASURED_QOS)
+        self.create_timer(DIAGNOSTIC_PERIOD, self.look_after,
+                          clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.get_logger().info(
+            f"completing joint states of '{simulation.scene.name}' measured at "
+            f'{", ".join(self.completion.measured)}')
+
+    def _build_completion(self):
+        values, simulation = self._values, self._simulation
+        joints = [name for name in values['joints'] if name] or [
+            name for name in simulation.actuated_joints if name in simulation.joint_names]
+        deviations = values['deviations'] * (
+            len(joints) if len(values['deviations']) == 1 else 1)
+        try:
+            with np.errstate(divide='ignore'):
+                weights = 1.0 / np.square(deviations)
+            return Completion(simulation.mechanism, joints, simulation.position, weights)
+        except ValueError as error:
+            raise StartError(str(error)) from None
+
+    def on_joint_states(self, message):
+        """Complete a measurement and publish it; or keep still and say why."""
+        problem = self._read(message)
+        if problem:
+            self._complain(NOT_USABLE, f'joint_states not usable: {problem}')
+            return
+        places, velocity = self._places, None
+        if len(message.velocity):
+            velocity = np.array(message.velocity)[places]
+        try:
+            self.completion.complete(np.array(message.position)[places], velocity)
+        except CompletionError as error:
+            self._complain(NOT_CLOSED, f'joint_states not completed: {error}')
+            return
+        except ValueError as error:
+            self._complain(NOT_USABLE, f'joint_states not usable: {error}')
+            return
+        self._publish(message)
+        self.counts[COMPLETED] += 1
+        # Off the way from a measurement to its answer.
+        self.completion.get_ready()
+
+    def _read(self, message):
+        """Find the measured joints in a message; return what is wrong with it, or ''."""
+        if message.name != self._names:
+            missing = [name for name in self.completion.measured if name not in message.name]
+            if missing:
+                return f"it does not name '{missing[0]}'"
+            self._names = list(message.name)
+            self._places = [self._names.index(name) for name in self.completion.measured]
+        if len(message.position) != len(message.name) or len(message.velocity) not in (
+                0, len(message.name)) or len(message.effort) not in (0, len(message.name)):
+            return 'it does not give a position, and velocities and efforts or none, for each name'
+        if self._values['forces'] and not (len(message.effort) and np.isfinite(
+                np.array(message.effort)[self._places]).all()):
+            return 'it does not give the efforts that forces (parameter forces) follow from'
+        return ''
+
+    def _publish(self, message):
+        simulation, completion = self._simulation, self.completion
+        nq = len(completion.position)
+        simulation.integrated[:nq] = completion.position
+        simulation.integrated[nq:nq + len(completion.velocity)] = completion.velocity
+        simulation.touch()
+        effort, forces = np.zeros(len(completion.velocity)), self._no_forces
+        if len(message.effort):
+            effort[self._index] = np.array(message.effort)[self._places]
+        if self._values['forces']:
+            tau = np.zeros(len(simulation.torque_names))
+            tau[:len(effort)] = effort
+            simulation.advance(tau, 0)
+            forces = simulation.constraint_forces
+        cuts = (simulation.cut_position, simulation.cut_velocity,
+                np.zeros(len(simulation.cut_joint_names))) if simulation.cut_joint_names else ()
+        self._states.publish(stamp_of(message), completion.position, completion.velocity, effort,
+                             forces, cuts)
+
+    def _complain(self, kind, problem):
+        self.counts[kind] += 1
+        self._reason = problem
+        if self._complaint.ready():
+            self.get_logger().warning(problem)
+
+    def look_after(self):
+        """Publish diagnostics."""
+        news = {key: count - self._before[key] for key, count in self.counts.items()}
+        self._before = dict(self.counts)
+        finding = pose_finding(
+            self.completion, self._values['tolerance'], news, self._reason)
+        finding.values.update(self.counts)
+        send(self._diagnostics, self.get_fully_qualified_name(), self.get_clock().now().to_msg(),
+             self._simulation.scene.name, {'pose': finding})
+
+    def close(self):
+        """Say what was done."""
+        self.get_logger().info(', '.join(
+            f'{count} {key}' for key, count in self.counts.items()))
+
+
+def pose_finding(completion, tolerance, news, reason):
+    """
+    Judge the latest pose of a ``Completion``.
+
+    ``news`` are the counts of the last period; ``reason`` says why the latest message that was
+    not completed was not.
+
+    """
+    level, message = OK, 'closed'
+    if news[NOT_CLOSED]:
+        level, message = ERROR, reason
+    elif completion.passed:
+        level, message = ERROR, (
+            'a singular position was passed: the mechanism may be on another branch than is '
+            'published; start again in a position whose branch is known')
+    elif news[NOT_USABLE]:
+        level, message = WARN, reason
+    elif completion.residual > tolerance:
+        level, message = WARN, (
+            f'sensors contradict one another by {completion.residual:.2g} rad or m')
+    elif completion.sine < SINGULAR:
+        level, message = WARN, (
+            f'near a singular position (sine {completion.sine:.2g}): errors of measurement are '
+            f'{1.0 / max(completion.sine, 1e-300):.2g} times as large at other joints')
+    elif not news[COMPLETED]:
+        level, message = WARN, 'no joint_states came in the last second'
+    return Finding(level, message, {
+        'residual [rad or m]': completion.residual,
+        'sine of the angle to a singular position': completion.sine,
+        'singular position passed': completion.passed})
+
+
+def main(args=None):
+    """Run the node; return the exit code."""
+    return run(JointStatesNode, NAME, usage(NAME, JointStatesNode, JOINT_STATES_PARAMETERS), args,
+               loses_nothing=True)
