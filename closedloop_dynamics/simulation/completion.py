@@ -37,11 +37,17 @@ from .redundancy import geometry_of
 # a piece of the way, another one no further in a piece that is taken for sure; how often a piece
 # is halved, and how many there are at most.
 PIECE, SURE, HALVINGS, MOST_PIECES = 0.1, 0.5, 12, 200
-# Corrections shorter than this are rounding; how many there are at most; a correction longer than
-# this share of the one before is no good, and the matrices are computed anew.
-ROUNDING, MOST_CORRECTIONS, POOR = 1e-13, 30, 0.1
+# Corrections shorter than this are rounding; how long one is at most; how many there are at most;
+# a correction longer than this share of the one before is no good, and the matrices are computed
+# anew.
+ROUNDING, LONGEST, MOST_CORRECTIONS, POOR = 1e-13, 0.25, 30, 0.1
 # Matrices are those of a position no further away than this.
 NEAR = 0.02
+# Branches meet where the sine is zero: on a way longer than this share of it, it is looked whether
+# the other one was come to. Below TOUCHED it may be either.
+FOLD, TOUCHED = 0.25, 0.01
+# Singular values are at least this: corrections become too long, but stay numbers.
+SMALLEST = 1e-150
 
 
 class CompletionError(SimulationError):
@@ -77,8 +83,9 @@ class Completion:
         Sine of the smallest angle between the motions of the mechanism and those in which no
         measured joint moves. 0: singular, the measured joints do not tell where the others are.
     passed : bool
-        Whether a singular position was passed since the start, so that another branch goes on;
-        False where the measured joints are not as many as the degrees of freedom.
+        Whether a singular position was touched or passed since the start, so that the mechanism
+        may be on another branch now; this one stays on its own. Where the measured joints are not
+        as many as the degrees of freedom, by the sine alone.
 
     Raises
     ------
@@ -109,7 +116,10 @@ class Completion:
         self.position = np.array(position, dtype=float)
         self.velocity = np.zeros(coordinates.nv)
         self._values, self.residual, self.passed = self.position[self._places], 0.0, False
-        self._basis, self._sign, self._known = None, 0.0, None
+        self._basis, self._sign, self._turned, self._known = None, 0.0, False, None
+        # Independent closure equations.
+        self._rank = rank_from(np.linalg.svd(
+            self._equations.move(self.position).jacobian() * self._unit, compute_uv=False))
         self._prepare(self.position)
         motions = self._basis.shape[1]
         # No number holds the idle spin of a rod between two spherical joints.
@@ -144,7 +154,7 @@ class Completion:
             raise ValueError(f'expected {len(rates)} finite positions and velocities')
         values[self._turns] -= 2.0 * math.pi * np.round(
             (values - self._values)[self._turns] / (2.0 * math.pi))
-        begin, before = self._values, (self.position, self._values, self.passed)
+        begin, before = self._values, (self.position, self._values)
         change = values - begin
         pieces = max(1, math.ceil(
             np.abs(change / self._unit[self._rates]).max() / PIECE))
@@ -157,22 +167,27 @@ class Completion:
                 self.get_ready()
                 self._follow(begin + change * (k / pieces), HALVINGS)
         except CompletionError:
-            self.position, self._values, self.passed = before
+            self.position, self._values = before
+            self._prepare(self.position)
             raise
         self._complete_rates(rates)
         self.residual = float(np.abs(values - self.position[self._places]).max())
 
     def get_ready(self):
         """Compute the matrices of the present position ahead, where they are of another one."""
-        if self._moved(self._prepared_at, self.position) > NEAR:
+        if self._gone > NEAR:
             self._prepare(self.position)
 
     def _follow(self, values, halvings):
         """Go on to measured values; by way of the middle where that is too far."""
         found = self._corrected(self.position, values)
-        if found is not None and self._moved(self.position, found) <= SURE:
-            self.position, self._values = found, values
-            return
+        if found is not None:
+            moved = np.abs(
+                self._coordinates.apart(found, self.position) / self._unit).max()
+            if moved <= SURE and self._stays(found, moved):
+                self.position, self._values = found, values
+                self._gone += moved
+                return
         self.get_ready()
         if halvings == 0:
             raise CompletionError(
@@ -181,6 +196,18 @@ class Completion:
         self._follow(0.5 * (self._values + values), halvings - 1)
         self._follow(values, halvings - 1)
 
+    def _stays(self, found, moved):
+        """Return whether a position is on the same branch; it may not be far from a fold."""
+        if not self._sign or self._gone + moved <= FOLD * self.sine:
+            return True
+        self._prepare(found)
+        if self._turned:
+            self.passed = True
+            self._prepare(self.position)
+            return False
+        self._gone = -moved
+        return True
+
     def _corrected(self, q, values):
         """Return the nearest position to measured values that closes the loops, or None."""
         last = math.inf
@@ -188,10 +215,14 @@ class Completion:
             psi = self._equations.move(q).closures()[0]
             change = self._operator @ np.concatenate([-psi, values - q[self._places]])
             largest = np.abs(change / self._unit).max()
-            if not largest <= 2.0 * SURE:
+            if not largest < math.inf:
                 return None
+            if largest > LONGEST:
+                change *= LONGEST / largest
             q = self._coordinates.moved(q, change)
-            if largest <= ROUNDING:
+            # The next one will be as much shorter as this one is.
+            shorter = 1.0 if last == math.inf else min(1.0, largest / last)
+            if largest * shorter <= ROUNDING:
                 break
             # Where more is measured, the place of the nearest is that of the present matrices.
             if largest > POOR * last or not self._exact:
@@ -212,10 +243,6 @@ class Completion:
                 self._prepare(self.position)
         self.velocity = qd
 
-    def _moved(self, begin, end):
-        """Return the furthest that a freedom moved between two positions."""
-        return np.abs(self._coordinates.apart(end, begin) / self._unit).max()
-
     def _prepare(self, q):
         """
         Compute the matrix that corrects closure errors and misses of measured joints.
@@ -226,14 +253,15 @@ class Completion:
         """
         jac = self._equations.move(q).jacobian() * self._unit
         left, singular, right = np.linalg.svd(jac)
-        rank = rank_from(singular) if len(singular) else 0
-        closing = right[:rank].T / singular[:rank] @ left[:, :rank].T
+        rank = self._rank
+        closing = right[:rank].T / np.maximum(singular[:rank], SMALLEST) @ left[:, :rank].T
         basis = right[rank:].T
         if self._basis is not None and self._basis.shape == basis.shape and np.linalg.det(
                 self._basis.T @ basis) < 0.0:
             # The same orientation as before, so that a sign means something.
             basis[:, 0] = -basis[:, 0]
-        self._basis, self._prepared_at = basis, q
+        # How far a freedom has moved at most since.
+        self._basis, self._gone = basis, 0.0
         seen = basis[self._rates]
         sines = np.linalg.svd(seen, compute_uv=False)
         if self._known is None:
@@ -242,8 +270,9 @@ class Completion:
         self._exact = self._known == len(self.measured)
         if seen.shape[0] == seen.shape[1]:
             sign = np.sign(np.linalg.det(seen))
-            self.passed = self.passed or sign * self._sign < 0.0
             self._sign = self._sign or sign
+            self._turned = sign * self._sign < 0.0
+        self.passed = self.passed or self.sine < TOUCHED
         solve = basis @ (np.linalg.pinv(self._weights[:, np.newaxis] * seen) * self._weights)
         self._operator = self._unit[:, np.newaxis] * np.hstack([
             closing - solve @ closing[self._rates], solve / self._unit[self._rates]])
