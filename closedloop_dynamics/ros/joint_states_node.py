@@ -209,8 +209,8 @@ def pose_finding(completion, tolerance, news, reason):
         level, message = ERROR, reason
     elif completion.passed:
         level, message = ERROR, (
-            'a singular position was touched or passed: the mechanism may be on another branch than '
-            'is published; start again in a position whose branch is known')
+            'a singular position was touched or passed: the mechanism may be on another branch '
+            'than is published; start again in a position whose branch is known')
     elif news[NOT_USABLE]:
         level, message = WARN, reason
     elif completion.residual > tolerance:
