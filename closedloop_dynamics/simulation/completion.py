@@ -170,8 +170,27 @@ class Completion:
             self.position, self._values = before
             self._prepare(self.position)
             raise
-        self._complete_rates(rates)
+        jac = self._equations.move(self.position).jacobian()
+        self.velocity = self._solved(jac, 0.0, rates)
         self.residual = float(np.abs(values - self.position[self._places]).max())
+
+    def accelerations(self, acceleration):
+        """
+        Return the accelerations that keep the loops closed, of measured ones.
+
+        Parameters
+        ----------
+        acceleration : sequence, shape (number of measured joints,)
+            Of ``measured``, in the state that was completed last [rad/s^2 or m/s^2].
+
+        Returns
+        -------
+        ndarray, shape (nv,)
+
+        """
+        wanted = np.array(acceleration, dtype=float)
+        equations = self._equations.move(self.position, self.velocity)
+        return self._solved(equations.jacobian(), equations.closures()[2], wanted)
 
     def get_ready(self):
         """Compute the matrices of the present position ahead, where they are of another one."""
@@ -231,17 +250,17 @@ class Completion:
         closure = np.abs(self._equations.move(q).closures()[0]).max(initial=0.0)
         return q if closure <= TOLERANCE * max(1.0, self._size) else None
 
-    def _complete_rates(self, rates):
-        jac = self._equations.move(self.position).jacobian()
-        qd = np.zeros(len(self._unit))
+    def _solved(self, jac, bias, wanted):
+        """Return the x with J x = -bias that meets what is wanted of the measured joints."""
+        x = np.zeros(len(self._unit))
         for _ in range(MOST_CORRECTIONS):
-            change = self._operator @ np.concatenate([-jac @ qd, rates - qd[self._rates]])
-            qd += change
-            if np.abs(change).max() <= ROUNDING * max(1.0, np.abs(qd).max()):
+            change = self._operator @ np.concatenate([-jac @ x - bias, wanted - x[self._rates]])
+            x += change
+            if np.abs(change).max() <= ROUNDING * max(1.0, np.abs(x).max()):
                 break
             if not self._exact:
                 self._prepare(self.position)
-        self.velocity = qd
+        return x
 
     def _prepare(self, q):
         """

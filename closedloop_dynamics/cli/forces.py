@@ -1,0 +1,157 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""``closedloop forces``: the torques and forces that a recorded motion takes."""
+
+from argparse import ArgumentTypeError
+from contextlib import contextmanager
+import csv
+import math
+from pathlib import Path
+import sys
+
+import numpy as np
+
+from .command import add_set, Command, FAILED, require_free, UsageError, with_numbers
+from ..recording.forces import ForceBag, forces_along, measured_positions
+from ..recording.recording import RecordingError
+from ..recording.run import columns, row
+from ..simulation.errors import SimulationError
+from ..simulation.scene import load_scene
+from ..simulation.simulation import Simulation
+from ..visual.motion import magnitudes
+from ..visual.progress import announced, progress_to
+
+
+def _add_arguments(parser):
+    parser.add_argument('bag', metavar='BAG', help='directory of the bag, or one of its files')
+    parser.add_argument('--scene', metavar='SCENE', required=True,
+                        help='the mechanism with its masses: a shipped scene by its name, or a '
+                             'YAML file')
+    add_set(parser)
+    parser.add_argument('--topic', metavar='NAME', default='/joint_states',
+                        help='whose positions are taken (default: /joint_states)')
+    parser.add_argument('--joints', metavar='NAMES',
+                        help='measured joints, with commas between them (default: the actuated '
+                             'ones); the others follow from the loops')
+    parser.add_argument('--deviation', metavar='ERROR', type=_not_negative, default=0.0,
+                        help='standard deviation of a position [rad or m]: accelerations are '
+                             'those of splines as smooth as it allows (default: 0, through all '
+                             'of them)')
+    parser.add_argument('--output', metavar='BAG_OR_CSV', type=Path, required=True,
+                        help='a new bag with joint_states and constraint_forces, or a file *.csv '
+                             'with the forces in all joints')
+    parser.add_argument('--overwrite', action='store_true', help='replace FILE.csv if it exists')
+
+
+def _not_negative(text):
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0.0 <= value < math.inf:
+        raise ArgumentTypeError(f'expected a finite number >= 0, got {text!r}')
+    return value
+
+
+def _run(arguments):
+    if arguments.output.suffix != '.csv' and arguments.output.exists():
+        raise UsageError(f'--output: {arguments.output} exists; name another bag')
+    require_free(arguments, arguments.output)
+    with announced('Reading and compiling ...'):
+        simulation = Simulation.from_scene(with_numbers(load_scene(arguments.scene), arguments))
+        joints = [name.strip() for name in arguments.joints.split(',')] if arguments.joints else [
+            name for name in simulation.actuated_joints if name in simulation.joint_names]
+        try:
+            stamps, positions = measured_positions(arguments.bag, arguments.topic, joints)
+        except RecordingError as error:
+            raise UsageError(str(error)) from None
+    times = 1e-9 * np.array([stamp - stamps[0] for stamp in stamps])
+    largest = _Largest(simulation)
+    with _opened(arguments, simulation) as write, progress_to(
+            times[-1], 's', simulation.scene.name) as show:
+        try:
+            for k in forces_along(simulation, joints, times, positions, arguments.deviation):
+                write(stamps[k], times[k])
+                largest.look()
+                show(times[k])
+        except SimulationError as error:
+            print(f'{arguments.prog}: at {times[largest.count]:.6g} s of the recording: {error}',
+                  file=sys.stderr)
+            return FAILED
+        except ValueError as error:
+            raise UsageError(f'--joints: {error}') from None
+    print(f'{arguments.bag}: {len(times)} states of {simulation.scene.name}, {times[-1]:.6g} s, '
+          f'from {", ".join(joints)}\n{largest}\nforces in {arguments.output}')
+    return 0
+
+
+@contextmanager
+def _opened(arguments, simulation):
+    """Yield a function that writes the present state, with a stamp [ns] and a time [s]."""
+    if arguments.output.suffix != '.csv':
+        with ForceBag(arguments.output, simulation) as bag:
+            yield lambda stamp, time: bag.write(stamp)
+        return
+    with open(arguments.output, 'w', newline='', encoding='utf-8') as file:
+        writer = csv.writer(file)
+        writer.writerow(columns(simulation, True))
+        yield lambda stamp, time: writer.writerow(map(repr, row(simulation, time, True)))
+
+
+class _Largest:
+    """The largest torques and forces of a motion, as text."""
+
+    def __init__(self, simulation):
+        """Begin with none."""
+        self._simulation, self.count = simulation, 0
+        self._torque = np.zeros(len(simulation.actuated_joints))
+        self._force = np.zeros(len(simulation.cut_joints))
+
+    def look(self):
+        """Take the present state in."""
+        simulation = self._simulation
+        self.count += 1
+        np.maximum(self._torque, np.abs(simulation.system.tau[simulation.actuated]),
+                   out=self._torque)
+        np.maximum(self._force, magnitudes(simulation.constraint_forces), out=self._force)
+
+    def __str__(self):
+        """Return a line for each joint."""
+        simulation = self._simulation
+        return '\n'.join([
+            *(f'  {name}: at most {value:.4g} N m or N' for name, value in zip(
+                simulation.actuated_joints, self._torque)),
+            *(f'  {cut.name}: force of at most {value:.4g} N' for cut, value in zip(
+                simulation.cut_joints, self._force))])
+
+
+COMMAND = Command(
+    name='forces',
+    summary='tell the torques and joint forces that a recorded motion takes',
+    description="""\
+Read the positions of some joints from a bag (those that a robot measures), find the whole
+motion that closes the loops, and the torques and forces that it takes by the model of a
+scene: inverse dynamics, state by state, with all the effects of the scene. Rates and
+accelerations are those of splines through the positions; measured ones are noisy, and
+accelerations more so: give their --deviation. A motion that touches a singular position is
+refused, as the other joints do not follow from the measured ones there.
+""",
+    epilog="""\
+examples:
+  closedloop forces my_bag --scene three_rrr --output forces.csv
+  closedloop forces robot_bag --scene delta_robot --deviation 1e-4 --output forces_bag
+""",
+    add_arguments=_add_arguments,
+    run=_run)

@@ -1,0 +1,211 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Forces along a motion that was recorded of some joints: inverse dynamics, state by state."""
+
+import numpy as np
+from rosbags.typesys import get_typestore
+from rosbags.typesys import Stores
+from scipy.interpolate import make_interp_spline, UnivariateSpline
+
+from .contents import Topic
+from .message_numbers import NANOSECONDS, stamp_of
+from .reading import Bag
+from .recording import RecordingError
+from .writer import BagFiles
+from ..simulation.completion import Completion, CompletionError
+
+# Of the polynomials between measurements, so that accelerations have continuous slopes.
+DEGREE = 5
+STATE, WRENCH = 'sensor_msgs/msg/JointState', 'geometry_msgs/msg/WrenchStamped'
+
+
+def measured_positions(path, topic, joints):
+    """
+    Read the positions of joints from a topic of a bag.
+
+    Parameters
+    ----------
+    path : path-like
+        The bag.
+    topic : str
+        Full name; its messages are JointState.
+    joints : sequence of str
+        Names in them.
+
+    Returns
+    -------
+    stamps : list of int, length n
+        Increasing; of the first message of each [ns].
+    positions : ndarray, shape (n, number of joints)
+        [rad or m].
+
+    Raises
+    ------
+    RecordingError
+        Where they are not in it, or too few.
+    OSError
+        Where it cannot be read.
+
+    """
+    stamps, rows = [], []
+    for _, _, message in Bag(path).messages(topic.__eq__):
+        missing = [name for name in joints if name not in message.name]
+        if missing or len(message.position) != len(message.name):
+            raise RecordingError(
+                f'{path}: {topic}: expected positions of {", ".join(joints)}, got those of '
+                f'{", ".join(message.name) if missing else "some"}')
+        stamp = stamp_of(message)
+        if not stamps or stamp > stamps[-1]:
+            stamps.append(stamp)
+            rows.append([message.position[message.name.index(name)] for name in joints])
+    if len(rows) <= DEGREE:
+        raise RecordingError(f'{path}: {topic}: expected more than {DEGREE} measurements, got '
+                             f'{len(rows)}')
+    positions = np.array(rows, dtype=float)
+    if not np.isfinite(positions).all():
+        raise RecordingError(f'{path}: {topic}: a position is not a finite number')
+    return stamps, positions
+
+
+def smooth(times, positions, deviation):
+    """
+    Return positions, rates and accelerations of splines through, or near, measured positions.
+
+    Parameters
+    ----------
+    times : ndarray, shape (n,)
+        [s].
+    positions : ndarray, shape (n, m)
+        Of angles without jumps by turns.
+    deviation : float
+        Standard deviation of a position: the splines are as smooth as that allows [rad or m]; 0:
+        they go through all of them.
+
+    Returns
+    -------
+    ndarray, shape (3, n, m)
+
+    """
+    found = np.empty((3, *positions.shape))
+    for k, column in enumerate(positions.T):
+        spline = make_interp_spline(times, column, DEGREE) if deviation == 0.0 else (
+            UnivariateSpline(times, column, k=DEGREE, s=len(times) * deviation ** 2))
+        for order in range(3):
+            found[order, :, k] = spline(times) if order == 0 else spline.derivative(order)(times)
+    return found
+
+
+def forces_along(simulation, joints, times, positions, deviation=0.0):
+    """
+    Move a simulation along a measured motion, under the torques that this takes.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        Whose initial position is on the branch of the motion.
+    joints : sequence of str
+        Measured joints of the tree.
+    times : ndarray, shape (n,)
+        Increasing [s].
+    positions : ndarray, shape (n, number of joints)
+        [rad or m].
+    deviation : float
+        As for ``smooth``.
+
+    Yields
+    ------
+    int
+        Number of the measurement whose state and forces the simulation has now.
+
+    Raises
+    ------
+    CompletionError, SimulationError
+        Where the mechanism cannot be there, or its drives cannot move it so.
+    ValueError
+        For joints that do not determine the others.
+
+    """
+    completion = Completion(simulation.mechanism, joints, simulation.position)
+    turns = ~simulation.coordinates.lengths[
+        [simulation.coordinates.index[name] for name in joints]]
+    positions = positions.copy()
+    positions[:, turns] = np.unwrap(positions[:, turns], axis=0)
+    nq, nv = simulation.coordinates.nq, simulation.coordinates.nv
+    for k, (position, rate, acceleration) in enumerate(
+            zip(*smooth(times, positions, deviation))):
+        completion.complete(position, rate)
+        if completion.passed:
+            raise CompletionError(
+                f'at {times[k]:.6g} s the motion touches a singular position, where branches '
+                'meet: on which one it goes on does not follow from these joints')
+        q, qd = completion.position, completion.velocity
+        torque, _ = simulation.inverse_dynamics(q, qd, completion.accelerations(acceleration))
+        simulation.integrated[:nq] = q
+        simulation.integrated[nq:nq + nv] = qd
+        simulation.touch()
+        simulation.advance(simulation.joint_torques(torque), 0)
+        yield k
+
+
+class ForceBag:
+    """
+    Writes states and constraint forces of a simulation into a new bag.
+
+    A context; ``path`` is its directory, which must not exist. Topics are those of the simulator.
+
+    """
+
+    def __init__(self, path, simulation):
+        self._files, self._store = BagFiles(path, 'mcap'), get_typestore(Stores.ROS2_JAZZY)
+        self._simulation = simulation
+        self._states = self._add('/joint_states', STATE)
+        self._forces = [self._add(f'/constraint_forces/{cut.name}', WRENCH)
+                        for cut in simulation.cut_joints]
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self._files.close()
+
+    def _add(self, topic, kind):
+        definition, _ = self._store.generate_msgdef(kind, ros_version=2)
+        return self._files.add_topic(
+            Topic(topic, kind, definition, '', self._store.hash_rihs01(kind)))
+
+    def write(self, stamp):
+        """Write the present state, with a stamp [ns]."""
+        simulation, types = self._simulation, self._store.types
+        header = types['std_msgs/msg/Header'](
+            stamp=types['builtin_interfaces/msg/Time'](*divmod(stamp, NANOSECONDS)),
+            frame_id='')
+        single = simulation.coordinates.single
+        state = types[STATE](
+            header=header, name=list(simulation.coordinates.single_names),
+            position=simulation.position[simulation.coordinates.place[single]],
+            velocity=simulation.velocity[single], effort=simulation.effort[single])
+        self._put(self._states, stamp, state, STATE)
+        header = types['std_msgs/msg/Header'](stamp=header.stamp, frame_id='world')
+        vector = types['geometry_msgs/msg/Vector3']
+        for channel, wrench in zip(self._forces, simulation.constraint_forces):
+            torque, force = (0.0, 0.0, wrench[0]), (*wrench[1:], 0.0)
+            if len(wrench) == 6:
+                torque, force = wrench[:3], wrench[3:]
+            self._put(channel, stamp, types[WRENCH](header=header, wrench=types[
+                'geometry_msgs/msg/Wrench'](force=vector(*map(float, force)), torque=vector(
+                    *map(float, torque)))), WRENCH)
+
+    def _put(self, channel, stamp, message, kind):
+        self._files.write(channel, stamp, bytes(self._store.serialize_cdr(message, kind)))
