@@ -81,7 +81,11 @@ def sdf(mechanism, effects=None, start=None):
         one, offset=one.offset - sum(factor * zero[name] for name, factor in one.joints.items()))
         for one in mechanism.couplings))
     writer.mimics = mimics_of(shifted, 'SDF')
-    for joint in mechanism.joints:
+    waiting = list(mechanism.joints)
+    while waiting:
+        # What a joint is on is drawn before it, whatever their order in the mechanism.
+        joint = next(one for one in waiting if one.parent in writer.poses)
+        waiting.remove(joint)
         writer.add_joint(joint, start[places.coordinates[joint.name]])
     for cut in mechanism.cut_joints:
         writer.add_loop(cut)

@@ -197,6 +197,18 @@ def test_sdf_with_what_floats_couplings_and_effects(tmp_path):
     assert spring['rest'] == pytest.approx(0.2 - found.q[mechanism.coordinates.coordinates['j2']])
 
 
+def test_sdf_with_a_joint_before_the_one_that_its_parent_is_on(tmp_path):
+    mechanism = tree('free', 'revolute', 'prismatic')
+    mechanism = replace(mechanism, joints=tuple(
+        replace(joint, actuated=False) for joint in reversed(mechanism.joints)))
+    again = read_again(tmp_path, sdf(mechanism, GRAVITY), '.sdf')
+    assert {joint.child: joint.parent for joint in again.joints} == {
+        'b0': 'ground', 'b1': 'b0', 'b2': 'b1'}
+    # And once more: what it was read as has the joint of what floats behind the others.
+    assert again.joint_names[-1] == 'b0_free'
+    same_motion(again, read_again(tmp_path, sdf(again, GRAVITY), '.sdf'))
+
+
 def test_mjcf_starts_where_the_loops_are_closed(tmp_path):
     mujoco = pytest.importorskip('mujoco')
     for mechanism in (tree(*CHAIN, cuts=[closing('spherical', 'b7')]),
