@@ -89,7 +89,7 @@ def _closed(mechanism, position, hold, limits):
     """Return coordinates that close the loops, near a position; None where there are none."""
     size = extent(mechanism)
     if isinstance(position, dict):
-        found, _ = assembled(Imported(mechanism, position, {}, limits, {}))
+        found, _ = assembled(Imported(mechanism, position, limits=limits))
     else:
         found = find_closed(mechanism, size, position, hold, starts=0)
         if not found.closed:

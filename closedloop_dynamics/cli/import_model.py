@@ -50,7 +50,7 @@ def _run(arguments):
         require_free(arguments, arguments.scene, option='--scene')
     imported = read_model(arguments.model, arguments.end_stops,
                           mend_inertias=arguments.mend_inertias)
-    notes = lines(imported.ignored)
+    notes = lines(imported)
     if arguments.scene is not None:
         with announced('Closing the loops ...'):
             found, told = assembled(imported)

@@ -20,13 +20,13 @@ with the most freedoms, which leave the fewest equations.
 
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 import re
 from typing import NamedTuple
 
 import numpy as np
 
-from .model import Connection, free_name
+from .model import Connection, free_name, Omission
 from .pose import IDENTITY, Pose, quaternion_of
 from .visuals import placed
 from ..mechanism.fields import FieldError
@@ -49,6 +49,14 @@ JOINT_EFFECTS = {'damping': ('joint_damping', 'coefficient'),
                  'friction': ('joint_friction', 'coulomb'),
                  'armature': ('rotor', 'inertia'),
                  'stiffness': ('joint_spring', 'stiffness')}
+# Units of the numbers, of turns and of slides.
+UNITS = {'damping': ('N m s/rad', 'N s/m'), 'friction': ('N m', 'N'),
+         'armature': ('kg m^2', 'kg'), 'stiffness': ('N m/rad', 'N/m')}
+# So many elements that something is left out of are named.
+MOST_NAMED = 4
+# Reasons of what has no influence on the motion.
+FOR_OTHERS = re.compile('for (pictures|sensors|programs|controllers|another)|names |not drawn'
+                        f'|{GROUND} is')
 
 
 @dataclass(frozen=True)
@@ -65,16 +73,19 @@ class Imported:
         Keys of the effects as a scene has them, gravity among them.
     limits : dict of str to tuple of 2
         Least and largest coordinate of joints of one freedom, None where there is none.
+    omitted : list of model.Omission
+        What moves bodies and was left out.
     ignored : dict of str to str
-        What was left out, with the reason.
+        What else was left out, with the reason.
 
     """
 
     mechanism: Mechanism
     position: dict
-    effects: dict
-    limits: dict
-    ignored: dict
+    effects: dict = field(default_factory=dict)
+    limits: dict = field(default_factory=dict)
+    omitted: list = field(default_factory=list)
+    ignored: dict = field(default_factory=dict)
 
 
 class _Tree(NamedTuple):
@@ -106,7 +117,7 @@ def mechanism_of(model, end_stops=None, mend_inertias=False):
         Where it is no mechanism, with the element of the file.
 
     """
-    ignored = dict(model.ignored)
+    ignored, omitted = dict(model.ignored), list(model.omitted)
     model.check()
     joints = [_upright(joint) for joint in model.joints.values()]
     groups = _Groups(model, joints)
@@ -122,7 +133,7 @@ def mechanism_of(model, end_stops=None, mend_inertias=False):
     mechanism = Mechanism(
         name=word(model.name), bodies=tuple(bodies),
         joints=tuple(_joint(joint, groups, frames, named) for joint in tree.joints),
-        cut_joints=tuple(_cut(joint, groups, frames, named, end_stops is not None, ignored)
+        cut_joints=tuple(_cut(joint, groups, frames, named, end_stops is not None, omitted)
                          for joint in tree.cuts),
         couplings=tuple(_coupling(relation, tree, named) for relation in model.relations),
         points=tuple(_points(model, groups, frames, named)),
@@ -134,10 +145,10 @@ def mechanism_of(model, end_stops=None, mend_inertias=False):
     if named.changed:
         ignored[f'characters of {named.changed} name(s)'] = (
             'names have letters, digits and underscores, each once')
-    effects, position = _effects(model, tree, named, end_stops, ignored)
+    effects, position = _effects(model, mechanism, tree, named, end_stops, omitted, ignored)
     limits = {named.joint(joint.name): (joint.lower, joint.upper) for joint in tree.joints
               if JOINT_FREEDOMS[joint.type] == 1 and (joint.lower, joint.upper) != (None, None)}
-    return Imported(mechanism, position, effects, limits, ignored)
+    return Imported(mechanism, position, effects, limits, omitted, ignored)
 
 
 def _upright(joint):
@@ -265,9 +276,11 @@ def _reversed(joint):
     axis, other = joint.axis, joint.child_axis
     if joint.type == UNIVERSAL:
         axis, other = other, axis
+    acting = {key: getattr(joint, key)[::-1] for key in JOINT_EFFECTS
+              if isinstance(getattr(joint, key), tuple)}
     return replace(joint, parent=joint.child, child=joint.parent, in_parent=joint.in_child,
                    in_child=joint.in_parent, axis=None if axis is None else -axis,
-                   child_axis=None if other is None else -other)
+                   child_axis=None if other is None else -other, **acting)
 
 
 def _bodies(model, groups, tree, named, mend, ignored):
@@ -336,7 +349,7 @@ def _joint(joint, groups, frames, named):
         lead=joint.lead if joint.type == HELICAL else None)
 
 
-def _cut(joint, groups, frames, named, stops, ignored):
+def _cut(joint, groups, frames, named, stops, omitted):
     """Return a joint that closes a loop."""
     if joint.type not in SPATIAL_CUT_JOINT_EQUATIONS:
         raise MechanismError(f'{joint.where}: expected a type that a loop can be closed with, '
@@ -349,13 +362,14 @@ def _cut(joint, groups, frames, named, stops, ignored):
         raise MechanismError(f'{joint.where}: expected two axes at right angles, where the loop '
                              'is closed by a universal joint, got others')
     single = joint.type in COUPLED
-    lost = [key for key in ('actuated', *JOINT_EFFECTS) if getattr(joint, key)]
-    if lost and not single:
-        ignored[f'{", ".join(lost)} of {joint.name}'] = (
-            'this joint of several freedoms closes a loop')
+    acting = [key for key in JOINT_EFFECTS if np.any(getattr(joint, key))]
+    if joint.actuated and not single:
+        omitted.append(Omission('the drive', 'joint', joint.name,
+                                'it has several freedoms and closes a loop'))
     axis_a, axis_b = joint.axis, other
     held = joint.type in CUT_WITH_ORIENTATION
-    if single and (lost or stops and (joint.lower, joint.upper) != (None, None)):
+    if single and (joint.actuated or stops and (joint.lower, joint.upper) != (None, None)) or (
+            acting and joint.type in (*COUPLED, UNIVERSAL)):
         # Its coordinate is that of the child, which is body A then, on the parent.
         (a, pose_a, axis_a), (b, pose_b, axis_b) = (b, pose_b, other), (a, pose_a, joint.axis)
         held = True
@@ -393,29 +407,18 @@ def _points(model, groups, frames, named):
                     _vector((frames[group].inverse @ pose).position))
 
 
-def _effects(model, tree, named, end_stops, ignored):
+def _effects(model, mechanism, tree, named, end_stops, omitted, ignored):
     """Return what acts on the joints, as a scene has it, and where they start."""
     effects, position = {'gravity': {'type': 'gravity', 'acceleration': model.gravity}}, {}
     if not any(model.gravity):
         effects = {}
     limits, drives = [], []
-    closing = [joint for joint in tree.cuts if joint.type in COUPLED]
+    closing = [joint for joint in tree.cuts if joint.type in mechanism.measured_types]
     for joint in (*tree.joints, *closing):
         name = named.joint(joint.name)
         several = JOINT_FREEDOMS[joint.type] > 1
-        for key, (kind, number) in JOINT_EFFECTS.items():
-            value = getattr(joint, key)
-            if value and several:
-                ignored[f'{key} of {joint.name}'] = 'this joint has several freedoms'
-            elif value:
-                effects[f'{key}_{name}'] = {'type': kind, 'joint': name, number: value}
-                if key == 'armature':
-                    # Other programs leave the turning of the carrier out, as one that turns
-                    # without end does: the product of inertia and ratio is next to nothing.
-                    effects[f'{key}_{name}'].update(
-                        inertia=value / ENDLESS ** 2, gear_ratio=ENDLESS)
-                if key == 'stiffness' and joint.rest:
-                    effects[f'{key}_{name}']['rest'] = joint.rest
+        for key in JOINT_EFFECTS:
+            _act(joint, key, mechanism, name, effects, omitted)
         if joint.lower is not None or joint.upper is not None:
             if end_stops is None or several:
                 limits.append(name)
@@ -433,6 +436,34 @@ def _effects(model, tree, named, end_stops, ignored):
     if drives:
         ignored[f'limits of {len(drives)} drive(s)'] = 'give them as effects of type actuator'
     return effects, position
+
+
+def _act(joint, key, mechanism, name, effects, omitted):
+    """Add what acts in the freedoms of a joint, of one kind; note what no effect can carry."""
+    value, (kind, number) = getattr(joint, key), JOINT_EFFECTS[key]
+    if not np.any(value):
+        return
+    places = (mechanism.coordinates if name in mechanism.coordinates.rates
+              else mechanism.cut_coordinates)
+    freedoms = range(places.nv)[places.rates[name]]
+    if key == 'armature' and joint.type not in COUPLED or key == 'stiffness' and any(
+            places.place[freedom] < 0 for freedom in freedoms):
+        unit = UNITS[key][bool(places.lengths[freedoms[0]])]
+        omitted.append(Omission(key, 'joint', joint.name, 'no effect has it in joints of several '
+                                'freedoms', float(np.max(np.abs(value))), unit))
+        return
+    for freedom, one in zip(freedoms, np.broadcast_to(value, len(freedoms)).tolist()):
+        if not one:
+            continue
+        acting = effects[f'{key}_{word(places.names[freedom])}'] = {
+            'type': kind, 'joint': places.names[freedom], number: one}
+        if key == 'armature':
+            # Other programs leave the turning of the carrier out, as one that turns
+            # without end does: the product of inertia and ratio is next to nothing.
+            acting.update(inertia=one / ENDLESS ** 2, gear_ratio=ENDLESS)
+        if key == 'stiffness' and np.any(joint.rest):
+            acting['rest'] = float(np.broadcast_to(joint.rest, len(freedoms))[
+                freedom - freedoms[0]])
 
 
 class _Names:
@@ -492,11 +523,42 @@ def _told(error, model, named):
     return f'{record.where if record else model.path}: {error}'
 
 
-def lines(ignored):
-    """Return what was left out, as ``Imported.ignored`` has it, a line for each reason."""
-    return [f'left out, {reason}: '
-            + ', '.join(what for what, why in ignored.items() if why == reason)
-            for reason in dict.fromkeys(ignored.values())]
+def lines(imported):
+    """
+    Return what was left out, a line for each reason: what moves bodies first, the largest of all.
+
+    Parameters
+    ----------
+    imported : Imported
+        What was read.
+
+    Returns
+    -------
+    list of str
+
+    """
+    groups = {}
+    for one in sorted(imported.omitted, key=lambda one: -one.size):
+        groups.setdefault(one.reason, {}).setdefault(
+            (one.quantity, one.kind, one.unit), []).append(one)
+    moving = [f'left out of the motion, {reason}: ' + '; '.join(
+        _together(*key, some) for key, some in parts.items()) for reason, parts in groups.items()]
+    ignored = imported.ignored
+    return moving + [
+        f'left out, {reason}: '
+        + ', '.join(what for what, why in ignored.items() if why == reason)
+        for reason in sorted(dict.fromkeys(ignored.values()),
+                             key=lambda reason: bool(FOR_OTHERS.match(reason)))]
+
+
+def _together(quantity, kind, unit, omissions):
+    """Return in words what was left out of several elements."""
+    names = ', '.join(dict.fromkeys(one.name for one in omissions[:MOST_NAMED]))
+    if len(omissions) > MOST_NAMED:
+        names += f' and {len(omissions) - MOST_NAMED} more'
+    size = '' if np.isinf(omissions[0].size) else (
+        f' ({"up to " if len(omissions) > 1 else ""}{omissions[0].size:.3g} {unit})')
+    return f'{quantity} of {kind} {names}{size}'
 
 
 def _vector(values):

@@ -29,8 +29,9 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
+from .mjcf_omissions import disabled, omissions
 from .mjcf_pictures import read_pictures
-from .model import Connection, free_name, Link, Model, Relation
+from .model import Connection, free_name, Link, Model, Omission, Relation
 from .pose import about, IDENTITY, of_quaternion, Pose, unturned
 from .xml_file import read_bytes, read_xml
 from ..mechanism.mechanism import (
@@ -68,6 +69,7 @@ def read_mjcf(path):
         raise MechanismError(
             f'{path}: an MJCF file needs MuJoCo: pip install mujoco') from None
     model = Model(root.get('model') or path.stem, path)
+    _name_bodies(root)
     left_out = Counter()
     folder = path.parent.resolve()
     drawn = ''.join(_text(part, NOT_DRAWN) for part in root.children if part.tag in DRAWN)
@@ -79,8 +81,8 @@ def read_mjcf(path):
         told = ' '.join(str(error).split())
         raise MechanismError(f'{path}: expected a model that MuJoCo compiles, got: {told}'
                              ) from None
-    _Reader(mujoco, compiled, model).read()
-    read_pictures(mujoco, f'<mujoco>{drawn}</mujoco>', folder, model)
+    links = _Reader(mujoco, compiled, model).read()
+    read_pictures(mujoco, f'<mujoco>{drawn}</mujoco>', folder, model, links)
     return model
 
 
@@ -118,6 +120,27 @@ def _included(element, folder, files):
         children += _included(inside, folder, files).children
     element.children = children
     return element
+
+
+def _name_bodies(root):
+    """Name the bodies that have no name, as both readings of the file are to call them."""
+    bodies = []
+
+    def find(element, copied):
+        for child in element.children:
+            if child.tag == 'body':
+                bodies.append((child, copied))
+            find(child, copied or child.tag == 'replicate')
+
+    for element in root.children:
+        if element.tag == 'worldbody':
+            find(element, False)
+    taken = {body.attributes.get('name') for body, _ in bodies}
+    for number, (body, copied) in enumerate(bodies, 1):
+        if not body.attributes.get('name'):
+            # Copies have a number behind it.
+            body.attributes['name'] = free_name(f'body_{number}{"_" * copied}', taken)
+            taken.add(body.attributes['name'])
 
 
 def _stripped(root, folder, left_out):
@@ -193,36 +216,85 @@ class _Reader:
         self.compiled, self.model, self.mujoco = compiled, model, mujoco
         self.objects = mujoco.mjtObj
         self.joints = {}
+        self.bodies = [self._name(self.objects.mjOBJ_BODY, body, f'body_{body}')
+                       for body in range(compiled.nbody)]
 
     def read(self):
+        """Fill the model; return its links by the names that MuJoCo has."""
         compiled, model = self.compiled, self.model
-        model.gravity = tuple(compiled.opt.gravity.tolist())
+        if not self._disabled('GRAVITY'):
+            model.gravity = tuple(compiled.opt.gravity.tolist())
+        else:
+            model.gravity = (0.0, 0.0, 0.0)
         for body in range(1, compiled.nbody):
             self._body(body)
-        drives = set()
-        for drive in range(compiled.nu):
-            if compiled.actuator_trntype[drive] in (0, 1):
-                drives.add(self.joints[int(compiled.actuator_trnid[drive, 0])])
-            else:
-                self._leave(self.objects.mjOBJ_ACTUATOR, drive, 'it drives no joint')
+        self._find_drives()
+        model.omitted += omissions(self.mujoco, compiled, model.name)
+        limited = int(np.count_nonzero(compiled.tendon_limited))
+        if limited:
+            model.ignored[f'limits of {limited} tendon(s)'] = 'no end stops along tendons'
+        if not (self._disabled('EQUALITY') or self._disabled('CONSTRAINT')):
+            for equality in range(compiled.neq):
+                self._equality(equality)
+        elif compiled.neq:
+            model.ignored[f'{compiled.neq} equalities'] = 'the flags of the file disable them'
+        return {self._name(self.objects.mjOBJ_BODY, body, ''): model.links[self._body_name(body)]
+                for body in range(1, compiled.nbody)}
+
+    def _disabled(self, what):
+        return disabled(self.mujoco, self.compiled, what)
+
+    def _find_drives(self):
+        """Note which joints are driven, and what drives add to joints."""
+        compiled, model, kinds = self.compiled, self.model, self.mujoco.mjtTrn
+        in_joints = [int(getattr(kinds, f'mjTRN_{kind}')) for kind in (
+            'JOINT', 'JOINTINPARENT', 'SO3') if hasattr(kinds, f'mjTRN_{kind}')]
+        drives, count = set(), getattr(compiled, 'nactuator', compiled.nu)
+        outputs = getattr(compiled, 'actuator_outadr', range(count))
+        for drive in range(count):
+            kind, target = int(compiled.actuator_trntype[drive]), int(
+                compiled.actuator_trnid[drive, 0])
+            gear = float(compiled.actuator_gear[outputs[drive], 0])
+            damping, armature = (
+                gear ** 2 * float(getattr(compiled, f'actuator_{key}', np.zeros(count))[drive])
+                for key in ('damping', 'armature'))
+            if kind in in_joints:
+                joint = model.joints[self.joints[target]]
+                drives.add(joint.name)
+                joint.armature += armature
+                joint.damping += 0.0 if self._disabled('DAMPER') else damping
+                continue
+            self._leave(self.objects.mjOBJ_ACTUATOR, drive, 'it drives no joint')
+            for key, size, unit in (('damping', damping, 'N s/m'), ('armature', armature, 'kg')):
+                if size:
+                    self._omit(key, self.objects.mjOBJ_ACTUATOR, drive, 'it drives no joint',
+                               size, unit)
         for joint in model.joints.values():
-            joint.actuated = joint.name in drives
-        if compiled.nu:
+            joint.actuated = joint.name in drives and not self._disabled('ACTUATION')
+        if count:
             model.ignored['gains and limits of actuators'] = (
                 'commands are torques and forces of joints')
-        for equality in range(compiled.neq):
-            self._equality(equality)
 
     def _name(self, kind, number, default):
         return self.mujoco.mj_id2name(self.compiled, kind, int(number)) or default
 
+    def _called(self, kind, number):
+        """Return what an element is, and its name."""
+        return (kind.name.removeprefix('mjOBJ_').lower(),
+                self._name(kind, number, f'number {number + 1}'))
+
     def _leave(self, kind, number, reason):
-        name = self._name(kind, number, f'number {number + 1}')
-        self.model.ignored[f'{kind.name.removeprefix("mjOBJ_").lower()} {name}'] = reason
+        self.model.ignored[' '.join(self._called(kind, number))] = reason
+
+    def _omit_equality(self, number, reason):
+        self._omit('the constraint', self.objects.mjOBJ_EQUALITY, number, reason)
+
+    def _omit(self, quantity, kind, number, reason, size=math.inf, unit=''):
+        self.model.omitted.append(Omission(
+            quantity, *self._called(kind, number), reason, size, unit))
 
     def _body_name(self, body):
-        return GROUND if body == 0 else self._name(
-            self.objects.mjOBJ_BODY, body, f'body_{int(body)}')
+        return GROUND if body == 0 else self.model.link_name(self.bodies[body], self.bodies)
 
     def _body(self, body):
         compiled, name = self.compiled, self._body_name(body)
@@ -231,8 +303,11 @@ class _Reader:
         self.model.add(Link(
             name, where, float(compiled.body_mass[body]), compiled.body_ipos[body].copy(),
             axes @ np.diag(compiled.body_inertia[body]) @ axes.T))
-        if compiled.body_gravcomp[body]:
-            self._leave(self.objects.mjOBJ_BODY, body, 'gravity is not compensated for bodies')
+        if compiled.body_gravcomp[body] and any(self.model.gravity):
+            weight = np.linalg.norm(self.model.gravity) * compiled.body_mass[body]
+            self._omit('compensation of gravity', self.objects.mjOBJ_BODY, body,
+                       'gravity acts on every body',
+                       float(compiled.body_gravcomp[body] * weight), 'N')
         place = Pose(_rotation(compiled.body_quat[body]), compiled.body_pos[body].copy())
         parent = self._body_name(compiled.body_parentid[body])
         first, count = int(compiled.body_jntadr[body]), int(compiled.body_jntnum[body])
@@ -247,20 +322,25 @@ class _Reader:
             self.joints[joint] = connection.name
             parent, place = child, IDENTITY
         if not count:
-            self.model.add(Connection(f'{name}_fixed', FIXED, parent, name, where,
-                                      in_parent=place))
+            self.model.add(Connection(
+                free_name(f'{name}_fixed', self.model.joints), FIXED, parent, name, where,
+                in_parent=place))
 
     def _joint(self, joint, body, number, parent, child, place):
         compiled = self.compiled
         kind = TYPES[compiled.jnt_type[joint]]
-        name = self._name(self.objects.mjOBJ_JOINT, joint, f'{body}_joint_{number + 1}')
+        name = self._name(self.objects.mjOBJ_JOINT, joint, '') or free_name(
+            f'{body}_joint_{number + 1}', self.model.joints)
         found = Connection(name, kind, parent, child,
                            f'{self.model.path}: <joint name={name!r}>')
         dof, address = int(compiled.jnt_dofadr[joint]), int(compiled.jnt_qposadr[joint])
-        found.damping, found.friction, found.armature = (
-            float(some[dof]) for some in (compiled.dof_damping, compiled.dof_frictionloss,
-                                          compiled.dof_armature))
-        found.stiffness = float(np.ravel(compiled.jnt_stiffness[joint])[0])
+        found.armature = float(compiled.dof_armature[dof])
+        if not self._disabled('DAMPER'):
+            found.damping = float(np.ravel(compiled.dof_damping[dof])[0])
+        if not (self._disabled('FRICTIONLOSS') or self._disabled('CONSTRAINT')):
+            found.friction = float(compiled.dof_frictionloss[dof])
+        if not self._disabled('SPRING'):
+            found.stiffness = float(np.ravel(compiled.jnt_stiffness[joint])[0])
         found.in_parent = place
         if kind == FREE:
             return found
@@ -276,7 +356,8 @@ class _Reader:
             back = unturned(-drawn * found.axis) if kind == PRISMATIC else Pose(
                 about(found.axis, -drawn), np.zeros(3))
             found.in_parent = found.in_parent @ back
-        if compiled.jnt_limited[joint]:
+        if compiled.jnt_limited[joint] and not (
+                self._disabled('LIMIT') or self._disabled('CONSTRAINT')):
             found.lower, found.upper = compiled.jnt_range[joint].tolist()
         return found
 
@@ -293,7 +374,7 @@ class _Reader:
         elif kind in (JOINT, TENDON):
             self._relate(number, name, where, kind, data)
         else:
-            self._leave(self.objects.mjOBJ_EQUALITY, number, 'a type that is not read')
+            self._omit_equality(number, 'a type that is not read')
 
     def _close(self, number, name, where, kind, data):
         compiled = self.compiled
@@ -314,7 +395,7 @@ class _Reader:
     def _relate(self, number, name, where, kind, data):
         compiled = self.compiled
         if data[2:5].any():
-            self._leave(self.objects.mjOBJ_EQUALITY, number, 'only linear couplings are read')
+            self._omit_equality(number, 'only linear couplings are read')
             return
         factors, offset = Counter(), float(data[0])
         ends = int(compiled.eq_obj1id[number]), int(compiled.eq_obj2id[number])
@@ -328,7 +409,7 @@ class _Reader:
         factors = {joint: factor for joint, factor in factors.items() if factor}
         if not factors or kind == TENDON and any(
                 end >= 0 and self._tendon(end) is None for end in ends):
-            self._leave(self.objects.mjOBJ_EQUALITY, number, 'only fixed tendons are read')
+            self._omit_equality(number, 'only fixed tendons are read')
             return
         self.model.relations.append(Relation(name, where, factors, offset))
 

@@ -33,7 +33,7 @@ THICK, WIDE = 0.005, 2.0
 UNTOLD = (0.5, 0.5, 0.5)
 
 
-def read_pictures(mujoco, text, folder, model):
+def read_pictures(mujoco, text, folder, model, links):
     """
     Give the links of a model, and its ground, what they are drawn as.
 
@@ -46,7 +46,9 @@ def read_pictures(mujoco, text, folder, model):
     folder : pathlib.Path
         Of the file.
     model : model.Model
-        With its links. What cannot be drawn is noted under ``ignored``.
+        What cannot be drawn is noted under its ``ignored``.
+    links : dict of str to model.Link
+        Of the model, by the names of MuJoCo's bodies.
 
     """
     try:
@@ -67,8 +69,8 @@ def read_pictures(mujoco, text, folder, model):
     for geom, name in zip(geoms, names):
         number = geom.id
         body = int(compiled.geom_bodyid[number])
-        link = model.ground_visual if body == 0 else model.links[mujoco.mj_id2name(
-            compiled, mujoco.mjtObj.mjOBJ_BODY, body) or f'body_{body}'].visual
+        link = model.ground_visual if body == 0 else links[mujoco.mj_id2name(
+            compiled, mujoco.mjtObj.mjOBJ_BODY, body)].visual
         if compiled.geom_group[number] < HIDDEN:
             found = None if name and name not in meshes else _visuals(
                 mujoco, compiled, number, meshes.get(name))

@@ -22,6 +22,7 @@ the writers of formats start from them again.
 """
 
 from dataclasses import dataclass, field
+import math
 from typing import Optional
 
 import numpy as np
@@ -106,8 +107,9 @@ class Connection:
         Whether it must not be a joint of the tree.
     actuated : bool or None
         None where the format does not tell.
-    damping, friction, armature, stiffness, rest : float
-        Zero where there is none; SI units.
+    damping, friction, armature, stiffness, rest : float or tuple of floats
+        Zero where there is none; SI units. One number of a joint of several freedoms is that of
+        each, a tuple has one for each.
     lower, upper, effort, speed : float or None
         Limits of the coordinate, of the drive and of the rate; None where there is none.
     start : float
@@ -161,6 +163,33 @@ class Relation:
     offset: float = 0.0
 
 
+@dataclass(frozen=True)
+class Omission:
+    """
+    Something that moves bodies and is left out.
+
+    Attributes
+    ----------
+    quantity : str
+        Such as ``'damping'``.
+    kind, name : str
+        Of the element: ``'tendon'`` and its name in the file.
+    reason : str
+    size : float
+        How much; the largest of several numbers. Infinite for what has no number.
+    unit : str
+        Of the size.
+
+    """
+
+    quantity: str
+    kind: str
+    name: str
+    reason: str
+    size: float = math.inf
+    unit: str = ''
+
+
 @dataclass
 class Model:
     """
@@ -182,8 +211,10 @@ class Model:
         What is drawn beside the links, in the frame of the ground.
     gravity : tuple of 3 floats
         [m/s^2].
+    omitted : list of Omission
+        What the file says of the motion and a mechanism does not have.
     ignored : dict of str to str
-        What the file says and a mechanism does not have, with the reason.
+        What else the file says, with the reason why it is left out.
 
     """
 
@@ -195,6 +226,7 @@ class Model:
     frames: dict = field(default_factory=dict)
     ground_visual: list = field(default_factory=list)
     gravity: tuple = GRAVITY
+    omitted: list = field(default_factory=list)
     ignored: dict = field(default_factory=dict)
 
     def add(self, record):
@@ -205,6 +237,14 @@ class Model:
                 f'{record.where}: expected every name once, got {record.name!r} again, first '
                 f'given at {section[record.name].where}')
         section[record.name] = record
+
+    def link_name(self, name, names):
+        """Return the name of a link among those of the file: not that of the ground."""
+        if name != GROUND:
+            return name
+        new = free_name(f'{GROUND}_link', names)
+        self.ignored[f'the name {GROUND} of a link, {new} taken'] = f'{GROUND} is the world'
+        return new
 
     def frame(self, name, where):
         """

@@ -80,7 +80,7 @@ def scene_of_model(path, imported):
     except FieldError as error:
         raise MechanismError(f'{path}: {error}') from None
     initial = closed_start(imported)
-    for note in lines(imported.ignored):
+    for note in lines(imported):
         warnings.warn(f'{path.name}: {note}', ModelWarning, stacklevel=2)
     return Scene(path.stem, path, mechanism.description, mechanism, initial, effects)
 

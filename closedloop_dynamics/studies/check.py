@@ -55,7 +55,7 @@ def describe_model(imported):
     found, notes = assembled(imported)
     return '\n\n'.join([
         *_mechanism(mechanism, found=found), *_loops(imported, found),
-        '\n'.join(['Notes', *(f'  {note}' for note in (*notes, *lines(imported.ignored)))])])
+        '\n'.join(['Notes', *(f'  {note}' for note in (*notes, *lines(imported)))])])
 
 
 def _loops(imported, found):

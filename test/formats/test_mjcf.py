@@ -14,6 +14,7 @@
 
 """MJCF: the same accelerations and closures as MuJoCo has them, and what is refused."""
 
+from closedloop_dynamics.formats.building import lines
 from closedloop_dynamics.formats.registry import read_model
 from closedloop_dynamics.formats.yaml_text import mechanism_text
 from closedloop_dynamics.mechanism.mechanism import MechanismError
@@ -122,27 +123,140 @@ def state(compiled, imported, rng):
     return data, q, qd
 
 
-def test_accelerations_are_those_of_mujoco(tmp_path):
-    compiled, imported = mujoco.MjModel.from_xml_string(TREE), read_model(written(tmp_path, TREE))
-    effects, coordinates = imported.effects, imported.mechanism.coordinates
-    numbers = Numbers(build_spatial_model(
-        imported.mechanism, effects['gravity']['acceleration']).model)
-    hinge, slide = coordinates.index['hinge'], coordinates.index['slide']
-    rotor, rng = effects['armature_hinge'], np.random.default_rng(0)
+def accelerations(imported, q, qd):
+    """Return our accelerations under gravity and what acts in joints, by dense matrices."""
+    coordinates, effects = imported.mechanism.coordinates, imported.effects
+    gravity = effects.get('gravity', {'acceleration': (0.0, 0.0, 0.0)})['acceleration']
+    numbers = Numbers(build_spatial_model(imported.mechanism, gravity).model)
+    numbers.move(q, qd)
+    inertia, force = numbers.inertia(), -numbers.bias_force()
+    for effect in effects.values():
+        place = coordinates.index.get(effect.get('joint'))
+        if effect['type'] == 'rotor':
+            inertia[place, place] += effect['inertia'] * effect['gear_ratio'] ** 2
+        elif effect['type'] == 'joint_damping':
+            force[place] -= effect['coefficient'] * qd[place]
+        elif effect['type'] == 'joint_spring':
+            force[place] -= effect['stiffness'] * (
+                q[coordinates.place[place]] - effect.get('rest', 0.0))
+        else:
+            assert effect['type'] == 'gravity'
+    return np.linalg.solve(inertia, force)
+
+
+def of_mujoco(compiled, data, imported):
+    """Return MuJoCo's accelerations in the order of our freedoms."""
+    found = np.empty(compiled.nv)
+    for number in range(compiled.njnt):
+        rates = imported.mechanism.coordinates.rates[compiled.joint(number).name]
+        dof = compiled.jnt_dofadr[number]
+        found[rates] = data.qacc[dof:dof + rates.stop - rates.start]
+    return found
+
+
+BALL = '<joint name="ball" type="ball" pos="0.01 0 0"'
+MOTOR = '<motor joint="hinge" gear="3"'
+VARIANTS = {
+    'as it is': [],
+    'dampers of balls and what floats': [
+        (BALL, f'{BALL} damping="0.7"'),
+        ('<freejoint name="drift"/>', '<joint type="free" name="drift" damping="0.4"/>')],
+    'actuators': [(MOTOR, f'{MOTOR} damping="0.3" armature="0.02"')],
+    'no gravity': [('contact=', 'gravity="disable" contact=')],
+    'no springs': [('contact=', 'spring="disable" contact=')],
+    'no dampers': [(MOTOR, f'{MOTOR} damping="0.3"'), (BALL, f'{BALL} damping="0.7"'),
+                   ('contact=', 'damper="disable" contact=')]}
+
+
+@pytest.mark.parametrize('variant', VARIANTS)
+def test_accelerations_are_those_of_mujoco(tmp_path, variant):
+    text = TREE
+    for old, new in VARIANTS[variant]:
+        assert old in text
+        text = text.replace(old, new)
+    try:
+        compiled = mujoco.MjModel.from_xml_string(text)
+    except ValueError as error:
+        pytest.skip(f'this version of MuJoCo does not have it: {error}')
+    imported, rng = read_model(written(tmp_path, text)), np.random.default_rng(0)
+    assert not imported.omitted
     for _ in range(3):
         data, q, qd = state(compiled, imported, rng)
-        numbers.move(q, qd)
-        inertia, force = numbers.inertia(), -numbers.bias_force()
-        inertia[hinge, hinge] += rotor['inertia'] * rotor['gear_ratio'] ** 2
-        force[hinge] -= effects['damping_hinge']['coefficient'] * qd[hinge]
-        spring = effects['stiffness_slide']
-        force[slide] -= spring['stiffness'] * (q[coordinates.place[slide]] - spring['rest'])
-        found = np.empty(coordinates.nv)
-        for number in range(compiled.njnt):
-            rates = coordinates.rates[compiled.joint(number).name]
-            dof = compiled.jnt_dofadr[number]
-            found[rates] = data.qacc[dof:dof + rates.stop - rates.start]
-        np.testing.assert_allclose(np.linalg.solve(inertia, force), found, rtol=1e-10, atol=1e-10)
+        np.testing.assert_allclose(
+            accelerations(imported, q, qd), of_mujoco(compiled, data, imported), rtol=1e-10,
+            atol=1e-10)
+
+
+def test_flags_disable_equalities_drives_friction_and_limits(tmp_path):
+    text = LOOPS.replace('EQUALITY', EQUALITIES['connect']).replace(
+        '<joint name="a"', '<joint name="a" range="-50 50" frictionloss="2"').replace(
+        '<tendon>', '<actuator><motor joint="a"/></actuator><tendon>')
+    found = read_model(written(tmp_path, text))
+    assert found.mechanism.cut_joints and found.mechanism.actuated_joints == ('a',)
+    assert found.limits and 'friction_a' in found.effects
+    flags = ('equality', 'actuation', 'frictionloss', 'limit')
+    for flag in (*flags, 'constraint'):
+        found = read_model(written(tmp_path, text.replace(
+            '<worldbody>', f'<option><flag {flag}="disable"/></option><worldbody>')))
+        left = (bool(found.mechanism.cut_joints), bool(found.mechanism.actuated_joints),
+                'friction_a' in found.effects, bool(found.limits))
+        assert left == tuple(flag != other and (flag != 'constraint' or other == 'actuation')
+                             for other in flags)
+        assert ('1 equalities' in found.ignored) != left[0]
+
+
+def test_what_moves_bodies_and_is_left_out_is_named_with_its_size(tmp_path):
+    text = TREE.replace('<actuator>', """
+      <tendon><fixed name="belt" stiffness="30" damping="0.5" armature="0.2" frictionloss="2"
+      springlength="0" limited="true" range="0 1"><joint joint="hinge" coef="2"/></fixed></tendon>
+      <actuator><motor name="pull" tendon="belt" gear="10"/>""").replace(
+        '<option ', '<option density="1.2" viscosity="2e-5" ').replace(
+        BALL, f'{BALL} stiffness="4" armature="0.3"')
+    imported = read_model(written(tmp_path, text))
+    assert [(one.quantity, one.kind, one.name, one.size, one.unit)
+            for one in sorted(imported.omitted, key=lambda one: -one.size)] == [
+        ('stiffness', 'tendon', 'belt', 30.0, 'N m/rad'),
+        ('stiffness', 'joint', 'ball', 4.0, 'N m/rad'),
+        ('friction', 'tendon', 'belt', 2.0, 'N m'),
+        ('density of the fluid', 'model', 'tree', 1.2, 'kg/m^3'),
+        ('damping', 'tendon', 'belt', 0.5, 'N m s/rad'),
+        ('armature', 'joint', 'ball', 0.3, 'kg m^2'),
+        ('armature', 'tendon', 'belt', 0.2, 'kg m^2'),
+        ('viscosity of the fluid', 'model', 'tree', 2e-5, 'Pa s')]
+    assert imported.ignored['limits of 1 tendon(s)'] == 'no end stops along tendons'
+    notes = lines(imported)
+    assert notes[0] == (
+        'left out of the motion, no effect acts along tendons: stiffness of tendon belt '
+        '(30 N m/rad); friction of tendon belt (2 N m); damping of tendon belt (0.5 N m s/rad); '
+        'armature of tendon belt (0.2 kg m^2)')
+    # What has no influence on the motion comes last.
+    assert 'pictures' in notes[-1] and 'pictures' not in ''.join(notes[:-1])
+    linear = TREE.replace('stiffness="3"', 'stiffness="3 7 -9"')
+    if hasattr(mujoco.MjModel, 'jnt_stiffnesspoly'):
+        assert [str(one.size) for one in read_model(written(tmp_path, linear)).omitted] == ['9.0']
+
+
+def test_bodies_without_names_are_drawn_too(tmp_path):
+    body = ('<body pos="0 0 {}"><joint name="{}" axis="0 1 0"/>'
+            '<geom size="0.1"/></body>')
+    text = ('<mujoco><worldbody><body name="body_3"><joint name="a"/><geom size="0.3"/></body>'
+            '<replicate count="2" offset="1 0 0">' + body.format(0, 'b') + '</replicate>'
+            + body.format(1, 'c') + '<body name="ground"><joint name="d"/><geom size="0.2"/>'
+            '</body></worldbody></mujoco>')
+    imported = read_model(written(tmp_path, text))
+    sizes = {body.name: body.visual[0].size for body in imported.mechanism.bodies}
+    assert sizes == {'body_3': (0.3,), 'body_2_0': (0.1,), 'body_2_1': (0.1,), 'body_3_': (0.1,),
+                     'ground_link': (0.2,)}
+    assert imported.ignored['the name ground of a link, ground_link taken'] == (
+        'ground is the world')
+
+
+def test_actuators_of_several_outputs(tmp_path):
+    if not hasattr(mujoco.mjtTrn, 'mjTRN_SO3'):
+        pytest.skip('this version of MuJoCo has none')
+    text = TREE.replace('<actuator>', '<actuator><orientation joint="ball"/>')
+    imported = read_model(written(tmp_path, text))
+    assert imported.mechanism.actuated_joints == ('hinge', 'ball.rx', 'ball.ry', 'ball.rz')
 
 
 @pytest.mark.parametrize('kind', EQUALITIES)

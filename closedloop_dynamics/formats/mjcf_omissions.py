@@ -1,0 +1,115 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Numbers of a compiled MJCF model that move bodies and that no mechanism or effect has."""
+
+import numpy as np
+
+from .model import Omission
+
+_ALONG = 'no effect acts along tendons'
+_LINEAR = 'springs and dampers are linear'
+_STIFF, _DAMP = ('N/m', 'N m/rad'), ('N s/m', 'N m s/rad')
+# By field of the compiled model: quantity, kind of element, reason, units of what slides and of
+# what turns, and the flag that disables it.
+FIELDS = {
+    'tendon_stiffness': ('stiffness', 'TENDON', _ALONG, _STIFF, 'SPRING'),
+    'tendon_damping': ('damping', 'TENDON', _ALONG, _DAMP, 'DAMPER'),
+    'tendon_armature': ('armature', 'TENDON', _ALONG, ('kg', 'kg m^2'), None),
+    'tendon_frictionloss': ('friction', 'TENDON', _ALONG, ('N', 'N m'), 'FRICTIONLOSS'),
+    'tendon_stiffnesspoly': (
+        'higher terms of the stiffness', 'TENDON', _ALONG, ('N/m^2', 'N m/rad^2'), 'SPRING'),
+    'tendon_dampingpoly': (
+        'higher terms of the damping', 'TENDON', _ALONG, ('N s^2/m^2', 'N m s^2/rad^2'),
+        'DAMPER'),
+    'tendon_springyield': ('yield of the spring', 'TENDON', _ALONG, ('m', 'rad'), 'SPRING'),
+    'jnt_stiffnesspoly': (
+        'higher terms of the stiffness', 'JOINT', _LINEAR, ('N/m^2', 'N m/rad^2'), 'SPRING'),
+    'jnt_springyield': ('yield of the spring', 'JOINT', _LINEAR, ('m', 'rad'), 'SPRING'),
+    'dof_dampingpoly': (
+        'higher terms of the damping', 'JOINT', _LINEAR, ('N s^2/m^2', 'N m s^2/rad^2'),
+        'DAMPER'),
+    'actuator_dampingpoly': (
+        'higher terms of the damping', 'ACTUATOR', _LINEAR, ('N s^2/m^2', 'N m s^2/rad^2'),
+        'DAMPER')}
+_NO_FLUID = 'no effect acts in a fluid'
+
+
+def disabled(mujoco, compiled, what):
+    """
+    Tell whether the flags of a file disable something.
+
+    Parameters
+    ----------
+    mujoco : module
+        As it was imported.
+    compiled : mujoco.MjModel
+        What it made of the file.
+    what : str
+        As ``mujoco.mjtDisableBit`` has it behind ``mjDSBL_``.
+
+    """
+    known = mujoco.mjtDisableBit
+    if what in ('SPRING', 'DAMPER') and not hasattr(known, f'mjDSBL_{what}'):
+        # Older versions have one flag for both.
+        what = 'PASSIVE'
+    return bool(compiled.opt.disableflags & int(getattr(known, f'mjDSBL_{what}', 0)))
+
+
+def omissions(mujoco, compiled, name):
+    """
+    Return what is left out of a compiled model, a list of Omission.
+
+    Parameters
+    ----------
+    mujoco : module
+        As it was imported.
+    compiled : mujoco.MjModel
+        What it made of the file.
+    name : str
+        Of the model.
+
+    """
+    found = {}
+    for field, (quantity, kind, reason, units, flag) in FIELDS.items():
+        if flag and disabled(mujoco, compiled, flag):
+            continue
+        # Older versions have less of them.
+        for row, values in enumerate(np.atleast_1d(getattr(compiled, field, ()))):
+            size = float(np.abs(values).max(initial=0.0))
+            number = int(compiled.dof_jntid[row]) if field.startswith('dof') else row
+            if size:
+                element = mujoco.mj_id2name(
+                    compiled, getattr(mujoco.mjtObj, f'mjOBJ_{kind}'), number)
+                found[field, number] = Omission(
+                    quantity, kind.lower(), element or f'number {number + 1}', reason, size,
+                    units[_turns(mujoco, compiled, kind, number)])
+    for key, unit in (('density', 'kg/m^3'), ('viscosity', 'Pa s')):
+        size = float(getattr(compiled.opt, key))
+        if size:
+            found[key, 0] = Omission(f'{key} of the fluid', 'model', name, _NO_FLUID, size, unit)
+    if compiled.nflex:
+        found['flex', 0] = Omission(f'elasticity of {compiled.nflex} flexes', 'model', name,
+                                    'bodies are rigid')
+    return list(found.values())
+
+
+def _turns(mujoco, compiled, kind, number):
+    """Tell whether a joint, a tendon or an actuator is measured by an angle."""
+    if kind == 'TENDON':
+        first = int(compiled.tendon_adr[number])
+        if compiled.wrap_type[first] != mujoco.mjtWrap.mjWRAP_JOINT:
+            return False
+        number, kind = int(compiled.wrap_objid[first]), 'JOINT'
+    return kind != 'JOINT' or compiled.jnt_type[number] != mujoco.mjtJoint.mjJNT_SLIDE
