@@ -43,6 +43,8 @@ DRIVEN = (REVOLUTE, PRISMATIC, HELICAL, UNIVERSAL)
 ENDLESS = 1e15
 # The version in which axes began to be given in the joint's frame.
 OWN_AXES = (1, 5)
+# Of joints in files of another format: of the converters that read them.
+JOINTS_ALONE = (1, 7)
 REASONS = {
     'visual': 'for pictures', 'material': 'for pictures', 'collision': 'for contacts',
     'self_collide': 'for contacts', 'plugin': 'for a simulator', 'sensor': 'for sensors',
@@ -83,20 +85,40 @@ def read_sdf(path):
     return reader.model
 
 
-class _Reader:
-    """Records from one element model."""
+def add_joints(element, model, poses):
+    """
+    Add the SDF joints in an element to a model in another format; each closes a loop.
 
-    def __init__(self, element, model, version):
+    Parameters
+    ----------
+    element : xml_file.Element
+        What they are children of.
+    model : Model
+        With its links.
+    poses : dict of str to Pose
+        Of its links in the frame of the model, as they are drawn.
+
+    """
+    for joint in _Reader(element, model, JOINTS_ALONE, poses).joints_alone():
+        joint.closes = True
+        model.add(joint)
+
+
+class _Reader:
+    """
+    Records from one element model.
+
+    Its frames are found beginning with poses of some in that of the model, those of links of a
+    model in another format among them.
+
+    """
+
+    def __init__(self, element, model, version, found=()):
         """Note every frame with the pose that it is given."""
         self.element, self.model, self.version = element, model, version
-        for child in element.all('model', 'include'):
-            raise child.error('links and joints', 'a model in the model')
-        static = element.child('static')
-        if static is not None and static.text in ('true', '1'):
-            raise static.error('a model that moves', 'a static one')
         self.links, self.joints = element.all('link'), element.all('joint')
         # By frame: the element with its pose, and what that is relative to if it names nothing.
-        self.given, self.found = {}, {MODEL: IDENTITY}
+        self.given, self.found = {}, {MODEL: IDENTITY, **dict(found)}
         for kind, parts in (('link', self.links), ('frame', element.all('frame')),
                             ('joint', self.joints)):
             for part in parts:
@@ -110,31 +132,49 @@ class _Reader:
                     before = self._end(part, 'child')
                 self.given[name] = part, before
 
+    def _link_name(self, frame):
+        """Return what a link, or the world, is called in the model."""
+        if frame == WORLD and frame not in self.model.links:
+            return GROUND
+        return self.model.link_name(frame, self.given)
+
     def read(self):
         element, model = self.element, self.model
+        for child in element.all('model', 'include'):
+            raise child.error('links and joints', 'a model in the model')
+        static = element.child('static')
+        if static is not None and static.text in ('true', '1'):
+            raise static.error('a model that moves', 'a static one')
         pose = element.child('pose')
         self.found[WORLD] = self._pose(pose).inverse if pose is not None else IDENTITY
         for link in self.links:
-            model.add(_link(link, self._pose))
-            model.links[link.attributes['name']].visual = visuals(
+            name = link.word('name')
+            if name == WORLD:
+                raise link.error(f'any name but {WORLD!r}', 'this one')
+            record = _link(self._link_name(name), link, self._pose)
+            model.add(record)
+            record.visual = visuals(
                 link, model.path.parent, lambda visual: self._pose(visual.child('pose')), _child,
                 _color)
-            if link.attributes['name'] in (WORLD, GROUND):
-                raise link.error(f'any name but {WORLD!r} and {GROUND!r}', 'this one')
         for joint in self.joints:
             model.add(self._joint(joint))
         for number, constraint in enumerate(element.all('drake:ball_constraint'), 1):
-            model.add(_ball_constraint(constraint, f'ball_constraint_{number}'))
+            model.add(self._ball_constraint(constraint, f'ball_constraint_{number}'))
         for name, (part, before) in self.given.items():
             if part.tag == 'frame':
-                link = self._carrier(before)
+                carrier = self._carrier(before)
+                link = self._link_name(carrier)
                 if link in model.links:
-                    model.frames[name] = link, self._in(link).inverse @ self._in(name)
+                    model.frames[name] = link, self._in(carrier).inverse @ self._in(name)
         model.check()
         self._float()
         if not any(joint.actuated for joint in model.joints.values()):
             for joint in model.joints.values():
                 joint.actuated = joint.type in DRIVEN and bool(joint.effort)
+
+    def joints_alone(self):
+        """Return the joints of an element that has no links."""
+        return [self._joint(joint) for joint in self.joints]
 
     def _carrier(self, name):
         """Return the link that a frame is on, through others that it is attached to."""
@@ -196,7 +236,7 @@ class _Reader:
         poses, links = [], []
         for end in ends:
             link = self._carrier(end)
-            links.append(GROUND if link == WORLD else link)
+            links.append(self._link_name(link))
             poses.append(self._in(link, where=element).inverse @ place)
         joint = Connection(element.attributes['name'], kind, *links, element.where, *poses,
                            closes=_must_close(element))
@@ -211,11 +251,23 @@ class _Reader:
                 raise element.error('a child <axis2>', 'none')
             joint.child_axis = self._axis(second, place)
             joint.effort = _limits(first)[2]
+            acting = [_acting(axis) for axis in (first, second)]
+            joint.damping, joint.friction, joint.stiffness, joint.rest = zip(*acting)
             return joint
         if kind == HELICAL:
             joint.lead = _lead(element)
         self._act(joint, first)
         return joint
+
+    def _ball_constraint(self, element, name):
+        """Return a loop as Drake writes it."""
+        ends, places = [], []
+        for body, point in (('A', 'AP'), ('B', 'BQ')):
+            ends.append(self._link_name(
+                element.required(f'drake:ball_constraint_body_{body}').text))
+            place = element.required(f'drake:ball_constraint_p_{point}')
+            places.append(unturned(place.values(place.text, 3, 'a point')))
+        return Connection(name, SPHERICAL, *ends, element.where, *places, closes=True)
 
     def _axis(self, element, place):
         """Return an axis in the joint's frame."""
@@ -235,13 +287,8 @@ class _Reader:
 
     def _act(self, joint, element):
         """Note what acts on a joint, its limits and what it mimics."""
-        dynamics, mimic = element.child('dynamics'), element.child('mimic')
-        joint.damping, joint.friction, joint.stiffness, joint.rest = (
-            _value(dynamics, tag, 0.0)
-            for tag in ('damping', 'friction', 'spring_stiffness', 'spring_reference'))
-        for name in ('damping', 'friction', 'stiffness'):
-            if getattr(joint, name) < 0.0:
-                raise dynamics.error(f'{name} to be zero or more', f'{getattr(joint, name):g}')
+        mimic = element.child('mimic')
+        joint.damping, joint.friction, joint.stiffness, joint.rest = _acting(element)
         joint.lower, joint.upper, joint.effort, joint.speed = _limits(element)
         if mimic is not None:
             if mimic.get('axis', 'axis') != 'axis':
@@ -262,6 +309,8 @@ class _Reader:
                 beside[joint.parent].append(joint.child)
                 beside[joint.child].append(joint.parent)
         reached = set()
+        drawn = {self._link_name(link.attributes['name']): link.attributes['name']
+                 for link in self.links}
         for root in [GROUND, *model.links]:
             if root in reached:
                 continue
@@ -275,12 +324,13 @@ class _Reader:
                 model.add(Connection(
                     free_name(f'{root}_free', model.joints), FREE, GROUND, root,
                     model.links[root].where,
-                    in_parent=self._in(WORLD).inverse @ self._in(root), actuated=False))
+                    in_parent=self._in(WORLD).inverse @ self._in(drawn[root]),
+                    actuated=False))
 
 
-def _link(element, pose_of):
+def _link(name, element, pose_of):
     """Return a link; one without inertial has a mass of 1 kg, as SDF has it."""
-    link = Link(element.word('name'), element.where, 1.0, np.zeros(3), np.eye(3))
+    link = Link(name, element.where, 1.0, np.zeros(3), np.eye(3))
     inertial = element.child('inertial')
     if inertial is None:
         return link
@@ -304,6 +354,17 @@ def _value(parent, tag, default=None):
     """Return the number in a child, where there is one."""
     child = None if parent is None else parent.child(tag)
     return default if child is None else child.values(child.text, 1, tag)[0]
+
+
+def _acting(axis):
+    """Return damping, friction, stiffness of the spring and its rest about an axis."""
+    dynamics = axis.child('dynamics')
+    found = [_value(dynamics, tag, 0.0)
+             for tag in ('damping', 'friction', 'spring_stiffness', 'spring_reference')]
+    for name, value in zip(('damping', 'friction', 'spring_stiffness'), found):
+        if value < 0.0:
+            raise dynamics.error(f'{name} to be zero or more', f'{value:g}')
+    return found
 
 
 def _limits(element):
@@ -347,14 +408,3 @@ def _lead(element):
     if found == 0.0:
         raise pitch.error('a pitch that is not zero', '0')
     return -1.0 / found
-
-
-def _ball_constraint(element, name):
-    """Return a loop as Drake writes it."""
-    ends, places = [], []
-    for body, point in (('A', 'AP'), ('B', 'BQ')):
-        ends.append(element.required(f'drake:ball_constraint_body_{body}').text)
-        place = element.required(f'drake:ball_constraint_p_{point}')
-        places.append(unturned(place.values(place.text, 3, 'a point')))
-    ends = [GROUND if end == WORLD else end for end in ends]
-    return Connection(name, SPHERICAL, *ends, element.where, *places, closes=True)

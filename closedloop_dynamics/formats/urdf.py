@@ -28,6 +28,7 @@ import numpy as np
 from .model import Connection, free_name, inertia_matrix, Link, Model, MOMENTS, Relation
 from .parallel_yaml import add_parallel_yaml
 from .pose import IDENTITY, of_angles, Pose, unturned
+from .sdf import add_joints
 from .visuals import color_in, visuals
 from .xml_file import read_xml
 from ..mechanism.fields import nearest
@@ -44,10 +45,19 @@ WITHOUT_AXIS = (FIXED, FREE, SPHERICAL)
 # Why what is not read is not needed.
 REASONS = {
     'visual': 'for pictures', 'material': 'for pictures', 'collision': 'for contacts',
-    'gazebo': 'for a simulator', 'joint_properties': 'for another program',
+    'joint_properties': 'for another program',
     'safety_controller': 'for controllers', 'calibration': 'for controllers',
     'hardware': 'for controllers', 'sensor': 'for sensors',
-    'drake:linear_bushing_rpy': 'bushings close no loops'}
+    'drake:linear_bushing_rpy': 'bushings close no loops',
+    # In an element gazebo.
+    **dict.fromkeys((
+        'mu1', 'mu2', 'mu', 'fdir1', 'kp', 'kd', 'maxVel', 'minDepth', 'maxContacts',
+        'max_contacts', 'selfCollide', 'self_collide', 'laserRetro'), 'for contacts'),
+    **dict.fromkeys((
+        'plugin', 'static', 'provideFeedback', 'implicitSpringDamper', 'stopCfm', 'stopErp',
+        'fudgeFactor', 'preserveFixedJoint', 'disableFixedJointLumping', 'dampingFactor',
+        'velocity_decay', 'enable_wind', 'allow_auto_disable', 'gazebo'), 'for a simulator'),
+    **dict.fromkeys(('gravity', 'turnGravityOff'), 'gravity acts on every link')}
 
 
 def read_urdf(path):
@@ -60,6 +70,7 @@ def read_urdf(path):
     path = Path(path)
     robot = read_xml(path, ('robot',), _expanded(path) if path.suffix == '.xacro' else None)
     model = Model(robot.get('name') or path.stem, path)
+    _rename_ground(robot, model)
     colors = {material.get('name'): _color(material) for material in robot.all('material')}
     for link in robot.all('link'):
         model.add(_link(link))
@@ -81,6 +92,7 @@ def read_urdf(path):
         model.relations.append(_mimic(model, joint, element))
     model.check()
     _stand(model, robot)
+    _extend(model, robot)
     for element in robot.all('coupling'):
         model.relations.append(_coupling(model, element))
     _find_drives(model, robot)
@@ -319,6 +331,57 @@ def _stand(model, robot):
         model.add(Connection(free_name('to_ground', model.joints), FIXED, GROUND, roots[0]))
     else:
         del model.links[GROUND]
+
+
+def _rename_ground(robot, model):
+    """Call a link that is named as the ground otherwise, unless it is the root."""
+    carried = [child.get('link') for joint in robot.all('joint') for child in joint.all('child')]
+    if GROUND in carried:
+        _rename(robot, model.link_name(GROUND, [link.get('name') for link in robot.all('link')]))
+
+
+def _rename(element, new):
+    """Put another name in the place of the ground's wherever an element refers to a link."""
+    for key, value in element.attributes.items():
+        if value == GROUND and (key in ('link', 'reference') or key == 'name' and (
+                element.tag == 'link' or element.tag.startswith('drake:'))):
+            element.attributes[key] = new
+    if element.text == GROUND:
+        element.text = new
+    for child in element.children:
+        _rename(child, new)
+
+
+def _extend(model, robot):
+    """Read what Gazebo's extensions say of the motion: joints of SDF, and springs of joints."""
+    poses = _drawn(model)
+    for element in robot.all('gazebo'):
+        name = element.get('reference')
+        if name is None:
+            add_joints(element, model, poses)
+        elif name in model.joints:
+            joint = model.joints[name]
+            for tag, key in (('springStiffness', 'stiffness'), ('springReference', 'rest')):
+                child = element.child(tag)
+                if child is not None:
+                    setattr(joint, key, child.values(child.text, 1, tag)[0])
+            if joint.stiffness < 0.0:
+                raise element.error('springStiffness to be zero or more',
+                                    f'{joint.stiffness:g}')
+
+
+def _drawn(model):
+    """Return where the links are in the frame of the ground, each joint at zero."""
+    carried, found, waiting = {}, {GROUND: IDENTITY}, [GROUND]
+    for joint in model.joints.values():
+        if not joint.closes:
+            carried.setdefault(joint.parent, []).append(joint)
+    while waiting:
+        parent = waiting.pop()
+        for joint in carried.get(parent, ()):
+            found[joint.child] = found[parent] @ joint.in_parent
+            waiting.append(joint.child)
+    return found
 
 
 def _find_drives(model, robot):

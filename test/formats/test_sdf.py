@@ -193,3 +193,43 @@ def test_what_links_are_drawn_as(tmp_path):
     assert (pin.kind, pin.size, pin.center) == ('cylinder', (0.1, 0.2), (0.0, 0.0, 0.1))
     assert (pin.color, mesh.color) == ((0.1, 0.2, 0.3), None)
     assert mesh.file == str(tmp_path.resolve() / 'it' / 'm.obj') and mesh.size == (1.0, 2.0, 3.0)
+
+
+def test_a_link_called_ground(tmp_path):
+    text = FOUR_BAR.replace('"coupler"', '"ground"').replace('>coupler<', '>ground<')
+    imported = read_model(written(tmp_path, text))
+    expected = read_model(written(tmp_path, FOUR_BAR)).mechanism
+    assert mechanism_text(imported.mechanism).replace('ground_link', 'coupler') == (
+        mechanism_text(expected))
+    assert 'the name ground of a link, ground_link taken' in imported.ignored
+
+
+def test_what_acts_about_both_axes_of_a_universal_joint(tmp_path):
+    dynamics = ('<dynamics><damping>{}</damping><spring_stiffness>{}</spring_stiffness>'
+                '<spring_reference>{}</spring_reference></dynamics>')
+    joint = ('<joint name="cross" type="universal"><parent>rocker</parent><child>tip</child>'
+             '<axis><xyz>0 1 0</xyz>' + dynamics.format(1, 2, 0.3) + '</axis>'
+             '<axis2><xyz>1 0 0</xyz>' + dynamics.format(0, 5, 0) + '</axis2></joint>')
+    begin = FOUR_BAR.index('  <joint name="pin"')
+    end = FOUR_BAR.index('</model>')
+    expected = {
+        'damping_cross_1': {'type': 'joint_damping', 'joint': 'cross.1', 'coefficient': 1.0},
+        'stiffness_cross_1': {'type': 'joint_spring', 'joint': 'cross.1', 'stiffness': 2.0,
+                              'rest': 0.3},
+        'stiffness_cross_2': {'type': 'joint_spring', 'joint': 'cross.2', 'stiffness': 5.0,
+                              'rest': 0.0}}
+    closing = FOUR_BAR[:begin] + joint + FOUR_BAR[end:]
+    imported = read_model(written(tmp_path, closing))
+    cut, = imported.mechanism.cut_joints
+    # As in a tree, body A is the child: its first axis is that of the parent.
+    assert (cut.body_a, cut.body_b) == ('coupler', 'rocker')
+    assert cut.axis_a == pytest.approx((1.0, 0.0, 0.0))
+    assert {name: values for name, values in imported.effects.items() if 'cross' in name} == (
+        expected)
+    # Turned about, where the tree goes from the child to the parent.
+    hung = closing[:closing.index('  <joint name="rocker_joint"')] + joint + FOUR_BAR[end:]
+    imported = read_model(written(tmp_path, hung))
+    assert imported.mechanism.joints[-1].parent == 'coupler' and not imported.mechanism.cut_joints
+    assert {values['joint']: values.get('coefficient', values.get('stiffness'))
+            for name, values in imported.effects.items() if 'cross' in name and 'd' in name} == {
+        'cross.2': 1.0}

@@ -345,3 +345,51 @@ def test_deep_and_many_elements_are_refused(tmp_path):
         read(tmp_path, '<robot>' + '<a>' * 200 + '</a>' * 200 + '</robot>')
     with pytest.raises(MechanismError, match='expected at most 200000 elements'):
         read(tmp_path, '<robot>' + '<a/>' * 200_001 + '</robot>')
+
+
+def test_joints_of_gazebo_close_loops_as_they_are_drawn(tmp_path):
+    pin = ('<gazebo><frame name="top" attached_to="rocker"><pose>0.3 0 0 0 0 0</pose></frame>'
+           '<joint name="pin" type="revolute">POSE<parent>coupler</parent><child>CHILD</child>'
+           '<axis><xyz EXPRESSED>0 1 0</xyz><dynamics><damping>0.2</damping></dynamics></axis>'
+           '</joint><plugin name="p"/></gazebo>')
+    # Drawn with its loop closed: the coupler's end is where the rocker's is.
+    tree = TREE.replace('0.35 0 0', '0.2 0 0')
+    for pose, child, expressed in (
+            ('<pose>0.3 0 0 0 0 0</pose>', 'rocker', ''), ('', 'top', 'expressed_in="crank"'),
+            ('<pose relative_to="coupler">0.4 0 0 0 0 0</pose>', 'rocker', '')):
+        text = pin.replace('POSE', pose).replace('CHILD', child).replace('EXPRESSED', expressed)
+        imported = read(tmp_path, robot(LINKS, tree, text))
+        cut, = imported.mechanism.cut_joints
+        # Body A is the child, whose coordinate it is.
+        assert (cut.name, cut.type, cut.body_a, cut.body_b) == (
+            'pin', 'revolute', 'rocker', 'coupler')
+        assert cut.point_a == pytest.approx((0.3, 0.0, 0.0))
+        assert cut.point_b == pytest.approx((0.4, 0.0, 0.0))
+        assert cut.axis_a == cut.axis_b == (0.0, 1.0, 0.0)
+        assert imported.effects['damping_pin']['coefficient'] == 0.2
+        assert imported.ignored['plugin'] == 'for a simulator'
+    with pytest.raises(MechanismError, match=r"<joint name='pin'>: expected the name of a frame, "
+                                             "got 'rockr'"):
+        read(tmp_path, robot(LINKS, tree, pin.replace('POSE', '').replace(
+            'CHILD', 'rockr').replace('EXPRESSED', '')))
+
+
+def test_springs_of_gazebo_act_in_joints(tmp_path):
+    spring = ('<gazebo reference="crank_joint"><springStiffness>3</springStiffness>'
+              '<springReference>0.2</springReference></gazebo>')
+    imported = read(tmp_path, robot(LINKS, TREE, LOOPS['loop'][1], spring))
+    assert imported.effects['stiffness_crank_joint'] == {
+        'type': 'joint_spring', 'joint': 'crank_joint', 'stiffness': 3.0, 'rest': 0.2}
+    with pytest.raises(MechanismError, match='expected springStiffness to be zero or more'):
+        read(tmp_path, robot(LINKS, TREE, spring.replace('>3<', '>-3<')))
+
+
+@pytest.mark.parametrize('way', LOOPS)
+def test_a_link_called_ground_that_is_not_the_root(tmp_path, way):
+    imported = read(tmp_path, four_bar(way).replace('"coupler"', '"ground"'))
+    assert [body.name for body in imported.mechanism.bodies] == ['crank', 'ground_link', 'rocker']
+    assert imported.ignored['the name ground of a link, ground_link taken'] == (
+        'ground is the world')
+    expected = read(tmp_path, four_bar(way)).mechanism
+    assert mechanism_text(imported.mechanism).replace('ground_link', 'coupler') == (
+        mechanism_text(expected))
