@@ -27,7 +27,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .model import Connection, free_name, Omission
-from .pose import IDENTITY, Pose, quaternion_of
+from .pose import IDENTITY, Pose, quaternion_of, unturned
 from .visuals import placed
 from ..mechanism.fields import FieldError
 from ..mechanism.mechanism import (
@@ -145,7 +145,7 @@ def mechanism_of(model, end_stops=None, mend_inertias=False):
     if named.changed:
         ignored[f'characters of {named.changed} name(s)'] = (
             'names have letters, digits and underscores, each once')
-    effects, position = _effects(model, mechanism, tree, named, end_stops, omitted, ignored)
+    effects, position = _effects(model, groups, mechanism, tree, named, end_stops, omitted, ignored)
     limits = {named.joint(joint.name): (joint.lower, joint.upper) for joint in tree.joints
               if JOINT_FREEDOMS[joint.type] == 1 and (joint.lower, joint.upper) != (None, None)}
     return Imported(mechanism, position, effects, limits, omitted, ignored)
@@ -399,7 +399,8 @@ def _points(model, groups, frames, named):
     """Yield the frames that a file names, and the links that were merged into others."""
     merged = {name: (name, IDENTITY) for group, links in groups.links.items()
               for name in links if name != group}
-    for name, (link, pose) in {**merged, **model.frames}.items():
+    lifted = {_center(link): (link.name, unturned(link.center)) for link in _lifted(model, groups)}
+    for name, (link, pose) in {**merged, **model.frames, **lifted}.items():
         if name in groups.links:
             continue
         group, pose = groups.place(link, pose)
@@ -407,11 +408,25 @@ def _points(model, groups, frames, named):
                     _vector((frames[group].inverse @ pose).position))
 
 
-def _effects(model, mechanism, tree, named, end_stops, omitted, ignored):
+def _lifted(model, groups):
+    """Return the links whose weight is compensated, of those that move."""
+    return [link for name, link in model.links.items()
+            if groups.of[name][0] != GROUND and link.lifted(model.gravity).any()]
+
+
+def _center(link):
+    return f'{link.name}_center_of_mass'
+
+
+def _effects(model, groups, mechanism, tree, named, end_stops, omitted, ignored):
     """Return what acts on the joints, as a scene has it, and where they start."""
     effects, position = {'gravity': {'type': 'gravity', 'acceleration': model.gravity}}, {}
     if not any(model.gravity):
         effects = {}
+    for link in _lifted(model, groups):
+        point = named.body(_center(link))
+        effects[f'lift_{point}'] = {'type': 'external_force', 'point': point,
+                                    'force': _vector(link.lifted(model.gravity))}
     limits, drives = [], []
     closing = [joint for joint in tree.cuts if joint.type in mechanism.measured_types]
     for joint in (*tree.joints, *closing):

@@ -302,12 +302,8 @@ class _Reader:
         axes = _rotation(compiled.body_iquat[body])
         self.model.add(Link(
             name, where, float(compiled.body_mass[body]), compiled.body_ipos[body].copy(),
-            axes @ np.diag(compiled.body_inertia[body]) @ axes.T))
-        if compiled.body_gravcomp[body] and any(self.model.gravity):
-            weight = np.linalg.norm(self.model.gravity) * compiled.body_mass[body]
-            self._omit('compensation of gravity', self.objects.mjOBJ_BODY, body,
-                       'gravity acts on every body',
-                       float(compiled.body_gravcomp[body] * weight), 'N')
+            axes @ np.diag(compiled.body_inertia[body]) @ axes.T,
+            carried=float(compiled.body_gravcomp[body])))
         place = Pose(_rotation(compiled.body_quat[body]), compiled.body_pos[body].copy())
         parent = self._body_name(compiled.body_parentid[body])
         first, count = int(compiled.body_jntadr[body]), int(compiled.body_jntnum[body])

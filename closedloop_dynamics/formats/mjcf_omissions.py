@@ -43,7 +43,8 @@ FIELDS = {
     'actuator_dampingpoly': (
         'higher terms of the damping', 'ACTUATOR', _LINEAR, ('N s^2/m^2', 'N m s^2/rad^2'),
         'DAMPER')}
-_NO_FLUID = 'no effect acts in a fluid'
+# Acceleration that weights are compared by [m/s^2].
+STANDARD = 9.81
 
 
 def disabled(mujoco, compiled, what):
@@ -95,14 +96,28 @@ def omissions(mujoco, compiled, name):
                 found[field, number] = Omission(
                     quantity, kind.lower(), element or f'number {number + 1}', reason, size,
                     units[_turns(mujoco, compiled, kind, number)])
-    for key, unit in (('density', 'kg/m^3'), ('viscosity', 'Pa s')):
-        size = float(getattr(compiled.opt, key))
-        if size:
-            found[key, 0] = Omission(f'{key} of the fluid', 'model', name, _NO_FLUID, size, unit)
+    drag = _drag(compiled)
+    if drag:
+        weight = STANDARD * float(compiled.body_mass.sum())
+        found['fluid', 0] = Omission(
+            f'drag at 1 m/s, {100.0 * drag / weight:.2g} % of the weight,', 'model', name,
+            f'no effect acts in a fluid (density {compiled.opt.density:g} kg/m^3, viscosity '
+            f'{compiled.opt.viscosity:g} Pa s)', drag, 'N')
     if compiled.nflex:
         found['flex', 0] = Omission(f'elasticity of {compiled.nflex} flexes', 'model', name,
                                     'bodies are rigid')
     return list(found.values())
+
+
+def _drag(compiled):
+    """Return the drag of all bodies, boxes of their inertia, on the widest face, at 1 m/s [N]."""
+    massive = compiled.body_mass > 0.0
+    mass, moments = compiled.body_mass[massive, None], compiled.body_inertia[massive]
+    sides = np.sqrt(6.0 * np.maximum(moments.sum(axis=1, keepdims=True) - 2.0 * moments, 0.0)
+                    / mass)
+    across = np.sort(sides, axis=1)[:, 1:].prod(axis=1)
+    return float(np.sum(0.5 * compiled.opt.density * across
+                        + 3.0 * np.pi * compiled.opt.viscosity * sides.mean(axis=1)))
 
 
 def _turns(mujoco, compiled, kind, number):

@@ -68,6 +68,8 @@ class Link:
         About the centre of mass, along the axes of the link's frame [kg m^2].
     visual : list of mechanism.Visual
         Shapes that it is drawn as, in the link's frame.
+    carried : float
+        The share of its weight that is compensated; 1 where gravity does not act on it.
 
     """
 
@@ -77,6 +79,11 @@ class Link:
     center: np.ndarray = field(default_factory=lambda: np.zeros(3))
     inertia: np.ndarray = field(default_factory=lambda: np.zeros((3, 3)))
     visual: list = field(default_factory=list)
+    carried: float = 0.0
+
+    def lifted(self, gravity):
+        """Return the force at its centre of mass that compensates its weight, shape (3,) [N]."""
+        return -self.carried * self.mass * np.array(gravity)
 
 
 @dataclass

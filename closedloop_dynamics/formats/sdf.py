@@ -26,7 +26,8 @@ import re
 
 import numpy as np
 
-from .model import Connection, free_name, inertia_matrix, Link, Model, MOMENTS, Relation
+from .model import (
+    Connection, free_name, inertia_matrix, Link, Model, MOMENTS, Omission, Relation)
 from .pose import IDENTITY, of_angles, of_quaternion, Pose, unturned
 from .visuals import color_in, visuals
 from .xml_file import read_xml
@@ -37,6 +38,7 @@ from ..mechanism.mechanism import (
 TYPES = {'revolute': REVOLUTE, 'continuous': REVOLUTE, 'prismatic': PRISMATIC, 'fixed': FIXED,
          'ball': SPHERICAL, 'universal': UNIVERSAL, 'revolute2': UNIVERSAL, 'screw': HELICAL}
 MODEL, WORLD = '__model__', 'world'
+TRUE, FALSE = ('true', '1'), ('false', '0')
 # Types whose limit of effort tells whether they are driven.
 DRIVEN = (REVOLUTE, PRISMATIC, HELICAL, UNIVERSAL)
 # Limits beyond this are none.
@@ -51,8 +53,7 @@ REASONS = {
     'light': 'for pictures', 'scene': 'for pictures', 'gui': 'for pictures',
     'physics': 'for a simulator',
     'drake:linear_bushing_rpy': 'bushings close no loops', 'enable_wind': 'for a simulator',
-    'allow_auto_disable': 'for a simulator', 'gravity': 'gravity acts on every link',
-    'velocity_decay': 'for a simulator'}
+    'allow_auto_disable': 'for a simulator'}
 
 
 def read_sdf(path):
@@ -143,7 +144,7 @@ class _Reader:
         for child in element.all('model', 'include'):
             raise child.error('links and joints', 'a model in the model')
         static = element.child('static')
-        if static is not None and static.text in ('true', '1'):
+        if static is not None and static.text in TRUE:
             raise static.error('a model that moves', 'a static one')
         pose = element.child('pose')
         self.found[WORLD] = self._pose(pose).inverse if pose is not None else IDENTITY
@@ -153,6 +154,12 @@ class _Reader:
                 raise link.error(f'any name but {WORLD!r}', 'this one')
             record = _link(self._link_name(name), link, self._pose)
             model.add(record)
+            decay = max(_value(link.child('velocity_decay'), tag, 0.0)
+                        for tag in ('linear', 'angular'))
+            if decay:
+                model.omitted.append(Omission(
+                    'decay of the velocity', 'link', name, 'it depends on the step of a simulator',
+                    decay, 'of it in each'))
             record.visual = visuals(
                 link, model.path.parent, lambda visual: self._pose(visual.child('pose')), _child,
                 _color)
@@ -206,7 +213,7 @@ class _Reader:
                 raise element.error('a quaternion that is not zero', repr(element.text))
             return Pose(of_quaternion(values[3:]), np.array(values[:3]))
         values = element.values(element.text, 6, 'pose')
-        unit = math.pi / 180.0 if element.get('degrees') in ('true', '1') else 1.0
+        unit = math.pi / 180.0 if element.get('degrees') in TRUE else 1.0
         return Pose(of_angles([unit * angle for angle in values[3:]]), np.array(values[:3]))
 
     def _in(self, name, asking=(), where=None):
@@ -279,7 +286,7 @@ class _Reader:
         parent = element.child('use_parent_model_frame')
         if whose:
             frame = self._in(whose, where=xyz).rotation
-        elif (self.version < OWN_AXES if parent is None else parent.text in ('true', '1')):
+        elif (self.version < OWN_AXES if parent is None else parent.text in TRUE):
             frame = np.eye(3)
         else:
             return axis
@@ -331,10 +338,12 @@ class _Reader:
 def _link(name, element, pose_of):
     """Return a link; one without inertial has a mass of 1 kg, as SDF has it."""
     link = Link(name, element.where, 1.0, np.zeros(3), np.eye(3))
+    gravity = element.child('gravity')
+    link.carried = float(gravity is not None and gravity.text in FALSE)
     inertial = element.child('inertial')
     if inertial is None:
         return link
-    if inertial.get('auto') in ('true', '1'):
+    if inertial.get('auto') in TRUE:
         raise inertial.error('a mass and an inertia', 'one that is to follow from shapes')
     pose = pose_of(inertial.child('pose'))
     mass, inertia = inertial.child('mass'), inertial.child('inertia')
@@ -394,7 +403,7 @@ def _must_close(element):
     """Tell whether a joint is to be cut where there is a choice."""
     for tag in ('physics', 'simbody', 'must_be_loop_joint'):
         element = element and element.child(tag)
-    return bool(element) and element.text in ('true', '1')
+    return bool(element) and element.text in TRUE
 
 
 def _lead(element):

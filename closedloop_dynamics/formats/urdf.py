@@ -28,7 +28,7 @@ import numpy as np
 from .model import Connection, free_name, inertia_matrix, Link, Model, MOMENTS, Relation
 from .parallel_yaml import add_parallel_yaml
 from .pose import IDENTITY, of_angles, Pose, unturned
-from .sdf import add_joints
+from .sdf import add_joints, FALSE, TRUE
 from .visuals import color_in, visuals
 from .xml_file import read_xml
 from ..mechanism.fields import nearest
@@ -56,8 +56,7 @@ REASONS = {
     **dict.fromkeys((
         'plugin', 'static', 'provideFeedback', 'implicitSpringDamper', 'stopCfm', 'stopErp',
         'fudgeFactor', 'preserveFixedJoint', 'disableFixedJointLumping', 'dampingFactor',
-        'velocity_decay', 'enable_wind', 'allow_auto_disable', 'gazebo'), 'for a simulator'),
-    **dict.fromkeys(('gravity', 'turnGravityOff'), 'gravity acts on every link')}
+        'velocity_decay', 'enable_wind', 'allow_auto_disable', 'gazebo'), 'for a simulator')}
 
 
 def read_urdf(path):
@@ -359,6 +358,11 @@ def _extend(model, robot):
         name = element.get('reference')
         if name is None:
             add_joints(element, model, poses)
+        elif name in model.links:
+            for tag, off in (('gravity', FALSE), ('turnGravityOff', TRUE)):
+                child = element.child(tag)
+                if child is not None:
+                    model.links[name].carried = float(child.text in off)
         elif name in model.joints:
             joint = model.joints[name]
             for tag, key in (('springStiffness', 'stiffness'), ('springReference', 'rest')):

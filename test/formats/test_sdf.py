@@ -233,3 +233,15 @@ def test_what_acts_about_both_axes_of_a_universal_joint(tmp_path):
     assert {values['joint']: values.get('coefficient', values.get('stiffness'))
             for name, values in imported.effects.items() if 'cross' in name and 'd' in name} == {
         'cross.2': 1.0}
+
+
+def test_gravity_that_does_not_act_on_a_link_is_compensated(tmp_path):
+    text = FOUR_BAR.replace('<link name="coupler">', '<link name="coupler"><gravity>0</gravity>'
+                            '<velocity_decay><angular>0.01</angular></velocity_decay>')
+    imported = read_model(written(tmp_path, text))
+    assert imported.effects['lift_coupler_center_of_mass'] == {
+        'type': 'external_force', 'point': 'coupler_center_of_mass', 'force': (0.0, 0.0, 3.7)}
+    point, = (one for one in imported.mechanism.points if one.name == 'coupler_center_of_mass')
+    assert (point.body, point.position) == ('coupler', (0.2, 0.0, 0.0))
+    decay, = imported.omitted
+    assert (decay.quantity, decay.name, decay.size) == ('decay of the velocity', 'coupler', 0.01)

@@ -393,3 +393,14 @@ def test_a_link_called_ground_that_is_not_the_root(tmp_path, way):
     expected = read(tmp_path, four_bar(way)).mechanism
     assert mechanism_text(imported.mechanism).replace('ground_link', 'coupler') == (
         mechanism_text(expected))
+
+
+@pytest.mark.parametrize('inside', ['<gravity>false</gravity>',
+                                    '<turnGravityOff>true</turnGravityOff>'])
+def test_links_that_gravity_does_not_act_on(tmp_path, inside):
+    off = f'<gazebo reference="coupler">{inside}</gazebo>'
+    effects = read(tmp_path, robot(LINKS, TREE, LOOPS['loop'][1], off)).effects
+    assert effects['lift_coupler_center_of_mass']['force'] == (0.0, 0.0, 9.81)
+    on = off.replace('true', 'false') if 'turn' in off else off.replace('false', 'true')
+    assert 'lift_coupler_center_of_mass' not in read(
+        tmp_path, robot(LINKS, TREE, LOOPS['loop'][1], on)).effects
