@@ -25,7 +25,6 @@ from ..formats.building import Imported
 from ..formats.in_space import in_space
 from ..formats.registry import is_model, read_model, WRITERS
 from ..formats.sdf_writing import sdf
-from ..formats.writing import JOINT_EFFECTS
 from ..mechanism.mechanism import Mechanism, MechanismError
 from ..simulation.far_assembly import find_closed
 from ..simulation.model_scene import assembled
@@ -56,7 +55,8 @@ def _run(arguments):
     if start is None and write is sdf:
         raise MechanismError(f'{mechanism.name}: expected loops that are closed to write SDF, got '
                              'no such position (give a scene with a start near one)')
-    text = write(mechanism, effects, start if moved else None)
+    left_out = {}
+    text = write(mechanism, effects, start if moved else None, left_out)
     arguments.output.write_text(text, encoding='utf-8')
     print(f'{arguments.output}: {len(mechanism.bodies)} bodies, {len(mechanism.joints)} joints, '
           f'{len(mechanism.cut_joints)} that close loops')
@@ -64,10 +64,9 @@ def _run(arguments):
         print('drawn where the loops are closed; coordinates count from there: ' + ', '.join(
             f'{name} {value:.6g}' for name, value in zip(
                 mechanism.coordinates.names, mechanism.coordinates.apart(start, drawn))))
-    left_out = [name for name, values in effects.items()
-                if values['type'] not in ('gravity', *JOINT_EFFECTS)]
     if left_out:
-        print(f'left out: the effects {", ".join(left_out)}')
+        print('left out: the effects ' + ', '.join(
+            f'{name} ({what})' if what else name for name, what in left_out.items()))
     return 0
 
 

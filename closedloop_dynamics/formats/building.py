@@ -67,8 +67,9 @@ class Imported:
     Attributes
     ----------
     mechanism : Mechanism
-    position : dict of str to float
-        Where joints of one freedom start that do not start at zero [rad or m].
+    position : dict of str to float or tuple of floats
+        Where joints start that do not start at zero: the coordinate of a joint of one freedom
+        [rad or m], all of one with an orientation.
     effects : dict of str to dict
         Keys of the effects as a scene has them, gravity among them.
     limits : dict of str to tuple of 2
@@ -444,7 +445,7 @@ def _effects(model, groups, mechanism, tree, named, end_stops, omitted, ignored)
                        if getattr(joint, key) is not None}}
         if joint.actuated and (joint.effort or joint.speed):
             drives.append(name)
-        if joint.start and not several and joint not in closing:
+        if np.any(joint.start) and joint not in closing:
             position[name] = joint.start
     if limits:
         ignored[f'limits of {len(limits)} joint(s)'] = 'no end stops unless they are asked for'

@@ -32,7 +32,7 @@ import numpy as np
 from .mjcf_omissions import disabled, omissions
 from .mjcf_pictures import read_pictures
 from .model import Connection, free_name, Link, Model, Omission, Relation
-from .pose import about, IDENTITY, of_quaternion, Pose, unturned
+from .pose import about, IDENTITY, of_quaternion, Pose, quaternion_of, unturned
 from .xml_file import read_bytes, read_xml
 from ..mechanism.mechanism import (
     FIXED, FREE, GROUND, MechanismError, PRISMATIC, REVOLUTE, SPHERICAL)
@@ -48,6 +48,8 @@ _SOFT = ('material', 'hfield')
 # What pictures are made of, and what would open files in it.
 DRAWN = ('compiler', 'default', 'asset', 'worldbody')
 NOT_DRAWN = (*PARTS, 'attach', 'composite', 'flexcomp', 'hfield', 'model', 'skin', 'texture')
+# The key frame of files that this package has written.
+START = 'start'
 # Names of MuJoCo's types of joints, in its order.
 TYPES = (FREE, SPHERICAL, PRISMATIC, REVOLUTE)
 CONNECT, WELD, JOINT, TENDON = range(4)
@@ -70,6 +72,7 @@ def read_mjcf(path):
             f'{path}: an MJCF file needs MuJoCo: pip install mujoco') from None
     model = Model(root.get('model') or path.stem, path)
     _name_bodies(root)
+    start = _key_frame(root)
     left_out = Counter()
     folder = path.parent.resolve()
     drawn = ''.join(_text(part, NOT_DRAWN) for part in root.children if part.tag in DRAWN)
@@ -81,7 +84,9 @@ def read_mjcf(path):
         told = ' '.join(str(error).split())
         raise MechanismError(f'{path}: expected a model that MuJoCo compiles, got: {told}'
                              ) from None
-    links = _Reader(mujoco, compiled, model).read()
+    reader = _Reader(mujoco, compiled, model)
+    links = reader.read()
+    reader.start(start)
     read_pictures(mujoco, f'<mujoco>{drawn}</mujoco>', folder, model, links)
     return model
 
@@ -141,6 +146,15 @@ def _name_bodies(root):
             # Copies have a number behind it.
             body.attributes['name'] = free_name(f'body_{number}{"_" * copied}', taken)
             taken.add(body.attributes['name'])
+
+
+def _key_frame(root):
+    """Return the element of the key frame that files of this package start from, or None."""
+    for section in root.children:
+        for key in section.children if section.tag == 'keyframe' else ():
+            if key.attributes.get('name') == START and 'qpos' in key.attributes:
+                return key
+    return None
 
 
 def _stripped(root, folder, left_out):
@@ -240,6 +254,23 @@ class _Reader:
             model.ignored[f'{compiled.neq} equalities'] = 'the flags of the file disable them'
         return {self._name(self.objects.mjOBJ_BODY, body, ''): model.links[self._body_name(body)]
                 for body in range(1, compiled.nbody)}
+
+    def start(self, key):
+        """Take where joints start from a key frame."""
+        if key is None:
+            return
+        compiled = self.compiled
+        values = np.array(key.values(key.attributes['qpos'], compiled.nq, 'qpos'))
+        for number, name in self.joints.items():
+            joint = self.model.joints[name]
+            own = values[int(compiled.jnt_qposadr[number]):]
+            if joint.type == SPHERICAL:
+                joint.start = quaternion_of(_rotation(own[:4]))
+            elif joint.type == FREE:
+                there = joint.in_parent.inverse @ Pose(_rotation(own[3:7]), own[:3])
+                joint.start = (*there.position.tolist(), *quaternion_of(there.rotation))
+            else:
+                joint.start = float(own[0])
 
     def _disabled(self, what):
         return disabled(self.mujoco, self.compiled, what)

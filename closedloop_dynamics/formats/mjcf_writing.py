@@ -19,18 +19,20 @@ from xml.etree import ElementTree
 import numpy as np
 
 from .in_space import in_space
-from .pose import IDENTITY, of_quaternion, quaternion_of
+from .mjcf import START
+from .pose import IDENTITY, of_quaternion, Pose, quaternion_of
 from .writing import (
-    chain, gravity_of, JOINT_EFFECTS, joint_effects, moments_of, numbers, pose_of, written)
+    Acting, chain, gravity_of, JOINT_EFFECTS, moments_of, numbers, pose_of, reflected, Single,
+    written)
 from ..mechanism.mechanism import (
-    FIXED, GROUND, HELICAL, MechanismError, PRISMATIC, REVOLUTE, SPHERICAL)
+    FIXED, FREE, GROUND, HELICAL, MechanismError, PRISMATIC, REVOLUTE, SPHERICAL)
 
 # Attribute of a joint by the type of effect that acts on it.
 ATTRIBUTES = {
     'joint_damping': 'damping', 'joint_friction': 'frictionloss', 'joint_spring': 'stiffness'}
 
 
-def mjcf(mechanism, effects=None, start=None):
+def mjcf(mechanism, effects=None, start=None, left_out=None):
     """
     Return a mechanism as MJCF.
 
@@ -42,6 +44,8 @@ def mjcf(mechanism, effects=None, start=None):
         Keys of effects, of which gravity and those on joints are written.
     start : ndarray, shape (nq,), optional
         Coordinates, which become the key frame ``start``.
+    left_out : dict, optional
+        Filled with the names of effects that are not written, or in part, as ``Acting.left``.
 
     Returns
     -------
@@ -61,7 +65,8 @@ def mjcf(mechanism, effects=None, start=None):
     bodies = {GROUND: ElementTree.SubElement(root, 'worldbody')}
     sections = {tag: ElementTree.SubElement(root, tag)
                 for tag in ('tendon', 'equality', 'actuator')}
-    _add_bodies(mechanism, bodies, sections, joint_effects(mechanism, effects))
+    acting = Acting(mechanism, effects, lambda joint: _singles(mechanism, joint))
+    _add_bodies(mechanism, bodies, sections, acting)
     for point in mechanism.points:
         ElementTree.SubElement(bodies[point.body], 'site', name=point.name,
                                pos=numbers(*point.position))
@@ -71,14 +76,33 @@ def mjcf(mechanism, effects=None, start=None):
         _gear(sections, coupling.name, coupling.joints, coupling.offset)
     for joint in mechanism.joints:
         if joint.actuated:
-            for single in chain(mechanism, joint, balls=True):
-                ElementTree.SubElement(sections['actuator'], 'motor', joint=single.name)
+            for single in _singles(mechanism, joint):
+                _add_motors(sections['actuator'], single)
     for tag, section in sections.items():
         if not len(section):
             root.remove(section)
     if start is not None:
         _add_key_frame(root, mechanism, start)
+    if left_out is not None:
+        left_out.update(acting.left)
     return written(root)
+
+
+def _singles(mechanism, joint):
+    """Return the joints that MJCF has for a joint; what floats is free in the world alone."""
+    carrier = {one.name for one in mechanism.bodies if not one.massless}
+    if joint.type == FREE and joint.parent == GROUND and joint.child in carrier:
+        return [Single(joint.name, FREE)]
+    return chain(mechanism, joint, balls=True)
+
+
+def _add_motors(section, single):
+    """Add a motor for each freedom of a joint."""
+    count = {SPHERICAL: 3, FREE: 6}.get(single.type, 1)
+    for number in range(count):
+        motor = ElementTree.SubElement(section, 'motor', joint=single.name)
+        if count > 1:
+            motor.set('gear', ' '.join('1' if number == k else '0' for k in range(count)))
 
 
 def _add_bodies(mechanism, bodies, sections, acting):
@@ -91,7 +115,7 @@ def _add_bodies(mechanism, bodies, sections, acting):
         joint, parent, before, place = waiting.pop(0)
         body, below, place = records[joint.child], carried.get(joint.child, ()), (
             place @ pose_of(joint))
-        singles = [*before, *((single, place) for single in chain(mechanism, joint, balls=True))]
+        singles = [*before, *((single, place) for single in _singles(mechanism, joint))]
         if joint.type == HELICAL:
             _gear(sections, joint.name, {f'{joint.name}_slide': 1.0, joint.name: -joint.lead}, 0.0)
         if body.massless and joint.type != FIXED:
@@ -114,13 +138,19 @@ def _add_key_frame(root, mechanism, start):
         some = np.asarray(start, dtype=float)[mechanism.coordinates.coordinates[joint.name]]
         if joint.type == HELICAL:
             some = np.array([some[0], joint.lead * some[0]])
-        for single in chain(mechanism, joint, balls=True):
+        for single in _singles(mechanism, joint):
+            if single.type == FREE:
+                there = pose_of(joint) @ Pose(of_quaternion(some[3:]), some[:3])
+                x, y, z, w = quaternion_of(there.rotation)
+                values[single.name] = (*there.position, w, x, y, z)
+                continue
             count = 4 if single.type == SPHERICAL else 1
             values[single.name] = np.roll(some[:count], 1) if count == 4 else some[:1]
             some = some[count:]
-    order = [joint.get('name') for joint in root.find('worldbody').iter('joint')]
+    order = [joint.get('name') for joint in root.find('worldbody').iter()
+             if joint.tag in ('joint', 'freejoint')]
     frame = ElementTree.SubElement(root, 'keyframe')
-    ElementTree.SubElement(frame, 'key', name='start',
+    ElementTree.SubElement(frame, 'key', name=START,
                            qpos=numbers(*(one for name in order for one in values[name])))
 
 
@@ -136,15 +166,32 @@ def _add_body(bodies, parent, body, singles, place, acting):
             fullinertia=numbers(*moments_of(body)))
     for single, at in singles:
         there = place.inverse @ at
+        attributes = _acting_on(single, acting)
+        if single.type == FREE:
+            tag, kind = ('joint', {'type': 'free'}) if attributes else ('freejoint', {})
+            ElementTree.SubElement(element, tag, name=single.name, **kind, **attributes)
+            continue
         added = ElementTree.SubElement(
             element, 'joint', name=single.name, pos=numbers(*there.position),
             type={REVOLUTE: 'hinge', PRISMATIC: 'slide', SPHERICAL: 'ball'}[single.type])
         if single.axis is not None:
             added.set('axis', numbers(*(there.rotation @ single.axis)))
-        for kind, values in acting.get(single.name, {}).items():
-            added.set(ATTRIBUTES[kind], numbers(values[JOINT_EFFECTS[kind]]))
+        added.attrib.update(attributes)
+
+
+def _acting_on(single, acting):
+    """Return attributes of what acts in a joint."""
+    found = {}
+    for kind, attribute in ATTRIBUTES.items():
+        values = acting.same(single.name, kind)
+        if values is not None:
+            found[attribute] = numbers(values[JOINT_EFFECTS[kind]])
             if values.get('rest'):
-                added.set('springref', numbers(values['rest']))
+                found['springref'] = numbers(values['rest'])
+    rotor = acting.same(single.name, 'rotor')
+    if rotor is not None:
+        found['armature'] = numbers(reflected(rotor))
+    return found
 
 
 def _equalities(mechanism, cut, bodies, section):

@@ -119,8 +119,9 @@ class Connection:
         each, a tuple has one for each.
     lower, upper, effort, speed : float or None
         Limits of the coordinate, of the drive and of the rate; None where there is none.
-    start : float
-        Coordinate that the machine starts from.
+    start : float or tuple of floats
+        Coordinate that the machine starts from; of a joint with an orientation all of them, zero
+        where it starts as it is drawn.
 
     """
 
@@ -145,7 +146,7 @@ class Connection:
     upper: Optional[float] = None
     effort: Optional[float] = None
     speed: Optional[float] = None
-    start: float = 0.0
+    start: object = 0.0
 
 
 @dataclass

@@ -263,6 +263,10 @@ class _Reader:
             return joint
         if kind == HELICAL:
             joint.lead = _lead(element)
+        joint.armature = _value(element, 'drake:rotor_inertia', 0.0) * _value(
+            element, 'drake:gear_ratio', 1.0) ** 2
+        if joint.armature < 0.0:
+            raise element.error('drake:rotor_inertia to be zero or more', 'less')
         self._act(joint, first)
         return joint
 

@@ -28,8 +28,8 @@ from .in_space import in_space, X, Y, Z
 from .model import inertia_matrix, MOMENTS
 from .pose import about, IDENTITY, of_quaternion, Pose, quaternion_of, unturned
 from .writing import (
-    chain, EFFORT, gravity_of, JOINT_EFFECTS, joint_effects, mimics_of, moments_of, numbers,
-    pose_of, Single, written)
+    Acting, chain, EFFORT, gravity_of, JOINT_EFFECTS, mimics_of, moments_of, numbers, pose_of,
+    reflected, Single, written)
 from ..mechanism.mechanism import (
     CYLINDRICAL, FIXED, FREE, GROUND, HELICAL, JOINT_FREEDOMS, MechanismError, PLANAR, PRISMATIC,
     REVOLUTE, SPHERICAL, UNIVERSAL)
@@ -37,11 +37,13 @@ from ..mechanism.mechanism import (
 # Child of an element dynamics by the type of effect that acts on a joint.
 DYNAMICS = {'joint_damping': 'damping', 'joint_friction': 'friction',
             'joint_spring': 'spring_stiffness'}
+# The space of names of Drake's own elements.
+DRAKE = 'http://drake.mit.edu'
 # SDF has no links without mass: theirs, in parts of the lightest body's.
 LEAST_MASS = 1e-12
 
 
-def sdf(mechanism, effects=None, start=None):
+def sdf(mechanism, effects=None, start=None, left_out=None):
     """
     Return a mechanism as SDF: a world with a model whose joints form loops.
 
@@ -55,6 +57,8 @@ def sdf(mechanism, effects=None, start=None):
         Keys of effects, of which gravity and those on joints are written.
     start : ndarray, shape (nq,), optional
         Coordinates of the position that is drawn, which closes the loops; zero if not given.
+    left_out : dict, optional
+        Filled with the names of effects that are not written, or in part, as ``Acting.left``.
 
     Returns
     -------
@@ -73,8 +77,7 @@ def sdf(mechanism, effects=None, start=None):
     root = ElementTree.Element('sdf', version='1.11')
     world = ElementTree.SubElement(root, 'world', name=mechanism.name)
     ElementTree.SubElement(world, 'gravity').text = numbers(*gravity_of(effects))
-    writer = _Sdf(mechanism, ElementTree.SubElement(world, 'model', name=mechanism.name),
-                  joint_effects(mechanism, effects))
+    writer = _Sdf(mechanism, ElementTree.SubElement(world, 'model', name=mechanism.name), effects)
     zero = {joint.name: start[places.coordinates[joint.name]][0] for joint in mechanism.joints
             if JOINT_FREEDOMS[joint.type] == 1}
     shifted = replace(mechanism, couplings=tuple(replace(
@@ -93,15 +96,20 @@ def sdf(mechanism, effects=None, start=None):
         frame = ElementTree.SubElement(writer.model, 'frame', name=writer.links[point.name],
                                        attached_to=writer.links[point.body])
         writer.add_pose(frame, unturned(point.position))
+    if writer.drakes:
+        root.set('xmlns:drake', DRAKE)
+    if left_out is not None:
+        left_out.update(writer.acting.left)
     return written(root)
 
 
 class _Sdf:
     """What is written into an element model, link by link and joint by joint."""
 
-    def __init__(self, mechanism, model, acting):
+    def __init__(self, mechanism, model, effects):
         """Name the links, in SDF's one space of names for all, and write what they weigh."""
-        self.mechanism, self.model, self.acting, self.mimics = mechanism, model, acting, {}
+        self.mechanism, self.model, self.mimics, self.drakes = mechanism, model, {}, False
+        self.acting = Acting(mechanism, effects, self._singles)
         taken = {one.name for one in (*mechanism.joints, *mechanism.cut_joints)} | {'world'}
         taken |= {single.name for joint in mechanism.joints
                   for single in self._singles(joint)}
@@ -203,15 +211,25 @@ class _Sdf:
         axes = [single.axis] if single.axis is not None else []
         if joint.type == UNIVERSAL:
             axes.append(joint.second_axis)
+        acting = {kind: self.acting.each(single.name, kind) if axes else () for kind in DYNAMICS}
+        if joint.actuated and len(axes) == 1:
+            # Drake's drives alone have rotors.
+            for values in self.acting.each(single.name, 'rotor'):
+                self.drakes = True
+                _text(element, 'drake:rotor_inertia', reflected(values))
+                _text(element, 'drake:gear_ratio', 1)
         for number, axis in enumerate(axes):
             child = _add_axis(element, number, axis)
             if joint.actuated:
                 _text(ElementTree.SubElement(child, 'limit'), 'effort', EFFORT)
             dynamics = ElementTree.Element('dynamics')
-            for kind, values in self.acting.get(single.name, {}).items():
+            for kind, tag in DYNAMICS.items():
+                values = [*acting[kind], None, None][number]
+                if values is None:
+                    continue
                 if kind == 'joint_spring':
-                    _text(dynamics, 'spring_reference', values.get('rest', 0.0) - q[0])
-                _text(dynamics, DYNAMICS[kind], values[JOINT_EFFECTS[kind]])
+                    _text(dynamics, 'spring_reference', values.get('rest', 0.0) - q[number])
+                _text(dynamics, tag, values[JOINT_EFFECTS[kind]])
             if len(dynamics):
                 child.append(dynamics)
             if single.name in self.mimics:

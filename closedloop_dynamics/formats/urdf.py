@@ -396,6 +396,14 @@ def _find_drives(model, robot):
     for control in robot.all('ros2_control'):
         named += [(joint.where, joint.get('name')) for joint in control.all('joint')
                   if joint.all('command_interface')]
+    for transmission in robot.all('transmission'):
+        joints, drives = transmission.all('joint'), transmission.all('actuator')
+        for joint, drive in zip(joints, drives):
+            rotor, gear = (drive.child(f'drake:{key}') for key in ('rotor_inertia', 'gear_ratio'))
+            if rotor is not None and joint.get('name') in model.joints:
+                ratio = 1.0 if gear is None else gear.number('value', 1.0)
+                model.joints[joint.get('name')].armature = _not_negative(
+                    rotor, 'value') * ratio ** 2
     for where, name in named:
         if name not in model.joints:
             raise MechanismError(f'{where}: expected the name of a joint, got {name!r}')

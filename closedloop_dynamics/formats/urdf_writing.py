@@ -22,7 +22,7 @@ from .in_space import in_space, Z
 from .model import MOMENTS
 from .pose import angles_of, of_quaternion, Pose
 from .writing import (
-    chain, EFFORT, JOINT_EFFECTS, joint_effects, mimics_of, moments_of, numbers, pose_of, written)
+    Acting, chain, EFFORT, JOINT_EFFECTS, mimics_of, moments_of, numbers, pose_of, written)
 from ..mechanism.mechanism import (
     CYLINDRICAL, FIXED, FREE, GROUND, HELICAL, MechanismError, PLANAR, PRISMATIC, REVOLUTE,
     SPHERICAL, UNIVERSAL)
@@ -31,7 +31,7 @@ from ..mechanism.mechanism import (
 DYNAMICS = {'joint_damping': 'damping', 'joint_friction': 'friction'}
 
 
-def urdf_with_loops(mechanism, effects=None, start=None):
+def urdf_with_loops(mechanism, effects=None, start=None, left_out=None):
     """
     Return a mechanism as URDF, its loops as elements loop and constraint.
 
@@ -43,6 +43,8 @@ def urdf_with_loops(mechanism, effects=None, start=None):
         Keys of effects, of which damping and friction of joints are written.
     start : ndarray, shape (nq,), optional
         Coordinates, for which URDF has no place.
+    left_out : dict, optional
+        Filled with the names of effects that are not written, or in part, as ``Acting.left``.
 
     Returns
     -------
@@ -66,7 +68,8 @@ def urdf_with_loops(mechanism, effects=None, start=None):
             ElementTree.SubElement(inertial, 'mass', value=numbers(body.mass))
             ElementTree.SubElement(inertial, 'inertia', dict(zip(
                 MOMENTS, map(numbers, moments_of(body)))))
-    acting, mimics = joint_effects(mechanism, effects), mimics_of(mechanism, 'URDF')
+    acting = Acting(mechanism, effects, lambda joint: chain(mechanism, joint, balls=False))
+    mimics = mimics_of(mechanism, 'URDF')
     for joint in mechanism.joints:
         parent, singles = joint.parent, chain(mechanism, joint, balls=False)
         for number, single in enumerate(singles):
@@ -86,6 +89,8 @@ def urdf_with_loops(mechanism, effects=None, start=None):
             parent = child
     for cut in mechanism.cut_joints:
         _loop(mechanism, robot, cut)
+    if left_out is not None:
+        left_out.update(acting.left)
     return written(robot)
 
 
@@ -97,10 +102,12 @@ def _add_dynamics(element, single, joint, acting, mimics):
         if single.type == PRISMATIC:
             limit.set('lower', '-1e9')
             limit.set('upper', '1e9')
-    values = {DYNAMICS[kind]: numbers(keys[JOINT_EFFECTS[kind]])
-              for kind, keys in acting.get(single.name, {}).items() if kind in DYNAMICS}
-    if values:
-        ElementTree.SubElement(element, 'dynamics', values)
+    if single.type in (REVOLUTE, PRISMATIC):
+        found = {kind: acting.each(single.name, kind) for kind in DYNAMICS}
+        values = {DYNAMICS[kind]: numbers(keys[0][JOINT_EFFECTS[kind]])
+                  for kind, keys in found.items() if keys}
+        if values:
+            ElementTree.SubElement(element, 'dynamics', values)
     if joint.type == HELICAL and single.type == PRISMATIC:
         ElementTree.SubElement(element, 'mimic', joint=joint.name,
                                multiplier=numbers(joint.lead))

@@ -30,12 +30,17 @@ from .in_space import X, Y, Z
 from .pose import of_quaternion, Pose
 from ..mechanism.couplings import measured
 from ..mechanism.mechanism import (
-    CYLINDRICAL, FIXED, FREE, HELICAL, MechanismError, PLANAR, PRISMATIC, REVOLUTE, SPHERICAL,
-    UNIVERSAL)
+    CYLINDRICAL, FIXED, FREE, HELICAL, JOINT_FREEDOMS, MechanismError, PLANAR, PRISMATIC, REVOLUTE,
+    SPHERICAL, UNIVERSAL)
 
 # Effects on joints that formats know, and the key of the number of each.
 JOINT_EFFECTS = {
     'joint_damping': 'coefficient', 'joint_friction': 'coulomb', 'joint_spring': 'stiffness'}
+# What formats do not have of others.
+BEYOND = {'joint_friction': 'beyond its Coulomb part',
+          'rotor': 'beyond its reflected inertia'}
+# Gear ratio from which the turning of a rotor's carrier does not count.
+ENDLESS = 1e9
 # What a driven joint is told by where it has no limit of its own [N m or N].
 EFFORT = '1e9'
 
@@ -74,17 +79,76 @@ def chain(mechanism, joint, balls):
     return [Single(name, *kind) for name, kind in zip(names, kinds)]
 
 
-def joint_effects(mechanism, effects):
+class Acting:
     """
-    Return the effects on joints that formats know, by joint and type.
+    What acts in the single joints that stand for the joints of a mechanism.
+
+    A writer takes from it what its format has a word for; the rest is left.
+
+    Parameters
+    ----------
+    mechanism : Mechanism
+        With couplings and effects in joints of its tree alone.
+    effects : dict of str to dict or None
+        Keys of effects, by name.
+    singles : callable
+        Returns the single joints of a joint.
+
+    Attributes
+    ----------
+    left : dict of str to str
+        Names of effects that nothing was written for, and of those of which something is not
+        written, with what that is.
 
     Raises
     ------
     MechanismError
-        Where something acts at a cut joint, which is no joint of theirs.
+        Where something acts at a cut joint, which is no joint of other formats.
 
     """
-    found = {}
+
+    def __init__(self, mechanism, effects, singles):
+        """Sort effects by what they act in."""
+        _refuse_cuts(mechanism, effects)
+        self._at, self.left = {}, {}
+        freedoms = {}
+        for joint in mechanism.joints:
+            names = list(mechanism.coordinates.names[mechanism.coordinates.rates[joint.name]])
+            for single in singles(joint):
+                count = JOINT_FREEDOMS[single.type]
+                freedoms.update((name, (single.name, place, count))
+                                for place, name in enumerate(names[:count]))
+                names = names[count:]
+        for name, values in (effects or {}).items():
+            if values['type'] == 'gravity':
+                continue
+            self.left[name] = ''
+            if values.get('joint') in freedoms:
+                single, place, count = freedoms[values['joint']]
+                rows = self._at.setdefault(single, {}).setdefault(values['type'], count * [None])
+                rows[place] = rows[place] or (name, values)
+
+    def each(self, single, kind):
+        """Return the keys of the effect of a type in each freedom of a single; None for none."""
+        found = self._at.get(single, {}).get(kind, ())
+        for name, values in filter(None, found):
+            del self.left[name]
+            more = {'joint_friction': values.get('friction_coefficient', 0.0) > 0.0
+                    or values.get('static_ratio', 1.0) > 1.0,
+                    'rotor': abs(values.get('gear_ratio', 1.0)) < ENDLESS}.get(kind)
+            if more:
+                self.left[name] = BEYOND[kind]
+        return [pair and pair[1] for pair in found]
+
+    def same(self, single, kind):
+        """Return the keys of the effect of a type that is the same in all freedoms of a single."""
+        found = [pair and {key: value for key, value in pair[1].items() if key != 'joint'}
+                 for pair in self._at.get(single, {}).get(kind, ())]
+        return self.each(single, kind)[0] if found and all(
+            one is not None and one == found[0] for one in found) else None
+
+
+def _refuse_cuts(mechanism, effects):
     for coupling in mechanism.couplings:
         for cut in measured(mechanism, coupling):
             raise MechanismError(
@@ -98,10 +162,11 @@ def joint_effects(mechanism, effects):
             raise MechanismError(
                 f'{mechanism.name}: cut_joints.{cut.name}: expected no drive and no effect where '
                 'a loop is closed, to write it in this format; cut another joint of that loop')
-    for values in (effects or {}).values():
-        if values['type'] in JOINT_EFFECTS:
-            found.setdefault(values['joint'], {})[values['type']] = values
-    return found
+
+
+def reflected(values):
+    """Return the inertia that the joint of a rotor sees [kg m^2; kg]."""
+    return values['inertia'] * values.get('gear_ratio', 1.0) ** 2
 
 
 def mimics_of(mechanism, format_name):

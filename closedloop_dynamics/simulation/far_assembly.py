@@ -123,10 +123,10 @@ class Loops:
             for name, (lower, upper) in (limits or {}).items()]
 
     def start(self, position=None):
-        """Return coordinates, shape (nq,), of joints of one freedom by name, others as drawn."""
+        """Return coordinates, shape (nq,), with those of some joints by name, others as drawn."""
         q = self.coordinates.start()
         for name, value in (position or {}).items():
-            q[self._place[name]] = value
+            q[self.coordinates.coordinates[name]] = value
         return q
 
     def moved(self, q, change):

@@ -209,6 +209,68 @@ def test_sdf_with_a_joint_before_the_one_that_its_parent_is_on(tmp_path):
     same_motion(again, read_again(tmp_path, sdf(again, GRAVITY), '.sdf'))
 
 
+def test_mjcf_has_armature_and_what_acts_in_balls_and_what_floats(tmp_path):
+    mujoco = pytest.importorskip('mujoco')
+    mechanism = tree('free', 'spherical', 'revolute', 'universal', 'prismatic')
+    freedoms = mechanism.coordinates.names
+    effects = {**GRAVITY, **{
+        f'd{k}': {'type': 'joint_damping', 'joint': name, 'coefficient': 0.5 + k // 6}
+        for k, name in enumerate(freedoms[:9])},
+        'motor': {'type': 'rotor', 'joint': 'j2', 'inertia': 0.002, 'gear_ratio': 50.0},
+        'twist': {'type': 'joint_spring', 'joint': 'j3.2', 'stiffness': 3.0},
+        'rub': {'type': 'joint_friction', 'joint': 'j4', 'coulomb': 2.0, 'static_ratio': 1.5},
+        'odd': {'type': 'joint_damping', 'joint': 'j4', 'coefficient': 1.0},
+        'odder': {'type': 'joint_damping', 'joint': 'j4', 'coefficient': 2.0},
+        'pull': {'type': 'external_force', 'point': 'p', 'force': (1.0, 0.0, 0.0)}}
+    left_out = {}
+    text = mjcf(mechanism, effects, left_out=left_out)
+    assert left_out == {'motor': 'beyond its reflected inertia', 'rub': 'beyond its Coulomb part',
+                        'odder': '', 'pull': ''}
+    model = mujoco.MjModel.from_xml_string(text)
+    assert model.jnt_type[0] == mujoco.mjtJoint.mjJNT_FREE and model.njnt == 6
+    np.testing.assert_allclose(model.dof_damping, [0.5] * 6 + [1.5] * 3 + [0.0] * 3 + [1.0])
+    np.testing.assert_allclose(model.dof_armature[9], 0.002 * 50.0 ** 2)
+    assert model.jnt_stiffness.tolist() == [0.0, 0.0, 0.0, 0.0, 3.0, 0.0]
+    assert model.dof_frictionloss[-1] == 2.0
+    # One that differs between the freedoms of a ball is no word of MJCF.
+    effects['d7'] = {**effects['d7'], 'coefficient': 9.0}
+    mjcf(mechanism, effects, left_out=left_out)
+    assert {'d6', 'd7', 'd8'} <= set(left_out)
+    assert '<freejoint ' in mjcf(mechanism)
+
+
+def test_rotors_of_drives_are_written_for_drake_and_read_again(tmp_path):
+    mechanism = tree('revolute', 'prismatic')
+    effects = {**GRAVITY, 'a': {'type': 'rotor', 'joint': 'j0', 'inertia': 0.5 / 1e12 ** 2,
+                                'gear_ratio': 1e12},
+               'b': {'type': 'rotor', 'joint': 'j1', 'inertia': 0.1}}
+    left_out = {}
+    text = sdf(mechanism, effects, left_out=left_out)
+    # Drake has no rotor where there is no drive.
+    assert left_out == {'b': ''} and 'xmlns:drake="http://drake.mit.edu"' in text
+    (tmp_path / 'm.sdf').write_text(text)
+    found = read_model(tmp_path / 'm.sdf').effects
+    assert found['armature_j0']['inertia'] * found['armature_j0']['gear_ratio'] ** 2 == (
+        pytest.approx(0.5))
+    left_out.clear()
+    urdf_with_loops(mechanism, {**effects, 'c': {
+        'type': 'joint_spring', 'joint': 'j1', 'stiffness': 3.0}}, left_out=left_out)
+    assert left_out == {'a': '', 'b': '', 'c': ''}
+
+
+def test_mjcf_comes_back_where_it_started(tmp_path):
+    pytest.importorskip('mujoco')
+    mechanism = tree('free', 'revolute', 'universal', 'spherical', 'prismatic',
+                     cuts=[closing('spherical', 'b4')])
+    found, _ = closed_state(mechanism)
+    (tmp_path / 'm.xml').write_text(mjcf(mechanism, GRAVITY, found.q))
+    imported = read_model(tmp_path / 'm.xml')
+    loops = Loops(imported.mechanism, 1.0)
+    start = loops.start(imported.position)
+    assert max(loops.gaps(start).values()) < 1e-9
+    np.testing.assert_allclose(start[:7], found.q[:7], atol=1e-12)
+
+
 def test_mjcf_starts_where_the_loops_are_closed(tmp_path):
     mujoco = pytest.importorskip('mujoco')
     for mechanism in (tree(*CHAIN, cuts=[closing('spherical', 'b7')]),
