@@ -18,7 +18,7 @@ import sys
 
 import numpy as np
 
-from .command import add_set, Command, UsageError, with_numbers
+from .command import add_reading, add_set, Command, reading, UsageError, with_numbers
 from ..formats.registry import is_model, read_model
 from ..mechanism.mechanism import Mechanism, MechanismError
 from ..simulation.errors import NumericalError, SimulationError
@@ -34,13 +34,14 @@ def _add_arguments(parser):
         help='a shipped scene or mechanism by its name, a YAML file, or a model '
              'in another format')
     add_set(parser)
+    add_reading(parser)
 
 
 def _run(arguments):
     if is_model(arguments.scene):
-        print(describe_model(read_model(arguments.scene)))
+        print(describe_model(read_model(arguments.scene, **reading(arguments))))
         return 0
-    read = load_scene_or_mechanism(arguments.scene)
+    read = load_scene_or_mechanism(arguments.scene, **reading(arguments))
     if isinstance(read, Mechanism):
         if arguments.set:
             raise UsageError('--set: expected it with a scene, got a mechanism')

@@ -83,6 +83,37 @@ def add_scene(parser):
                         help='a shipped scene by its name, or a YAML file')
 
 
+def add_reading(parser):
+    """Add the options of how a model is read, to be read by ``reading``."""
+    group = parser.add_argument_group('how a model in another format is read')
+    group.add_argument('--mend-inertias', action='store_true',
+                       help='change moments of inertia that no body has, one being larger than '
+                            'the sum of the other two, by as little as makes them possible, and '
+                            'give what has an inertia alone next to no mass')
+    group.add_argument('--model', metavar='NAME',
+                       help='which one of several models of a world')
+    group.add_argument('--argument', type=_argument, action='append', default=[],
+                       metavar='NAME:=VALUE', help='argument of a xacro file; may be repeated')
+    group.add_argument('--anywhere', action='store_true',
+                       help='read meshes and parts of a model from outside of its folder, too')
+
+
+def reading(arguments):
+    """Return what the command line asks of the reader of a model, by the names it has there."""
+    found = {'mend_inertias': arguments.mend_inertias, 'model': arguments.model,
+             'arguments': mapping(arguments.argument, '--argument'),
+             'anywhere': arguments.anywhere}
+    return {key: value for key, value in found.items() if value}
+
+
+def _argument(text):
+    """Convert ``NAME:=VALUE`` to a pair."""
+    name, sign, value = text.partition(':=')
+    if not (name and sign):
+        raise ArgumentTypeError(f'expected NAME:=VALUE, got {text!r}')
+    return name, value
+
+
 def add_torque(parser):
     """Add the option of constant torques, to be read by ``mapping``."""
     parser.add_argument('--torque', type=assignment, action='append', default=[],

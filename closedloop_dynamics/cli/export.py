@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .command import Command, require_free, UsageError
+from .command import add_reading, Command, reading, require_free, UsageError
 from ..effects.registry import effect_type
 from ..formats.building import Imported
 from ..formats.in_space import in_space
@@ -39,6 +39,7 @@ def _add_arguments(parser):
                         help=f'where to write it; a name that ends with {", ".join(WRITERS)} '
                              'tells the format')
     parser.add_argument('--overwrite', action='store_true', help='replace FILE if it exists')
+    add_reading(parser)
 
 
 def _run(arguments):
@@ -47,7 +48,8 @@ def _run(arguments):
         raise UsageError(f'--output: expected a name that ends with one of {", ".join(WRITERS)}, '
                          f'got {str(arguments.output)!r}')
     require_free(arguments, arguments.output)
-    mechanism, effects, position, hold, limits = _read(arguments.scene)
+    mechanism, effects, position, hold, limits = _read(
+        arguments.scene, **reading(arguments))
     mechanism = in_space(mechanism)
     start = _closed(mechanism, position, hold, limits)
     drawn = mechanism.coordinates.start()
@@ -70,12 +72,12 @@ def _run(arguments):
     return 0
 
 
-def _read(name):
+def _read(name, **asked):
     """Return a mechanism, its effects, and where it starts, with what is held and the limits."""
     if is_model(name):
-        imported = read_model(name)
+        imported = read_model(name, **asked)
         return imported.mechanism, imported.effects, imported.position, (), imported.limits
-    subject = load_scene_or_mechanism(name)
+    subject = load_scene_or_mechanism(name, **asked)
     effects = {key: {'type': effect_type(effect), **asdict(effect)}
                for key, effect in getattr(subject, 'effects', {}).items()}
     if isinstance(subject, Mechanism):

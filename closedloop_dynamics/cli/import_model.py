@@ -18,7 +18,7 @@ import os
 from pathlib import Path
 import sys
 
-from .command import Command, positive, require_free, UsageError
+from .command import add_reading, Command, positive, reading, require_free, UsageError
 from ..formats.building import lines
 from ..formats.registry import read_model, READERS
 from ..formats.yaml_text import mechanism_text, scene_text
@@ -27,7 +27,7 @@ from ..visual.progress import announced
 
 
 def _add_arguments(parser):
-    parser.add_argument('model', metavar='FILE', type=Path,
+    parser.add_argument('file', metavar='FILE', type=Path,
                         help=f'a model: a name that ends with {", ".join(READERS)}')
     parser.add_argument('--output', metavar='FILE', type=Path, required=True,
                         help='where to write the mechanism, as YAML')
@@ -36,10 +36,8 @@ def _add_arguments(parser):
     parser.add_argument('--end-stops', metavar='STIFFNESS', type=positive,
                         help='make limits of joints end stops of this stiffness, in the scene '
                              '[N m/rad; N/m] (default: leave them out)')
-    parser.add_argument('--mend-inertias', action='store_true',
-                        help='change moments of inertia that no body has, one being larger than '
-                             'the sum of the other two, by as little as makes them possible')
     parser.add_argument('--overwrite', action='store_true', help='replace files that exist')
+    add_reading(parser)
 
 
 def _run(arguments):
@@ -48,8 +46,7 @@ def _run(arguments):
     require_free(arguments, arguments.output)
     if arguments.scene is not None:
         require_free(arguments, arguments.scene, option='--scene')
-    imported = read_model(arguments.model, arguments.end_stops,
-                          mend_inertias=arguments.mend_inertias)
+    imported = read_model(arguments.file, arguments.end_stops, **reading(arguments))
     notes = lines(imported)
     if arguments.scene is not None:
         with announced('Closing the loops ...'):

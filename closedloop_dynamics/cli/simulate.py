@@ -22,8 +22,8 @@ import sys
 import warnings
 
 from .command import (
-    add_motion, add_scene, add_set, add_torque, checked_torques, Command, FAILED, mapping,
-    positive, require_free, UsageError, with_numbers)
+    add_motion, add_reading, add_scene, add_set, add_torque, checked_torques, Command, FAILED,
+    mapping, positive, reading, require_free, UsageError, with_numbers)
 from ..integration.registry import ADAPTIVE, AUTO, INTEGRATORS, STABILISATIONS
 from ..mechanism.fields import FieldError
 from ..recording.run import columns, ErrorEstimate, Report, run
@@ -45,6 +45,7 @@ LOADING = 'Loading ...'
 
 def _add_arguments(parser):
     add_scene(parser)
+    add_reading(parser)
     run_options = parser.add_argument_group('what to do')
     run_options.add_argument('--duration', type=positive, default=2.0, metavar='SECONDS',
                              help='simulated time (default: 2)')
@@ -130,8 +131,9 @@ def _prepared(arguments):
             raise UsageError('--accuracy: expected it without --integrator, got both')
         arguments.integrator = AUTO
     with announced(LOADING):
+        scene = load_scene(arguments.scene, **reading(arguments))
         simulation = checked_torques(arguments.scene, lambda: Simulation.from_scene(
-            _moved(with_numbers(load_scene(arguments.scene), arguments), motion),
+            _moved(with_numbers(scene, arguments), motion),
             step_size=arguments.step_size, integrator=arguments.integrator,
             stabilisation=arguments.stabilisation, formulation=arguments.formulation,
             tolerance=arguments.tolerance, accuracy=arguments.accuracy), torque)

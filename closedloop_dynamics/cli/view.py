@@ -25,8 +25,8 @@ import webbrowser
 import numpy as np
 
 from .command import (
-    add_recording, assignment, checked_torques, Command, mapping, positive, recording_of,
-    require_free, UsageError)
+    add_reading, add_recording, assignment, checked_torques, Command, mapping, positive, reading,
+    recording_of, require_free, UsageError)
 from ..recording.recording import since_the_last_reset
 from ..simulation.errors import AssemblyError
 from ..simulation.scene import load_scene
@@ -71,6 +71,7 @@ def _add_arguments(parser):
     parser.add_argument('--port', metavar='NUMBER', type=int,
                         help=f'to listen on (default: {USUAL_PORT}, or any that is free)')
     parser.add_argument('--no-open', action='store_true', help='do not open a browser')
+    add_reading(parser)
 
 
 def _run(arguments):
@@ -109,7 +110,7 @@ def _live(arguments):
     """Run a simulation until Ctrl-C."""
     # The server's library takes a while, which no other command should.
     from ..view.runner import Runner
-    scene = load_scene(arguments.what)
+    scene = load_scene(arguments.what, **reading(arguments))
     with announced(LOADING):
         try:
             runner = Runner(scene)
@@ -188,7 +189,7 @@ def _save(arguments):
 
 def _simulated_page(arguments):
     torque = mapping(arguments.torque, '--torque')
-    scene = load_scene(arguments.what)
+    scene = load_scene(arguments.what, **reading(arguments))
     with announced(LOADING):
         simulation = checked_torques(arguments.what, lambda: Simulation(scene), torque)
     with progress_to(arguments.duration, 's', scene.name) as show:

@@ -40,6 +40,11 @@ from ..mechanism.validation import checked, moments_told, POSSIBLE, possible
 ROUNDING = 1e-14
 # What is fixed twice may differ by so much [m, or sines of angles].
 AGREEMENT = 1e-9
+# Moments of inertia that are off by so little of the largest one are those of rounded digits.
+DIGITS = 1e-9
+# The mass, in parts of the heaviest link's, of one that is given an inertia alone.
+LEAST_MASS = 1e-12
+MEND = ' (mend_inertias: true in a scene, or --mend-inertias, takes {})'
 # Gear ratio of rotors whose carrier's turning does not count.
 ENDLESS = 1e12
 # What YAML reads as something else than text.
@@ -146,7 +151,8 @@ def mechanism_of(model, end_stops=None, mend_inertias=False):
     if named.changed:
         ignored[f'characters of {named.changed} name(s)'] = (
             'names have letters, digits and underscores, each once')
-    effects, position = _effects(model, groups, mechanism, tree, named, end_stops, omitted, ignored)
+    effects, position = _effects(
+        model, groups, mechanism, tree, named, end_stops, omitted, ignored)
     limits = {named.joint(joint.name): (joint.lower, joint.upper) for joint in tree.joints
               if JOINT_FREEDOMS[joint.type] == 1 and (joint.lower, joint.upper) != (None, None)}
     return Imported(mechanism, position, effects, limits, omitted, ignored)
@@ -287,6 +293,7 @@ def _reversed(joint):
 def _bodies(model, groups, tree, named, mend, ignored):
     """Return the bodies, and the pose of each body's frame in that of its group."""
     frames, bodies = {GROUND: IDENTITY}, {}
+    largest = max((np.abs(link.inertia).max() for link in model.links.values()), default=0.0)
     for joint in tree.joints:
         group, frames_pose = groups.place(joint.child, joint.in_child)
         frames[group] = frames_pose
@@ -298,7 +305,7 @@ def _bodies(model, groups, tree, named, mend, ignored):
         for name in groups.links[group]:
             link = model.links[name]
             pose = frames[group].inverse @ groups.of[name][1]
-            inertia = _inertia_of(link, mend, ignored)
+            inertia = _inertia_of(link, largest, mend, ignored)
             center = pose.place(link.center)
             parts.append((link.mass, center, pose.rotation @ inertia @ pose.rotation.T))
             visual += [placed(one, pose) for one in link.visual]
@@ -308,32 +315,48 @@ def _bodies(model, groups, tree, named, mend, ignored):
         for part, place, inertia in parts:
             offset = place - center
             about += inertia + part * (offset @ offset * np.eye(3) - np.outer(offset, offset))
+        if mass == 0.0 and about.any():
+            mass = _weighed(groups.links[group], model, mend, ignored)
         bodies[group] = Body(
             named.body(group), mass, _vector(center), _inertia(about) if mass > 0.0 else 0.0,
             massless=mass == 0.0, visual=tuple(visual))
     return [bodies[group] for group in groups.links if group in bodies], frames
 
 
-def _inertia_of(link, mend, ignored):
-    """Return the inertia of a link, shape (3, 3); refuse, or mend, one that no body has."""
-    if link.mass == 0.0 and link.inertia.any():
-        raise MechanismError(f'{link.where}: expected a positive mass, got 0 with an inertia that '
-                             'is not zero')
+def _inertia_of(link, largest, mend, ignored):
+    """
+    Return the inertia of a link, shape (3, 3); refuse, or mend, one that no body has.
+
+    What is next to nothing beside the ``largest`` moment of all links is mended in any case.
+
+    """
     moments, axes = np.linalg.eigh(link.inertia)
     if possible(moments):
         return link.inertia
+    told = moments_told(moments)
+    if moments[0] > -DIGITS * largest:
+        moments = np.maximum(moments, 0.0)
     beyond = moments[2] - moments[0] - moments[1]
     # The least change in the sum of squares; a negative moment is no matter of rounded digits.
-    mended = moments + beyond / 3.0 * np.array([1.0, 1.0, -1.0])
-    if not mend or moments[0] < 0.0:
-        hint = '' if moments[0] < 0.0 else (
-            ' (mend_inertias: true in a scene, or closedloop import --mend-inertias, takes '
-            f'{moments_told(mended)})')
+    mended = moments + max(beyond, 0.0) / 3.0 * np.array([1.0, 1.0, -1.0])
+    if moments[0] < 0.0 or not (mend or beyond < DIGITS * largest):
+        hint = '' if moments[0] < 0.0 else MEND.format(moments_told(mended))
         raise MechanismError(f'{link.where}: expected {POSSIBLE}, got principal moments '
-                             f'{moments_told(moments)}{hint}')
-    ignored[f'moments {moments_told(moments)} of {link.name}, {moments_told(mended)} taken'] = (
+                             f'{told}{hint}')
+    ignored[f'moments {told} of {link.name}, {moments_told(mended)} taken'] = (
         'no body has them: one is larger than the sum of the other two')
     return axes @ np.diag(mended) @ axes.T
+
+
+def _weighed(group, model, mend, ignored):
+    """Return the mass of a body that has an inertia and no mass: next to nothing, or an error."""
+    mass = LEAST_MASS * (max(link.mass for link in model.links.values()) or 1.0)
+    link = next(model.links[name] for name in group if model.links[name].inertia.any())
+    if not mend:
+        raise MechanismError(f'{link.where}: expected a positive mass, got 0 with an inertia that '
+                             f'is not zero{MEND.format(f"{mass:.3g} kg")}')
+    ignored[f'the mass 0 of {link.name}, {mass:.3g} kg taken'] = 'it has an inertia'
+    return mass
 
 
 def _joint(joint, groups, frames, named):

@@ -31,7 +31,7 @@ import numpy as np
 
 from .mjcf_omissions import disabled, omissions
 from .mjcf_pictures import read_pictures
-from .model import Connection, free_name, Link, Model, Omission, Relation
+from .model import Asked, Connection, free_name, Link, Model, Omission, Relation
 from .pose import about, IDENTITY, of_quaternion, Pose, quaternion_of, unturned
 from .xml_file import read_bytes, read_xml
 from ..mechanism.mechanism import (
@@ -55,7 +55,7 @@ TYPES = (FREE, SPHERICAL, PRISMATIC, REVOLUTE)
 CONNECT, WELD, JOINT, TENDON = range(4)
 
 
-def read_mjcf(path):
+def read_mjcf(path, asked=Asked()):
     """
     Return the Model in an MJCF file.
 

@@ -198,6 +198,27 @@ class Omission:
     unit: str = ''
 
 
+@dataclass(frozen=True)
+class Asked:
+    """
+    What is asked of the reader of a file.
+
+    Attributes
+    ----------
+    model : str or None
+        Which one of several models of a world is simulated.
+    arguments : dict of str to str
+        Of xacro.
+    anywhere : bool
+        Whether meshes and parts are read from outside of the file's folder.
+
+    """
+
+    model: Optional[str] = None
+    arguments: dict = field(default_factory=dict)
+    anywhere: bool = False
+
+
 @dataclass
 class Model:
     """

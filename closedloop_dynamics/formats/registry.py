@@ -20,6 +20,7 @@ from .building import mechanism_of
 from .loops import add_loops
 from .mjcf import read_mjcf
 from .mjcf_writing import mjcf
+from .model import Asked
 from .sdf import read_sdf
 from .sdf_writing import sdf
 from .urdf import read_urdf
@@ -31,8 +32,8 @@ from ..mechanism.mechanism import MechanismError
 ROOTS = {'mujoco': read_mjcf, 'robot': read_urdf, 'sdf': read_sdf}
 
 
-def _read_xml(path):
-    return ROOTS[read_xml(path, tuple(ROOTS)).tag](path)
+def _read_xml(path, asked):
+    return ROOTS[read_xml(path, tuple(ROOTS)).tag](path, asked)
 
 
 READERS = {'.urdf': read_urdf, '.xacro': read_urdf, '.mjcf': read_mjcf, '.xml': _read_xml,
@@ -45,7 +46,7 @@ def is_model(path):
     return Path(path).suffix.lower() in READERS
 
 
-def read_model(path, end_stops=None, loops=None, mend_inertias=False):
+def read_model(path, end_stops=None, loops=None, mend_inertias=False, **asked):
     """
     Read a model in another format as a mechanism.
 
@@ -59,6 +60,8 @@ def read_model(path, end_stops=None, loops=None, mend_inertias=False):
         Loops that the file does not tell (``loops``).
     mend_inertias : bool
         Whether moments of inertia that no body has are changed a little, not refused.
+    **asked
+        As ``model.Asked`` has it.
 
     Returns
     -------
@@ -76,7 +79,7 @@ def read_model(path, end_stops=None, loops=None, mend_inertias=False):
     if not is_model(path):
         raise MechanismError(f'{path}: expected a name that ends with one of '
                              f'{", ".join(READERS)}, got another')
-    model = READERS[path.suffix.lower()](path)
+    model = READERS[path.suffix.lower()](path, Asked(**asked))
     if loops is not None:
         add_loops(model, loops)
     return mechanism_of(model, end_stops, mend_inertias)

@@ -22,29 +22,26 @@ nothing joins to the world floats. ``<drake:ball_constraint>`` closes a loop, to
 
 import math
 from pathlib import Path
-import re
 
 import numpy as np
 
 from .model import (
-    Connection, free_name, inertia_matrix, Link, Model, MOMENTS, Omission, Relation)
+    Asked, Connection, free_name, inertia_matrix, Link, Model, MOMENTS, Omission, Relation)
 from .pose import IDENTITY, of_angles, of_quaternion, Pose, unturned
-from .visuals import color_in, visuals
+from .sdf_parts import FALSE, flattened, included, MODEL, OWN_AXES, TRUE, version_of, WORLD
+from .visuals import color_in, placed, visuals
 from .xml_file import read_xml
-from ..mechanism.fields import nearest
+from ..mechanism.fields import among, nearest
 from ..mechanism.mechanism import (
     FIXED, FREE, GROUND, HELICAL, MechanismError, PRISMATIC, REVOLUTE, SPHERICAL, UNIVERSAL)
 
 TYPES = {'revolute': REVOLUTE, 'continuous': REVOLUTE, 'prismatic': PRISMATIC, 'fixed': FIXED,
          'ball': SPHERICAL, 'universal': UNIVERSAL, 'revolute2': UNIVERSAL, 'screw': HELICAL}
-MODEL, WORLD = '__model__', 'world'
-TRUE, FALSE = ('true', '1'), ('false', '0')
+GEARBOX = 'gearbox'
 # Types whose limit of effort tells whether they are driven.
 DRIVEN = (REVOLUTE, PRISMATIC, HELICAL, UNIVERSAL)
 # Limits beyond this are none.
 ENDLESS = 1e15
-# The version in which axes began to be given in the joint's frame.
-OWN_AXES = (1, 5)
 # Of joints in files of another format: of the converters that read them.
 JOINTS_ALONE = (1, 7)
 REASONS = {
@@ -56,34 +53,69 @@ REASONS = {
     'allow_auto_disable': 'for a simulator'}
 
 
-def read_sdf(path):
+def read_sdf(path, asked=Asked()):
     """
-    Return the Model in an SDF file with one model, which may stand in a world.
+    Return the Model in an SDF file: its only model, or one of a world.
+
+    Models that are static are ground; models in it, also of other files, are parts of it.
 
     Raises MechanismError with file, line and element.
 
     """
     path = Path(path)
     root = read_xml(path, ('sdf',))
-    version = root.get('version', '1.12')
-    if not re.fullmatch('[0-9]{1,3}[.][0-9]{1,3}', version):
-        raise root.error('a version such as 1.10', repr(version))
-    version = tuple(map(int, version.split('.')))
+    version = version_of(root)
     world = root.child('world')
     where = root if world is None else world
-    models = where.all('model')
+    where.get('name')
+    models, missing = [(model, version) for model in where.all('model')], []
     for element in where.all('include'):
-        raise element.error('a model in the file itself', 'one that is to be included',
-                            'write it into the file, `gz sdf -p` does')
-    if len(models) != 1:
-        raise where.error('one <model>', f'{len(models)}')
-    reader = _Reader(models[0], Model(models[0].get('name') or path.stem, path), version)
+        try:
+            models.append(included(element, asked)[:2])
+        except MechanismError as error:
+            missing.append((element, error))
+    element, version, still = _chosen(where, models, missing, asked)
+    model = Model(element.get('name') or path.stem, path)
+    for include, error in missing:
+        model.omitted.append(Omission(
+            'the model', 'include', include.required('uri').text, 'its file was not found'))
+    others = [one.get('name') for one, _ in models if one is not element and one not in still]
+    if others:
+        model.ignored[f'the models {", ".join(others)}'] = 'one is simulated at a time'
+    flattened(element, version, asked)
+    reader = _Reader(element, model, version)
     gravity = world and world.child('gravity')
     if gravity:
-        reader.model.gravity = tuple(gravity.values(gravity.text, 3, 'gravity'))
+        model.gravity = tuple(gravity.values(gravity.text, 3, 'gravity'))
     reader.read()
-    reader.model.ignore(root.unasked(), REASONS)
-    return reader.model
+    for one, own in models:
+        if one in still:
+            flattened(one, own, asked)
+            model.ground_visual += _Reader(one, model, own).drawn()
+    model.ignore(root.unasked(), REASONS)
+    return model
+
+
+def _chosen(where, models, missing, asked):
+    """Return the model that is simulated, its version, and the models that stand still."""
+    moving, still = {}, []
+    for model, version in models:
+        static = model.child('static')
+        if static is not None and static.text in TRUE:
+            still.append(model)
+        else:
+            moving[model.word('name')] = model, version
+    if asked.model is not None and asked.model not in moving:
+        raise where.error(f'--model to be one of {among(moving)}', repr(asked.model),
+                          nearest(asked.model, moving))
+    if not moving:
+        if missing:
+            raise missing[0][1]
+        raise where.error('a model that moves', 'static ones' if still else 'none')
+    if asked.model is None and len(moving) > 1:
+        raise where.error('one <model> that moves', f'{len(moving)}: {among(moving)}',
+                          '--model NAME, or model: NAME in a scene, takes one')
+    return (*moving[asked.model or next(iter(moving))], still)
 
 
 def add_joints(element, model, poses):
@@ -141,13 +173,7 @@ class _Reader:
 
     def read(self):
         element, model = self.element, self.model
-        for child in element.all('model', 'include'):
-            raise child.error('links and joints', 'a model in the model')
-        static = element.child('static')
-        if static is not None and static.text in TRUE:
-            raise static.error('a model that moves', 'a static one')
-        pose = element.child('pose')
-        self.found[WORLD] = self._pose(pose).inverse if pose is not None else IDENTITY
+        self._place()
         for link in self.links:
             name = link.word('name')
             if name == WORLD:
@@ -160,11 +186,10 @@ class _Reader:
                 model.omitted.append(Omission(
                     'decay of the velocity', 'link', name, 'it depends on the step of a simulator',
                     decay, 'of it in each'))
-            record.visual = visuals(
-                link, model.path.parent, lambda visual: self._pose(visual.child('pose')), _child,
-                _color)
+            record.visual = self._visuals(link)
         for joint in self.joints:
-            model.add(self._joint(joint))
+            if joint.get('type') != GEARBOX:
+                model.add(self._joint(joint))
         for number, constraint in enumerate(element.all('drake:ball_constraint'), 1):
             model.add(self._ball_constraint(constraint, f'ball_constraint_{number}'))
         for name, (part, before) in self.given.items():
@@ -173,11 +198,33 @@ class _Reader:
                 link = self._link_name(carrier)
                 if link in model.links:
                     model.frames[name] = link, self._in(carrier).inverse @ self._in(name)
+        for joint in self.joints:
+            if joint.get('type') == GEARBOX:
+                model.relations.append(self._gearbox(joint))
         model.check()
         self._float()
         if not any(joint.actuated for joint in model.joints.values()):
             for joint in model.joints.values():
                 joint.actuated = joint.type in DRIVEN and bool(joint.effort)
+
+    def _place(self):
+        """Note where the world is in the frame of the model."""
+        pose = self.element.child('pose')
+        if pose is not None and (pose.get('relative_to') or WORLD) != WORLD:
+            raise pose.error('a pose in the world', f'one relative to {pose.get("relative_to")!r}')
+        self.found[WORLD] = self._pose(pose).inverse
+
+    def _visuals(self, link):
+        """Return what a link is drawn as."""
+        return visuals(
+            link, Path(link.source).parent, lambda visual: self._pose(visual.child('pose')),
+            _child, _color, self.model.ignored)
+
+    def drawn(self):
+        """Return what the links of a model that stands still are drawn as, in the world."""
+        self._place()
+        return [placed(visual, self._in(WORLD).inverse @ self._in(link.word('name')))
+                for link in self.links for visual in self._visuals(link)]
 
     def joints_alone(self):
         """Return the joints of an element that has no links."""
@@ -237,7 +284,7 @@ class _Reader:
 
     def _joint(self, element):
         """Return a joint."""
-        kind = TYPES[element.word('type', tuple(TYPES))]
+        kind = TYPES[element.word('type', (*TYPES, GEARBOX))]
         ends = [self._end(element, tag) for tag in ('parent', 'child')]
         place = self._in(element.attributes['name'])
         poses, links = [], []
@@ -269,6 +316,26 @@ class _Reader:
             raise element.error('drake:rotor_inertia to be zero or more', 'less')
         self._act(joint, first)
         return joint
+
+    def _gearbox(self, element):
+        """Return how the turns of two links about a third one depend on each other."""
+        reference = element.required('gearbox_reference_body')
+        ratio, factors = _value(element, 'gearbox_ratio', 1.0), {}
+        body = self._link_name(self._carrier(reference.text))
+        place = self._in(element.attributes['name'])
+        for tag, axis, factor in (('parent', 'axis', ratio), ('child', 'axis2', 1.0)):
+            link = self._link_name(self._carrier(self._end(element, tag)))
+            joint = next((one for one in self.model.joints.values() if one.type == REVOLUTE
+                          and {one.parent, one.child} == {link, body}), None)
+            if joint is None or factor == 0.0:
+                raise element.error(
+                    f'a hinge between {reference.text} and {link}, and a ratio that is not zero',
+                    'none')
+            about = place.rotation @ self._axis(element.required(axis), place)
+            own = self._in(joint.name).rotation @ joint.axis
+            side = 1.0 if joint.child == link else -1.0
+            factors[joint.name] = factor * side * math.copysign(1.0, about @ own)
+        return Relation(element.attributes['name'], element.where, factors)
 
     def _ball_constraint(self, element, name):
         """Return a loop as Drake writes it."""

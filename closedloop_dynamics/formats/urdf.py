@@ -25,10 +25,11 @@ from pathlib import Path
 
 import numpy as np
 
-from .model import Connection, free_name, inertia_matrix, Link, Model, MOMENTS, Relation
+from .model import Asked, Connection, free_name, inertia_matrix, Link, Model, MOMENTS, Relation
 from .parallel_yaml import add_parallel_yaml
 from .pose import IDENTITY, of_angles, Pose, unturned
-from .sdf import add_joints, FALSE, TRUE
+from .sdf import add_joints
+from .sdf_parts import FALSE, TRUE
 from .visuals import color_in, visuals
 from .xml_file import read_xml
 from ..mechanism.fields import nearest
@@ -59,7 +60,7 @@ REASONS = {
         'velocity_decay', 'enable_wind', 'allow_auto_disable', 'gazebo'), 'for a simulator')}
 
 
-def read_urdf(path):
+def read_urdf(path, asked=Asked()):
     """
     Return the Model in a URDF file; one that ends with .xacro goes through xacro first.
 
@@ -67,7 +68,10 @@ def read_urdf(path):
 
     """
     path = Path(path)
-    robot = read_xml(path, ('robot',), _expanded(path) if path.suffix == '.xacro' else None)
+    if asked.arguments and path.suffix != '.xacro':
+        raise MechanismError(f'{path}: expected a xacro file, which has arguments, got another')
+    robot = read_xml(path, ('robot',), _expanded(
+        path, asked) if path.suffix == '.xacro' else None)
     model = Model(robot.get('name') or path.stem, path)
     _rename_ground(robot, model)
     colors = {material.get('name'): _color(material) for material in robot.all('material')}
@@ -75,7 +79,7 @@ def read_urdf(path):
         model.add(_link(link))
         model.links[link.attributes['name']].visual = visuals(
             link, path.parent, lambda visual: _origin(visual.child('origin')), _attribute,
-            lambda visual: _color_of(visual, colors))
+            lambda visual: _color_of(visual, colors), model.ignored)
     mimics = []
     for joint in robot.all('joint'):
         model.add(_joint(joint, mimics))
@@ -88,7 +92,10 @@ def read_urdf(path):
     for number, element in enumerate(robot.all('drake:ball_constraint'), 1):
         model.add(_ball_constraint(element, f'ball_constraint_{number}'))
     for joint, element in mimics:
-        model.relations.append(_mimic(model, joint, element))
+        if joint.type == FIXED:
+            model.ignored[f'what {joint.name} mimics'] = 'it is fixed'
+        else:
+            model.relations.append(_mimic(model, joint, element))
     model.check()
     _stand(model, robot)
     _extend(model, robot)
@@ -105,7 +112,7 @@ def read_urdf(path):
     return model
 
 
-def _expanded(path):
+def _expanded(path, asked):
     """Return the text of a file expanded by xacro."""
     read_xml(path, ('robot',))
     try:
@@ -114,7 +121,8 @@ def _expanded(path):
         raise MechanismError(f'{path}: a xacro file needs xacro: pip install xacro, or in ROS '
                              'install ros-jazzy-xacro') from None
     try:
-        return xacro.process_file(str(path)).toxml(encoding='utf-8')
+        return xacro.process_file(
+            str(path), mappings=dict(asked.arguments)).toxml(encoding='utf-8')
     except Exception as error:  # noqa: B902
         # Whatever the macros do: errors of a language of its own.
         raise MechanismError(f'{path}: expected what xacro can expand, got: {error}') from None
@@ -312,7 +320,8 @@ def _stand(model, robot):
     roots = [name for name in model.links if name not in carried]
     if len(roots) != 1:
         raise robot.error('one link that no joint carries',
-                          'the roots ' + ', '.join(roots[:5]) if roots else 'a cycle of links')
+                          'the roots ' + ', '.join(roots[:5]) if roots else
+                          'a cycle of links' if model.links else 'none')
     seen = {roots[0]}
     children = {}
     for joint in carried.values():
@@ -390,11 +399,10 @@ def _drawn(model):
 
 def _find_drives(model, robot):
     """Note which joints are driven: as transmissions or ros2_control say."""
-    named = [(transmission.where, joint.get('name'))
-             for transmission in robot.all('transmission')
+    named = [joint.get('name') for transmission in robot.all('transmission')
              for joint in transmission.all('joint')]
     for control in robot.all('ros2_control'):
-        named += [(joint.where, joint.get('name')) for joint in control.all('joint')
+        named += [joint.get('name') for joint in control.all('joint')
                   if joint.all('command_interface')]
     for transmission in robot.all('transmission'):
         joints, drives = transmission.all('joint'), transmission.all('actuator')
@@ -404,7 +412,8 @@ def _find_drives(model, robot):
                 ratio = 1.0 if gear is None else gear.number('value', 1.0)
                 model.joints[joint.get('name')].armature = _not_negative(
                     rotor, 'value') * ratio ** 2
-    for where, name in named:
-        if name not in model.joints:
-            raise MechanismError(f'{where}: expected the name of a joint, got {name!r}')
-        model.joints[name].actuated = True
+    for name in named:
+        if name in model.joints:
+            model.joints[name].actuated = True
+        else:
+            model.ignored[f'the drive of {name}'] = 'there is no such joint'

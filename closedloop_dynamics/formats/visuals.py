@@ -21,15 +21,15 @@ from pathlib import Path
 import numpy as np
 
 from .pose import of_quaternion, quaternion_of
-from ..mechanism.mechanism import BOX, CYLINDER, MESH, SPHERE, Visual
+from ..mechanism.mechanism import BOX, CYLINDER, MechanismError, MESH, SPHERE, Visual
 
 # Variables of the environment that list folders of packages and models.
 SEARCHED = ('AMENT_PREFIX_PATH', 'GZ_SIM_RESOURCE_PATH')
 
 
-def visuals(link, folder, pose_of, values_of, color_of):
+def visuals(link, folder, pose_of, values_of, color_of, ignored):
     """
-    Read what a link is drawn as; geometry of other kinds is left unread.
+    Read what a link is drawn as; what cannot be drawn is left out.
 
     Parameters
     ----------
@@ -44,41 +44,48 @@ def visuals(link, folder, pose_of, values_of, color_of):
         count None text.
     color_of : callable
         Returns the colour of an element ``visual``, as ``Visual`` has it.
+    ignored : dict of str to str
+        What is left out is noted here, with the reason; nothing that is drawn moves a body.
 
     Returns
     -------
     list of Visual
 
-    Raises
-    ------
-    MechanismError
-        With file, line and element.
-
     """
-    found, folder = [], folder.resolve()
+    found = []
     for visual in link.all('visual'):
-        geometry = visual.child('geometry')
-        if geometry is None:
-            continue
-        pose = pose_of(visual)
-        placed_at = tuple(pose.position.tolist()), quaternion_of(pose.rotation)
-        color = color_of(visual)
-        for kind, keys in ((BOX, (('size', 3),)), (SPHERE, (('radius', 1),)),
-                           (CYLINDER, (('radius', 1), ('length', 1)))):
-            shape = geometry.child(kind)
-            if shape is not None:
-                size = [number for key, count in keys
-                        for number in _positive(shape, key, values_of(shape, key, count))]
-                found.append(Visual(kind, tuple(size), *placed_at, color=color))
-        mesh = geometry.child(MESH)
-        if mesh is not None:
-            scale = values_of(mesh, 'scale', 3)
-            if scale is not None and 0.0 in scale:
-                raise mesh.error('scale without zeros', 'others')
-            found.append(Visual(
-                MESH, (1.0, 1.0, 1.0) if scale is None else tuple(map(float, scale)), *placed_at,
-                _path(values_of(mesh, 'uri' if mesh.get('filename') is None else 'filename', None)
-                      or '', folder), color))
+        try:
+            found += _shapes(visual, folder.resolve(), pose_of, values_of, color_of)
+        except MechanismError as error:
+            told = str(error).rpartition('>: ')[-1]
+            ignored[f'a visual of {link.get("name")} ({told})'] = 'not drawn'
+    return found
+
+
+def _shapes(visual, folder, pose_of, values_of, color_of):
+    """Return what an element visual is drawn as."""
+    found, geometry = [], visual.child('geometry')
+    if geometry is None:
+        return found
+    pose = pose_of(visual)
+    placed_at = tuple(pose.position.tolist()), quaternion_of(pose.rotation)
+    color = color_of(visual)
+    for kind, keys in ((BOX, (('size', 3),)), (SPHERE, (('radius', 1),)),
+                       (CYLINDER, (('radius', 1), ('length', 1)))):
+        shape = geometry.child(kind)
+        if shape is not None:
+            size = [number for key, count in keys
+                    for number in _positive(shape, key, values_of(shape, key, count))]
+            found.append(Visual(kind, tuple(size), *placed_at, color=color))
+    mesh = geometry.child(MESH)
+    if mesh is not None:
+        scale = values_of(mesh, 'scale', 3)
+        if scale is not None and 0.0 in scale:
+            raise mesh.error('scale without zeros', 'others')
+        found.append(Visual(
+            MESH, (1.0, 1.0, 1.0) if scale is None else tuple(map(float, scale)), *placed_at,
+            _path(values_of(mesh, 'uri' if mesh.get('filename') is None else 'filename', None)
+                  or '', folder), color))
     return found
 
 

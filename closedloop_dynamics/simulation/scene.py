@@ -33,7 +33,7 @@ from .scene_records import Initial, Method, Scene
 from .tree_choice import cheapest
 from ..effects.registry import EFFECTS
 from ..formats.registry import is_model, read_model
-from ..mechanism.checks import boolean, list_of, name, NAME_PATTERN, number, one_of
+from ..mechanism.checks import boolean, list_of, name, NAME_PATTERN, number, one_of, text
 from ..mechanism.config import config_directory, shipped_names, shipped_path
 from ..mechanism.csv_columns import read_columns
 from ..mechanism.document import Document
@@ -48,7 +48,8 @@ __all__ = ['config_directory', 'Initial', 'load_scene', 'load_scene_or_mechanism
 # Required and optional keys.
 SCENE_KEYS = ('mechanism', 'initial'), ('description', 'effects', 'method', 'parameters')
 # Where the mechanism is a model in another format, which may start as it is drawn.
-MODEL_KEYS = ('mechanism',), ('initial', 'loops', 'mend_inertias', *SCENE_KEYS[1])
+MODEL_KEYS = ('mechanism',), (
+    'initial', 'loops', 'mend_inertias', 'model', 'arguments', 'anywhere', *SCENE_KEYS[1])
 INITIAL_KEYS = ('position',), ('hold', 'velocity')
 # Effects for whose joints others are cut, where there is a choice.
 RATHER_IN_TREE = ('prescribed_motion', 'rotor')
@@ -63,7 +64,7 @@ def scene_names():
     return shipped_names('scenes')
 
 
-def load_scene(name_or_path):
+def load_scene(name_or_path, **reading):
     """
     Read a scene.
 
@@ -72,6 +73,8 @@ def load_scene(name_or_path):
     name_or_path : str or pathlib.Path
         A shipped scene by its name (a single word), or the path of a file: of a scene, or of a
         model in another format (``formats``), under gravity, at rest, with the loops closed.
+    **reading
+        Of a model: what ``formats.registry.read_model`` takes.
 
     Raises
     ------
@@ -81,17 +84,20 @@ def load_scene(name_or_path):
     """
     path = _scene_path(name_or_path)
     if is_model(path):
-        return scene_of_model(path, read_model(path))
+        return scene_of_model(path, read_model(path, **reading))
+    if reading:
+        raise SceneError(f'{path}: expected a model in another format, which is read with '
+                         f'{among(reading)}, got another file (a scene of a model has these keys)')
     return _scene_of(Document(path, SceneError))
 
 
-def load_scene_or_mechanism(name_or_path):
+def load_scene_or_mechanism(name_or_path, **reading):
     """
     Read a scene, or a mechanism where a file or shipped name is that of one.
 
     Parameters
     ----------
-    name_or_path
+    name_or_path, **reading
         As for ``load_scene``.
 
     Raises
@@ -99,12 +105,14 @@ def load_scene_or_mechanism(name_or_path):
     SceneError, MechanismError
 
     """
+    if reading and (_is_name(name_or_path) or not is_model(name_or_path)):
+        return load_scene(name_or_path, **reading)
     if _is_name(name_or_path):
         if name_or_path not in scene_names() and name_or_path in shipped_names('mechanisms'):
             return cheapest(read_mechanism(shipped_path('mechanisms', name_or_path)))
         return load_scene(name_or_path)
     if is_model(name_or_path):
-        return read_model(name_or_path).mechanism
+        return read_model(name_or_path, **reading).mechanism
     document = Document(name_or_path, SceneError)
     if isinstance(document.data, Mapping) and 'bodies' in document.data:
         return cheapest(read_mechanism(name_or_path))
@@ -285,12 +293,24 @@ def _model(data, directory):
         return None
     with at('mend_inertias'):
         mend = boolean(data.get('mend_inertias', False))
+    asked = {}
+    for key, check in (('model', text), ('arguments', _words), ('anywhere', boolean)):
+        if key in data:
+            with at(key):
+                asked[key] = check(data[key])
     try:
         with at('loops'):
-            return read_model(directory / path, loops=data.get('loops'), mend_inertias=mend)
+            return read_model(
+                directory / path, loops=data.get('loops'), mend_inertias=mend, **asked)
     except MechanismError as error:
         raise FieldError('a valid mechanism', f'this error in its file:\n{error}',
                          path=('mechanism',)) from None
+
+
+def _words(value):
+    """Return a mapping of words or numbers as one of text."""
+    return {key: one if isinstance(one, str) else shown(one)
+            for key, one in mapping(value).items()}
 
 
 def _initial(value, mechanism, names):

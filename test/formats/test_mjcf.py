@@ -259,8 +259,8 @@ def test_a_fluid_is_named_with_what_it_does(tmp_path):
     mujoco.mj_forward(compiled, data)
     omission, = read_model(written(tmp_path, text)).omitted
     assert omission.size == pytest.approx(-data.qfrc_passive[0])
-    assert omission.quantity == f'drag at 1 m/s, {100 * omission.size / (48 * 9.81):.2g} % of the ' \
-                                'weight,'
+    share = 100 * omission.size / (48 * 9.81)
+    assert omission.quantity == f'drag at 1 m/s, {share:.2g} % of the weight,'
     assert omission.reason == 'no effect acts in a fluid (density 500 kg/m^3, viscosity 3 Pa s)'
 
 

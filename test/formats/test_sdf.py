@@ -159,13 +159,18 @@ FAULTS = {
                  'expected frames that are not attached to themselves, got tip -> tip'),
     'child': ('<child>crank</child>', '<child>krank</child>',
               r"expected the name of a frame, got 'krank' \(did you mean 'crank'\?\)"),
-    'type': ('type="ball"', 'type="gearbox"', "expected type to be one of .* got 'gearbox'"),
+    'type': ('type="ball"', 'type="rope"', "expected type to be one of .* got 'rope'"),
+    'gearbox': ('type="ball"', 'type="gearbox"', 'expected a child <gearbox_reference_body>'),
     'axis': ('<xyz>0 1 0</xyz>', '<xyz>0 0 0</xyz>',
              'expected an axis to be a direction that is not zero'),
     'static': ('<link name="crank">', '<static>true</static><link name="crank">',
-               'expected a model that moves, got a static one'),
-    'include': ('<model ', '<include><uri>x</uri></include><model ',
-                'expected a model in the file itself'),
+               'expected a model that moves, got static ones'),
+    'include': ('<link name="crank">', '<include><uri>x</uri></include><link name="crank">',
+                "<uri>: expected a file that is there, .* got 'x'"),
+    'two': ('<model ', '<model name="other"/><model ',
+            r'expected one <model> that moves, got 2: other, four_bar \(--model NAME'),
+    'placed': ('<pose>0 0 1 0 0 0</pose>', '<pose relative_to="table">0 0 1 0 0 0</pose>',
+               "expected a pose in the world, got one relative to 'table'"),
     'mass': ('<mass>0.5</mass>', '<mass>heavy</mass>', "got 'heavy'"),
     'world': ('<link name="crank">', '<link name="world"/><link name="crank">',
               "expected any name but 'world'"),
@@ -245,3 +250,104 @@ def test_gravity_that_does_not_act_on_a_link_is_compensated(tmp_path):
     assert (point.body, point.position) == ('coupler', (0.2, 0.0, 0.0))
     decay, = imported.omitted
     assert (decay.quantity, decay.name, decay.size) == ('decay of the velocity', 'coupler', 0.01)
+
+
+def test_one_of_several_models_of_a_world(tmp_path):
+    ground = ('<model name="floor"><static>true</static><pose>0 0 1 0 0 0</pose><link name="l">'
+              '<visual name="v"><pose>0 0 2 0 0 0</pose><geometry><box><size>1 2 3</size></box>'
+              '</geometry></visual></link></model>')
+    other = '<model name="other"><link name="l"/><link name="m"/></model>'
+    text = FOUR_BAR.replace('<model ', f'{ground}{other}<include><uri>model://sun</uri></include>'
+                            '<model ')
+    path = written(tmp_path, text)
+    imported = read_model(path, model='four_bar')
+    expected = read_model(written(tmp_path, FOUR_BAR, 'alone.sdf')).mechanism
+    assert imported.mechanism.bodies == expected.bodies
+    assert imported.mechanism.joints == expected.joints
+    box, = imported.mechanism.ground_visual
+    assert (box.size, box.center) == ((1.0, 2.0, 3.0), (0.0, 0.0, 3.0))
+    assert [one.name for one in imported.omitted] == ['model://sun']
+    assert imported.ignored['the models other'] == 'one is simulated at a time'
+    assert [joint.type for joint in read_model(path, model='other').mechanism.joints] == [
+        'free', 'free']
+    with pytest.raises(MechanismError, match="--model to be one of other, four_bar, got 'floor'"):
+        read_model(path, model='floor')
+
+
+RAISED = '<pose>1 0 0 0 0 1.5707963267948966</pose>'
+
+
+def nested(inside):
+    """Return a model with another one in it, hinged to the world."""
+    return (f'<sdf version="1.10"><model name="m">{inside}<joint name="j" type="revolute">'
+            '<parent>world</parent><child>arm::link</child><axis><xyz>0 0 1</xyz></axis></joint>'
+            '<joint name="k" type="revolute"><pose relative_to="arm::tip"/><parent>arm</parent>'
+            '<child>hand</child><axis><xyz expressed_in="arm">1 0 0</xyz></axis></joint>'
+            '<link name="hand"><pose relative_to="arm::tip">0 0 0.5 0 0 0</pose></link></model>'
+            '</sdf>')
+
+
+ARM = ('<model name="arm">POSE<link name="link"><pose>0 0 0.5 0 0 0</pose></link>'
+       '<frame name="tip" attached_to="link"><pose>0.2 0 0 0 0 0</pose></frame>'
+       '<link name="flap"/><joint name="h" type="revolute"><parent>link</parent>'
+       '<child>flap</child><axis><xyz EXPRESSED>1 0 0</xyz></axis></joint></model>')
+
+
+@pytest.mark.parametrize('way', ['nested', 'include', 'folder', 'model'])
+def test_models_in_models(tmp_path, way):
+    inside = ARM.replace('EXPRESSED', 'expressed_in="__model__"')
+    if way == 'nested':
+        text = nested(inside.replace('POSE', RAISED))
+    else:
+        folder = tmp_path / 'parts'
+        folder.mkdir()
+        written(folder, f'<sdf version="1.4">{ARM.replace("POSE", "").replace("EXPRESSED", "")}'
+                '</sdf>')
+        uri = {'include': 'parts/model.sdf', 'folder': 'parts', 'model': 'model://parts'}[way]
+        text = nested(f'<include><uri>{uri}</uri><name>arm</name>{RAISED}</include>')
+    imported = read_model(written(tmp_path, text, 'whole.sdf'))
+    joints = {joint.name: joint for joint in imported.mechanism.joints}
+    assert {name: (joint.parent, joint.child) for name, joint in joints.items()} == {
+        'arm__h': ('arm__link', 'arm__flap'), 'j': ('ground', 'arm__link'),
+        'k': ('arm__link', 'hand')}
+    # Of the link, which is the body's frame: the hinge to the world is where the link is.
+    assert joints['j'].position == (1.0, 0.0, 0.5)
+    assert joints['k'].position == pytest.approx((0.2, 0.0, 0.0))
+    assert joints['k'].axis == pytest.approx((1.0, 0.0, 0.0))
+    assert joints['arm__h'].position == pytest.approx((0.0, 0.0, -0.5))
+    assert joints['arm__h'].axis == pytest.approx((1.0, 0.0, 0.0))
+    # Turned with the model by a quarter.
+    assert joints['j'].orientation == pytest.approx((0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5)))
+    assert read_mechanism(written(
+        tmp_path, mechanism_text(imported.mechanism), 'a.yaml')) == imported.mechanism
+
+
+def test_files_that_include_themselves_or_others_from_outside(tmp_path):
+    inside = tmp_path / 'a' / 'b'
+    inside.mkdir(parents=True)
+    written(tmp_path, f'<sdf version="1.10">{ARM.replace("POSE", "")}</sdf>', 'arm.sdf')
+    text = nested('<include><uri>../../arm.sdf</uri></include>')
+    path = written(inside, text.replace('EXPRESSED', ''))
+    with pytest.raises(MechanismError, match='expected a file that is there, in the folder'):
+        read_model(path)
+    written(tmp_path, f'<sdf version="1.10">{ARM.replace("POSE", "").replace("EXPRESSED", "")}'
+            '</sdf>', 'arm.sdf')
+    assert len(read_model(path, anywhere=True).mechanism.joints) == 3
+    path = written(inside, nested('<include><uri>model.sdf</uri><name>arm</name></include>'))
+    with pytest.raises(MechanismError, match='expected files that do not include themselves'):
+        read_model(path)
+
+
+def test_gearboxes_couple_the_turns_about_their_reference(tmp_path):
+    hinge = ('<link name="{0}"/><joint name="to_{0}" type="revolute"><parent>{1}</parent>'
+             '<child>{2}</child><axis><xyz>0 0 {3}</xyz></axis></joint>')
+    gear = ('<joint name="gear" type="gearbox"><parent>a</parent><child>b</child>'
+            '<gearbox_reference_body>base</gearbox_reference_body><gearbox_ratio>4</gearbox_ratio>'
+            '<axis><xyz>0 0 1</xyz></axis><axis2><xyz>0 0 1</xyz></axis2></joint>')
+    for a, b, expected in ((('a', 'base', 'a', 1), ('b', 'base', 'b', 1), (4.0, 1.0)),
+                           (('a', 'base', 'a', -1), ('b', 'b', 'base', 1), (-4.0, -1.0))):
+        text = ('<sdf version="1.10"><model name="m"><link name="base"/>'
+                f'{hinge.format(*a)}{hinge.format(*b)}{gear}</model></sdf>')
+        coupling, = read_model(written(tmp_path, text)).mechanism.couplings
+        # The turn of b is -4 times that of a.
+        assert coupling.joints == {'to_a': expected[0], 'to_b': expected[1]}

@@ -18,10 +18,12 @@ from dataclasses import replace
 import re
 import sys
 
+from closedloop_dynamics.cli import main
 from closedloop_dynamics.formats.registry import read_model
 from closedloop_dynamics.formats.yaml_text import mechanism_text
 from closedloop_dynamics.mechanism.mechanism import Coupling, MechanismError
 from closedloop_dynamics.mechanism.reader import read_mechanism
+from closedloop_dynamics.simulation.scene import load_scene, SceneError
 import numpy as np
 import pytest
 
@@ -106,6 +108,37 @@ def test_inertias_that_no_body_has_are_refused_or_mended(tmp_path):
     assert coupler.inertia[1] == pytest.approx(1.49e-2 + 2.1e-3 + 0.1 / 1.1 * 0.01)
     with pytest.raises(MechanismError, match=r'got principal moments -0\.001, [^(]*$'):
         read(tmp_path, text.replace('ixx="1e-3"', 'ixx="-1e-3"'), mend_inertias=True)
+    # Rounded digits refuse no file.
+    rounded = text.replace('ixx="1e-3" iyy="2e-3" izz="3.3e-3"',
+                           'ixx="-4e-22" iyy="0" izz="6e-23"')
+    assert 'moments -4e-22, 0, 6e-23 of odd, 2e-23, 2e-23, 4e-23 taken' in ''.join(
+        read(tmp_path, rounded).ignored)
+
+
+def test_what_has_an_inertia_alone_is_refused_or_mended(tmp_path):
+    text = robot(LINKS, TREE, LOOPS['loop'][1]).replace('<mass value="1.0"/>', '<mass value="0"/>')
+    with pytest.raises(MechanismError, match=(
+            r"<link name='coupler'>: expected a positive mass, got 0 with an inertia that is not "
+            r'zero \(mend_inertias: true in a scene, or --mend-inertias, takes 8e-13 kg\)')):
+        read(tmp_path, text)
+    coupler = read(tmp_path, text, mend_inertias=True).mechanism.bodies[1]
+    assert (coupler.mass, coupler.inertia[1]) == (8e-13, 1.49e-2)
+    # Of what is fixed to a body with a mass it is that body's.
+    inertia = '<inertia ixx="1e-3" iyy="2e-3" izz="2e-3" ixy="0" ixz="0" iyz="0"/>'
+    tip = f'<link name="fly"><inertial><mass value="0"/>{inertia}</inertial></link>'
+    both = robot(LINKS, TREE, LOOPS['loop'][1], tip, joint('glue', 'fixed', 'coupler', 'fly'))
+    coupler = read(tmp_path, both).mechanism.bodies[1]
+    assert coupler.inertia[1] == pytest.approx(1.49e-2 + 2e-3)
+
+
+def test_drives_and_mimics_that_move_nothing_are_left_out(tmp_path):
+    mimic = '<mimic joint="crank_joint"/>'
+    text = robot(LINKS, TREE, TIPS.replace('</joint>', f'{mimic}</joint>', 1), LOOPS['loop'][1],
+                 '<transmission name="t"><joint name="none"/></transmission>')
+    imported = read(tmp_path, text)
+    assert not imported.mechanism.couplings
+    assert imported.ignored['what coupler_end mimics'] == 'it is fixed'
+    assert imported.ignored['the drive of none'] == 'there is no such joint'
 
 
 def test_links_fixed_together_are_one_body(tmp_path):
@@ -228,8 +261,13 @@ def test_what_links_are_drawn_as_goes_with_their_bodies(tmp_path):
     assert other.file == str(tmp_path.resolve() / 'other.obj') and other.size == (2, -2, 2)
     assert tip.center == pytest.approx((0.4, 0.0, 0.0))
     assert (tip.color, other.color) == (None, (0.1, 0.2, 0.3))
-    with pytest.raises(MechanismError, match='size to be positive'):
-        read(tmp_path, text.replace('size="1 2 3"', 'size="1 2 0"'))
+    # What cannot be drawn moves nothing.
+    imported = read(tmp_path, text.replace('size="1 2 3"', 'size="1 2 0"', 1))
+    assert not imported.mechanism.ground_visual
+    assert imported.ignored['a visual of base (expected size to be positive, got other numbers)'] \
+        == 'not drawn'
+    text = text.replace('scale="2 -2 2"', 'scale="2 -2 2 1"')
+    assert len(read(tmp_path, text).mechanism.bodies[1].visual) == 1
 
 
 def test_joints_of_several_freedoms(tmp_path):
@@ -404,3 +442,24 @@ def test_links_that_gravity_does_not_act_on(tmp_path, inside):
     on = off.replace('true', 'false') if 'turn' in off else off.replace('false', 'true')
     assert 'lift_coupler_center_of_mass' not in read(
         tmp_path, robot(LINKS, TREE, LOOPS['loop'][1], on)).effects
+
+
+def test_commands_read_models_as_they_are_asked_to(tmp_path, capsys):
+    text = robot(LINKS, TREE, LOOPS['loop'][1]).replace('<mass value="1.0"/>', '<mass value="0"/>')
+    path = str(written(tmp_path, text))
+    assert main(['check', path]) == 2
+    assert '--mend-inertias, takes 8e-13 kg' in capsys.readouterr().err
+    assert main(['check', path, '--mend-inertias']) == 0
+    assert 'left out, it has an inertia: the mass 0 of coupler' in capsys.readouterr().out
+    out = str(tmp_path / 'out.urdf')
+    assert main(['export', path, '--output', out, '--mend-inertias']) == 0
+    assert main(['check', 'four_bar', '--mend-inertias']) == 2
+    assert 'expected a model in another format, which is read with mend_inertias' in (
+        capsys.readouterr().err)
+    assert main(['check', path, '--argument', 'a:=1']) == 2
+    assert 'expected a xacro file, which has arguments' in capsys.readouterr().err
+    scene = written(tmp_path, 'mechanism: ./robot.urdf\nmend_inertias: true\n', 's.yaml')
+    assert load_scene(scene).mechanism.bodies[1].mass == 8e-13
+    scene.write_text('mechanism: ./robot.urdf\nanywhere: 3\n')
+    with pytest.raises(SceneError, match='anywhere: expected'):
+        load_scene(scene)
