@@ -51,7 +51,7 @@ def _run(arguments):
     mechanism, effects, position, hold, limits = _read(
         arguments.scene, **reading(arguments))
     mechanism = in_space(mechanism)
-    start = _closed(mechanism, position, hold, limits)
+    mechanism, start = _closed(mechanism, position, hold, limits)
     drawn = mechanism.coordinates.start()
     moved = start is not None and bool(mechanism.coordinates.apart(start, drawn).any())
     if start is None and write is sdf:
@@ -87,15 +87,16 @@ def _read(name, **asked):
 
 
 def _closed(mechanism, position, hold, limits):
-    """Return coordinates that close the loops, near a position; None where there are none."""
+    """Return the mechanism, and coordinates that close its loops near a position, or None."""
     size = extent(mechanism)
     if isinstance(position, dict):
-        found, _ = assembled(Imported(mechanism, position, limits=limits))
+        imported, found, _ = assembled(Imported(mechanism, position, limits=limits))
+        mechanism = imported.mechanism
     else:
         found = find_closed(mechanism, size, position, hold, starts=0)
         if not found.closed:
             found = find_closed(mechanism, size, position)
-    return found.q if found.closed else None
+    return mechanism, found.q if found.closed else None
 
 
 COMMAND = Command(

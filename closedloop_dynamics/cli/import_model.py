@@ -50,7 +50,7 @@ def _run(arguments):
     notes = lines(imported)
     if arguments.scene is not None:
         with announced('Closing the loops ...'):
-            found, told = assembled(imported)
+            imported, found, told = assembled(imported)
         notes = [*told, *notes]
     arguments.output.write_text(mechanism_text(imported.mechanism, notes), encoding='utf-8')
     if arguments.scene is not None:

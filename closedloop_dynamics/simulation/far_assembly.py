@@ -133,6 +133,20 @@ class Loops:
         """Return coordinates, shape (nq,), after a change, shape (nv,)."""
         return self.coordinates.moved(q, change)
 
+    def frames(self, q):
+        """
+        Return where the bodies are.
+
+        Returns
+        -------
+        frames : dict of str to ndarray, shape (3, 3)
+            By body: its axes in the world, as columns.
+        origins : dict of str to ndarray, shape (3,)
+            [m].
+
+        """
+        return self._move(q)[:2]
+
     def unwound(self, q, start):
         """Return the same position with angles within half a turn of those of a start."""
         q, limited = q.copy(), {place for place, *_ in self._limits}

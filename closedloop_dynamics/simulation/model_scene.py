@@ -20,6 +20,7 @@ warning, and so is how far the joints moved to close the loops.
 
 """
 
+from dataclasses import replace
 import warnings
 
 import numpy as np
@@ -30,12 +31,17 @@ from .modeling import extent
 from .scene_records import Initial, Scene
 from ..effects.registry import EFFECTS
 from ..formats.building import lines
+from ..formats.pose import quaternion_of
 from ..mechanism.fields import at, FieldError
-from ..mechanism.mechanism import MechanismError
+from ..mechanism.mechanism import FIXED, MechanismError, REVOLUTE, SPHERICAL
 
 # So many of the joints that moved the furthest are told.
 MOST_TOLD = 3
 HELD = 'the drives held'
+# Loops that are open by less than this in sizes of the mechanism are so by digits of the file.
+DIGITS = 1e-6
+# Types of joints that close loops at an anchor.
+ANCHORED = (SPHERICAL, REVOLUTE, FIXED)
 # Shorter ways are not told [rad or m].
 FAR = 0.05
 
@@ -79,7 +85,8 @@ def scene_of_model(path, imported):
               _at_rest(mechanism, mechanism.coordinates.start()), effects)
     except FieldError as error:
         raise MechanismError(f'{path}: {error}') from None
-    initial = closed_start(imported)
+    imported, initial = closed_start(imported)
+    mechanism = imported.mechanism
     for note in lines(imported):
         warnings.warn(f'{path.name}: {note}', ModelWarning, stacklevel=2)
     return Scene(path.stem, path, mechanism.description, mechanism, initial, effects)
@@ -96,7 +103,10 @@ def closed_start(imported):
 
     Returns
     -------
-    Initial
+    imported : formats.building.Imported
+        As ``assembled`` returns it.
+    initial : Initial
+        Where it starts, at rest.
 
     Raises
     ------
@@ -104,12 +114,12 @@ def closed_start(imported):
         Where none was found; it tells which loops stay open.
 
     """
-    found, notes = assembled(imported)
+    imported, found, notes = assembled(imported)
     if not found.closed:
         raise AssemblyError(' '.join(notes))
     for note in notes:
         warnings.warn(f'{imported.mechanism.name}: {note}', ModelWarning, stacklevel=2)
-    return _at_rest(imported.mechanism, found.q)
+    return imported, _at_rest(imported.mechanism, found.q)
 
 
 def _at_rest(mechanism, q):
@@ -127,6 +137,8 @@ def assembled(imported):
 
     Returns
     -------
+    imported : formats.building.Imported
+        With the anchors of loops moved, where the last digits of a file keep them open.
     found : far_assembly.Found
     notes : list of str
         What to tell of it; none where nothing moved.
@@ -135,7 +147,7 @@ def assembled(imported):
     mechanism, size = imported.mechanism, extent(imported.mechanism)
     start = Loops(mechanism, size).start(imported.position)
     if not (mechanism.cut_joints or mechanism.couplings):
-        return find_closed(mechanism, size, start), []
+        return imported, find_closed(mechanism, size, start), []
     cuts = {cut.name for cut in mechanism.cut_joints}
     drives, limits = [
         name for name in mechanism.actuated_joints if name not in cuts], imported.limits
@@ -150,11 +162,19 @@ def assembled(imported):
         found = find_closed(mechanism, size, start, hold, limits, starts)
         if found.closed:
             break
+        mended, anchors = _with_anchors_moved(mechanism, found.q, found.gaps, size)
+        if anchors:
+            again = find_closed(mended, size, found.q, (), limits, 0)
+            if again.closed:
+                imported = replace(imported, mechanism=mended)
+                notes = _moves(mended, start, again._replace(how=found.how), told,
+                               bool(imported.limits and not limits))
+                return imported, again, [*notes, *anchors]
         tried.append(found)
     else:
         found = min(tried, key=lambda one: sum(one.gaps.values()))
         never = never_closed(mechanism, size, start)
-        return found, [f'{mechanism.name} cannot be assembled: ' + '; '.join(
+        return imported, found, [f'{mechanism.name} cannot be assembled: ' + '; '.join(
             f'{name} stays open by {gap:.3g}' for name, gap in found.gaps.items()
             if gap > CLOSED * size) + ' (m, sines of angles), at the nearest place found. ' + (
                 'Whatever all others do, these stay open by themselves, each moved by its own '
@@ -162,7 +182,51 @@ def assembled(imported):
                     f'{name} by {gap:.3g}' for name, gap in never.items())
                 + '. Check the types of its joints, lengths and frames.' if never else
                 'Give it a start nearer to a closed one, or check lengths and frames.')]
-    return found, _moves(mechanism, start, found, told, bool(imported.limits and not limits))
+    return imported, found, _moves(
+        mechanism, start, found, told, bool(imported.limits and not limits))
+
+
+def _with_anchors_moved(mechanism, q, gaps, size):
+    """
+    Return a mechanism whose loops are closed at a position but for digits, exactly closed.
+
+    Parameters
+    ----------
+    mechanism : Mechanism
+        As it was read.
+    q : ndarray, shape (nq,)
+        The position.
+    gaps : dict of str to float
+        How far its loops are open there [m, sines of angles].
+    size : float
+        Of the mechanism [m].
+
+    Returns
+    -------
+    mechanism : Mechanism
+    notes : list of str
+        Which anchors were moved; none where a loop is open by more, or cannot be closed so.
+
+    """
+    open_by = {name: gap for name, gap in gaps.items() if gap > CLOSED * size}
+    if not open_by or max(open_by.values()) > DIGITS * size:
+        return mechanism, []
+    frames, origins = Loops(mechanism, size).frames(q)
+    cuts, notes = [], []
+    for cut in mechanism.cut_joints:
+        if cut.name in open_by and cut.type in ANCHORED:
+            a, b = frames[cut.body_a], frames[cut.body_b]
+            there = origins[cut.body_a] + a @ cut.point_a - origins[cut.body_b]
+            moved = {'point_b': tuple((b.T @ there).tolist())}
+            if cut.type == REVOLUTE:
+                moved['axis_b'] = tuple((b.T @ a @ cut.axis_a).tolist())
+            elif cut.type == FIXED:
+                moved['orientation'] = quaternion_of(b.T @ a)
+            cut = replace(cut, **moved)
+            notes.append(f'the anchor of {cut.name} was moved by {open_by[cut.name]:.2g} m, as '
+                         'rounded digits of the file keep its loop open')
+        cuts.append(cut)
+    return replace(mechanism, cut_joints=tuple(cuts)), notes
 
 
 def _moves(mechanism, start, found, told, beyond):

@@ -165,7 +165,8 @@ def _read(document):
     else:
         mechanism = model.mechanism
         if 'initial' not in data:
-            start = closed_start(model)
+            model, start = closed_start(model)
+            mechanism = model.mechanism
             data = {**data, 'initial': {
                 'position': mechanism.coordinates.told('position', start.position)}}
     return _scene(data, {}, document.path, mechanism)

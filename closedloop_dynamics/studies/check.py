@@ -51,10 +51,11 @@ def describe(scene_or_mechanism, simulation=None):
 
 def describe_model(imported):
     """Describe a model in another format, an ``Imported``: mechanism, and how its loops close."""
+    drawn = imported
+    imported, found, notes = assembled(imported)
     mechanism = imported.mechanism
-    found, notes = assembled(imported)
     return '\n\n'.join([
-        *_mechanism(mechanism, found=found), *_loops(imported, found),
+        *_mechanism(mechanism, found=found), *_loops(drawn, found),
         '\n'.join(['Notes', *(f'  {note}' for note in (*notes, *lines(imported)))])])
 
 

@@ -16,10 +16,13 @@
 
 from closedloop_dynamics import Simulation
 from closedloop_dynamics.formats.registry import read_model
+from closedloop_dynamics.simulation.far_assembly import find_closed
+from closedloop_dynamics.simulation.model_scene import assembled
 from closedloop_dynamics.simulation.scene import load_scene
 import numpy as np
 import pytest
 
+from . import machines
 from .test_sdf import FOUR_BAR, written
 
 PIN = """<joint name="pin" type="revolute"><parent>rocker</parent><child>tip</child>
@@ -68,3 +71,26 @@ def test_it_acts_as_in_the_tree(tmp_path):
             place = simulation.joint_names.index('crank_joint')
             found.append((simulation.position[place], simulation.velocity[place]))
     np.testing.assert_allclose(found[:3], found[3:], rtol=0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize('way', ['loop', 'drake'])
+def test_rounded_digits_of_a_file_are_closed_by_moving_the_anchor(tmp_path, way):
+    # Four bars in a plane, one anchor beside it by less than a millionth of the machine.
+    text = machines.four_bar(way).replace('0.4 0 0"', '0.4 8.9e-9 0"')
+    imported = read_model(written(tmp_path, text, 'digits.urdf'))
+    moved, found, notes = assembled(imported)
+    assert found.closed and max(found.gaps.values()) < 1e-15
+    assert notes[-1].endswith('was moved by 8.9e-09 m, as rounded digits of the file keep its '
+                              'loop open')
+    cut, = moved.mechanism.cut_joints
+    drawn, = imported.mechanism.cut_joints
+    assert np.subtract(cut.point_b, drawn.point_b) == pytest.approx((0.0, 8.9e-9, 0.0), abs=1e-10)
+    # And closed wherever else it goes: the loop is planar now.
+    q = found.q.copy()
+    q[0] += 0.4
+    again = find_closed(moved.mechanism, 0.4, q, ('crank_joint',), starts=0)
+    assert again.closed and abs(moved.mechanism.cut_joints[0].point_b[1] - 8.9e-9) < 1e-20
+    # What is open by more is an error in the file.
+    odd = text.replace('8.9e-9', '1e-6')
+    imported, found, notes = assembled(read_model(written(tmp_path, odd, 'odd.urdf')))
+    assert not found.closed and 'cannot be assembled' in notes[0]

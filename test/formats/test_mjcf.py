@@ -152,7 +152,7 @@ def slopes(loops, name, q):
     point = next(one for one in loops.mechanism.points if one.name == name)
 
     def place(change):
-        frames, origins, *_ = loops._move(loops.moved(q, change))
+        frames, origins = loops.frames(loops.moved(q, change))
         return origins[point.body] + frames[point.body] @ point.position
 
     steps = 1e-5 * np.eye(loops.nv)
