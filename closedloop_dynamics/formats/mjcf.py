@@ -33,7 +33,7 @@ from .mjcf_omissions import disabled, omissions
 from .mjcf_pictures import read_pictures
 from .model import Asked, Connection, free_name, Link, Model, Omission, Relation
 from .pose import about, IDENTITY, of_quaternion, Pose, quaternion_of, unturned
-from .xml_file import read_bytes, read_xml
+from .xml_file import Element, read_bytes, read_xml
 from ..mechanism.mechanism import (
     FIXED, FREE, GROUND, MechanismError, PRISMATIC, REVOLUTE, SPHERICAL)
 
@@ -43,7 +43,11 @@ SECTIONS = {
     'asset': 'for pictures and contacts', 'visual': 'for pictures', 'statistic': 'for pictures',
     'contact': 'for contacts', 'sensor': 'for sensors', 'keyframe': 'other states',
     'custom': 'for programs', 'deformable': 'not rigid', 'extension': 'for programs'}
-PARTS = {'camera': 'for pictures', 'light': 'for pictures', 'plugin': 'for programs'}
+PARTS = {'camera': 'for pictures', 'light': 'for pictures', 'plugin': 'forces of programs'}
+# What an actuator acts on.
+TRANSMISSION = (
+    'name', 'class', 'group', 'joint', 'jointinparent', 'tendon', 'site', 'refsite', 'body',
+    'cranksite', 'slidersite', 'cranklength', 'gear')
 _SOFT = ('material', 'hfield')
 # What pictures are made of, and what would open files in it.
 DRAWN = ('compiler', 'default', 'asset', 'worldbody')
@@ -63,7 +67,7 @@ def read_mjcf(path, asked=Asked()):
 
     """
     path = Path(path)
-    root = _included(read_xml(path, ('mujoco',)), path.parent.resolve(), [path.resolve()])
+    root = _included(read_xml(path, ('mujoco',)), path.parent.resolve(), [path.resolve()], asked)
     _refuse_infinite(root)
     try:
         import mujoco
@@ -73,13 +77,14 @@ def read_mjcf(path, asked=Asked()):
     model = Model(root.get('model') or path.stem, path)
     _name_bodies(root)
     start = _key_frame(root)
-    left_out = Counter()
+    left_out, parts = Counter(), {}
     folder = path.parent.resolve()
     drawn = ''.join(_text(part, NOT_DRAWN) for part in root.children if part.tag in DRAWN)
-    assets = _stripped(root, folder, left_out)
+    assets = _stripped(root, folder, left_out, asked, parts)
     model.ignore(left_out, {**SECTIONS, **PARTS}, 'for contacts')
     try:
-        compiled = mujoco.MjSpec.from_string(_text(root), assets=assets).compile()
+        compiled = mujoco.MjSpec.from_string(
+            _text(root), include=parts, assets=assets).compile()
     except (ValueError, RuntimeError, mujoco.FatalError) as error:
         told = ' '.join(str(error).split())
         raise MechanismError(f'{path}: expected a model that MuJoCo compiles, got: {told}'
@@ -105,16 +110,14 @@ def _refuse_infinite(element):
         _refuse_infinite(child)
 
 
-def _included(element, folder, files):
+def _included(element, folder, files, asked):
     """Return an element with the files in it that it includes."""
     children = []
     for child in element.children:
         if child.tag != 'include':
-            children.append(_included(child, folder, files))
+            children.append(_included(child, folder, files, asked))
             continue
-        path = (folder / child.word('file')).resolve()
-        if not path.is_relative_to(folder):
-            raise child.error('a file in the folder of the model or below', repr(str(path)))
+        path = _inside(child, folder / child.word('file'), folder, asked, 'a file')
         if path in files:
             raise child.error('files that do not include themselves, each once',
                               f'{path.name!r} again')
@@ -122,7 +125,7 @@ def _included(element, folder, files):
             raise child.error(f'at most {MOST_INCLUDES} files', 'more')
         files.append(path)
         inside = read_xml(path, ('mujoco', 'mujocoinclude'))
-        children += _included(inside, folder, files).children
+        children += _included(inside, folder, files, asked).children
     element.children = children
     return element
 
@@ -157,59 +160,124 @@ def _key_frame(root):
     return None
 
 
-def _stripped(root, folder, left_out):
-    """Take out what only pictures and contacts need; return the meshes that masses need."""
+def _inside(element, path, folder, asked, what):
+    """Return the path of a file that an element names; refuse one that is outside of a folder."""
+    path = path.resolve()
+    if not (asked.anywhere or path.is_relative_to(folder)):
+        raise element.error(f'{what} in the folder of the model or below', repr(str(path)),
+                            '--anywhere, or anywhere: true in a scene, reads others')
+    return path
+
+
+def _stripped(root, folder, left_out, asked, parts):
+    """
+    Take out what only pictures and contacts need; return the meshes that masses need.
+
+    Models that are attached are put into ``parts``, without the same.
+
+    """
     compiler = {}
     for element in root.children:
         if element.tag == 'compiler':
             compiler.update(element.attributes)
-            for key in ('meshdir', 'texturedir', 'assetdir'):
+            for key in ('meshdir', 'texturedir', 'assetdir', 'discardvisual'):
                 element.attributes.pop(key, None)
+        elif element.tag == 'actuator':
+            _without_plugins(element, left_out)
     geoms = compiler.get('inertiafromgeom', 'auto')
-    needed = set()
+    needed, wrapped = set(), {
+        wrap.attributes.get('geom') for section in root.children if section.tag == 'tendon'
+        for tendon in section.children for wrap in tendon.children if wrap.tag == 'geom'}
     for element in root.children:
         if element.tag in ('worldbody', 'default'):
-            _strip_below(element, geoms, needed, left_out)
+            _strip_below(element, geoms, needed, wrapped, left_out)
+    found = [part for section in root.children if section.tag == 'asset'
+             for part in section.children]
     meshes = {mesh.attributes.get('name') or Path(mesh.attributes.get('file', '')).stem: mesh
-              for section in root.children if section.tag == 'asset'
-              for mesh in section.children if mesh.tag == 'mesh'}
+              for mesh in found if mesh.tag == 'mesh'}
     kept, assets = [], {}
     for element in root.children:
         if element.tag not in SECTIONS:
             kept.append(element)
             continue
         left_out[element.tag] += 1
+    extensions = [element for element in root.children if element.tag == 'extension']
+    needs = [meshes[name] for name in sorted(needed & set(meshes))]
     root.children = kept
-    for name in sorted(needed & set(meshes)):
-        mesh = meshes[name]
+    for mesh in needs:
         if 'file' in mesh.attributes:
             place = folder / compiler.get('meshdir', compiler.get('assetdir', ''))
-            file = (place / mesh.attributes['file']).resolve()
-            if not file.is_relative_to(folder):
-                raise mesh.error('a mesh in the folder of the model or below', repr(str(file)))
+            file = _inside(mesh, place / mesh.attributes['file'], folder, asked, 'a mesh')
             assets[mesh.attributes['file']] = read_bytes(file)
         mesh.attributes.pop('material', None)
-        section = type(root)('asset', {}, root.source, mesh.line)
-        section.children.append(mesh)
-        root.children.append(section)
+    attached = [part for part in found if part.tag == 'model']
+    for part in attached:
+        assets.update(_attached(part, folder, left_out, asked, parts))
+    if needs or attached:
+        root.children.append(_section(root, 'asset', [*needs, *attached]))
+    if any(_has(element, 'plugin') for element in root.children):
+        root.children += extensions
+    # Gains of muscles, which it is for, are left out, and it may not come to an end.
+    root.children.append(_section(root, 'compiler', [_section(root, 'lengthrange', mode='none')]))
     return assets
 
 
-def _strip_below(element, geoms, needed, left_out):
+def _section(root, tag, children=(), **attributes):
+    section = Element(tag, attributes, root.source, root.line)
+    section.children = list(children)
+    return section
+
+
+def _has(element, tag):
+    return element.tag == tag or any(_has(child, tag) for child in element.children)
+
+
+def _attached(part, folder, left_out, asked, parts):
+    """Read a model that is attached to others; return the meshes that its masses need."""
+    name = part.word('file')
+    path = _inside(part, folder / name, folder, asked, 'a model')
+    if name in parts:
+        return {}
+    if len(parts) >= MOST_INCLUDES:
+        raise part.error(f'at most {MOST_INCLUDES} files', 'more')
+    parts[name] = b''
+    root = _included(read_xml(path, ('mujoco',)), path.parent, [path], asked)
+    _refuse_infinite(root)
+    _name_bodies(root)
+    assets = _stripped(root, path.parent, left_out, asked, parts)
+    parts[name] = _text(root).encode()
+    return assets
+
+
+def _without_plugins(section, left_out):
+    """Make actuators that programs drive plain ones at the same joint."""
+    for drive in section.children:
+        if drive.tag == 'plugin':
+            left_out['plugin'] += 1
+            drive.tag, drive.children = 'general', []
+            drive.attributes = {
+                key: value for key, value in drive.attributes.items() if key in TRANSMISSION}
+
+
+def _strip_below(element, geoms, needed, wrapped, left_out):
     """Remove elements without mass, and geometry of bodies whose mass is given."""
     told = geoms == 'false' or geoms == 'auto' and any(
         child.tag == 'inertial' for child in element.children)
     told = told or element.tag == 'worldbody'
     kept = []
     for child in element.children:
+        flat = child.tag == 'geom' and element.tag != 'default' and 'hfield' in (
+            *child.attributes, child.attributes.get('type'))
         for key in _SOFT:
             child.attributes.pop(key, None)
-        if child.tag in PARTS or told and child.tag in ('geom', 'attach'):
+        # Of a geometry a plugin tells the shape; around some tendons are wrapped.
+        if flat or child.tag in PARTS and (child.tag, element.tag) != ('plugin', 'geom') or (
+                told and child.tag == 'geom' and child.attributes.get('name') not in wrapped):
             left_out[child.tag] += 1
             continue
         if child.tag == 'geom' and 'mesh' in child.attributes:
             needed.add(child.attributes['mesh'])
-        _strip_below(child, geoms, needed, left_out)
+        _strip_below(child, geoms, needed, wrapped, left_out)
         kept.append(child)
     element.children = kept
 

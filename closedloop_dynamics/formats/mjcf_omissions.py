@@ -103,6 +103,10 @@ def omissions(mujoco, compiled, name):
             f'drag at 1 m/s, {100.0 * drag / weight:.2g} % of the weight,', 'model', name,
             f'no effect acts in a fluid (density {compiled.opt.density:g} kg/m^3, viscosity '
             f'{compiled.opt.viscosity:g} Pa s)', drag, 'N')
+    driven = int(np.count_nonzero(compiled.body_plugin >= 0))
+    if driven:
+        found['plugin', 0] = Omission(f'what programs do to {driven} bodies', 'model', name,
+                                      'programs are not run')
     if compiled.nflex:
         found['flex', 0] = Omission(f'elasticity of {compiled.nflex} flexes', 'model', name,
                                     'bodies are rigid')

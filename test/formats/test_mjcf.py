@@ -15,6 +15,7 @@
 """MJCF: the same accelerations and closures as MuJoCo has them, and what is refused."""
 
 from closedloop_dynamics.formats.building import lines
+from closedloop_dynamics.formats.mjcf_omissions import FIELDS
 from closedloop_dynamics.formats.registry import read_model
 from closedloop_dynamics.formats.yaml_text import mechanism_text
 from closedloop_dynamics.mechanism.mechanism import MechanismError
@@ -419,3 +420,98 @@ def test_what_mujoco_refuses_is_told(tmp_path):
             ('<mujoco><worldbody><x/></worldbody></mujoco>', 'x')):
         with pytest.raises(MechanismError, match=f'expected a model that MuJoCo compiles.*{said}'):
             read_model(written(tmp_path, text))
+
+
+ARM = ('<mujoco model="arm"><compiler angle="radian" meshdir="m"/><asset><mesh name="rock" '
+       'file="rock.obj"/></asset><worldbody><body name="arm"><joint name="j" range="-1 2"/>'
+       '<geom type="mesh" mesh="rock"/><body><joint name="k"/><geom size="0.1"/></body></body>'
+       '</worldbody></mujoco>')
+ROCK = 'v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n'
+TWO = ('<mujoco><asset><model name="arm" file="FILE"/></asset><worldbody><body name="base">'
+       '<joint name="turn"/><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>'
+       '<frame pos="1 0 0"><attach model="arm" body="arm" prefix="left_"/></frame>'
+       '<frame pos="-1 0 0"><attach model="arm" body="arm" prefix="right_"/></frame></body>'
+       '</worldbody></mujoco>')
+
+
+def test_models_that_are_attached_and_files_from_anywhere(tmp_path):
+    for folder in (tmp_path / 'robot' / 'm', tmp_path / 'm'):
+        folder.mkdir(parents=True)
+        written(folder, ROCK, 'rock.obj')
+    written(tmp_path / 'robot', ARM, 'arm.xml')
+    path = written(tmp_path / 'robot', TWO.replace('FILE', 'arm.xml'), 'two.xml')
+    imported = read_model(path)
+    assert imported.mechanism.joint_names == (
+        'turn', 'left_j', 'left_k', 'right_j', 'right_k')
+    assert [joint.parent for joint in imported.mechanism.joints] == [
+        'ground', 'base', 'left_arm', 'base', 'right_arm']
+    assert imported.limits['left_j'] == (-1.0, 2.0)
+    rock = 1000.0 / 6.0
+    assert imported.mechanism.bodies[1].mass == pytest.approx(rock)
+    # From outside of the folder only where that is asked for.
+    for text, file in ((TWO.replace('FILE', '../arm.xml'), 'arm.xml'),
+                       (ARM.replace('"m"', '"../m"'), 'rock.obj'),
+                       ('<mujoco><include file="../arm.xml"/></mujoco>', 'arm.xml')):
+        written(tmp_path, ARM, 'arm.xml')
+        path = written(tmp_path / 'robot', text, 'outside.xml')
+        with pytest.raises(MechanismError, match=(
+                f'in the folder of the model or below, got .*{file}.*--anywhere')):
+            read_model(path)
+        if 'include' not in text:
+            assert read_model(path, anywhere=True).mechanism.bodies[-1].mass > 1.0
+
+
+def test_what_programs_drive_and_muscles_are_no_obstacle(tmp_path):
+    text = ('<mujoco><extension><plugin plugin="nowhere.known"/></extension><worldbody>'
+            '<geom name="post" type="cylinder" size="0.1 1" pos="0.3 0 1"/>'
+            '<site name="a" pos="0 0 1"/><body name="b"><joint name="j" axis="0 1 0"/>'
+            '<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/><site name="c" pos="1 0 0"/>'
+            '<plugin plugin="nowhere.known"/></body></worldbody>'
+            '<tendon><spatial name="t"><site site="a"/><geom geom="post"/><site site="c"/>'
+            '</spatial></tendon>'
+            '<actuator><plugin name="p" joint="j" plugin="nowhere.known"/>'
+            '<muscle tendon="t"/></actuator></mujoco>')
+    imported = read_model(written(tmp_path, text))
+    assert imported.mechanism.actuated_joints == ('j',)
+    assert imported.ignored['2 plugin'] == 'forces of programs'
+
+
+# Of the families of numbers that move bodies: those that are read ...
+READ = """
+body_gravcomp body_inertia body_ipos body_iquat body_jntadr body_jntnum body_mass body_parentid
+body_plugin body_pos body_quat jnt_axis jnt_dofadr jnt_limited jnt_pos jnt_qposadr jnt_range
+jnt_stiffness jnt_type dof_armature dof_damping dof_frictionloss dof_jntid actuator_armature
+actuator_damping actuator_gear actuator_outadr actuator_trnid actuator_trntype tendon_adr
+tendon_limited tendon_num eq_active0 eq_data eq_obj1id eq_obj2id eq_objtype eq_type"""
+# ... those of drives, whose commands are efforts here, and of limits of efforts ...
+OF_DRIVES = """
+jnt_actfrclimited jnt_actfrcrange jnt_actgravcomp jnt_actuatorid tendon_actfrclimited
+tendon_actfrcrange tendon_actuatorid actuator_actlimited actuator_actrange actuator_actearly
+actuator_actnum actuator_actadr actuator_biasprm actuator_biastype actuator_cranklength
+actuator_ctrladr actuator_ctrllimited actuator_ctrlnum actuator_ctrlrange actuator_ctrlspec
+actuator_delay actuator_dynprm actuator_dyntype actuator_forcelimited actuator_forcerange
+actuator_gainprm actuator_gaintype actuator_history actuator_historyadr actuator_lengthrange
+actuator_outnum actuator_plugin"""
+# ... and those that follow from others, are of contacts, of pictures, or of MuJoCo's solver.
+OTHERS = """
+body_bvhadr body_bvhnum body_conaffinity body_contype body_dofadr body_dofnum body_geomadr
+body_geomnum body_invweight0 body_margin body_mocapid body_rootid body_sameframe body_simple
+body_subtreemass body_treeid body_user body_weldid jnt_bodyid jnt_group jnt_margin jnt_plasticadr
+jnt_solimp jnt_solref jnt_user dof_M0 dof_Madr dof_bodyid dof_invweight0 dof_length dof_parentid
+dof_simplenum dof_solimp dof_solref dof_treeid actuator_acc0 actuator_group actuator_length0
+actuator_user tendon_group tendon_invweight0 tendon_length0 tendon_lengthspring tendon_margin
+tendon_matid tendon_plasticadr tendon_range tendon_rgba tendon_solimp_fri tendon_solimp_lim
+tendon_solref_fri tendon_solref_lim tendon_treeid tendon_treenum tendon_type tendon_user
+tendon_width eq_solimp eq_solref"""
+
+
+def test_every_number_of_the_compiled_model_that_moves_bodies_is_on_the_list():
+    if not mujoco.mj_versionString().startswith('4.0'):
+        pytest.skip('the list is that of MuJoCo 4.0')
+    families = ('body', 'jnt', 'dof', 'actuator', 'tendon', 'eq')
+    model = mujoco.MjModel.from_xml_string(TREE)
+    known = [set(some.split()) for some in (READ, OF_DRIVES, OTHERS)] + [set(FIELDS)]
+    for name in dir(model):
+        if name.startswith(tuple(f'{one}_' for one in families)):
+            assert sum(name in some for some in known) == 1, name
+    assert set.union(*known) <= set(dir(model))
