@@ -46,12 +46,22 @@ DRAWN = ('<visual><origin xyz="0 0 1"/><geometry><mesh filename="package://m/a.s
 DRAWN_IN_SDF = ('<visual name="v"><pose>0 0 1 0 0 0</pose><geometry><mesh><uri>model://m/a.stl'
                 '</uri></mesh></geometry></visual><visual name="w"><geometry><box><size>1 1 2'
                 '</size></box></geometry></visual>')
+# Joints of SDF in URDF, and what Gazebo says of links and joints.
+GAZEBO = ('<gazebo><frame name="top" attached_to="rocker"><pose>0.3 0 0 0 0 0</pose></frame>'
+          '<joint name="pin" type="revolute"><parent>coupler</parent><child>top</child><axis>'
+          '<xyz expressed_in="crank">0 1 0</xyz><dynamics><damping>0.2</damping></dynamics></axis>'
+          '</joint></gazebo><gazebo reference="crank"><turnGravityOff>true</turnGravityOff>'
+          '</gazebo><gazebo reference="crank_joint"><springStiffness>3</springStiffness></gazebo>')
 FILES = {'urdf': [*(machines.four_bar(way) for way in machines.LOOPS),
-                  machines.four_bar().replace('<inertial>', f'{DRAWN}<inertial>')],
+                  machines.four_bar().replace('<inertial>', f'{DRAWN}<inertial>'),
+                  machines.robot(machines.LINKS, machines.TREE, GAZEBO)],
          'sdf': [test_sdf.FOUR_BAR, test_sdf.FOUR_BAR.replace(
-             '<inertial>', f'{DRAWN_IN_SDF}<inertial>')],
+             '<inertial>', f'{DRAWN_IN_SDF}<inertial>'),
+             test_sdf.nested(test_sdf.ARM.replace('POSE', test_sdf.RAISED).replace(
+                 'EXPRESSED', 'expressed_in="__model__"'))],
          'mjcf': [test_mjcf.TREE, test_mjcf.LOOPS.replace(
-             'EQUALITY', '\n'.join(test_mjcf.EQUALITIES.values()))] if test_mjcf else []}
+             'EQUALITY', '\n'.join(test_mjcf.EQUALITIES.values())),
+             test_mjcf.FULL] if test_mjcf else []}
 
 
 def damaged(rng, text):

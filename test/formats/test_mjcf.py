@@ -205,6 +205,19 @@ def test_accelerations_are_those_of_mujoco(tmp_path, variant):
             atol=1e-8 if variant == 'weights compensated' else 1e-10)
 
 
+# A file with much that is left out, or read by special ways.
+FULL = TREE.replace('<actuator>', """
+  <tendon><fixed name="belt" stiffness="30" damping="0.5" frictionloss="2" limited="true"
+  range="0 1"><joint joint="hinge" coef="2"/></fixed></tendon>
+  <actuator><motor name="pull" tendon="belt" gear="10"/><plugin plugin="p" joint="slide"/>
+  """).replace('<option ', '<option density="1.2" viscosity="2e-5" ').replace(
+      '<body name="hand"', '<body gravcomp="1" name="hand"').replace(
+      '</worldbody>', '<replicate count="2" offset="1 0 0"><body><joint/><geom size="0.1"/></body>'
+      '</replicate></worldbody>').replace(
+      '</mujoco>', '<keyframe><key name="start" qpos="0 0 0 1 0 0 0 0 0 1 0 0 0 0 0"/>'
+      '</keyframe></mujoco>')
+
+
 def test_flags_disable_equalities_drives_friction_and_limits(tmp_path):
     text = LOOPS.replace('EQUALITY', EQUALITIES['connect']).replace(
         '<joint name="a"', '<joint name="a" range="-50 50" frictionloss="2"').replace(
