@@ -19,10 +19,11 @@ from xml.etree import ElementTree
 import numpy as np
 
 from .in_space import in_space, Z
-from .model import MOMENTS
+from .model import GRAVITY, MOMENTS
 from .pose import angles_of, of_quaternion, Pose
 from .writing import (
-    Acting, chain, EFFORT, JOINT_EFFECTS, mimics_of, moments_of, numbers, pose_of, written)
+    Acting, chain, EFFORT, gravity_of, JOINT_EFFECTS, mimics_of, moments_of, numbers, pose_of,
+    written)
 from ..mechanism.mechanism import (
     CYLINDRICAL, FIXED, FREE, GROUND, HELICAL, MechanismError, PLANAR, PRISMATIC, REVOLUTE,
     SPHERICAL, UNIVERSAL)
@@ -91,6 +92,8 @@ def urdf_with_loops(mechanism, effects=None, start=None, left_out=None):
         _loop(mechanism, robot, cut)
     if left_out is not None:
         left_out.update(acting.left)
+        if tuple(gravity_of(effects).tolist()) != GRAVITY:
+            left_out['gravity'] = 'simulators of URDF take -9.81 m/s^2 along z'
     return written(robot)
 
 

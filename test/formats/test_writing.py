@@ -256,6 +256,10 @@ def test_rotors_of_drives_are_written_for_drake_and_read_again(tmp_path):
     urdf_with_loops(mechanism, {**effects, 'c': {
         'type': 'joint_spring', 'joint': 'j1', 'stiffness': 3.0}}, left_out=left_out)
     assert left_out == {'a': '', 'b': '', 'c': ''}
+    left_out.clear()
+    urdf_with_loops(mechanism, {'g': {**GRAVITY['gravity'], 'acceleration': (0.0, 0.0, -1.6)}},
+                    left_out=left_out)
+    assert left_out == {'gravity': 'simulators of URDF take -9.81 m/s^2 along z'}
 
 
 def test_mjcf_comes_back_where_it_started(tmp_path):
