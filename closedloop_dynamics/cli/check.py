@@ -39,7 +39,9 @@ def _add_arguments(parser):
 
 def _run(arguments):
     if is_model(arguments.scene):
-        print(describe_model(read_model(arguments.scene, **reading(arguments))))
+        with announced('Reading the model and closing its loops (Ctrl-C stops it) ...'):
+            text = describe_model(read_model(arguments.scene, **reading(arguments)))
+        print(text)
         return 0
     read = load_scene_or_mechanism(arguments.scene, **reading(arguments))
     if isinstance(read, Mechanism):

@@ -30,6 +30,7 @@ from ..simulation.far_assembly import find_closed
 from ..simulation.model_scene import assembled
 from ..simulation.modeling import extent
 from ..simulation.scene import load_scene_or_mechanism
+from ..visual.progress import announced
 
 
 def _add_arguments(parser):
@@ -48,10 +49,11 @@ def _run(arguments):
         raise UsageError(f'--output: expected a name that ends with one of {", ".join(WRITERS)}, '
                          f'got {str(arguments.output)!r}')
     require_free(arguments, arguments.output)
-    mechanism, effects, position, hold, limits = _read(
-        arguments.scene, **reading(arguments))
-    mechanism = in_space(mechanism)
-    mechanism, start = _closed(mechanism, position, hold, limits)
+    with announced('Reading the machine and closing its loops ...'):
+        mechanism, effects, position, hold, limits = _read(
+            arguments.scene, **reading(arguments))
+        mechanism = in_space(mechanism)
+        mechanism, start = _closed(mechanism, position, hold, limits)
     drawn = mechanism.coordinates.start()
     moved = start is not None and bool(mechanism.coordinates.apart(start, drawn).any())
     if start is None and write is sdf:

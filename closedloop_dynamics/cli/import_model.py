@@ -46,7 +46,8 @@ def _run(arguments):
     require_free(arguments, arguments.output)
     if arguments.scene is not None:
         require_free(arguments, arguments.scene, option='--scene')
-    imported = read_model(arguments.file, arguments.end_stops, **reading(arguments))
+    with announced('Reading the model ...'):
+        imported = read_model(arguments.file, arguments.end_stops, **reading(arguments))
     notes = lines(imported)
     if arguments.scene is not None:
         with announced('Closing the loops ...'):
