@@ -275,6 +275,52 @@ def test_mjcf_comes_back_where_it_started(tmp_path):
     np.testing.assert_allclose(start[:7], found.q[:7], atol=1e-12)
 
 
+@pytest.mark.parametrize('name', [
+    'bennett', 'bricard', 'carpet_scraper', 'differential', 'four_bar', 'geared_five_bar',
+    'hoeken_pantograph_leg', 'planetary_gear', 'rssr_four_bar', 'stewart_platform', 'three_rrr'])
+def test_mujoco_has_the_accelerations_of_machines_that_are_exported(name):
+    """Its inertia, bias and equations, solved as hard ones."""
+    mujoco = pytest.importorskip('mujoco')
+    mechanism = in_space(read_mechanism(shipped_path('mechanisms', name)))
+    found, qd = closed_state(mechanism)
+    loops, q = Loops(mechanism, 1.0), found.q
+    for _ in range(3):
+        # As exactly as equations that repeat others need it.
+        values, jac, _ = loops.residual(q)
+        q = loops.moved(q, -np.linalg.pinv(jac, rcond=1e-6) @ values)
+    jac = loops.residual(q)[1]
+    qd -= np.linalg.pinv(jac, rcond=1e-6) @ jac @ qd
+    model = mujoco.MjModel.from_xml_string(mjcf(mechanism, GRAVITY, q))
+    data, places, order = mujoco.MjData(model), mechanism.coordinates, []
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    for number in range(model.njnt):
+        joint, part = model.joint(number).name, 1
+        if joint not in places.rates:
+            joint, part = joint[:-2], int(joint[-1])
+        first = places.rates[joint].start + part - 1
+        order += range(first, first + {0: 6, 1: 3}.get(int(model.jnt_type[number]), 1))
+    data.qvel[:] = qd[order]
+    mujoco.mj_forward(model, data)
+    inertia, rows = np.zeros((model.nv, model.nv)), data.ne
+    for k, axis in enumerate(np.eye(model.nv)):
+        mujoco.mj_mulM(model, data, inertia[k], axis)
+    # J qd stays zero: J changes along the motion, by differences of the position.
+    jacobians = []
+    for step in (0.0, 1e-5, -1e-5):
+        there = mujoco.MjData(model)
+        there.qpos[:], there.qvel[:] = data.qpos, data.qvel
+        mujoco.mj_integratePos(model, there.qpos, data.qvel, step)
+        mujoco.mj_forward(model, there)
+        jacobians.append(there.efc_J.reshape(-1, model.nv)[:rows].copy())
+    bias = (jacobians[1] - jacobians[2]) @ data.qvel / 2e-5
+    np.testing.assert_allclose(jacobians[0] @ data.qvel, 0.0, atol=1e-9)
+    whole = np.block([[inertia, jacobians[0].T], [jacobians[0], np.zeros((rows, rows))]])
+    right = np.concatenate([data.qfrc_passive - data.qfrc_bias, -bias])
+    theirs = np.linalg.lstsq(whole, right, rcond=1e-10)[0][:model.nv]
+    ours = accelerations(mechanism, q, qd)[order]
+    np.testing.assert_allclose(theirs, ours, rtol=1e-7, atol=1e-7 * np.abs(ours).max() + 1e-12)
+
+
 def test_mjcf_starts_where_the_loops_are_closed(tmp_path):
     mujoco = pytest.importorskip('mujoco')
     for mechanism in (tree(*CHAIN, cuts=[closing('spherical', 'b7')]),
