@@ -40,6 +40,9 @@ def _add_arguments(parser):
                         help=f'where to write it; a name that ends with {", ".join(WRITERS)} '
                              'tells the format')
     parser.add_argument('--overwrite', action='store_true', help='replace FILE if it exists')
+    parser.add_argument('--drake', action='store_true',
+                        help='SDF for Drake, which refuses loops of joints: pins and ball joints '
+                             'that close loops become its ball constraints')
     add_reading(parser)
 
 
@@ -48,6 +51,8 @@ def _run(arguments):
     if write is None:
         raise UsageError(f'--output: expected a name that ends with one of {", ".join(WRITERS)}, '
                          f'got {str(arguments.output)!r}')
+    if arguments.drake and write is not sdf:
+        raise UsageError('--drake: expected it with an output that ends with .sdf')
     require_free(arguments, arguments.output)
     with announced('Reading the machine and closing its loops ...'):
         mechanism, effects, position, hold, limits = _read(
@@ -60,7 +65,8 @@ def _run(arguments):
         raise MechanismError(f'{mechanism.name}: expected loops that are closed to write SDF, got '
                              'no such position (give a scene with a start near one)')
     left_out = {}
-    text = write(mechanism, effects, start if moved else None, left_out)
+    options = {'drake': True} if arguments.drake else {}
+    text = write(mechanism, effects, start if moved else None, left_out, **options)
     arguments.output.write_text(text, encoding='utf-8')
     print(f'{arguments.output}: {len(mechanism.bodies)} bodies, {len(mechanism.joints)} joints, '
           f'{len(mechanism.cut_joints)} that close loops')

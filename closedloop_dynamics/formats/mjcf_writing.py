@@ -22,7 +22,7 @@ from .in_space import in_space
 from .mjcf import START
 from .pose import IDENTITY, of_quaternion, Pose, quaternion_of
 from .writing import (
-    Acting, chain, gravity_of, JOINT_EFFECTS, moments_of, numbers, pose_of, reflected, Single,
+    Acting, APART, chain, gravity_of, JOINT_EFFECTS, moments_of, numbers, pose_of, reflected, Single,
     written)
 from ..mechanism.mechanism import (
     FIXED, FREE, GROUND, HELICAL, MechanismError, PRISMATIC, REVOLUTE, SPHERICAL)
@@ -201,7 +201,7 @@ def _equalities(mechanism, cut, bodies, section):
             f'{mechanism.name}: cut_joints.{cut.name}.type: expected spherical, revolute or fixed '
             f'to write MJCF, got {cut.type!r} (cut the loop at another joint)')
     # A hinge is a ball at each of two points of its axis.
-    for number, along in enumerate((0.0, 0.1) if cut.type == REVOLUTE else (0.0,)):
+    for number, along in enumerate((0.0, APART) if cut.type == REVOLUTE else (0.0,)):
         name = f'{cut.name}_{number + 1}' if cut.type == REVOLUTE else cut.name
         held = of_quaternion(cut.orientation).T if cut.type == FIXED else np.eye(3)
         for body, point, axis, end, turn in (

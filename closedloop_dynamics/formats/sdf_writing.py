@@ -28,7 +28,7 @@ from .in_space import in_space, X, Y, Z
 from .model import inertia_matrix, MOMENTS
 from .pose import about, IDENTITY, of_quaternion, Pose, quaternion_of, unturned
 from .writing import (
-    Acting, chain, EFFORT, gravity_of, JOINT_EFFECTS, mimics_of, moments_of, numbers, pose_of,
+    Acting, APART, chain, EFFORT, gravity_of, JOINT_EFFECTS, mimics_of, moments_of, numbers, pose_of,
     reflected, Single, written)
 from ..mechanism.mechanism import (
     CYLINDRICAL, FIXED, FREE, GROUND, HELICAL, JOINT_FREEDOMS, MechanismError, PLANAR, PRISMATIC,
@@ -43,7 +43,7 @@ DRAKE = 'http://drake.mit.edu'
 LEAST_MASS = 1e-12
 
 
-def sdf(mechanism, effects=None, start=None, left_out=None):
+def sdf(mechanism, effects=None, start=None, left_out=None, drake=False):
     """
     Return a mechanism as SDF: a world with a model whose joints form loops.
 
@@ -59,6 +59,8 @@ def sdf(mechanism, effects=None, start=None, left_out=None):
         Coordinates of the position that is drawn, which closes the loops; zero if not given.
     left_out : dict, optional
         Filled with the names of effects that are not written, or in part, as ``Acting.left``.
+    drake : bool
+        Whether loops are closed by Drake's ball constraints, as it refuses loops of joints.
 
     Returns
     -------
@@ -91,7 +93,7 @@ def sdf(mechanism, effects=None, start=None, left_out=None):
         waiting.remove(joint)
         writer.add_joint(joint, start[places.coordinates[joint.name]])
     for cut in mechanism.cut_joints:
-        writer.add_loop(cut)
+        (writer.add_ball_constraints if drake else writer.add_loop)(cut)
     for point in mechanism.points:
         frame = ElementTree.SubElement(writer.model, 'frame', name=writer.links[point.name],
                                        attached_to=writer.links[point.body])
@@ -259,6 +261,23 @@ class _Sdf:
             _add_axis(element, 0, axis)
         physics = ElementTree.SubElement(ElementTree.SubElement(element, 'physics'), 'simbody')
         _text(physics, 'must_be_loop_joint', 'true')
+
+    def add_ball_constraints(self, cut):
+        """Add what closes a loop in Drake: a hinge is a ball at each of two points of its axis."""
+        if cut.type not in (SPHERICAL, REVOLUTE):
+            raise self._error('cut_joints', cut, 'type',
+                              'spherical or revolute for Drake', repr(cut.type))
+        self.drakes = True
+        for along in (0.0, APART) if cut.type == REVOLUTE else (0.0,):
+            element = ElementTree.SubElement(self.model, 'drake:ball_constraint')
+            for end, point, body, place, axis in (
+                    ('A', 'AP', cut.body_a, cut.point_a, cut.axis_a),
+                    ('B', 'BQ', cut.body_b, cut.point_b, cut.axis_b)):
+                place = np.array(place) + (along * np.array(axis) if along else 0.0)
+                _text(element, f'drake:ball_constraint_body_{end}',
+                      'world' if body == GROUND else self.links[body])
+                ElementTree.SubElement(
+                    element, f'drake:ball_constraint_p_{point}').text = numbers(*place)
 
     def _error(self, section, record, key, expected, got):
         return MechanismError(f'{self.mechanism.name}: {section}.{record.name}.{key}: expected '

@@ -41,6 +41,8 @@ BEYOND = {'joint_friction': 'beyond its Coulomb part',
           'rotor': 'beyond its reflected inertia'}
 # Gear ratio from which the turning of a rotor's carrier does not count.
 ENDLESS = 1e9
+# How far apart two balls are that stand for a hinge where a loop is closed [m].
+APART = 0.1
 # What a driven joint is told by where it has no limit of its own [N m or N].
 EFFORT = '1e9'
 

@@ -262,6 +262,20 @@ def test_rotors_of_drives_are_written_for_drake_and_read_again(tmp_path):
     assert left_out == {'gravity': 'simulators of URDF take -9.81 m/s^2 along z'}
 
 
+@pytest.mark.parametrize('kind, count', [('spherical', 1), ('revolute', 2)])
+def test_loops_as_ball_constraints_of_drake(tmp_path, kind, count):
+    mechanism = tree(*CHAIN, cuts=[closing(kind, 'b7')])
+    found, qd = closed_state(mechanism)
+    text = sdf(mechanism, GRAVITY, found.q, drake=True)
+    assert 'must_be_loop_joint' not in text and text.count('<drake:ball_constraint>') == count
+    again = read_again(tmp_path, text, '.sdf')
+    assert [cut.type for cut in again.cut_joints] == count * ['spherical']
+    np.testing.assert_allclose(accelerations(again, again.coordinates.start(), qd),
+                               accelerations(mechanism, found.q, qd), rtol=1e-8, atol=1e-8)
+    with pytest.raises(MechanismError, match='expected spherical or revolute for Drake'):
+        sdf(tree(*CHAIN, cuts=[closing('prismatic', 'b7')]), drake=True)
+
+
 def test_mjcf_comes_back_where_it_started(tmp_path):
     pytest.importorskip('mujoco')
     mechanism = tree('free', 'revolute', 'universal', 'spherical', 'prismatic',
@@ -368,6 +382,8 @@ def test_scenes_are_exported_with_what_acts_on_joints(tmp_path, monkeypatch, cap
     assert 'r.urdf: 7 bodies, 7 joints, 2 that close loops\n' in capsys.readouterr().out
     assert main(['export', 'three_rrr', '--output', 'r.urdf']) == 2
     assert main(['export', 'three_rrr', '--output', 'r.step']) == 2
+    assert main(['export', 'three_rrr', '--output', 'd.urdf', '--drake']) == 2
+    assert main(['export', 'three_rrr', '--output', 'd.sdf', '--drake']) == 0
     assert 'expected a name that ends with one of .mjcf, .xml, .urdf' in capsys.readouterr().err
     assert main(['export', 'rssr_four_bar', '--output', 'r.sdf']) == 0
     # Links whose joints have their names are called otherwise.
