@@ -424,7 +424,9 @@ def _points(model, groups, frames, named):
     merged = {name: (name, IDENTITY) for group, links in groups.links.items()
               for name in links if name != group}
     lifted = {_center(link): (link.name, unturned(link.center)) for link in _lifted(model, groups)}
-    for name, (link, pose) in {**merged, **model.frames, **lifted}.items():
+    ends = {_end(spring, number): end for spring in model.springs
+            for number, end in enumerate(spring.ends)}
+    for name, (link, pose) in {**merged, **model.frames, **lifted, **ends}.items():
         if name in groups.links:
             continue
         group, pose = groups.place(link, pose)
@@ -442,6 +444,10 @@ def _center(link):
     return f'{link.name}_center_of_mass'
 
 
+def _end(spring, number):
+    return f'{spring.name}_end_{number + 1}'
+
+
 def _effects(model, groups, mechanism, tree, named, end_stops, omitted, ignored):
     """Return what acts on the joints, as a scene has it, and where they start."""
     effects, position = {'gravity': {'type': 'gravity', 'acceleration': model.gravity}}, {}
@@ -451,6 +457,11 @@ def _effects(model, groups, mechanism, tree, named, end_stops, omitted, ignored)
         point = named.body(_center(link))
         effects[f'lift_{point}'] = {'type': 'external_force', 'point': point,
                                     'force': _vector(link.lifted(model.gravity))}
+    for spring in model.springs:
+        point_a, point_b = (named.body(_end(spring, number)) for number in range(2))
+        effects[f'spring_{word(spring.name)}'] = {
+            'type': 'point_spring', 'point_a': point_a, 'point_b': point_b,
+            'stiffness': spring.stiffness, 'damping': spring.damping, 'free_length': spring.rest}
     limits, drives = [], []
     closing = [joint for joint in tree.cuts if joint.type in mechanism.measured_types]
     for joint in (*tree.joints, *closing):

@@ -31,7 +31,7 @@ import numpy as np
 
 from .mjcf_omissions import disabled, omissions
 from .mjcf_pictures import read_pictures
-from .model import Asked, Connection, free_name, Link, Model, Omission, Relation
+from .model import Asked, Connection, free_name, Link, Model, Omission, Relation, Spring
 from .pose import about, IDENTITY, of_quaternion, Pose, quaternion_of, unturned
 from .xml_file import Element, read_bytes, read_xml
 from ..mechanism.mechanism import (
@@ -311,7 +311,8 @@ class _Reader:
         for body in range(1, compiled.nbody):
             self._body(body)
         self._find_drives()
-        model.omitted += omissions(self.mujoco, compiled, model.name)
+        carried = [tendon for tendon in range(compiled.ntendon) if self._spring(tendon)]
+        model.omitted += omissions(self.mujoco, compiled, model.name, carried)
         limited = int(np.count_nonzero(compiled.tendon_limited))
         if limited:
             model.ignored[f'limits of {limited} tendon(s)'] = 'no end stops along tendons'
@@ -373,6 +374,27 @@ class _Reader:
         if count:
             model.ignored['gains and limits of actuators'] = (
                 'commands are torques and forces of joints')
+
+    def _spring(self, tendon):
+        """Add the spring and damper of a straight tendon; return whether it has no other ones."""
+        compiled, first = self.compiled, int(self.compiled.tendon_adr[tendon])
+        wraps = range(first, first + int(compiled.tendon_num[tendon]))
+        stiffness, damping = (
+            0.0 if self._disabled(flag) else float(np.ravel(field[tendon])[0])
+            for field, flag in ((compiled.tendon_stiffness, 'SPRING'),
+                                (compiled.tendon_damping, 'DAMPER')))
+        shortest, longest = compiled.tendon_lengthspring[tendon].tolist()
+        straight = len(wraps) == 2 and all(
+            compiled.wrap_type[k] == self.mujoco.mjtWrap.mjWRAP_SITE for k in wraps)
+        if not straight or not (stiffness or damping) or stiffness and shortest < longest:
+            return False
+        sites = [int(compiled.wrap_objid[k]) for k in wraps]
+        self.model.springs.append(Spring(
+            self._called(self.objects.mjOBJ_TENDON, tendon)[1].replace(' ', '_'), tuple(
+                (self._body_name(int(compiled.site_bodyid[site])),
+                 unturned(compiled.site_pos[site])) for site in sites),
+            stiffness, damping, longest))
+        return True
 
     def _name(self, kind, number, default):
         return self.mujoco.mj_id2name(self.compiled, kind, int(number)) or default
@@ -438,6 +460,12 @@ class _Reader:
             found.stiffness = float(np.ravel(compiled.jnt_stiffness[joint])[0])
         found.in_parent = place
         if kind == FREE:
+            if found.friction and not np.array_equal(place.rotation, np.eye(3)):
+                # One of several freedoms is a box, not a ball.
+                self._omit('friction', self.objects.mjOBJ_JOINT, joint,
+                           'it acts along the axes of the world, not of the body as drawn',
+                           found.friction, 'N')
+                found.friction = 0.0
             return found
         anchor = unturned(compiled.jnt_pos[joint])
         found.in_parent, found.in_child = place @ anchor, anchor

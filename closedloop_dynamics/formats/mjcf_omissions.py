@@ -18,7 +18,7 @@ import numpy as np
 
 from .model import Omission
 
-_ALONG = 'no effect acts along tendons'
+_ALONG = 'no effect acts along such tendons'
 _LINEAR = 'springs and dampers are linear'
 _STIFF, _DAMP = ('N/m', 'N m/rad'), ('N s/m', 'N m s/rad')
 # By field of the compiled model: quantity, kind of element, reason, units of what slides and of
@@ -43,6 +43,8 @@ FIELDS = {
     'actuator_dampingpoly': (
         'higher terms of the damping', 'ACTUATOR', _LINEAR, ('N s^2/m^2', 'N m s^2/rad^2'),
         'DAMPER')}
+# Those that springs between two points have.
+CARRIED = ('tendon_stiffness', 'tendon_damping')
 # Acceleration that weights are compared by [m/s^2].
 STANDARD = 9.81
 
@@ -68,7 +70,7 @@ def disabled(mujoco, compiled, what):
     return bool(compiled.opt.disableflags & int(getattr(known, f'mjDSBL_{what}', 0)))
 
 
-def omissions(mujoco, compiled, name):
+def omissions(mujoco, compiled, name, carried=()):
     """
     Return what is left out of a compiled model, a list of Omission.
 
@@ -80,6 +82,8 @@ def omissions(mujoco, compiled, name):
         What it made of the file.
     name : str
         Of the model.
+    carried : sequence of int
+        Tendons whose springs and dampers are read.
 
     """
     found = {}
@@ -90,7 +94,7 @@ def omissions(mujoco, compiled, name):
         for row, values in enumerate(np.atleast_1d(getattr(compiled, field, ()))):
             size = float(np.abs(values).max(initial=0.0))
             number = int(compiled.dof_jntid[row]) if field.startswith('dof') else row
-            if size:
+            if size and (field not in CARRIED or row not in carried):
                 element = mujoco.mj_id2name(
                     compiled, getattr(mujoco.mjtObj, f'mjOBJ_{kind}'), number)
                 found[field, number] = Omission(

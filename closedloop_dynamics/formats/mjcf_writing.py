@@ -22,8 +22,8 @@ from .in_space import in_space
 from .mjcf import START
 from .pose import IDENTITY, of_quaternion, Pose, quaternion_of
 from .writing import (
-    Acting, APART, chain, gravity_of, JOINT_EFFECTS, moments_of, numbers, pose_of, reflected, Single,
-    written)
+    Acting, APART, chain, gravity_of, JOINT_EFFECTS, moments_of, numbers, pose_of, reflected,
+    Single, written)
 from ..mechanism.mechanism import (
     FIXED, FREE, GROUND, HELICAL, MechanismError, PRISMATIC, REVOLUTE, SPHERICAL)
 

@@ -171,6 +171,28 @@ class Relation:
     offset: float = 0.0
 
 
+@dataclass
+class Spring:
+    """
+    A spring and damper along the line between two places on links.
+
+    Attributes
+    ----------
+    name : str
+    ends : tuple of 2 tuples (str, Pose)
+        Links, or ``'ground'``, and poses on them.
+    stiffness, damping, rest : float
+        [N/m], [N s/m], free length [m].
+
+    """
+
+    name: str
+    ends: tuple
+    stiffness: float
+    damping: float
+    rest: float
+
+
 @dataclass(frozen=True)
 class Omission:
     """
@@ -234,6 +256,7 @@ class Model:
     joints : dict of str to Connection
         In the file's order.
     relations : list of Relation
+    springs : list of Spring
     frames : dict of str to tuple (str, Pose)
         Named frames on links, or on ``'ground'``.
     ground_visual : list of mechanism.Visual
@@ -252,6 +275,7 @@ class Model:
     links: dict = field(default_factory=dict)
     joints: dict = field(default_factory=dict)
     relations: list = field(default_factory=list)
+    springs: list = field(default_factory=list)
     frames: dict = field(default_factory=dict)
     ground_visual: list = field(default_factory=list)
     gravity: tuple = GRAVITY

@@ -28,8 +28,8 @@ from .in_space import in_space, X, Y, Z
 from .model import inertia_matrix, MOMENTS
 from .pose import about, IDENTITY, of_quaternion, Pose, quaternion_of, unturned
 from .writing import (
-    Acting, APART, chain, EFFORT, gravity_of, JOINT_EFFECTS, mimics_of, moments_of, numbers, pose_of,
-    reflected, Single, written)
+    Acting, APART, chain, EFFORT, gravity_of, JOINT_EFFECTS, mimics_of, moments_of, numbers,
+    pose_of, reflected, Single, written)
 from ..mechanism.mechanism import (
     CYLINDRICAL, FIXED, FREE, GROUND, HELICAL, JOINT_FREEDOMS, MechanismError, PLANAR, PRISMATIC,
     REVOLUTE, SPHERICAL, UNIVERSAL)
