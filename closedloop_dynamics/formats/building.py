@@ -459,7 +459,7 @@ def _effects(model, groups, mechanism, tree, named, end_stops, omitted, ignored)
                                     'force': _vector(link.lifted(model.gravity))}
     for spring in model.springs:
         point_a, point_b = (named.body(_end(spring, number)) for number in range(2))
-        effects[f'spring_{word(spring.name)}'] = {
+        effects[f'spring_{point_a}'] = {
             'type': 'point_spring', 'point_a': point_a, 'point_b': point_b,
             'stiffness': spring.stiffness, 'damping': spring.damping, 'free_length': spring.rest}
     limits, drives = [], []
@@ -505,7 +505,7 @@ def _act(joint, key, mechanism, name, effects, omitted):
     for freedom, one in zip(freedoms, np.broadcast_to(value, len(freedoms)).tolist()):
         if not one:
             continue
-        acting = effects[f'{key}_{word(places.names[freedom])}'] = {
+        acting = effects[free_name(f'{key}_{word(places.names[freedom])}', effects)] = {
             'type': kind, 'joint': places.names[freedom], number: one}
         if key == 'armature':
             # Other programs leave the turning of the carrier out, as one that turns

@@ -77,14 +77,14 @@ def read_mjcf(path, asked=Asked()):
     model = Model(root.get('model') or path.stem, path)
     _name_bodies(root)
     start = _key_frame(root)
-    left_out, parts = Counter(), {}
+    left_out, parts, assets = Counter(), {}, {}
     folder = path.parent.resolve()
     drawn = ''.join(_text(part, NOT_DRAWN) for part in root.children if part.tag in DRAWN)
-    assets = _stripped(root, folder, left_out, asked, parts)
+    _stripped(root, folder, left_out, asked, parts, assets)
     model.ignore(left_out, {**SECTIONS, **PARTS}, 'for contacts')
     try:
         compiled = mujoco.MjSpec.from_string(
-            _text(root), include=parts, assets=assets).compile()
+            _text(root), include=_contents(parts), assets=_contents(assets)).compile()
     except (ValueError, RuntimeError, mujoco.FatalError) as error:
         told = ' '.join(str(error).split())
         raise MechanismError(f'{path}: expected a model that MuJoCo compiles, got: {told}'
@@ -94,6 +94,10 @@ def read_mjcf(path, asked=Asked()):
     reader.start(start)
     read_pictures(mujoco, f'<mujoco>{drawn}</mujoco>', folder, model, links)
     return model
+
+
+def _contents(files):
+    return {name: content for name, (_, content) in files.items()}
 
 
 def _refuse_infinite(element):
@@ -169,11 +173,12 @@ def _inside(element, path, folder, asked, what):
     return path
 
 
-def _stripped(root, folder, left_out, asked, parts):
+def _stripped(root, folder, left_out, asked, parts, assets):
     """
-    Take out what only pictures and contacts need; return the meshes that masses need.
+    Take out what only pictures and contacts need.
 
-    Models that are attached are put into ``parts``, without the same.
+    Models that are attached are put into ``parts``, without the same, meshes that masses need into
+    ``assets``: by the name in the file, path and content.
 
     """
     compiler = {}
@@ -195,7 +200,7 @@ def _stripped(root, folder, left_out, asked, parts):
              for part in section.children]
     meshes = {mesh.attributes.get('name') or Path(mesh.attributes.get('file', '')).stem: mesh
               for mesh in found if mesh.tag == 'mesh'}
-    kept, assets = [], {}
+    kept = []
     for element in root.children:
         if element.tag not in SECTIONS:
             kept.append(element)
@@ -208,18 +213,17 @@ def _stripped(root, folder, left_out, asked, parts):
         if 'file' in mesh.attributes:
             place = folder / compiler.get('meshdir', compiler.get('assetdir', ''))
             file = _inside(mesh, place / mesh.attributes['file'], folder, asked, 'a mesh')
-            assets[mesh.attributes['file']] = read_bytes(file)
+            _put(assets, mesh, file, read_bytes(file))
         mesh.attributes.pop('material', None)
     attached = [part for part in found if part.tag == 'model']
     for part in attached:
-        assets.update(_attached(part, folder, left_out, asked, parts))
+        _attach(part, folder, left_out, asked, parts, assets)
     if needs or attached:
         root.children.append(_section(root, 'asset', [*needs, *attached]))
     if any(_has(element, 'plugin') for element in root.children):
         root.children += extensions
     # Gains of muscles, which it is for, are left out, and it may not come to an end.
     root.children.append(_section(root, 'compiler', [_section(root, 'lengthrange', mode='none')]))
-    return assets
 
 
 def _section(root, tag, children=(), **attributes):
@@ -232,21 +236,28 @@ def _has(element, tag):
     return element.tag == tag or any(_has(child, tag) for child in element.children)
 
 
-def _attached(part, folder, left_out, asked, parts):
-    """Read a model that is attached to others; return the meshes that its masses need."""
-    name = part.word('file')
-    path = _inside(part, folder / name, folder, asked, 'a model')
-    if name in parts:
-        return {}
-    if len(parts) >= MOST_INCLUDES:
-        raise part.error(f'at most {MOST_INCLUDES} files', 'more')
-    parts[name] = b''
+def _put(files, element, path, content):
+    """Put a file under the name that an element has for it, which no other one may have."""
+    name = element.word('file')
+    known, _ = files.setdefault(name, (path, content))
+    if known != path:
+        raise element.error('another name for another file', f'{name!r} for {known} and {path}')
+    if len(files) > MOST_INCLUDES:
+        raise element.error(f'at most {MOST_INCLUDES} files', 'more')
+
+
+def _attach(part, folder, left_out, asked, parts, assets):
+    """Read a model that is attached to others, with the meshes that its masses need."""
+    path = _inside(part, folder / part.word('file'), folder, asked, 'a model')
+    known = part.word('file') in parts
+    _put(parts, part, path, b'')
+    if known:
+        return
     root = _included(read_xml(path, ('mujoco',)), path.parent, [path], asked)
     _refuse_infinite(root)
     _name_bodies(root)
-    assets = _stripped(root, path.parent, left_out, asked, parts)
-    parts[name] = _text(root).encode()
-    return assets
+    _stripped(root, path.parent, left_out, asked, parts, assets)
+    parts[part.word('file')] = path, _text(root).encode()
 
 
 def _without_plugins(section, left_out):
@@ -390,7 +401,7 @@ class _Reader:
             return False
         sites = [int(compiled.wrap_objid[k]) for k in wraps]
         self.model.springs.append(Spring(
-            self._called(self.objects.mjOBJ_TENDON, tendon)[1].replace(' ', '_'), tuple(
+            self._called(self.objects.mjOBJ_TENDON, tendon)[1], tuple(
                 (self._body_name(int(compiled.site_bodyid[site])),
                  unturned(compiled.site_pos[site])) for site in sites),
             stiffness, damping, longest))

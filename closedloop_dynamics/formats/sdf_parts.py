@@ -166,8 +166,10 @@ def _parts(model, version, merged):
         if child.tag in ('link', 'frame', 'joint'):
             child.attributes['name'] = prefix + child.word('name')
         _rename(child, called)
-        if child.tag == 'link' or child.tag == 'frame' and not child.get('attached_to'):
+        if child.tag == 'link':
             _place(child, frame)
+        elif child.tag == 'frame':
+            child.attributes.setdefault('attached_to', frame)
         for axis in child.children if child.tag == 'joint' else ():
             _express(axis, version, frame)
         found.append(child)

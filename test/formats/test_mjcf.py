@@ -483,6 +483,14 @@ def test_models_that_are_attached_and_files_from_anywhere(tmp_path):
     assert imported.limits['left_j'] == (-1.0, 2.0)
     rock = 1000.0 / 6.0
     assert imported.mechanism.bodies[1].mass == pytest.approx(rock)
+    # Another mesh of the same name in another folder is no other file's.
+    other = tmp_path / 'robot' / 'other'
+    (other / 'm').mkdir(parents=True)
+    written(other / 'm', ROCK.replace('1 0 0', '2 0 0'), 'rock.obj')
+    written(other, ARM.replace('"arm"', '"odd"'), 'odd.xml')
+    both = TWO.replace('FILE"/>', 'arm.xml"/><model name="odd" file="other/odd.xml"/>')
+    with pytest.raises(MechanismError, match="expected another name for another file, got 'rock"):
+        read_model(written(tmp_path / 'robot', both, 'both.xml'))
     # From outside of the folder only where that is asked for.
     for text, file in ((TWO.replace('FILE', '../arm.xml'), 'arm.xml'),
                        (ARM.replace('"m"', '"../m"'), 'rock.obj'),
@@ -564,3 +572,13 @@ def test_friction_of_what_floats_acts_along_the_axes_of_the_world(tmp_path):
     omission, = turned.omitted
     assert (omission.quantity, omission.name, omission.size) == ('friction', 'drift', 0.5)
     assert not any(name.startswith('friction') for name in turned.effects)
+
+
+def test_effects_of_names_that_look_alike(tmp_path):
+    text = TREE.replace(BALL, f'{BALL} damping="0.7"').replace(
+        '<joint name="slide"', '<joint name="ball_rx" axis="1 0 0" damping="3"/>'
+        '<joint name="slide"')
+    effects = read_model(written(tmp_path, text)).effects.values()
+    assert {(one['joint'], one['coefficient']) for one in effects
+            if one['type'] == 'joint_damping'} == {
+        ('ball_rx', 3.0), ('hinge', 0.05), ('ball.rx', 0.7), ('ball.ry', 0.7), ('ball.rz', 0.7)}

@@ -288,6 +288,7 @@ def nested(inside):
 
 
 ARM = ('<model name="arm">POSE<link name="link"><pose>0 0 0.5 0 0 0</pose></link>'
+       '<frame name="mark"><pose>0 0 0.7 0 0 0</pose></frame>'
        '<frame name="tip" attached_to="link"><pose>0.2 0 0 0 0 0</pose></frame>'
        '<link name="flap"/><joint name="h" type="revolute"><parent>link</parent>'
        '<child>flap</child><axis><xyz EXPRESSED>1 0 0</xyz></axis></joint></model>')
@@ -316,6 +317,9 @@ def test_models_in_models(tmp_path, way):
     assert joints['k'].axis == pytest.approx((1.0, 0.0, 0.0))
     assert joints['arm__h'].position == pytest.approx((0.0, 0.0, -0.5))
     assert joints['arm__h'].axis == pytest.approx((1.0, 0.0, 0.0))
+    # A frame on no link is on the first one.
+    mark, = (one for one in imported.mechanism.points if one.name == 'arm__mark')
+    assert (mark.body, mark.position) == ('arm__link', pytest.approx((0.0, 0.0, 0.2)))
     # Turned with the model by a quarter.
     assert joints['j'].orientation == pytest.approx((0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5)))
     assert read_mechanism(written(
