@@ -20,7 +20,6 @@ from .command import (
     add_directory, add_scene, add_torque, checked_torques, Command, free_paths, mapping, positive)
 from ..simulation.errors import InaccuracyWarning
 from ..simulation.scene import load_scene
-from ..simulation.simulation import Simulation
 from ..studies import accuracy_report
 from ..studies.accuracy import study_accuracy
 from ..studies.advice import for_budget, for_target
@@ -49,10 +48,10 @@ def _run(arguments):
     scene = load_scene(arguments.scene)
     scene.mechanism.require_planar('the study of accuracy')
     torque = mapping(arguments.torque, '--torque')
-    # Refused at once, what would fail only after a while.
-    checked_torques(arguments.scene, lambda: Simulation(scene), torque)
     paths = free_paths(arguments, *(
         f'{scene.name}_accuracy.{ending}' for ending in ('csv', 'png')))
+    # Fails at once where the study would fail only after a while.
+    checked_torques(arguments.scene, scene, torque)
     # How far off each method is stands in the table.
     warnings.simplefilter('ignore', InaccuracyWarning)
     with parts_bar('parts', scene.name) as progress:

@@ -17,6 +17,7 @@
 from argparse import ArgumentParser, ArgumentTypeError, RawDescriptionHelpFormatter
 from dataclasses import dataclass
 import math
+import os
 from pathlib import Path
 import sys
 from typing import Callable
@@ -25,7 +26,9 @@ from ..mechanism.fields import FieldError
 from ..mechanism.mechanism import MechanismError
 from ..simulation.errors import AssemblyError
 from ..simulation.key_paths import changed, resolve
+from ..simulation.motions import require_actuated, with_motions
 from ..simulation.scene import load_scene
+from ..simulation.simulation import Simulation
 
 # Exit code of a simulation that failed.
 FAILED = 1
@@ -189,7 +192,7 @@ def recording_of(arguments, path):
     Raises
     ------
     UsageError
-        Where what is needed is not in it.
+        Where it cannot be read, or what is needed is not in it.
 
     """
     # Only here, as other commands need none of its libraries.
@@ -197,39 +200,93 @@ def recording_of(arguments, path):
     scene = load_scene(arguments.scene) if arguments.scene else None
     try:
         return read_recording(path, scene, arguments.namespace)
-    except RecordingError as error:
+    except (RecordingError, OSError) as error:
         raise UsageError(str(error)) from None
 
 
-def require_free(arguments, *paths, option='--output'):
-    """Refuse, before anything is computed, to replace files without ``--overwrite``."""
-    for path in paths:
-        if path.exists() and not arguments.overwrite:
-            another = 'file' if path == Path(getattr(arguments, option[2:])) else 'directory'
-            raise UsageError(f'{option}: {path} exists; name another {another}, or add '
-                             '--overwrite')
+def require_free(arguments, path, option='--output'):
+    """
+    Refuse, before anything is computed, a file that cannot be written.
+
+    Raises
+    ------
+    UsageError
+        Where it exists and ``--overwrite`` is not given, is a directory, or has none to be in.
+
+    """
+    if path.is_dir():
+        raise UsageError(f'{option}: expected a file, got the directory {path}')
+    if path.is_file() and not arguments.overwrite:
+        raise UsageError(f'{option}: {path} exists; name another file, or add --overwrite')
+    require_writable(path if path.exists() else path.parent, option)
 
 
 def free_paths(arguments, *names):
-    """Return the paths of files in the directory that was asked for; none where none was."""
-    paths = [arguments.output / name for name in names] if arguments.output else []
-    require_free(arguments, *paths)
+    """
+    Return the paths of files in the directory ``--output``; none where it is not given.
+
+    Raises
+    ------
+    UsageError
+        Where one of them exists and ``--overwrite`` is not given, or they cannot be written.
+
+    """
+    if arguments.output is None:
+        return []
+    paths = [arguments.output / name for name in names]
+    for path in paths:
+        if path.exists() and not arguments.overwrite:
+            raise UsageError(f'--output: {path} exists; name another directory, or add '
+                             '--overwrite')
+    # Missing directories are made.
+    there = next(place for place in (arguments.output, *arguments.output.absolute().parents)
+                 if place.exists())
+    if not there.is_dir():
+        raise UsageError(f'--output: expected a directory, got {arguments.output}: {there} is a '
+                         'file')
+    require_writable(there, '--output')
     return paths
 
 
-def checked_torques(scene, build, torque):
-    """Return the simulation that is built, or say what is wrong with the scene or torques."""
+def require_writable(path, option):
+    """Refuse a directory or file that does not exist or must not be changed, with UsageError."""
+    if not path.exists():
+        raise UsageError(f'{option}: expected an existing directory, got {path}')
+    if not os.access(path, os.W_OK):
+        raise UsageError(f'{option}: expected a place that may be written to, got {path}')
+
+
+def checked_torques(name, scene, torque, build=Simulation):
+    """
+    Build a simulation, after a check of the torques' names.
+
+    Parameters
+    ----------
+    name : str
+        Of the scene, for messages.
+    scene : Scene
+        To simulate.
+    torque : mapping of str to float
+        By joint.
+    build : callable
+        Takes the scene, returns the simulation.
+
+    Raises
+    ------
+    UsageError
+        Where a joint takes no torque, or the scene cannot be assembled.
+
+    """
     try:
-        simulation = build()
-    except AssemblyError as error:
-        raise UsageError(f'{scene}: {error}') from None
-    except MechanismError as error:
-        raise UsageError(f'{scene}: mechanism.{error}') from None
-    try:
-        simulation.joint_torques(torque)
+        require_actuated(with_motions(scene), torque)
     except ValueError as error:
         raise UsageError(f'--{error}') from None
-    return simulation
+    try:
+        return build(scene)
+    except AssemblyError as error:
+        raise UsageError(f'{name}: {error}') from None
+    except MechanismError as error:
+        raise UsageError(f'{name}: mechanism.{error}') from None
 
 
 def positive(text):
@@ -238,6 +295,13 @@ def positive(text):
     if not 0.0 < value < math.inf:
         raise ArgumentTypeError(f'expected a finite number > 0, got {text!r}')
     return value
+
+
+def port(text):
+    """Convert an option's value to the number of a port; 0: any that is free."""
+    if not (text.isdecimal() and len(text) < 6 and int(text) < 65536):
+        raise ArgumentTypeError(f'expected a whole number from 0 to 65535, got {text!r}')
+    return int(text)
 
 
 def assignment(text):

@@ -41,7 +41,8 @@ The shipped ones go by their names; anything else is the path of a file:
   closedloop simulate three_rrr --duration 2 --torque theta_1=5 --output run.csv
 """
 EPILOG = """\
-Exit codes: 0 done; 1 the simulation failed; 2 a wrong option, scene or mechanism;
+Exit codes: 0 done; 1 the simulation failed, a comparison found a difference, or a
+file could not be written completely; 2 a wrong option, scene, mechanism or recording;
 130 interrupted.
 """
 

@@ -17,8 +17,8 @@
 from .command import (
     add_directory, add_scene, add_torque, assignment, checked_torques, Command, free_paths,
     mapping, positive, UsageError)
+from ..simulation.motions import with_motions
 from ..simulation.scene import load_scene
-from ..simulation.simulation import Simulation
 from ..studies import effects_report
 from ..studies.effects import study_effects
 from ..visual.progress import parts_bar
@@ -58,11 +58,12 @@ def _check(arguments, scene, torque, rates):
                          'compare')
     if torque and rates:
         raise UsageError('--joint-rate: expected either --torque or --joint-rate, got both')
-    simulation = checked_torques(arguments.scene, lambda: Simulation(scene), torque)
-    if rates and set(rates) != set(simulation.actuated_joints):
+    actuated = with_motions(scene).actuated_joints
+    if rates and set(rates) != set(actuated):
         raise UsageError('--joint-rate: expected one for every actuated joint '
-                         f'({", ".join(simulation.actuated_joints)}), got {", ".join(rates)}')
+                         f'({", ".join(actuated)}), got {", ".join(rates)}')
     free_paths(arguments, *effects_report.file_names(scene))
+    checked_torques(arguments.scene, scene, torque)
 
 
 COMMAND = Command(

@@ -14,7 +14,7 @@
 
 """``closedloop plot``: pictures of a run."""
 
-from .command import add_directory, add_recording, Command, recording_of, require_free
+from .command import add_directory, add_recording, Command, free_paths, recording_of
 from ..recording.recording import since_the_last_reset
 from ..visual import pictures
 from ..visual.progress import announced
@@ -32,8 +32,7 @@ def _add_arguments(parser):
 
 
 def _run(arguments):
-    files = {name: arguments.output / f'{name}.png' for name in DRAWERS}
-    require_free(arguments, *files.values())
+    files = dict(zip(DRAWERS, free_paths(arguments, *(f'{name}.png' for name in DRAWERS))))
     with announced('Reading ...'):
         recording = recording_of(arguments, arguments.recording)
     motion = since_the_last_reset(recording.motion)

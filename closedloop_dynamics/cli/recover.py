@@ -17,8 +17,9 @@
 from pathlib import Path
 import sys
 
-from .command import Command
+from .command import Command, UsageError
 from ..recording.contents import messages
+from ..recording.reading import BagReadError
 from ..recording.recover import recover
 from ..visual.tables import text_table
 
@@ -36,7 +37,12 @@ def _add_arguments(parser):
 def _run(arguments):
     bag = arguments.bag.resolve()
     output = arguments.output or bag.with_name(f'{bag.stem}_recovered')
-    counts, damaged = recover(bag, output)
+    if output.exists():
+        raise UsageError(f'--output: {output} exists; name another directory')
+    try:
+        counts, damaged = recover(bag, output)
+    except BagReadError as error:
+        raise UsageError(str(error)) from None
     print(f'{output}: {sum(counts.values())} messages')
     if counts:
         print(text_table(('topic', 'messages'), [

@@ -18,12 +18,13 @@ import math
 from pathlib import Path
 import sys
 
-from .command import add_recording, Command, positive, recording_of, require_free
+from .command import add_recording, Command, positive, recording_of, require_free, UsageError
 from ..recording.replay import PERTURBATION, replay, table
 from ..visual import pictures
 from ..visual.progress import announced, progress_to
 
 DIFFERENT = 1
+PICTURES = '.png', '.svg', '.pdf'
 
 
 def _add_arguments(parser):
@@ -32,12 +33,16 @@ def _add_arguments(parser):
                         help='exit with 1 if a position is further off [rad or m] (default: than '
                              'rounding explains)')
     parser.add_argument('--picture', metavar='FILE', type=Path,
-                        help='draw the deviations over time (.png, .svg, .pdf)')
+                        help='draw the deviations over time '
+                             f'({", ".join(PICTURES)})')
     parser.add_argument('--overwrite', action='store_true', help='replace FILE if it exists')
 
 
 def _run(arguments):
     if arguments.picture:
+        if arguments.picture.suffix not in PICTURES:
+            raise UsageError(f'--picture: expected a name that ends with {", ".join(PICTURES)}, '
+                             f'got {arguments.picture}')
         require_free(arguments, arguments.picture, option='--picture')
     with announced('Reading ...'):
         recording = recording_of(arguments, arguments.bag)

@@ -87,7 +87,7 @@ def _run(arguments):
             arguments.error_estimate is None and arguments.duration <= LONGEST_ESTIMATED):
         estimate = ErrorEstimate(simulation)
     all_forces = arguments.forces == 'all'
-    with _opened(arguments.output, arguments.overwrite) as write, \
+    with _opened(arguments.output) as write, \
             program_watch.noting() as received, progress_to(
                 arguments.duration, 's', simulation.scene.name) as show, \
             warnings.catch_warnings():
@@ -113,7 +113,7 @@ def _run(arguments):
     summary = _summary(simulation, report, arguments, estimate)
     # The standard output belongs to the rows where they go there.
     print(summary, file=sys.stderr if arguments.output == STANDARD_OUTPUT else sys.stdout)
-    if arguments.output not in (None, STANDARD_OUTPUT) and Path(arguments.output).is_file():
+    if _is_file(arguments.output):
         # Names of files are not always text.
         _report_path(arguments.output).write_text(summary + '\n' + (
             f'  FAILED    {failure}\n  Rows after t = {report.time:.9g} s are not to be trusted.\n'
@@ -130,15 +130,16 @@ def _prepared(arguments):
         if arguments.integrator is not None:
             raise UsageError('--accuracy: expected it without --integrator, got both')
         arguments.integrator = AUTO
+    if arguments.output not in (None, STANDARD_OUTPUT):
+        require_free(arguments, Path(arguments.output))
+    scene = _moved(with_numbers(load_scene(
+        arguments.scene, **reading(arguments)), arguments), motion)
     with announced(LOADING):
-        scene = load_scene(arguments.scene, **reading(arguments))
-        simulation = checked_torques(arguments.scene, lambda: Simulation.from_scene(
-            _moved(with_numbers(scene, arguments), motion),
-            step_size=arguments.step_size, integrator=arguments.integrator,
-            stabilisation=arguments.stabilisation, formulation=arguments.formulation,
-            tolerance=arguments.tolerance, accuracy=arguments.accuracy), torque)
-        if arguments.output not in (None, STANDARD_OUTPUT) and Path(arguments.output).is_file():
-            require_free(arguments, Path(arguments.output))
+        simulation = checked_torques(
+            arguments.scene, scene, torque, lambda scene: Simulation.from_scene(
+                scene, step_size=arguments.step_size, integrator=arguments.integrator,
+                stabilisation=arguments.stabilisation, formulation=arguments.formulation,
+                tolerance=arguments.tolerance, accuracy=arguments.accuracy))
     return simulation, torque
 
 
@@ -151,7 +152,7 @@ def _moved(scene, motion):
 
 
 @contextmanager
-def _opened(output, overwrite):
+def _opened(output):
     """Yield a function that writes a line, whole, to a file, to the standard output, nowhere."""
     if output is None:
         yield lambda line: None
@@ -164,6 +165,11 @@ def _opened(output, overwrite):
                 yield lambda line: file.write(line + '\n')
         except OSError as error:
             raise OSError(f'cannot write {output}: {error.strerror}') from None
+
+
+def _is_file(output):
+    """Return whether the rows are in a file, which others may be written beside."""
+    return output not in (None, STANDARD_OUTPUT) and Path(output).is_file()
 
 
 def _report_path(output):

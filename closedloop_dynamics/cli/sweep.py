@@ -15,16 +15,19 @@
 """``closedloop sweep``: many simulations with different numbers, into one file."""
 
 from contextlib import contextmanager
+from pathlib import Path
 import sys
 
 import numpy as np
 
-from .command import add_scene, add_torque, Command, FAILED, mapping, positive, UsageError
+from .command import (
+    add_scene, add_torque, Command, FAILED, mapping, positive, require_writable, UsageError)
 from ..mechanism.fields import FieldError
 from ..simulation.rollout_run import QUANTITIES, STATE
 from ..simulation.signals import program_watch
 from ..sweep import sweep
 from ..sweep.plan import FORMS, parse
+from ..sweep.storage import StorageError
 from ..visual.progress import progress_bar
 
 NOTHING = 'nothing'
@@ -83,6 +86,7 @@ _count.__name__ = 'whole number'
 
 
 def _run(arguments):
+    require_writable(Path(arguments.output).parent, '--output')
     keep = STATE if arguments.keep is None else tuple(
         dict.fromkeys(name for name in arguments.keep if name != NOTHING))
     with program_watch.noting() as received, _progress(arguments.scene) as show:
@@ -95,7 +99,7 @@ def _run(arguments):
                 overwrite=arguments.overwrite, workers=arguments.workers,
                 scheduler=arguments.scheduler, on_progress=show,
                 keep_going=lambda: not received)
-        except FieldError as error:
+        except (FieldError, StorageError) as error:
             raise UsageError(str(error)) from None
     if not outcome.finished:
         print(f'{arguments.prog}: interrupted; what is written is kept, and the same command with '

@@ -30,6 +30,8 @@ def _add_arguments(parser):
 
 
 def _run(arguments):
+    if arguments.output is not None:
+        require_free(arguments, arguments.output)
     subject = load_scene_or_mechanism(arguments.scene)
     try:
         text = urdf(getattr(subject, 'mechanism', subject))
@@ -38,7 +40,6 @@ def _run(arguments):
     if arguments.output is None:
         print(text, end='')
         return 0
-    require_free(arguments, arguments.output)
     arguments.output.write_text(text, encoding='utf-8')
     return 0
 

@@ -25,13 +25,12 @@ import webbrowser
 import numpy as np
 
 from .command import (
-    add_reading, add_recording, assignment, checked_torques, Command, mapping, positive, reading,
-    recording_of, require_free, UsageError)
+    add_reading, add_recording, assignment, checked_torques, Command, mapping, port, positive,
+    reading, recording_of, require_free, UsageError)
 from ..recording.recording import since_the_last_reset
 from ..simulation.errors import AssemblyError
 from ..simulation.scene import load_scene
 from ..simulation.signals import program_watch
-from ..simulation.simulation import Simulation
 from ..view.columns import motion_columns, motion_rows
 from ..view.description import describe
 from ..view.page import live_page, recorded_page
@@ -68,7 +67,7 @@ def _add_arguments(parser):
     parser.add_argument('--host', metavar='ADDRESS', default='127.0.0.1',
                         help='address to listen on; any but that of this host needs the token in '
                              'the address that is printed (default: 127.0.0.1)')
-    parser.add_argument('--port', metavar='NUMBER', type=int,
+    parser.add_argument('--port', metavar='NUMBER', type=port,
                         help=f'to listen on (default: {USUAL_PORT}, or any that is free)')
     parser.add_argument('--no-open', action='store_true', help='do not open a browser')
     add_reading(parser)
@@ -154,8 +153,11 @@ def _served(arguments, pages, feeds):
                         USUAL_PORT if arguments.port is None else arguments.port)
     except OSError as error:
         if arguments.port is not None:
-            raise OSError(f'--port {arguments.port}: {error.strerror or error}') from None
-        server = Server(pages, feeds, arguments.host)
+            raise UsageError(f'--port {arguments.port}: {error.strerror or error}') from None
+        try:
+            server = Server(pages, feeds, arguments.host)
+        except OSError:
+            raise UsageError(f'--host {arguments.host}: {error.strerror or error}') from None
     print(f'{server.url}\nCtrl-C ends it.', flush=True)
     # Elsewhere it would be a browser in the terminal.
     if not arguments.no_open and any(
@@ -191,7 +193,7 @@ def _simulated_page(arguments):
     torque = mapping(arguments.torque, '--torque')
     scene = load_scene(arguments.what, **reading(arguments))
     with announced(LOADING):
-        simulation = checked_torques(arguments.what, lambda: Simulation(scene), torque)
+        simulation = checked_torques(arguments.what, scene, torque)
     with progress_to(arguments.duration, 's', scene.name) as show:
         columns, times, rows = simulated(simulation, arguments.duration, RATE, torque, show)
     return recorded_page(

@@ -8,6 +8,7 @@
 #include "arguments.hpp"
 #include "batch.hpp"
 #include "build_info.hpp"
+#include "curve.hpp"
 #include "cut_coordinates.hpp"
 #include "dispatch.hpp"
 #include "elimination.hpp"
@@ -40,6 +41,13 @@ double factorize_constraints(const Model & model, const Workspace & work)
 void move_coordinates(const Manifold & manifold, Values q, Values change, double share)
 {
   move(manifold, q, change, share);
+}
+
+std::pair<double, double> nearest_to_path(
+  Values pieces, double start_x, double start_y, double end_x, double end_y)
+{
+  const ChordDistance found = nearest_to_chord(pieces, {start_x, start_y}, {end_x, end_y});
+  return {found.distance, found.along};
 }
 
 /// Whether a signal, such as that of Ctrl-C, asks to stop; Python's error is set then.
@@ -99,6 +107,9 @@ const Entry entries[] = {
     "equations_serve", "equations_serve(system, stabilisation, state): after a step"),
   entry<apply_effects>("apply_effects", "apply_effects(effects, body, q, qd, tau)"),
   entry<update_driven_motions>("update_driven_motions", "update_driven_motions(effects)"),
+  entry<nearest_to_path>(
+    "nearest_to_path",
+    "nearest_to_path(pieces, start_x, start_y, end_x, end_y): distance from a curve, and where"),
   entry<load_joints>("load_joints", "load_joints(model, work, effects, q, qd, qdd, lam)"),
   entry<measure_cut_coordinates>(
     "measure_cut_coordinates",

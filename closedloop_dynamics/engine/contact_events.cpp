@@ -359,8 +359,7 @@ ChordDistance nearest_to_body(
   const double radius = effects.values(row, RADIUS);
   if (effects.kind[row] == effect::CURVE_CONTACT) {
     const ChordDistance found = nearest_to_chord(
-      effects.data.data + effects.index(row, effect::DATA), effects.index(row, effect::ENTRIES),
-      vector2(left + PLACE), vector2(right + PLACE));
+      pieces_of_curve(effects, row), vector2(left + PLACE), vector2(right + PLACE));
     return {found.distance - radius, found.along};
   }
   double inward = 0.0, square = 0.0;

@@ -107,9 +107,15 @@ Index nearest_chord(const double * pieces, Index count, Vector2 point)
 }
 }  // namespace
 
+Values pieces_of_curve(const EffectTable & table, Index row)
+{
+  return table.data.part(
+    table.index(row, effect::DATA), COLUMNS * table.index(row, effect::ENTRIES));
+}
+
 CurveDistance distance_from_curve(const EffectTable & table, Index row, Vector2 point, bool closed)
 {
-  const double * pieces = table.data.data + table.index(row, effect::DATA);
+  const double * pieces = pieces_of_curve(table, row).data;
   const Index count = table.index(row, effect::ENTRIES);
   const Index best = nearest_chord(pieces, count, point);
   Nearest nearest = {{0.0, 0.0}, 0.0, std::numeric_limits<double>::infinity()};
@@ -152,14 +158,15 @@ CurveDistance distance_from_curve(const EffectTable & table, Index row, Vector2 
   return {{-tangent.y / length, tangent.x / length}, 0.0};
 }
 
-ChordDistance nearest_to_chord(const double * pieces, Index count, Vector2 start, Vector2 end)
+ChordDistance nearest_to_chord(Values pieces, Vector2 start, Vector2 end)
 {
+  const Index count = pieces.size / COLUMNS;
   const Vector2 path = end - start;
   const double square = dot(path, path);
   double least = std::numeric_limits<double>::infinity(), along = 0.5;
   double entry = 2.0, way_out = 2.0;
   for (Index k = 0; k < (square > 0.0 ? count : 0); ++k) {
-    const double * piece = pieces + COLUMNS * k;
+    const double * piece = pieces.data + COLUMNS * k;
     const Vector2 first = {piece[0], piece[4]}, whole = chord(piece);
     Vector2 apart = from_straight(start, first, whole);
     if (!(dot(apart, path) < 0.0)) {

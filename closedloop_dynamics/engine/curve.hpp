@@ -13,6 +13,9 @@
 namespace closedloop
 {
 
+/// The pieces of the curve of an effect.
+Values pieces_of_curve(const EffectTable &, Index row);
+
 /// How far a point is from a curve.
 struct CurveDistance
 {
@@ -38,9 +41,8 @@ struct ChordDistance
   double along;
 };
 
-/// The same of the path between two points, in the frame of the body of so many pieces [m].
-ChordDistance nearest_to_chord(
-  const double * pieces, Index count, Vector2 start, Vector2 end);
+/// The same of the path between two points, in the frame of the body of the pieces [m].
+ChordDistance nearest_to_chord(Values pieces, Vector2 start, Vector2 end);
 
 }  // namespace closedloop
 

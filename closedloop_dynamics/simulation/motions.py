@@ -86,6 +86,32 @@ def moving(scene, motion):
     return replace(scene, effects=effects)
 
 
+def require_actuated(mechanism, names):
+    """
+    Refuse torques of joints that take none.
+
+    Parameters
+    ----------
+    mechanism : Mechanism
+        As ``with_motions`` returns it.
+    names : iterable of str
+        Of the joints that torques are given for.
+
+    Raises
+    ------
+    ValueError
+
+    """
+    prescribed = {motion.freedom: motion.name for motion in mechanism.motions}
+    for name in names:
+        if name in prescribed:
+            raise ValueError(f'torque: expected none of {name}, whose motion {prescribed[name]} '
+                             'prescribes; a joint has a motion or a torque, not both')
+        if name not in mechanism.actuated_joints:
+            raise ValueError(f'torque: expected actuated joints '
+                             f'({", ".join(mechanism.actuated_joints)}), got {name!r}')
+
+
 class Motions:
     """
     What a scene prescribes.

@@ -31,7 +31,7 @@ from .health import health_of
 from .inverse_dynamics import InverseDynamics
 from .modeling import coupling_scales, extent
 from .monitor import Monitor
-from .motions import Motions, moving, with_motions
+from .motions import Motions, moving, require_actuated, with_motions
 from .redundancy import find_redundancy, geometry_of
 from .rollout import rollout
 from .scene import load_scene
@@ -1236,11 +1236,8 @@ class Simulation:
         if torque is None:
             return tau
         if hasattr(torque, 'items'):
+            require_actuated(self.mechanism, torque)
             for name, value in torque.items():
-                self._require_unmoved(name)
-                if name not in self.actuated_joints:
-                    raise ValueError(f'torque: expected actuated joints '
-                                     f'({", ".join(self.actuated_joints)}), got {name!r}')
                 tau[self._places[name]] = value
         else:
             values = np.array(torque, dtype=float)
@@ -1250,8 +1247,8 @@ class Simulation:
                     f'{", ".join(self.actuated_joints)}; got shape {values.shape}')
             tau[self._actuated] = values
             if self.mechanism.motions:
-                for place in np.flatnonzero(tau):
-                    self._require_unmoved(self.torque_names[place])
+                require_actuated(
+                    self.mechanism, [self.torque_names[place] for place in np.flatnonzero(tau)])
         if not _are_finite(tau):
             raise ValueError(f'torque: expected finite numbers, got {torque!r}')
         return tau
@@ -1285,13 +1282,6 @@ class Simulation:
                 f'up to {largest_torque:.3g} (N m or N), by which a joint would move by '
                 f'{motion:.3g} rad or m; at most {LARGEST_MOTION:g} can be followed. The state '
                 'and the torques before are kept.')
-
-    def _require_unmoved(self, name):
-        """Refuse a torque of a joint whose motion is prescribed."""
-        for motion in self.mechanism.motions:
-            if motion.freedom == name:
-                raise ValueError(f'torque: expected none of {name}, whose motion {motion.name} '
-                                 'prescribes; a joint has a motion or a torque, not both')
 
     def reset(self):
         """Return to the initial state, time zero and no torque."""

@@ -245,7 +245,7 @@ def test_what_is_no_bag_is_said_so(tmp_path, path, capsys):
     (tmp_path / 'empty').mkdir()
     with pytest.raises(BagReadError, match='expected a rosbag2 bag'):
         Bag(tmp_path / path)
-    assert main(['recover', str(tmp_path / path)]) == 1
+    assert main(['recover', str(tmp_path / path)]) == 2
     assert 'expected a rosbag2 bag' in capsys.readouterr().err
 
 
@@ -253,5 +253,5 @@ def test_nothing_is_overwritten(tmp_path, capsys):
     files = BagFiles(tmp_path / 'bag', 'mcap')
     files.close()
     (tmp_path / 'other').mkdir()
-    assert main(['recover', str(tmp_path / 'bag'), '--output', str(tmp_path / 'other')]) == 1
+    assert main(['recover', str(tmp_path / 'bag'), '--output', str(tmp_path / 'other')]) == 2
     assert 'other' in capsys.readouterr().err
