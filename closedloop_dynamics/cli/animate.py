@@ -96,7 +96,7 @@ constraint forces as arrows and over time. What is shown after a reset is the ru
 examples:
   closedloop animate my_bag --output run.gif
   closedloop simulate three_rrr --torque theta_1=5 --output run.csv
-  closedloop animate run.csv --scene three_rrr --output run.gif --speed 0.5
+  closedloop animate run.csv --output run.gif --speed 0.5
 """,
     add_arguments=_add_arguments,
     run=_run)

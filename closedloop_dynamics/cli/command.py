@@ -179,29 +179,43 @@ def add_recording(parser, name='recording', metavar='BAG_OR_CSV', nargs=None, wh
     """Add the arguments of ``recording_of``, the first one called and explained so."""
     parser.add_argument(name, metavar=metavar, nargs=nargs, help=what)
     parser.add_argument('--scene', metavar='SCENE',
-                        help='what was simulated (needed for a CSV file; default: as the bag '
-                             'tells)')
+                        help='the scene that was simulated (default: the one in the bag, or '
+                             'beside the CSV file)')
     parser.add_argument('--namespace', metavar='NAME',
                         help='of the simulator, where several are in the bag')
 
 
-def recording_of(arguments, path):
+def recording_of(arguments, path, other_machine=False):
     """
     Return the recording in a bag or a CSV file.
+
+    Parameters
+    ----------
+    arguments : argparse.Namespace
+        With those of ``add_recording``.
+    path : path-like
+        Of the bag or file.
+    other_machine : bool
+        Whether ``--scene`` may have another mechanism than the bag.
 
     Raises
     ------
     UsageError
-        Where it cannot be read, or what is needed is not in it.
+        Where it cannot be read, lacks something, or is of another mechanism.
 
     """
     # Only here, as other commands need none of its libraries.
-    from ..recording.recording import read_recording, RecordingError
+    from ..recording.errors import RecordingError
+    from ..recording.recording import read_recording
+    from ..recording.rows import require_same_mechanism
     scene = load_scene(arguments.scene) if arguments.scene else None
     try:
-        return read_recording(path, scene, arguments.namespace)
+        recording = read_recording(path, scene, arguments.namespace)
+        if scene is not None and recording.changes and not other_machine:
+            require_same_mechanism(path, recording.changes[0][0], scene)
     except (RecordingError, OSError) as error:
         raise UsageError(str(error)) from None
+    return recording
 
 
 def require_free(arguments, path, option='--output'):

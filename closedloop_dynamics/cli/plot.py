@@ -54,7 +54,7 @@ time, and the mechanism in several positions. What is shown after a reset is the
     epilog="""\
 examples:
   closedloop plot my_bag --output pictures
-  closedloop plot run.csv --scene three_rrr --output pictures
+  closedloop plot run.csv --output pictures
 """,
     add_arguments=_add_arguments,
     run=_run)

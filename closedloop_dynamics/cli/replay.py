@@ -45,7 +45,7 @@ def _run(arguments):
                              f'got {arguments.picture}')
         require_free(arguments, arguments.picture, option='--picture')
     with announced('Reading ...'):
-        recording = recording_of(arguments, arguments.bag)
+        recording = recording_of(arguments, arguments.bag, other_machine=True)
     with progress_to(len(recording.motion.time), 'states', recording.scene.name) as show:
         result = replay(recording, show)
     _tell(arguments, recording, result)

@@ -26,6 +26,7 @@ from .command import (
     mapping, positive, reading, require_free, UsageError, with_numbers)
 from ..integration.registry import ADAPTIVE, AUTO, INTEGRATORS, STABILISATIONS
 from ..mechanism.fields import FieldError
+from ..recording.rows import write_scene
 from ..recording.run import columns, ErrorEstimate, Report, run
 from ..simulation.errors import InaccuracyWarning, SimulationError
 from ..simulation.monitor import energy_in_words
@@ -98,6 +99,9 @@ def _run(arguments):
             write(','.join(map(repr, values)))
             show(values[0])
 
+        # A device or pipe has nothing beside it.
+        if _is_file(arguments.output):
+            write_scene(arguments.output, simulation.scene)
         write(','.join(columns(simulation, all_forces)))
         try:
             run(simulation, arguments.duration, arguments.rate, torque, report=report,
@@ -241,7 +245,9 @@ point.NAME.x and point.NAME.y of every named point; closure, the largest error
 of the loops; energy, kinetic and potential. In space force.CUT and force.JOINT
 have .z, and .torque_x, .torque_y and .torque_z for .torque, point.NAME has .z.
 SI units and radians; numbers with all their digits. An existing file is not
-replaced unless asked for. Ctrl-C leaves all rows so far.
+replaced unless asked for. Ctrl-C leaves all rows so far. Beside FILE are written
+FILE.scene.json, the scene with all overrides, from which plot, animate and view
+draw the rows, and FILE.report.txt, the summary.
 """,
     epilog="""\
 examples:

@@ -15,7 +15,6 @@
 """A recording of one simulator, from a bag or a CSV file of ``closedloop simulate``."""
 
 from collections import deque
-import csv
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Optional
@@ -23,13 +22,15 @@ import warnings
 
 import numpy as np
 
+from .errors import RecordingError
 from .message_numbers import (
     constraint_force, NANOSECONDS, pose_numbers, stamp_of, twist_numbers, wrench_numbers)
 from .reading import Bag
+from .rows import read_rows
 from ..mechanism.mechanism import MechanismError
 from ..simulation.scene import SceneError
 from ..simulation.scene_text import read_scene_text
-from ..visual.motion import from_rows, Motion, wrench_parts
+from ..visual.motion import Motion, wrench_parts
 
 STATES, FORCES, LOG, SCENE = 'joint_states', 'constraint_forces/', 'replay_log', 'scene'
 # Of couplings and prescribed motions.
@@ -38,10 +39,6 @@ EFFORTS = ('coupling_forces', 'tooth_forces', 'motion_forces')
 TURNED = 'multi_dof_joint_states'
 # Damages of a bag that are told one by one.
 MOST_TOLD = 5
-
-
-class RecordingError(ValueError):
-    """A recording that does not hold what is needed; the message says what to do."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +87,7 @@ def read_recording(path, scene=None, namespace=None):
     path : path-like
         Directory of a bag, one of its files, or a CSV file.
     scene : scene_records.Scene, optional
-        What was simulated; needed where the recording does not tell.
+        The simulated one; needed where the recording does not hold it.
     namespace : str, optional
         Of the simulator; needed where several are in the bag.
 
@@ -104,7 +101,7 @@ def read_recording(path, scene=None, namespace=None):
     """
     path = Path(path)
     if path.suffix == '.csv':
-        return _read_csv(path, scene)
+        return Recording(*read_rows(path, scene))
     return _read_bag(path, scene, namespace)
 
 
@@ -115,22 +112,6 @@ def since_the_last_reset(motion):
     kept = np.concatenate([[True], steps != 0.0])
     kept[:backwards[-1] + 1 if len(backwards) else 0] = False
     return motion.part(kept)
-
-
-def _read_csv(path, scene):
-    if scene is None:
-        raise RecordingError(f'{path}: a CSV file does not tell what was simulated; add --scene')
-    with open(path, newline='', encoding='utf-8') as file:
-        names, *rows = csv.reader(file)
-        try:
-            motion = from_rows(scene.mechanism, names, rows)
-        except (KeyError, ValueError) as error:
-            raise RecordingError(
-                f'{path}: expected the columns that `closedloop simulate {scene.name} --output` '
-                f'writes; {error} is missing or no number') from None
-    if not len(motion.time):
-        raise RecordingError(f'{path}: there is no row in it')
-    return Recording(motion, scene)
 
 
 def _read_bag(path, scene, namespace):

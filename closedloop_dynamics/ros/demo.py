@@ -32,8 +32,8 @@ import sys
 import time
 
 from closedloop_dynamics.mechanism.mechanism import MechanismError
+from closedloop_dynamics.recording.errors import RecordingError
 from closedloop_dynamics.recording.reading import BagReadError
-from closedloop_dynamics.recording.recording import RecordingError
 from closedloop_dynamics.ros.demo_drive import (
     aim_of, drive_for, RECORDER, SIMULATOR, TORQUE_SOURCE)
 from closedloop_dynamics.ros.demo_report import (

@@ -30,9 +30,10 @@ import warnings
 
 from closedloop_dynamics.cli import main
 from closedloop_dynamics.recording.contents import Topic
+from closedloop_dynamics.recording.errors import RecordingError
 from closedloop_dynamics.recording.metadata import dump
 from closedloop_dynamics.recording.reading import Bag, BagReadError
-from closedloop_dynamics.recording.recording import read_recording, RecordingError
+from closedloop_dynamics.recording.recording import read_recording
 from closedloop_dynamics.recording.writer import BagFiles
 from closedloop_dynamics.simulation.scene import load_scene, SceneError
 from closedloop_dynamics.simulation.scene_text import scene_text

@@ -126,9 +126,9 @@ def test_program_works_in_the_environment_from_another_directory(environment, tm
 def test_commands_work_in_the_environment_from_another_directory(environment, tmp_path):
     lines, expected = zip(
         ('simulate four_bar --duration 0.1 --output run.csv', 'run.csv: 11 rows'),
-        ('plot run.csv --scene four_bar --output pictures', 'positions.png'),
-        ('animate run.csv --scene four_bar --output run.gif', 'run.gif'),
-        ('view run.csv --scene four_bar --save run.html', 'run.html'),
+        ('plot run.csv --output pictures', 'positions.png'),
+        ('animate run.csv --output run.gif', 'run.gif'),
+        ('view run.csv --save run.html', 'run.html'),
         ('urdf four_bar --output tree.urdf', ''),
         ('export four_bar --output loops.urdf', 'loops.urdf'),
         ('import loops.urdf --output again.yaml', 'again.yaml'),

@@ -61,7 +61,7 @@ def test_a_simulated_motion_is_saved_as_it_was_computed(tmp_path, capsys):
     assert np.isfinite(plots['energy', 'kinetic']).all()
     assert main(['view', 'three_rrr', '--save', str(page)]) == 2
     # A recording is saved with the same motion, without what it does not tell.
-    assert main(['view', str(table), '--scene', 'three_rrr', '--save', str(page),
+    assert main(['view', str(table), '--save', str(page),
                  '--overwrite']) == 0
     scene, again, recorded = contents(page)
     np.testing.assert_array_equal(again, times)

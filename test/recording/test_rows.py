@@ -1,0 +1,133 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Pictures of a CSV file are of the machine that was simulated, or are refused."""
+
+from argparse import Namespace
+import csv
+from dataclasses import replace
+import json
+
+from closedloop_dynamics.cli import main
+from closedloop_dynamics.cli.command import recording_of, UsageError
+from closedloop_dynamics.mechanism.mechanism import MechanismError
+from closedloop_dynamics.recording import recording as recordings
+from closedloop_dynamics.recording.errors import RecordingError
+from closedloop_dynamics.recording.recording import read_recording, Recording
+from closedloop_dynamics.recording.rows import read_rows, scene_path
+from closedloop_dynamics.simulation.key_paths import changed, resolve
+from closedloop_dynamics.simulation.scene import load_scene
+from closedloop_dynamics.visual.motion import closure
+import numpy as np
+import pytest
+
+LENGTH = 'mechanism.joints.rocker_joint.position.0'
+
+
+@pytest.fixture(scope='module')
+def rows(tmp_path_factory):
+    """Return the rows of a four-bar with another rocker, and the scene with it."""
+    path = tmp_path_factory.mktemp('rows') / 'run.csv'
+    assert main(['simulate', 'four_bar', '--set', f'{LENGTH}=0.45', '--motion',
+                 'crank_joint=1.0472+t', '--duration', '0.1', '--rate', '50',
+                 '--no-error-estimate', '--output', str(path)]) == 0
+    scene = load_scene('four_bar')
+    return path, changed(scene, {resolve(scene, LENGTH): 0.45})
+
+
+def test_overrides_of_the_command_line_are_drawn(rows, tmp_path):
+    path, scene = rows
+    recording = read_recording(path)
+    assert recording.scene.mechanism == replace(
+        scene.mechanism, description=recording.scene.mechanism.description)
+    assert 'motion_crank_joint' in recording.scene.effects
+    assert closure(recording.motion.mechanism, recording.motion.position).max() < 1e-12
+    # Five centimetres open, had the scene's own length been drawn.
+    assert closure(load_scene('four_bar').mechanism, recording.motion.position).min() > 0.04
+    assert main(['plot', str(path), '--output', str(tmp_path)]) == 0
+
+
+@pytest.mark.parametrize('beside', [True, False])
+def test_rows_of_another_machine_are_refused(rows, tmp_path, beside):
+    path, scene = rows
+    copy = tmp_path / 'copy.csv'
+    copy.write_bytes(path.read_bytes())
+    if beside:
+        scene_path(copy).write_bytes(scene_path(path).read_bytes())
+    with pytest.raises(RecordingError, match='rocker_joint.position differs' if beside
+                       else 'the closure error differs by 0.05 m'):
+        read_rows(copy, load_scene('four_bar'))
+    for name in ('three_rrr', 'slider_crank'):
+        with pytest.raises(RecordingError, match='differs' if beside else 'expected the columns'):
+            read_rows(copy, load_scene(name))
+    # The same machine may be named.
+    motion, _ = read_rows(copy, scene)
+    assert len(motion.time) == 6
+    if not beside:
+        with pytest.raises(RecordingError, match='add --scene'):
+            read_rows(copy)
+        cuts = tuple(replace(cut, name='other') for cut in scene.mechanism.cut_joints)
+        with pytest.raises(RecordingError, match='force.other.x is missing'):
+            read_rows(copy, replace(scene, mechanism=replace(scene.mechanism, cut_joints=cuts)))
+
+
+def test_a_scene_that_is_not_of_these_rows_is_refused(rows, tmp_path):
+    path, _ = rows
+    copy = tmp_path / 'copy.csv'
+    copy.write_bytes(path.read_bytes())
+    scene_path(copy).write_text(scene_path(path).read_text().replace('0.45', '0.46'))
+    with pytest.raises(RecordingError, match='those of another one: at t = 0 s'):
+        read_rows(copy)
+
+
+def test_a_bag_is_drawn_as_its_own_machine_and_replayed_by_any(rows, monkeypatch):
+    _, scene = rows
+    recording = Recording(motion=None, scene=scene, changes=[(scene, {})])
+    monkeypatch.setattr(recordings, 'read_recording', lambda *arguments: recording)
+    given = Namespace(scene='four_bar', namespace=None)
+    assert recording_of(given, 'bag', other_machine=True) is recording
+    with pytest.raises(UsageError, match='rocker_joint.position differs; leave --scene out'):
+        recording_of(given, 'bag')
+
+
+@pytest.mark.parametrize('count', [60, pytest.param(1000, marks=pytest.mark.slow)])
+def test_damaged_rows_and_scenes_are_refused_in_words(rows, tmp_path, count):
+    path, _ = rows
+    rng, copy = np.random.default_rng(27), tmp_path / 'copy.csv'
+    with open(path, newline='') as file:
+        table = list(csv.reader(file))
+    told, refused = json.loads(scene_path(path).read_text()), 0
+    for k in range(count):
+        damaged, scene = [list(row) for row in table], json.dumps(told)
+        row, column = (int(rng.integers(size)) for size in (len(table), len(table[0])))
+        if k % 3 == 0:
+            damaged[row][column] = str(rng.choice(['', 'x', '1e9', 'nan', 'force.x.y']))
+        elif k % 3 == 1:
+            del damaged[row][column]
+        else:
+            place = int(rng.integers(len(scene)))
+            scene = scene[:place] + str(rng.choice(['', '0', '"', '}'])) + scene[place + 1:]
+        with open(copy, 'w', newline='') as file:
+            csv.writer(file).writerows(damaged)
+        scene_path(copy).write_text(scene)
+        try:
+            read_recording(copy)
+        except (RecordingError, MechanismError, OSError) as error:
+            refused += 1
+            assert str(error)
+        except ValueError as error:
+            # Of the scene beside it.
+            refused += 1
+            assert type(error).__name__ == 'SceneError'
+    assert refused > count / 3
