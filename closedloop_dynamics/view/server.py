@@ -72,7 +72,7 @@ class Server:
 
     Raises
     ------
-    OSError
+    OSError, OverflowError
         Where the port cannot be had.
 
     """
@@ -110,7 +110,7 @@ class Server:
                 self._attend, self._host, self._wanted_port, process_request=self._answer,
                 max_size=LARGEST_MESSAGE, compression=None, close_timeout=PATIENCE,
                 server_header=None)
-        except OSError as error:
+        except (OSError, OverflowError) as error:
             self._error = error
             self._started.set()
             return
@@ -122,7 +122,15 @@ class Server:
     # Pages.
 
     def _answer(self, connection, request):
-        """Answer a request that is not to become a websocket; refuse who may not ask."""
+        """Answer a request that is not to become a websocket, 400 if it is malformed."""
+        try:
+            return self._response_to(connection, request)
+        except (LookupError, ValueError):
+            # Headers given twice; addresses and numbers that cannot be read.
+            return _response(HTTPStatus.BAD_REQUEST, 'text/plain', b'Malformed request.\n')
+
+    def _response_to(self, connection, request):
+        """Return the response to a request, None if it may become a websocket."""
         address = urlsplit(request.path)
         if not self._may(request, address):
             return _response(HTTPStatus.FORBIDDEN, 'text/plain', (

@@ -16,6 +16,7 @@
 
 from contextlib import ExitStack
 import json
+import socket
 from test.view.client import Client, PATIENCE
 from urllib.error import HTTPError
 from urllib.request import Request, urlopen
@@ -151,6 +152,36 @@ def test_pages_are_served_to_this_host_only():
         server.close()
 
 
+MALFORMED = {
+    'digits': ('/' + 5000 * '9', ''), 'digits of a websocket': (f'/{5000 * "9"}/live', ''),
+    'two origins': ('/', 'Origin: http://localhost:{port}\r\nOrigin: http://evil.example\r\n'),
+    'two hosts': ('/', 'Host: localhost:{port}\r\n'),
+    'origin': ('/', 'Origin: http://[\r\n'), 'address': ('//[x]:7/', ''),
+    'letters': ('/\xe9', ''), 'letters of a header': ('/', 'Origin: \xe9\r\n'),
+    'token': ('/?token=\xff', ''), 'no header': ('/', 'nothing\r\n'),
+    'length': ('/', 'Content-Length: x\r\n'), 'body': ('/', 'Content-Length: 9\r\n'),
+}
+
+
+@pytest.mark.parametrize('host', ['127.0.0.1', '0.0.0.0'])
+@pytest.mark.parametrize('path, headers', MALFORMED.values(), ids=MALFORMED)
+def test_malformed_requests_are_refused_quietly(caplog, capfd, host, path, headers):
+    server = Server(['<p>page</p>'], [Feed({})], host)
+    path += f'?token={server.token}' if server.token and '?' not in path else ''
+    text = f'GET {path} HTTP/1.1\r\nHost: localhost:{{port}}\r\n{headers}\r\n'
+    try:
+        with socket.create_connection(('127.0.0.1', server.port), PATIENCE) as connection:
+            connection.sendall(text.format(port=server.port).encode('latin-1'))
+            answer = b''.join(iter(lambda: connection.recv(4096), b''))
+        # What is no HTTP at all ends the connection without an answer.
+        assert answer.split()[1:2] in ([], [b'400'], [b'403'])
+        assert opened(server.url)[0] == 200
+    finally:
+        server.close()
+    assert not [record for record in caplog.records if record.levelname == 'ERROR']
+    assert capfd.readouterr().err == ''
+
+
 def test_a_token_is_needed_where_others_may_listen():
     server = Server(['<p>page</p>'], [Feed({'name': 'test'})], host='0.0.0.0')
     try:
@@ -172,5 +203,7 @@ def test_a_port_that_is_taken_is_refused():
     try:
         with pytest.raises(OSError):
             Server(['page'], [], port=server.port)
+        with pytest.raises(OverflowError):
+            Server(['page'], [], port=70_000)
     finally:
         server.close()
