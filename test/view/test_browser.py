@@ -175,3 +175,34 @@ def test_a_saved_page_plays_without_a_server(open_page, tmp_path, capsys):
     assert (np.abs(stage(tab) - first).max(axis=2) > 30).mean() > 0.003
     assert not tab.errors
     tab.close()
+
+
+def test_paths_and_plots_of_a_recording_are_of_all_its_rows(open_page, tmp_path):
+    scene, count = load_scene('four_bar'), 30_000
+    columns = motion_columns(scene.mechanism)
+    described = describe(scene.mechanism, columns, scene.effects, mode='recording', title='rows')
+    described['points'] = [{'name': 'tip', 'body': 0, 'place': [0.1, 0.0, 0.0]}]
+    rows = np.zeros((count, columns.width), dtype=np.float32)
+    rows[:, 6:7 * len(scene.mechanism.bodies):7] = 1.0
+    # A point that jumps aside for one row, and a force that does.
+    place = count // 3 + 1
+    rows[place, 1] = 0.5
+    rows[place, columns.layout['columns']['plots']] = 777.0
+    path = tmp_path / 'run.html'
+    path.write_text(recorded_page('rows', described, np.arange(count) / 1000.0, rows))
+    tab = open_page(path.as_uri())
+    tab.wait('typeof page !== "undefined" && Boolean(page.shownRow)')
+    trail = 'page.picture.trails[0]'
+    tab.ask('page.playing = false; page.now = page.end')
+    tab.wait(f'{trail}.shown === {count}')
+    np.testing.assert_allclose(
+        tab.ask(f'[...{trail}.places.subarray({3 * place - 3}, {3 * place + 6})]'),
+        [0.1, 0.0, 0.0, 0.1, 0.5, 0.0, 0.1, 0.0, 0.0], atol=1e-6)
+    run = """page.plots.groups[0].run(page.history, {column: 0}, 0, page.history.count - 1, 500)"""
+    assert tab.ask(f'Math.max(...{run}.map(([, value]) => value))') == 777.0
+    assert 250 <= tab.ask(f'{run}.length') <= 520
+    # The same after a jump in time: nothing between is left out.
+    tab.ask('page.now = page.begin; page.picture.forget()')
+    tab.wait(f'{trail}.shown === 1')
+    assert not tab.errors
+    tab.close()

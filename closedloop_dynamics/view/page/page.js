@@ -302,6 +302,7 @@ class Page {
     this.history = new History(this.width, this.scene.columns.plots,
                                unpack(this.data.times, Float64Array),
                                unpack(this.data.rows, Float32Array));
+    this.picture.record(this.history);
     [this.begin, this.end] = [this.history.time(0), this.history.time(this.history.count - 1)];
     this.now = this.begin;
     byId('time').hidden = false;
@@ -475,7 +476,7 @@ class Page {
     }
     this.last = now;
     this.shownRow = this.at(this.now);
-    this.picture.show(this.shownRow);
+    this.picture.show(this.shownRow, this.history.before(this.now));
     const share = (this.now - this.begin) / (this.end - this.begin || 1);
     byId('time').value = Math.round(1000 * share);
     byId('time').style.setProperty('--to', `${100 * share}%`);

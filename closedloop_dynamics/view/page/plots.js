@@ -100,7 +100,8 @@ class Plot {
     const [from, to] = window;
     const begin = history.before(from), end = history.before(to);
     const shown = this.series.filter((one) => one.shown);
-    const [low, high] = this.limits(history, begin, end, shown);
+    const runs = shown.map((one) => this.run(history, one, begin, end, 2 * (right - left)));
+    const [low, high] = this.limits(runs);
     const x = (time) => left + (time - from) / (to - from || 1) * (right - left);
     const y = (value) => {
       const v = this.log ? Math.log10(Math.max(Math.abs(value), LEAST)) : value;
@@ -112,21 +113,19 @@ class Plot {
     pen.rect(left, top - 2, right - left, bottom - top + 4);
     pen.clip();
     pen.lineWidth = 1.5;
-    const every = Math.max(1, Math.floor((end - begin) / (2 * (right - left))));
-    for (const one of shown) {
+    shown.forEach((one, number) => {
       pen.strokeStyle = one.color;
       pen.setLineDash(one.dash);
       pen.beginPath();
       let down = false;
-      for (let k = begin; k <= end; k += every) {
-        const value = history.value(k, one.column);
-        if (!Number.isFinite(value) || (this.log && Math.abs(value) < LEAST)) { down = false; continue; }
-        if (down) pen.lineTo(x(history.time(k)), y(value));
-        else pen.moveTo(x(history.time(k)), y(value));
+      for (const [time, value] of runs[number]) {
+        if (!this.drawable(value)) { down = false; continue; }
+        if (down) pen.lineTo(x(time), y(value));
+        else pen.moveTo(x(time), y(value));
         down = true;
       }
       pen.stroke();
-    }
+    });
     pen.setLineDash([]);
     pen.restore();
     const pointed = this.pointer !== null && this.pointer > left;
@@ -144,18 +143,36 @@ class Plot {
     for (const one of this.series) one.chip.textContent = short(history.value(at, one.column));
   }
 
-  limits(history, begin, end, shown) {
+  drawable(value) { return Number.isFinite(value) && !(this.log && Math.abs(value) < LEAST); }
+
+  // Times and values of a series from all its rows: where there are more than so many, the lowest
+  // and the highest of neighbours, in their order.
+  run(history, one, begin, end, most) {
+    const key = [begin, end, most, history.count].join();
+    if (history.fixed && one.key === key) return one.run;
+    const run = [], every = Math.max(1, Math.ceil(2 * (end - begin + 1) / most));
+    const put = (k) => run.push([history.time(k), history.value(k, one.column)]);
+    for (let first = begin; first <= end; first += every) {
+      let low = -1, high = -1;
+      for (let k = first; k < first + every && k <= end; k++) {
+        const value = history.value(k, one.column);
+        if (!this.drawable(value)) continue;
+        if (low < 0 || value < history.value(low, one.column)) low = k;
+        if (high < 0 || value > history.value(high, one.column)) high = k;
+      }
+      put(low < 0 ? first : Math.min(low, high));
+      if (low !== high) put(Math.max(low, high));
+    }
+    [one.key, one.run] = [key, run];
+    return run;
+  }
+
+  limits(runs) {
     let low = Infinity, high = -Infinity;
-    const every = Math.max(1, Math.floor((end - begin) / 1200));
-    for (const one of shown) {
-      for (let k = begin; k <= end; k += every) {
-        let value = history.value(k, one.column);
-        if (!Number.isFinite(value)) continue;
-        if (this.log) {
-          value = Math.abs(value);
-          if (value < LEAST) continue;
-          value = Math.log10(value);
-        }
+    for (const run of runs) {
+      for (const [, number] of run) {
+        if (!this.drawable(number)) continue;
+        const value = this.log ? Math.log10(Math.abs(number)) : number;
         low = Math.min(low, value);
         high = Math.max(high, value);
       }

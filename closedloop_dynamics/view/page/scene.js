@@ -64,8 +64,50 @@ void main() {
 const ROUND = 24;
 const FIELD_OF_VIEW = 0.5;
 // Half the width of a path, and the radius of the dot at its end [CSS pixels]; how many places of
-// it are kept, and forgotten at once.
+// a live one are kept, and forgotten at once.
 const PATH = 0.9, DOT = 3.2, PATH_LENGTH = 1500, FORGOTTEN = 300;
+
+// The places of a point, in a buffer that grows by what is new; of a recording those of all rows.
+class Trail {
+  constructor(gl, capacity = PATH_LENGTH) {
+    this.gl = gl;
+    this.buffer = gl.createBuffer();
+    this.places = new Float32Array(3 * capacity);
+    // How many there are, are drawn, and are in the buffer; -1: none, and it has no size yet.
+    this.count = this.shown = 0;
+    this.sent = -1;
+    this.now = null;
+  }
+
+  push(place) {
+    if (3 * this.count === this.places.length) {
+      this.places.copyWithin(0, 3 * FORGOTTEN);
+      this.count -= FORGOTTEN;
+      this.sent = 0;
+    }
+    this.places.set(place, 3 * this.count);
+    this.count += 1;
+  }
+
+  forget() { this.count = this.sent = 0; }
+
+  last() { return this.places.subarray(3 * this.shown - 3, 3 * this.shown); }
+
+  // Bind the buffer with all places.
+  bind() {
+    const gl = this.gl;
+    gl.bindBuffer(gl.ARRAY_BUFFER, this.buffer);
+    if (this.sent < 0) {
+      gl.bufferData(gl.ARRAY_BUFFER, this.places.byteLength, gl.DYNAMIC_DRAW);
+      this.sent = 0;
+    }
+    if (this.sent < this.count) {
+      gl.bufferSubData(gl.ARRAY_BUFFER, 12 * this.sent,
+                       this.places.subarray(3 * this.sent, 3 * this.count));
+      this.sent = this.count;
+    }
+  }
+}
 // A force arrow of the largest force seen lately, as a share of the size.
 const ARROW = 0.3;
 // A peak of the forces counts half after so long [ms].
@@ -258,8 +300,6 @@ class Scene {
     this.size = described.size;
     this.row = null;
     this.frames = [];
-    this.trails = described.points.map(() => (
-      {places: new Float32Array(3 * (PATH_LENGTH + 1)), count: 0}));
     this.forcePeak = this.peakAt = 0;
     this.hover = this.held = this.handAt = null;
     this.shown = {forces: true, names: false, path: true, paths: false};
@@ -270,6 +310,7 @@ class Scene {
     this.solid = this.build(VERTEX, FRAGMENT, ['place', 'normal', 'paint']);
     this.path = this.build(PATH_VERTEX, PATH_FRAGMENT, ['from', 'to']);
     this.pathBuffer = gl.createBuffer();
+    this.trails = described.points.map(() => new Trail(gl));
     this.meshes = {
       cylinder: cylinderMesh(), cone: cylinderMesh(0), ball: ballMesh(),
       // Ends of bars are small.
@@ -515,8 +556,10 @@ class Scene {
 
   // Where things are.
 
-  show(row) {
+  // ``reached``: of a recording, the number of the last row that is not after it.
+  show(row, reached) {
     this.row = row;
+    this.reached = reached;
     const first = this.described.columns.poses;
     this.frames = this.described.bodies.map((_, k) => ofPose(row, first + 7 * k));
     const places = [...this.described.bodies.flatMap((body, k) => (
@@ -541,23 +584,36 @@ class Scene {
 
   follow() {
     this.described.points.forEach((point, k) => {
-      const trail = this.trails[k], place = moved(this.frameOf(point.body), point.place);
-      const {places, count} = trail, last = places.subarray(3 * count - 3, 3 * count);
-      if (!count || norm(minus(place, last)) > 0.004 * this.size) {
-        trail.count += 1;
-        if (trail.count === PATH_LENGTH) {
-          places.copyWithin(0, 3 * FORGOTTEN);
-          trail.count -= FORGOTTEN;
-        }
-        places.set(place, 3 * trail.count - 3);
+      const trail = this.trails[k];
+      trail.now = moved(this.frameOf(point.body), point.place);
+      if (this.history) {
+        trail.shown = this.reached + 1;
+        return;
       }
-      // The last one is where it is now.
-      places.set(place, 3 * trail.count);
+      trail.shown = trail.count;
+      if (!trail.count || norm(minus(trail.now, trail.last())) > 0.004 * this.size) {
+        trail.push(trail.now);
+        trail.shown = trail.count;
+      }
+    });
+  }
+
+  // The paths of a recording are those of all its rows, whichever of them are shown.
+  record(history) {
+    this.history = history;
+    const {rows, width, count} = history, {poses} = this.described.columns;
+    this.trails = this.described.points.map((point) => {
+      const trail = new Trail(this.gl, count);
+      for (let row = 0; row < count; row++) {
+        trail.push(moved(point.body < 0 ? IDENTITY
+          : ofPose(rows, row * width + poses + 7 * point.body), point.place));
+      }
+      return trail;
     });
   }
 
   forget() {
-    for (const trail of this.trails) trail.count = 0;
+    if (!this.history) for (const trail of this.trails) trail.forget();
     this.forcePeak = 0;
   }
 
@@ -817,20 +873,25 @@ class Scene {
     gl.uniform2f(uniforms.window, this.canvas.width, this.canvas.height);
     gl.uniform3fv(uniforms.paint, rgb(theme.path));
     gl.bindVertexArray(this.pathArray ??= gl.createVertexArray());
-    gl.bindBuffer(gl.ARRAY_BUFFER, this.pathBuffer);
-    this.trails.forEach(({places, count}, k) => {
-      if (!count || !this.shown[k ? 'paths' : 'path']) return;
-      gl.bufferData(gl.ARRAY_BUFFER, places.subarray(0, 3 * count + 3), gl.STREAM_DRAW);
-      // The pieces, each from a place to the next; the dot, from the last place to itself.
-      for (const [first, step, pieces, radius] of [[0, 12, count, PATH], [12 * count, 0, 1, DOT]]) {
-        [first, first + step].forEach((offset, number) => {
-          gl.enableVertexAttribArray(number);
-          gl.vertexAttribPointer(number, 3, gl.FLOAT, false, 12, offset);
-          gl.vertexAttribDivisor(number, 1);
-        });
-        gl.uniform1f(uniforms.radius, ratio * radius);
-        gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, pieces);
-      }
+    // Pieces, each from a place to the next; a dot, from a place to itself.
+    const pieces = (first, step, count, radius) => {
+      [first, first + step].forEach((offset, number) => {
+        gl.enableVertexAttribArray(number);
+        gl.vertexAttribPointer(number, 3, gl.FLOAT, false, 12, offset);
+        gl.vertexAttribDivisor(number, 1);
+      });
+      gl.uniform1f(uniforms.radius, ratio * radius);
+      gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, count);
+    };
+    this.trails.forEach((trail, k) => {
+      if (!trail.shown || !this.shown[k ? 'paths' : 'path']) return;
+      trail.bind();
+      if (trail.shown > 1) pieces(0, 12, trail.shown - 1, PATH);
+      gl.bindBuffer(gl.ARRAY_BUFFER, this.pathBuffer);
+      gl.bufferData(gl.ARRAY_BUFFER, new Float32Array([...trail.last(), ...trail.now]),
+                    gl.STREAM_DRAW);
+      pieces(0, 12, 1, PATH);
+      pieces(12, 0, 1, DOT);
     });
     gl.disable(gl.BLEND);
   }
