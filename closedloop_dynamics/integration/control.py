@@ -44,8 +44,8 @@ SWITCHING_COLUMNS = CONTROL_COLUMNS + 8
  TIGHTENED) = range(11)
 MONITOR_COLUMNS = 11
 # The least tolerance of the default method; its tolerance against the accuracy, and that of the
-# reference run against it.
-FLOOR, SHARE, LOOSER = 1e-13, 1e-3, 30.0
+# reference run against it; the run's own error against the distance of the two.
+FLOOR, SHARE, LOOSER, CLOSER = 1e-13, 1e-3, 30.0, 0.1
 
 # Rows of the scratch of explicit methods before the slopes, and the one with the latest state.
 FIRST_SLOPE, AFTER = 5, 3

@@ -24,7 +24,7 @@ import numpy as np
 from ..core.codegen.function_table import BODY
 from ..core.independent import forget
 from ..core.manifold import weights
-from ..core.types import EVALUATIONS
+from ..core.types import EVALUATIONS, RANK_REVEALING_COUNT
 from ..integration import control as columns, left_out
 from ..integration.control import DONE
 from ..integration.drivers import build_driver, Switching
@@ -64,9 +64,10 @@ class RunReport:
     energy_moved : float
         The most energy that has moved since the start [J]; NaN before the first look.
     error_bound : float
-        Of ``integrator: auto``: what the error of coordinates within a second was at most, by a
-        companion run with a larger tolerance [rad or m]; NaN for other methods, and where the
-        energy balance says otherwise.
+        Of ``integrator: auto``: largest error of coordinates within a second [rad or m], by a
+        companion run with a larger tolerance: a tenth of the distance to it, all of it where the
+        run came next to a singular configuration; NaN for other methods, and where the energy
+        balance contradicts.
     findings : tuple of str
         What is wrong with the run, each with its remedy; empty where nothing is known to be.
 
@@ -254,7 +255,7 @@ class Monitor:
             Findings beside these.
 
         """
-        steps, error = self._steps, self._local_error
+        steps, error, health = self._steps, self._local_error, self._system.work.health
         control = getattr(self.driver, 'control', None)
         bound = math.nan
         findings = [*notes, *([energy_guard.finding] if energy_guard.finding else [])]
@@ -275,13 +276,17 @@ class Monitor:
                 findings.append(
                     f'the accuracy of {self._method.accuracy:g} rad or m within a second was not '
                     f'kept: the error was about {bound:.2g}, {cause}.')
+            if health[RANK_REVEALING_COUNT] > 0.0:
+                # Next to a singular configuration rounding errors grow, and a smaller tolerance
+                # makes them no smaller: the run's own may be all of the distance.
+                bound /= columns.CLOSER
         elif not self._fixed and control is not None:
             steps = int(control[columns.ACCEPTED])
             error = float(control[columns.LARGEST_ERROR]) * self._method.tolerance
         method = f'{self._method.integrator}, {self._method.stabilisation}'
         return RunReport(
             method, self._time, steps, 1e-9 * self._nanoseconds, error, closure, energy_error,
-            int(self._system.work.health[EVALUATIONS]), energy_guard.moved, bound,
+            int(health[EVALUATIONS]), energy_guard.moved, bound,
             tuple(findings))
 
 

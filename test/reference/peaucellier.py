@@ -26,7 +26,7 @@ from closedloop_dynamics.effects.gravity import Gravity
 from closedloop_dynamics.mechanism.mechanism import Body, CutJoint, Joint, Mechanism, REVOLUTE
 from closedloop_dynamics.simulation.scene_records import Initial, Method, Scene
 import numpy as np
-from scipy.integrate import solve_ivp
+from scipy.integrate import quad, solve_ivp
 
 from .trees import derivative, turned, unit
 
@@ -57,10 +57,10 @@ def rods(angle):
     yield from ((b, a, LINK), (b, c, LINK), (d, c, LINK), (d, a, LINK))
 
 
-def scene():
+def scene(start=START, rate=RATE):
     """Return the linkage before its singular position, on the way to it."""
     names = ('crank', 'left', 'right', 'left_a', 'left_c', 'right_c', 'right_a')
-    lengths = [length for _, _, length in rods(START)]
+    lengths = [length for _, _, length in rods(start)]
     bodies = tuple(Body(name, length, (length / 2, 0.0), length ** 3 / 12)
                    for name, length in zip(names, lengths))
     parents = ('ground', 'ground', 'ground', 'left', 'left', 'right', 'right')
@@ -71,11 +71,11 @@ def scene():
                  for name, first, second, length in (
                      ('a_left', 'crank', 'left_a', CRANK), ('a_right', 'crank', 'right_a', CRANK),
                      ('c', 'left_c', 'right_c', LINK)))
-    turns = [np.arctan2(*(end - start)[::-1]) for start, end, _ in rods(START)]
-    position = (START, turns[1], turns[2], *(
+    turns = [np.arctan2(*(end - first)[::-1]) for first, end, _ in rods(start)]
+    position = (start, turns[1], turns[2], *(
         turns[k] - turns[1 if k < 5 else 2] for k in range(3, 7)))
     return Scene('peaucellier', None, '', Mechanism('peaucellier', bodies, joints, cuts),
-                 Initial(position, (RATE,) + (0.0,) * 6, ('to_crank',)),
+                 Initial(position, (rate,) + (0.0,) * 6, ('to_crank',)),
                  {'gravity': Gravity((0.0, -GRAVITY))}, Method())
 
 
@@ -98,8 +98,25 @@ def slope(angle, reach=5e-3):
 
 def weight(angle):
     """Return the derivative of the potential energy [N m]."""
-    return derivative(lambda x: sum(length * GRAVITY * (start + end)[1] / 2.0
-                                    for start, end, length in rods(x[0])), [angle], [1.0])
+    return derivative(lambda x: height(x[0]), [angle], [1.0])
+
+
+def height(angle):
+    """Return the potential energy [J]."""
+    return sum(length * GRAVITY * (start + end)[1] / 2.0 for start, end, length in rods(angle))
+
+
+def travel_time(start, rate, first, last):
+    """
+    Return the time that the crank takes from one angle to another [s], to some 1e-15 s.
+
+    It starts as ``scene`` says and does not turn back on the way. By energy alone: neither an
+    integration of the motion nor the loops are in it.
+
+    """
+    energy = 0.5 * inertia(start) * rate ** 2 + height(start)
+    return quad(lambda angle: np.sqrt(inertia(angle) / (2.0 * (energy - height(angle)))),
+                first, last, epsabs=1e-16, epsrel=1e-13, limit=200)[0] * np.sign(rate)
 
 
 def crank_angles(times):
