@@ -22,13 +22,13 @@ Keys and defaults are those of the records, meanings and units those of their do
 from dataclasses import fields, MISSING
 import inspect
 from pathlib import Path
-import re
 
 from closedloop_dynamics.effects.external_force import BODY, WORLD
 from closedloop_dynamics.effects.registry import EFFECTS
 from closedloop_dynamics.integration.registry import INTEGRATORS, STABILISATIONS
 from closedloop_dynamics.mechanism.expressions import FUNCTIONS
 from closedloop_dynamics.mechanism.fields import keys_of
+from closedloop_dynamics.mechanism.meanings import documented
 from closedloop_dynamics.mechanism.mechanism import Mechanism, UNTURNED
 from closedloop_dynamics.mechanism.shapes import SHAPES
 from closedloop_dynamics.mechanism.validation import SECTIONS
@@ -64,17 +64,6 @@ SI units and radians. [Describe your own mechanism](describe_a_mechanism.md) sho
 """
 
 
-def documented(record_type):
-    """Return type and meaning of each attribute that a docstring describes."""
-    text = inspect.getdoc(record_type).partition('----------\n')[2]
-    found = {}
-    for names, kind, below in re.findall(r'^(\w[\w, ]*) : (.*)\n((?:    .*\n?)*)', text, re.M):
-        meaning = ' '.join(below.split())
-        for name in names.split(', '):
-            found[name] = TYPES[kind], meaning or 'Its name.'
-    return found
-
-
 def default(record_type, key):
     """Return how a file would say what holds where a key is left out."""
     value = next(field.default for field in fields(record_type) if field.name == key)
@@ -91,7 +80,7 @@ def table(record_type, keys):
     told = documented(record_type)
     lines = ['| Key | | Value | Meaning |', '|---|---|---|---|']
     for key in (*required, *optional):
-        kind, meaning = told[key]
+        kind, meaning = TYPES[told[key][0]], told[key][1] or 'Its name.'
         if key in CHOICES:
             kind = ', '.join(f'`{choice}`' for choice in CHOICES[key])
         given = 'required' if key in required else f'optional, {default(record_type, key)}'

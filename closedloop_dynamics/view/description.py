@@ -28,8 +28,10 @@ from .effect_shapes import effect_lines, surfaces, wires
 from .meshes import MeshError, MOST_OF_ALL, MOST_TRIANGLES, read_mesh
 from .messages import FASTEST, SLOWEST
 from ..core.codegen.spatial import rotation
+from ..effects.registry import effect_type
 from ..integration.registry import INTEGRATORS, SCIPY, STABILISATIONS
 from ..mechanism.decomposition import decompose
+from ..mechanism.meanings import documented, unit_in
 from ..mechanism.mechanism import BOX, CYLINDER, DISTANCE, GROUND, MESH, PRISMATIC, SPHERE
 from ..simulation.modeling import extent
 from ..visual.appearance import (
@@ -111,6 +113,10 @@ def describe(mechanism, columns, effects=None, **more):
         'wires': outlines, 'missing': missing,
         'points': [{'name': point.name, 'body': rows[point.body],
                     'place': _in_space(point.position)} for point in mechanism.points],
+        'meanings': {effect_type(record): {
+            key: {'meaning': meaning, 'unit': unit_in(meaning)}
+            for key, (_, meaning) in documented(type(record)).items()}
+            for record in effects.values()},
         **columns.layout, **more}
 
 

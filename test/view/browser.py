@@ -130,6 +130,13 @@ class Tab:
         self.mouse('mousePressed', x, y, 1)
         self.mouse('mouseReleased', x, y)
 
+    def press(self, key):
+        """Press a key that writes a letter."""
+        for kind in ('keyDown', 'keyUp'):
+            self._do('Input.dispatchKeyEvent', type=kind, key=key,
+                     windowsVirtualKeyCode=ord(key.upper()),
+                     **({'text': key} if kind == 'keyDown' else {}))
+
     def middle(self, selector):
         """Return where the middle of what a CSS selector finds is."""
         return self.ask(f"""(() => {{

@@ -19,7 +19,7 @@ from test.view.browser import browser, program
 from closedloop_dynamics.cli import main
 from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.view.columns import motion_columns
-from closedloop_dynamics.view.description import describe
+from closedloop_dynamics.view.description import describe, grabs
 from closedloop_dynamics.view.page import recorded_page
 from closedloop_dynamics.visual.motion import body_poses, poses_in_space
 import numpy as np
@@ -109,6 +109,107 @@ def test_the_picture_is_dark_and_light_and_fits_a_phone(open_page, live):
         assert not tab.errors
         tab.close()
     assert brightness[False] > 2.0 * brightness[True]
+
+
+def test_keys_belong_to_the_page_and_change_no_list(open_page, live):
+    tab = open_page(live.url)
+    tab.wait(READY)
+    integrator = '[data-key=integrator]'
+    tab.ask(f'document.querySelector("{integrator}").focus()')
+    before = tab.ask(f'document.querySelector("{integrator}").value')
+    live.ask('step', count=10)
+    tab.wait('page.now > 0')
+    tab.press('r')
+    tab.wait('page.now === 0')
+    tab.press('e')
+    assert tab.ask(f'document.querySelector("{integrator}").value') == before
+    # What the mouse has clicked on gives the keys back.
+    tab.click('#effects-panel .gravity .switch')
+    tab.wait('!page.told.effects.gravity.enabled')
+    tab.press(' ')
+    tab.wait('page.playing')
+    tab.press(' ')
+    tab.wait('!page.playing')
+    assert not tab.ask('page.told.effects.gravity.enabled')
+    # In a field they are text.
+    tab.ask('document.querySelector("#drives input[type=text]").select()')
+    time = tab.ask('page.now')
+    tab.press('r')
+    assert tab.ask('page.now') == time > 0
+    assert not tab.errors
+    tab.close()
+
+
+def test_refusals_from_before_a_page_was_opened_are_not_shown(open_page, live):
+    for name in ('first', 'second'):
+        live.feed.note(name)
+    tab = open_page(live.url)
+    tab.wait(READY)
+    live.feed.note('third')
+    tab.wait('document.querySelectorAll(".note").length > 0')
+    assert tab.ask('[...document.querySelectorAll(".note")].map((e) => e.textContent)') == [
+        'third']
+    tab.close()
+
+
+@pytest.mark.parametrize('width', [761, 860, 980, 1024, 1440])
+def test_nothing_sticks_out_or_is_cut_off(open_page, live, width):
+    tab = open_page(live.url, width=width, height=800)
+    tab.wait(READY)
+    assert tab.ask("""[...document.querySelectorAll(
+        "#transport > *, #views, #tools, .drive > *, .entry, .plot canvas, .effect input")]
+        .filter((e) => e.getBoundingClientRect().width).filter((e) => {
+          const box = e.getBoundingClientRect();
+          const frame = e.closest("section, .panel").getBoundingClientRect();
+          return box.left < frame.left || box.right > frame.right + 1; })
+        .map((e) => e.outerHTML.slice(0, 80))""") == []
+    assert tab.ask("""[...document.querySelectorAll(".drive b, button")].filter(
+        (e) => e.scrollWidth > e.clientWidth + 1).map((e) => e.outerHTML)""") == []
+    assert tab.ask('document.getElementById("solid").clientWidth') > 300
+    tab.close()
+
+
+def test_distances_and_angles_are_measured_and_a_body_is_followed(open_page, live):
+    tab = open_page(live.url)
+    tab.wait(READY)
+    mechanism = live.simulation.mechanism
+    body = [one.name for one in mechanism.bodies].index('platform')
+    before = stage(tab)
+    tab.click('#measure')
+    places = [(body, 0), (body, 1), (body, 2)]
+    for one in places:
+        x, y = tab.ask(f"""(() => {{
+            const [x, y] = page.picture.project(page.picture.grabbed({list(one)}));
+            const box = document.getElementById("solid").getBoundingClientRect();
+            return [x + box.x, y + box.y]; }})()""")
+        tab.mouse('mousePressed', x, y, 1)
+        tab.mouse('mouseReleased', x, y)
+    tab.wait('page.picture.measured.length === 3')
+    first, middle, last = grabs(mechanism, mechanism.bodies[body])[:3]
+    sides = np.array([first - middle, last - middle])
+    lengths = np.linalg.norm(sides, axis=1)
+    np.testing.assert_allclose(
+        tab.ask('page.picture.measurements().map((one) => one.value)'),
+        [*lengths, np.degrees(np.arccos(sides[0] @ sides[1] / lengths.prod()))], rtol=1e-5)
+    assert tab.ask('page.told.grabbed') is None
+    tab.wait('!page.picture.lines.hidden')
+    assert (np.abs(stage(tab) - before).max(axis=2) > 30).sum() > 300
+    tab.click('#measure')
+    tab.wait('page.picture.lines.hidden')
+    # The followed body stays where it is on the screen.
+    tab.ask(f"""document.getElementById("follow").value = "{body}";
+                document.getElementById("follow").onchange()""")
+    seen = f'page.picture.project(page.picture.grabbed([{body}, 0])).slice(0, 2)'
+    live.ask('step', count=1)
+    tab.wait('page.now > 0 && page.picture.followedAt !== null')
+    place, at = tab.ask(seen), tab.ask(f'page.picture.grabbed([{body}, 0])')
+    live.ask('step', count=300)
+    tab.wait('page.now > 0.1')
+    tab.ask('new Promise((done) => setTimeout(done, 200))')
+    assert np.abs(np.subtract(tab.ask(f'page.picture.grabbed([{body}, 0])'), at)).max() > 0.01
+    np.testing.assert_allclose(tab.ask(seen), place, atol=0.5)
+    assert not tab.errors
+    tab.close()
 
 
 def test_the_page_comes_back_with_its_server(open_page, live):

@@ -14,13 +14,14 @@
 
 """What a page is told of shapes, springs, cables and contacts, and the arrows of these."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 import struct
 import sys
 
 from closedloop_dynamics.effects.body_contact import BodyContact
 from closedloop_dynamics.effects.contact import Contact
 from closedloop_dynamics.effects.external_force import ExternalForce
+from closedloop_dynamics.effects.registry import effect_type
 from closedloop_dynamics.mechanism.mechanism import Body, Joint, Mechanism, Point, Visual
 from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.simulation.scene_records import Initial, Scene
@@ -230,3 +231,11 @@ def test_without_trimesh_meshes_say_how_to_get_it(tmp_path, monkeypatch):
     stl(tmp_path / 'globe.stl', globe(4))
     with pytest.raises(meshes.MeshError, match='pip install trimesh'):
         meshes.read_mesh(tmp_path / 'globe.stl')
+
+
+def test_parameters_of_effects_have_their_meaning_and_unit():
+    meanings = described('slider_crank_end_stop')['meanings']
+    assert meanings['end_stop']['stiffness']['unit'].startswith('N')
+    for effect in load_scene('slider_crank_end_stop').effects.values():
+        kind = meanings[effect_type(effect)]
+        assert set(kind) == {field.name for field in fields(effect)}

@@ -9,6 +9,15 @@ const THEMES = {
           force: '#B2182B', cut: '#B34E00', halo: '#f4f5f7', grid: '#d7dbe1', paper: rgb('#f4f5f7'), driven: [0.16, 0.18, 0.2], ambient: 0.3},
   dark: {ink: '#e8ebef', muted: '#a2abb7', line: '#333944', accent: '#6cb2f5', path: '#b48ee6',
          force: '#ff6b78', cut: '#ff9a4d', halo: '#15181d', grid: '#333944', paper: rgb('#15181d'), driven: [0.42, 0.45, 0.5], ambient: 0.3}};
+// Words of the legend, explained where the pointer rests on them.
+const MEANINGS = {
+  subsystem: 'A part of the spanning tree that hangs on the ground by one joint; the equations of '
+    + 'each are solved for themselves, and joined at the cut joints.',
+  driven: 'A joint that takes a torque or force.',
+  cut: 'A joint that closes a loop: the spanning tree is cut there, and an equation keeps it closed.',
+  force: 'The force that body B of a cut joint exerts on its body A; the other one is opposite.',
+  direction: 'The machine is next to a singular configuration: loops, or held drives, hardly '
+    + 'prevent this motion.'};
 // Plots and the clock are drawn so often while time runs [ms]: nobody reads faster.
 const READING = 45;
 // A page that hears nothing for so long is not connected any more; one that gets no states for so
@@ -68,6 +77,8 @@ class Page {
     this.legend();
     this.transport();
     this.handle();
+    byId('follow').append(...scene.bodies.map(({name}, k) => make(
+      `<option value="${k}">follow ${escaped(name)}</option>`)));
     for (const text of scene.missing) this.tell(`${text}; drawn as lines`);
   }
 
@@ -86,14 +97,14 @@ class Page {
            surfaces} = this.scene;
     // Those that have no colours of their own.
     const lines = subsystems.map((color, k) => [
-      `<i style="background:${color}"></i>subsystem ${k + 1}`]).filter((_, k) => bodies.some(
+      `<i style="background:${color}"></i>subsystem ${k + 1}`, null, null, MEANINGS.subsystem]).filter((_, k) => bodies.some(
       (body) => body.subsystem === k && !body.shapes.every((shape) => shape.color)));
     if (joints.some((joint) => joint.actuated)) {
-      lines.push(['<i class="dot" style="background:#2a2e33;outline:1px solid #9aa1ab"></i>driven joint']);
+      lines.push(['<i class="dot" style="background:#2a2e33;outline:1px solid #9aa1ab"></i>driven joint', null, null, MEANINGS.driven]);
     }
     if (cuts.length) {
-      lines.push([`<i class="dot hollow" style="border-color:${colors.cut}"></i>cut joint`]);
-      lines.push(['<i style="background:var(--force)"></i>force on body A', 'forces']);
+      lines.push([`<i class="dot hollow" style="border-color:${colors.cut}"></i>cut joint`, null, null, MEANINGS.cut]);
+      lines.push(['<i style="background:var(--force)"></i>force on body A', 'forces', null, MEANINGS.force]);
     }
     const effects = [...new Set([...loads, ...drawn.filter((line) => line.kind !== 'rod'),
                                  ...surfaces].map((one) => one.name))];
@@ -111,11 +122,13 @@ class Page {
           : points.slice(1).map(({name}) => escaped(name)).join(', ')}`, 'paths']);
     }
     if (columns.direction !== columns.plots) {
-      lines.push(['<i style="background:#bf4dbf"></i>direction that is loose', null, 'direction']);
+      lines.push(['<i style="background:#bf4dbf"></i>nearly unconstrained direction', null, 'direction',
+                  MEANINGS.direction]);
     }
     lines.push(['<i style="background:currentColor;height:2px"></i>names', 'names']);
-    byId('keys').replaceChildren(...lines.map(([html, key, id]) => {
-      const line = make(`<label>${key ? '<input type="checkbox">' : ''}${html}</label>`);
+    byId('keys').replaceChildren(...lines.map(([html, key, id, meaning = '']) => {
+      const line = make(`<label title="${escaped(meaning)}">${
+        key ? '<input type="checkbox">' : ''}${html}</label>`);
       const box = line.querySelector('input');
       if (id) { line.id = id; line.hidden = true; }
       if (box) {
@@ -143,13 +156,48 @@ class Page {
     for (const button of document.querySelectorAll('#views button')) {
       button.onclick = () => this.picture.view(button.dataset.view);
     }
+    byId('follow').onchange = () => this.picture.followBody(Number(byId('follow').value));
+    byId('measure').onclick = () => this.measure(!this.picture.measured);
+    // What the mouse has used gives the keys back; what Tab has reached keeps them.
+    let mouse = false;
+    addEventListener('pointerdown', () => { mouse = true; }, true);
     addEventListener('keydown', (event) => {
-      if (/^(INPUT|SELECT|TEXTAREA|BUTTON|SUMMARY)$/.test(event.target.tagName)
-          && event.target.type !== 'range') return;
-      if (event.key === ' ') { this.toggle(); event.preventDefault(); }
-      if (event.key === '.') this.step();
-      if (event.key === 'r' && !event.ctrlKey && !event.metaKey) this.reset();
+      mouse = false;
+      this.key(event);
     });
+    for (const kind of ['change', 'click']) {
+      document.addEventListener(kind, ({target}) => {
+        const {tagName, type} = target;
+        if (mouse && (tagName === 'SELECT' ? kind === 'change'
+          : type !== 'text' && document.activeElement !== document.body)) {
+          if (document.activeElement.tagName !== 'SELECT' || kind === 'change') {
+            document.activeElement.blur();
+          }
+        }
+      });
+    }
+  }
+
+  key(event) {
+    const {tagName, type} = event.target;
+    if (event.ctrlKey || event.metaKey || event.altKey) return;
+    if (tagName === 'TEXTAREA' || (tagName === 'INPUT' && type === 'text')) return;
+    const actions = {'.': () => this.step(), r: () => this.reset(), Escape: () => this.measure(false)};
+    // Space is what presses a focused button, and opens a focused list.
+    if (tagName === 'BODY' || type === 'range') actions[' '] = () => this.toggle();
+    if (actions[event.key]) {
+      actions[event.key]();
+      event.preventDefault();
+    } else if (tagName === 'SELECT' && event.key.length === 1 && event.key !== ' ') {
+      // A letter would choose another entry.
+      event.preventDefault();
+    }
+  }
+
+  // Points that are clicked on are measured, until it is switched off.
+  measure(on) {
+    this.picture.measured = on ? [] : null;
+    byId('measure').setAttribute('aria-pressed', on);
   }
 
   toggle() {
@@ -266,13 +314,12 @@ class Page {
     if (told.busy) this.complain(`${told.busy} …`, true);
     else if (told.failure) this.complain(`${told.failure} Reset returns to the start.`);
     else if (!this.lost) byId('message').hidden = true;
-    for (const note of told.notes ?? []) {
-      if (note.number > this.lastNote) {
-        if (this.lastNote >= 0) this.tell(note.text);
-        this.lastNote = note.number;
-      }
+    const notes = told.notes ?? [];
+    // Those from before this page was opened were for others.
+    if (this.lastNote >= 0) {
+      for (const note of notes) if (note.number > this.lastNote) this.tell(note.text);
     }
-    if (this.lastNote < 0) this.lastNote = 0;
+    this.lastNote = Math.max(0, this.lastNote, ...notes.map((note) => note.number));
   }
 
   complain(text, calm = false) {
@@ -353,6 +400,10 @@ class Page {
       pointers.set(event.pointerId, local(event));
       const [x, y] = local(event), picture = this.picture;
       const touch = event.pointerType === 'mouse' ? 22 : 34;
+      if (picture.measured && event.button === 0 && picture.pick(picture.nearest(x, y, touch, true))) {
+        moving = null;
+        return;
+      }
       const found = event.button === 0 && !event.shiftKey && pointers.size === 1 && may()
         ? picture.nearest(x, y, touch) : null;
       if (found) {
@@ -369,7 +420,8 @@ class Page {
     solid.onpointermove = (event) => {
       const place = local(event), picture = this.picture, before = pointers.get(event.pointerId);
       if (!before) {
-        picture.hover = may() ? picture.nearest(...place, 22) : null;
+        picture.hover = picture.measured ? picture.nearest(...place, 22, true)
+          : may() ? picture.nearest(...place, 22) : null;
         solid.classList.toggle('near', Boolean(picture.hover));
         return;
       }

@@ -90,6 +90,7 @@ class Drives {
       place.append(row);
       this.rows[drive.joint] = {select, slider, drive, mode: 'torque'};
     }
+    place.classList.toggle('long', described.drives.some(({joint}) => joint.length > 9));
     const turning = described.drives.filter((drive) => !drive.turns);
     if (turning.length > 1) {
       const all = make(`<div class="all"><button>all free</button>
@@ -248,6 +249,7 @@ class Gravity {
 class Effects {
   constructor(described, place, ask) {
     [this.place, this.ask, this.gravity, this.rows] = [place, ask, described.gravity, null];
+    this.meanings = described.meanings;
   }
 
   build(effects) {
@@ -262,8 +264,10 @@ class Effects {
       const entries = {};
       for (const [key, value] of Object.entries(effect.values)) {
         if (typeof value === 'string') continue;
-        const entry = make(`<label class="value"><span>${escaped(key.replaceAll('_', ' '))}</span>
-          <input type="text" inputmode="decimal"></label>`);
+        const {meaning = '', unit = ''} = this.meanings[effect.type]?.[key] ?? {};
+        const entry = make(`<label class="value" title="${escaped(meaning)}"><span>${
+          escaped(key.replaceAll('_', ' '))}</span><input type="text" inputmode="decimal">
+          <span class="unit">${escaped(unit)}</span></label>`);
         const input = entry.querySelector('input');
         input.onchange = () => {
           const text = input.value.replaceAll('−', '-');

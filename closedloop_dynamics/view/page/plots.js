@@ -140,7 +140,10 @@ class Plot {
     }
     const at = history.before(time);
     this.card.querySelector('.at').textContent = pointed ? `t = ${short(history.time(at), 5)} s` : '';
-    for (const one of this.series) one.chip.textContent = short(history.value(at, one.column));
+    for (const one of this.series) {
+      const value = history.value(at, one.column);
+      one.chip.textContent = `${short(value)}${Number.isFinite(value) ? ` ${one.unit}` : ''}`;
+    }
   }
 
   drawable(value) { return Number.isFinite(value) && !(this.log && Math.abs(value) < LEAST); }
@@ -199,8 +202,7 @@ class Plot {
       pen.moveTo(left, y);
       pen.lineTo(right, y);
       pen.stroke();
-      pen.fillText(this.log ? `1e${Math.round(v)}`.replace('-', '−')
-        : short(Math.abs(v) < 1e-9 * step ? 0 : v, 4), left - 6, y);
+      pen.fillText(this.log ? `1e${Math.round(v)}`.replace('-', '−') : tick(v, step), left - 6, y);
     }
     pen.textAlign = 'center';
     pen.textBaseline = 'top';
@@ -209,9 +211,16 @@ class Plot {
     if (!(period > 0)) return;
     for (let t = Math.ceil(from / period - 1e-9) * period; t <= to + 1e-9 * period; t += period) {
       if (x(t) < left + 8 || x(t) > right - 14) continue;
-      pen.fillText(`${short(Math.abs(t) < 1e-9 * period ? 0 : t, 5)} s`, x(t), bottom + 5);
+      pen.fillText(`${tick(t, period)} s`, x(t), bottom + 5);
     }
   }
+}
+
+// A label of an axis, with the digits by which it differs from its neighbours.
+function tick(value, step) {
+  if (Math.abs(value) < 1e-9 * step) return '0';
+  const lost = Math.floor(Math.log10(Math.abs(value)) + 1e-9) - Math.floor(Math.log10(step) + 1e-9);
+  return short(value, Math.max(1, lost + 2));
 }
 
 // A round distance of which so many fit, at least.

@@ -302,6 +302,9 @@ class Scene {
     this.frames = [];
     this.forcePeak = this.peakAt = 0;
     this.hover = this.held = this.handAt = null;
+    // Places that are measured, each a body and the number of a place of it; null: none is.
+    this.measured = null;
+    this.followed = -1;
     this.shown = {forces: true, names: false, path: true, paths: false};
     // Where the processor draws, smooth edges would cost half of the frames; pictures may ask.
     const smooth = location.search.includes('smooth') || !drawnByProcessor();
@@ -576,8 +579,19 @@ class Scene {
       extent.low[k] = Math.max(Math.min(extent.low[k], low[k]), high[k] - lag);
       extent.high[k] = Math.min(Math.max(extent.high[k], high[k]), low[k] + lag);
     }
-    if (!this.touched) this.fit();
+    if (this.followed >= 0) {
+      const place = this.grabbed([this.followed, 0]);
+      if (this.followedAt) this.target = add(this.target, minus(place, this.followedAt));
+      this.followedAt = place;
+    } else if (!this.touched) this.fit();
     this.follow();
+  }
+
+  // Keep a body where it is on the screen, by its number; -1: none.
+  followBody(number) {
+    this.followed = number;
+    this.followedAt = null;
+    this.touched = true;
   }
 
   frameOf(body) { return body < 0 ? IDENTITY : this.frames[body]; }
@@ -621,7 +635,9 @@ class Scene {
 
   view(which) {
     const {planar} = this.described;
-    if (which === 'front' || (which === 'first' && planar)) [this.yaw, this.pitch] = [0, 0];
+    if (which === 'fit') this.followedAt = null;
+    else if (which === 'front' || (which === 'first' && planar)) [this.yaw, this.pitch] = [0, 0];
+    else if (which === 'side') [this.yaw, this.pitch] = [Math.PI / 2, 0];
     else if (which === 'top') [this.yaw, this.pitch] = [0, 1.5];
     else [this.yaw, this.pitch] = planar ? [-0.5, 0.35] : [-0.6, 0.35];
     this.touched = false;
@@ -682,8 +698,14 @@ class Scene {
   }
 
   // The body and the place of it next to the pointer, by their numbers; null if none is near.
-  nearest(x, y, reach) {
+  nearest(x, y, reach, withGround = false) {
     let best = null, least = reach;
+    if (withGround) {
+      this.groundPlaces().forEach((place, which) => {
+        const [u, v] = this.project(place), away = Math.hypot(u - x, v - y);
+        if (away < least) [best, least] = [[-1, which], away];
+      });
+    }
     this.described.bodies.forEach((body, number) => {
       if (!this.frames[number]) return;
       body.grabs.forEach((place, which) => {
@@ -695,8 +717,23 @@ class Scene {
     return best;
   }
 
+  // Joints of the ground: the places on it that can be measured from.
+  groundPlaces() {
+    const {joints, cuts, points} = this.described;
+    return [...joints.filter((joint) => joint.parent < 0).map((joint) => joint.place),
+            ...cuts.filter((cut) => cut.body_a < 0).map((cut) => cut.point_a),
+            ...cuts.filter((cut) => cut.body_b < 0).map((cut) => cut.point_b),
+            ...points.filter((point) => point.body < 0).map((point) => point.place)];
+  }
+
+  // Measure one place more; after three it begins again. Return whether there was one.
+  pick(found) {
+    if (found) this.measured = [...this.measured.length > 2 ? [] : this.measured, found];
+    return Boolean(found);
+  }
+
   grabbed([body, place]) {
-    return moved(this.frames[body], this.described.bodies[body].grabs[place]);
+    return body < 0 ? this.groundPlaces()[place] : moved(this.frames[body], this.described.bodies[body].grabs[place]);
   }
 
   // Arrows: foot, vector to the head [m], colour.
@@ -899,7 +936,7 @@ class Scene {
   overlay(theme) {
     this.scale();
     const touched = this.held ?? this.hover;
-    this.lines.hidden = !touched && !this.shown.names;
+    this.lines.hidden = !touched && !this.shown.names && !this.measured?.length;
     if (this.lines.hidden) return;
     const pen = this.pen, ratio = this.lines.width / this.canvas.clientWidth;
     pen.setTransform(ratio, 0, 0, ratio, 0, 0);
@@ -918,7 +955,42 @@ class Scene {
       this.ring(b, 6, theme.accent);
     }
     if (touched) this.ring(this.project(this.grabbed(touched)), 9, theme.accent);
+    if (this.measured) this.drawMeasured(theme);
     if (this.shown.names) this.drawNames(theme);
+  }
+
+  // Distances between neighbours of the measured places, and the angle at the middle one.
+  drawMeasured(theme) {
+    const pen = this.pen, places = this.measured.map((one) => this.grabbed(one));
+    const flat = places.map((place) => this.project(place));
+    pen.strokeStyle = theme.accent;
+    pen.lineWidth = 2;
+    pen.beginPath();
+    flat.forEach(([x, y], k) => { pen[k ? 'lineTo' : 'moveTo'](x, y); });
+    pen.stroke();
+    for (const place of flat) this.ring(place, 6, theme.accent);
+    this.measurements().forEach(({text, at, unit}) => {
+      const [x, middle] = this.project(at), y = middle + (unit === 'm' ? 0 : 30);
+      pen.font = '600 13px system-ui, sans-serif';
+      pen.lineWidth = 4;
+      pen.strokeStyle = theme.halo;
+      pen.strokeText(text, x + 12, y - 10);
+      pen.fillStyle = theme.accent;
+      pen.fillText(text, x + 12, y - 10);
+    });
+  }
+
+  // Numbers with their units, and where they are written.
+  measurements() {
+    const places = this.measured.map((one) => this.grabbed(one));
+    const found = places.slice(1).map((place, k) => ({
+      value: norm(minus(place, places[k])), unit: 'm', at: times(0.5, add(place, places[k]))}));
+    if (places.length === 3) {
+      const [a, b] = [minus(places[0], places[1]), minus(places[2], places[1])];
+      const value = Math.atan2(norm(cross(a, b)), dot(a, b)) * 180 / Math.PI;
+      found.push({value, unit: '°', at: places[1]});
+    }
+    return found.map((one) => ({...one, text: `${short(one.value, 5)} ${one.unit}`}));
   }
 
   ring([x, y], radius, color) {
