@@ -39,8 +39,8 @@ from ..visual.progress import announced, progress_to
 
 # Where nothing else is asked for, unless it is taken.
 USUAL_PORT = 8791
-# Frames per second of what is saved, and the most that a page is given.
-RATE, MOST_ROWS = 60.0, 36_000
+# Rows per simulated second of a saved page, and the most that a page is given.
+RATE, MOST_ROWS = 240.0, 36_000
 RECORDINGS = ('.csv', '.mcap', '.db3', '.zstd')
 # Only ros/ knows ROS: the node is a process of its own.
 VIEWER = 'from closedloop_dynamics.ros.process import viewer; viewer()'
@@ -60,6 +60,9 @@ def _add_arguments(parser):
     parser.add_argument('--overwrite', action='store_true', help='replace FILE if it exists')
     parser.add_argument('--duration', metavar='SECONDS', type=positive, default=10.0,
                         help='with --save, how much of a scene is simulated (default: 10)')
+    parser.add_argument('--rate', metavar='HZ', type=positive,
+                        help='with --save, rows per simulated second, of which paths and plots '
+                             f'are drawn (default: {RATE:g}, fewer beyond {MOST_ROWS} rows)')
     parser.add_argument('--torque', type=assignment, action='append', default=[],
                         metavar='JOINT=VALUE',
                         help='with --save, constant torque of an actuated joint [N m], or force '
@@ -195,7 +198,9 @@ def _simulated_page(arguments):
     with announced(LOADING):
         simulation = checked_torques(arguments.what, scene, torque)
     with progress_to(arguments.duration, 's', scene.name) as show:
-        columns, times, rows = simulated(simulation, arguments.duration, RATE, torque, show)
+        columns, times, rows = simulated(
+            simulation, arguments.duration,
+            arguments.rate or min(RATE, MOST_ROWS / arguments.duration), torque, show)
     return recorded_page(
         scene.name, _told(describe(
             scene.mechanism, columns, scene.effects, mode='recording', title=scene.name)),

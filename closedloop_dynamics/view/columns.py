@@ -149,12 +149,15 @@ class SimulationRows:
         Read, not advanced.
     hidden : sequence of str
         Names of effects whose arrows are not shown.
+    points : int
+        Number of the first named points whose paths are drawn.
 
     """
 
-    def __init__(self, simulation, hidden=()):
+    def __init__(self, simulation, hidden=(), points=0):
         """Decide on the columns."""
         self._simulation = simulation
+        self._paths = np.zeros((points, 3), dtype=np.float32)
         mechanism = simulation.mechanism
         shown = {name: record for name, record in simulation.effects.items()
                  if name not in hidden}
@@ -187,6 +190,7 @@ class SimulationRows:
             len(mechanism.bodies), len(mechanism.cut_joints),
             [{'name': name, 'kind': kind} for name, record in self._loads.items()
              for kind in _kinds(record)], True, plots)
+        self._first_plot = self.columns.layout['columns']['plots']
         self._rarely = np.full(4, np.nan)
         self._direction = np.full(POSE * len(mechanism.bodies), np.nan)
         self._cost = None
@@ -264,6 +268,13 @@ class SimulationRows:
              simulation.closure, abs(balance.residual), np.sqrt(pivot)],
             [abs(sine)] * any(plot.name == 'held drives' for plot in self.columns.plots),
             [step, bound, share]]).astype(np.float32)
+
+    def sample(self):
+        """Return places of the points and what is plotted of the present state, float32."""
+        places = self._simulation.points[:len(self._paths)]
+        self._paths[:, :places.shape[1]] = places
+        return np.concatenate([
+            self._paths.ravel(), self.row()[self._first_plot:]])
 
     def _told(self):
         """Return what effects tell of themselves, by name; nothing of those switched off."""

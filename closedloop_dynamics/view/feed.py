@@ -20,6 +20,8 @@ from queue import Empty, Full, Queue
 import struct
 import threading
 
+import numpy as np
+
 from .messages import read
 from ..mechanism.fields import FieldError
 
@@ -27,15 +29,18 @@ from ..mechanism.fields import FieldError
 MOST_WAITING = 1000
 # Of what was refused, or went wrong, so much is kept for pages that ask late.
 MOST_NOTES = 5
-# Before the row of a frame: its number and its time [s].
-HEADER = struct.Struct('<Ixxxxd')
+# Before the row of a frame: its number, how many samples follow the row, its time [s].
+HEADER = struct.Struct('<IId')
+# Samples that are kept for pages that are slow.
+MOST_SAMPLES = 4000
 
 
 class Feed:
     """
     One mechanism that is shown: messages to its pages, and their requests.
 
-    Of the controls and of the frames there is the newest only: who is slow misses what is old.
+    Of the controls and of the frames there is the newest only: a slow page misses the others.
+    States between frames, of which paths and plots are drawn, reach every page as samples.
 
     Parameters
     ----------
@@ -46,8 +51,6 @@ class Feed:
     ----------
     description, controls : str
         JSON; ``controls`` changes.
-    frame : bytes
-        The newest; empty before the first.
     number : int
         Of the newest frame.
     version : int
@@ -62,7 +65,9 @@ class Feed:
     def __init__(self, description):
         """Begin without a frame."""
         self.description = json.dumps({'type': 'scene', **description}, allow_nan=False)
-        self.controls, self.frame = '', b''
+        self.controls, self._frame = '', (0.0, b'')
+        # Number of each sample since the last reset, its time and its bytes.
+        self._samples, self._sampled = deque(maxlen=MOST_SAMPLES), 0
         self.number = self.version = self.pages = self.refused = 0
         self._told, self._notes, self._note = {}, deque(maxlen=MOST_NOTES), 0
         self._inbox, self._lock = Queue(MOST_WAITING), threading.Lock()
@@ -73,9 +78,22 @@ class Feed:
     def show(self, time, row):
         """Let the pages show a row, float32, as described, of a time of the motion [s]."""
         with self._lock:
+            self._forget_after(time)
             self.number = (self.number + 1) % 2 ** 32
-            self.frame = HEADER.pack(self.number, time) + row.tobytes()
+            self._frame = time, row.tobytes()
         self._changed()
+
+    def sample(self, time, values):
+        """Add a state between frames: places of the points and what is plotted, float32."""
+        with self._lock:
+            self._forget_after(time)
+            self._sampled += 1
+            self._samples.append((self._sampled, time, values.tobytes()))
+
+    def _forget_after(self, time):
+        """Forget the samples of another run, where time goes back."""
+        if self._samples and self._samples[-1][1] > time:
+            self._samples.clear()
 
     def tell(self, **controls):
         """Tell the pages how the controls stand, if that has changed."""
@@ -118,6 +136,33 @@ class Feed:
             wake()
 
     # The serving side.
+
+    def frame(self, sampled=None):
+        """
+        Return the newest frame, with samples.
+
+        Parameters
+        ----------
+        sampled : int, optional
+            Number of the last sample that the page has; by default it gets none.
+
+        Returns
+        -------
+        frame : bytes
+            Header, row, and each sample with its time before the frame's [s].
+        number : int
+            Of the frame.
+        sampled : int
+            Of the last sample.
+
+        """
+        with self._lock:
+            time, row = self._frame
+            chosen = [] if sampled is None else [
+                np.float32(at - time).tobytes() + values
+                for number, at, values in self._samples if number > sampled]
+            return (HEADER.pack(self.number, len(chosen), time) + row + b''.join(chosen),
+                    self.number, self._sampled)
 
     def take(self, page, text):
         """

@@ -41,6 +41,8 @@ from ..simulation.simulation import Simulation
 # Frames per second; share of their period that may go into computing; between two looks at what
 # takes long [s].
 RATE, COMPUTING_SHARE, LOOK_PERIOD = 60.0, 0.6, 0.25
+# States between two frames that paths and plots are drawn of, at most about.
+SAMPLES = 20
 # A position drive moves its joint like a critically damped spring of this rate [1/s], and acts
 # anew so often in simulated time [s].
 DRIVE_RATE, DRIVE_PERIOD = 50.0, 0.002
@@ -154,13 +156,14 @@ class Runner:
         self._clock, self.playing, self._kinematic = clock, False, False
         self._pacer = Pacer(simulation.step_size, 1.0, clock)
         self._failure, self._holder, self._grabbed = None, None, None
-        self._start = None
+        self._start, self._unsampled = None, 0
         # Cut joints are not driven by hand: the page shows the joints of the tree.
         self._places = {simulation.joint_names[place]: place
                         for place in simulation.actuated_in_tree.tolist()}
         self._drives = {name: [TORQUE, 0.0] for name in self._places}
         self._gains = self._find_gains()
-        self._columns = SimulationRows(simulation, [self._hand.spring])
+        self._columns = SimulationRows(
+            simulation, [self._hand.spring], len(scene.mechanism.points))
         self.described = describe(
             scene.mechanism, self._columns.columns, scene.effects, mode='live',
             title=scene.name,
@@ -211,9 +214,10 @@ class Runner:
     def _advance(self, steps):
         """Advance by steps, with the drives' torques anew so often."""
         simulation = self.simulation
-        most = steps
+        every = most = max(1, math.ceil(
+            self._pacer.real_time_factor / (RATE * SAMPLES * simulation.step_size)))
         if any(mode == POSITION for mode, _ in self._drives.values()):
-            most = max(1, round(DRIVE_PERIOD / simulation.step_size))
+            most = min(most, max(1, round(DRIVE_PERIOD / simulation.step_size)))
         while steps > 0:
             portion = min(steps, most)
             # Slow motion shows states between the last two.
@@ -225,6 +229,10 @@ class Runner:
                 self._before = simulation.time, self._columns.row()
             simulation.advance(self._torques(), portion)
             steps -= portion
+            self._unsampled += portion
+            if self._unsampled >= every and not self._slow:
+                self._unsampled = 0
+                self.feed.sample(simulation.time, self._columns.sample())
 
     @property
     def _slow(self):
@@ -352,6 +360,8 @@ class Runner:
 
     def _do_speed(self, page, factor):
         self._pacer.real_time_factor = factor
+        # In slow motion frames lie between these two.
+        self._before = self.simulation.time, self._columns.row()
 
     def _do_drive(self, page, joint, mode):
         drive = drive_of(self._drives, joint)

@@ -208,7 +208,7 @@ class _Page:
         """Send what is new, as long as the page keeps up."""
         with suppress(ConnectionClosed):
             await self._connection.send(self._feed.description)
-            version = number = 0
+            version, number, sampled = 0, 0, None
             while True:
                 await self._changed.wait()
                 self._changed.clear()
@@ -216,7 +216,7 @@ class _Page:
                     version = self._feed.version
                     await self._connection.send(self._feed.controls)
                 if self._feed.number != number and len(self._sent) < WINDOW:
-                    number, frame = self._feed.number, self._feed.frame
+                    frame, number, sampled = self._feed.frame(sampled)
                     self._sent.append(number)
                     await self._connection.send(frame)
 

@@ -34,6 +34,7 @@ class Client:
             if '?' in url else url.replace('http', 'ws') + 'live'))
         self.scene = json.loads(self.socket.recv(timeout=PATIENCE))
         assert self.scene['type'] == 'scene'
+        self.samples = []
         self.controls, self.row, self.number, self.time = {}, None, 0, 0.0
 
     def ask(self, what, **more):
@@ -45,8 +46,11 @@ class Client:
         if isinstance(data, str):
             self.controls = json.loads(data)
             return None
-        self.number, self.time = struct.unpack('<Ixxxxd', data[:16])
-        self.row = np.frombuffer(data[16:], dtype=np.float32)
+        self.number, count, self.time = struct.unpack('<IId', data[:16])
+        values = np.frombuffer(data[16:], dtype=np.float32)
+        self.row = values[:self.scene['columns']['width']] if count else values
+        self.samples += [(self.time + sample[0], sample[1:])
+                         for sample in values[len(self.row):].reshape(count, -1)] if count else []
         if seen:
             self.ask('seen', frame=self.number)
         return self.number

@@ -18,6 +18,7 @@ from test.view.browser import browser, program
 
 from closedloop_dynamics.cli import main
 from closedloop_dynamics.simulation.scene import load_scene
+from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.view.columns import motion_columns
 from closedloop_dynamics.view.description import describe, grabs
 from closedloop_dynamics.view.page import recorded_page
@@ -208,6 +209,38 @@ def test_distances_and_angles_are_measured_and_a_body_is_followed(open_page, liv
     tab.ask('new Promise((done) => setTimeout(done, 200))')
     assert np.abs(np.subtract(tab.ask(f'page.picture.grabbed([{body}, 0])'), at)).max() > 0.01
     np.testing.assert_allclose(tab.ask(seen), place, atol=0.5)
+    assert not tab.errors
+    tab.close()
+
+
+def test_live_paths_and_plots_are_of_all_states(open_page, live):
+    tab = open_page(live.url)
+    tab.wait(READY)
+    live.ask('effect', name='gravity', enabled=True)
+    # A page that shows two frames in a second.
+    tab.ask("""page.takeFrame = (function (take) {
+        let last = 0;
+        return function () {
+          if (performance.now() - last < 500) return;
+          last = performance.now();
+          take.call(page);
+        }; })(page.takeFrame)""")
+    tab.click('#play')
+    tab.wait('page.now > 0.5')
+    tab.click('#play')
+    tab.wait('!page.playing && page.history.time(page.history.count - 1) === page.frame.time')
+    times = np.array(tab.ask(
+        '[...Array(page.history.count).keys()].map((k) => page.history.time(k))'))
+    assert np.diff(times).max() < 1.5 * live.simulation.step_size
+    # The path has no chords: the point of the platform is on it at each of these states.
+    trail = np.array(tab.ask(
+        '[...page.picture.trails[0].places.subarray(0, 3 * page.picture.trails[0].count)]'))
+    trail = trail.reshape(-1, 3)
+    alone, away = Simulation(load_scene('three_rrr_vertical')), 0.0
+    for _ in range(round(times[-1] / alone.step_size)):
+        alone.advance(alone.joint_torques(None), 1)
+        away = max(away, np.linalg.norm(trail[:, :2] - alone.points[0], axis=1).min())
+    assert away < 0.002
     assert not tab.errors
     tab.close()
 

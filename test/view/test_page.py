@@ -40,7 +40,7 @@ def contents(path):
 def test_a_simulated_motion_is_saved_as_it_was_computed(tmp_path, capsys):
     page, table = tmp_path / 'run.html', tmp_path / 'run.csv'
     arguments = ['--duration', '10', '--torque', 'theta_1=3']
-    assert main(['view', 'three_rrr', *arguments, '--save', str(page)]) == 0
+    assert main(['view', 'three_rrr', *arguments, '--rate', '60', '--save', str(page)]) == 0
     assert 'MB' in capsys.readouterr().out
     assert main(['simulate', 'three_rrr', *arguments, '--rate', '60', '--no-error-estimate',
                  '--output', str(table)]) == 0

@@ -15,8 +15,11 @@
 """What a simulation does that pages take hold of."""
 
 import json
+import struct
 
+from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.simulation.simulation import Simulation
+from closedloop_dynamics.view.runner import SAMPLES
 from closedloop_dynamics.visual.motion import poses_in_space
 import numpy as np
 import pytest
@@ -29,7 +32,7 @@ def controls(shown):
 def row(shown):
     """Return the columns of the newest frame, by group and name."""
     told = json.loads(shown.feed.description)
-    values = np.frombuffer(shown.feed.frame[16:], dtype=np.float32)
+    values = np.frombuffer(shown.feed.frame()[0][16:], dtype=np.float32)
     assert len(values) == told['columns']['width']
     first = told['columns']['plots']
     return {(plot['group'], plot['name']): values[first + k]
@@ -54,7 +57,7 @@ def test_frames_show_the_state(shown):
     shown.ask('pause')
     simulation = shown.simulation
     told = json.loads(shown.feed.description)
-    values = np.frombuffer(shown.feed.frame[16:], dtype=np.float32)
+    values = np.frombuffer(shown.feed.frame()[0][16:], dtype=np.float32)
     poses = values[:7 * len(told['bodies'])].reshape(-1, 7)
     np.testing.assert_array_equal(
         poses, poses_in_space(simulation.body_poses).astype(np.float32))
@@ -100,7 +103,7 @@ def test_slow_motion_is_even(shown):
     times = []
     for _ in range(60):
         shown.run(1)
-        times.append(np.frombuffer(shown.feed.frame[8:16])[0])
+        times.append(np.frombuffer(shown.feed.frame()[0][8:16])[0])
     # A sixth of a step from frame to frame, not six frames alike and then a step.
     np.testing.assert_allclose(np.diff(times)[12:], 0.01 / 60.0, rtol=1e-6)
 
@@ -243,3 +246,46 @@ def test_what_makes_no_sense_is_refused_and_changes_nothing(shown, asked):
     assert shown.feed.refused == refused + 1
     assert {**controls(shown), 'notes': None, 'refused': None} == before
     np.testing.assert_array_equal(shown.simulation.state, state)
+
+
+def test_states_between_frames_reach_a_page_that_misses_frames(shown):
+    shown.ask('play')
+    shown.run(1)
+    _, _, sampled = shown.feed.frame()
+    begin = shown.simulation.time
+    shown.run(12)
+    frame, _, _ = shown.feed.frame(sampled)
+    columns, points = shown.runner.described['columns'], shown.runner.described['points']
+    number, count, time = struct.unpack('<IId', frame[:16])
+    samples = np.frombuffer(frame[16 + 4 * columns['width']:], dtype=np.float32).reshape(count, -1)
+    assert samples.shape[1] == 1 + 3 * len(points) + columns['width'] - columns['plots']
+    times = time + samples[:, 0]
+    # Every step of the simulation, at the speed of real time.
+    steps = round((time - begin) / shown.simulation.step_size)
+    assert count == steps > 150
+    np.testing.assert_allclose(np.diff(times), shown.simulation.step_size, rtol=1e-3)
+    # They are the states of a run that is not shown.
+    alone = Simulation(load_scene('three_rrr_vertical'))
+    alone.advance(alone.joint_torques(None), round(begin / alone.step_size))
+    for k, sample in enumerate(samples[:40]):
+        alone.advance(alone.joint_torques(None), 1)
+        np.testing.assert_allclose(
+            sample[1:1 + 3 * len(points)].reshape(-1, 3)[:, :2], alone.points, atol=1e-6)
+    # A page that has them gets none again, nor those of another run.
+    assert len(shown.feed.frame(shown.feed.frame()[2])[0]) == 16 + 4 * columns['width']
+    shown.ask('reset')
+    assert len(shown.feed.frame(0)[0]) == 16 + 4 * columns['width']
+
+
+@pytest.mark.parametrize('speed', [0.01, 0.3, 10.0])
+def test_samples_are_few_and_time_never_goes_back(shown, speed):
+    shown.ask('play')
+    shown.run(5)
+    shown.ask('speed', factor=speed)
+    last, sampled = 0.0, shown.feed.frame()[2]
+    for _ in range(20):
+        shown.run(1)
+        frame, _, after = shown.feed.frame(sampled)
+        _, count, time = struct.unpack('<IId', frame[:16])
+        assert time >= last and count <= 2 * SAMPLES
+        last, sampled = time, after

@@ -31,6 +31,8 @@ class Page {
     this.playing = false;
     this.now = 0;
     this.lastNote = -1;
+    // Samples that have come since the last frame was shown.
+    this.arrived = [];
     this.dark = matchMedia('(prefers-color-scheme: dark)').matches;
     this.setTheme();
     byId('theme').onclick = () => { this.dark = !this.dark; this.setTheme(); };
@@ -266,10 +268,18 @@ class Page {
       } else this.follow(told);
       return;
     }
-    const view = new DataView(data);
-    this.frame = {number: view.getUint32(0, true), time: view.getFloat64(8, true),
-                  row: new Float32Array(data, 16)};
+    const view = new DataView(data), numbers = new Float32Array(data, 16);
+    const time = view.getFloat64(8, true), row = numbers.subarray(0, this.width);
+    this.frame = {number: view.getUint32(0, true), time, row};
     this.fresh = true;
+    if (time < this.heard) this.arrived = [{again: true}];
+    this.heard = time;
+    const count = view.getUint32(4, true), each = (numbers.length - this.width) / count;
+    for (let k = 0; k < count; k++) {
+      const first = this.width + k * each;
+      this.arrived.push({time: time + numbers[first],
+                         values: numbers.subarray(first + 1, first + each)});
+    }
   }
 
   panels() {
@@ -509,10 +519,16 @@ class Page {
       this.waiting = false;
       byId('message').hidden = true;
     }
-    const {number, time, row} = this.frame;
-    if (time < this.now) this.picture.forget();
+    const {number, time, row} = this.frame, points = 3 * this.scene.points.length;
+    for (const sample of this.arrived.splice(0)) {
+      if (sample.again) this.picture.forget();
+      else {
+        this.picture.trace(sample.values);
+        this.history.add(sample.time, sample.values.subarray(points));
+      }
+    }
     this.now = time;
-    this.history.add(time, row);
+    this.history.add(time, row.subarray(this.scene.columns.plots), true);
     this.picture.show(row);
     this.shownRow = row;
     this.count = (this.count ?? 0) + 1;

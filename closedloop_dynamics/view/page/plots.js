@@ -2,8 +2,8 @@
 
 const LOGARITHMIC = ['closure error', 'error of the energy balance', 'angle from a singularity',
                      'estimated error'];
-// Rows of a live motion that are kept, and of these so many shown.
-const KEPT = 7200, SHOWN = 600;
+// Rows of a live motion that are kept, and frames of it that are shown.
+const KEPT = 40_000, SHOWN = 600;
 // Below this a logarithmic plot draws nothing.
 const LEAST = 1e-18;
 
@@ -19,11 +19,17 @@ class History {
     this.stride = times ? width : width - first;
     this.count = times ? times.length : 0;
     this.start = 0;
+    // Times of the frames that are shown.
+    this.frames = [];
   }
 
-  add(time, row) {
+  add(time, values, frame = false) {
     // What comes before is of another run.
-    if (this.count && time < this.time(this.count - 1)) this.count = this.start = 0;
+    if (this.count && time < this.time(this.count - 1)) {
+      this.count = this.start = 0;
+      this.frames = [];
+    }
+    if (frame && time !== this.frames.at(-1) && this.frames.push(time) > SHOWN) this.frames.shift();
     if (this.count && time === this.time(this.count - 1)) this.count -= 1;
     if (this.count === KEPT) {
       this.start = (this.start + 1) % KEPT;
@@ -31,7 +37,7 @@ class History {
     }
     const place = (this.start + this.count) % KEPT;
     this.times[place] = time;
-    this.rows.set(row.subarray(this.first), place * this.stride);
+    this.rows.set(values, place * this.stride);
     this.count += 1;
   }
 
@@ -268,7 +274,7 @@ class Plots {
     if (history.fixed) window = [history.time(0), history.time(history.count - 1)];
     else {
       const end = history.time(history.count - 1);
-      const begin = history.time(Math.max(0, history.count - SHOWN));
+      const begin = Math.max(history.frames[0] ?? end, history.time(0));
       window = [begin, Math.max(end, begin + 0.02)];
     }
     for (const plot of this.groups) {

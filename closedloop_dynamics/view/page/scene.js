@@ -64,8 +64,8 @@ void main() {
 const ROUND = 24;
 const FIELD_OF_VIEW = 0.5;
 // Half the width of a path, and the radius of the dot at its end [CSS pixels]; how many places of
-// a live one are kept, and forgotten at once.
-const PATH = 0.9, DOT = 3.2, PATH_LENGTH = 1500, FORGOTTEN = 300;
+// a live one are kept, and forgotten at once; how far they are apart at least, in sizes.
+const PATH = 0.9, DOT = 3.2, PATH_LENGTH = 8000, FORGOTTEN = 1000, SPACING = 0.001;
 
 // The places of a point, in a buffer that grows by what is new; of a recording those of all rows.
 class Trail {
@@ -604,12 +604,21 @@ class Scene {
         trail.shown = this.reached + 1;
         return;
       }
-      trail.shown = trail.count;
-      if (!trail.count || norm(minus(trail.now, trail.last())) > 0.004 * this.size) {
-        trail.push(trail.now);
-        trail.shown = trail.count;
-      }
+      this.lengthen(trail, trail.now);
     });
+  }
+
+  // Places of the points at an instant between two frames.
+  trace(places) {
+    this.trails.forEach((trail, k) => this.lengthen(trail, places.subarray(3 * k, 3 * k + 3)));
+  }
+
+  lengthen(trail, place) {
+    trail.shown = trail.count;
+    if (!trail.count || norm(minus(place, trail.last())) > SPACING * this.size) {
+      trail.push(place);
+      trail.shown = trail.count;
+    }
   }
 
   // The paths of a recording are those of all its rows, whichever of them are shown.
