@@ -23,7 +23,8 @@ import time
 from closedloop_dynamics.core.codegen.spatial import rotation
 from closedloop_dynamics.effects.actuator import Actuator
 from closedloop_dynamics.effects.gravity import Gravity
-from closedloop_dynamics.mechanism.fields import FieldError
+from closedloop_dynamics.mechanism.checks import number, one_of
+from closedloop_dynamics.mechanism.fields import at, FieldError
 from closedloop_dynamics.recording.message_numbers import (
     constraint_force, pose_numbers, stamp_of, twist_numbers)
 from closedloop_dynamics.ros.auxiliary_publishers import LATCHED_QOS
@@ -77,6 +78,8 @@ QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 # less where states come rarely: so many times per second over the states per second. It answers
 # states that are a period or two old. What weight takes away, its integral gives back.
 DRIVE_RATE, DRIVE_SHARE, INTEGRAL = 50.0, 0.1, 0.3
+# Of a drive; others would need the time between two states.
+MODES = TORQUE, POSITION
 # The period is the longest of so many.
 PERIODS = 9
 # So does the spring that a hand pulls with, for the mass that the point feels, which is found anew
@@ -182,7 +185,7 @@ class Attached:
         weight = EARTH * (sum(body.mass for body in mechanism.bodies) or 1.0)
         return described_drive(
             mechanism, name, np.array(scene.initial.position), round_up(weight * (
-                2.0 if names.lengths[names.index[name]] else extent(mechanism))))
+                2.0 if names.lengths[names.index[name]] else extent(mechanism))), MODES)
 
     # What the simulator publishes.
 
@@ -295,6 +298,8 @@ class Attached:
 
     def _do_drive(self, joint, mode):
         drive = drive_of(self._drives, joint)
+        with at('mode'):
+            one_of(MODES)(mode)
         require_one_number(self._names, joint, mode)
         if drive[0] != mode:
             if mode == POSITION:
@@ -304,7 +309,8 @@ class Attached:
             self._command()
 
     def _do_command(self, joint, value):
-        drive_of(self._drives, joint)[1] = value
+        with at('value'):
+            drive_of(self._drives, joint)[1] = number(value)
         self._command()
 
     def _update_model(self):

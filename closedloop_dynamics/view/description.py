@@ -120,20 +120,22 @@ def describe(mechanism, columns, effects=None, **more):
         **columns.layout, **more}
 
 
-def described_drive(mechanism, name, position, torque):
+def described_drive(mechanism, name, position, torque, modes):
     """
-    Describe what drives a joint, as JSON can, for ``describe``.
+    Describe the drive of a joint, as JSON can, for ``describe``.
 
-    ``position``, shape (nq,) [rad or m], has what its slider reaches about, ``torque`` [N m or N]
-    is what the other one reaches.
+    ``position``, shape (nq,) [rad or m], is the middle of a position's slider, ``torque`` [N m or
+    N] the end of a torque's, ``modes`` are those that can be chosen.
 
     """
     names = mechanism.coordinates
     place = names.index[name]
     slides, middle = bool(names.lengths[place]), float(names.by_freedom(position)[place])
     reach = extent(mechanism) if slides else np.pi
-    return {'joint': name, 'slides': slides, 'turns': bool(names.place[place] < 0),
-            'torque': torque, 'position': [middle - reach, middle + reach]}
+    turns = bool(names.place[place] < 0)
+    return {'joint': name, 'slides': slides, 'turns': turns, 'torque': torque,
+            'modes': list(modes[:1] if turns else modes),
+            'position': [middle - reach, middle + reach], 'speed': 4.0 * reach}
 
 
 def grabs(mechanism, body):

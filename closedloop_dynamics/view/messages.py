@@ -24,7 +24,7 @@ from ..mechanism.fields import at, FieldError, mapping, shown
 # Seconds of motion per second.
 SLOWEST, FASTEST = 0.01, 10.0
 MOST_STEPS = 1000
-TORQUE, POSITION = 'torque', 'position'
+TORQUE, POSITION, SPEED, EXPRESSION = 'torque', 'position', 'speed', 'expression'
 
 
 def _speed(value):
@@ -45,6 +45,11 @@ def _word(value):
     if not isinstance(value, str):
         raise FieldError('a name', shown(value))
     return value
+
+
+def _number_or_text(value):
+    """Return a number, or the text of an expression; which of them is checked where it acts."""
+    return value if isinstance(value, str) else number(value)
 
 
 def _index(value):
@@ -78,8 +83,8 @@ ASKED = {
     'play': {}, 'pause': {}, 'reset': {}, 'release': {},
     'step': {'count': _count},
     'speed': {'factor': _speed},
-    'drive': {'joint': _word, 'mode': one_of((TORQUE, POSITION))},
-    'command': {'joint': _word, 'value': number},
+    'drive': {'joint': _word, 'mode': one_of((TORQUE, POSITION, SPEED, EXPRESSION))},
+    'command': {'joint': _word, 'value': _number_or_text},
     'effect': {'name': name, 'enabled': boolean, 'values': _values},
     'method': {'values': _values},
     'grab': {'body': _index, 'place': _index, 'at': _place},
@@ -101,7 +106,7 @@ def effects_told(effects, enabled):
 
 
 def drives_told(drives):
-    """Return what pages are told of drives, by joint: mode and value come first of each."""
+    """Return mode and value of drives, by joint, as pages get them; pairs of both come first."""
     return {name: {'mode': mode, 'value': value} for name, (mode, value, *_) in drives.items()}
 
 
@@ -114,8 +119,8 @@ def drive_of(drives, joint):
 
 
 def require_one_number(coordinates, joint, mode):
-    """Refuse a position drive of a joint whose position is not one number."""
-    if mode == POSITION and coordinates.place[coordinates.index[joint]] < 0:
+    """Refuse to track a position of a joint whose position is not one number."""
+    if mode != TORQUE and coordinates.place[coordinates.index[joint]] < 0:
         raise FieldError('a torque', 'a position', 'an orientation is not one number', ('mode',))
 
 

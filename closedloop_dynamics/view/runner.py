@@ -23,9 +23,11 @@ import numpy as np
 
 from .columns import SimulationRows
 from .description import CHOICES, describe, described_drive, grabs
+from .drives import Drive
 from .feed import Feed
 from .messages import (
-    drive_of, drives_told, effects_told, POSITION, require_kinematic, require_one_number, TORQUE)
+    drive_of, drives_told, effects_told, EXPRESSION, POSITION, require_kinematic,
+    require_one_number, SPEED, TORQUE)
 from .posing import felt_inertia, joint_to, point_to
 from ..effects.actuator import Actuator
 from ..effects.gravity import Gravity
@@ -43,9 +45,8 @@ from ..simulation.simulation import Simulation
 RATE, COMPUTING_SHARE, LOOK_PERIOD = 60.0, 0.6, 0.25
 # States between two frames that paths and plots are drawn of, at most about.
 SAMPLES = 20
-# A position drive moves its joint like a critically damped spring of this rate [1/s], and acts
-# anew so often in simulated time [s].
-DRIVE_RATE, DRIVE_PERIOD = 50.0, 0.002
+# Simulated time after which drives that track something find their torques again [s].
+DRIVE_PERIOD = 0.002
 # Accelerations that the sliders of torques reach [rad/s^2, m/s^2].
 REACH = {False: 60.0, True: 20.0}
 # The spring that a hand pulls with: its stretch under the machine's weight, as a share of its
@@ -53,6 +54,7 @@ REACH = {False: 60.0, True: 20.0}
 GIVE, DAMPING, EARTH = 0.05, 0.5, 9.81
 # How far away it can pull to, in sizes of the machine.
 FARTHEST = 1e3
+MODES = TORQUE, POSITION, SPEED, EXPRESSION
 METHOD_KEYS = ('integrator', 'accuracy', 'tolerance', 'step_size', 'stabilisation')
 
 
@@ -157,18 +159,20 @@ class Runner:
         self._pacer = Pacer(simulation.step_size, 1.0, clock)
         self._failure, self._holder, self._grabbed = None, None, None
         self._start, self._unsampled = None, 0
+        self._achieved, self._paced = None, (0.0, 0.0)
         # Cut joints are not driven by hand: the page shows the joints of the tree.
         self._places = {simulation.joint_names[place]: place
                         for place in simulation.actuated_in_tree.tolist()}
-        self._drives = {name: [TORQUE, 0.0] for name in self._places}
-        self._gains = self._find_gains()
+        lengths = simulation.coordinates.lengths
+        self._drives = {name: Drive(name, inertia, bool(lengths[self._places[name]]))
+                        for name, inertia in self._inertias().items()}
         self._columns = SimulationRows(
             simulation, [self._hand.spring], len(scene.mechanism.points))
         self.described = describe(
             scene.mechanism, self._columns.columns, scene.effects, mode='live',
             title=scene.name,
             drives=[described_drive(scene.mechanism, name, simulation.position,
-                                    self._reach(name, place))
+                                    self._reach(name, place), MODES)
                     for name, place in self._places.items()],
             hand=True, poses=True, gravity=self._hand.gravity, **CHOICES)
         self.feed = Feed(self.described)
@@ -179,7 +183,7 @@ class Runner:
 
     # What drives are given.
 
-    def _find_gains(self):
+    def _inertias(self):
         """Return, by actuated joint, the inertia that its drive feels at the start."""
         simulation = self.simulation
         felt = felt_inertia(simulation)[list(self._places.values())]
@@ -192,7 +196,7 @@ class Runner:
             if isinstance(record, Actuator) and record.joint == name and record.max_torque:
                 return record.max_torque
         slides = bool(self.simulation.coordinates.lengths[place])
-        return round_up(REACH[slides] * self._gains[name])
+        return round_up(REACH[slides] * self._drives[name].inertia)
 
     def _positions(self):
         """Return the number of each freedom, shape (nv,)."""
@@ -203,12 +207,9 @@ class Runner:
         simulation = self.simulation
         tau = simulation.joint_torques(None)
         position, velocity = self._positions(), simulation.velocity
-        for (name, (mode, value)), place in zip(self._drives.items(), self._places.values()):
-            if mode == TORQUE:
-                tau[place] = value
-            else:
-                tau[place] = self._gains[name] * DRIVE_RATE * (
-                    DRIVE_RATE * (value - position[place]) - 2.0 * velocity[place])
+        for name, place in self._places.items():
+            tau[place] = self._drives[name].torque(
+                simulation.time, position[place], velocity[place])
         return tau
 
     def _advance(self, steps):
@@ -216,7 +217,7 @@ class Runner:
         simulation = self.simulation
         every = most = max(1, math.ceil(
             self._pacer.real_time_factor / (RATE * SAMPLES * simulation.step_size)))
-        if any(mode == POSITION for mode, _ in self._drives.values()):
+        if any(drive.mode != TORQUE for drive in self._drives.values()):
             most = min(most, max(1, round(DRIVE_PERIOD / simulation.step_size)))
         while steps > 0:
             portion = min(steps, most)
@@ -266,6 +267,7 @@ class Runner:
         if now - self._looked > LOOK_PERIOD or not self.playing:
             self._looked = now
             self._findings = self._columns.look().findings
+            self._achieved = self._real_time_share()
         time_now, row = self.simulation.time, self._columns.row()
         if self.playing and self._slow:
             begin, before = self._before
@@ -276,6 +278,14 @@ class Runner:
             self.feed.show(time_now, row)
         self._changed = False
         self._tell()
+
+    def _real_time_share(self):
+        """Return simulated seconds per second of the clock since the last call; None: unknown."""
+        pacer, (simulated, elapsed) = self._pacer, self._paced
+        self._paced = pacer.simulated, pacer.elapsed
+        if not (self.playing and pacer.elapsed > elapsed):
+            return None
+        return float(f'{(pacer.simulated - simulated) / (pacer.elapsed - elapsed):.2g}')
 
     def _guarded(self, action):
         """Do what may fail as simulations do; stand still if it does, the state kept."""
@@ -296,12 +306,14 @@ class Runner:
     def _tell(self):
         simulation = self.simulation
         self.feed.tell(
-            playing=self.playing, speed=self._pacer.real_time_factor, failure=self._failure,
+            playing=self.playing, achieved=self._achieved,
+            speed=self._pacer.real_time_factor, failure=self._failure,
             kinematic=self._kinematic, findings=list(self._findings), busy=None,
             grabbed=self._grabbed, position=(
                 simulation.coordinates.told('position', np.round(simulation.position, 6))
                 if self._kinematic else None),
-            drives=drives_told(self._drives),
+            drives=drives_told({name: (drive.mode, drive.value)
+                                for name, drive in self._drives.items()}),
             method={key: getattr(simulation.scene.method, key) for key in METHOD_KEYS},
             unused=list(simulation.scene.method.unused),
             effects=effects_told(
@@ -348,7 +360,7 @@ class Runner:
         self._stop()
         self._failure = None
         for drive in self._drives.values():
-            drive[:] = TORQUE, 0.0
+            drive.set(TORQUE, 0.0, 0.0, 0.0)
 
         def reset():
             self.simulation.reset()
@@ -357,6 +369,7 @@ class Runner:
 
         self._guarded(reset)
         self._pacer = Pacer(self.simulation.step_size, self._pacer.real_time_factor, self._clock)
+        self._paced = 0.0, 0.0
 
     def _do_speed(self, page, factor):
         self._pacer.real_time_factor = factor
@@ -365,13 +378,19 @@ class Runner:
 
     def _do_drive(self, page, joint, mode):
         drive = drive_of(self._drives, joint)
-        if drive[0] != mode:
+        if drive.mode != mode:
             require_one_number(self.simulation.coordinates, joint, mode)
-            drive[:] = mode, 0.0 if mode == TORQUE else float(
-                self._positions()[self._places[joint]])
+            time, position = self._now_at(joint)
+            drive.set(mode, {TORQUE: 0.0, SPEED: 0.0, POSITION: position}.get(
+                mode, f'{position:.9g}'), time, position)
 
     def _do_command(self, page, joint, value):
-        drive_of(self._drives, joint)[1] = value
+        drive = drive_of(self._drives, joint)
+        drive.set(drive.mode, value, *self._now_at(joint))
+
+    def _now_at(self, joint):
+        """Return the time [s] and the number of a driven freedom."""
+        return self.simulation.time, float(self._positions()[self._places[joint]])
 
     def _do_effect(self, page, name, enabled=None, values=None):
         if name == self._hand.spring:

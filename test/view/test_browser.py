@@ -63,11 +63,38 @@ def test_a_slider_moves_the_mechanism(open_page, live):
     tab.wait(f'Math.abs({POSITION} - {start}) > 0.2')
     tab.click('#play')
     tab.wait('!page.playing')
-    assert live.runner._drives['theta_1'][1] > 0.0
+    assert live.runner._drives['theta_1'].value > 0.0
     place = live.simulation.joint_names.index('theta_1')
     tab.wait(f'{POSITION} === Math.fround({live.simulation.position[place]})')
     changed = (np.abs(stage(tab) - before).max(axis=2) > 30).mean()
     assert changed > 0.005
+    assert not tab.errors
+    tab.close()
+
+
+def test_a_drive_follows_an_expression_that_is_typed(open_page, live):
+    tab = open_page(live.url)
+    tab.wait(READY)
+    live.ask('effect', name='gravity', enabled=False)
+    start = tab.ask(POSITION)
+    for joint in live.simulation.actuated_joints[1:]:
+        live.ask('drive', joint=joint, mode='torque')
+    tab.ask("""(() => {
+        const {select} = page.drives.rows.theta_1;
+        select.value = "expression";
+        select.onchange(); })()""")
+    row = 'page.drives.rows.theta_1'
+    tab.wait(f'!{row}.law.hidden && {row}.slider.element.hidden')
+    tab.ask(f"""(() => {{
+        const {{input}} = page.drives.rows.theta_1;
+        input.value = "{start} + 0.3*sin(2*t)";
+        input.onchange(); }})()""")
+    tab.wait('page.told.drives.theta_1.value.includes("sin")')
+    tab.click('#play')
+    tab.wait('page.now > 0.5')
+    tab.click('#play')
+    tab.wait('!page.playing && page.now === page.frame.time')
+    assert abs(tab.ask(POSITION) - start - 0.3 * np.sin(2.0 * tab.ask('page.now'))) < 1e-3
     assert not tab.errors
     tab.close()
 

@@ -135,6 +135,48 @@ def test_a_position_drive_arrives(shown):
     assert np.abs(shown.simulation.velocity).max() < 0.02
 
 
+@pytest.mark.parametrize('mode, value, expected', [
+    ('speed', 0.5, lambda start, t: start + 0.5 * t),
+    ('speed', -0.25, lambda start, t: start - 0.25 * t),
+    # An angle is followed from where it is, whole turns aside.
+    ('expression', '{start} + 6*pi + 0.2*sin(3*t)', lambda start, t: start + 0.2 * np.sin(3 * t)),
+    ('expression', '{start} + t**2/8', lambda start, t: start + t ** 2 / 8.0)])
+def test_a_drive_follows_speeds_and_expressions(shown, mode, value, expected):
+    place = shown.simulation.joint_names.index('theta_1')
+    start = float(shown.simulation.position[place])
+    shown.ask('drive', joint='theta_1', mode=mode)
+    shown.ask('command', joint='theta_1', value=value.format(start=start) if (
+        mode == 'expression') else value)
+    shown.ask('effect', name='gravity', enabled=False)
+    shown.ask('play')
+    shown.run(45)
+    time = shown.simulation.time
+    assert time > 0.7 and controls(shown)['drives']['theta_1']['mode'] == mode
+    assert shown.simulation.position[place] == pytest.approx(expected(start, time), abs=2e-3)
+
+
+@pytest.mark.parametrize('mode, value, words', [
+    ('expression', 'fly(t)', 'fly'), ('expression', 3.0, 'text'), ('speed', 't', 'number'),
+    ('expression', '__import__("os")', 'expression'), ('expression', 'abs(t-1)', 'corners')])
+def test_impossible_references_are_refused(shown, mode, value, words):
+    shown.ask('drive', joint='theta_1', mode=mode)
+    before = controls(shown)['drives']
+    shown.ask('command', joint='theta_1', value=value)
+    assert controls(shown)['drives'] == before
+    assert words in controls(shown)['notes'][-1]['text']
+
+
+def test_an_expression_without_a_value_stops_the_run_in_words(shown):
+    shown.ask('drive', joint='theta_1', mode='expression')
+    shown.ask('command', joint='theta_1', value='1 + sqrt(0.1 - t)')
+    shown.ask('play')
+    shown.run(20)
+    told = controls(shown)
+    assert not told['playing'] and 'theta_1 has no finite value at t = 0.1' in told['failure']
+    shown.ask('reset')
+    assert controls(shown)['failure'] is None
+
+
 def test_what_accuracy_costs_is_told_while_it_runs(shown):
     def run():
         shown.ask('reset')
@@ -289,3 +331,21 @@ def test_samples_are_few_and_time_never_goes_back(shown, speed):
         _, count, time = struct.unpack('<IId', frame[:16])
         assert time >= last and count <= 2 * SAMPLES
         last, sampled = time, after
+
+
+def test_a_machine_that_is_too_slow_says_how_fast_it_is(shown, monkeypatch):
+    shown.ask('play')
+    shown.run(60)
+    assert controls(shown)['achieved'] == pytest.approx(1.0, abs=0.1)
+    advance = shown.simulation.advance
+
+    def slow(tau, steps):
+        # Twenty times as long as real time allows.
+        shown.now += 20.0 * steps * shown.simulation.step_size
+        advance(tau, steps)
+
+    monkeypatch.setattr(shown.simulation, 'advance', slow)
+    shown.run(60)
+    assert controls(shown)['playing'] and 0.02 < controls(shown)['achieved'] < 0.06
+    shown.ask('pause')
+    assert controls(shown)['achieved'] is None

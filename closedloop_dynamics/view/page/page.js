@@ -23,6 +23,8 @@ const READING = 45;
 // A page that hears nothing for so long is not connected any more; one that gets no states for so
 // long while time runs says so [ms].
 const PATIENCE = 1000, STILL = 1500;
+// Share of the speed asked for below which the page says how fast it is.
+const LAGS = 0.8;
 
 class Page {
   constructor(data) {
@@ -567,6 +569,11 @@ class Page {
       const cost = this.shownRow[plot('cost')];
       parts.push(`<span class="${this.lost ? 'bad' : ''}">${
         this.lost ? 'no connection' : this.playing ? 'running' : told?.kinematic ? 'posing' : 'paused'}</span>`);
+      const slow = this.playing && told?.achieved !== null && told?.achieved < LAGS * told?.speed;
+      if (slow) {
+        parts.push(`<span class="bad">${Number.isFinite(this.shownRow[columns.direction])
+          ? 'near singular, ' : 'slow, '}${short(told.achieved, 2)} × real time</span>`);
+      }
       if (this.playing) parts.push(`<span class="wide"><b>${Math.round(rate)}</b> Hz</span>`);
       if (this.scene.mode === 'live' && Number.isFinite(cost)) {
         parts.push(`<span class="wide">computing <b>${short(cost, 2)} %</b> of real time</span>`);

@@ -74,8 +74,8 @@ class Drives {
     for (const drive of described.drives) {
       const row = make(`<div class="drive"><b title="${escaped(drive.joint)}">${escaped(drive.joint)}</b>
         <select aria-label="what drives ${escaped(drive.joint)}">
-        <option value="torque">${drive.slides ? 'force' : 'torque'}</option>
-        ${drive.turns ? '' : '<option value="position">position</option>'}</select></div>`);
+        ${drive.modes.map((mode) => `<option value="${mode}">${
+          mode === 'torque' && drive.slides ? 'force' : mode}</option>`).join('')}</select></div>`);
       const select = row.querySelector('select');
       select.onchange = () => ask('drive', {joint: drive.joint, mode: select.value});
       const slider = new Slider({
@@ -86,9 +86,16 @@ class Drives {
           ask(kinematic ? 'pose' : 'command', {joint: drive.joint, value});
         }});
       slider.element.classList.add('bare');
-      row.append(slider.element);
+      const law = make(`<span class="law entry" hidden><span>=</span><input type="text"
+        aria-label="position of ${escaped(drive.joint)} over the time t" title="position as an
+        expression in the time t, such as 1.05+2*pi*t or 0.3*sin(2*t)"><span class="unit">${
+        drive.slides ? 'm' : 'rad'}</span></span>`);
+      const input = law.querySelector('input');
+      input.onchange = () => ask('command', {joint: drive.joint, value: input.value});
+      input.onkeydown = (event) => { if (event.key === 'Enter') input.blur(); };
+      row.append(slider.element, law);
       place.append(row);
-      this.rows[drive.joint] = {select, slider, drive, mode: 'torque'};
+      this.rows[drive.joint] = {select, slider, law, input, drive, mode: 'torque'};
     }
     place.classList.toggle('long', described.drives.some(({joint}) => joint.length > 9));
     const turning = described.drives.filter((drive) => !drive.turns);
@@ -117,11 +124,16 @@ class Drives {
       row.select.value = now;
       if (row.mode !== now) {
         row.mode = now;
-        const {slides, torque, position: range} = row.drive;
+        const {slides, torque, speed, position: range} = row.drive;
         if (now === 'torque') row.slider.limits(-torque, torque, slides ? 'N' : 'N m');
+        else if (now === 'speed') row.slider.limits(-speed, speed, slides ? 'm/s' : 'rad/s');
         else row.slider.limits(...range, slides ? 'm' : 'rad');
+        row.slider.element.hidden = now === 'expression';
+        row.law.hidden = now !== 'expression';
       }
-      row.slider.follow(kinematic ? position(joint) : value);
+      if (now === 'expression') {
+        if (document.activeElement !== row.input) row.input.value = value;
+      } else row.slider.follow(kinematic ? position(joint) : value);
     }
   }
 }

@@ -1,0 +1,99 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Drives of a live simulation: a torque, or a position, speed or expression that is tracked."""
+
+import math
+
+from .messages import EXPRESSION, POSITION, SPEED, TORQUE
+from ..effects.prescribed_motion import PrescribedMotion
+from ..mechanism.checks import number, text
+from ..mechanism.fields import at
+from ..simulation.errors import NumericalError
+
+# A drive moves its joint towards its reference like a critically damped spring of this rate [1/s].
+DRIVE_RATE = 50.0
+
+
+class Drive:
+    """
+    Drive of one joint.
+
+    Parameters
+    ----------
+    joint : str
+        The name of its freedom.
+    inertia : float
+        That the drive feels at the start [kg m^2; kg].
+    slides : bool
+        Whether the freedom is a length.
+
+    Attributes
+    ----------
+    mode : str
+        ``torque``, ``position``, ``speed`` or ``expression``.
+    value : float or str
+        Torque [N m; N], position [rad; m], speed [rad/s; m/s], or expression in the time ``t``
+        for the position.
+
+    """
+
+    def __init__(self, joint, inertia, slides):
+        """Begin without a torque."""
+        self.joint, self.inertia, self._slides = joint, inertia, slides
+        self.set(TORQUE, 0.0, 0.0, 0.0)
+
+    def set(self, mode, value, time, position):  # noqa: A003
+        """
+        Follow another reference from a time [s] and position [rad; m] on.
+
+        Raises
+        ------
+        FieldError
+            Where the value is no number, or no expression.
+
+        """
+        with at('value'):
+            (text if mode == EXPRESSION else number)(value)
+        motion, shift = None, 0.0
+        if mode == EXPRESSION:
+            motion = PrescribedMotion('expression', joint=self.joint, expression=value)
+            begin = float(motion.at(time)[0])
+            if not self._slides and math.isfinite(begin):
+                # An angle is followed from where it is, whole turns aside.
+                shift = 2.0 * math.pi * round((position - begin) / (2.0 * math.pi))
+        self.mode, self.value = mode, value
+        self._motion, self._shift, self._from = motion, shift, (time, position)
+
+    def reference(self, time):
+        """Return position, rate and acceleration that are tracked at a time."""
+        if self.mode == POSITION:
+            return self.value, 0.0, 0.0
+        if self.mode == SPEED:
+            begin, position = self._from
+            return position + self.value * (time - begin), self.value, 0.0
+        position, rate, acceleration = map(float, self._motion.at(time))
+        if not math.isfinite(position + rate + acceleration):
+            raise NumericalError(
+                f'The expression {self.value} of the drive of {self.joint} has no finite value '
+                f'at t = {time:.6g} s.')
+        return position + self._shift, rate, acceleration
+
+    def torque(self, time, position, velocity):
+        """Return the torque or force of the present state [N m; N]."""
+        if self.mode == TORQUE:
+            return self.value
+        wanted, rate, acceleration = self.reference(time)
+        return self.inertia * (acceleration + DRIVE_RATE * (
+            DRIVE_RATE * (wanted - position) + 2.0 * (rate - velocity)))
