@@ -38,13 +38,14 @@ from closedloop_dynamics.simulation.scene import SceneError
 from closedloop_dynamics.simulation.scene_text import read_scene_text
 from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.view.columns import motion_columns, motion_rows
-from closedloop_dynamics.view.description import CHOICES, describe, described_drive, grabs
+from closedloop_dynamics.view.description import (
+    CHOICES, describe, described_drive, EARTH, grabs)
 from closedloop_dynamics.view.feed import Feed
 from closedloop_dynamics.view.messages import (
     drive_of, drives_told, effects_told, POSITION, require_kinematic, require_one_number, TORQUE)
 from closedloop_dynamics.view.page import live_page
 from closedloop_dynamics.view.posing import felt_inertia, felt_mass, joint_to, point_to
-from closedloop_dynamics.view.runner import EARTH, Hand, round_up
+from closedloop_dynamics.view.runner import Hand, round_up
 from closedloop_dynamics.view.server import Server
 from closedloop_dynamics.visual.motion import (
     body_poses, body_velocities, Motion, poses_in_space)

@@ -42,6 +42,8 @@ from ..visual.urdf import depths
 # Of links, as shares of the mechanism's size: radius of bars, thickness of plates and the distance
 # between layers, half the length of a block on a slide.
 BAR, THICKNESS, LAYER, BLOCK = 0.022, 0.016, 0.03, 0.05
+# Gravity of the weight that forces are compared with [m/s^2].
+EARTH = 9.81
 # Digits of the places of a mesh's points, below the size of the mesh.
 MESH_DIGITS = 4
 # What a page can choose while a mechanism moves.
@@ -85,6 +87,7 @@ def describe(mechanism, columns, effects=None, **more):
     subsystem = {child[name]: number for number, tree in enumerate(trees) for name in tree}
     return {
         'name': mechanism.name, 'planar': mechanism.planar, 'size': size,
+        'weight': EARTH * sum(body.mass for body in mechanism.bodies),
         'colors': {'cut': CUT_COLOR, 'load': CONTACT_COLOR},
         'subsystems': [colors[child[tree[0]]] for tree in trees],
         'bodies': [{

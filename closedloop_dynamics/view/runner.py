@@ -22,7 +22,7 @@ import warnings
 import numpy as np
 
 from .columns import SimulationRows
-from .description import CHOICES, describe, described_drive, grabs
+from .description import CHOICES, describe, described_drive, EARTH, grabs
 from .drives import Drive
 from .feed import Feed
 from .messages import (
@@ -51,7 +51,7 @@ DRIVE_PERIOD = 0.002
 REACH = {False: 60.0, True: 20.0}
 # The spring that a hand pulls with: its stretch under the machine's weight, as a share of its
 # size, and its damping.
-GIVE, DAMPING, EARTH = 0.05, 0.5, 9.81
+GIVE, DAMPING = 0.05, 0.5
 # How far away it can pull to, in sizes of the machine.
 FARTHEST = 1e3
 MODES = TORQUE, POSITION, SPEED, EXPRESSION

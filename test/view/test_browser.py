@@ -367,3 +367,25 @@ def test_paths_and_plots_of_a_recording_are_of_all_its_rows(open_page, tmp_path)
     tab.wait(f'{trail}.shown === 1')
     assert not tab.errors
     tab.close()
+
+
+@pytest.mark.parametrize('force, drawn', [(3e-8, False), (1.0, True)])
+def test_arrows_are_of_forces_that_matter(open_page, tmp_path, force, drawn):
+    scene = load_scene('four_bar')
+    columns, mechanism = motion_columns(scene.mechanism), scene.mechanism
+    rows = np.zeros((2, columns.width), dtype=np.float32)
+    rows[:, :7 * len(mechanism.bodies)] = poses_in_space(body_poses(
+        mechanism, np.array([scene.initial.position] * 2))).reshape(2, -1)
+    rows[:, columns.layout['columns']['forces']] = force * 9.81 * sum(
+        body.mass for body in mechanism.bodies)
+    path = tmp_path / 'run.html'
+    path.write_text(recorded_page('arrows', describe(
+        mechanism, columns, scene.effects, mode='recording', title='arrows'),
+        np.array([0.0, 1.0]), rows))
+    tab = open_page(path.as_uri())
+    tab.wait('typeof page !== "undefined" && page.picture?.forceScale > 0')
+    longest = tab.ask('Math.max(...page.picture.arrows().map(({along}) => norm(along)))')
+    size = tab.ask('page.picture.size')
+    assert (longest > 0.05 * size) if drawn else (longest < 1e-6 * size)
+    assert not tab.errors
+    tab.close()

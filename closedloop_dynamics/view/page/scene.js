@@ -108,8 +108,9 @@ class Trail {
     }
   }
 }
-// A force arrow of the largest force seen lately, as a share of the size.
-const ARROW = 0.3;
+// A force arrow of the largest force seen lately, as a share of the size; a share of the machine's
+// weight, below which forces have no long arrows.
+const ARROW = 0.3, SMALL_FORCE = 0.02;
 // A peak of the forces counts half after so long [ms].
 const HALF_LIFE = 1500;
 const ROD = '#8b929c';
@@ -766,9 +767,10 @@ class Scene {
     this.forcePeak = Math.max(largest, this.forcePeak * 0.5 ** ((now - this.peakAt) / HALF_LIFE));
     this.peakAt = now;
     // In steps, so that arrows do not breathe.
-    if (!(this.forceScale >= this.forcePeak && this.forceScale < 4 * this.forcePeak)) {
-      this.forceScale = this.forcePeak > 0 ? 2 * roundDown(this.forcePeak) : 0;
-      if (this.forceScale < this.forcePeak) this.forceScale *= 1.5;
+    const peak = Math.max(this.forcePeak, SMALL_FORCE * this.described.weight);
+    if (!(this.forceScale >= peak && this.forceScale < 4 * peak)) {
+      this.forceScale = peak > 0 ? 2 * roundDown(peak) : 0;
+      if (this.forceScale < peak) this.forceScale *= 1.5;
     }
     const scale = this.forceScale > 0 ? ARROW * this.size / this.forceScale : 0;
     return known.map((one) => ({...one, along: times(scale, one.force)}));
