@@ -57,7 +57,9 @@ class Worker:
 
     def __init__(self, root, cache, tasks=()):
         """Start the process, and let it compile."""
-        environment = {**os.environ, 'PYTHONPATH': str(root), 'NUMBA_CACHE_DIR': str(cache),
+        environment = {**os.environ, 'PYTHONPATH': str(root), 'CLOSEDLOOP_CACHE_DIR': str(cache),
+                       # Of commits before the engine.
+                       'NUMBA_CACHE_DIR': str(cache),
                        'OMP_NUM_THREADS': '1'}
         self._process = subprocess.Popen(
             [sys.executable, str(WORKER), *tasks], env=environment, text=True, cwd=root,
@@ -101,6 +103,8 @@ def checkout(commit, directory):
     subprocess.run(['git', 'worktree', 'add', '--quiet', '--detach', str(directory), commit],
                    cwd=ROOT, check=True)
     try:
+        if (directory / 'scripts' / 'build').exists():
+            subprocess.run([str(directory / 'scripts' / 'build')], check=True)
         yield directory
     finally:
         subprocess.run(['git', 'worktree', 'remove', '--force', str(directory)], cwd=ROOT,

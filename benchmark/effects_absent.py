@@ -124,7 +124,6 @@ def measure(packages, scene, steps, repeats):
     simulations = {name: package.Simulation.from_scene(scene, integrator='rk4')
                    for name, package in packages.items()}
     for simulation in simulations.values():
-        simulation.warm_up()
         simulation.monitor.sampling = False
     tau = next(iter(simulations.values())).joint_torques(None)
     times = {name: [] for name in simulations}

@@ -147,7 +147,6 @@ def timed(pair, blocks, seconds):
     for scene in pair:
         begin = process_time()
         simulation = Simulation.from_scene(scene, integrator='rk4', step_size=STEP)
-        simulation.warm_up()
         compiling.append(process_time() - begin)
         sims.append(simulation)
     # Of both the same time is simulated.

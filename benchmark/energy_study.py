@@ -75,7 +75,6 @@ def energy_errors(scene, method, duration=DURATION):
 def cost(scene, method, duration):
     """Return the CPU time of a simulated second [s], the median of some whole runs."""
     simulation = Simulation.from_scene(scene, **method)
-    simulation.warm_up()
     rounds = []
     for _ in range(ROUNDS):
         simulation.reset()

@@ -17,7 +17,7 @@ What one evaluation, one step and one start cost.
 
 Prints, for each scene: the time of one evaluation of the forward dynamics inside
 compiled code, of one called from Python, of one RK4 step in a long run; memory allocated per
-step; and, once, the time of the first start (with an empty compiler cache) and of a
+step; and, once, the time of the first start (with an empty cache of generated code) and of a
 warm one, from the start of Python to the end of the first step.
 
 """
@@ -32,14 +32,13 @@ import tempfile
 import time
 import tracemalloc
 
+from evaluations import evaluate_again
 from machine import description, ROOT
-from numba.core.runtime import _nrt_python, rtsys
 
 sys.path.insert(0, str(ROOT))
 
 from closedloop_dynamics.simulation.scene import scene_names  # noqa: E402,I100
 from closedloop_dynamics.simulation.simulation import Simulation  # noqa: E402
-from closedloop_dynamics.studies.formulations import evaluate_again  # noqa: E402
 
 START = """
 import json, time
@@ -98,29 +97,26 @@ def step(simulation, count, repeats):
 
 def allocation(simulation, count):
     """
-    Return what ``count`` steps allocate more than one does.
+    Return the bytes that Python still holds after ``count`` steps, beyond those after one.
 
-    In bytes that Python still holds afterwards, and in arrays made by compiled code. (A call
-    from Python makes some itself, for its arguments.)
+    (A call from Python makes some objects itself, for its arguments.)
 
     """
     tau = simulation.joint_torques(None)
     simulation.advance(tau, 2 * count)
-    _nrt_python.memsys_enable_stats()
     tracemalloc.start()
-    kept, arrays = [], []
+    kept = []
     for number in (1, count):
-        memory, made = tracemalloc.get_traced_memory()[0], rtsys.get_allocation_stats().alloc
+        memory = tracemalloc.get_traced_memory()[0]
         simulation.advance(tau, number)
-        arrays.append(rtsys.get_allocation_stats().alloc - made)
         kept.append(tracemalloc.get_traced_memory()[0] - memory)
     tracemalloc.stop()
-    return kept[1] - kept[0], arrays[1] - arrays[0]
+    return kept[1] - kept[0]
 
 
 def start(scene, cache):
     """Return the times of a start in a process of its own, with its compiler cache [s]."""
-    environment = {**os.environ, 'NUMBA_CACHE_DIR': cache, 'PYTHONPATH': str(ROOT)}
+    environment = {**os.environ, 'CLOSEDLOOP_CACHE_DIR': cache, 'PYTHONPATH': str(ROOT)}
     begin = time.perf_counter()
     run = subprocess.run([sys.executable, '-c', START.format(scene=scene)], env=environment,
                          capture_output=True, text=True, check=True, cwd=cache)
@@ -141,21 +137,20 @@ def main(arguments=None):
     parser.add_argument('--count', type=int, default=2000, help='calls at once (default: 2000)')
     parser.add_argument('--repeats', type=int, default=25, help='default: 25')
     parser.add_argument('--without-starts', action='store_true',
-                        help='do not measure the first start: it compiles for a minute')
+                        help='do not measure the first start')
     options = parser.parse_args(arguments)
     print(f'{description()}\n')
     print('best / median CPU time in microseconds')
     print(f'{"scene":28}{"evaluation":>16}{"Python call":>18}{"RK4 step":>18}'
-          f'{"bytes kept":>12}{"arrays made":>13}  in {options.count} steps')
+          f'{"bytes kept":>12}  in {options.count} steps')
     for scene in options.scenes:
         simulation = Simulation.from_scene(scene, integrator='rk4')
-        simulation.warm_up()
         times = [evaluation(simulation, options.count, options.repeats),
                  python_call(simulation, max(1, options.count // 10), options.repeats),
                  step(simulation, options.count, options.repeats)]
-        kept, arrays = allocation(simulation, options.count)
+        kept = allocation(simulation, options.count)
         cells = [f'{1e6 * best:.2f} / {1e6 * median:.2f}' for best, median in times]
-        print(f'{scene:28}{cells[0]:>16}{cells[1]:>18}{cells[2]:>18}{kept:>12}{arrays:>13}')
+        print(f'{scene:28}{cells[0]:>16}{cells[1]:>18}{cells[2]:>18}{kept:>12}')
     if not options.without_starts:
         for name, times in zip(('first start', 'warm start'), starts(options.scenes[0])):
             print(f'\n{name} of {options.scenes[0]} [s]: ' + ', '.join(

@@ -23,7 +23,7 @@ import subprocess
 ROOT = Path(__file__).resolve().parents[1]
 # Names the commit in the environment of benchmarks that a longer measurement runs.
 COMMIT = 'BENCHMARK_COMMIT'
-LIBRARIES = ('numba', 'numpy', 'scipy')
+LIBRARIES = ('llvmlite', 'numpy', 'scipy')
 
 
 def processor():

@@ -36,6 +36,7 @@ import warnings
 for _name in ('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS', 'MKL_NUM_THREADS'):
     os.environ[_name] = '1'
 
+from evaluations import evaluate_again
 from machine import description, ROOT  # noqa: E402,I100
 import numpy as np  # noqa: E402
 
@@ -48,7 +49,6 @@ from closedloop_dynamics.simulation.far_assembly import find_closed, Loops  # no
 from closedloop_dynamics.simulation.model_scene import assembled, scene_of_model  # noqa: E402
 from closedloop_dynamics.simulation.modeling import extent  # noqa: E402
 from closedloop_dynamics.simulation.simulation import Simulation  # noqa: E402
-from closedloop_dynamics.studies.formulations import evaluate_again  # noqa: E402
 from closedloop_dynamics.visual.tables import (  # noqa: E402
     markdown_table, seconds, text_table, write_csv)
 

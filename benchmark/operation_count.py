@@ -34,6 +34,7 @@ import subprocess
 import sys
 import time
 
+from evaluations import evaluate_again
 from machine import description, ROOT
 import numpy as np
 
@@ -49,7 +50,7 @@ from closedloop_dynamics.simulation.scene import (  # noqa: E402
     config_directory, load_scene, scene_names)
 from closedloop_dynamics.simulation.simulation import Simulation  # noqa: E402
 from closedloop_dynamics.studies.families import ladder  # noqa: E402
-from closedloop_dynamics.studies.formulations import evaluate_again, growing_case  # noqa: E402
+from closedloop_dynamics.studies.formulations import growing_case  # noqa: E402
 from closedloop_dynamics.visual.tables import markdown_table, seconds, text_table  # noqa: E402
 
 KINDS = ('add', 'multiply', 'divide', 'sine and cosine')

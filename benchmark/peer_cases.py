@@ -28,8 +28,8 @@ import numpy as np
 
 sys.path.insert(0, str(ROOT))
 
-from closedloop_dynamics.core import kinematics, types as t  # noqa: E402,I100
-from closedloop_dynamics.integration.evaluation import evaluate  # noqa: E402
+from closedloop_dynamics.core import types as t  # noqa: E402,I100
+from closedloop_dynamics.engine import native  # noqa: E402
 from closedloop_dynamics.mechanism.reader import with_cuts  # noqa: E402
 from closedloop_dynamics.simulation import scene as scenes  # noqa: E402
 from closedloop_dynamics.simulation.simulation import Simulation  # noqa: E402
@@ -342,7 +342,7 @@ class Referee:
         """Return our joint accelerations, shape (nv,)."""
         system = self.simulation.system
         system.tau[:] = tau
-        evaluate(system, q, qd)
+        native.evaluate(system.native, q, qd)
         return system.qdd.copy()
 
     def closure(self, q):
@@ -358,7 +358,7 @@ class Referee:
     def poses(self, q, qd):
         """Return {body: (pose, velocity)} of centres of mass in the plane: x, y, angle each."""
         system = self.simulation.system
-        kinematics.outward(system.model, q, qd, system.work)
+        native.outward(system.model, q, qd, system.work)
         result, row = {}, 0
         for j in self.simulation.decomposition.joint_order:
             row += 1

@@ -20,7 +20,7 @@ from peer_cases import Run, simulation
 
 from closedloop_dynamics.simulation.errors import SimulationError  # noqa: I100
 from closedloop_dynamics.simulation.simulation import Simulation
-from closedloop_dynamics.studies.formulations import evaluate_again
+from evaluations import evaluate_again
 
 NAME = 'closedloop_dynamics'
 # A tenfold of the reference's own, at the least.

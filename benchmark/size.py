@@ -18,9 +18,8 @@ Cost and memory as mechanisms grow to ten thousand joints: ladders, stars, chain
 Measures, per joint: the time of an evaluation inside compiled code, the memory of model
 and workspace, the time to set a mechanism up. All sizes are timed in turn, one thread, CPU time.
 
-Timed are the kernels alone, by loops, one evaluation waiting for the one before. An integrator's
-call of them hands over all arrays of model and workspace, some 60 ns whatever the size; a
-mechanism so small that it shows has unrolled kernels.
+Timed are the kernels alone, by loops, one evaluation waiting for the one before; small mechanisms
+have unrolled kernels.
 
 """
 
@@ -31,17 +30,14 @@ import statistics
 import sys
 import time
 
+from evaluations import evaluate_again
 from machine import description, ROOT
 from matplotlib.figure import Figure
 import numpy as np
 
 sys.path.insert(0, str(ROOT))
 
-from closedloop_dynamics.core import kinematics  # noqa: E402,I100
-from closedloop_dynamics.core.compiled import compiled  # noqa: E402
-from closedloop_dynamics.core.forward_dynamics import accelerate  # noqa: E402
-from closedloop_dynamics.core.types import RANK  # noqa: E402
-from closedloop_dynamics.integration.evaluation import evaluate  # noqa: E402
+from closedloop_dynamics.core.types import RANK  # noqa: E402,I100
 from closedloop_dynamics.integration.system import build_system  # noqa: E402
 from closedloop_dynamics.mechanism.decomposition import decompose  # noqa: E402
 from closedloop_dynamics.mechanism.validation import validate_mechanism  # noqa: E402
@@ -67,36 +63,6 @@ PORTION, TURNS, QUICK_TURNS = 2e-3, 150, 3
 COLORS = {'ladder': ('#0072B2', 'o'), 'star of four': ('#D55E00', 's'),
           'star of eight': ('#CC79A7', '^'), 'chain': ('#009E73', 'D')}
 FROM = 10
-
-
-@compiled
-def evaluate_again(model, work, tau, state, qdd, lam, count):
-    """
-    Evaluate a state again and again.
-
-    Parameters
-    ----------
-    model : Model
-        Constant arrays of the mechanism.
-    work : Workspace
-        Scratch.
-    tau : ndarray, shape (nv,)
-        Joint torques.
-    state : ndarray, shape (2, nv)
-        Coordinates and rates.
-    qdd, lam : ndarray
-        Written in place: accelerations, multipliers.
-    count : int
-        How often.
-
-    """
-    q, qd = state[0], state[1]
-    for _ in range(count):
-        kinematics.outward(model, q, qd, work)
-        accelerate(model, work, tau, 0.0, qdd, lam)
-        # Nothing is added, but each evaluation waits for the one before, as in a simulation.
-        for k in range(q.shape[0]):
-            q[k] += 0.0 * qdd[k]
 
 
 def build(family, size):
@@ -134,14 +100,14 @@ def build(family, size):
         state[1] = [1.0 if joint.name.startswith('pivot') else -1.0
                     for joint in mechanism.joints]
     system.tau[:] = np.random.default_rng(1).uniform(-1.0, 1.0, joints)
-    evaluate(system, *state)
+    evaluate_again(system, *state, 1)
     work = system.work
     row = {'family': family, 'size': size, 'joints': joints,
            'equations': mechanism.number_of_equations, 'fill': decomposition.fill,
            'entries': len(model.row), 'setup': setup,
            'bytes': sum(part.nbytes for part in (*model, *work)),
            'full rank': bool(work.health[RANK] == mechanism.number_of_equations)}
-    return row, (model, work, system.tau, state, system.qdd, system.lam)
+    return row, (system, *state)
 
 
 def measure(quick=False):

@@ -16,8 +16,8 @@
 What a start takes: time of importing, building and the first step, and memory.
 
 Each start is a process of its own: of the Python interface, and where ROS 2 is found of the
-simulator node. A first start compiles all it needs into an empty cache; a warm one reads it
-from there. Times are CPU time of the process, memory is what of it lies in RAM (RSS).
+simulator node. A first start generates the code of the mechanism into an empty cache; a warm one
+reads it from there. Times are CPU time of the process, memory is what of it lies in RAM (RSS).
 
 """
 
@@ -44,7 +44,6 @@ from closedloop_dynamics import Simulation
 mark('import')
 simulation = Simulation.from_scene({scene!r})
 mark('scene')
-simulation.warm_up()
 simulation.step()
 mark('first step')
 simulation.step(duration=1.0)
@@ -58,7 +57,6 @@ mark('import')
 rclpy.init(args=['--ros-args', '-p', 'scene:={scene}', '-p', 'wait_for_command:=true'])
 node = SimulatorNode()
 mark('scene')
-node.simulation.warm_up()
 node.simulation.step()
 mark('first step')
 node.simulation.step(duration=1.0)
@@ -97,7 +95,7 @@ def start(body, scene, cache):
         CPU time of each part [s], memory after the last [bytes].
 
     """
-    places = {} if cache is None else {'NUMBA_CACHE_DIR': cache, 'ROS_LOG_DIR': cache}
+    places = {} if cache is None else {'CLOSEDLOOP_CACHE_DIR': cache, 'ROS_LOG_DIR': cache}
     environment = {**os.environ, **places,
                    'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST', 'PYTHONPATH': os.pathsep.join(
                        filter(None, (str(ROOT), os.environ.get('PYTHONPATH'))))}

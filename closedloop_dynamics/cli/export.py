@@ -23,7 +23,7 @@ from .command import add_reading, Command, reading, require_free, UsageError
 from ..effects.registry import effect_type
 from ..formats.building import Imported
 from ..formats.in_space import in_space
-from ..formats.registry import is_model, read_model, WRITERS
+from ..formats.registry import is_model, read_model, writer, WRITERS
 from ..formats.sdf_writing import sdf
 from ..mechanism.mechanism import Mechanism, MechanismError
 from ..simulation.far_assembly import find_closed
@@ -47,10 +47,11 @@ def _add_arguments(parser):
 
 
 def _run(arguments):
-    write = WRITERS.get(arguments.output.suffix.lower())
-    if write is None:
+    suffix = arguments.output.suffix.lower()
+    if suffix not in WRITERS:
         raise UsageError(f'--output: expected a name that ends with one of {", ".join(WRITERS)}, '
                          f'got {str(arguments.output)!r}')
+    write = writer(suffix)
     if arguments.drake and write is not sdf:
         raise UsageError('--drake: expected it with an output that ends with .sdf')
     require_free(arguments, arguments.output)

@@ -14,31 +14,39 @@
 
 """Which files are models in other formats, and what reads and writes them."""
 
+from importlib import import_module
 from pathlib import Path
 
-from .building import mechanism_of
-from .loops import add_loops
-from .mjcf import read_mjcf
-from .mjcf_writing import mjcf
-from .model import Asked
-from .sdf import read_sdf
-from .sdf_writing import sdf
-from .urdf import read_urdf
-from .urdf_writing import urdf_with_loops
-from .xml_file import read_xml
 from ..mechanism.mechanism import MechanismError
 
-# By the outermost element of a file whose name ends with .xml.
-ROOTS = {'mujoco': read_mjcf, 'robot': read_urdf, 'sdf': read_sdf}
+# Modules and functions, imported when a file needs them: most simulations read no other format.
+_MJCF, _URDF, _SDF = ('mjcf', 'read_mjcf'), ('urdf', 'read_urdf'), ('sdf', 'read_sdf')
+# Readers by the outermost element of a file whose name ends with .xml.
+ROOTS = {'mujoco': _MJCF, 'robot': _URDF, 'sdf': _SDF}
+# Readers and writers by how a file's name ends.
+READERS = {'.urdf': _URDF, '.xacro': _URDF, '.mjcf': _MJCF, '.xml': ROOTS, '.sdf': _SDF,
+           '.world': _SDF}
+_TO_MJCF, _TO_SDF = ('mjcf_writing', 'mjcf'), ('sdf_writing', 'sdf')
+WRITERS = {'.mjcf': _TO_MJCF, '.xml': _TO_MJCF, '.urdf': ('urdf_writing', 'urdf_with_loops'),
+           '.sdf': _TO_SDF, '.world': _TO_SDF}
 
 
-def _read_xml(path, asked):
-    return ROOTS[read_xml(path, tuple(ROOTS)).tag](path, asked)
+def _function(place):
+    module, name = place
+    return getattr(import_module(f'.{module}', __package__), name)
 
 
-READERS = {'.urdf': read_urdf, '.xacro': read_urdf, '.mjcf': read_mjcf, '.xml': _read_xml,
-           '.sdf': read_sdf, '.world': read_sdf}
-WRITERS = {'.mjcf': mjcf, '.xml': mjcf, '.urdf': urdf_with_loops, '.sdf': sdf, '.world': sdf}
+def writer(suffix):
+    """
+    Return the function that writes a format.
+
+    Parameters
+    ----------
+    suffix : str
+        How the name of the file ends, one of WRITERS.
+
+    """
+    return _function(WRITERS[suffix])
 
 
 def is_model(path):
@@ -79,7 +87,15 @@ def read_model(path, end_stops=None, loops=None, mend_inertias=False, **asked):
     if not is_model(path):
         raise MechanismError(f'{path}: expected a name that ends with one of '
                              f'{", ".join(READERS)}, got another')
-    model = READERS[path.suffix.lower()](path, Asked(**asked))
+    # Here, as they are imported with the reader.
+    from .building import mechanism_of
+    from .loops import add_loops
+    from .model import Asked
+    from .xml_file import read_xml
+    place = READERS[path.suffix.lower()]
+    if place is ROOTS:
+        place = ROOTS[read_xml(path, tuple(ROOTS)).tag]
+    model = _function(place)(path, Asked(**asked))
     if loops is not None:
         add_loops(model, loops)
     return mechanism_of(model, end_stops, mend_inertias)

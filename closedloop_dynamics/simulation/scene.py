@@ -28,7 +28,6 @@ from pathlib import Path
 
 import numpy as np
 
-from .model_scene import closed_start, scene_of_model
 from .scene_records import Initial, Method, Scene
 from .tree_choice import cheapest
 from ..effects.registry import EFFECTS
@@ -84,6 +83,8 @@ def load_scene(name_or_path, **reading):
     """
     path = _scene_path(name_or_path)
     if is_model(path):
+        # Here, as most scenes need nothing of other formats.
+        from .model_scene import scene_of_model
         return scene_of_model(path, read_model(path, **reading))
     if reading:
         raise SceneError(f'{path}: expected a model in another format, which is read with '
@@ -165,6 +166,7 @@ def _read(document):
     else:
         mechanism = model.mechanism
         if 'initial' not in data:
+            from .model_scene import closed_start
             model, start = closed_start(model)
             mechanism = model.mechanism
             data = {**data, 'initial': {

@@ -173,7 +173,7 @@ def test_wrong_arrays_within_records_are_refused(system, wrong):
 def test_records_of_another_length_are_refused(system):
     one, _ = system
     model, q, qd, work = parts(system)['outward']
-    for wrong in (tuple(model)[:-1], (*model, q), (), (model,), list(model), dict(model._asdict())):
+    for wrong in (tuple(model)[:-1], (*model, q), (), (model,), list(model), model._asdict()):
         with pytest.raises(TypeError, match='outward, argument 1: expected a tuple of 13 fields'):
             native.outward(wrong, q, qd, work)
     for wrong in (tuple(one), tuple(one)[:-2], (), list(one)):

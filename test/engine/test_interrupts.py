@@ -28,10 +28,11 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 # How much CPU time may pass between the signal and the exception [s].
 HEARD = 0.2
-# One thread does what takes long; the other sends the signal when the first is within the engine,
-# where its Python code stands still although this thread has the lock of the interpreter.
+# One thread does what takes long; another sends the signal when the first is within the engine:
+# its Python code stands still although the other has the lock of the interpreter again and again.
 CHILD = """
 import json, os, signal, sys, threading, time
+import numpy as np
 from closedloop_dynamics.simulation.simulation import Simulation
 
 scene, method, action = json.loads(sys.argv[1])
@@ -40,16 +41,21 @@ na, main, sent = len(simulation.actuated_joints), threading.main_thread().ident,
 
 
 def place():
-    frame = sys._current_frames()[main]
-    return frame.f_code.co_name, frame.f_lasti
+    # Nowhere while generated code is compiled.
+    frame = top = sys._current_frames()[main]
+    while frame is not None:
+        if 'llvmlite' in frame.f_code.co_filename:
+            return None
+        frame = frame.f_back
+    return top.f_code.co_name, top.f_lasti
 
 
 def interrupt():
     seen, times = None, 0
-    while times < 5:
-        time.sleep(0.005)
+    while times < 10:
+        time.sleep(0.01)
         here = place()
-        seen, times = here, times + 1 if here == seen and here[0] in WITHIN else 0
+        seen, times = here, times + 1 if here is not None and here == seen else 0
     sent.append(time.process_time())
     os.kill(os.getpid(), signal.SIGINT)
     while time.process_time() < sent[0] + 3.0:
@@ -58,9 +64,6 @@ def interrupt():
     os._exit(1)
 
 
-# Where Python waits for the engine, or for threads that do.
-WITHIN = ('advance', '_each', 'wait', 'record', 'record_motion', '_run', 'run', 'result', 'shutdown',
-          '_fixed_steps', '_advance_unguarded', '_recorded')
 threading.Thread(target=interrupt, daemon=True).start()
 try:
     if action == 'step':
@@ -70,22 +73,24 @@ try:
                            every=action['steps'], threads=action['threads'])
 except KeyboardInterrupt:
     took = time.process_time() - sent[0]
-before = simulation.position.tolist()
-# It is as good as before.
-if action == 'step':
-    assert simulation.time > 0.0
+# Position and time belong together: as if nobody had interrupted.
+again = Simulation.from_scene(scene, **method)
+whole = min(simulation.time, 2.0)
+if 0.0 < simulation.time <= 2.0:
+    again.step(duration=simulation.time)
+error = float(np.abs(simulation.position - again.position).max()) if whole < 2.0 else 0.0
+# It goes on.
 simulation.step(duration=0.01)
-print(json.dumps({'took': took, 'finite': bool(np.isfinite(simulation.position).all()),
-                  'time': simulation.time}), flush=True)
+print(json.dumps({'took': took, 'time': simulation.time, 'error': error}), flush=True)
 os._exit(0)
-""".replace('import json,', 'import numpy as np\nimport json,', 1)
+"""
 
 
 def interrupted(scene, method, action):
     """Return what a process says that was interrupted while it did something."""
     done = subprocess.run(
         [sys.executable, '-c', CHILD, json.dumps([scene, method, action])], text=True,
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, timeout=240, check=False,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, timeout=60, check=False,
         env={**os.environ, 'PYTHONPATH': str(ROOT)})
     assert done.stdout, done.stderr
     said = json.loads(done.stdout.splitlines()[-1])
@@ -95,14 +100,11 @@ def interrupted(scene, method, action):
 
 @pytest.mark.parametrize('scene, integrator', [
     ('three_rrr', 'rk4'), ('three_rrr', 'auto'), ('three_rrr', 'dop853'),
-    ('three_rrr', 'rodas4'), ('three_rrr', 'rodas4_fixed'), ('three_rrr', 'semi_implicit_euler'),
+    ('three_rrr', 'rodas4'), ('three_rrr', 'rodas4_fixed'),
     ('carpet_scraper_on_carpet', 'auto'), ('stewart_platform', 'rk4')])
 def test_an_interrupt_ends_a_long_step(scene, integrator):
-    method = {'integrator': integrator}
-    if 'euler' not in integrator:
-        method.update(step_size=1e-4 if integrator in ('rk4', 'rodas4_fixed') else 1e-3)
-    said = interrupted(scene, method, 'step')
-    assert said['took'] < HEARD and said['finite'] and said['time'] >= 0.01
+    said = interrupted(scene, {'integrator': integrator, 'step_size': 1e-4}, 'step')
+    assert said['took'] < HEARD and said['error'] < 1e-6 and said['time'] >= 0.01
 
 
 @pytest.mark.parametrize('integrator, samples, threads', [
@@ -111,7 +113,7 @@ def test_an_interrupt_ends_a_long_step(scene, integrator):
 def test_an_interrupt_ends_a_long_rollout(integrator, samples, threads):
     said = interrupted('three_rrr', {'integrator': integrator, 'step_size': 1e-4},
                        {'samples': samples, 'steps': 500_000_000, 'threads': threads})
-    assert said['took'] < HEARD and said['finite']
+    assert said['took'] < HEARD and said['error'] == 0.0
 
 
 def test_two_rollouts_in_two_threads_run_at_once():

@@ -23,6 +23,7 @@ from closedloop_dynamics.effects.body_contact import BodyContact
 from closedloop_dynamics.effects.contact import Contact
 from closedloop_dynamics.effects.end_stop import EndStop
 from closedloop_dynamics.effects.gravity import Gravity
+from closedloop_dynamics.engine import native
 from closedloop_dynamics.integration.control import ACCEPTED, REJECTED
 from closedloop_dynamics.mechanism.mechanism import Body, Joint, Mechanism, Point
 import numpy as np
@@ -128,7 +129,7 @@ def test_a_path_is_as_near_to_an_outline_as_its_places_are():
         corners = np.column_stack((radii * np.cos(turns), radii * np.sin(turns)))
         data = np.ravel(curve._straight(np.vstack((corners, corners[:1]))))
         one, other = rng.uniform(-1.5, 1.5, (2, 2))
-        distance, along = curve.nearest_to_chord(data, 0, 7, *one, *other)
+        distance, along = native.nearest_to_path(data, *one, *other)
         places = one + np.linspace(0.0, 1.0, 4001)[:, None] * (other - one)
         way = np.roll(corners, -1, axis=0) - corners
         share = np.clip(((places[:, None] - corners) * way).sum(axis=2) / (way ** 2).sum(axis=1),

@@ -30,7 +30,6 @@ from closedloop_dynamics.simulation.simulation import Simulation
 from geometry_msgs.msg import Transform
 from geometry_msgs.msg import Twist
 import numpy as np
-import pytest
 from sensor_msgs.msg import JointState
 from sensor_msgs.msg import MultiDOFJointState
 from std_msgs.msg import Float64MultiArray

@@ -39,6 +39,7 @@ from ..reference import spatial_linkages, spatial_maximal as twin
 from ..reference.compare import assert_agree
 from ..reference.numbers import Numbers
 
+
 def at(model, q, qd):
     """Return the equations of a model, as the loops over bodies have them, in a state."""
     return Equations(model).move(q, qd)
