@@ -158,12 +158,22 @@ inline void read(PyObject * from, bool & to, Place)
   to = found == 1;
 }
 
+/// The last value of each enumeration that Python hands over.
+constexpr Index last_of(Stabilisation) {return static_cast<Index>(Stabilisation::INDEPENDENT);}
+constexpr Index last_of(Responses) {return static_cast<Index>(Responses::LEVERS);}
+
 template<class Type>
 auto read(PyObject * from, Type & to, Place place)
 ->std::enable_if_t<std::is_enum_v<Type>>
 {
   Index number;
   read(from, number, place);
+  if (number < 0 || number > last_of(Type{})) {
+    PyErr_Format(
+      PyExc_ValueError, "%s, argument %zd: expected 0 to %zd, got %zd", place.function,
+      place.argument, static_cast<Py_ssize_t>(last_of(Type{})), static_cast<Py_ssize_t>(number));
+    throw PythonError();
+  }
   to = static_cast<Type>(number);
 }
 
@@ -296,11 +306,30 @@ private:
   std::vector<PyObject *> owners;
 };
 
-template<auto Function, bool Releases>
+/// The length that an argument must have, by the system that is the first one: none that is
+/// checked; of coordinates; of rates; of states; rows as long as states.
+enum class Length {ANY, Q, QD, STATE, ROWS_OF_STATE};
+
+template<class Type>
+bool has_length(const System &, Length, const Type &) {return true;}
+inline bool has_length(const System & system, Length length, const Values & values)
+{
+  return length == Length::ANY ||
+         values.size == (length == Length::Q ? system.nq() :
+         length == Length::QD ? system.nv() : system.ns());
+}
+inline bool has_length(const System & system, Length length, const Table & table)
+{
+  return length == Length::ANY || table.columns == system.ns();
+}
+
+template<auto Function, bool Releases, Length ... lengths>
 struct Kernel;
 
-template<class Result, class ... Parameters, Result(*Function)(Parameters...), bool Releases>
-struct Kernel<Function, Releases>: Bound
+template<
+  class Result, class ... Parameters, Result(*Function)(Parameters...), bool Releases,
+  Length ... lengths>
+struct Kernel<Function, Releases, lengths...>: Bound
 {
   std::tuple<Holder<std::decay_t<Parameters>>...> arguments;
 
@@ -317,6 +346,9 @@ struct Kernel<Function, Releases>: Bound
         Py_ssize_t n = 0;
         ((holder.take(from[n], {name, n + 1}), ++n), ...);
       }, arguments);
+    if constexpr (sizeof...(lengths) > 0) {
+      check_lengths(name, std::index_sequence_for<Parameters...>{});
+    }
   }
 
   Result call()
@@ -340,6 +372,25 @@ struct Kernel<Function, Releases>: Bound
   }
 
 private:
+  template<std::size_t ... Places>
+  void check_lengths(const char * name, std::index_sequence<Places...>)
+  {
+    constexpr std::size_t count = sizeof...(lengths) + 1;
+    constexpr Length wanted[count] = {Length::ANY, lengths ...};
+    const System & system = std::get<0>(arguments).get();
+    const auto check = [&](std::size_t place, const auto & value) {
+        if (place < count && !has_length(system, wanted[place], value)) {
+          PyErr_Format(
+            PyExc_ValueError, "%s, argument %zd: expected the length that the system has "
+            "(coordinates %zd, rates %zd, state %zd)", name, static_cast<Py_ssize_t>(place) + 1,
+            static_cast<Py_ssize_t>(system.nq()), static_cast<Py_ssize_t>(system.nv()),
+            static_cast<Py_ssize_t>(system.ns()));
+          throw PythonError();
+        }
+      };
+    (check(Places, std::get<Places>(arguments).get()), ...);
+  }
+
   Result release_and_call()
   {
     if constexpr (Releases) {
@@ -364,8 +415,8 @@ struct Entry
 template<auto Function>
 inline const char * name_of = "";
 
-template<auto Function, bool Releases = false>
-Entry entry(const char * name, const char * doc)
+template<auto Function, bool Releases, Length ... lengths>
+Entry make_entry(const char * name, const char * doc)
 {
   name_of<Function> = name;
   return {
@@ -373,21 +424,31 @@ Entry entry(const char * name, const char * doc)
     [](PyObject *, PyObject * const * from, Py_ssize_t count) {
       return guarded(
         [&] {
-          Kernel<Function, Releases> kernel;
+          Kernel<Function, Releases, lengths...> kernel;
           kernel.take(from, count, name_of<Function>);
           return kernel.run();
         });
     },
     [](PyObject * const * from, Py_ssize_t count, const char * of) -> std::unique_ptr<Bound> {
-      auto kernel = std::make_unique<Kernel<Function, Releases>>();
+      auto kernel = std::make_unique<Kernel<Function, Releases, lengths...>>();
       kernel->take(from, count, of);
       return kernel;
     }};
 }
 
+/// A function of Python; `lengths`: of the arguments behind the first one, a system.
+template<auto Function, Length ... lengths>
+Entry entry(const char * name, const char * doc)
+{
+  return make_entry<Function, false, lengths...>(name, doc);
+}
+
 /// The same for a function that may take long: other threads go on, and Ctrl-C is heard.
-template<auto Function>
-Entry released(const char * name, const char * doc) {return entry<Function, true>(name, doc);}
+template<auto Function, Length ... lengths>
+Entry released(const char * name, const char * doc)
+{
+  return make_entry<Function, true, lengths...>(name, doc);
+}
 
 }  // namespace closedloop
 

@@ -95,15 +95,15 @@ const Entry entries[] = {
     "forward_dynamics", "forward_dynamics(model, work, q, qd, tau, qdd, lam)"),
   entry<fill_quaternions>("fill_quaternions", "fill_quaternions(matrices, out)"),
   entry<move_coordinates>("move", "move(manifold, q, change, share)"),
-  entry<evaluate>("evaluate", "evaluate(system, q, qd): accelerations and multipliers"),
-  entry<evaluate_with_poses>("evaluate_with_poses", "evaluate_with_poses(system, state)"),
-  entry<is_regular>("is_regular", "is_regular(system, q, qd): whether elimination will do"),
-  entry<evaluate_state>("evaluate_state", "evaluate_state(system, state)"),
-  released<evaluate_again>("evaluate_again", "evaluate_again(system, state, count)"),
-  entry<apply_listed>("apply_listed", "apply_listed(system, q, qd): forces of effects"),
-  entry<derivative>("derivative", "derivative(system, state, out)"),
-  entry<stabilise>("stabilise", "stabilise(system, stabilisation, state)"),
-  entry<equations_serve>(
+  entry<evaluate, Length::Q, Length::QD>("evaluate", "evaluate(system, q, qd): accelerations and multipliers"),
+  entry<evaluate_with_poses, Length::STATE>("evaluate_with_poses", "evaluate_with_poses(system, state)"),
+  entry<is_regular, Length::Q, Length::QD>("is_regular", "is_regular(system, q, qd): whether elimination will do"),
+  entry<evaluate_state, Length::STATE>("evaluate_state", "evaluate_state(system, state)"),
+  released<evaluate_again, Length::STATE>("evaluate_again", "evaluate_again(system, state, count)"),
+  entry<apply_listed, Length::Q, Length::QD>("apply_listed", "apply_listed(system, q, qd): forces of effects"),
+  entry<derivative, Length::STATE, Length::STATE>("derivative", "derivative(system, state, out)"),
+  entry<stabilise, Length::ANY, Length::STATE>("stabilise", "stabilise(system, stabilisation, state)"),
+  entry<equations_serve, Length::ANY, Length::STATE>(
     "equations_serve", "equations_serve(system, stabilisation, state): after a step"),
   entry<apply_effects>("apply_effects", "apply_effects(effects, body, q, qd, tau)"),
   entry<update_driven_motions>("update_driven_motions", "update_driven_motions(effects)"),
@@ -119,26 +119,34 @@ const Entry entries[] = {
   entry<cut_direction>(
     "cut_direction", "cut_direction(body, row, planar, values, k, first): axis in the world"),
   entry<minimise_in_box>("minimise_in_box", "minimise_in_box(sticking, count, out)"),
-  released<advance_fixed>(
+  released<
+    advance_fixed, Length::ANY, Length::ANY, Length::STATE, Length::ANY, Length::ANY,
+    Length::ROWS_OF_STATE>(
     "advance_fixed",
     "advance_fixed(system, tableau, stabilisation, state, step_size, steps, scratch)"),
-  released<advance_explicit>(
+  released<
+    advance_explicit, Length::ANY, Length::ANY, Length::STATE, Length::ANY, Length::ANY,
+    Length::ANY, Length::ANY, Length::ANY, Length::ROWS_OF_STATE, Length::ROWS_OF_STATE>(
     "advance_explicit",
     "advance_explicit(system, tableau, stabilisation, state, origin, done, step_size, steps, "
     "control, scale, scratch)"),
-  released<advance_stiff_fixed>(
+  released<
+    advance_stiff_fixed, Length::ANY, Length::STATE, Length::ANY, Length::ANY,
+    Length::ROWS_OF_STATE, Length::ANY, Length::ROWS_OF_STATE>(
     "advance_stiff_fixed",
     "advance_stiff_fixed(system, stabilisation, state, step_size, steps, matrix, pivots, "
     "scratch)"),
-  released<advance_stiff>(
+  released<
+    advance_stiff, Length::ANY, Length::STATE, Length::ANY, Length::ANY, Length::ROWS_OF_STATE,
+    Length::ROWS_OF_STATE, Length::ANY, Length::ROWS_OF_STATE>(
     "advance_stiff",
     "advance_stiff(system, stabilisation, state, target, control, scale, matrix, pivots, "
     "scratch)"),
-  released<advance_switching>(
+  released<advance_switching, Length::ANY, Length::ANY, Length::STATE>(
     "advance_switching",
     "advance_switching(system, tableau, stabilisation, state, origin, done, step_size, steps, "
     "runs)"),
-  released<run_fixed>(
+  released<run_fixed, Length::ANY, Length::ANY, Length::STATE>(
     "run_fixed",
     "run_fixed(system, tableau, stabilisation, state, step_size, torque, zero_order_hold, "
     "decimation, steps, scratch, buffer)"),

@@ -59,6 +59,8 @@ struct System
   Index nq() const {return qdd.size + manifold.balls.rows;}
   /// Place of the first of the effects' own states.
   Index own() const {return nq() + nv();}
+  /// Length of a state.
+  Index ns() const {return own() + effects.states.size + (manifold.empty() ? 0 : 1);}
   /// Whether evaluations are by routines that were generated for this mechanism.
   bool is_unrolled() const {return corrections.columns > 0;}
   bool is_independent() const {return partition.order.size > 0;}

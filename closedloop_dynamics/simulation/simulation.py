@@ -44,7 +44,7 @@ from ..effects.effect_set import EffectSet
 from ..effects.energy_balance import EnergyBalance
 from ..engine import native
 from ..integration.control import (
-    DONE, MOST_EVALUATIONS, NOT_FINITE, OPEN_LOOP, POOR_EQUATIONS, TOO_MUCH_WORK)
+    CONTACT_PASSED, DONE, MOST_EVALUATIONS, NOT_FINITE, OPEN_LOOP, POOR_EQUATIONS, TOO_MUCH_WORK)
 from ..integration.drivers import build_driver
 from ..integration.left_out import LENIENT, OPENED
 from ..integration.recorded_run import joint_forces
@@ -1111,7 +1111,8 @@ class Simulation:
             it failed for another reason.
 
         """
-        if not self.leaves_out or self.scene.method.stabilisation not in CLOSING:
+        if (not self.leaves_out or self.scene.method.stabilisation not in CLOSING
+                or status == CONTACT_PASSED):
             return False
         numbers = self.system.all.numbers
         opened = status != POOR_EQUATIONS or numbers[OPENED] == 1.0
@@ -1181,7 +1182,14 @@ class Simulation:
     def _advance_unguarded(self, size, steps):
         self._fresh = False
         raster = (self._time_base, self._steps) if size == self.step_size else (self.time, 0)
-        status, elapsed = self._driver.advance(self._state, *raster, size, steps)
+        before = self._state.copy()
+        try:
+            status, elapsed = self._driver.advance(self._state, *raster, size, steps)
+        except BaseException:
+            # Ctrl-C, within steps that count as not made.
+            self._state[:] = before
+            self._driver.restart(moved=True)
+            raise
         if status == DONE and size == self.step_size:
             self._steps += steps
             return
@@ -1212,6 +1220,12 @@ class Simulation:
                 f'evaluations for {size:g} s; the last good state is kept. Take smaller torques '
                 f'(largest now {np.abs(self.system.tau).max(initial=0.0):g}), allow a larger '
                 'error, or leave out what is so fast.')
+        if status == CONTACT_PASSED:
+            raise NumericalError(
+                f'A contact ({self._effects.passed}) was passed within a step of {size:g} s at '
+                f't = {self.time:.9g} s, between evaluations that felt nothing of it; the state '
+                'before is kept. Take a smaller step, or a method with error control, such as '
+                'integrator: auto.')
         if status != DONE:
             raise NumericalError(
                 f'No step at t = {self.time:.9g} s is small enough to keep the error that is '
@@ -1534,7 +1548,7 @@ class Simulation:
         self._recall(before)
         self._driver.restart()
         self._fresh = False
-        return DONE if status == POOR_EQUATIONS else status
+        return DONE if status in (POOR_EQUATIONS, CONTACT_PASSED) else status
 
     @property
     def monitor(self):
