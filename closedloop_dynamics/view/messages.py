@@ -106,7 +106,7 @@ def effects_told(effects, enabled):
 
 
 def drives_told(drives):
-    """Return mode and value of drives, by joint, as pages get them; pairs of both come first."""
+    """Return mode and value of drives, by joint, as JSON can; ``drives`` begin with the two."""
     return {name: {'mode': mode, 'value': value} for name, (mode, value, *_) in drives.items()}
 
 

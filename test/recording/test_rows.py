@@ -27,7 +27,7 @@ from closedloop_dynamics.recording.errors import RecordingError
 from closedloop_dynamics.recording.recording import read_recording, Recording
 from closedloop_dynamics.recording.rows import read_rows, scene_path
 from closedloop_dynamics.simulation.key_paths import changed, resolve
-from closedloop_dynamics.simulation.scene import load_scene
+from closedloop_dynamics.simulation.scene import load_scene, scene_names
 from closedloop_dynamics.visual.motion import closure
 import numpy as np
 import pytest
@@ -89,6 +89,18 @@ def test_a_scene_that_is_not_of_these_rows_is_refused(rows, tmp_path):
     scene_path(copy).write_text(scene_path(path).read_text().replace('0.45', '0.46'))
     with pytest.raises(RecordingError, match='those of another one: at t = 0 s'):
         read_rows(copy)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('name', scene_names())
+def test_rows_of_shipped_scenes_are_of_their_machine(tmp_path, name):
+    path = tmp_path / 'run.csv'
+    assert main(['simulate', name, '--duration', '0.02', '--no-error-estimate', '--forces', 'all',
+                 '--output', str(path)]) == 0
+    motion, _ = read_rows(path)
+    read_rows(path, load_scene(name))
+    scene_path(path).unlink()
+    assert len(read_rows(path, load_scene(name))[0].time) == len(motion.time) == 3
 
 
 def test_a_bag_is_drawn_as_its_own_machine_and_replayed_by_any(rows, monkeypatch):

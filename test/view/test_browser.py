@@ -46,6 +46,14 @@ def stage(tab):
     return tab.picture()[y:y + height, x:x + width].astype(int)
 
 
+def on_screen(tab, body, place):
+    """Return where a place of a body is in the window, by their numbers [CSS pixels]."""
+    return tab.ask(f"""(() => {{
+        const [x, y] = page.picture.project(page.picture.grabbed([{body}, {place}]));
+        const box = document.getElementById("solid").getBoundingClientRect();
+        return [x + box.x, y + box.y]; }})()""")
+
+
 def test_a_slider_moves_the_mechanism(open_page, live):
     tab = open_page(live.url)
     tab.wait(READY)
@@ -104,10 +112,7 @@ def test_a_point_is_dragged_by_the_mouse(open_page, live):
     tab.wait(READY)
     live.ask('effect', name='gravity', enabled=False)
     body = [one.name for one in live.simulation.mechanism.bodies].index('platform')
-    x, y = tab.ask(f"""(() => {{
-        const [x, y] = page.picture.project(page.picture.grabbed([{body}, 0]));
-        const box = document.getElementById("solid").getBoundingClientRect();
-        return [x + box.x, y + box.y]; }})()""")
+    x, y = on_screen(tab, body, 0)
     place = f'page.picture.grabbed([{body}, 0])'
     before = tab.ask(place)
     tab.click('#play')
@@ -206,10 +211,7 @@ def test_distances_and_angles_are_measured_and_a_body_is_followed(open_page, liv
     tab.click('#measure')
     places = [(body, 0), (body, 1), (body, 2)]
     for one in places:
-        x, y = tab.ask(f"""(() => {{
-            const [x, y] = page.picture.project(page.picture.grabbed({list(one)}));
-            const box = document.getElementById("solid").getBoundingClientRect();
-            return [x + box.x, y + box.y]; }})()""")
+        x, y = on_screen(tab, *one)
         tab.mouse('mousePressed', x, y, 1)
         tab.mouse('mouseReleased', x, y)
     tab.wait('page.picture.measured.length === 3')
