@@ -166,12 +166,15 @@ class Completion:
             for k in range(1, pieces + 1):
                 self.get_ready()
                 self._follow(begin + change * (k / pieces), HALVINGS)
+            found = self._solved(
+                self._equations.move(self.position).jacobian(), 0.0, rates)
+            if not np.isfinite(found).all():
+                raise CompletionError('the velocities grow beyond all bounds')
         except CompletionError:
             self.position, self._values = before
             self._prepare(self.position)
             raise
-        jac = self._equations.move(self.position).jacobian()
-        self.velocity = self._solved(jac, 0.0, rates)
+        self.velocity = found
         self.residual = float(np.abs(values - self.position[self._places]).max())
 
     def accelerations(self, acceleration):
@@ -254,9 +257,11 @@ class Completion:
         """Return the x with J x = -bias that meets what is wanted of the measured joints."""
         x = np.zeros(len(self._unit))
         for _ in range(MOST_CORRECTIONS):
-            change = self._operator @ np.concatenate([-jac @ x - bias, wanted - x[self._rates]])
-            x += change
-            if np.abs(change).max() <= ROUNDING * max(1.0, np.abs(x).max()):
+            with np.errstate(over='ignore', invalid='ignore'):
+                change = self._operator @ np.concatenate(
+                    [-jac @ x - bias, wanted - x[self._rates]])
+                x += change
+            if not np.abs(change).max() > ROUNDING * max(1.0, np.abs(x).max()):
                 break
             if not self._exact:
                 self._prepare(self.position)

@@ -159,6 +159,16 @@ def test_other_than_finite_numbers_are_refused(values):
         completion.complete(values)
 
 
+def test_velocities_beyond_all_bounds_are_refused():
+    simulation = Simulation.from_scene('four_bar')
+    completion = Completion(simulation.mechanism, ['crank_joint'], simulation.position)
+    places, _ = places_of(simulation, ['crank_joint'])
+    with pytest.raises(CompletionError, match='beyond all bounds'):
+        completion.complete(simulation.position[places] + 0.01, [1.7e308])
+    np.testing.assert_array_equal(completion.position, simulation.position)
+    assert not completion.velocity.any()
+
+
 def test_a_slide_that_jumps_is_refused():
     simulation = Simulation.from_scene('slider_crank')
     completion = Completion(simulation.mechanism, ['slider_joint'], simulation.position)
