@@ -190,8 +190,11 @@ def test_forces_of_all_joints_are_written_by_name(capsys, tmp_path):
 
 
 def test_warnings_are_told_in_one_line(capsys, monkeypatch):
-    def warn(*arguments, **options):
+    report = Simulation.report
+
+    def warn(simulation):
         warnings.warn('something to know', RuntimeWarning)
+        return report(simulation)
 
     monkeypatch.setattr(Simulation, 'report', warn)
     code, _, errors = call(capsys, 'simulate', 'four_bar', '--duration', '0.01')

@@ -27,7 +27,7 @@ import numpy as np
 from .sensor import Chain
 from .table import (
     build_table, CUT_ROTOR, DATA, DISSIPATED, fill_row, FIRST, FOLLOWED, LOADED, OWN,
-    PRESCRIBED_MOTION, size_of_data, STATE, states_of, STORED, WORK)
+    PASSED, PRESCRIBED_MOTION, size_of_data, STATE, states_of, STORED, WORK)
 from ..core import codegen
 from ..core.codegen import pieces
 from ..core.types import TYPE
@@ -440,6 +440,11 @@ class EffectSet:
         """Return the places among the states, and the values, of the joint reactions felt."""
         rows = np.flatnonzero(self._table.index[:, LOADED])
         return self._table.index[rows, STATE] + 1, self._table.output[rows, 2]
+
+    @property
+    def passed(self):
+        """Return the name of the contact that a step of one size has passed unfelt."""
+        return self._rows[int(self._table.contacts.search[PASSED])]
 
     def steady(self, q, qd):
         """Set the table's states to those of a steady motion, and switch the drives off."""

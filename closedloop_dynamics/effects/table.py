@@ -54,8 +54,8 @@ TRIAL_COLUMNS = 6
 LEVELS = 8
 # Places in Contacts.search: the longest part of a step known to agree with the modes, and the
 # shortest that does not [s]; nodes on the stack; cuts on suspicion, and for the sake of the last
-# digits; share and level of each node.
-LOW, HIGH, TOP, SUSPECTED, REFINED, SHARES = range(6)
+# digits; row of the contact that a step of one size has passed; share and level of each node.
+LOW, HIGH, TOP, SUSPECTED, REFINED, PASSED, SHARES = range(7)
 NODE_LEVELS = SHARES + LEVELS + 3
 SEARCH_LENGTH = NODE_LEVELS + LEVELS + 3
 VALUE_COLUMNS = 13

@@ -69,12 +69,25 @@ void clear(const Contacts & contacts)
   }
 }
 
+void clear_bracket(Values search)
+{
+  search[contact::LOW] = 0.0;
+  search[contact::HIGH] = INFINITE;
+  search[contact::SUSPECTED] = search[contact::REFINED] = 0.0;
+}
+
 void forget(const Contacts & contacts)
 {
-  contacts.search[contact::LOW] = 0.0;
-  contacts.search[contact::HIGH] = INFINITE;
-  contacts.search[contact::SUSPECTED] = contacts.search[contact::REFINED] = 0.0;
+  clear_bracket(contacts.search);
   clear(contacts);
+}
+
+/// Store what the laws have written as that of the start.
+void store_start(const Contacts & contacts, Index row)
+{
+  for (Index i = 0; i < ERROR; ++i) {
+    contacts.start(row, i) = contacts.now(row, i);
+  }
 }
 
 /// A gap by the share of an interval.
@@ -453,6 +466,15 @@ Suspicion suspect(
   return {along, true};
 }
 
+/// Go on from the right end of an interval.
+void go_on(const Contacts & contacts, Index top)
+{
+  for (Index row : contacts.rows) {
+    copy(contacts.nodes[top][row], contacts.nodes[0][row]);
+  }
+  contacts.search[contact::SHARES] = contacts.search[contact::SHARES + top];
+}
+
 /// Go from interval to interval as long as they are clear. `share`: where dense output is needed
 /// next; less than zero where it is not.
 Trial look_inside(const EffectTable & effects, double size, Index sought, double & share)
@@ -487,12 +509,34 @@ Trial look_inside(const EffectTable & effects, double size, Index sought, double
         return {place * size, -1};
       }
     }
-    for (Index row : contacts.rows) {
-      copy(right[row], left[row]);
-    }
-    search[contact::SHARES] = search[contact::SHARES + top];
+    go_on(contacts, top);
   }
   return {size, sought};
+}
+
+/// Whether a contact that nothing was felt of may lie between the ends of a step; `other`: the gap
+/// at its end [m].
+bool may_be_passed(const EffectTable & effects, Index row, double size, double other)
+{
+  const Contacts & contacts = effects.contacts;
+  const double * trial = contacts.trial.row(row);
+  const double one = contacts.start(row, GAP);
+  const double fastest = trial[is_finite(effects, row) ? contact::SPEED : contact::FASTEST];
+  // Written so that a NaN may.
+  return effects.enabled[row] == 1 && !(one < 0.0) && !(other < 0.0) &&
+         !(trial[contact::WRONG] > 0.0) && !(one + other > FASTER * fastest * size);
+}
+
+/// Whether a smooth gap is less than none between the ends of a step, by more than steps of one
+/// size resolve.
+bool dips(const Contacts & contacts, Index row, double size)
+{
+  const Cubic cubic(contacts.start.row(row), contacts.now.row(row), 1.0, size);
+  const auto [one, other] = cubic.turning_points();
+  const double slight =
+    std::max(CLOSED, SLIGHT * size * contacts.trial(row, contact::FASTEST));
+  return (0.0 < one && one < 1.0 && cubic(one) < -slight) ||
+         (0.0 < other && other < 1.0 && cubic(other) < -slight);
 }
 
 /// Let the laws see a state; gaps need no accelerations.
@@ -521,9 +565,7 @@ bool freeze_modes(const System & system)
         touches = rate < 0.0;
       }
       contacts.mode[row] = touches ? contact::TOUCHING : contact::FREE;
-      for (Index i = 0; i < ERROR; ++i) {
-        contacts.start(row, i) = contacts.now(row, i);
-      }
+      store_start(contacts, row);
       contacts.trial(row, contact::CHANGED) = 0.0;
       contacts.trial(row, contact::LOST) = effects.states[effects.index(row, effect::STATE)];
     }
@@ -564,6 +606,91 @@ double ContactSearch::examine(const System & system, Values state, double size, 
     clear(effects.contacts);
   }
   return found.part;
+}
+
+ContactGuard::ContactGuard(const System & system)
+: system_(system)
+{
+  clear(system.effects.contacts);
+}
+
+void ContactGuard::begin() const
+{
+  for (Index row : system_.effects.contacts.rows) {
+    store_start(system_.effects.contacts, row);
+  }
+}
+
+bool ContactGuard::is_near(double size) const
+{
+  const EffectTable & effects = system_.effects;
+  return std::any_of(
+    effects.contacts.rows.begin(), effects.contacts.rows.end(),
+    [&](Index row) {return may_be_passed(effects, row, size, 0.0);});
+}
+
+double ContactGuard::examine_end(Values out, double size, bool & passed) const
+{
+  const EffectTable & effects = system_.effects;
+  const Contacts & contacts = effects.contacts;
+  update_gaps(system_, out);
+  bool doubtful = false;
+  for (Index row : contacts.rows) {
+    if (!may_be_passed(effects, row, size, contacts.now(row, GAP))) {
+      continue;
+    }
+    if (is_finite(effects, row)) {
+      contacts.mode[row] = contact::FREE;
+      doubtful = true;
+    } else if (dips(contacts, row, size)) {
+      contacts.search[contact::PASSED] = static_cast<double>(row);
+      passed = true;
+      return -1.0;
+    }
+  }
+  if (!doubtful) {
+    return -1.0;
+  }
+  clear_bracket(contacts.search);
+  begin_look(contacts);
+  return next_share(size, passed);
+}
+
+double ContactGuard::examine_inside(Values state, double size, double share, bool & passed) const
+{
+  update_gaps(system_, state);
+  const Trial found = push(system_.effects, size, share);
+  if (found.part != size) {
+    system_.effects.contacts.search[contact::PASSED] = static_cast<double>(found.sought);
+    passed = true;
+    return -1.0;
+  }
+  return next_share(size, passed);
+}
+
+double ContactGuard::next_share(double size, bool & passed) const
+{
+  const EffectTable & effects = system_.effects;
+  const Contacts & contacts = effects.contacts;
+  double share = -1.0;
+  while (look_inside(effects, size, -1, share).part != size) {
+    // The finest interval: only a path that enters the body counts.
+    const Index top = static_cast<Index>(contacts.search[contact::TOP]);
+    const Table left = contacts.nodes[0], right = contacts.nodes[top];
+    for (Index row : contacts.rows) {
+      if (is_judged(effects, row) &&
+        nearest_to_body(effects, row, left.row(row), right.row(row)).distance < -CLOSED)
+      {
+        contacts.search[contact::PASSED] = static_cast<double>(row);
+        passed = true;
+        return -1.0;
+      }
+    }
+    go_on(contacts, top);
+    contacts.search[contact::TOP] -= 1.0;
+    contacts.search[contact::SUSPECTED] = 0.0;
+  }
+  return share;
 }
 
 }  // namespace closedloop

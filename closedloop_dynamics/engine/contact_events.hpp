@@ -71,6 +71,42 @@ private:
   double examine(const System &, Values state, double size, double & share);
 };
 
+/// Guard of a step of one size, which contacts do not end: no evaluation of it may feel a contact
+/// that is passed between its ends. Made before the evaluation at the start.
+class ContactGuard
+{
+public:
+  explicit ContactGuard(const System &);
+
+  /// Store the gaps of the evaluation at the start.
+  void begin() const;
+
+  /// Whether the step to `out`, `size` long [s], passes a contact unfelt; its row is stored in
+  /// Contacts.search. `state_at(share)` returns a state between.
+  template<class StateAt>
+  bool is_passed(Values out, double size, StateAt && state_at) const
+  {
+    if (!is_near(size)) {
+      return false;
+    }
+    bool passed = false;
+    double share = examine_end(out, size, passed);
+    while (share >= 0.0) {
+      share = examine_inside(state_at(share), size, share, passed);
+    }
+    release_modes(system_);
+    return passed;
+  }
+
+private:
+  bool is_near(double size) const;
+  double examine_end(Values out, double size, bool & passed) const;
+  double examine_inside(Values state, double size, double share, bool & passed) const;
+  double next_share(double size, bool & passed) const;
+
+  const System & system_;
+};
+
 }  // namespace closedloop
 
 #endif  // CLOSEDLOOP_DYNAMICS__ENGINE__CONTACT_EVENTS_HPP_

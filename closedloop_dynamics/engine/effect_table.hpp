@@ -37,7 +37,7 @@ enum Node : Index {GAP, RATE, PLACE, ERROR = 5, BEND, NODE_COLUMNS};
 enum Trial : Index {FASTEST, SPEED, WRONG, LARGEST, CHANGED, LOST, TRIAL_COLUMNS};
 enum Search : Index
 {
-  LOW, HIGH, TOP, SUSPECTED, REFINED, SHARES, NODE_LEVELS = 16, SEARCH_LENGTH = 27
+  LOW, HIGH, TOP, SUSPECTED, REFINED, PASSED, SHARES, NODE_LEVELS = 17, SEARCH_LENGTH = 28
 };
 /// Halvings of a step that is searched for contacts.
 constexpr Index LEVELS = 8;

@@ -5,8 +5,10 @@
 
 #include <algorithm>
 
+#include "contact_events.hpp"
 #include "evaluation.hpp"
 #include "left_out.hpp"
+#include "manifold.hpp"
 #include "projection.hpp"
 #include "stick_slip.hpp"
 #include "time_events.hpp"
@@ -20,15 +22,31 @@ namespace
 constexpr double LEAST_PART = 1e-12;
 }  // namespace
 
-void Parts::accept(const System & system, Values state, Values out)
+void interpolate_parabola(
+  const System & system, Values state, Values slope, Values out, double size, double share,
+  Values between)
+{
+  for (Index i = 0; i < state.size; ++i) {
+    const double along = size * slope[i];
+    between[i] = state[i] + share * (along + share * (out[i] - state[i] - along));
+  }
+  normalise(system.manifold, between);
+}
+
+bool Parts::shorten(const System & system, Values state, Values out)
 {
   const double part =
     locate_stick_event(system, state, out, size, least_part(whole, cuts));
-  if (part < size) {
-    size = part;
-    ++cuts;
-    return;
+  if (!(part < size)) {
+    return false;
   }
+  size = part;
+  ++cuts;
+  return true;
+}
+
+void Parts::accept(const System & system, Values state, Values out)
+{
   update_friction_modes(system, out);
   if (system.has_effects()) {
     pass_corners(system.effects, out.from(system.own()));
@@ -66,7 +84,9 @@ std::pair<Status, Index> make_fixed_steps(
         parts.size = std::min(
           parts.size, time_to_next_corner(system.effects, state.from(system.own())));
       }
+      const ContactGuard contacts(system);
       derivative(system, state, slopes[0]);
+      contacts.begin();
       if (tableau.steps() == 0) {
         semi_implicit_step(system.manifold, state, system.nv(), parts.size, slopes[0], out);
       } else {
@@ -83,6 +103,19 @@ std::pair<Status, Index> make_fixed_steps(
       if (!equations_serve(system, stabilisation, out)) {
         copy(start, state);
         return {Status::POOR_EQUATIONS, done};
+      }
+      if (parts.shorten(system, state, out)) {
+        continue;
+      }
+      const double size = parts.size;
+      if (contacts.is_passed(
+          out, size, [&](double share) {
+            interpolate_parabola(system, state, slopes[0], out, size, share, stage);
+            return stage;
+          }))
+      {
+        copy(start, state);
+        return {Status::CONTACT_PASSED, done};
       }
       parts.accept(system, state, out);
     }

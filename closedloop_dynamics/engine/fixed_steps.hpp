@@ -26,6 +26,12 @@ std::pair<Status, Index> make_fixed_steps(
   const System &, const Tableau &, Stabilisation, Values state, double step_size, Index steps,
   Table scratch, Interrupt &);
 
+/// State at a share of a step, by the parabola through both its ends with a slope at its start;
+/// quadratic, which is enough to see where a path leads.
+void interpolate_parabola(
+  const System &, Values state, Values slope, Values out, double size, double share,
+  Values between);
+
 /// A step that is taken in parts, as joints come to rest or forces have corners within it.
 struct Parts
 {
@@ -37,8 +43,9 @@ struct Parts
   explicit Parts(double step_size)
   : whole(step_size), left(step_size), size(step_size) {}
 
-  /// Accept the part from `state` to `out`, or find that it must be shorter as a joint turns round
-  /// within it.
+  /// Find whether the part from `state` to `out` must be shorter as a joint turns round within it.
+  bool shorten(const System &, Values state, Values out);
+  /// Accept the part: `state` becomes `out`.
   void accept(const System &, Values state, Values out);
 };
 

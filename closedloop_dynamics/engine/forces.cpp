@@ -16,10 +16,8 @@ bool update_contact(const Contacts & contacts, Index row, double gap, double rat
   now[contact::GAP] = gap;
   now[contact::RATE] = rate;
   trial[contact::FASTEST] = std::max(trial[contact::FASTEST], std::abs(rate));
-  if (mode != contact::UNDECIDED) {
-    trial[contact::WRONG] =
-      std::max(trial[contact::WRONG], mode == contact::FREE ? -gap : gap);
-  }
+  trial[contact::WRONG] =
+    std::max(trial[contact::WRONG], mode == contact::TOUCHING ? gap : -gap);
   return mode == contact::TOUCHING || (mode == contact::UNDECIDED && gap < 0.0);
 }
 

@@ -166,7 +166,9 @@ std::pair<Status, Index> advance_stiff_fixed(
     // time has a corner.
     while (parts.left > 0.0) {
       parts.size = std::min(parts.size, time_to_corner(system, state));
+      const ContactGuard contacts(system);
       derivative(system, state, scratch[SLOPE]);
+      contacts.begin();
       factor_jacobian(system, state, parts.size, matrix, pivots, scratch);
       stiff_step(system, state, parts.size, matrix, pivots, scratch);
       const bool closed = stabilise(system, stabilisation, out);
@@ -179,6 +181,20 @@ std::pair<Status, Index> advance_stiff_fixed(
       if (!equations_serve(system, stabilisation, out)) {
         copy(start, state);
         return {Status::POOR_EQUATIONS, done};
+      }
+      if (parts.shorten(system, state, out)) {
+        continue;
+      }
+      const double size = parts.size;
+      if (contacts.is_passed(
+          out, size, [&](double share) {
+            interpolate_parabola(
+              system, state, scratch[SLOPE], out, size, share, scratch[STAGE]);
+            return scratch[STAGE];
+          }))
+      {
+        copy(start, state);
+        return {Status::CONTACT_PASSED, done};
       }
       parts.accept(system, state, out);
     }

@@ -22,7 +22,7 @@ the places.
 
 # Status of an advance. SINGULAR: of a batch, which has no rank-revealing path.
 (DONE, NOT_FINITE, OPEN_LOOP, STEP_TOO_SMALL, TOO_MUCH_WORK, INTERRUPTED,
- POOR_EQUATIONS) = range(7)
+ POOR_EQUATIONS, CONTACT_PASSED) = range(8)
 SINGULAR = 9
 
 # Evaluation limit for each output step of the error-controlled methods.

@@ -25,7 +25,7 @@ from closedloop_dynamics.effects import (
     actuator, body_contact, bushing, cable, course, curve, expression, force_table,
     joint_friction, table)
 from closedloop_dynamics.integration import (
-    batch, control, drivers, recorded_run, registry, system, tableau)
+    batch, control, drivers, left_out, recorded_run, registry, system, tableau)
 import pytest
 
 FOLDER = Path(engine.__file__).parent
@@ -53,6 +53,9 @@ ENUMS = {
     'effect.Column': (table, {}),
     'effect.Kind': (table, {}),
     'contact': (table, {}),
+    'contact.Node': (table, {}),
+    'contact.Trial': (table, {}),
+    'contact.Search': (table, {}),
     'cut_coordinate': (table, {}),
     'cut_coordinate.Value': (table, {}),
     'control': (control, {'COLUMNS': 'CONTROL_COLUMNS'}),
@@ -61,12 +64,13 @@ ENUMS = {
     # Only the end of the first rows, and the state at REACHED, are Python's business.
     'scratch': (control, {name: None for name in ('STAGE', 'OUT', 'BEFORE', 'LAST_STAGE')}),
     'course.cpp: Operation': (expression, {}),
+    'left_out.cpp: PIVOT': (left_out, {}),
     'independent.cpp: CHOSEN_RATIO': (independent, {}),
     'manifold.cpp: QUATERNION': (manifold, {}),
     'switching.cpp: RUN': (drivers, {}),
 }
 # The engine's alone.
-INNER = {'Level', 'contact_events.cpp: GAP', 'projection.cpp: By', 'rosenbrock.cpp: STAGE',
+INNER = {'Level', 'projection.cpp: By', 'rosenbrock.cpp: STAGE',
          'python_api.hpp: PyGILState_STATE'}
 # Constants of the same name.
 CONSTANTS = {
