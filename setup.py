@@ -74,6 +74,7 @@ setup(
         'matplotlib>=3.6',
         'mcap>=1.6',
         'numpy>=1.26',
+        'pillow>=10.2',
         'PyYAML>=6.0',
         'rosbags>=0.11',
         'scipy>=1.11',

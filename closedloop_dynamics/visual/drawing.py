@@ -48,6 +48,9 @@ LEAST_VIEW = 0.2
 # Of the floor in a perspective: lines across the extent, about, and the room below what moves.
 FLOOR_LINES, FLOOR_ROOM = 6, 0.03
 INK = '#333333'
+# Style of force arrows: keywords of matplotlib.patches.FancyArrowPatch.
+ARROW = {'arrowstyle': '-|>', 'color': FORCE_COLOR, 'linewidth': 1.8, 'shrinkA': 4.0,
+         'shrinkB': 0.0, 'mutation_scale': 12.0, 'zorder': 33}
 # Of a pivot's triangle, and of the block of a slider, as shares of the picture's extent.
 PIVOT_SIZE, SLIDER_SIZE = 0.035, 0.04
 # Above the positions in the background, below the strong one.
@@ -190,13 +193,17 @@ class MechanismArtist:
     def path(self, name):
         """Draw the path of a named point over all poses."""
         places = self.view.project(named_point(self.mechanism, self.poses, name))
-        self.axes.plot(*places.T, color=PATH_COLOR, linewidth=1.6, zorder=31)
+        self.trace(places)
         return places
 
+    def trace(self, places):
+        """Draw the path through places in the picture, shape (m, 2) [m]; return its line."""
+        return self.axes.plot(*places.T, color=PATH_COLOR, linewidth=1.6, zorder=31)[0]
+
     def mark(self, place):
-        """Mark where a traced point is."""
-        self.axes.plot(*place, marker='D', markersize=5, color=PATH_COLOR, zorder=32,
-                       markeredgecolor='white', markeredgewidth=0.8)
+        """Mark where a traced point is; return the mark."""
+        return self.axes.plot(*place, marker='D', markersize=5, color=PATH_COLOR, zorder=32,
+                              markeredgecolor='white', markeredgewidth=0.8)[0]
 
     def forces(self, index, forces, largest):
         """
@@ -208,9 +215,7 @@ class MechanismArtist:
 
         """
         for start, end in self.arrow_ends(index, forces, largest):
-            self.axes.annotate('', end, start, zorder=33, arrowprops={
-                'arrowstyle': '-|>', 'color': FORCE_COLOR, 'linewidth': 1.8,
-                'shrinkA': 4, 'shrinkB': 0, 'mutation_scale': 12})
+            self.axes.annotate('', end, start, zorder=ARROW['zorder'], arrowprops=ARROW)
             self.axes.update_datalim([end])
         self.axes.autoscale_view()
 

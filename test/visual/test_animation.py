@@ -23,7 +23,11 @@ from closedloop_dynamics.recording.run import columns, Report, run
 from closedloop_dynamics.simulation.signals import Interrupted
 from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.visual import animation as animations, motion as motions, pictures
+from closedloop_dynamics.visual.appearance import body_colors, FORCE_COLOR, PATH_COLOR
+from closedloop_dynamics.visual.drawing import mixed
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import to_rgb
+from matplotlib.lines import Line2D
 import numpy as np
 from PIL import Image
 import pytest
@@ -73,12 +77,49 @@ def test_frames_differ_and_do_not_jump(motion):
     assert not changed[:20].any() and not changed[-40:].any()
 
 
+def pixels(frame, color):
+    """Return the number of pixels of a colour above the plot and the legend."""
+    color = np.round(255.0 * np.array(to_rgb(color)))
+    return np.sum(np.all(np.abs(frame[:-250, :, :3].astype(int) - color) <= 2.0, axis=2))
+
+
+def test_bodies_forces_and_the_path_are_seen_in_their_colors(motion):
+    animation = animations.Animation(motion, 'test', animations.frame_times(motion, 20.0, 1.0))
+    frames = [animation.frame(k).copy() for k in range(len(animation))]
+    for color in set(body_colors(motion.mechanism).values()):
+        # Bars of several hundred pixels of length, seven wide; arrows and the path cover some.
+        assert min(pixels(frame, mixed(color, 0.75)) for frame in frames) > 500
+    # The path grows, and is above the platform.
+    path = [pixels(frame, PATH_COLOR) for frame in frames]
+    assert path[0] < 60 and path[-1] > path[5] > path[0] + 30
+    assert max(pixels(frame, FORCE_COLOR) for frame in frames) > 50
+    # As far as it has come, whatever was drawn before.
+    again = [pixels(animation.frame(k), PATH_COLOR) for k in (8, 2)]
+    np.testing.assert_allclose(again, [path[8], path[2]], rtol=0.05, atol=5)
+
+
+def test_a_long_path_is_drawn_in_pieces(motion, monkeypatch):
+    animation = animations.Animation(motion, 'test', animations.frame_times(motion, 20.0, 1.0))
+    drawn = []
+    before = Line2D.set_data
+    monkeypatch.setattr(Line2D, 'set_data', lambda line, x, y: (
+        drawn.append(len(x)), before(line, x, y)))
+    total = []
+    for index in range(len(animation)):
+        drawn.clear()
+        animation.frame(index)
+        total.append(sum(drawn))
+    # A frame draws what is new of the path, so that the last one takes no more than others.
+    assert total[-1] < 1.5 * np.median(total)
+
+
 def test_forces_that_are_not_known_are_left_out(motion):
     unknown = motions.Motion(motion.mechanism, motion.time, motion.position, motion.velocity,
                              motion.effort, np.full_like(motion.forces, np.nan))
     animation = animations.Animation(unknown, 'test', np.array([0.0, 0.1]))
     assert len(animation) == 2
-    assert animation.frame(1).size == animation.frame(0).size
+    assert pixels(animation.frame(1), FORCE_COLOR) == 0
+    assert pixels(animation.frame(1), PATH_COLOR) > 0
     for draw in (pictures.positions, pictures.constraint_forces):
         FigureCanvasAgg(draw(unknown, 'test')).draw()
 
@@ -162,14 +203,14 @@ def test_an_interruption_leaves_no_file(csv_file, tmp_path, monkeypatch, capsys,
     program.write_text('#!/bin/sh\nfor last; do :; done\ncat > "$last"\n')
     program.chmod(0o755)
     monkeypatch.setenv('PATH', f'{tmp_path}{os.pathsep}{os.environ["PATH"]}')
-    before = animations.Animation.show
+    before = animations.Animation.frame
 
-    def show(animation, index):
+    def frame(animation, index):
         if index == 3:
             raise Interrupted(signal.SIGINT)
-        before(animation, index)
+        return before(animation, index)
 
-    monkeypatch.setattr(animations.Animation, 'show', show)
+    monkeypatch.setattr(animations.Animation, 'frame', frame)
     output = tmp_path / 'out' / f'run.{ending}'
     output.parent.mkdir()
     assert main(['animate', str(csv_file), '--output', str(output)]) == 130
