@@ -36,7 +36,7 @@ import warnings
 for _name in ('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS', 'MKL_NUM_THREADS'):
     os.environ[_name] = '1'
 
-from evaluations import evaluate_again
+from evaluations import evaluate_again  # noqa: E402
 from machine import description, ROOT  # noqa: E402,I100
 import numpy as np  # noqa: E402
 

@@ -284,8 +284,8 @@ class Effect:
         Returns
         -------
         tuple of 2 floats, or None
-            The time, and which piece of its course is the present one (``engine/time_events.hpp``);
-            None where the effect knows no time.
+            The time, and which piece of its course is the present one
+            (``engine/time_events.hpp``); None where the effect knows no time.
 
         """
 

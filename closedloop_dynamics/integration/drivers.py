@@ -170,8 +170,8 @@ class ErrorControlled:
     def advance(self, state, origin, done, step_size, steps):
         """Advance a state by ``steps`` times ``step_size``; see ``FixedSteps.advance``."""
         status = native.advance_explicit(
-            self._system.native, self._tableau, self._stabilisation, state, origin, done, step_size,
-            steps, self.control, self._scale, self._scratch)
+            self._system.native, self._tableau, self._stabilisation, state, origin, done,
+            step_size, steps, self.control, self._scale, self._scratch)
         if status == DONE:
             return status, steps * step_size
         return status, self.control[columns.REACHED] - (origin + done * step_size)
@@ -229,8 +229,8 @@ class Switching:
     def advance(self, state, origin, done, step_size, steps):
         """Advance a state by ``steps`` times ``step_size``; see ``FixedSteps.advance``."""
         status = native.advance_switching(
-            self._system.native, self._tableau, self._stabilisation, state, origin, done, step_size,
-            steps, self._runs)
+            self._system.native, self._tableau, self._stabilisation, state, origin, done,
+            step_size, steps, self._runs)
         if status == DONE:
             return status, steps * step_size
         return status, self.control[columns.REACHED] - (origin + done * step_size)

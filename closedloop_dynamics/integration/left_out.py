@@ -81,4 +81,4 @@ def all_equations(model, work, before=None):
 def forget(system):
     """Forget the motion of a system so far."""
     if system.leaves_out:
-        system.all.numbers[:] = 0.0
+        system.whole.numbers[:] = 0.0

@@ -18,7 +18,7 @@ from typing import NamedTuple, Optional
 
 import numpy as np
 
-from .left_out import AllEquations, all_equations
+from .left_out import all_equations, AllEquations
 from ..core import codegen
 from ..core.codegen import function_table as calls, pieces, space
 from ..core.equations import with_all_equations
@@ -73,7 +73,7 @@ class System(NamedTuple):
         such routines.
     manifold : Manifold or None
         Where quaternions are among the coordinates; None where there are none.
-    all : AllEquations or None
+    whole : AllEquations or None
         Where the elimination works on some of them only.
     native
         The engine's view of all these.
@@ -99,7 +99,7 @@ class System(NamedTuple):
     table: np.ndarray
     corrections: np.ndarray
     manifold: Optional[Manifold]
-    all: Optional[AllEquations]
+    whole: Optional[AllEquations]
     native: object
 
     @property
@@ -120,7 +120,7 @@ class System(NamedTuple):
     @property
     def leaves_out(self):
         """Whether equations that repeat others are left out."""
-        return self.all is not None
+        return self.whole is not None
 
     def __reduce__(self):
         """Copy and pickle without addresses, which hold for these very arrays."""
@@ -173,7 +173,7 @@ def build_system(model, formulation=SUBSYSTEM, baumgarte=0.0, extent=1.0, indepe
         settings=settings, tau=tau, qdd=np.zeros(nv), lam=np.zeros(nc),
         applied=tau if effects is None else effects.applied[:nv], effects=effects, table=None,
         corrections=np.zeros((2, nv if unrolled else 0)), manifold=manifold_of(model),
-        all=None, native=None)
+        whole=None, native=None)
     return _linked(system)
 
 
@@ -197,7 +197,7 @@ def _linked(system):
         reactions = effects is not None and JOINT_FRICTION in effects.kind
         codegen.link(model, table, (
             *codegen.ALWAYS, *((codegen.REACTIONS,) if reactions else ())))
-    return _bound(system._replace(table=table, all=all_equations(model, work, system.all)))
+    return _bound(system._replace(table=table, whole=all_equations(model, work, system.whole)))
 
 
 def _bound(system):
@@ -253,7 +253,7 @@ def with_equations(system, model):
     work = unconnected(model)
     work.health[:] = system.work.health
     return _linked(system._replace(
-        model=model, work=work, all=None, lam=np.zeros(len(work.closure)),
+        model=model, work=work, whole=None, lam=np.zeros(len(work.closure)),
         dense=allocate_dense(model, int(system.settings[FORMULATION])),
         partition=allocate_partition(model, system.is_independent)))
 
@@ -295,7 +295,7 @@ def on_workspace(system, model, work):
 
     """
     return _bound(system._replace(
-        model=model, work=work, lam=np.zeros(len(work.closure)), all=None,
+        model=model, work=work, lam=np.zeros(len(work.closure)), whole=None,
         partition=allocate_partition(model, False)))
 
 

@@ -80,9 +80,10 @@ class LiveSimulation:
         Publish the present state and constraint forces.
 
         It was due ``late`` s ago, of the steady clock. Raises NumericalError instead of publishing
-        forces that are not finite.
+        a state that the energy guard refuses, or forces that are not finite.
 
         """
+        self.simulation.energy_guard.pass_on(self.simulation)
         simulation, stamp = self.simulation, self.stamps.earlier(late, self._published_stamp)
         forces = simulation.constraint_forces
         others = [np.array(list(each.values()))

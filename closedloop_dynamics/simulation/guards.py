@@ -165,6 +165,7 @@ class EnergyGuard:
         self.among_laws = among_laws
         integrator = INTEGRATORS[method.integrator]
         self._first = FIRST_LOOK_ORDER_1 if integrator.order == 1 else FIRST_LOOK
+        self._least = FIRST_LOOK_ORDER_1 if integrator.order == 1 else 1
         # Where error control steps, how often it is looked at would show in the last digits.
         self._whole = integrator.kind == ADAPTIVE
         self._rarely = LOOK_EVERY_AMONG_LAWS if among_laws else LOOK_EVERY
@@ -219,6 +220,19 @@ class EnergyGuard:
 
         """
         if self._since > 0 and steps >= self._call:
+            self._look_now(simulation)
+
+    def pass_on(self, simulation):
+        """
+        Look before a state is handed to others, however few steps have led to it.
+
+        Raises
+        ------
+        StiffnessError, NumericalError
+            As for ``look``; the state kept is the latest that was passed on.
+
+        """
+        if self._since >= self._least:
             self._look_now(simulation)
 
     def _look_now(self, simulation):

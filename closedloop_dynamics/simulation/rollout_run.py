@@ -383,8 +383,9 @@ class SimdRuns:
                          for count in (names.nq, names.nv))
         work = np.zeros(LANES)
         status = native.run_batch(
-            tuple(pack)[:-1], driver.tableau, driver.stabilisation, state, first.step_size, efforts,
-            *schedule.in_steps(steps), np.zeros((len(driver.scratch), len(state))), *room, work)
+            tuple(pack)[:-1], driver.tableau, driver.stabilisation, state, first.step_size,
+            efforts, *schedule.in_steps(steps), np.zeros((len(driver.scratch), len(state))), *room,
+            work)
         if status != DONE:
             return None
         ends = state.reshape(-1, LANES).T

@@ -50,7 +50,8 @@ from ..integration.left_out import LENIENT, OPENED
 from ..integration.recorded_run import joint_forces
 from ..integration.registry import INTEGRATORS, SCIPY
 from ..integration.system import (
-    BAUMGARTE_GAIN, build_system, CLOSURE_LIMIT, on_workspace, parts_of_state, Probe, with_equations, with_partition)
+    BAUMGARTE_GAIN, build_system, CLOSURE_LIMIT, on_workspace, parts_of_state, Probe,
+    with_equations, with_partition)
 from ..mechanism.couplings import measured
 from ..mechanism.decomposition import decompose
 from ..mechanism.fields import at, FieldError, keys_of, mapping
@@ -1114,7 +1115,7 @@ class Simulation:
         if (not self.leaves_out or self.scene.method.stabilisation not in CLOSING
                 or status == CONTACT_PASSED):
             return False
-        numbers = self.system.all.numbers
+        numbers = self.system.whole.numbers
         opened = status != POOR_EQUATIONS or numbers[OPENED] == 1.0
         model = self._geometry.closed_anew(self._q, BETTER, opened)
         if model is None:

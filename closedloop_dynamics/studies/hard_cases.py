@@ -32,8 +32,8 @@ from ..effects.joint_damping import JointDamping
 from ..effects.joint_friction import JointFriction
 from ..effects.joint_spring import JointSpring
 from ..effects.point_spring import PointSpring
-from ..integration.registry import FIXED, INTEGRATORS
 from ..integration.control import SHARE
+from ..integration.registry import FIXED, INTEGRATORS
 from ..mechanism.mechanism import (
     Body, CutJoint, Joint, Mechanism, Point, PRISMATIC, REVOLUTE)
 from ..simulation.errors import SimulationError, StiffnessError

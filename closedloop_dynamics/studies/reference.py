@@ -26,8 +26,8 @@ import time
 
 import numpy as np
 
-from ..integration.system import ASIDE
 from ..integration.registry import ADAPTIVE, INTEGRATORS
+from ..integration.system import ASIDE
 from ..simulation.errors import SimulationError
 from ..simulation.simulation import Simulation
 

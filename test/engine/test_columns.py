@@ -62,7 +62,7 @@ ENUMS = {
     'switching': (control, {}),
     'monitor': (control, {}),
     # Only the end of the first rows, and the state at REACHED, are Python's business.
-    'scratch': (control, {name: None for name in ('STAGE', 'OUT', 'BEFORE', 'LAST_STAGE')}),
+    'scratch': (control, dict.fromkeys(('STAGE', 'OUT', 'BEFORE', 'LAST_STAGE'))),
     'course.cpp: Operation': (expression, {}),
     'left_out.cpp: PIVOT': (left_out, {}),
     'independent.cpp: CHOSEN_RATIO': (independent, {}),

@@ -43,10 +43,7 @@ def worst_error(scene, torque, accuracy, change=None, duration=1.0):
     return worst, runs[0]
 
 
-# The delta robot falls so freely that its reference takes seconds.
-@pytest.mark.parametrize('scene', [
-    pytest.param(scene, marks=pytest.mark.slow) if scene == 'delta_robot' else scene
-    for scene in scene_names()])
+@pytest.mark.parametrize('scene', scene_names())
 def test_every_shipped_scene_is_right_to_the_default_accuracy(scene):
     accuracy = Method().accuracy
     asked = min(accuracy, load_scene(scene).method.accuracy)

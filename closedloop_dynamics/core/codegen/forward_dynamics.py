@@ -25,6 +25,8 @@ def prepare(recursion, model, tau, work):
 
     Parameters
     ----------
+    recursion : spatial.Recursion
+        Of the bodies.
     model : Model
         Constant topology and geometry.
     tau : ndarray, shape (nv,)
@@ -50,6 +52,8 @@ def accelerate(recursion, model, work, tau, baumgarte, qdd, lam):
 
     Parameters
     ----------
+    recursion : spatial.Recursion
+        Of the bodies.
     model : Model
         Constant topology and geometry.
     work : Workspace
@@ -155,8 +159,6 @@ def constraint_right_side(work, baumgarte, right):
     for k in range(right.shape[0]):
         right[k] = -right[k] - work.bias[k] - baumgarte * (
             2.0 * work.closure_rate[k] + baumgarte * work.closure[k])
-
-
 
 
 def to_user_order(model, ordered, out):

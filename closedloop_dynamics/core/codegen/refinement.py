@@ -115,6 +115,8 @@ def prepare(recursion, model, tau, work):
 
     Parameters
     ----------
+    recursion : spatial.Recursion
+        Of the bodies.
     model : Model
         Constant topology and geometry.
     tau : ndarray, shape (nv,)
@@ -189,6 +191,8 @@ def accelerate(recursion, model, work, tau, baumgarte, qdd, lam):
 
     Parameters
     ----------
+    recursion : spatial.Recursion
+        Of the bodies.
     model, tau, baumgarte, qdd, lam
         As for ``forward_dynamics.accelerate``.
     work : Workspace
