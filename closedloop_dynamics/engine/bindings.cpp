@@ -223,7 +223,7 @@ PyObject * bind(PyObject *, PyObject * const * from, Py_ssize_t count)
                 delete static_cast<Bound *>(PyCapsule_GetPointer(object, bound_name));
               }));
           bound.release();
-          return PyCFunction_NewEx(&bound_method, capsule.get(), nullptr);
+          return PyCMethod_New(&bound_method, capsule.get(), nullptr, nullptr);
         }
       }
       PyErr_Format(PyExc_ValueError, "bind: there is no function '%s'", name);
@@ -252,7 +252,7 @@ int fill_module(PyObject * module)
       entries[n].name, as_method(entries[n].call), METH_FASTCALL, entries[n].doc};
   }
   for (PyMethodDef & method : methods) {
-    PyObject * function = PyCFunction_NewEx(&method, nullptr, nullptr);
+    PyObject * function = PyCMethod_New(&method, nullptr, nullptr, nullptr);
     if (function == nullptr || PyModule_AddObjectRef(module, method.ml_name, function) < 0) {
       return -1;
     }

@@ -452,7 +452,8 @@ Suspicion suspect(
   const auto [first, second] = cubic.turning_points();
   double least = 0.0, along = 1.0;
   for (int k = 1; k < PLACES + 2; ++k) {
-    const double share = k < PLACES ? static_cast<double>(k) / PLACES : k == PLACES ? first : second;
+    const double share =
+      k < PLACES ? static_cast<double>(k) / PLACES : k == PLACES ? first : second;
     if (!(0.0 < share && share < 1.0)) {
       continue;
     }

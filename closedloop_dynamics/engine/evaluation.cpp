@@ -37,7 +37,7 @@ void move_bodies(const System & system, Values q, Values qd)
 /// Accelerations with all closure equations, of which some depend on others.
 void accelerate_with_all_equations(const System & system, Values q, Values qd)
 {
-  const AllEquations & all = system.all;
+  const AllEquations & all = system.whole;
   const Model & model = all.empty() ? system.model : all.model;
   const Workspace & work = all.empty() ? system.work : all.work;
   const Values & settings = system.settings;

@@ -36,7 +36,7 @@ double kinetic_energy(const AllEquations & all, Values q, Values qd)
 
 bool equations_serve(const System & system, Stabilisation stabilisation, Values state)
 {
-  const AllEquations & all = system.all;
+  const AllEquations & all = system.whole;
   if (all.empty() || stabilisation < Stabilisation::PROJECTION) {
     return true;
   }

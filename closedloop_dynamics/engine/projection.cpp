@@ -79,7 +79,7 @@ void correction(const System & system, By by, Level level, Values q, Values qd)
   } else if (by == By::ROUTINE) {
     copy(system.corrections[level == Level::POSITION ? 0 : 1], system.qdd);
   } else {
-    const AllEquations & all = system.all;
+    const AllEquations & all = system.whole;
     const Model & model = all.empty() ? system.model : all.model;
     const Workspace & work = all.empty() ? system.work : all.work;
     outward(model, q, qd, work);

@@ -118,7 +118,7 @@ PyObject *PyBool_FromLong(long);
 void PyBuffer_Release(Py_buffer *);
 void *PyCapsule_GetPointer(PyObject *, const char *);
 PyObject *PyCapsule_New(void *, const char *, void (*)(PyObject *));
-PyObject *PyCFunction_NewEx(PyMethodDef *, PyObject *, PyObject *);
+PyObject *PyCMethod_New(PyMethodDef *, PyObject *, PyObject *, PyTypeObject *);
 int PyErr_CheckSignals();
 PyObject *PyErr_Format(PyObject *, const char *, ...);
 PyObject *PyErr_Occurred();

@@ -51,7 +51,7 @@ struct System
   Indices table;
   Table corrections;
   Manifold manifold;
-  AllEquations all;
+  AllEquations whole;
   /// Returns whether a computation that takes long is to stop; none: never. Set by the host.
   bool (* interrupted)() = nullptr;
 
@@ -73,7 +73,7 @@ struct System
   void fields(Visitor && visit)
   {
     visit(model, work, dense, partition, settings, tau, qdd, lam, applied, effects, table,
-      corrections, manifold, all);
+      corrections, manifold, whole);
   }
 };
 

@@ -161,20 +161,20 @@ const char * misfit(const System & system)
   {
     return "partition";
   }
-  if (!system.all.empty()) {
-    if (const char * found = misfit(system.all.work, system.all.model)) {
+  if (!system.whole.empty()) {
+    if (const char * found = misfit(system.whole.work, system.whole.model)) {
       return found;
     }
-    if (const char * found = misfit(system.all.own, system.all.model)) {
+    if (const char * found = misfit(system.whole.own, system.whole.model)) {
       return found;
     }
-    if (system.all.numbers.size != 4 || system.all.energy.size != 2) {
+    if (system.whole.numbers.size != 4 || system.whole.energy.size != 2) {
       return "numbers of all equations";
     }
-    if (system.all.lam.size != system.all.model.equations() ||
-      system.all.kept.size != system.all.lam.size ||
+    if (system.whole.lam.size != system.whole.model.equations() ||
+      system.whole.kept.size != system.whole.lam.size ||
       std::count_if(
-        system.all.kept.begin(), system.all.kept.end(), [](Index each) {return each != 0;}) !=
+        system.whole.kept.begin(), system.whole.kept.end(), [](Index each) {return each != 0;}) !=
       system.lam.size)
     {
       return "all equations";

@@ -327,7 +327,7 @@ class EnergyGuard:
 
     def _problem(self, lost, moving, before, simulation, worst):
         """Return the error to raise."""
-        rate, size = self._rate(simulation.state), self._method.step_size
+        rate, size = self._rate(simulation.integrated), self._method.step_size
         kept = f'The state of t = {before.time:.9g} s is kept.'
         what = (f'The energy balance is off by {lost:.3g} J between t = {before.time:.9g} and '
                 f'{simulation.time:.9g} s, where {moving:.3g} J moved')

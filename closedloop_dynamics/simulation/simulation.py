@@ -665,10 +665,12 @@ class Simulation:
 
     @property
     def energy_scale(self):
-        """Return what weights and torques would do along the mechanism's length [J]."""
+        """Return the work of weights and torques along the mechanism's length, and at 1 rad/s [J]."""
         length, weight = self._assembler.extent, self._mass * float(
             np.linalg.norm(self.system.model.gravity))
-        return length * weight + max(length, 1.0) * float(np.abs(self.system.applied).sum())
+        # With the energy of a rate of 1 rad/s: at rest without weight there is no other scale.
+        return (length * weight + self._mass * length ** 2
+                + max(length, 1.0) * float(np.abs(self.system.applied).sum()))
 
     @property
     def at_start(self):

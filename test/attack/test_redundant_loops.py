@@ -24,7 +24,6 @@ silent one.
 from collections import Counter
 import warnings
 
-from closedloop_dynamics.core.codegen import available
 from closedloop_dynamics.effects.gravity import Gravity
 from closedloop_dynamics.integration import system
 from closedloop_dynamics.simulation.errors import SimulationError
@@ -35,7 +34,6 @@ import pytest
 
 from ..reference.redundant_loops import random_loops
 
-pytestmark = pytest.mark.skipif(not available(), reason='nothing moves in space uncompiled')
 
 SILENT, FARTHER, FINER = 1e-3, 10.0, 1e-3
 CALLS, DURATION = 2, 0.25

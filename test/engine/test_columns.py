@@ -70,7 +70,7 @@ ENUMS = {
     'switching.cpp: RUN': (drivers, {}),
 }
 # The engine's alone.
-INNER = {'Level', 'projection.cpp: By', 'rosenbrock.cpp: STAGE',
+INNER = {'Length', 'Level', 'projection.cpp: By', 'rosenbrock.cpp: STAGE',
          'python_api.hpp: PyGILState_STATE'}
 # Constants of the same name.
 CONSTANTS = {

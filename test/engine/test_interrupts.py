@@ -32,6 +32,8 @@ HEARD = 0.2
 # its Python code stands still although the other has the lock of the interpreter again and again.
 CHILD = """
 import json, os, signal, sys, threading, time
+# A shell starts what runs in the background with this signal ignored.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 import numpy as np
 from closedloop_dynamics.simulation.simulation import Simulation
 

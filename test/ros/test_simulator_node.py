@@ -114,7 +114,7 @@ def test_bad_torque_command_is_refused_by_name_and_the_last_one_stays(node, data
     ([], [], 'no joint'),
     (['theta_2'], [1.0], "'theta_2' is not actuated"),
     (['wheel'], [1.0], "'wheel' is not a joint"),
-    (['theta_1'], [math.nan], 'nan'),
+    (['theta_1'], [math.inf], 'inf'),
 ])
 def test_bad_joint_command_is_refused_by_name_and_the_last_one_stays(
         node, name, effort, problem):

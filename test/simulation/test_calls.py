@@ -18,7 +18,6 @@ from dataclasses import replace
 import itertools
 import warnings
 
-from closedloop_dynamics.core.codegen import available
 from closedloop_dynamics.effects.contact import Contact
 from closedloop_dynamics.effects.joint_friction import JointFriction
 from closedloop_dynamics.mechanism.config import shipped_names
@@ -27,7 +26,6 @@ from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest
 
-pytestmark = pytest.mark.skipif(not available(), reason='nothing moves in space uncompiled')
 
 CUTS = (1, 2, 5, 10, 50)
 DURATION = 0.1
