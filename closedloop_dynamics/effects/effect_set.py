@@ -84,6 +84,8 @@ class EffectSet:
         For ``table.build_table``.
     initial : ndarray, shape (nz,)
         The effects' states at the start.
+    roles : ndarray of int, shape (nz,)
+        What these are: ``table.OWN``, ``DISSIPATED`` or ``WORK``.
     own : ndarray of int
         Which of these act back on the motion; the others are energies.
     drives : dict of int to float
@@ -106,7 +108,7 @@ class EffectSet:
         self.cuts, states = cuts, states_of(self.elements, cuts)
         self.initial = np.array([state.initial for state in states], dtype=float)
         roles = np.array([state.role for state in states], dtype=int)
-        self._roles = roles
+        self.roles = roles
         self.own, self._dissipated, self._work = (
             np.flatnonzero(roles == role) for role in (OWN, DISSIPATED, WORK))
         self._update()
@@ -424,10 +426,10 @@ class EffectSet:
         first = self._table.index[row, STATE]
         flows = {}
         for place in range(first, first + len(self.elements[row].states)):
-            if self._roles[place] == DISSIPATED:
+            if self.roles[place] == DISSIPATED:
                 flows['dissipated_energy'] = float(states[place])
                 flows['dissipated_power'] = float(self._table.rates[place])
-            elif self._roles[place] == WORK:
+            elif self.roles[place] == WORK:
                 flows['work'] = float(states[place])
         return flows
 

@@ -80,6 +80,7 @@ struct Cube
     assert(i >= 0 && i < pages);
     return {data + i * rows * columns, rows, columns};
   }
+  Vector<Number> all() const {return {data, pages * rows * columns};}
 };
 
 using Values = Vector<double>;

@@ -146,10 +146,10 @@ const Entry entries[] = {
     "advance_switching",
     "advance_switching(system, tableau, stabilisation, state, origin, done, step_size, steps, "
     "runs)"),
-  released<run_fixed, Length::ANY, Length::ANY, Length::STATE>(
-    "run_fixed",
-    "run_fixed(system, tableau, stabilisation, state, step_size, torque, zero_order_hold, "
-    "decimation, steps, scratch, buffer)"),
+  released<run_samples, Length::ANY, Length::ANY, Length::ANY, Length::ROWS_OF_STATE>(
+    "run_samples",
+    "run_samples(system, stepper, watch, step_size, start, torque, zero_order_hold, decimation, "
+    "steps, states, status, found, stop)"),
   released<annotate>("annotate", "annotate(system, torque, zero_order_hold, decimation, buffer)"),
   released<fill_joint_forces>(
     "fill_joint_forces",

@@ -117,7 +117,7 @@ enum class Status : Index
 {
   DONE, NOT_FINITE, OPEN_LOOP, STEP_TOO_SMALL, TOO_MUCH_WORK, INTERRUPTED, POOR_EQUATIONS,
   CONTACT_PASSED,
-  SINGULAR = 9
+  SINGULAR = 9, DOUBTFUL = 10
 };
 
 }  // namespace closedloop

@@ -47,7 +47,10 @@ enum : Index
 };
 }
 
-/// A run and its reference run (integration/switching.py).
+/// The reference run's tolerance, times that of the run.
+constexpr double LOOSER = 30.0;
+
+/// A run and its reference run (integration/drivers.py).
 struct Runs
 {
   Table control;

@@ -24,6 +24,8 @@ the places.
 (DONE, NOT_FINITE, OPEN_LOOP, STEP_TOO_SMALL, TOO_MUCH_WORK, INTERRUPTED,
  POOR_EQUATIONS, CONTACT_PASSED) = range(8)
 SINGULAR = 9
+# A guard may have ended the run, or not.
+DOUBTFUL = 10
 
 # Evaluation limit for each output step of the error-controlled methods.
 MOST_EVALUATIONS = 200_000

@@ -14,7 +14,7 @@
 
 """Drivers, which advance the state of a simulation: one class for each way of stepping."""
 
-from typing import NamedTuple
+from typing import NamedTuple, Optional
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from .control import DONE
 from .registry import ADAPTIVE, INTEGRATORS, ROSENBROCK, SCIPY, STABILISATIONS, SWITCHING
 from .scipy_solvers import SciPySolver
 from .system import number_of_states, parts_of_state
+from .tableau import Tableau
 from ..core.manifold import weights
 from ..engine import native
 
@@ -60,6 +61,31 @@ class Runs(NamedTuple):
     weight: np.ndarray  # Shape (nq,): of a component in the distance of the two
 
 
+# How a stepper of the engine makes its steps.
+STEPPERS = FIXED_STEPS, EXPLICIT_STEPS, SWITCHING_STEPS, FIXED_STIFF_STEPS, STIFF_STEPS = range(5)
+
+
+class Stepper(NamedTuple):
+    """A method with its memory, for runs that the engine makes as a whole."""
+
+    kind: int  # One of ``STEPPERS``
+    stabilisation: int
+    tableau: Optional[Tableau]
+    # Shape (2, ns): tolerances of the default method for a tolerance of 1.
+    unit: np.ndarray
+    # Of other methods with a row for the run alone; without rows where there is no such memory.
+    runs: Runs
+
+
+def _stepper(kind, stabilisation, tableau=None, **memory):
+    """Return a stepper of one run, with the memory that its method has."""
+    table, page = np.zeros((0, 0)), np.zeros((0, 0, 0))
+    runs = Runs(table, page, page, page, table, np.zeros(0, dtype=np.int64), *2 * [np.zeros(0)])
+    return Stepper(kind, stabilisation, tableau, table, runs._replace(
+        **{name: values if name in ('matrix', 'pivots') else values[np.newaxis]
+           for name, values in memory.items()}))
+
+
 def _allocate_runs(tableau, states, weight):
     return Runs(
         np.zeros((2, columns.SWITCHING_COLUMNS)), np.zeros((2, 2, states)),
@@ -88,6 +114,11 @@ class FixedSteps:
         self.scratch = np.zeros((len(self.tableau.a) + 3, number_of_states(system)))
         # Steps of the latest call, and those of them that the next one need not make again.
         self._made = self._before = 0
+
+    @property
+    def stepper(self):
+        """Return the method with its memory, for the engine."""
+        return _stepper(FIXED_STEPS, self.stabilisation, self.tableau, scratch=self.scratch)
 
     def take(self, system):
         """Step with a system that works on other equations."""
@@ -167,6 +198,12 @@ class ErrorControlled:
             (len(self._tableau.a) + columns.FIRST_SLOPE, self._scale.shape[1]))
         self.control = np.zeros(columns.CONTROL_COLUMNS)
 
+    @property
+    def stepper(self):
+        """Return the method with its memory, for the engine."""
+        return _stepper(EXPLICIT_STEPS, self._stabilisation, self._tableau, control=self.control,
+                        scale=self._scale, scratch=self._scratch)
+
     def advance(self, state, origin, done, step_size, steps):
         """Advance a state by ``steps`` times ``step_size``; see ``FixedSteps.advance``."""
         status = native.advance_explicit(
@@ -225,6 +262,12 @@ class Switching:
         self._unit = _error_scale(system, 1.0)
         self.control, self.watch = self._runs.control[RUN], self._runs.monitor
         self.rewind()
+
+    @property
+    def stepper(self):
+        """Return the method with its memory, for the engine."""
+        return Stepper(
+            SWITCHING_STEPS, self._stabilisation, self._tableau, self._unit, self._runs)
 
     def advance(self, state, origin, done, step_size, steps):
         """Advance a state by ``steps`` times ``step_size``; see ``FixedSteps.advance``."""
@@ -285,6 +328,14 @@ class Stiff:
         self.control = np.zeros(columns.CONTROL_COLUMNS)
         # Of fixed steps as for ``FixedSteps``; of others whether the next call goes on.
         self._made = self._before = 0
+
+    @property
+    def stepper(self):
+        """Return the method with its memory, for the engine."""
+        return _stepper(
+            STIFF_STEPS if self._adaptive else FIXED_STIFF_STEPS, self._stabilisation,
+            control=self.control, scale=self._scale, stiff_scratch=self._scratch,
+            matrix=self._matrix, pivots=self._pivots)
 
     def advance(self, state, origin, done, step_size, steps):
         """Advance a state by ``steps`` times ``step_size``; see ``FixedSteps.advance``."""

@@ -37,8 +37,71 @@ class RunBuffer(NamedTuple):
     body: np.ndarray  # Shape (n,): of the named points
     point: np.ndarray  # Shape (n, 2): in that body's frame [m]
     place: np.ndarray  # Shape (instants, n, 2): in the world [m]
-    work: np.ndarray  # Shape (1,): of the torques over the whole run [J]
-    since: np.ndarray  # Shape (ns,): state since which it is still to be added
+
+
+class Watch(NamedTuple):
+    """When runs are looked at, and what must hold then; see ``engine/rollout.hpp``."""
+
+    first: int
+    rarely: int
+    call: int
+    whole: bool
+    cycle: int
+    most: int
+    open: float  # [m or rad]
+    regular: bool
+    nothing: float  # [J]
+    kinetic: float  # [J]
+    stored: float  # [J]
+    roles: np.ndarray  # Shape (nz,)
+    direct: np.ndarray  # Shape (nv,)
+
+
+# Columns of what is found out about the energy of a run.
+SHARE, LOST, MOVED, STEPS = range(4)
+
+
+def run_samples(system, stepper, watch, step_size, start, torque, schedule, stop):
+    """
+    Make whole runs, one after the other, of a system and a driver that stand at their start.
+
+    Parameters
+    ----------
+    system : System
+        Model and workspace of the mechanism.
+    stepper : drivers.Stepper
+        Of its driver.
+    watch : Watch
+        Guards of the runs.
+    step_size : float
+        [s].
+    start : ndarray, shape (n, ns)
+        State of each, or one for all.
+    torque : ndarray, shape (n or 1, rows, nv)
+        Joint torques [N m or N].
+    schedule : tuple of 3 int
+        Steps that a row acts for, from one instant to the next, and in all.
+    stop : ndarray of int, shape (1,)
+        No run is begun any more where it is not zero.
+
+    Returns
+    -------
+    states : ndarray, shape (n, instants, ns)
+        Of the instants that were reached.
+    status : ndarray of int, shape (n,)
+        Of ``integration.control``.
+    found : ndarray, shape (n, 4)
+        Largest error of the energy balance relative to the energy that had moved by then, that
+        error and that energy [J], steps up to then.
+
+    """
+    count = max(len(start), len(torque))
+    states = np.empty((count, schedule[2] // schedule[1] + 1, start.shape[1]))
+    status, found = np.empty(count, dtype=np.int64), np.empty((count, 4))
+    native.run_samples(
+        system.native, stepper, watch, step_size, start, torque, *schedule, states, status, found,
+        stop)
+    return states, status, found
 
 
 def allocate_buffer(system, instants, evaluated, body, point):
@@ -66,8 +129,7 @@ def allocate_buffer(system, instants, evaluated, body, point):
         qdd=np.zeros((count, len(system.qdd))), lam=np.zeros((count, len(system.lam))),
         scalars=np.zeros((count, 3)), output=np.zeros((count, effects, 2)),
         wrench=np.zeros((count, len(system.model.cut), 3)), body=body, point=point,
-        place=np.zeros((count, len(body), 2)), work=np.zeros(1),
-        since=np.zeros(number_of_states(system)))
+        place=np.zeros((count, len(body), 2)))
 
 
 def joint_forces(system, torque, zero_order_hold, decimation, state, qdd, lam):

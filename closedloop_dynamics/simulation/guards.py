@@ -67,6 +67,8 @@ NOTHING = 1e-13
 CLOSURE_LOOK_EVERY, OPEN = 500, 1e-3
 # Steps between two looks whether equations can be left out again, at first and at most.
 EQUATIONS_FIRST_LOOK, EQUATIONS_LOOK_EVERY = 64, 4096
+# Torques up to this one are not asked for what they would do within a step [N m or N].
+USUAL_TORQUE = 1e6
 # What keeps the loops closed to rounding.
 CLOSING = ('projection', 'independent')
 
@@ -156,6 +158,12 @@ class EnergyGuard:
         That error and what had moved by then [J].
     failed : bool
         Whether a look has ended the run.
+    first, rarely : int
+        Steps before the first look, and the most between two.
+    call : int
+        Steps that must be made at once so that there is a look after them.
+    whole : bool
+        Whether there is none before all of these are made.
 
     """
 
@@ -164,17 +172,17 @@ class EnergyGuard:
         self._method, self._rate, self._limit = method, rate, limit
         self.among_laws = among_laws
         integrator = INTEGRATORS[method.integrator]
-        self._first = FIRST_LOOK_ORDER_1 if integrator.order == 1 else FIRST_LOOK
+        self.first = FIRST_LOOK_ORDER_1 if integrator.order == 1 else FIRST_LOOK
         self._least = FIRST_LOOK_ORDER_1 if integrator.order == 1 else 1
         # Where error control steps, how often it is looked at would show in the last digits.
-        self._whole = integrator.kind == ADAPTIVE
-        self._rarely = LOOK_EVERY_AMONG_LAWS if among_laws else LOOK_EVERY
-        self._call = 1 if every_call and integrator.order > 1 else self._first
+        self.whole = integrator.kind == ADAPTIVE
+        self.rarely = LOOK_EVERY_AMONG_LAWS if among_laws else LOOK_EVERY
+        self.call = 1 if every_call and integrator.order > 1 else self.first
         self.restart()
 
     def restart(self):
         """Forget what has been seen: a run begins."""
-        self._since, self._between, self._look, self._start = 0, self._first, None, None
+        self._since, self._between, self._look, self._start = 0, self.first, None, None
         self.moved, self.worst, self.worst_time, self._warned = 0.0, 0.0, 0.0, False
         self.worst_lost, self.worst_moved, self.failed = 0.0, 0.0, False
 
@@ -185,7 +193,7 @@ class EnergyGuard:
     @property
     def until_look(self):
         """Return the steps left until the next look."""
-        return math.inf if self._whole else self._between - self._since
+        return math.inf if self.whole else self._between - self._since
 
     def begin(self, simulation):
         """See where a run, or what follows a jump, begins."""
@@ -206,7 +214,7 @@ class EnergyGuard:
         self._since += steps
         if self._since < self._between:
             return
-        self._between = max(min(2 * self._between, self._rarely), self._first)
+        self._between = max(min(2 * self._between, self.rarely), self.first)
         self._look_now(simulation)
 
     def end(self, simulation, steps):
@@ -219,7 +227,7 @@ class EnergyGuard:
             As for ``look``.
 
         """
-        if self._since > 0 and steps >= self._call:
+        if self._since > 0 and steps >= self.call:
             self._look_now(simulation)
 
     def pass_on(self, simulation):
@@ -411,6 +419,16 @@ class ClosureGuard:
     # However few steps are made at once, the loops are looked at after them.
     until_look = CLOSURE_LOOK_EVERY
 
+    @property
+    def limit(self):
+        """Return the closure error at which loops count as open [m or rad]."""
+        return OPEN * self._extent
+
+    @property
+    def regular(self):
+        """Return whether a singular configuration ends the run."""
+        return self._method.stabilisation == 'none'
+
     def restart(self):
         """Do nothing: every look stands by itself."""
 
@@ -432,14 +450,14 @@ class ClosureGuard:
 
         """
         method = self._method
-        if method.stabilisation == 'none' and simulation.system.work.health[SINGULAR_COUNT] > 0.0:
+        if self.regular and simulation.system.work.health[SINGULAR_COUNT] > 0.0:
             raise SingularityError(
                 f'A singular configuration was met up to t = {simulation.time:.9g} s: closure '
                 'equations vanish there, and with the drift that stabilisation: none allows the '
                 'branch on which the mechanism goes on cannot be told. Take stabilisation: '
                 'projection.')
         closure = simulation.closure
-        if not closure <= OPEN * self._extent:
+        if not closure <= self.limit:
             raise ClosureError(
                 f'The loops have drifted apart by {closure:.3g} m (or rad) at t = '
                 f'{simulation.time:.9g} s: stabilisation: {method.stabilisation} does not close '

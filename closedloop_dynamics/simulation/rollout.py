@@ -19,14 +19,18 @@ from dataclasses import dataclass, field, replace
 import os
 import threading
 from typing import Optional
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from .errors import SimulationError
 from .key_paths import changed, resolve
 from .rollout_run import (
-    checked_quantities, FEWEST, fits_simd, is_plain, MOST, nothing, record, Schedule, SimdRuns,
+    checked_quantities, FEWEST, fits_simd, MOST, nothing, record, record_all, Schedule, SimdRuns,
     Start, STATE)
+
+# Runs that are made in one call, at most.
+MOST_AT_ONCE = 64
 
 
 @dataclass(frozen=True)
@@ -95,42 +99,75 @@ def rollout(simulation, torques=None, initial_position=None, initial_velocity=No
     runs = _Runs(simulation, given, schedule, quantities, hold)
     results = {name: np.empty((given.samples, *values.shape))
                for name, values in runs.nothing().items()}
-    failures = {}
+    failures, stop = {}, np.zeros(1, dtype=np.int64)
 
     def run(samples):
-        for sample, (done, failure) in runs.run(samples, results):
+        for sample, (done, failure) in runs.run(samples, results, stop):
             for name, values in done.items():
                 if not np.may_share_memory(results[name], values):
                     results[name][sample] = values
             if failure is not None:
                 failures[sample] = failure
 
-    _each(run, runs.portions(), threads)
+    threads = checked_threads(threads)
+    with runs:
+        _each(run, runs.portions(threads), threads, stop)
     time = schedule.interval * (schedule.decimation * np.arange(schedule.instants))
     return Rollout(time, **results, failures=dict(sorted(failures.items())))
 
 
-def _each(run, portions, threads):
-    """Call a function with the numbers of some samples at a time, in several threads."""
+def checked_threads(threads):
+    """Return a number of threads, as many as there are processors for None."""
     if threads is None:
         threads = len(os.sched_getaffinity(0)) if hasattr(os, 'sched_getaffinity') else (
             os.cpu_count() or 1)
     if int(threads) != threads or threads < 1:
         raise ValueError(f'threads: expected a whole number > 0, got {threads!r}')
+    return int(threads)
+
+
+def _each(run, portions, threads, stop):
+    """Call a function with the numbers of some samples at a time, in several threads."""
     if min(threads, len(portions)) == 1:
         for samples in portions:
             run(samples)
         return
-    pool = ThreadPoolExecutor(int(threads))
+    pool = ThreadPoolExecutor(threads)
     try:
         for _ in pool.map(run, portions):
             pass
+    except BaseException:
+        stop[0] = 1
+        raise
     finally:
         pool.shutdown(cancel_futures=True)
 
 
+class _Twins:
+    """Simulations like one, for rollouts of it that change no parameter."""
+
+    def __init__(self, simulation):
+        """Begin without any."""
+        self._like = self._traits(simulation)
+        # Pairs of a simulation and what makes runs of it side by side.
+        self.spare = []
+
+    @staticmethod
+    def _traits(simulation):
+        return (simulation.scene, *simulation.effects.values()), simulation.enabled_effects
+
+    def fit(self, simulation):
+        """Return whether they still are like it."""
+        (records, enabled), (own, own_enabled) = self._like, self._traits(simulation)
+        return enabled == own_enabled and len(records) == len(own) and all(
+            one is other for one, other in zip(records, own))
+
+
+_TWINS = WeakKeyDictionary()
+
+
 class _Runs:
-    """Some runs after the others; a thread keeps its simulation where that changes nothing."""
+    """Some runs after the others; a thread keeps its simulation where no parameter changes."""
 
     def __init__(self, simulation, given, schedule, quantities, hold):
         self._type, self._given, self._schedule = type(simulation), given, schedule
@@ -138,40 +175,76 @@ class _Runs:
         self._scene = replace(simulation.scene, effects=simulation.effects)
         self._disabled = [name for name in simulation.effects
                           if name not in simulation.enabled_effects]
-        self._again = not given.parameters and is_plain(simulation)
+        self._again = not given.parameters
         self._fits_simd = fits_simd(simulation, schedule)
-        self._own = threading.local()
+        self._moved = given.position is not None or given.velocity is not None
+        self._own, self._lent = threading.local(), []
+        twins = _TWINS.get(simulation)
+        if twins is None or not twins.fit(simulation):
+            twins = _TWINS[simulation] = _Twins(simulation)
+        self._spare = twins.spare
+
+    def __enter__(self):
+        """Begin."""
+        return self
+
+    def __exit__(self, *_):
+        """Keep the simulations for another rollout."""
+        self._spare.extend(self._lent)
 
     def nothing(self):
         """Return the results of a run that did not even begin."""
         return nothing(self._quantities, self._scene.mechanism, self._schedule.instants)
 
-    def portions(self):
+    def portions(self, threads):
         """Return the numbers of all samples, those together that may be run together."""
-        count, size = self._given.samples, MOST if self._fits_simd else 1
+        count, size = self._given.samples, 1
+        if self._fits_simd:
+            size = MOST
+        elif self._again and not self._moved:
+            # Two for each thread, as some take longer.
+            size = max(1, min(MOST_AT_ONCE, -(-count // (2 * threads if threads > 1 else 1))))
         return [range(first, min(first + size, count)) for first in range(0, count, size)]
 
-    def run(self, samples, results):
+    def run(self, samples, results, stop):
         """Return for each of some samples its number, results and why it ended early or None."""
-        starts = self._starts(samples) if len(samples) >= FEWEST else {}
         done = {}
-        if starts and all(fits_simd(start.simulation, self._schedule)
-                          for start in starts.values()):
-            if not hasattr(self._own, 'together'):
-                self._own.together = SimdRuns(self._schedule, self._quantities)
-            room = None
-            if len(starts) == MOST and all(name in results for name in STATE):
-                room = tuple(results[name][samples[0]:samples[-1] + 1] for name in STATE)
-            together = self._own.together.record(list(starts.values()), room)
-            done = dict(zip(starts, together or ()))
+        if self._fits_simd and len(samples) >= FEWEST:
+            done = self._side_by_side(samples, results)
+        if not done and len(samples) > 1 and self._again and not self._moved:
+            done = self._at_once(samples, stop)
         for sample in samples:
-            yield sample, self._result(done[sample]) if sample in done else self._alone(sample)
+            record = done.get(sample)
+            yield sample, self._alone(sample) if record is None else self._result(record)
+
+    def _side_by_side(self, samples, results):
+        """Return records of samples run in the lanes of a vector, by number; none where not."""
+        starts = self._starts(samples)
+        if not starts or not all(fits_simd(start.simulation, self._schedule)
+                                 for start in starts.values()):
+            return {}
+        together = self._together()
+        room = None
+        if len(starts) == MOST and all(name in results for name in STATE):
+            room = tuple(results[name][samples[0]:samples[-1] + 1] for name in STATE)
+        return dict(zip(starts, together.record(list(starts.values()), room) or ()))
+
+    def _at_once(self, samples, stop):
+        """Return records of samples run in one call, by number; None where run alone."""
+        try:
+            simulation = self._simulation(samples[0])
+        except (SimulationError, ValueError):
+            # Run alone, they will say why.
+            return {}
+        torques = np.array([self._given.torques_of(sample) for sample in samples])
+        return dict(zip(samples, record_all(
+            simulation, torques, self._schedule, self._quantities, stop)))
 
     def _starts(self, samples):
         """Return what those samples begin with that can begin."""
         given, starts = self._given, {}
         for sample in samples:
-            if starts and self._again and given.position is None and given.velocity is None:
+            if starts and self._again and not self._moved:
                 # Nothing has moved since the first of them.
                 starts[sample] = replace(starts[samples[0]], torques=given.torques_of(sample))
                 continue
@@ -207,20 +280,38 @@ class _Runs:
             simulation.set_state(position, velocity, hold)
         return Start(simulation, simulation.integrated.copy(), given.torques_of(sample))
 
+    def _twin(self):
+        """Return this thread's simulation, and what makes runs of it side by side."""
+        if not hasattr(self._own, 'twin'):
+            try:
+                self._own.twin = self._spare.pop()
+            except IndexError:
+                self._own.twin = self._built(self._scene), SimdRuns()
+            self._lent.append(self._own.twin)
+        return self._own.twin
+
+    def _together(self):
+        """Return what makes runs side by side."""
+        together = self._twin()[1] if self._again else SimdRuns()
+        together.schedule, together.quantities = self._schedule, self._quantities
+        return together
+
     def _simulation(self, sample):
         """Return a simulation at its start."""
-        simulation = getattr(self._own, 'simulation', None)
-        if simulation is not None:
-            simulation.reset()
-            return simulation
-        scene = changed(self._scene, self._given.parameters_of(sample))
+        if not self._again:
+            return self._built(changed(self._scene, self._given.parameters_of(sample)))
+        simulation, _ = self._twin()
+        simulation.reset()
+        return simulation
+
+    def _built(self, scene):
         simulation = self._type(scene)
         if self._disabled:
             for name in self._disabled:
                 simulation.set_effect(name, enabled=False)
             simulation.reset()
-        if self._again:
-            self._own.simulation = simulation
+        # Nobody asks runs for their local error.
+        simulation.monitor.sampling = False
         return simulation
 
 

@@ -15,9 +15,10 @@
 """
 A run from the start under a sequence of torques, and what is kept of it.
 
-Fixed explicit steps are made in one compiled loop, which leaves Python's lock alone; whatever
-needs looking after between the steps is made step by step. Both give the same numbers, bit for
-bit.
+The engine makes runs as a whole, several in one call that leaves Python's lock alone, and watches
+them by the rules of the guards. What needs more between the steps (delays, sensors that remember,
+other closure equations), and what a guard might end, is made step by step. Both give the same
+numbers, bit for bit.
 
 """
 
@@ -26,13 +27,19 @@ from typing import Optional
 
 import numpy as np
 
+from .cable_guard import CableGuard
 from .errors import SimulationError
+from .guards import (
+    CLOSING, ClosureGuard, ENERGY_ERROR, EquationGuard, EQUATIONS_FIRST_LOOK, NOTHING,
+    USUAL_TORQUE)
 from ..core.codegen.lanes import LANES, spread
 from ..engine import native
 from ..integration.batch import build_batch, filled, fits
 from ..integration.control import DONE
 from ..integration.drivers import FixedSteps
-from ..integration.recorded_run import allocate_buffer, joint_forces
+from ..integration.recorded_run import (
+    allocate_buffer, joint_forces, LOST, MOVED, run_samples, STEPS, Watch)
+from ..integration.scipy_solvers import SciPySolver
 from ..mechanism.checks import one_of
 from ..mechanism.fields import at
 
@@ -45,8 +52,8 @@ FEWEST, MOST = 3, LANES
 TIME_ROUNDING = 1e-9
 # Instants of a run at which its energy is looked at.
 MOST_LOOKS = 9
-# Error of the energy balance, relative to all that moved, at which a motion has failed.
-ENERGY_ERROR = 0.1
+# More steps than any run has.
+NEVER = 2 ** 62
 
 
 @dataclass(frozen=True)
@@ -119,7 +126,7 @@ def checked_quantities(names):
 
 def is_plain(simulation):
     """
-    Tell whether a run needs nothing but fixed steps, so that one compiled loop can make it.
+    Tell whether a run needs nothing but fixed steps, so that several can share a vector.
 
     Returns
     -------
@@ -133,6 +140,27 @@ def is_plain(simulation):
     return (isinstance(simulation.monitor.driver, FixedSteps) and not simulation.leaves_out
             and not simulation.system.is_independent and not simulation.energy_guard.among_laws
             and not any(effects.drives.values()) and not effects.remembers)
+
+
+def runs_whole(simulation):
+    """
+    Tell whether the engine can make runs of a simulation as a whole.
+
+    Returns
+    -------
+    bool
+        False for SciPy's methods, commands that arrive late, sensors that remember, cables, what
+        acts in cut joints, and equations that may be left out but are not, or drift apart.
+
+    """
+    effects = simulation.effect_set
+    watched = any(isinstance(guard, EquationGuard) for guard in simulation.guards)
+    return not (
+        isinstance(simulation.monitor.driver, SciPySolver) or effects.remembers
+        or any(effects.drives.values()) or effects.cuts is not None or simulation.exchanges
+        or any(isinstance(guard, CableGuard) for guard in simulation.guards)
+        or watched != simulation.leaves_out
+        or watched and simulation.scene.method.stabilisation not in CLOSING)
 
 
 def record(simulation, torques, schedule, quantities=QUANTITIES):
@@ -151,24 +179,80 @@ def record(simulation, torques, schedule, quantities=QUANTITIES):
         What to keep, of ``QUANTITIES``.
 
     """
-    tau = all_torques(simulation, torques)
-    steps = schedule.steps(simulation.step_size)
-    if steps and is_plain(simulation):
-        start = simulation.integrated.copy()
-        done = _in_one_loop(simulation, tau, schedule, steps, quantities)
-        if done is not None:
-            return done
-        # It failed: again, step by step, to stop where it does and to say why.
-        simulation.integrated[:] = start
-        simulation.touch()
-        simulation.energy_guard.restart()
-    return _stepped(simulation, tau, schedule, steps, quantities)
+    at_start = simulation.at_start
+    done, = record_all(simulation, torques[np.newaxis], schedule, quantities)
+    if done is not None:
+        return done
+    if at_start:
+        simulation.reset()
+    return _stepped(simulation, all_torques(simulation, torques), schedule,
+                    schedule.steps(simulation.step_size), quantities)
+
+
+def record_all(simulation, torques, schedule, quantities, stop=None):
+    """
+    Make runs from where a simulation stands as a whole, as far as that is possible.
+
+    Parameters
+    ----------
+    simulation, schedule, quantities
+        As for ``record``.
+    torques : ndarray, shape (n, rows, number of actuated joints)
+        Of each run [N m or N].
+    stop : ndarray of int, shape (1,), optional
+        No run is begun any more where it is not zero.
+
+    Returns
+    -------
+    list of Record, or None
+        None for runs that are to be made step by step: these alone can say how they end.
+
+    """
+    steps, records = schedule.steps(simulation.step_size), [None] * len(torques)
+    bearable = np.flatnonzero(np.abs(torques).max(axis=(1, 2), initial=0.0) <= USUAL_TORQUE)
+    if not (steps and len(bearable) and runs_whole(simulation)):
+        return records
+    tau = all_torques(simulation, torques[bearable])
+    states, status, found = run_samples(
+        simulation.system, simulation.monitor.driver.stepper, _watch(simulation),
+        simulation.step_size, simulation.integrated[np.newaxis].copy(), tau,
+        schedule.in_steps(steps), np.zeros(1, dtype=np.int64) if stop is None else stop)
+    simulation.touch()
+    guard = simulation.energy_guard
+    for k in np.flatnonzero(status == DONE):
+        guard.restart()
+        guard.compare(found[k, LOST], found[k, MOVED], 0.0, found[k, STEPS] * simulation.step_size)
+        records[bearable[k]] = Record(
+            _values_of_states(simulation, states[k], tau[k], schedule, steps, quantities),
+            guard.finding or None)
+    guard.restart()
+    return records
+
+
+def _watch(simulation):
+    """Return what a run from here must keep to."""
+    health = simulation.system.work.health.copy()
+    start = simulation.energy_at_start if simulation.at_start else simulation.energy_balance
+    # Nothing has been evaluated yet for the run.
+    simulation.system.work.health[:] = health
+    guard, effects = simulation.energy_guard, simulation.effect_set
+    closure = [each for each in simulation.guards if isinstance(each, ClosureGuard)]
+    direct = np.ones(len(simulation.torque_names))
+    direct[list(effects.drives)] = 0.0
+    return Watch(
+        first=guard.first, rarely=guard.rarely, call=guard.call, whole=guard.whole,
+        cycle=EQUATIONS_FIRST_LOOK if simulation.leaves_out else NEVER,
+        most=closure[0].until_look if closure else NEVER,
+        open=closure[0].limit if closure else np.inf,
+        regular=bool(closure) and closure[0].regular,
+        nothing=NOTHING * simulation.passive_energy_scale, kinetic=start.kinetic, stored=start.stored,
+        roles=effects.roles, direct=direct)
 
 
 def all_torques(simulation, torques):
     """Return torques of actuated joints as those of ``torque_names``, row by row."""
-    tau = np.zeros((len(torques), len(simulation.torque_names)))
-    tau[:, simulation.actuated] = torques
+    tau = np.zeros((*torques.shape[:-1], len(simulation.torque_names)))
+    tau[..., simulation.actuated] = torques
     return tau
 
 
@@ -180,23 +264,6 @@ def buffer_for(simulation, schedule, quantities):
             name not in STATE for name in quantities),
         np.array([simulation.body_row(point.body) for point in points], dtype=np.int64),
         np.array([point.position for point in points]).reshape(-1, 2))
-
-
-def _in_one_loop(simulation, tau, schedule, steps, quantities):
-    """Return the record of a run made by one compiled loop; None where it fails."""
-    system, driver = simulation.system, simulation.monitor.driver
-    buffer = buffer_for(simulation, schedule, quantities)
-    status, _ = native.run_fixed(
-        system.native, driver.tableau, driver.stabilisation, simulation.integrated,
-        simulation.step_size, tau, *schedule.in_steps(steps), driver.scratch, buffer)
-    simulation.touch()
-    if status != DONE:
-        return None
-    share, finding = verdict(
-        simulation, buffer.state, simulation.integrated, buffer.work[0], schedule)
-    if not share <= ENERGY_ERROR:
-        return None
-    return Record(values_of(simulation, buffer, tau, schedule, quantities), finding)
 
 
 def verdict(simulation, states, last, work, schedule):
@@ -245,7 +312,7 @@ def verdict(simulation, states, last, work, schedule):
 def values_of(simulation, buffer, tau, schedule, quantities):
     """Return what a run keeps by quantity, from its buffer."""
     nq, nv = simulation.coordinates.nq, simulation.coordinates.nv
-    if simulation.acts_in_cuts or not simulation.mechanism.planar:
+    if simulation.acts_in_cuts or simulation.leaves_out or not simulation.mechanism.planar:
         return _values_asked_for(simulation, buffer, tau, schedule, quantities)
     take = {
         'position': lambda: buffer.state[:, :nq].copy(),
@@ -341,11 +408,20 @@ def fits_simd(simulation, schedule):
 
 
 class SimdRuns:
-    """Makes several runs at a time, and keeps what they do."""
+    """
+    Makes several runs at a time, and keeps what they do.
 
-    def __init__(self, schedule, quantities):
+    Attributes
+    ----------
+    schedule : Schedule
+    quantities : sequence of str
+        What to keep, of ``QUANTITIES``.
+
+    """
+
+    def __init__(self, schedule=None, quantities=()):
         """Begin without a pack."""
-        self._schedule, self._quantities = schedule, quantities
+        self.schedule, self.quantities = schedule, quantities
         self._systems, self._pack = [], None
 
     def record(self, starts, room=None):
@@ -366,7 +442,7 @@ class SimdRuns:
             them fails or comes to a singular configuration.
 
         """
-        first, schedule = starts[0].simulation, self._schedule
+        first, schedule = starts[0].simulation, self.schedule
         if len(starts) < FEWEST or any(
                 start.simulation.scene.method != first.scene.method for start in starts[1:]):
             return None
@@ -394,7 +470,7 @@ class SimdRuns:
         if not all(share <= ENERGY_ERROR for share, _ in judged):
             return None
         return [Record(_values_of_motion(start.simulation, tau, schedule, steps,
-                                         self._quantities, *motion), finding)
+                                         self.quantities, *motion), finding)
                 for start, tau, (_, finding), *motion in zip(starts, torques, judged, *room)]
 
     def _pack_of(self, systems):
@@ -410,10 +486,19 @@ def _values_of_motion(simulation, tau, schedule, steps, quantities, position, ve
     if all(name in STATE for name in quantities):
         both = {'position': position, 'velocity': velocity}
         return {name: both[name] for name in quantities}
+    return _values_of_states(simulation, np.hstack((position, velocity)), tau, schedule, steps,
+                             quantities)
+
+
+def _values_of_states(simulation, states, tau, schedule, steps, quantities):
+    """Return what is kept of a run of which the states are known."""
+    nq, nv = simulation.coordinates.nq, simulation.coordinates.nv
+    if all(name in STATE for name in quantities):
+        both = {'position': states[:, :nq], 'velocity': states[:, nq:nq + nv]}
+        return {name: both[name] for name in quantities}
     buffer = buffer_for(simulation, schedule, quantities)
-    buffer.state[:, :position.shape[1] + velocity.shape[1]] = np.hstack((position, velocity))
-    if not simulation.mechanism.planar:
-        return values_of(simulation, buffer, tau, schedule, quantities)
-    native.annotate(simulation.system.native, tau, *schedule.in_steps(steps)[:2], buffer)
-    simulation.touch()
+    buffer.state[:, :states.shape[1]] = states
+    if simulation.mechanism.planar:
+        native.annotate(simulation.system.native, tau, *schedule.in_steps(steps)[:2], buffer)
+        simulation.touch()
     return values_of(simulation, buffer, tau, schedule, quantities)

@@ -26,7 +26,8 @@ from .cable_guard import CableGuard
 from .cut_joints import acted_in, coordinate_arrays, coupling_moments, CutJoints
 from .errors import (
     AssemblyError, ClosureError, MotionError, NumericalError, SimulationError, StiffnessError)
-from .guards import CLOSING, ClosureGuard, EnergyGuard, EquationGuard, StiffnessGuard
+from .guards import (
+    CLOSING, ClosureGuard, EnergyGuard, EquationGuard, StiffnessGuard, USUAL_TORQUE)
 from .health import health_of
 from .inverse_dynamics import InverseDynamics
 from .modeling import coupling_scales, extent
@@ -63,8 +64,6 @@ BETTER = 3.0
 LARGEST_MOTION = 1e3
 # Gravity's acceleration, to compare forces with weights [m/s^2].
 EARTH = 9.81
-# Torques up to this one are not asked for what they would do within a step [N m or N].
-USUAL_TORQUE = 1e6
 
 
 class Simulation:
@@ -666,11 +665,21 @@ class Simulation:
     @property
     def energy_scale(self):
         """Return the work of weights and torques along the mechanism's length, and at 1 rad/s [J]."""
-        length, weight = self._assembler.extent, self._mass * float(
-            np.linalg.norm(self.system.model.gravity))
-        # With the energy of a rate of 1 rad/s: at rest without weight there is no other scale.
-        return (length * weight + self._mass * length ** 2
-                + max(length, 1.0) * float(np.abs(self.system.applied).sum()))
+        return self.passive_energy_scale + (
+            max(self._assembler.extent, 1.0) * float(np.abs(self.system.applied).sum()))
+
+    @property
+    def passive_energy_scale(self):
+        """Return the work of weights along the mechanism's length, and the energy at 1 rad/s [J]."""
+        length = self._assembler.extent
+        # With the energy of a rate: at rest without weight there is no other scale.
+        return self._mass * (
+            length * float(np.linalg.norm(self.system.model.gravity)) + length ** 2)
+
+    @property
+    def guards(self):
+        """Return what watches the run: see ``guards``."""
+        return tuple(self._guards)
 
     @property
     def at_start(self):

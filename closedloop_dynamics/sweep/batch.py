@@ -23,7 +23,7 @@ from .plan import TORQUE
 from ..simulation.errors import SimulationError
 from ..simulation.key_paths import changed
 from ..simulation.rollout_run import (
-    FEWEST, fits_simd, is_plain, MOST, nothing, Record, record, Schedule, SimdRuns, Start, STATE)
+    FEWEST, fits_simd, MOST, nothing, Record, record, Schedule, SimdRuns, Start, STATE)
 from ..simulation.scene_records import Scene
 from ..simulation.simulation import Simulation
 
@@ -193,7 +193,5 @@ class _Source:
             simulation.monitor.sampling = False
             self._values = values
             self.together &= fits_simd(simulation, self._job.schedule)
-            if not is_plain(simulation):
-                return simulation, torque
             self._simulation = simulation
         return self._simulation, torque

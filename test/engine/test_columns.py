@@ -26,6 +26,7 @@ from closedloop_dynamics.effects import (
     joint_friction, table)
 from closedloop_dynamics.integration import (
     batch, control, drivers, left_out, recorded_run, registry, system, tableau)
+from closedloop_dynamics.simulation import guards
 import pytest
 
 FOLDER = Path(engine.__file__).parent
@@ -68,6 +69,11 @@ ENUMS = {
     'independent.cpp: CHOSEN_RATIO': (independent, {}),
     'manifold.cpp: QUATERNION': (manifold, {}),
     'switching.cpp: RUN': (drivers, {}),
+    'stepper': (drivers, {
+        'FIXED': 'FIXED_STEPS', 'EXPLICIT': 'EXPLICIT_STEPS', 'SWITCHING': 'SWITCHING_STEPS',
+        'STIFF_FIXED': 'FIXED_STIFF_STEPS', 'STIFF': 'STIFF_STEPS'}),
+    'finding': (recorded_run, {'COLUMNS': None}),
+    'rollout.cpp: OWN': (table, {}),
 }
 # The engine's alone.
 INNER = {'Length', 'Level', 'projection.cpp: By', 'rosenbrock.cpp: STAGE',
@@ -78,6 +84,8 @@ CONSTANTS = {
     'rosenbrock.hpp': (control, ('STIFF_ROWS',)),
     'error_control.hpp': (control, ('MOST_EVALUATIONS',)),
     'switching.cpp': (control, ('FLOOR',)),
+    'switching.hpp': (control, ('LOOSER',)),
+    'rollout.cpp': (guards, ('ENERGY_ERROR', 'ROUNDING', 'LITTLE')),
     'elimination.hpp': (elimination, ('POOR_PIVOT',)),
     'elimination.cpp': (elimination, ('SMALL_PIVOT', 'MANY_JOINTS')),
     'refinement.cpp': (refinement, ('REFINEMENTS', 'CONVERGED', 'ROUNDING', 'VERY_MOBILE')),
@@ -99,7 +107,8 @@ RECORDS = {
     'AllEquations': system.AllEquations, 'System': system.System, 'Sticking': table.Sticking,
     'Contacts': table.Contacts, 'CutCoordinates': table.CutCoordinates,
     'EffectTable': table.EffectTable, 'Tableau': tableau.Tableau, 'Runs': drivers.Runs,
-    'RunBuffer': recorded_run.RunBuffer, 'Batch': batch.Batch}
+    'RunBuffer': recorded_run.RunBuffer, 'Watch': recorded_run.Watch,
+    'Stepper': drivers.Stepper, 'Batch': batch.Batch}
 
 
 def text(path):
