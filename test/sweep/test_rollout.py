@@ -17,6 +17,8 @@
 from dataclasses import replace
 import inspect
 
+from closedloop_dynamics.simulation import rollout_run
+from closedloop_dynamics.simulation.errors import SimulationError
 from closedloop_dynamics.simulation.rollout import rollout
 from closedloop_dynamics.simulation.rollout_run import is_plain, QUANTITIES
 from closedloop_dynamics.simulation.scene import load_scene
@@ -84,6 +86,94 @@ def test_every_method_gives_what_single_simulations_give(method):
     torques = torques_for(scene, 4, 10)
     result = Simulation(scene).rollout(torques, quantities=QUANTITIES, threads=2)
     assert_same(result, one_by_one(scene, torques, 10, 1))
+
+
+@pytest.fixture
+def stepped(monkeypatch):
+    """Note the runs that are made step by step."""
+    seen = []
+    original = rollout_run._stepped
+    monkeypatch.setattr(
+        rollout_run, '_stepped', lambda *given: seen.append(given[0]) or original(*given))
+    return seen
+
+
+# Springs and stops; contacts; dry friction; a prescribed motion; redundant equations of which
+# some are left out; quaternions.
+@pytest.mark.parametrize('name, method', [
+    ('bistable_toggle', {}), ('bistable_toggle', {'integrator': 'rodas4_fixed'}),
+    ('bistable_toggle', {'stabilisation': 'baumgarte'}),
+    ('slider_crank_end_stop', {'integrator': 'dopri5'}), ('cam_follower', {}),
+    ('carpet_scraper_dry', {}), ('carpet_scraper_dry', {'integrator': 'rk4'}),
+    ('carpet_scraper_on_carpet', {}), ('geneva_drive', {}), ('differential', {}), ('bricard', {}),
+    ('bricard', {'integrator': 'heun'}), ('stewart_platform', {'stabilisation': 'independent'})],
+    ids=lambda value: value if isinstance(value, str) else '-'.join(value.values()))
+def test_runs_made_as_a_whole_are_those_made_step_by_step(stepped, name, method):
+    scene = load_scene(name)
+    scene = replace(scene, method=replace(scene.method, **method))
+    torques = torques_for(scene, 2, 4)
+    simulation = Simulation(scene)
+    # Again, with what the first time has left behind.
+    for _ in range(2):
+        result = simulation.rollout(
+            torques, steps=20, every=2, quantities=QUANTITIES, threads=1)
+    assert not stepped and result.failures == {}
+    assert_same(result, one_by_one(scene, torques, 20, 2))
+
+
+def test_rodas4_gives_what_single_steps_give(stepped):
+    scene = load_scene('slider_crank_end_stop')
+    scene = replace(scene, method=replace(scene.method, integrator='rodas4'))
+    torques = torques_for(scene, 2, 10)
+    result = Simulation(scene).rollout(torques, quantities=QUANTITIES, threads=1)
+    assert not stepped
+    assert_same(result, one_by_one(scene, torques, 10, 1))
+
+
+@pytest.mark.parametrize('name, method', [
+    # Error of the energy balance; of the closure; closed equations that drift.
+    ('bistable_toggle', {'integrator': 'rk4'}), ('bistable_toggle', {'integrator': 'heun'}),
+    ('slider_crank_end_stop', {'integrator': 'rk4', 'stabilisation': 'none',
+                               'step_size': 0.005}),
+    ('bistable_toggle', {'integrator': 'rk4', 'stabilisation': 'independent'})],
+    ids=lambda value: value if isinstance(value, str) else None)
+def test_what_a_guard_ends_is_ended(stepped, name, method):
+    scene = load_scene(name)
+    scene = replace(scene, method=replace(scene.method, **method))
+    torques = torques_for(scene, 3, 24, 1.0, 5)
+    torques[1] *= 20.0
+    torques[2, 12:] *= 1e3
+    simulation = Simulation(scene)
+    result = simulation.rollout(torques, steps=24, threads=1)
+    assert result.failures and stepped
+    for sample, rows in enumerate(torques):
+        simulation.reset()
+        reason = None
+        try:
+            for row in rows:
+                simulation.step(row)
+            simulation.judge()
+            reason = simulation.energy_guard.finding or None
+        except SimulationError as error:
+            reason = str(error)
+        assert result.failures.get(sample) == reason
+
+
+def test_simulations_are_kept_until_something_changes(monkeypatch):
+    simulation = Simulation.from_scene('slider_crank_end_stop')
+    first = simulation.rollout(duration=0.05).position
+    built = []
+    original = Simulation.__init__
+    monkeypatch.setattr(Simulation, '__init__', lambda self, scene: built.append(scene) or
+                        original(self, scene))
+    np.testing.assert_array_equal(simulation.rollout(duration=0.05).position, first)
+    assert not built
+    simulation.set_effect('gravity', acceleration=(0.0, -1.62))
+    second = simulation.rollout(duration=0.05).position
+    simulation.set_step_size(5e-4)
+    assert simulation.rollout(duration=0.05).position.shape[1] == 101
+    assert [scene.method.step_size for scene in built] == [1e-3, 5e-4]
+    assert not np.array_equal(second, first)
 
 
 def test_the_number_of_threads_changes_nothing():
