@@ -143,19 +143,35 @@ void record(Values state, Cube<double> position, Cube<double> velocity, Index in
 Status run_batch(
   const Batch & batch, const Tableau & tableau, Stabilisation stabilisation, Values state,
   double step_size, Table torque, Index zero_order_hold, Index decimation, Index steps,
-  Table scratch, Cube<double> position, Cube<double> velocity, Values work, bool (* interrupted)())
+  Table scratch, Cube<double> position, Cube<double> velocity, Indices looks, Cube<double> seen,
+  Table work, bool (* interrupted)())
 {
   Interrupt interrupt(interrupted);
   const Values stage = scratch[0], out = scratch[1], since = scratch[2];
   const Table slopes = scratch.from(3);
   const Index n = batch.qdd.size, first = LANES * batch.nq();
+  double worked[LANES] = {};
   const auto add_work_since = [&] {
-      add_work(batch.manifold, batch.tau, since, state, LANES, work);
+      add_work(batch.manifold, batch.tau, since, state, LANES, {worked, LANES});
       copy(state, since);
     };
+  Index next = 0;
+  const auto look = [&](Index done) {
+      if (next == looks.size || looks[next] != done) {
+        return;
+      }
+      add_work_since();
+      for (Index lane = 0; lane < LANES; ++lane) {
+        for (Index k = 0; k < seen.columns; ++k) {
+          seen[lane](next, k) = state[LANES * k + lane];
+        }
+        work(lane, next) = worked[lane];
+      }
+      ++next;
+    };
   record(state, position, velocity, 0);
-  work.fill(0.0);
   copy(state, since);
+  look(0);
   for (Index done = 0; done < steps; ++done) {
     if (done % zero_order_hold == 0) {
       add_work_since();
@@ -182,8 +198,8 @@ Status run_batch(
     if ((done + 1) % decimation == 0) {
       record(state, position, velocity, (done + 1) / decimation);
     }
+    look(done + 1);
   }
-  add_work_since();
   return Status::DONE;
 }
 

@@ -37,14 +37,15 @@ struct Batch
   }
 };
 
-/// Make whole runs of fixed steps of all lanes; arguments as of `run_fixed`, `torque` of shape
-/// (rows, LANES * nv). Positions and velocities, shapes (LANES, instants, nq or nv), and the work
-/// of the torques, shape (LANES,), are written in place. SINGULAR: a state needs what only single
-/// runs have. `interrupted`: as of System.
+/// Make whole runs of fixed steps of all lanes; arguments as of `run_samples`, `torque` of shape
+/// (rows, LANES * nv). Positions and velocities, shapes (LANES, instants, nq or nv), are written in
+/// place; also the states after `looks` steps, shape (n,), in ascending order, to `seen`, shape
+/// (LANES, n, ns), and the work of the torques up to these, shape (LANES, n). SINGULAR: a state
+/// needs what only single runs have. `interrupted`: as of System.
 Status run_batch(
   const Batch &, const Tableau &, Stabilisation, Values state, double step_size, Table torque,
   Index zero_order_hold, Index decimation, Index steps, Table scratch, Cube<double> position,
-  Cube<double> velocity, Values work, bool (* interrupted)());
+  Cube<double> velocity, Indices looks, Cube<double> seen, Table work, bool (* interrupted)());
 
 }  // namespace closedloop
 

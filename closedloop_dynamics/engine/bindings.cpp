@@ -62,11 +62,12 @@ bool is_interrupted()
 Status run_batch_for_python(
   const Batch & batch, const Tableau & tableau, Stabilisation stabilisation, Values state,
   double step_size, Table torque, Index zero_order_hold, Index decimation, Index steps,
-  Table scratch, Cube<double> position, Cube<double> velocity, Values work)
+  Table scratch, Cube<double> position, Cube<double> velocity, Indices looks, Cube<double> seen,
+  Table work)
 {
   return run_batch(
     batch, tableau, stabilisation, state, step_size, torque, zero_order_hold, decimation, steps,
-    scratch, position, velocity, work, is_interrupted);
+    scratch, position, velocity, looks, seen, work, is_interrupted);
 }
 
 const Entry entries[] = {
@@ -155,11 +156,12 @@ const Entry entries[] = {
     "fill_joint_forces",
     "fill_joint_forces(system, torque, zero_order_hold, decimation, state, qdd, lam, scratch, "
     "out)"),
-  released<energies_of_states>("energies_of_states", "energies_of_states(system, state, out)"),
+  released<judge, Length::ANY, Length::ROWS_OF_STATE>(
+    "judge", "judge(system, watch, seen, work, looks, balanced, found)"),
   released<run_batch_for_python>(
     "run_batch",
     "run_batch(batch, tableau, stabilisation, state, step_size, torque, zero_order_hold, "
-    "decimation, steps, scratch, position, velocity, work)"),
+    "decimation, steps, scratch, position, velocity, looks, seen, work)"),
 };
 
 constexpr char bound_name[] = "closedloop_dynamics.engine.bound";

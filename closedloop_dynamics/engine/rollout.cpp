@@ -145,8 +145,8 @@ class WatchedRun
 {
 public:
   WatchedRun(
-    const System & system, const Stepper & stepper, const Watch & watch, double step_size,
-    Index states)
+    const System & system, const Watch & watch, Index states, const Stepper & stepper = {},
+    double step_size = 0.0)
   : system_(system), stepper_(stepper), watch_(watch), step_size_(step_size), values_(2 * states),
     state_{values_.data(), states}, since_{values_.data() + states, states},
     direct_(static_cast<std::size_t>(system.tau.size)), interrupt_(system.interrupted)
@@ -156,6 +156,7 @@ public:
   Status make(
     Values start, Table torque, Index zero_order_hold, Index decimation, Index steps,
     Table states, Values found);
+  Status judge(Table seen, Values work, Indices looks, Indices balanced, Values found);
 
 private:
   void command(Values torque);
@@ -166,7 +167,7 @@ private:
   Status advance(Index steps, Values found);
 
   const System & system_;
-  const Stepper & stepper_;
+  const Stepper stepper_;
   const Watch & watch_;
   double step_size_;
   std::vector<double> values_;
@@ -314,6 +315,24 @@ Status WatchedRun::make(
   }
   return is_well(found) ? Status::DONE : Status::DOUBTFUL;
 }
+
+Status WatchedRun::judge(
+  Table seen, Values work, Indices looks, Indices balanced, Values found)
+{
+  found.fill(0.0);
+  for (Index k = 0; k < looks.size; ++k) {
+    copy(seen[k], state_);
+    copy(seen[k], since_);
+    work_ = work[k];
+    done_ = looks[k];
+    if (k == 0) {
+      start_ = before_ = present_energies();
+    } else if ((balanced[k] != 0 && !is_well(found)) || !is_closed()) {
+      return Status::DOUBTFUL;
+    }
+  }
+  return Status::DONE;
+}
 }  // namespace
 
 void run_samples(
@@ -329,7 +348,7 @@ void run_samples(
     throw std::invalid_argument("run_samples: arrays that do not fit together");
   }
   const Beginning beginning(system, stepper.runs);
-  WatchedRun run(system, stepper, watch, step_size, start.columns);
+  WatchedRun run(system, watch, start.columns, stepper, step_size);
   status.fill(static_cast<Index>(Status::INTERRUPTED));
   for (Index sample = 0; sample < states.pages; ++sample) {
     if (__atomic_load_n(stop.data, __ATOMIC_RELAXED) != 0) {
@@ -377,14 +396,17 @@ void fill_joint_forces(
   }
 }
 
-void energies_of_states(const System & system, Table state, Table out)
+Status judge(
+  const System & system, const Watch & watch, Table seen, Values work, Indices looks,
+  Indices balanced, Values found)
 {
-  Interrupt interrupt(system.interrupted);
-  for (Index k = 0; k < state.rows && !interrupt.after(1); ++k) {
-    const Values q = system.q(state[k]), qd = system.qd(state[k]);
-    evaluate(system, q, qd);
-    energies(system.model, system.work, qd, out[k]);
+  if (seen.rows < 1 || work.size != seen.rows || looks.size != seen.rows ||
+    balanced.size != seen.rows || found.size != finding::COLUMNS || watch.roles.size > 0 ||
+    watch.direct.size != system.tau.size)
+  {
+    throw std::invalid_argument("judge: arrays that do not fit together");
   }
+  return WatchedRun(system, watch, seen.columns).judge(seen, work, looks, balanced, found);
 }
 
 }  // namespace closedloop

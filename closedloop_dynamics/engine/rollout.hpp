@@ -96,8 +96,13 @@ void fill_joint_forces(
   const System &, Table torque, Index zero_order_hold, Index decimation, Table state, Table qdd,
   Table lam, Table scratch, Cube<double> out);
 
-/// Kinetic and potential energy of states, shapes (n, ns) and (n, 2).
-void energies_of_states(const System &, Table state, Table out);
+/// Judge a run made elsewhere, without effects, by its states after `looks` steps, shapes (n, ns)
+/// and (n,), the start first, and the work of the torques up to these, shape (n,): the loops at all
+/// of them, energy where `balanced` is not zero. DONE or DOUBTFUL, and the findings, as of
+/// `run_samples`.
+Status judge(
+  const System &, const Watch &, Table seen, Values work, Indices looks, Indices balanced,
+  Values found);
 
 }  // namespace closedloop
 

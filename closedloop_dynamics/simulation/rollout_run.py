@@ -23,6 +23,7 @@ numbers, bit for bit.
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Optional
 
 import numpy as np
@@ -30,7 +31,7 @@ import numpy as np
 from .cable_guard import CableGuard
 from .errors import SimulationError
 from .guards import (
-    CLOSING, ClosureGuard, ENERGY_ERROR, EquationGuard, EQUATIONS_FIRST_LOOK, NOTHING,
+    CLOSING, ClosureGuard, ENERGY_WARN, EquationGuard, EQUATIONS_FIRST_LOOK, NOTHING,
     USUAL_TORQUE)
 from ..core.codegen.lanes import LANES, spread
 from ..engine import native
@@ -38,7 +39,7 @@ from ..integration.batch import build_batch, filled, fits
 from ..integration.control import DONE
 from ..integration.drivers import FixedSteps
 from ..integration.recorded_run import (
-    allocate_buffer, joint_forces, LOST, MOVED, run_samples, STEPS, Watch)
+    allocate_buffer, joint_forces, LOST, MOVED, run_samples, SHARE, STEPS, Watch)
 from ..integration.scipy_solvers import SciPySolver
 from ..mechanism.checks import one_of
 from ..mechanism.fields import at
@@ -50,8 +51,6 @@ QUANTITIES = (*STATE, 'acceleration', 'effort', 'constraint_forces', 'joint_forc
 FEWEST, MOST = 3, LANES
 # A time counts as a multiple of the step up to this share of the step.
 TIME_ROUNDING = 1e-9
-# Instants of a run at which its energy is looked at.
-MOST_LOOKS = 9
 # More steps than any run has.
 NEVER = 2 ** 62
 
@@ -218,15 +217,23 @@ def record_all(simulation, torques, schedule, quantities, stop=None):
         simulation.step_size, simulation.integrated[np.newaxis].copy(), tau,
         schedule.in_steps(steps), np.zeros(1, dtype=np.int64) if stop is None else stop)
     simulation.touch()
-    guard = simulation.energy_guard
     for k in np.flatnonzero(status == DONE):
-        guard.restart()
-        guard.compare(found[k, LOST], found[k, MOVED], 0.0, found[k, STEPS] * simulation.step_size)
         records[bearable[k]] = Record(
             _values_of_states(simulation, states[k], tau[k], schedule, steps, quantities),
-            guard.finding or None)
-    guard.restart()
+            _finding(simulation, found[k]))
     return records
+
+
+def _finding(simulation, found):
+    """Return in words what the energy balance of a run misses; None where it holds."""
+    if found[SHARE] <= ENERGY_WARN:
+        return None
+    guard = simulation.energy_guard
+    guard.restart()
+    guard.compare(found[LOST], found[MOVED], 0.0, found[STEPS] * simulation.step_size)
+    finding = guard.finding
+    guard.restart()
+    return finding or None
 
 
 def _watch(simulation):
@@ -235,6 +242,11 @@ def _watch(simulation):
     start = simulation.energy_at_start if simulation.at_start else simulation.energy_balance
     # Nothing has been evaluated yet for the run.
     simulation.system.work.health[:] = health
+    return _guards(simulation)._replace(kinetic=start.kinetic, stored=start.stored)
+
+
+def _guards(simulation):
+    """Return the same without the energy there."""
     guard, effects = simulation.energy_guard, simulation.effect_set
     closure = [each for each in simulation.guards if isinstance(each, ClosureGuard)]
     direct = np.ones(len(simulation.torque_names))
@@ -245,7 +257,7 @@ def _watch(simulation):
         most=closure[0].until_look if closure else NEVER,
         open=closure[0].limit if closure else np.inf,
         regular=bool(closure) and closure[0].regular,
-        nothing=NOTHING * simulation.passive_energy_scale, kinetic=start.kinetic, stored=start.stored,
+        nothing=NOTHING * simulation.passive_energy_scale, kinetic=np.nan, stored=np.nan,
         roles=effects.roles, direct=direct)
 
 
@@ -266,47 +278,46 @@ def buffer_for(simulation, schedule, quantities):
         np.array([point.position for point in points]).reshape(-1, 2))
 
 
-def verdict(simulation, states, last, work, schedule):
+@lru_cache(maxsize=16)
+def _looks(watch, schedule, steps):
     """
-    Judge the energy balance of a run, as the energy guard does where steps are made one by one.
+    Return after how many steps the guards look at a run of fixed steps, the start first.
 
     Parameters
     ----------
-    simulation : Simulation
-        That made it; left somewhere else.
-    states : ndarray, shape (instants, >= nq + nv)
-        Of the run.
-    last : ndarray, shape (ns,)
-        At its end.
-    work : float
-        Of the torques [J].
+    watch : tuple of 4 int and a bool
+        ``first``, ``rarely``, ``call`` and ``most`` of a ``Watch``; whether all looks are wanted,
+        those at loops, too.
     schedule : Schedule
-        Of the run.
+    steps : int
+        In an interval.
 
     Returns
     -------
-    share : float
-        Error of the energy balance at the end, relative to all that moved.
-    finding : str or None
-        What is wrong, in words.
+    looks : ndarray of int, shape (n,)
+    balanced : ndarray of int, shape (n,)
+        1 where energy is looked at.
 
     """
-    some = np.unique(np.linspace(0, len(states) - 1, MOST_LOOKS).round().astype(int))
-    looked = np.vstack((states[some], last[:states.shape[1]]))
-    out = np.empty((len(looked), 2))
-    if simulation.mechanism.planar:
-        native.energies_of_states(simulation.system.native, looked, out)
-    else:
-        for state, place in zip(looked, out):
-            place[:] = simulation.energies_of(state)
-    kinetic, stored = out.T
-    moved = (kinetic + np.abs(stored - stored[0])).max() + abs(work)
-    lost = abs(out[-1].sum() - out[0].sum() - work)
-    guard = simulation.energy_guard
-    guard.restart()
-    guard.compare(lost, moved, guard.rounding(simulation, kinetic[-1] + abs(stored[-1])),
-                  schedule.interval * schedule.intervals)
-    return guard.worst, guard.finding or None
+    first, rarely, call, most, closure = watch
+    hold, decimation, end = schedule.in_steps(steps)
+    found, done, unseen, between = {0: 1}, 0, 0, first
+    while done < end:
+        at_once = min(hold - done % hold, decimation - done % decimation, end - done)
+        left = at_once
+        while left > 0:
+            portion = min(left, most, between - unseen)
+            left, done, unseen = left - portion, done + portion, unseen + portion
+            if unseen >= between:
+                between, unseen = max(min(2 * between, rarely), first), 0
+                found[done] = 1
+            elif closure:
+                found.setdefault(done, 0)
+        if unseen > 0 and at_once >= call:
+            unseen, found[done] = 0, 1
+    found[end] = 1
+    return tuple(np.array(list(numbers), dtype=np.int64)
+                 for numbers in (found.keys(), found.values()))
 
 
 def values_of(simulation, buffer, tau, schedule, quantities):
@@ -439,7 +450,8 @@ class SimdRuns:
         -------
         list of Record, or None
             None where they must be made one by one: they differ in their methods, or one of
-            them fails or comes to a singular configuration.
+            them fails or comes to a singular configuration. None in the list for a run that a
+            guard may end.
 
         """
         first, schedule = starts[0].simulation, self.schedule
@@ -450,6 +462,8 @@ class SimdRuns:
         if pack is None:
             return None
         driver, steps = first.monitor.driver, schedule.steps(first.step_size)
+        if any(np.abs(start.torques).max(initial=0.0) > USUAL_TORQUE for start in starts):
+            return None
         torques = [all_torques(start.simulation, start.torques) for start in starts]
         efforts = np.stack(filled(torques), axis=-1).reshape(len(torques[0]), -1)
         state = spread(filled([start.state for start in starts]))
@@ -457,21 +471,30 @@ class SimdRuns:
             names = first.coordinates
             room = tuple(np.empty((LANES, schedule.instants, count))
                          for count in (names.nq, names.nv))
-        work = np.zeros(LANES)
+        guards = _guards(first)
+        looks, balanced = _looks(
+            (guards.first, guards.rarely, guards.call, guards.most, np.isfinite(guards.open)),
+            schedule, steps)
+        seen = np.empty((LANES, len(looks), len(starts[0].state)))
+        work = np.empty((LANES, len(looks)))
         status = native.run_batch(
-            tuple(pack)[:-1], driver.tableau, driver.stabilisation, state, first.step_size,
-            efforts, *schedule.in_steps(steps), np.zeros((len(driver.scratch), len(state))), *room,
-            work)
+            tuple(pack)[:-1], driver.tableau, driver.stabilisation, state, first.step_size, efforts,
+            *schedule.in_steps(steps), np.zeros((len(driver.scratch), len(state))), *room, looks,
+            seen, work)
         if status != DONE:
             return None
-        ends = state.reshape(-1, LANES).T
-        judged = [verdict(start.simulation, np.hstack(motion), end, done, schedule)
-                  for start, end, done, *motion in zip(starts, ends, work, *room)]
-        if not all(share <= ENERGY_ERROR for share, _ in judged):
-            return None
-        return [Record(_values_of_motion(start.simulation, tau, schedule, steps,
-                                         self.quantities, *motion), finding)
-                for start, tau, (_, finding), *motion in zip(starts, torques, judged, *room)]
+        records = []
+        for start, tau, *motion, states, done in zip(starts, torques, *room, seen, work):
+            simulation, found = start.simulation, np.empty(4)
+            watch = guards if simulation is first else _guards(simulation)
+            status = native.judge(
+                simulation.system.native, watch, states, done, looks, balanced, found)
+            simulation.touch()
+            records.append(None if status != DONE else Record(
+                _values_of_motion(
+                    simulation, tau, schedule, steps, self.quantities, *motion),
+                _finding(simulation, found)))
+        return records
 
     def _pack_of(self, systems):
         """Return a pack of systems, the last one where they are still the same."""

@@ -410,23 +410,6 @@ class Simulation:
         """Whether equations that repeat others are left out, and watched."""
         return self._geometry.leaves_out
 
-    def energies_of(self, state):
-        """
-        Return kinetic and stored energy of a state in space [J].
-
-        Parameters
-        ----------
-        state : ndarray, shape (>= nq + nv,)
-            Coordinates and rates; of effects, none store energy.
-
-        Returns
-        -------
-        tuple of 2 floats
-
-        """
-        places, rates, _ = self._parts
-        return self._equations.move(state[places], state[rates]).energies()
-
     @property
     def effect_set(self):
         """Return the effects as the kernels have them, an ``effects.effect_set.EffectSet``."""

@@ -114,7 +114,7 @@ def _records(job, source, rows, torques):
     if starts and source.together:
         records = SimdRuns(job.schedule, wanted).record(list(starts.values()))
     done = dict(zip(starts, records or ()))
-    return [done[k] if k in done else _alone(job, source, row, own, wanted)
+    return [done.get(k) or _alone(job, source, row, own, wanted)
             for k, (row, own) in enumerate(zip(rows, torques))]
 
 

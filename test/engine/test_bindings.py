@@ -62,11 +62,11 @@ def parts(system):
         'stabilise': (one.native, PROJECTION, state.copy()),
         'advance_fixed': (one.native, driver.tableau, PROJECTION, state.copy(), 1e-3, 3,
                           driver.scratch),
-        'energies_of_states': (one.native, state[np.newaxis].copy(), np.zeros((1, 2)))}
+        'evaluate_state': (one.native, state.copy())}
 
 
 FUNCTIONS = ('outward', 'inward', 'largest', 'forward_dynamics', 'evaluate', 'derivative',
-             'stabilise', 'advance_fixed', 'energies_of_states')
+             'stabilise', 'advance_fixed', 'evaluate_state')
 
 
 def unwritable(array):

@@ -96,6 +96,17 @@ def test_what_fails_in_one_lane_is_run_alone(packs):
     assert_each_as_alone(simulation, result, torques)
 
 
+def test_what_a_guard_may_end_is_run_alone(packs):
+    simulation = Simulation.from_scene('four_bar', integrator='heun', step_size=2e-3)
+    torques = torques_for(simulation, 4, 40)
+    torques[1] *= 0.2
+    torques[2] *= 500.0
+    result = simulation.rollout(torques, quantities=QUANTITIES)
+    assert packs == [4] and 2 in result.failures
+    assert np.isnan(result.position[2, -1]).all() and np.isfinite(result.position[1]).all()
+    assert_each_as_alone(simulation, result, torques)
+
+
 def test_what_fails_to_start_leaves_the_others_together(packs):
     simulation = Simulation.from_scene('four_bar', integrator='rk4')
     result = simulation.rollout(duration=0.01, parameters={
@@ -125,4 +136,4 @@ def test_angles_beyond_the_polynomials_are_not_for_lanes():
         assert native.run_batch(
             pack[:-1], driver.tableau, driver.stabilisation, state, 1e-3, np.zeros((1, 3 * LANES)),
             1, 1, 1, np.zeros((len(driver.scratch), 6 * LANES)), *motion,
-            np.zeros(LANES)) == status
+            np.zeros(0, dtype=np.int64), np.zeros((LANES, 0, 6)), np.zeros((LANES, 0))) == status
