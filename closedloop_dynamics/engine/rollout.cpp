@@ -245,14 +245,14 @@ bool WatchedRun::is_well(Values found)
 /// Look at the loops where the method does not close them.
 bool WatchedRun::is_closed()
 {
-  if (std::isinf(watch_.open)) {
+  if (std::isinf(watch_.closure)) {
     return true;
   }
   if (watch_.regular && system_.work.health[health::SINGULAR_COUNT] > 0.0) {
     return false;
   }
   evaluate_with_poses(system_, state_);
-  return largest(system_.work.closure) <= CLEARLY * watch_.open;
+  return largest(system_.work.closure) <= CLEARLY * watch_.closure;
 }
 
 /// Make steps at once, as one call of a simulation does.

@@ -46,7 +46,7 @@ struct Watch
   Index cycle = 0;
   Index most = 0;
   /// Closure error at which loops count as open; infinite where the method closes them.
-  double open = 0.0;
+  double closure = 0.0;
   /// Whether a singular position ends the run.
   bool regular = false;
   /// Energy that counts as none [J].
@@ -62,7 +62,7 @@ struct Watch
   template<class Visitor>
   void fields(Visitor && visit)
   {
-    visit(first, rarely, call, whole, cycle, most, open, regular, nothing, kinetic, stored, roles,
+    visit(first, rarely, call, whole, cycle, most, closure, regular, nothing, kinetic, stored, roles,
       direct);
   }
 };

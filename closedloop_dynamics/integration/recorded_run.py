@@ -48,7 +48,7 @@ class Watch(NamedTuple):
     whole: bool
     cycle: int
     most: int
-    open: float  # [m or rad]
+    closure: float  # [m or rad]
     regular: bool
     nothing: float  # [J]
     kinetic: float  # [J]

@@ -177,7 +177,9 @@ class _Runs:
                           if name not in simulation.enabled_effects]
         self._again = not given.parameters
         self._fits_simd = fits_simd(simulation, schedule)
-        self._moved = given.position is not None or given.velocity is not None
+        # Whether samples start in states of their own.
+        self._moved = any(state is not None and state.ndim > 1
+                          for state in (given.position, given.velocity))
         self._own, self._lent = threading.local(), []
         twins = _TWINS.get(simulation)
         if twins is None or not twins.fit(simulation):
@@ -232,20 +234,20 @@ class _Runs:
     def _at_once(self, samples, stop):
         """Return records of samples run in one call, by number; None where run alone."""
         try:
-            simulation = self._simulation(samples[0])
+            start = self._start(samples[0])
         except (SimulationError, ValueError):
             # Run alone, they will say why.
             return {}
         torques = np.array([self._given.torques_of(sample) for sample in samples])
         return dict(zip(samples, record_all(
-            simulation, torques, self._schedule, self._quantities, stop)))
+            start.simulation, torques, self._schedule, self._quantities, stop)))
 
     def _starts(self, samples):
         """Return what those samples begin with that can begin."""
         given, starts = self._given, {}
         for sample in samples:
             if starts and self._again and not self._moved:
-                # Nothing has moved since the first of them.
+                # Nothing has moved since the first of them: all start there.
                 starts[sample] = replace(starts[samples[0]], torques=given.torques_of(sample))
                 continue
             try:

@@ -255,7 +255,7 @@ def _guards(simulation):
         first=guard.first, rarely=guard.rarely, call=guard.call, whole=guard.whole,
         cycle=EQUATIONS_FIRST_LOOK if simulation.leaves_out else NEVER,
         most=closure[0].until_look if closure else NEVER,
-        open=closure[0].limit if closure else np.inf,
+        closure=closure[0].limit if closure else np.inf,
         regular=bool(closure) and closure[0].regular,
         nothing=NOTHING * simulation.passive_energy_scale, kinetic=np.nan, stored=np.nan,
         roles=effects.roles, direct=direct)
@@ -289,6 +289,7 @@ def _looks(watch, schedule, steps):
         ``first``, ``rarely``, ``call`` and ``most`` of a ``Watch``; whether all looks are wanted,
         those at loops, too.
     schedule : Schedule
+        Of the run.
     steps : int
         In an interval.
 
@@ -473,14 +474,14 @@ class SimdRuns:
                          for count in (names.nq, names.nv))
         guards = _guards(first)
         looks, balanced = _looks(
-            (guards.first, guards.rarely, guards.call, guards.most, np.isfinite(guards.open)),
+            (guards.first, guards.rarely, guards.call, guards.most, np.isfinite(guards.closure)),
             schedule, steps)
         seen = np.empty((LANES, len(looks), len(starts[0].state)))
         work = np.empty((LANES, len(looks)))
         status = native.run_batch(
-            tuple(pack)[:-1], driver.tableau, driver.stabilisation, state, first.step_size, efforts,
-            *schedule.in_steps(steps), np.zeros((len(driver.scratch), len(state))), *room, looks,
-            seen, work)
+            tuple(pack)[:-1], driver.tableau, driver.stabilisation, state, first.step_size,
+            efforts, *schedule.in_steps(steps), np.zeros((len(driver.scratch), len(state))),
+            *room, looks, seen, work)
         if status != DONE:
             return None
         records = []

@@ -331,10 +331,19 @@ def _cut_frames(joint, a, b):
     return along_a, along_b
 
 
-def _possible(mechanism, tree, body, cut, point, entries):
-    """Return the numbers of each cut joint's equations that do not hold anyway."""
-    model = t.Model(
-        tree, body, np.zeros(3), cut, point, entries, *(6 * (None,)), None)
+_always_held = {}
+
+
+def _outward(model, bodies, cuts, q, qd):
+    """Return the recursion at coordinates and rates, symbols or numbers."""
+    recursion = Recursion(space.bodies(model, bodies), space.cuts(model, cuts), (0.0, 0.0, 0.0))
+    recursion.outward(model, q, qd, None)
+    return recursion
+
+
+def _is_held(model):
+    """Return for each equation of each cut joint whether no motion changes it."""
+    nv, nq = len(model.tree) - 1, t.number_of_coordinates(model)
     graph = ExpressionGraph()
 
     def symbols(source, shape):
@@ -342,26 +351,33 @@ def _possible(mechanism, tree, body, cut, point, entries):
         found.flat = [graph.put(LOAD, source, place) for place in range(found.size)]
         return found
 
-    def outward(bodies, cuts, q, qd):
-        recursion = Recursion(
-            space.bodies(model, bodies),
-            space.cuts(model, cuts), (0.0, 0.0, 0.0))
-        recursion.outward(model, q, qd, None)
-        return recursion
+    symbolic = _outward(model, symbols(0, model.body.shape), symbols(1, model.cut_point.shape),
+                        symbols(2, (nq,)), symbols(3, (nv,)))
+    return [[isinstance(equation.value, float) or is_zero((equation.rate,))
+             for equation in symbolic.equations(model, a)] for a in range(len(model.cut))]
 
-    nv, nq = len(tree) - 1, t.number_of_coordinates(model)
-    symbolic = outward(symbols(0, body.shape), symbols(1, point.shape), symbols(2, (nq,)),
-                       symbols(3, (nv,)))
-    somewhere = outward(body.astype(object), point.astype(object),
-                        mechanism.coordinates.start().tolist(), [0.0] * nv)
+
+def _possible(mechanism, tree, body, cut, point, entries):
+    """Return the numbers of each cut joint's equations that do not hold anyway."""
+    model = t.Model(
+        tree, body, np.zeros(3), cut.copy(), point, entries, *(6 * (None,)), None)
+    # Lengths and masses may differ: the symbols stand for any.
+    shape = tuple((array.shape, array.tobytes())
+                  for array in (*space.structure(model), tree, model.cut, entries))
+    if shape not in _always_held:
+        _always_held[shape] = _is_held(model)
+    held, somewhere = _always_held[shape], None
     size = extent(mechanism)
-    for a, one in enumerate(cut):
+    for a, one in enumerate(model.cut):
         # Bodies that are fixed to one another are one row of the tree.
         joined = one[t.CUT_TYPE] not in (t.CUT_COUPLING, t.PRESCRIBED_JOINT) and (
             one[t.BODY_A] == one[t.BODY_B])
-        fixed = [joined or isinstance(equation.value, float) or is_zero((equation.rate,))
-                 for equation in symbolic.equations(model, a)]
-        for always, equation in zip(fixed, somewhere.equations(model, a)):
+        fixed = [joined or always for always in held[a]]
+        if any(fixed) and somewhere is None:
+            somewhere = _outward(
+                model, body.astype(object), point.astype(object),
+                mechanism.coordinates.start().tolist(), [0.0] * (len(tree) - 1))
+        for always, equation in zip(fixed, somewhere.equations(model, a) if any(fixed) else ()):
             if always and not abs(equation.value) <= NEVER_CLOSED * size:
                 name = mechanism.closures[one[t.CUT_NUMBER]].name
                 raise MechanismError(

@@ -57,6 +57,16 @@ def assert_same(result, expected):
         np.testing.assert_array_equal(getattr(result, name), expected[name], name)
 
 
+@pytest.fixture
+def stepped(monkeypatch):
+    """Note the runs that are made step by step."""
+    seen = []
+    original = rollout_run._stepped
+    monkeypatch.setattr(
+        rollout_run, '_stepped', lambda *given: seen.append(given[0]) or original(*given))
+    return seen
+
+
 # Plain fixed steps, a prismatic cut joint; a watched scene; a drive with lag.
 @pytest.mark.parametrize('name', [
     'three_rrr', 'carpet_scraper', 'slider_crank', 'four_bar', 'three_rrr_payload_friction',
@@ -86,16 +96,6 @@ def test_every_method_gives_what_single_simulations_give(method):
     torques = torques_for(scene, 4, 10)
     result = Simulation(scene).rollout(torques, quantities=QUANTITIES, threads=2)
     assert_same(result, one_by_one(scene, torques, 10, 1))
-
-
-@pytest.fixture
-def stepped(monkeypatch):
-    """Note the runs that are made step by step."""
-    seen = []
-    original = rollout_run._stepped
-    monkeypatch.setattr(
-        rollout_run, '_stepped', lambda *given: seen.append(given[0]) or original(*given))
-    return seen
 
 
 # Springs and stops; contacts; dry friction; a prescribed motion; redundant equations of which
@@ -194,6 +194,19 @@ def test_samples_start_where_they_are_told_to():
     result = Simulation(scene).rollout(torques, position, velocity, quantities=QUANTITIES)
     assert_same(result, one_by_one(scene, torques, 5, 1, (position, velocity)))
     assert result.closure.max() < 1e-11
+
+
+@pytest.mark.parametrize('method', [{}, {'integrator': 'rk4'}, {'integrator': 'rodas4'}],
+                         ids=lambda method: method.get('integrator', 'auto'))
+def test_samples_start_where_they_all_are_told_to(stepped, method):
+    scene = load_scene('carpet_scraper_dry')
+    scene = replace(scene, method=replace(scene.method, **method))
+    moving = Simulation(scene)
+    moving.step(duration=0.05)
+    start, torques = (moving.position, moving.velocity), torques_for(scene, 4, 6)
+    result = moving.rollout(torques, *start, quantities=QUANTITIES, threads=1)
+    assert not stepped and result.failures == {}
+    assert_same(result, one_by_one(scene, torques, 6, 1, [[state] * 4 for state in start]))
 
 
 def test_velocities_alone_start_from_the_position_of_the_scene():
