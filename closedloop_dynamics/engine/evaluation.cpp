@@ -76,6 +76,15 @@ void accelerate_by_loops(const System & system, Values q, Values qd)
   }
 }
 
+/// Bring back the forces on the bodies for joint loads, which loops over bodies overwrite.
+void restore_forces(const System & system, Values q, Values qd)
+{
+  if (system.has_effects() && system.effects.loaded[0] > 0) {
+    call(system.table, routine::OUTWARD, q, qd);
+    apply_listed(system, q, qd);
+  }
+}
+
 /// Accelerations where the elimination alone will not do, by what follows it.
 void accelerate_beyond_elimination(const System & system, Values q, Values qd)
 {
@@ -89,10 +98,12 @@ void accelerate_beyond_elimination(const System & system, Values q, Values qd)
         system.model, system.work, system.applied,
         system.settings[setting::BAUMGARTE_GAIN], system.qdd, system.lam))
     {
+      restore_forces(system, q, qd);
       return;
     }
   }
   accelerate_with_all_equations(system, q, qd);
+  restore_forces(system, q, qd);
 }
 
 /// Accelerations of all joints, those of cut joints behind.

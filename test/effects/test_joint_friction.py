@@ -307,3 +307,18 @@ def test_reactions_equal_those_of_maximal_coordinates(case):
 def test_impossible_friction_is_refused(values):
     with pytest.raises(FieldError):
         JointFriction('slide', **values)
+
+
+def excavator_arm(friction, motion):
+    """Return the shipped arm, moved by some cylinders, with friction in a joint."""
+    scene = load_scene('excavator_arm')
+    return Simulation.from_scene(
+        replace(scene, effects={**scene.effects, 'friction': friction}), motion)
+
+
+def test_reactions_are_right_where_the_elimination_alone_will_not_do():
+    simulation = excavator_arm(
+        JointFriction('slew', friction_coefficient=1e-9), {'boom_cylinder': '1.015'})
+    simulation.step()
+    assert simulation.effect_readings('friction')['reaction'] == pytest.approx(
+        np.linalg.norm(simulation.force('slew')[3:]), rel=1e-9)
