@@ -41,7 +41,15 @@ class Machine:
         Names of the freedoms of cut joints that anything acts along: their places are behind
         those of qd.
 
+    Attributes
+    ----------
+    decided : frozenset of str
+        Freedoms whose rates loops and prescribed motions decide, whatever forces act; of those
+        that dry friction acts in.
+
     """
+
+    decided = frozenset()
 
     def __init__(self, mechanism, rows, placements=None, motions=None, cuts=()):
         """Collect the names."""

@@ -26,8 +26,8 @@ import numpy as np
 
 from .sensor import Chain
 from .table import (
-    build_table, CUT_ROTOR, DATA, DISSIPATED, fill_row, FIRST, FOLLOWED, LOADED, OWN,
-    PASSED, PRESCRIBED_MOTION, size_of_data, STATE, states_of, STORED, WORK)
+    build_table, CUT_ROTOR, DATA, DISSIPATED, fill_row, FIRST, FOLLOWED, JOINT_FRICTION, LOADED,
+    OWN, PASSED, PRESCRIBED_MOTION, size_of_data, STATE, states_of, STORED, WORK)
 from ..core import codegen
 from ..core.codegen import pieces
 from ..core.types import TYPE
@@ -132,9 +132,24 @@ class EffectSet:
     def move(self, system):
         """Take a system that works on other equations; all that effects change is shared."""
         self._system, self._model = system, system.model
-        for row in np.flatnonzero(self._table.kind == PRESCRIBED_MOTION):
-            # Their multipliers have other places.
+        # Their multipliers have other places.
+        self._refill(PRESCRIBED_MOTION)
+
+    def _refill(self, kind):
+        """Write the parameters of the effects of a kind anew."""
+        for row in np.flatnonzero(self._table.kind == kind):
             fill_row(self._table, row, self.records[self._rows[row]].element(self._machine))
+
+    @property
+    def freedoms_with_friction(self):
+        """Names of the freedoms that dry friction acts in, each once."""
+        return tuple({self.records[name].joint: None for name, kind in zip(
+            self._rows, self._table.kind) if kind == JOINT_FRICTION})
+
+    def decide(self, freedoms):
+        """Take note of freedoms with friction whose rates do not depend on the forces."""
+        self._machine.decided = frozenset(freedoms)
+        self._refill(JOINT_FRICTION)
 
     def _update(self):
         """Bring model constants, drives and instruments in line with the records."""

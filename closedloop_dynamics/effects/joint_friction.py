@@ -23,7 +23,8 @@ Nothing is regularised: the joint does not give way, creep, or swing, and no sti
 steps. A state tells which way the joint slides (1 or -1) or that it is at rest (0); it
 is constant within a step and changes between steps (``engine/stick_slip.hpp``). What holds the
 joints at rest is found with each evaluation (``engine/sticking.hpp``), which costs an evaluation
-more for each of them, while they rest.
+more for each of them, while they rest. A joint that loops and prescribed motions hold at rest
+needs no friction, and any would do: it has none.
 
 R is the magnitude of the joint's own constraint force (in a prismatic joint: its part across
 the axis), r the radius that it rubs at. It depends on the accelerations, and they on
@@ -103,7 +104,8 @@ class JointFriction(Effect):
     def element(self, machine):
         """Return the effect as a row of the table."""
         lever = self.friction_coefficient * self.radius
-        values = [self.coulomb, self.static_ratio, self.stribeck_velocity, lever]
+        values = [self.coulomb, self.static_ratio, self.stribeck_velocity, lever,
+                  float(self.joint in machine.decided)]
         values += [0.0] * (LOAD_TIME - len(values)) + [self.load_time]
         return ForceElement(
             JOINT_FRICTION, (machine.joint(self.joint), machine.joint_row(self.joint)),

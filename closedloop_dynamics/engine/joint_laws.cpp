@@ -94,8 +94,12 @@ void apply_joint_friction(
     direction = rate;
   }
   if (std::fabs(direction) < 0.5 && std::fabs(rate) <= REST) {
-    list_sticking(table.sticking, row);
-    torque = table.sticking.hold[row];
+    torque = 0.0;
+    // Where loops and motions hold the joint, any friction would do: no response decides it.
+    if (table.values(row, 4) == 0.0) {
+      list_sticking(table.sticking, row);
+      torque = table.sticking.hold[row];
+    }
   } else {
     torque = -std::copysign(most, direction);
   }

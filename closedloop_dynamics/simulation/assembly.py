@@ -22,6 +22,7 @@ the mass metric.
 """
 
 from contextlib import suppress
+from itertools import chain
 import math
 from operator import itemgetter
 
@@ -319,6 +320,38 @@ class Assembler:
                     np.arange(self.nv))
                 if self._is_closed(psi):
                     yield near
+
+    def decided(self, q, derivatives):
+        """
+        Return which rates the closure equations decide by themselves, at and near a position.
+
+        Parameters
+        ----------
+        q : ndarray, shape (nq,)
+            Closing the loops.
+        derivatives : callable
+            Returns those of the rates by the joints', shape (n, nv), at a position.
+
+        Returns
+        -------
+        ndarray of bool, shape (n,)
+            None where there are too many equations for dense ranks.
+
+        """
+        most, found = -1, np.zeros(len(derivatives(q)), dtype=bool)
+        if not 0 < self.nc <= MOST_EQUATIONS:
+            return found
+        for near in chain((q,), self._neighbours(q)):
+            _, singular, rows = np.linalg.svd(self.jacobian(near))
+            rank = rank_from(singular)
+            free = np.abs(derivatives(near) @ rows[rank:].T).max(axis=1, initial=0.0)
+            if rank >= most:
+                # Where equations are lost, rates seem free; at a dead centre they seem decided.
+                found = (free <= RANK_TOLERANCE) & (found | (rank > most))
+                most = rank
+            if rank == min(self.nc, self.nv) and not found.any():
+                break
+        return found
 
     def advice_on_opening(self, q):
         """

@@ -140,6 +140,7 @@ class Simulation:
         self._initial = self._assembled(
             scene.initial.position, scene.initial.velocity, scene.initial.hold)
         self._motions.require_independent(self._assembler, self._initial[0])
+        self._find_decided()
         if method.stabilisation == 'independent':
             self._assembler.require_independent(self._initial[0])
         self._fresh = False
@@ -152,6 +153,23 @@ class Simulation:
         # How often the equations that the elimination works on were exchanged.
         self.exchanges = 0
         self.reset()
+
+    def _find_decided(self):
+        """Find the joints with friction that loops and motions move, or hold, by themselves."""
+        names = self._effects.freedoms_with_friction
+        if not names:
+            return
+        in_tree = [name for name in names if name in self.coordinates.index]
+        in_cuts = [name for name in names if name not in self.coordinates.index]
+        units = np.eye(len(self.joint_names))[[self.coordinates.index[name] for name in in_tree]]
+
+        def derivatives(position):
+            moved = self._equations.move(position)
+            return np.concatenate(
+                (units, self._cuts.jacobian(moved.model, moved.work, in_cuts)))
+
+        decided = self._assembler.decided(self._initial[0], derivatives)
+        self._effects.decide(np.array(in_tree + in_cuts)[decided].tolist())
 
     def _inverse_dynamics(self):
         """Return what solves for the torques of a motion, of the present equations."""

@@ -32,7 +32,7 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
-from .machines import assert_balanced, block, pendulum, simulated
+from .machines import assert_balanced, block, pendulum, simulated, slider_crank
 from ..reference import cases, maximal
 
 
@@ -322,3 +322,37 @@ def test_reactions_are_right_where_the_elimination_alone_will_not_do():
     simulation.step()
     assert simulation.effect_readings('friction')['reaction'] == pytest.approx(
         np.linalg.norm(simulation.force('slew')[3:]), rel=1e-9)
+
+
+def test_a_joint_that_motions_hold_at_rest_needs_no_friction():
+    motion = {'slew': '0.1 * t', 'boom_cylinder': '1.015 + 0.1 * sin(t)',
+              'stick_cylinder': '1.225', 'bucket_cylinder': '1.027'}
+    simulation = excavator_arm(
+        JointFriction('stick_pin', friction_coefficient=0.05, radius=0.05), motion)
+    frictionless = excavator_arm(JointFriction('stick_pin'), motion)
+    for each in (simulation, frictionless):
+        each.step()
+    # Rounding over rounding decided its friction, of which the load made steps of nanoseconds.
+    assert simulation.report().evaluations < 500
+    readings = simulation.effect_readings('friction')
+    assert (readings['torque'], readings['dissipated_energy']) == (0.0, 0.0)
+    assert readings['reaction'] == pytest.approx(
+        np.linalg.norm(frictionless.force('stick_pin')[3:]), rel=1e-9)
+    for name, force in frictionless.motion_forces.items():
+        assert simulation.motion_forces[name] == pytest.approx(force, rel=1e-9)
+    # A joint that they move rubs.
+    moved = excavator_arm(JointFriction('boom_pin', coulomb=3.0), motion)
+    moved.step()
+    assert moved.effect_readings('friction')['torque'] == -3.0
+
+
+def test_friction_holds_a_slider_that_started_at_its_dead_centre():
+    # There its rate is zero, whatever the crank's; elsewhere nothing but friction holds it.
+    simulation = simulated(slider_crank(), {
+        'spring': JointSpring('crank', 1.0), 'friction': JointFriction('slider', 100.0)},
+        [0.0, 1.5, 0.0])
+    simulation.set_state({'crank': 1.0})
+    start = simulation.position
+    simulation.step(duration=0.1)
+    assert simulation.position == pytest.approx(start, abs=1e-12)
+    assert simulation.effect_readings('friction')['torque'] != 0.0
