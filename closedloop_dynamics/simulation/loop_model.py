@@ -63,6 +63,8 @@ class LoopModel:
         self.mechanism = mechanism
         self._decomposition = decomposition or decompose(mechanism)
         self._first, self._known, self.model = None, {}, None
+        # Where equations were chosen anew the last time, and those that have been worked on there.
+        self._place, self._tried = b'', set()
         self.keep(None)
 
     def of(self, kept):
@@ -198,13 +200,18 @@ class LoopModel:
         Returns
         -------
         Model or None
-            Of the new choice; None where the present one is as good, or there are fewer
-            equations to choose here.
+            Of the new choice; None where the present one is as good, there are fewer equations
+            to choose here, or they have been worked on here before, so that it is no progress.
 
         """
+        if q.tobytes() != self._place:
+            self._place, self._tried = q.tobytes(), set()
+        self._tried.add(self.equations.kept.tobytes())
         jac = self._jacobian(q) if nearby else Assembler(
             self.mechanism, self.equations).jacobian(q)
         kept, present = independent(jac, self.equations.groups), self.equations.kept
+        if kept.tobytes() in self._tried:
+            return None
         if kept.sum() < present.sum() or kept.sum() == present.sum() and not (
                 _distinct(jac, self.equations.groups, kept)
                 > better * _distinct(jac, self.equations.groups, present)):

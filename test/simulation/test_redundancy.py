@@ -15,14 +15,17 @@
 """Equations that repeat others: found, told why, free of charge, and exchanged where need be."""
 
 from dataclasses import replace
+from itertools import count, cycle
 
 from closedloop_dynamics.cli import main
 from closedloop_dynamics.core.codegen.routines import operations
 from closedloop_dynamics.core.types import RANK_REVEALING_COUNT
 from closedloop_dynamics.effects.gravity import Gravity
 from closedloop_dynamics.effects.joint_friction import JointFriction
+from closedloop_dynamics.integration.control import POOR_EQUATIONS
 from closedloop_dynamics.mechanism.mechanism import Body, CutJoint, Joint, Mechanism
 from closedloop_dynamics.mechanism.reader import with_cuts
+from closedloop_dynamics.simulation import loop_model
 from closedloop_dynamics.simulation.assembly import Assembler
 from closedloop_dynamics.simulation.redundancy import (
     ANY_LENGTHS, find_redundancy, THESE_LENGTHS)
@@ -223,3 +226,18 @@ def test_friction_that_depends_on_a_force_that_is_not_unique_is_warned_of():
     # Of independent equations all forces are unique.
     assert Simulation(replace(load_scene('four_bar'), effects={'dry': JointFriction(
         joint='crank_joint', friction_coefficient=0.2)})).load_notes() == []
+
+
+def test_no_equations_are_chosen_twice_where_no_step_was_made(monkeypatch):
+    simulation = Simulation.from_scene('bennett')
+    first = simulation._equations.kept
+    choices, marks = cycle((np.roll(first, 1), first)), count()
+    # Two choices, each better than the other.
+    monkeypatch.setattr(loop_model, 'independent', lambda *_: next(choices))
+    monkeypatch.setattr(loop_model, '_distinct', lambda *_: 10.0 ** -next(marks))
+    tries = 0
+    while simulation._choose_equations(POOR_EQUATIONS):
+        tries += 1
+        assert tries < 10
+    # The other choice, the present one leniently, and all equations.
+    assert tries == 3 and not simulation.leaves_out
