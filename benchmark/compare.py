@@ -15,10 +15,10 @@
 """
 Compare the speed of two commits by ratio, in one run.
 
-Each commit is checked out into a worktree of its own and works in a process of its own with a
-compiler cache of its own; the tasks are run in turn, one round after the other, so that what
-disturbs one disturbs the other. A commit may be any name that git knows, or a dot: the files as
-they are. Results are stored as JSON: the times of every round, machine and commits.
+Each commit is checked out into a worktree of its own, where its engine is compiled, and works in a
+process of its own with a cache of its own; the tasks are run in turn, one round after the other,
+so that what disturbs one disturbs the other. A commit may be any name that git knows, or a dot:
+the files as they are. Results are stored as JSON: the times of every round, machine and commits.
 
 """
 
@@ -49,14 +49,14 @@ class Worker:
     root : pathlib.Path
         Of these files.
     cache : pathlib.Path
-        Of the compiler.
+        Of generated code.
     tasks : sequence of str
         That it prepares; all when empty.
 
     """
 
     def __init__(self, root, cache, tasks=()):
-        """Start the process, and let it compile."""
+        """Start the process, and let it generate code."""
         environment = {**os.environ, 'PYTHONPATH': str(root), 'CLOSEDLOOP_CACHE_DIR': str(cache),
                        # Of commits before the engine.
                        'NUMBA_CACHE_DIR': str(cache),

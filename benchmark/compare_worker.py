@@ -106,14 +106,14 @@ TASKS = {
 
 
 def prepared(chosen):
-    """Return {task: (function of a number of calls, that number)}, compiled."""
+    """Return {task: (function of a number of calls, that number)}, ready to be timed."""
     result = {}
     for name, build in TASKS.items():
         if chosen and name not in chosen:
             continue
         try:
             function = build()
-            # The first calls compile, and make what samples of the error are computed with.
+            # The first calls generate code, and make what samples of the error are computed with.
             function(50)
         except Exception as error:  # noqa: B902
             print(f'{name} is left out: {error!r}', file=sys.stderr)

@@ -15,12 +15,12 @@
 """
 What machine elements cost: operations of those that are rows, and measured times of all.
 
-Operations are counted before anything is compiled: additions, subtractions, multiplications,
-divisions and negations of the unrolled evaluation. Times are those of a step of the Runge-Kutta
+Counted are additions, subtractions, multiplications, divisions and negations of the unrolled
+evaluation, before machine code is made of it. Times are those of a step of the Runge-Kutta
 method of fourth order, of a scene that lists an element and of the same scene that does not, side
 by side: blocks of steps of the one and of the other in turn, so that what else the machine does
-meets both. Their ratio is the median of those of neighbouring blocks. Compile times are told
-apart; a second run has what the first one compiled.
+meets both. Their ratio is the median of those of neighbouring blocks. The time of building is
+printed apart: the first run generates code, which a second one reads.
 
 """
 
@@ -125,7 +125,7 @@ def both(name, element):
 
 def timed(pair, blocks, seconds):
     """
-    Return times of a step [s], the ratio of neighbouring blocks, and what compiling took [s].
+    Return times of a step [s], the ratio of neighbouring blocks, and that of building [s].
 
     Parameters
     ----------
@@ -140,20 +140,20 @@ def timed(pair, blocks, seconds):
     -------
     times : list of 2 floats
     ratio : float
-    compiling : list of 2 floats
+    building : list of 2 floats
 
     """
-    sims, compiling = [], []
+    sims, building = [], []
     for scene in pair:
         begin = process_time()
         simulation = Simulation.from_scene(scene, integrator='rk4', step_size=STEP)
-        compiling.append(process_time() - begin)
+        building.append(process_time() - begin)
         sims.append(simulation)
     # Of both the same time is simulated.
     count = max(_steps_within(simulation, seconds) for simulation in sims)
     found = np.array([[_time(simulation, count) for simulation in sims] for _ in range(blocks)])
     return np.median(found, axis=0).tolist(), float(np.median(found[:, 0] / found[:, 1])), (
-        compiling)
+        building)
 
 
 def _steps_within(simulation, seconds):
@@ -190,10 +190,10 @@ def measure(quick=False):
     found = []
     for name in QUICK if quick else ELEMENTS:
         scene, element = ELEMENTS[name]
-        times, ratio, compiling = timed(both(scene, element), *(
+        times, ratio, building = timed(both(scene, element), *(
             (QUICK_BLOCKS, QUICK_SECONDS) if quick else (BLOCKS, SECONDS)))
         found.append({'element': name, 'scene': scene, 'times': times, 'ratio': ratio,
-                      'compiling': compiling})
+                      'building': building})
     return {'machine': description(), 'quick': quick, 'rows': rows(), 'elements': found}
 
 
@@ -221,8 +221,8 @@ def main(arguments=None):
     options.output.mkdir(parents=True, exist_ok=True)
     (options.output / 'elements.json').write_text(json.dumps(result, indent=1))
     print(result['machine'], row_table(result, text_table), time_table(result, text_table),
-          'compiling and first step, with and without [s]: ' + ', '.join(
-              f'{one["element"]} {one["compiling"][0]:.1f} and {one["compiling"][1]:.1f}'
+          'building, with and without [s]: ' + ', '.join(
+              f'{one["element"]} {one["building"][0]:.1f} and {one["building"][1]:.1f}'
               for one in result['elements']), sep='\n\n')
     print(f'\nwritten: {options.output}/elements.json')
     return 0

@@ -115,7 +115,7 @@ def allocation(simulation, count):
 
 
 def start(scene, cache):
-    """Return the times of a start in a process of its own, with its compiler cache [s]."""
+    """Return the times of a start in a process of its own, with its cache [s]."""
     environment = {**os.environ, 'CLOSEDLOOP_CACHE_DIR': cache, 'PYTHONPATH': str(ROOT)}
     begin = time.perf_counter()
     run = subprocess.run([sys.executable, '-c', START.format(scene=scene)], env=environment,

@@ -87,7 +87,7 @@ def start(body, scene, cache):
     scene : str
         A shipped scene.
     cache : str or None
-        The compiler's cache directory; None: that of this process.
+        Directory of generated code; None: that of this process.
 
     Returns
     -------
@@ -117,7 +117,7 @@ def measure(quick=False, scene='three_rrr'):
     Parameters
     ----------
     quick : bool
-        One warm start of the Python interface, with the compiler cache of this process.
+        One warm start of the Python interface, with the cache of this process.
     scene : str
         A shipped scene.
 
