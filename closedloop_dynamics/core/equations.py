@@ -22,10 +22,6 @@ from .types import (
 from .workspace import allocate
 from ..engine import native
 
-# Singular values below this times the largest belong to equations that repeat others.
-DEPENDENT = 1e-9
-# What is left of accelerations of closure errors, of the largest that it is a sum of.
-CLOSED = 1e-6
 
 
 def with_all_equations(model):
@@ -211,9 +207,8 @@ class Equations:
         bool
 
         """
-        jac, (_, _, bias) = self.jacobian(), self.closures()
-        return bool(np.abs(jac @ qdd + bias).max(initial=0.0) <= CLOSED * max(
-            np.abs(jac * qdd).max(initial=0.0), np.abs(bias).max(initial=0.0)))
+        bias = self.closures()[2].copy()
+        return native.fulfil(self.jacobian(), bias, np.array(qdd))
 
     def of_all(self, lam):
         """
@@ -231,8 +226,9 @@ class Equations:
         """
         if self.kept.all():
             return lam
-        jac = self.jacobian()
-        return np.linalg.lstsq(jac.T, jac[self.kept].T @ lam, rcond=DEPENDENT)[0]
+        found = np.zeros(self.nc)
+        native.multipliers_of_all(self.jacobian(), lam, self.kept.astype(np.int64), found)
+        return found
 
     def of_kept(self, lam):
         """
@@ -250,8 +246,9 @@ class Equations:
         """
         if self.kept.all():
             return lam
-        jac = self.jacobian()
-        return np.linalg.lstsq(jac[self.kept].T, jac.T @ lam, rcond=DEPENDENT)[0]
+        found = np.zeros(self.kept.sum())
+        native.multipliers_of_kept(self.jacobian(), lam, self.kept.astype(np.int64), found)
+        return found
 
     def cut_wrenches(self, lam, body):
         """

@@ -19,7 +19,6 @@ Nothing here knows a type of effect: each is asked what an ``effect.Effect`` can
 
 """
 
-from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
@@ -383,16 +382,6 @@ class EffectSet:
     def work(self, states):
         """Return the work that effects did from outside so far [J]."""
         return float(states[self._work].sum())
-
-    @contextmanager
-    def friction_held(self):
-        """Let friction act as in the latest evaluation where it holds cut joints at rest."""
-        sticking = self._table.sticking
-        stuck = sticking.rows[1:1 + sticking.rows[0]].copy()
-        if self.cuts is not None:
-            sticking.hold[stuck] = self._table.output[stuck, 1]
-        yield
-        sticking.hold[stuck] = 0.0
 
     def readings(self, name, states):
         """

@@ -79,6 +79,21 @@ template<class Type>
 struct IsRecord<Type, std::void_t<decltype(std::declval<Type &>().fields(Ignore{}))>>
   : std::true_type {};
 
+/// The letter of the type of an array's entries; '?' where it takes more than one.
+inline char kind_of(const Py_buffer & view)
+{
+  return view.format != nullptr && view.format[0] != '\0' && view.format[1] == '\0' ?
+         view.format[0] : '?';
+}
+
+inline bool is_real(const Py_buffer & view) {return view.itemsize == 8 && kind_of(view) == 'd';}
+
+template<class Number>
+bool is_aligned(const Py_buffer & view)
+{
+  return reinterpret_cast<std::uintptr_t>(view.buf) % alignof(Number) == 0;
+}
+
 /// See an array as numbers of a type, with so many dimensions.
 template<class Number>
 Number * read_array(PyObject * from, int dimensions, Index * shape, Place place)
@@ -90,16 +105,13 @@ Number * read_array(PyObject * from, int dimensions, Index * shape, Place place)
   }
   // The array is kept by who hands it over.
   PyBuffer_Release(&view);
-  constexpr bool is_real = std::is_same_v<std::remove_const_t<Number>, double>;
-  const char kind = view.format != nullptr && view.format[0] != '\0' && view.format[1] == '\0' ?
-    view.format[0] : '?';
-  const bool fits = view.itemsize == 8 && (is_real ? kind == 'd' : kind == 'l' || kind == 'q');
-  if (!fits || view.ndim != dimensions ||
-    reinterpret_cast<std::uintptr_t>(view.buf) % alignof(Number) != 0)
-  {
+  constexpr bool wants_real = std::is_same_v<std::remove_const_t<Number>, double>;
+  const char kind = kind_of(view);
+  const bool fits = wants_real ? is_real(view) : view.itemsize == 8 && (kind == 'l' || kind == 'q');
+  if (!fits || view.ndim != dimensions || !is_aligned<Number>(view)) {
     PyErr_Format(
       PyExc_TypeError, "%s, argument %zd: expected %s of %d dimensions, got format '%c' of %d",
-      place.function, place.argument, is_real ? "float64" : "int64", dimensions, kind, view.ndim);
+      place.function, place.argument, wants_real ? "float64" : "int64", dimensions, kind, view.ndim);
     throw PythonError();
   }
   for (int n = 0; n < dimensions; ++n) {
@@ -131,6 +143,27 @@ void read(PyObject * from, Cube<Number> & to, Place place)
   to.pages = shape[0];
   to.rows = shape[1];
   to.columns = shape[2];
+}
+
+/// See an array of numbers, if it is one; anything else is left to Python.
+inline void read(PyObject * from, Given & to, Place)
+{
+  to = {};
+  to.is_none = from == &_Py_NoneStruct;
+  if (to.is_none || !PyObject_CheckBuffer(from)) {
+    return;
+  }
+  Py_buffer view{};
+  if (PyObject_GetBuffer(from, &view, c_contiguous | PyBUF_FORMAT) < 0) {
+    PyErr_Clear();
+    return;
+  }
+  // The array is kept by who hands it over.
+  PyBuffer_Release(&view);
+  to.is_array = view.ndim == 1 && is_real(view) && is_aligned<double>(view);
+  if (to.is_array) {
+    to.numbers = {static_cast<const double *>(view.buf), view.shape[0]};
+  }
 }
 
 inline void read(PyObject * from, double & to, Place)
@@ -282,7 +315,7 @@ private:
   PyThreadState * state_;
 };
 
-/// A function with arguments that are read once.
+/// A function whose arguments, or the first of them, are read once.
 class Bound
 {
 public:
@@ -295,7 +328,8 @@ public:
       Py_DecRef(each);
     }
   }
-  virtual PyObject * run() = 0;
+  /// Call it with the arguments that are left.
+  virtual PyObject * run(PyObject * const * from, Py_ssize_t count) = 0;
   void keep(PyObject * object)
   {
     owners.push_back(object);
@@ -333,22 +367,33 @@ struct Kernel<Function, Releases, lengths...>: Bound
 {
   std::tuple<Holder<std::decay_t<Parameters>>...> arguments;
 
-  void take(PyObject * const * from, Py_ssize_t count, const char * name)
+  static constexpr Py_ssize_t parameters = sizeof...(Parameters);
+  const char * name = "";
+  /// Arguments that were read once.
+  Py_ssize_t bound = 0;
+
+  /// Read arguments for the parameters from `first` on.
+  void take(PyObject * const * from, Py_ssize_t first, Py_ssize_t count)
   {
-    if (count != static_cast<Py_ssize_t>(sizeof...(Parameters))) {
-      PyErr_Format(
-        PyExc_TypeError, "%s: expected %zd arguments, got %zd", name,
-        static_cast<Py_ssize_t>(sizeof...(Parameters)), count);
-      throw PythonError();
+    if (first + count > parameters) {
+      refuse(count);
     }
     std::apply(
       [&](auto & ... holder) {
         Py_ssize_t n = 0;
-        ((holder.take(from[n], {name, n + 1}), ++n), ...);
+        ((n >= first && n < first + count ? holder.take(from[n - first], {name, n + 1}) : void(),
+        ++n), ...);
       }, arguments);
     if constexpr (sizeof...(lengths) > 0) {
-      check_lengths(name, std::index_sequence_for<Parameters...>{});
+      check_lengths(static_cast<std::size_t>(first + count), std::index_sequence_for<Parameters...>{});
     }
+  }
+
+  void refuse(Py_ssize_t count) const
+  {
+    PyErr_Format(
+      PyExc_TypeError, "%s: expected %zd arguments, got %zd", name, parameters - bound, count);
+    throw PythonError();
   }
 
   Result call()
@@ -356,8 +401,12 @@ struct Kernel<Function, Releases, lengths...>: Bound
     return std::apply([](auto & ... holder) {return Function(holder.get() ...);}, arguments);
   }
 
-  PyObject * run() override
+  PyObject * run(PyObject * const * from, Py_ssize_t count) override
   {
+    if (bound + count != parameters) {
+      refuse(count);
+    }
+    take(from, bound, count);
     if constexpr (std::is_void_v<Result>) {
       release_and_call();
       if (PyErr_Occurred() != nullptr) {
@@ -373,13 +422,16 @@ struct Kernel<Function, Releases, lengths...>: Bound
 
 private:
   template<std::size_t ... Places>
-  void check_lengths(const char * name, std::index_sequence<Places...>)
+  void check_lengths(std::size_t read, std::index_sequence<Places...>)
   {
+    if (read == 0) {
+      return;
+    }
     constexpr std::size_t count = sizeof...(lengths) + 1;
     constexpr Length wanted[count] = {Length::ANY, lengths ...};
     const System & system = std::get<0>(arguments).get();
     const auto check = [&](std::size_t place, const auto & value) {
-        if (place < count && !has_length(system, wanted[place], value)) {
+        if (place < count && place < read && !has_length(system, wanted[place], value)) {
           PyErr_Format(
             PyExc_ValueError, "%s, argument %zd: expected the length that the system has "
             "(coordinates %zd, rates %zd, state %zd)", name, static_cast<Py_ssize_t>(place) + 1,
@@ -425,13 +477,15 @@ Entry make_entry(const char * name, const char * doc)
       return guarded(
         [&] {
           Kernel<Function, Releases, lengths...> kernel;
-          kernel.take(from, count, name_of<Function>);
-          return kernel.run();
+          kernel.name = name_of<Function>;
+          return kernel.run(from, count);
         });
     },
     [](PyObject * const * from, Py_ssize_t count, const char * of) -> std::unique_ptr<Bound> {
       auto kernel = std::make_unique<Kernel<Function, Releases, lengths...>>();
-      kernel->take(from, count, of);
+      kernel->name = of;
+      kernel->take(from, 0, count);
+      kernel->bound = count;
       return kernel;
     }};
 }

@@ -88,6 +88,14 @@ using Table = Matrix<double>;
 using Indices = Vector<Index>;
 using Indexes = Matrix<Index>;
 
+/// What a caller hands over for numbers: an array of them, nothing, or anything else.
+struct Given
+{
+  Vector<const double> numbers;
+  bool is_array = false;
+  bool is_none = false;
+};
+
 /// Copy the entries of `from`, as many as `to` has.
 inline void copy(Vector<double> from, Vector<double> to)
 {

@@ -16,13 +16,16 @@
 #include "evaluation.hpp"
 #include "fixed_steps.hpp"
 #include "forward_dynamics.hpp"
+#include "inverse_dynamics.hpp"
 #include "joint_reaction.hpp"
 #include "laws.hpp"
 #include "left_out.hpp"
 #include "loop_closure.hpp"
 #include "manifold.hpp"
+#include "null_space.hpp"
 #include "projection.hpp"
 #include "recursion.hpp"
+#include "requests.hpp"
 #include "rollout.hpp"
 #include "rosenbrock.hpp"
 #include "sticking.hpp"
@@ -121,32 +124,32 @@ const Entry entries[] = {
     "cut_direction", "cut_direction(body, row, planar, values, k, first): axis in the world"),
   entry<minimise_in_box>("minimise_in_box", "minimise_in_box(sticking, count, out)"),
   released<
-    advance_fixed, Length::ANY, Length::ANY, Length::STATE, Length::ANY, Length::ANY,
-    Length::ROWS_OF_STATE>(
+    advance_fixed, Length::ANY, Length::ANY, Length::ROWS_OF_STATE, Length::STATE>(
     "advance_fixed",
-    "advance_fixed(system, tableau, stabilisation, state, step_size, steps, scratch)"),
+    "advance_fixed(system, tableau, stabilisation, scratch, state, step_size, steps)"),
   released<
-    advance_explicit, Length::ANY, Length::ANY, Length::STATE, Length::ANY, Length::ANY,
-    Length::ANY, Length::ANY, Length::ANY, Length::ROWS_OF_STATE, Length::ROWS_OF_STATE>(
+    advance_explicit, Length::ANY, Length::ANY, Length::ANY, Length::ROWS_OF_STATE,
+    Length::ROWS_OF_STATE, Length::STATE>(
     "advance_explicit",
-    "advance_explicit(system, tableau, stabilisation, state, origin, done, step_size, steps, "
-    "control, scale, scratch)"),
+    "advance_explicit(system, tableau, stabilisation, control, scale, scratch, state, origin, "
+    "done, step_size, steps)"),
   released<
-    advance_stiff_fixed, Length::ANY, Length::STATE, Length::ANY, Length::ANY,
-    Length::ROWS_OF_STATE, Length::ANY, Length::ROWS_OF_STATE>(
+    advance_stiff_fixed, Length::ANY, Length::ROWS_OF_STATE, Length::ANY, Length::ROWS_OF_STATE,
+    Length::STATE>(
     "advance_stiff_fixed",
-    "advance_stiff_fixed(system, stabilisation, state, step_size, steps, matrix, pivots, "
-    "scratch)"),
+    "advance_stiff_fixed(system, stabilisation, matrix, pivots, scratch, state, step_size, "
+    "steps)"),
   released<
-    advance_stiff, Length::ANY, Length::STATE, Length::ANY, Length::ANY, Length::ROWS_OF_STATE,
-    Length::ROWS_OF_STATE, Length::ANY, Length::ROWS_OF_STATE>(
+    advance_stiff, Length::ANY, Length::ANY, Length::ROWS_OF_STATE, Length::ROWS_OF_STATE,
+    Length::ANY, Length::ROWS_OF_STATE, Length::STATE>(
     "advance_stiff",
-    "advance_stiff(system, stabilisation, state, target, control, scale, matrix, pivots, "
-    "scratch)"),
-  released<advance_switching, Length::ANY, Length::ANY, Length::STATE>(
+    "advance_stiff(system, stabilisation, control, scale, matrix, pivots, scratch, state, "
+    "target)"),
+  released<
+    advance_switching, Length::ANY, Length::ANY, Length::ANY, Length::STATE>(
     "advance_switching",
-    "advance_switching(system, tableau, stabilisation, state, origin, done, step_size, steps, "
-    "runs)"),
+    "advance_switching(system, tableau, stabilisation, runs, state, origin, done, step_size, "
+    "steps)"),
   released<run_samples, Length::ANY, Length::ANY, Length::ANY, Length::ROWS_OF_STATE>(
     "run_samples",
     "run_samples(system, stepper, watch, step_size, start, torque, zero_order_hold, decimation, "
@@ -158,6 +161,22 @@ const Entry entries[] = {
     "out)"),
   released<judge, Length::ANY, Length::ROWS_OF_STATE>(
     "judge", "judge(system, watch, seen, work, looks, balanced, found)"),
+  entry<evaluate_given>(
+    "evaluate_given", "evaluate_given(system, request, q, qd, torque): whether it was done"),
+  entry<evaluate_request>(
+    "evaluate_request", "evaluate_request(system, whole, request): whether it was done"),
+  entry<find_torques>(
+    "find_torques", "find_torques(system, actuated, loops, out, q, qd, qdd): whether it was done"),
+  entry<find_all_multipliers, Length::Q, Length::QD>(
+    "find_all_multipliers",
+    "find_all_multipliers(system, q, qd, lam): whether accelerations fulfil all equations"),
+  entry<multipliers_of_all>("multipliers_of_all", "multipliers_of_all(jac, lam, kept, out)"),
+  entry<multipliers_of_kept>("multipliers_of_kept", "multipliers_of_kept(jac, lam, kept, out)"),
+  entry<fulfil>(
+    "fulfil", "fulfil(jac, bias, qdd): whether accelerations fulfil equations, but for rounding"),
+  entry<place_points>("place_points", "place_points(body, row, point, out)"),
+  entry<find_joint_forces, Length::STATE>(
+    "find_joint_forces", "find_joint_forces(system, state, lam, row, point, scratch, out)"),
   released<run_batch_for_python>(
     "run_batch",
     "run_batch(batch, tableau, stabilisation, state, step_size, torque, zero_order_hold, "
@@ -195,14 +214,24 @@ PyObject * make_system(PyObject *, PyObject * const * from, Py_ssize_t count)
     });
 }
 
-PyObject * call_bound(PyObject * capsule, PyObject *)
+PyObject * call_bound(PyObject * capsule, PyObject * const * from, Py_ssize_t count)
 {
   return guarded(
-    [&] {return static_cast<Bound *>(PyCapsule_GetPointer(capsule, bound_name))->run();});
+    [&] {
+      return static_cast<Bound *>(PyCapsule_GetPointer(capsule, bound_name))->run(from, count);
+    });
+}
+
+/// The void pointer that Python's tables hold, and the type that they declare.
+template<class Function>
+PyCFunction as_method(Function * function)
+{
+  return reinterpret_cast<PyCFunction>(reinterpret_cast<void *>(function));
 }
 
 PyMethodDef bound_method = {
-  "bound", call_bound, METH_NOARGS, "Call a function of the engine with its bound arguments."};
+  "bound", as_method(call_bound), METH_FASTCALL,
+  "Call a function of the engine with its bound arguments and those that are left."};
 
 PyObject * bind(PyObject *, PyObject * const * from, Py_ssize_t count)
 {
@@ -233,18 +262,11 @@ PyObject * bind(PyObject *, PyObject * const * from, Py_ssize_t count)
     });
 }
 
-/// The void pointer that Python's tables hold, and the type that they declare.
-template<class Function>
-PyCFunction as_method(Function * function)
-{
-  return reinterpret_cast<PyCFunction>(reinterpret_cast<void *>(function));
-}
-
 PyMethodDef methods[2 + std::size(entries)] = {
   {"system", as_method(make_system), METH_FASTCALL,
     "system(fields): a System whose arrays the engine works on; they are kept"},
   {"bind", as_method(bind), METH_FASTCALL,
-    "bind(name, *arguments): a function without arguments, read once; they are kept"},
+    "bind(name, *arguments): a function of the arguments left; these are read once and kept"},
 };
 
 int fill_module(PyObject * module)

@@ -280,9 +280,9 @@ Status ExplicitRun::accepted_step(const System & system, Interrupt & interrupt) 
 }
 
 Status advance_explicit(
-  const System & system, const Tableau & tableau, Stabilisation stabilisation, Values state,
-  double origin, Index done, double step_size, Index steps, Values control, Table scale,
-  Table scratch)
+  const System & system, const Tableau & tableau, Stabilisation stabilisation, Values control,
+  Table scale, Table scratch, Values state, double origin, Index done, double step_size,
+  Index steps)
 {
   const Grid grid{origin, done, step_size, steps};
   const ExplicitRun run{tableau, stabilisation, control, scale, scratch};

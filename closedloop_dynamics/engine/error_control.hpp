@@ -83,8 +83,8 @@ struct ExplicitRun
 /// With STEP_SIZE zero the integration starts at the state; otherwise it goes on from where the
 /// latest step ended. On failure the state and REACHED are the latest good ones.
 Status advance_explicit(
-  const System &, const Tableau &, Stabilisation, Values state, double origin, Index done,
-  double step_size, Index steps, Values control, Table scale, Table scratch);
+  const System &, const Tableau &, Stabilisation, Values control, Table scale, Table scratch,
+  Values state, double origin, Index done, double step_size, Index steps);
 
 }  // namespace closedloop
 

@@ -49,7 +49,7 @@ void accelerate_with_all_equations(const System & system, Values q, Values qd)
   if (!all.empty()) {
     DenseMatrix jac(model.equations(), model.joints());
     constraint_jacobian(model, work, view(jac));
-    multipliers_of_kept(jac, all.lam, all.kept, system.lam);
+    multipliers_of_kept(view(jac), all.lam, all.kept, system.lam);
   }
 }
 

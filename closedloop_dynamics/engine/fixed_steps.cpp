@@ -60,8 +60,8 @@ void Parts::accept(const System & system, Values state, Values out)
 }
 
 std::pair<Status, Index> advance_fixed(
-  const System & system, const Tableau & tableau, Stabilisation stabilisation, Values state,
-  double step_size, Index steps, Table scratch)
+  const System & system, const Tableau & tableau, Stabilisation stabilisation, Table scratch,
+  Values state, double step_size, Index steps)
 {
   Interrupt interrupt(system.interrupted);
   return make_fixed_steps(

@@ -18,8 +18,8 @@ namespace closedloop
 /// the failing step. A tableau without weights stands for semi-implicit Euler. `scratch` is of
 /// shape (stages + 3, ns). Returns the status and the steps completed.
 std::pair<Status, Index> advance_fixed(
-  const System &, const Tableau &, Stabilisation, Values state, double step_size, Index steps,
-  Table scratch);
+  const System &, const Tableau &, Stabilisation, Table scratch, Values state, double step_size,
+  Index steps);
 
 /// The same within a longer run that can be interrupted.
 std::pair<Status, Index> make_fixed_steps(

@@ -120,6 +120,31 @@ void make_least(const Decomposition & found, const DenseVector & row_scale,
   const DenseMatrix basis = idle.leftCols(columns);
   lam -= basis * basis.colPivHouseholderQr().solve(DenseVector(lam));
 }
+/// The rows of a matrix that are kept.
+DenseMatrix rows_of(const Eigen::Map<DenseMatrix> & all, Indices kept, Index count)
+{
+  DenseMatrix rows(count, all.cols());
+  Index next = 0;
+  for (Index row = 0; row < kept.size; ++row) {
+    if (kept[row]) {
+      rows.row(next++) = all.row(row);
+    }
+  }
+  return rows;
+}
+
+/// The least solution of least squares.
+void solve_least(const Eigen::MatrixXd & matrix, const DenseVector & right, Values out)
+{
+  if (!(matrix.allFinite() && right.allFinite())) {
+    out.fill(std::numeric_limits<double>::quiet_NaN());
+    return;
+  }
+  Eigen::CompleteOrthogonalDecomposition<Eigen::MatrixXd> decomposition;
+  decomposition.setThreshold(REPEATED);
+  decomposition.compute(matrix);
+  dense(out) = decomposition.solve(right);
+}
 }  // namespace
 
 void scales(
@@ -252,24 +277,16 @@ Rank solve(
   return rank;
 }
 
-void multipliers_of_kept(const DenseMatrix & jac, Values lam, Indices kept, Values out)
+void multipliers_of_kept(Table jac, Values lam, Indices kept, Values out)
 {
-  DenseMatrix transposed(jac.cols(), out.size);
-  Index column = 0;
-  for (Index row = 0; row < kept.size; ++row) {
-    if (kept[row]) {
-      transposed.col(column++) = jac.row(row).transpose();
-    }
-  }
-  const DenseVector force = jac.transpose() * dense(lam);
-  if (!(transposed.allFinite() && force.allFinite())) {
-    out.fill(std::numeric_limits<double>::quiet_NaN());
-    return;
-  }
-  Eigen::CompleteOrthogonalDecomposition<Eigen::MatrixXd> decomposition;
-  decomposition.setThreshold(REPEATED);
-  decomposition.compute(transposed);
-  dense(out) = decomposition.solve(force);
+  const auto all = dense(jac);
+  solve_least(rows_of(all, kept, out.size).transpose(), all.transpose() * dense(lam), out);
+}
+
+void multipliers_of_all(Table jac, Values lam, Indices kept, Values out)
+{
+  const auto all = dense(jac);
+  solve_least(all.transpose(), rows_of(all, kept, lam.size).transpose() * dense(lam), out);
 }
 
 }  // namespace closedloop

@@ -19,6 +19,7 @@ using DenseVector = Eigen::VectorXd;
 inline Table view(DenseMatrix & matrix) {return {matrix.data(), matrix.rows(), matrix.cols()};}
 inline Values view(DenseVector & vector) {return {vector.data(), vector.size()};}
 inline Eigen::Map<DenseVector> dense(Values values) {return {values.data, values.size};}
+inline Eigen::Map<DenseMatrix> dense(Table table) {return {table.data, table.rows, table.columns};}
 
 /// Singular values below this belong to a singular configuration nearby: whether such an
 /// equation is taken depends on whether its right-hand side can be told from its error.
@@ -51,7 +52,10 @@ Rank solve(
   const Model &, const DenseEquations &, double speed, Level, Values motion, Values lam);
 
 /// Least-squares multipliers of the kept equations with the joint forces of all of them.
-void multipliers_of_kept(const DenseMatrix & jac, Values lam, Indices kept, Values out);
+void multipliers_of_kept(Table jac, Values lam, Indices kept, Values out);
+
+/// Least multipliers of all equations with the joint forces of those of the kept ones.
+void multipliers_of_all(Table jac, Values lam, Indices kept, Values out);
 
 }  // namespace closedloop
 

@@ -154,8 +154,8 @@ double time_to_corner(const System & system, Values state)
 }  // namespace
 
 std::pair<Status, Index> advance_stiff_fixed(
-  const System & system, Stabilisation stabilisation, Values state, double step_size, Index steps,
-  Table matrix, Indices pivots, Table scratch)
+  const System & system, Stabilisation stabilisation, Table matrix, Indices pivots, Table scratch,
+  Values state, double step_size, Index steps)
 {
   const Values out = scratch[OUT], start = scratch[START];
   Interrupt interrupt(system.interrupted);
@@ -203,8 +203,8 @@ std::pair<Status, Index> advance_stiff_fixed(
 }
 
 Status advance_stiff(
-  const System & system, Stabilisation stabilisation, Values state, double target, Values control,
-  Table scale, Table matrix, Indices pivots, Table scratch)
+  const System & system, Stabilisation stabilisation, Values control, Table scale, Table matrix,
+  Indices pivots, Table scratch, Values state, double target)
 {
   const StiffRun run{stabilisation, control, scale, matrix, pivots, scratch};
   Interrupt interrupt(system.interrupted);

@@ -38,14 +38,14 @@ constexpr Index STIFF_ROWS = 12;
 /// Advance a state in place by `steps` steps of `step_size` [s]; on failure it is the one before
 /// the failing step. Returns the status and the steps completed.
 std::pair<Status, Index> advance_stiff_fixed(
-  const System &, Stabilisation, Values state, double step_size, Index steps, Table matrix,
-  Indices pivots, Table scratch);
+  const System &, Stabilisation, Table matrix, Indices pivots, Table scratch, Values state,
+  double step_size, Index steps);
 
 /// Advance a state in place to `target` [s] by error-controlled steps, the last ending there; on
 /// failure the state and REACHED are the latest good ones.
 Status advance_stiff(
-  const System &, Stabilisation, Values state, double target, Values control, Table scale,
-  Table matrix, Indices pivots, Table scratch);
+  const System &, Stabilisation, Values control, Table scale, Table matrix, Indices pivots,
+  Table scratch, Values state, double target);
 
 }  // namespace closedloop
 

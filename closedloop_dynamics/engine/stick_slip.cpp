@@ -129,4 +129,15 @@ void update_friction_modes(const System & system, Values state)
   }
 }
 
+void begin_friction(const EffectTable & effects, Values rates, Values own)
+{
+  for (Index row = 0; row < effects.count(); ++row) {
+    if (has_friction(effects, row)) {
+      const double rate = rates[effects.index(row, effect::FIRST)];
+      own[effects.index(row, effect::STATE)] =
+        std::abs(rate) > REST ? std::copysign(1.0, rate) : 0.0;
+    }
+  }
+}
+
 }  // namespace closedloop

@@ -26,6 +26,10 @@ double locate_stick_event(
 /// their rates from those that stick.
 void update_friction_modes(const System &, Values state);
 
+/// Let the modes of joints under dry friction begin as the rates of all joints are, those of cut
+/// joints behind, in the effects' own states.
+void begin_friction(const EffectTable &, Values rates, Values own);
+
 }  // namespace closedloop
 
 #endif  // CLOSEDLOOP_DYNAMICS__ENGINE__STICK_SLIP_HPP_

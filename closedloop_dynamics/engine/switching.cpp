@@ -351,8 +351,8 @@ Status Pair::advance(Values state, const Grid & grid)
 }  // namespace
 
 Status advance_switching(
-  const System & system, const Tableau & tableau, Stabilisation stabilisation, Values state,
-  double origin, Index done, double step_size, Index steps, const Runs & runs)
+  const System & system, const Tableau & tableau, Stabilisation stabilisation, const Runs & runs,
+  Values state, double origin, Index done, double step_size, Index steps)
 {
   return Pair(system, tableau, stabilisation, runs).advance(
     state, {origin, done, step_size, steps});

@@ -71,8 +71,8 @@ struct Runs
 
 /// Advance a state over the grid; arguments and result as of `advance_explicit`.
 Status advance_switching(
-  const System &, const Tableau &, Stabilisation, Values state, double origin, Index done,
-  double step_size, Index steps, const Runs &);
+  const System &, const Tableau &, Stabilisation, const Runs &, Values state, double origin,
+  Index done, double step_size, Index steps);
 
 }  // namespace closedloop
 

@@ -108,10 +108,9 @@ class FixedSteps:
 
     def __init__(self, system, integrator, stabilisation):
         """Allocate the scratch of the method."""
-        self.tableau = integrator.tableau
-        self.take(system)
-        self.stabilisation = stabilisation
+        self.tableau, self.stabilisation = integrator.tableau, stabilisation
         self.scratch = np.zeros((len(self.tableau.a) + 3, number_of_states(system)))
+        self.take(system)
         # Steps of the latest call, and those of them that the next one need not make again.
         self._made = self._before = 0
 
@@ -122,7 +121,8 @@ class FixedSteps:
 
     def take(self, system):
         """Step with a system that works on other equations."""
-        self._system = system.native
+        self._advance = native.bind(
+            'advance_fixed', system.native, self.tableau, self.stabilisation, self.scratch)
 
     def advance(self, state, origin, done, step_size, steps):
         """
@@ -150,9 +150,7 @@ class FixedSteps:
 
         """
         before, self._before = self._before, 0
-        status, made = native.advance_fixed(
-            self._system, self.tableau, self.stabilisation, state, step_size, steps - before,
-            self.scratch)
+        status, made = self._advance(state, step_size, steps - before)
         self._made = before + made
         return status, self._made * step_size
 
@@ -192,11 +190,11 @@ class ErrorControlled:
         """Allocate the scratch of the method."""
         self._tableau = integrator.tableau
         self._stabilisation, self._tolerance = stabilisation, tolerance
-        self._system = system
         self._scale = _error_scale(system, tolerance)
         self._scratch = np.zeros(
             (len(self._tableau.a) + columns.FIRST_SLOPE, self._scale.shape[1]))
         self.control = np.zeros(columns.CONTROL_COLUMNS)
+        self.take(system)
 
     @property
     def stepper(self):
@@ -206,9 +204,7 @@ class ErrorControlled:
 
     def advance(self, state, origin, done, step_size, steps):
         """Advance a state by ``steps`` times ``step_size``; see ``FixedSteps.advance``."""
-        status = native.advance_explicit(
-            self._system.native, self._tableau, self._stabilisation, state, origin, done,
-            step_size, steps, self.control, self._scale, self._scratch)
+        status = self._advance(state, origin, done, step_size, steps)
         if status == DONE:
             return status, steps * step_size
         return status, self.control[columns.REACHED] - (origin + done * step_size)
@@ -216,6 +212,9 @@ class ErrorControlled:
     def take(self, system):
         """Step with a system that works on other equations."""
         self._system = system
+        self._advance = native.bind(
+            'advance_explicit', system.native, self._tableau, self._stabilisation, self.control,
+            self._scale, self._scratch)
 
     def go_on(self):
         """Let the next call go on; see ``FixedSteps.go_on``."""
@@ -254,13 +253,13 @@ class Switching:
 
     def __init__(self, system, integrator, stabilisation, accuracy):
         """Allocate the run and its companion."""
-        self._system = system
         self._tableau = integrator.tableau
         self._stabilisation, self._accuracy = stabilisation, accuracy
         self._runs = _allocate_runs(
             self._tableau, number_of_states(system), weights(system.manifold, len(system.qdd)))
         self._unit = _error_scale(system, 1.0)
         self.control, self.watch = self._runs.control[RUN], self._runs.monitor
+        self.take(system)
         self.rewind()
 
     @property
@@ -271,9 +270,7 @@ class Switching:
 
     def advance(self, state, origin, done, step_size, steps):
         """Advance a state by ``steps`` times ``step_size``; see ``FixedSteps.advance``."""
-        status = native.advance_switching(
-            self._system.native, self._tableau, self._stabilisation, state, origin, done,
-            step_size, steps, self._runs)
+        status = self._advance(state, origin, done, step_size, steps)
         if status == DONE:
             return status, steps * step_size
         return status, self.control[columns.REACHED] - (origin + done * step_size)
@@ -281,6 +278,8 @@ class Switching:
     def take(self, system):
         """Step with a system that works on other equations."""
         self._system = system
+        self._advance = native.bind(
+            'advance_switching', system.native, self._tableau, self._stabilisation, self._runs)
 
     def go_on(self):
         """Let the next call go on; see ``FixedSteps.go_on``."""
@@ -318,7 +317,6 @@ class Stiff:
 
     def __init__(self, system, integrator, stabilisation, tolerance):
         """Allocate the scratch of the method."""
-        self._system = system
         self._stabilisation, self._tolerance = stabilisation, tolerance
         self._adaptive = integrator.kind == ADAPTIVE
         self._scale = _error_scale(system, tolerance)
@@ -326,6 +324,7 @@ class Stiff:
         self._scratch = np.zeros((columns.STIFF_ROWS, states))
         self._matrix, self._pivots = np.zeros((states, states)), np.zeros(states, dtype=np.int64)
         self.control = np.zeros(columns.CONTROL_COLUMNS)
+        self.take(system)
         # Of fixed steps as for ``FixedSteps``; of others whether the next call goes on.
         self._made = self._before = 0
 
@@ -341,17 +340,13 @@ class Stiff:
         """Advance a state by ``steps`` times ``step_size``; see ``FixedSteps.advance``."""
         before, self._before = self._before, 0
         if not self._adaptive:
-            status, made = native.advance_stiff_fixed(
-                self._system.native, self._stabilisation, state, step_size, steps - before,
-                self._matrix, self._pivots, self._scratch)
+            status, made = self._advance(state, step_size, steps - before)
             self._made = before + made
             return status, self._made * step_size
         begin, self._made = origin + done * step_size, 1
         if not before:
             self.control[columns.REACHED] = begin
-        status = native.advance_stiff(
-            self._system.native, self._stabilisation, state, origin + (done + steps) * step_size,
-            self.control, self._scale, self._matrix, self._pivots, self._scratch)
+        status = self._advance(state, origin + (done + steps) * step_size)
         if status == DONE:
             return status, steps * step_size
         return status, self.control[columns.REACHED] - begin
@@ -359,6 +354,11 @@ class Stiff:
     def take(self, system):
         """Step with a system that works on other equations."""
         self._system = system
+        method = (self._matrix, self._pivots, self._scratch)
+        self._advance = native.bind(
+            'advance_stiff', system.native, self._stabilisation, self.control, self._scale,
+            *method) if self._adaptive else native.bind(
+                'advance_stiff_fixed', system.native, self._stabilisation, *method)
 
     def go_on(self):
         """Let the next call go on; see ``FixedSteps.go_on``."""

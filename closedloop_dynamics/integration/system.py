@@ -277,28 +277,6 @@ def with_partition(system, used):
     return _bound(system._replace(partition=allocate_partition(system.model, used)))
 
 
-def on_workspace(system, model, work):
-    """
-    Return a system whose effects act on the bodies of another workspace.
-
-    Parameters
-    ----------
-    system : System
-        As it was; its state, torques and effects are shared.
-    model, work : Model, Workspace
-        Of the same mechanism.
-
-    Returns
-    -------
-    System
-        For its forces alone: its routines are those of ``system``.
-
-    """
-    return _bound(system._replace(
-        model=model, work=work, lam=np.zeros(len(work.closure)), whole=None,
-        partition=allocate_partition(model, False)))
-
-
 def number_of_states(system):
     """Return ns: the length of the state vector."""
     return parts_of_state(system)[-1]

@@ -34,6 +34,30 @@ class InverseDynamics:
         known = mechanism.cut_coordinates
         self._driven = [known.names[place] for place in known.actuated]
         self._passive = np.setdiff1d(np.arange(nv), self._actuated)
+        self._found = np.zeros(len(actuated) + equations.nc)
+        self._find = native.bind(
+            'find_torques', system.native, self._actuated.astype(np.int64),
+            equations.nc - len(mechanism.motions), self._found)
+
+    def solve_given(self, q, qd, qdd):
+        """
+        Return what ``solve`` does, at once, where arrays are given and nothing is to be refused.
+
+        Parameters
+        ----------
+        q, qd, qdd
+            As for ``solve``, but not checked yet.
+
+        Returns
+        -------
+        torque, lam : ndarray
+            None for both, as one, where ``solve`` is to be asked.
+
+        """
+        if not self._find(q, qd, qdd):
+            return None
+        found, count = self._found.copy(), len(self._actuated)
+        return found[:count], found[count:]
 
     def solve(self, q, qd, qdd):
         """

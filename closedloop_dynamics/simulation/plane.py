@@ -55,13 +55,15 @@ class PlanarGeometry(LoopModel):
         """Return x, y [m] and angle [rad] of the bodies where the rows are, shape (nb, 3)."""
         return body[np.ix_(self._bodies, (t.PX, t.PY, t.ALPHA))]
 
-    def points_among(self, body):
-        """Return the places of all named points where the rows are, shape (count, 2) [m]."""
-        return _placed(body, self._points, self._places)
+    @property
+    def named_points(self):
+        """Return rows and places in them of the named points."""
+        return self._points, self._places
 
-    def joint_wrenches_among(self, body, wrenches):
-        """Return the wrenches in the joints, which are those of the rows."""
-        return wrenches
+    @property
+    def joint_places(self):
+        """Return the row whose wrench is each joint's, and no places: they are the origins."""
+        return np.argsort(self.model.tree[1:, t.DOF]) + 1, np.zeros((0, 3))
 
 
 def _placed(body, rows, places):

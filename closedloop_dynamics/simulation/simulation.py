@@ -47,12 +47,12 @@ from ..engine import native
 from ..integration.control import (
     CONTACT_PASSED, DONE, MOST_EVALUATIONS, NOT_FINITE, OPEN_LOOP, POOR_EQUATIONS, TOO_MUCH_WORK)
 from ..integration.drivers import build_driver
+from ..integration.evaluation import Evaluator, QUANTITIES, request
 from ..integration.left_out import LENIENT, OPENED
-from ..integration.recorded_run import joint_forces
 from ..integration.registry import INTEGRATORS, SCIPY
 from ..integration.system import (
-    BAUMGARTE_GAIN, build_system, CLOSURE_LIMIT, on_workspace, parts_of_state, Probe,
-    with_equations, with_partition)
+    BAUMGARTE_GAIN, build_system, CLOSURE_LIMIT, parts_of_state, Probe, with_equations,
+    with_partition)
 from ..mechanism.couplings import measured
 from ..mechanism.decomposition import decompose
 from ..mechanism.fields import at, FieldError, keys_of, mapping
@@ -136,6 +136,11 @@ class Simulation:
         self._places = {name: place for place, name in enumerate(self.torque_names)}
         self._actuated = np.array(
             [self._places[name] for name in self.actuated_joints], dtype=int)
+        # Those that take a torque: no joints whose motion is prescribed.
+        prescribed = {motion.freedom for motion in self.mechanism.motions}
+        self._allowed = np.array([
+            -1 if name in prescribed else self._places[name] for name in self.actuated_joints],
+            dtype=np.int64)
         self._passive = np.setdiff1d(np.arange(self.coordinates.nv), self._actuated)
         self._initial = self._assembled(
             scene.initial.position, scene.initial.velocity, scene.initial.hold)
@@ -178,8 +183,30 @@ class Simulation:
 
     def _set_probes(self):
         """Evaluate the present state, and any other, of the present system."""
-        self._present = Probe(self.system, self._state)
-        self._probe = Probe(self.system)
+        system, geometry = self.system, self._geometry
+        self._present = Probe(system, self._state)
+        self._probe = Probe(system)
+        asked = request(system, self._own, self._allowed)
+        self._evaluate_given = native.bind('evaluate_given', system.native, asked)
+        # Of all equations, in the present state and in that one.
+        self._lam, self._lam_given = system.lam, system.lam
+        if system.leaves_out:
+            self._lam, self._lam_given = np.zeros(len(asked.lam)), asked.lam
+            self._find_all_multipliers = native.bind(
+                'find_all_multipliers', system.native, self._q, self._qd, self._lam)
+        body, (row, point) = system.work.body, geometry.named_points
+        self._points_found = np.zeros((len(row), 2 if self.mechanism.planar else 3))
+        self._place_points = native.bind('place_points', body, row, point, self._points_found)
+        row, point = geometry.joint_places
+        self._joint_forces_found = np.zeros((len(row), system.work.wrench.shape[1]))
+        self._find_joint_forces = native.bind(
+            'find_joint_forces', system.native, self._state, self._lam, row, point,
+            np.zeros_like(system.work.force), self._joint_forces_found)
+        model, work = self._equations.model, self._equations.work
+        self._wrenches_found = np.empty((len(model.cut), work.wrench.shape[1]))
+        self._find_cut_wrenches = native.bind(
+            'cut_wrenches', model.cut, model.cut_point, work.cut_piece, body, self._lam,
+            work.share, self._wrenches_found)
 
     def _may_leave_out(self, method):
         """
@@ -495,8 +522,9 @@ class Simulation:
         (number of cuts, 6): moment x, y, z, force x, y, z.
 
         """
-        lam = self._all_multipliers()
-        found = self._equations.cut_wrenches(lam, self.system.work.body)[:len(self.cut_joints)]
+        self._all_multipliers()
+        self._find_cut_wrenches()
+        found = self._wrenches_found[:len(self.cut_joints)].copy()
         if self.acts_in_cuts:
             self._cuts.add_efforts(self.system.work.body, self._cut_efforts(), found)
             if self._coupled[0].any():
@@ -506,9 +534,9 @@ class Simulation:
     def _all_multipliers(self):
         """Return the least multipliers of all equations in the present state."""
         self._evaluate()
-        if not self.leaves_out:
-            return self.system.lam
-        return self._equations.move(self._q, self._qd).of_all(self.system.lam)
+        if self._lam is not self.system.lam:
+            self._find_all_multipliers()
+        return self._lam
 
     def _moved_equations(self):
         """Return the equations in the present state, which is evaluated, too."""
@@ -594,17 +622,13 @@ class Simulation:
         shape (number of joints, 6): moment x, y, z, force x, y, z; NaN in fixed joints.
 
         """
-        lam, system = self._all_multipliers(), self.system
+        self._all_multipliers()
+        self._find_joint_forces()
         self._fresh = False
-        if self.leaves_out:
-            system = on_workspace(system, self._equations.model, self._equations.work)
-        with self._effects.friction_held():
-            found = joint_forces(
-                system, system.tau[np.newaxis], 1, 1, self._state[np.newaxis],
-                system.qdd[np.newaxis], lam[np.newaxis])[0]
+        found = self._joint_forces_found.copy()
         if self._coupled[0].any():
             found[:, 0] += self._coupled[1] @ self.coupling_forces
-        return self._geometry.joint_wrenches_among(system.work.body, found)
+        return found
 
     def force(self, name):
         """
@@ -788,7 +812,8 @@ class Simulation:
     def points(self):
         """Places of all named points, shape (number of points, 2), in space 3 [m]."""
         self._evaluate()
-        return self._geometry.points_among(self.system.work.body)
+        self._place_points()
+        return self._points_found.copy()
 
     def _named_point(self, name):
         if name not in self._points:
@@ -1793,6 +1818,9 @@ class Simulation:
         multipliers : ndarray, shape (nc,)
 
         """
+        self._fresh = False
+        if self._evaluate_given(position, velocity, torque):
+            return self.system.qdd.copy(), self._lam_given.copy()
         nv, system = len(self.joint_names), self.system
         probe = self._probe
         probe.q[:] = self._taken(position)
@@ -1809,6 +1837,46 @@ class Simulation:
         system.tau[:] = applied
         self._fresh = False
         return system.qdd.copy(), lam.copy()
+
+    def evaluator(self, *quantities: str) -> Evaluator:
+        """
+        Return what computes ``forward_dynamics`` of state after state at the least cost.
+
+        Parameters
+        ----------
+        *quantities : str
+            What is wanted: ``'acceleration'``, ``'multipliers'``; both when not given.
+
+        Returns
+        -------
+        integration.evaluation.Evaluator
+            In the present state without torques; it works on a copy of the mechanism and of the
+            effects, as they are now.
+
+        Raises
+        ------
+        ValueError
+            For an unknown quantity.
+
+        Examples
+        --------
+        >>> evaluate = simulation.evaluator('acceleration')
+        >>> evaluate.q[:], evaluate.qd[:], evaluate.tau[:] = q, qd, tau
+        >>> evaluate()
+        >>> evaluate.acceleration
+
+        """
+        made = Evaluator(
+            self.system, self._geometry.of(None)[0] if self.leaves_out else self.system.model,
+            self._own, self._allowed, quantities or QUANTITIES, self._refuse)
+        made.q[:], made.qd[:] = self._q, self._qd
+        return made
+
+    def _refuse(self, q, qd, torque):
+        """Raise where a state or torques are none."""
+        self._taken(q)
+        vector('velocity', qd, len(self.joint_names))
+        self.joint_torques(torque)
 
     def _multipliers_elsewhere(self, probe):
         """Return the multipliers of all equations, which are solved where those kept do not do."""
@@ -1848,12 +1916,15 @@ class Simulation:
         friction is that of a steady motion, none where a joint rests.
 
         """
+        self._fresh = False
+        self._effects.follow_time(self._table.states, self.time)
+        found = self._inverse.solve_given(position, velocity, acceleration)
+        if found is not None:
+            return found
         nv = len(self.joint_names)
         q = self._taken(position)
         qd, qdd = (vector(name, values, nv) for name, values in (
             ('velocity', velocity), ('acceleration', acceleration)))
-        self._fresh = False
-        self._effects.follow_time(self._table.states, self.time)
         return self._inverse.solve(q, qd, qdd)
 
 

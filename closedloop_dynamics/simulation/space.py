@@ -111,49 +111,26 @@ class SpatialGeometry(LoopModel):
         places, frames = _placed(body, rows, origins)
         return np.hstack([places, quaternions(frames @ axes)])
 
-    def points_among(self, body):
-        """
-        Return the places of all named points where the rows of the tree are.
+    @property
+    def named_points(self):
+        """Return rows and places in them of the named points."""
+        return self._points[:2]
 
-        Parameters
-        ----------
-        body : ndarray, shape (nb + 1, WORK_COLUMNS)
-            As for ``poses_among``.
+    @property
+    def joint_places(self):
+        """
+        Return where the wrenches in the joints act: at the origins of the bodies they carry.
 
         Returns
         -------
-        ndarray, shape (number of points, 3)
-            In the world [m].
+        row : ndarray of int, shape (number of joints,)
+            Of the bodies; 0 of fixed joints, of which the kernels know nothing.
+        point : ndarray, shape (number of joints, 3)
+            In the frame of the row [m].
 
         """
-        rows, positions, _ = self._points
-        return _placed(body, rows, positions)[0]
-
-    def joint_wrenches_among(self, body, wrenches):
-        """
-        Return the wrenches in the joints at the origins of the bodies that they carry.
-
-        Parameters
-        ----------
-        body : ndarray, shape (nb + 1, WORK_COLUMNS)
-            As for ``poses_among``.
-        wrenches : ndarray, shape (nv, 6)
-            At the origins of the rows, in the order of the rates.
-
-        Returns
-        -------
-        ndarray, shape (number of joints, 6)
-            Moment, then force; NaN in a fixed joint, of which the kernels know nothing.
-
-        """
-        rows, origins, _ = self._carried
-        arms = _placed(body, rows, origins)[0] - body[rows, space.ORIGIN:space.ORIGIN + 3]
-        # A fixed joint has no row of its own.
-        found = np.vstack([np.full(6, np.nan), wrenches])[
-            np.where(rows > 0, self.model.tree[rows, t.DOF] + 1, 0)]
-        found[:, :3] -= np.cross(arms, found[:, 3:])
-        found[self._fixed] = np.nan
-        return found
+        row, origins, _ = self._carried
+        return np.where(self._fixed, 0, row), origins
 
 
 def _placed(body, rows, places):

@@ -1,0 +1,246 @@
+// SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+// SPDX-License-Identifier: Apache-2.0
+
+#include "inverse_dynamics.hpp"
+
+#include <Eigen/Dense>
+
+#include <algorithm>
+#include <cmath>
+#include <vector>
+
+#include "dispatch.hpp"
+#include "evaluation.hpp"
+#include "joint_reaction.hpp"
+#include "loop_closure.hpp"
+#include "manifold.hpp"
+#include "null_space.hpp"
+#include "projection.hpp"
+#include "recursion.hpp"
+#include "requests.hpp"
+#include "stick_slip.hpp"
+
+// tau + tau_effects + J^T lambda = I qdd + c, tau zero at the joints that are not actuated.
+
+namespace closedloop
+{
+
+namespace
+{
+using Matrix2D = Eigen::MatrixXd;
+
+// Accelerations of the cut joints beyond this share of their parts open the loops; less than the
+// second one, of the bodies' accelerations, is rounding.
+constexpr double OPENS = 1e-8, NOISE = 1e-12;
+// Forces missing at joints that are not actuated, of the largest needed.
+constexpr double MISSING = 1e-8;
+// Pivots above this times the largest leave no doubt of the rank; singular values below the second
+// one belong to what repeats.
+constexpr double CLEAR = 1e-9, REPEATS = 1e-12;
+// Change of reactions, of the largest, at which friction that depends on them is found.
+constexpr double SETTLED = 1e-12;
+
+/// All equations at a state whose bodies were moved.
+struct Loops
+{
+  DenseMatrix jac;
+  DenseVector bias;
+};
+
+bool opens(const System & system, const Loops & all, Index loops, const DenseVector & qdd)
+{
+  const bool planar = system.work.planar();
+  const Index first = planar ?
+    static_cast<Index>(plane::AX) : static_cast<Index>(space::ACCELERATION);
+  double largest_acceleration = 0.0, most = 0.0, part = 0.0;
+  for (Index i = 0; i < system.work.body.rows; ++i) {
+    for (Index n = first; n < first + (planar ? 2 : 3); ++n) {
+      largest_acceleration = std::max(largest_acceleration, std::abs(system.work.body(i, n)));
+    }
+  }
+  for (Index i = 0; i < all.jac.rows(); ++i) {
+    double sum = i < loops ? all.bias[i] : 0.0;
+    most = std::max(most, std::abs(sum));
+    for (Index j = 0; j < all.jac.cols(); ++j) {
+      const double product = all.jac(i, j) * qdd[j];
+      most = std::max(most, std::abs(product));
+      sum += product;
+    }
+    if (i < loops) {
+      part = std::max(part, std::abs(sum));
+    }
+  }
+  return !(part <= NOISE * largest_acceleration + OPENS * most);
+}
+
+/// What torques and constraint forces must add up to at the joints.
+void find_need(const System & system, Values q, Values qd, Values qdd, Values need)
+{
+  const EffectTable & table = system.effects;
+  outward(system.model, q, qd, system.work);
+  if (system.has_effects()) {
+    // Friction is that of a steady motion, and drives are what is asked for.
+    begin_friction(table, qd, table.states);
+    std::vector<Index> enabled(table.enabled.begin(), table.enabled.end());
+    for (Index row = 0; row < table.count(); ++row) {
+      if (table.kind[row] == effect::ACTUATOR) {
+        table.enabled[row] = 0;
+      }
+    }
+    Values positions = q;
+    if (!system.manifold.empty()) {
+      fill_numbers(system.manifold, q);
+      positions = system.manifold.number;
+    }
+    DenseVector none = DenseVector::Zero(system.tau.size);
+    apply_effects(table, system.work.body, positions, qd, view(none));
+    std::copy(enabled.begin(), enabled.end(), table.enabled.begin());
+    bias_forces(system.work, table.reaction);
+  }
+  tree_torque(system.model, system.work, qdd, need);
+  if (system.has_effects()) {
+    for (Index i = 0; i < need.size; ++i) {
+      need[i] -= table.applied[i];
+    }
+  }
+}
+
+/// Least torques and multipliers of a mechanism in one position.
+class Balance
+{
+public:
+  Balance(const DenseMatrix & jac, Indices actuated)
+  : jac_(jac), actuated_(actuated)
+  {
+    const Index nv = jac.cols();
+    std::vector<bool> drives(nv, false);
+    for (Index joint : actuated) {
+      drives[joint] = true;
+    }
+    for (Index i = 0; i < nv; ++i) {
+      if (!drives[i]) {
+        passive_.push_back(i);
+      }
+    }
+    Matrix2D levers(passive_.size(), jac.rows());
+    for (std::size_t i = 0; i < passive_.size(); ++i) {
+      levers.row(i) = jac.col(passive_[i]).transpose();
+    }
+    if (levers.size() > 0) {
+      of_passive_.setThreshold(CLEAR);
+      of_passive_.compute(levers);
+    }
+    unique_ = jac.rows() == 0 || (levers.size() > 0 && of_passive_.rank() == jac.rows());
+    if (!unique_) {
+      Matrix2D unknowns = Matrix2D::Zero(nv, actuated.size + jac.rows());
+      for (Index n = 0; n < actuated.size; ++n) {
+        unknowns(actuated[n], n) = 1.0;
+      }
+      unknowns.rightCols(jac.rows()) = jac.transpose();
+      of_all_.setThreshold(REPEATS);
+      of_all_.compute(unknowns);
+    }
+  }
+
+  /// Whether torques and multipliers, side by side, add up to what is needed.
+  bool solve(const DenseVector & need, Values out) const
+  {
+    const Index count = actuated_.size;
+    Eigen::Map<DenseVector> solution = dense(out), lam = dense(out.from(count));
+    if (unique_) {
+      if (lam.size() > 0) {
+        DenseVector at_passive(passive_.size());
+        for (std::size_t i = 0; i < passive_.size(); ++i) {
+          at_passive[i] = need[passive_[i]];
+        }
+        lam = of_passive_.solve(at_passive);
+      }
+    } else {
+      solution = of_all_.solve(need);
+    }
+    const DenseVector left = need - jac_.transpose() * lam;
+    double missing = 0.0;
+    for (Index i : passive_) {
+      if (!(std::abs(left[i]) <= missing)) {
+        missing = std::abs(left[i]);
+      }
+    }
+    if (unique_) {
+      for (Index n = 0; n < count; ++n) {
+        out[n] = left[actuated_[n]];
+      }
+    }
+    return missing <= MISSING * std::max(need.cwiseAbs().maxCoeff(), 1e-30);
+  }
+
+private:
+  const DenseMatrix & jac_;
+  Indices actuated_;
+  std::vector<Index> passive_;
+  bool unique_;
+  Eigen::ColPivHouseholderQR<Matrix2D> of_passive_;
+  Eigen::CompleteOrthogonalDecomposition<Matrix2D> of_all_;
+};
+
+/// Let friction feel the reactions; return whether these are what it felt before.
+bool settle(const EffectTable & table)
+{
+  double change = 0.0, most = 0.0;
+  for (Index row = 0; row < table.count(); ++row) {
+    if (table.index(row, effect::LOADED) != 0) {
+      double & felt = table.states[table.index(row, effect::STATE) + 1];
+      const double load = table.output(row, 2);
+      change = std::max(change, std::abs(felt - load));
+      most = std::max(most, load);
+      felt = load;
+    }
+  }
+  return !(change > SETTLED * most);
+}
+}  // namespace
+
+bool find_torques(
+  const System & system, Indices actuated, Index loops, Values out, const Given & given_q,
+  const Given & given_qd, const Given & given_qdd)
+{
+  const Model & model = system.all.empty() ? system.model : system.all.model;
+  const Workspace & work = system.all.empty() ? system.work : system.all.work;
+  const Index nv = system.nv(), nc = model.equations();
+  if (system.has_cut_coordinates() || nv == 0 || out.size != actuated.size + nc) {
+    return false;
+  }
+  DenseVector q(system.nq()), qd(nv), qdd(nv), need(nv);
+  if (!(take(given_q, view(q)) && take(given_qd, view(qd)) && take(given_qdd, view(qdd)) &&
+    is_position(system.manifold, view(q)) && qd.allFinite() && qdd.allFinite()))
+  {
+    return false;
+  }
+  outward(model, view(q), view(qd), work);
+  update(model, work, Responses::NONE);
+  Loops all{DenseMatrix(nc, nv), DenseVector(nc)};
+  to_user_order(model, work.bias, view(all.bias));
+  constraint_jacobian(model, work, view(all.jac));
+  if (!all.jac.allFinite() || opens(system, all, loops, qdd)) {
+    return false;
+  }
+  const Balance balance(all.jac, actuated);
+  while (true) {
+    need.setZero();
+    find_need(system, view(q), view(qd), view(qdd), view(need));
+    if (!balance.solve(need, out)) {
+      return false;
+    }
+    if (!system.has_effects() || system.effects.loaded[0] == 0) {
+      return true;
+    }
+    // Friction driven by reactions depends on the result: a fixed point, fast because friction is
+    // the smaller part.
+    load_joints(
+      model, work, system.effects, view(q), view(qd), view(qdd), out.from(actuated.size));
+    if (settle(system.effects)) {
+      return true;
+    }
+  }
+}
+
+}  // namespace closedloop

@@ -1,0 +1,233 @@
+// SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+// SPDX-License-Identifier: Apache-2.0
+
+#include "requests.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include "dispatch.hpp"
+#include "evaluation.hpp"
+#include "forces.hpp"
+#include "loop_closure.hpp"
+#include "null_space.hpp"
+#include "projection.hpp"
+#include "recursion.hpp"
+#include "stick_slip.hpp"
+
+namespace closedloop
+{
+
+namespace
+{
+// How far from 1 norms of quaternions are by rounding.
+constexpr double UNIT_NORM = 1e-15;
+// What is left of accelerations of closure errors, of the largest that they are a sum of.
+constexpr double CLOSED = 1e-6;
+
+/// Set the torques of the actuated joints; false where one acts that may not.
+bool set_torques(const Request & request, Values tau)
+{
+  tau.fill(0.0);
+  for (Index n = 0; n < request.actuated.size; ++n) {
+    const Index place = request.actuated[n];
+    if (place >= 0) {
+      tau[place] = request.torque[n];
+    } else if (request.torque[n] != 0.0) {
+      return false;
+    }
+  }
+  return true;
+}
+
+/// Let the effects' own states begin: friction by the rates.
+void begin_effects(const System & system, const Request & request)
+{
+  const Values own = request.state.part(system.own(), request.own.size);
+  copy(request.own, own);
+  Values rates = system.qd(request.state);
+  if (system.has_cut_coordinates()) {
+    take_states(system, request.state);
+    rates_with_cuts(system, request.state, system.effects.cuts.qd);
+    rates = system.effects.cuts.qd;
+  }
+  begin_friction(system.effects, rates, own);
+}
+
+/// Whether the arrays of a request are those of a system.
+bool fits(const System & system, const Request & request)
+{
+  return request.own.size == system.effects.states.size &&
+         request.state.size >= system.own() + request.own.size &&
+         request.torque.size == request.actuated.size && request.held.size == system.tau.size &&
+         request.lam.size == system.all.lam.size;
+}
+
+bool evaluate_checked(const System & system, const Request & request, const System * whole)
+{
+  if (!fits(system, request)) {
+    return false;
+  }
+  const Values q = system.q(request.state), qd = system.qd(request.state);
+  if (!(all_finite(request.torque) && all_finite(qd) && is_position(system.manifold, q))) {
+    return false;
+  }
+  copy(system.tau, request.held);
+  const bool acts = set_torques(request, system.tau);
+  bool serves = acts;
+  if (acts) {
+    if (system.has_effects()) {
+      begin_effects(system, request);
+    }
+    evaluate_state(system, request.state);
+    if (!system.all.empty()) {
+      serves = find_all_multipliers(system, q, qd, request.lam);
+      if (!serves && whole != nullptr) {
+        evaluate_state(*whole, request.state);
+        copy(whole->lam, request.lam);
+        serves = true;
+      }
+    }
+  }
+  copy(request.held, system.tau);
+  return serves;
+}
+/// Let friction at rest at cut joints act as in the latest evaluation.
+void hold_as_evaluated(const EffectTable & effects)
+{
+  const Sticking & sticking = effects.sticking;
+  for (Index place = 1; place <= sticking.rows[0]; ++place) {
+    sticking.hold[sticking.rows[place]] = effects.output(sticking.rows[place], 1);
+  }
+}
+}  // namespace
+
+bool take(const Given & from, Values to)
+{
+  if (!from.is_array || from.numbers.size != to.size) {
+    return false;
+  }
+  for (Index i = 0; i < to.size; ++i) {
+    to[i] = from.numbers[i];
+  }
+  return true;
+}
+
+bool is_position(const Manifold & manifold, Values q)
+{
+  for (Index ball = 0; ball < manifold.balls.rows; ++ball) {
+    const double * turn = &q[manifold.balls(ball, 0)];
+    const double norm = std::hypot(std::hypot(turn[0], turn[1]), std::hypot(turn[2], turn[3]));
+    if (!(std::abs(norm - 1.0) <= UNIT_NORM)) {
+      return false;
+    }
+  }
+  return all_finite(q);
+}
+
+bool evaluate_given(
+  const System & system, const Request & request, const Given & q, const Given & qd,
+  const Given & torque)
+{
+  if (!fits(system, request)) {
+    return false;
+  }
+  if (torque.is_none) {
+    request.torque.fill(0.0);
+  } else if (!take(torque, request.torque)) {
+    return false;
+  }
+  return take(q, system.q(request.state)) && take(qd, system.qd(request.state)) &&
+         evaluate_checked(system, request, nullptr);
+}
+
+bool evaluate_request(const System & system, const System & whole, const Request & request)
+{
+  return evaluate_checked(system, request, &whole);
+}
+
+bool fulfil(Table jac, Values bias, Values qdd)
+{
+  double left = 0.0, most = 0.0;
+  for (Index i = 0; i < jac.rows; ++i) {
+    double sum = bias[i];
+    most = std::max(most, std::abs(bias[i]));
+    for (Index j = 0; j < jac.columns; ++j) {
+      const double part = jac(i, j) * qdd[j];
+      sum += part;
+      most = std::max(most, std::abs(part));
+    }
+    if (!(std::abs(sum) <= left)) {
+      left = std::abs(sum);
+    }
+  }
+  return left <= CLOSED * most;
+}
+
+bool find_all_multipliers(const System & system, Values q, Values qd, Values lam)
+{
+  const AllEquations & all = system.all;
+  const Model & model = all.model;
+  const Workspace & work = all.own;
+  outward(model, q, qd, work);
+  update(model, work, Responses::NONE);
+  DenseMatrix jac(model.equations(), model.joints());
+  constraint_jacobian(model, work, view(jac));
+  multipliers_of_all(view(jac), system.lam, all.kept, lam);
+  DenseVector bias(model.equations());
+  to_user_order(model, work.bias, view(bias));
+  return fulfil(view(jac), view(bias), system.qdd);
+}
+
+void place_points(Table body, Indices row, Table point, Table out)
+{
+  for (Index k = 0; k < row.size; ++k) {
+    if (point.columns == 2) {
+      const Vector2 place = position(body, row[k], vector2(point.row(k)));
+      out(k, 0) = place.x;
+      out(k, 1) = place.y;
+    } else {
+      const Vector3 place = position(body, row[k], vector3(point.row(k)));
+      out(k, 0) = place.x;
+      out(k, 1) = place.y;
+      out(k, 2) = place.z;
+    }
+  }
+}
+
+void find_joint_forces(
+  const System & system, Values state, Values lam, Indices row, Table point, Table scratch,
+  Table out)
+{
+  const AllEquations & all = system.all;
+  const Model & model = all.empty() ? system.model : all.model;
+  const Workspace & work = all.empty() ? system.work : all.work;
+  const Values q = system.q(state), qd = system.qd(state);
+  take_states(system, state);
+  outward(model, q, qd, work);
+  if (system.has_cut_coordinates()) {
+    hold_as_evaluated(system.effects);
+  }
+  apply_listed(system, q, qd);
+  system.effects.sticking.hold.fill(0.0);
+  bias_forces(work, scratch);
+  joint_wrenches(model, work, system.qdd, lam, scratch);
+  for (Index k = 0; k < row.size; ++k) {
+    const Index i = row[k];
+    if (i == 0) {
+      out[k].fill(std::numeric_limits<double>::quiet_NaN());
+      continue;
+    }
+    copy(scratch[i], out[k]);
+    if (point.rows > 0) {
+      const Vector3 moment = cross(
+        to_world(work.body, i, vector3(point.row(k))), vector3(out.row(k) + 3));
+      out(k, 0) -= moment.x;
+      out(k, 1) -= moment.y;
+      out(k, 2) -= moment.z;
+    }
+  }
+}
+
+}  // namespace closedloop

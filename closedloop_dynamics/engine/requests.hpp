@@ -1,0 +1,66 @@
+// SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+// SPDX-License-Identifier: Apache-2.0
+
+#ifndef CLOSEDLOOP_DYNAMICS__ENGINE__REQUESTS_HPP_
+#define CLOSEDLOOP_DYNAMICS__ENGINE__REQUESTS_HPP_
+
+#include "system.hpp"
+
+// What is asked of one state at a time, from outside a run: each is one call.
+
+namespace closedloop
+{
+
+/// A state that is evaluated beside the run (integration/evaluation.py).
+struct Request
+{
+  Values state;
+  /// The effects' own states that it begins with.
+  Values own;
+  /// Torques of the actuated joints, and their places in System.tau, -1 where none may act.
+  Values torque;
+  Indices actuated;
+  /// Multipliers of all equations; empty where the elimination works on all.
+  Values lam;
+  /// Scratch, of the length of System.tau.
+  Values held;
+
+  template<class Visitor>
+  void fields(Visitor && visit) {visit(state, own, torque, actuated, lam, held);}
+};
+
+/// Copy what is handed over, if it is an array of as many numbers.
+bool take(const Given &, Values to);
+
+/// Whether coordinates are finite, quaternions among them of norm 1 but for rounding.
+bool is_position(const Manifold &, Values q);
+
+/// Evaluate coordinates, rates and torques, none for zero; false where they are no arrays of finite
+/// numbers of these lengths, quaternions of norm 1, or where the equations that the elimination
+/// works on do not do: nothing is to be read then.
+bool evaluate_given(
+  const System &, const Request &, const Given & q, const Given & qd, const Given & torque);
+
+/// Evaluate the state and the torques of a request; `whole` works on all equations, and is asked
+/// where those that `system` works on do not do. False where the numbers are no state.
+bool evaluate_request(const System & system, const System & whole, const Request &);
+
+/// Least multipliers of all equations in an evaluated state, where the elimination works on some;
+/// false where the accelerations do not fulfil all of them.
+bool find_all_multipliers(const System &, Values q, Values qd, Values lam);
+
+/// Whether accelerations fulfil J qdd = -bias but for rounding.
+bool fulfil(Table jac, Values bias, Values qdd);
+
+/// Positions in the world of points of bodies, shape (n, 2) or (n, 3).
+void place_points(Table body, Indices row, Table point, Table out);
+
+/// Wrenches in the joints of an evaluated state, with multipliers of all equations: moments and
+/// forces at points of the bodies `row`, NaN where that is 0; `scratch` has the shape of
+/// Workspace.force. A `point` of no rows is the bodies' own origins.
+void find_joint_forces(
+  const System &, Values state, Values lam, Indices row, Table point, Table scratch, Table out);
+
+}  // namespace closedloop
+
+#endif  // CLOSEDLOOP_DYNAMICS__ENGINE__REQUESTS_HPP_
