@@ -23,7 +23,6 @@ from .workspace import allocate
 from ..engine import native
 
 
-
 def with_all_equations(model):
     """
     Return a model with the equations, too, that the elimination leaves out.

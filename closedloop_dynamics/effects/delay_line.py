@@ -25,12 +25,8 @@ class DelayLine:
 
     def __init__(self):
         """Start with nothing on the way."""
-        self._way = deque()
-
-    @property
-    def pending(self):
-        """Whether anything is on the way."""
-        return bool(self._way)
+        # What is on the way.
+        self.pending = deque()
 
     def order(self, time, tau, delays, present):
         """
@@ -49,10 +45,10 @@ class DelayLine:
 
         """
         ordered = present.copy()
-        for _, joint, value in sorted(self._way):
+        for _, joint, value in sorted(self.pending):
             ordered[joint] = value
         for joint in np.flatnonzero(tau != ordered):
-            self._way.append((time + delays.get(int(joint), 0.0), int(joint), tau[joint]))
+            self.pending.append((time + delays.get(int(joint), 0.0), int(joint), tau[joint]))
 
     def due(self, time, tolerance, present):
         """
@@ -67,15 +63,15 @@ class DelayLine:
 
         """
         acting = present.copy()
-        for item in sorted(self._way):
+        for item in sorted(self.pending):
             if item[0] <= time + tolerance:
                 acting[item[1]] = item[2]
-                self._way.remove(item)
+                self.pending.remove(item)
         return acting
 
     def steps_until_next(self, time, step_size, most):
         """Return how many whole steps, at least one and ``most`` at most, until one is due."""
-        if not self._way:
+        if not self.pending:
             return most
-        wait = (min(self._way)[0] - time) / step_size
+        wait = (min(self.pending)[0] - time) / step_size
         return max(1, min(most, math.ceil(wait - 1e-9)))

@@ -89,8 +89,14 @@ class EffectSet:
         Which of these act back on the motion; the others are energies.
     drives : dict of int to float
         Delay of the command [s] of every joint whose command passes through a drive.
+    driven : ndarray of int
+        These joints.
+    delays : bool
+        Whether any of them is late.
     sensors, sensors_at_cuts : sensor.Chain
         What measures the joints of the tree, and cut joints.
+    remembers : bool
+        Whether what is measured depends on the states in between.
     cuts : tuple of 2 ndarrays or None
         Of the cut joints that anything acts in, as for ``table.build_table``.
 
@@ -167,6 +173,8 @@ class EffectSet:
             if record.drive() is not None:
                 joint, delay = record.drive()
                 self.drives[self._machine.joint(joint)] = delay
+        self.driven = np.array(list(self.drives), dtype=np.int64)
+        self.delays = any(self.drives.values())
 
     def restart(self):
         """Let the instruments begin anew."""
@@ -174,16 +182,12 @@ class EffectSet:
         self.sensors = Chain(enabled)
         # Noise of another sequence, so that the tree's is the same with and without.
         self.sensors_at_cuts = Chain(enabled, (1,))
+        self.remembers = self.sensors.remembers
 
     @property
     def ending_steps(self):
         """Names of the effects that find instants where steps must end."""
         return [name for name, record in self.records.items() if record.ENDS_STEPS]
-
-    @property
-    def remembers(self):
-        """Whether what is measured depends on the states in between."""
-        return self.sensors.remembers
 
     def checked(self, name, enabled, parameters):
         """
@@ -377,11 +381,11 @@ class EffectSet:
 
     def dissipated(self, states):
         """Return the energy dissipated so far, from the effects' states [J]."""
-        return float(states[self._dissipated].sum())
+        return float(states[self._dissipated].sum()) if len(self._dissipated) else 0.0
 
     def work(self, states):
         """Return the work that effects did from outside so far [J]."""
-        return float(states[self._work].sum())
+        return float(states[self._work].sum()) if len(self._work) else 0.0
 
     def readings(self, name, states):
         """

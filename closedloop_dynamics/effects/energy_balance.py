@@ -18,6 +18,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..engine import native
+
 
 @dataclass(frozen=True)
 class Energies:
@@ -93,10 +95,7 @@ class EnergyBalance:
             The torques held so far.
 
         """
-        direct = tau.copy()
-        direct[list(self._effects.drives)] = 0.0
-        self._work += float(direct @ (q - self._since))
-        self._since = q.copy()
+        self._work += native.work_of_hold(tau, self._effects.driven, self._since, q)
 
     def jump(self, q, energy):
         """

@@ -107,11 +107,13 @@ Number * read_array(PyObject * from, int dimensions, Index * shape, Place place)
   PyBuffer_Release(&view);
   constexpr bool wants_real = std::is_same_v<std::remove_const_t<Number>, double>;
   const char kind = kind_of(view);
-  const bool fits = wants_real ? is_real(view) : view.itemsize == 8 && (kind == 'l' || kind == 'q');
+  const bool fits = wants_real ?
+    is_real(view) : view.itemsize == 8 && (kind == 'l' || kind == 'q');
   if (!fits || view.ndim != dimensions || !is_aligned<Number>(view)) {
     PyErr_Format(
       PyExc_TypeError, "%s, argument %zd: expected %s of %d dimensions, got format '%c' of %d",
-      place.function, place.argument, wants_real ? "float64" : "int64", dimensions, kind, view.ndim);
+      place.function, place.argument, wants_real ? "float64" : "int64", dimensions, kind,
+      view.ndim);
     throw PythonError();
   }
   for (int n = 0; n < dimensions; ++n) {
@@ -271,7 +273,11 @@ struct Holder<System>
 inline PyObject * to_python(bool value) {return PyBool_FromLong(value);}
 inline PyObject * to_python(double value) {return PyFloat_FromDouble(value);}
 inline PyObject * to_python(Index value) {return PyLong_FromLongLong(value);}
-inline PyObject * to_python(Status value) {return PyLong_FromLongLong(static_cast<Index>(value));}
+template<class Type>
+auto to_python(Type value)->std::enable_if_t<std::is_enum_v<Type>, PyObject *>
+{
+  return PyLong_FromLongLong(static_cast<Index>(value));
+}
 inline PyObject * to_python(Vector3 value)
 {
   Owned x(to_python(value.x)), y(to_python(value.y)), z(to_python(value.z));
@@ -385,7 +391,8 @@ struct Kernel<Function, Releases, lengths...>: Bound
         ++n), ...);
       }, arguments);
     if constexpr (sizeof...(lengths) > 0) {
-      check_lengths(static_cast<std::size_t>(first + count), std::index_sequence_for<Parameters...>{});
+      check_lengths(
+        static_cast<std::size_t>(first + count), std::index_sequence_for<Parameters...>{});
     }
   }
 

@@ -46,6 +46,11 @@ void move_coordinates(const Manifold & manifold, Values q, Values change, double
   move(manifold, q, change, share);
 }
 
+void numbers_of_coordinates(const Manifold & manifold, Values q)
+{
+  fill_numbers(manifold, q);
+}
+
 std::pair<double, double> nearest_to_path(
   Values pieces, double start_x, double start_y, double end_x, double end_y)
 {
@@ -165,6 +170,13 @@ const Entry entries[] = {
     "evaluate_given", "evaluate_given(system, request, q, qd, torque): whether it was done"),
   entry<evaluate_request>(
     "evaluate_request", "evaluate_request(system, whole, request): whether it was done"),
+  entry<spread_torques>(
+    "spread_torques", "spread_torques(actuated, tau, given): whether it was done"),
+  entry<compare>("compare", "compare(values, usual, given): 0 equal, 1 others that are usual, 2 neither"),
+  entry<work_of_hold>(
+    "work_of_hold", "work_of_hold(tau, driven, since, now): work; `since` is moved to `now`"),
+  entry<sum_of_sizes>("sum_of_sizes", "sum_of_sizes(values)"),
+  entry<numbers_of_coordinates>("fill_numbers", "fill_numbers(manifold, q)"),
   entry<find_torques>(
     "find_torques", "find_torques(system, actuated, loops, out, q, qd, qdd): whether it was done"),
   entry<find_all_multipliers, Length::Q, Length::QD>(

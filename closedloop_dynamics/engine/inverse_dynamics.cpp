@@ -27,8 +27,6 @@ namespace closedloop
 
 namespace
 {
-using Matrix2D = Eigen::MatrixXd;
-
 // Accelerations of the cut joints beyond this share of their parts open the loops; less than the
 // second one, of the bodies' accelerations, is rounding.
 constexpr double OPENS = 1e-8, NOISE = 1e-12;
@@ -122,7 +120,7 @@ public:
         passive_.push_back(i);
       }
     }
-    Matrix2D levers(passive_.size(), jac.rows());
+    Eigen::MatrixXd levers(passive_.size(), jac.rows());
     for (std::size_t i = 0; i < passive_.size(); ++i) {
       levers.row(i) = jac.col(passive_[i]).transpose();
     }
@@ -132,7 +130,7 @@ public:
     }
     unique_ = jac.rows() == 0 || (levers.size() > 0 && of_passive_.rank() == jac.rows());
     if (!unique_) {
-      Matrix2D unknowns = Matrix2D::Zero(nv, actuated.size + jac.rows());
+      Eigen::MatrixXd unknowns = Eigen::MatrixXd::Zero(nv, actuated.size + jac.rows());
       for (Index n = 0; n < actuated.size; ++n) {
         unknowns(actuated[n], n) = 1.0;
       }
@@ -178,8 +176,8 @@ private:
   Indices actuated_;
   std::vector<Index> passive_;
   bool unique_;
-  Eigen::ColPivHouseholderQR<Matrix2D> of_passive_;
-  Eigen::CompleteOrthogonalDecomposition<Matrix2D> of_all_;
+  Eigen::ColPivHouseholderQR<Eigen::MatrixXd> of_passive_;
+  Eigen::CompleteOrthogonalDecomposition<Eigen::MatrixXd> of_all_;
 };
 
 /// Let friction feel the reactions; return whether these are what it felt before.

@@ -26,19 +26,18 @@ constexpr double UNIT_NORM = 1e-15;
 // What is left of accelerations of closure errors, of the largest that they are a sum of.
 constexpr double CLOSED = 1e-6;
 
-/// Set the torques of the actuated joints; false where one acts that may not.
-bool set_torques(const Request & request, Values tau)
+template<class Number>
+bool spread(Vector<Number> torque, Indices actuated, Values tau)
 {
   tau.fill(0.0);
-  for (Index n = 0; n < request.actuated.size; ++n) {
-    const Index place = request.actuated[n];
-    if (place >= 0) {
-      tau[place] = request.torque[n];
-    } else if (request.torque[n] != 0.0) {
+  for (Index n = 0; n < actuated.size; ++n) {
+    if (actuated[n] >= 0) {
+      tau[actuated[n]] = torque[n];
+    } else if (torque[n] != 0.0) {
       return false;
     }
   }
-  return true;
+  return all_finite(tau);
 }
 
 /// Let the effects' own states begin: friction by the rates.
@@ -70,11 +69,11 @@ bool evaluate_checked(const System & system, const Request & request, const Syst
     return false;
   }
   const Values q = system.q(request.state), qd = system.qd(request.state);
-  if (!(all_finite(request.torque) && all_finite(qd) && is_position(system.manifold, q))) {
+  if (!(all_finite(qd) && is_position(system.manifold, q))) {
     return false;
   }
   copy(system.tau, request.held);
-  const bool acts = set_torques(request, system.tau);
+  const bool acts = spread(request.torque, request.actuated, system.tau);
   bool serves = acts;
   if (acts) {
     if (system.has_effects()) {
@@ -112,6 +111,51 @@ bool take(const Given & from, Values to)
     to[i] = from.numbers[i];
   }
   return true;
+}
+
+bool spread_torques(Indices actuated, Values tau, const Given & torque)
+{
+  if (torque.is_none) {
+    tau.fill(0.0);
+    return true;
+  }
+  return torque.is_array && torque.numbers.size == actuated.size &&
+         spread(torque.numbers, actuated, tau);
+}
+
+Comparison compare(Values values, double usual, const Given & given)
+{
+  if (!given.is_array || given.numbers.size != values.size) {
+    return Comparison::OTHER;
+  }
+  if (std::equal(values.begin(), values.end(), given.numbers.begin())) {
+    return Comparison::EQUAL;
+  }
+  return std::all_of(
+    given.numbers.begin(), given.numbers.end(),
+    [&](double number) {return std::abs(number) <= usual;}) ?
+         Comparison::USUAL : Comparison::OTHER;
+}
+
+double work_of_hold(Values tau, Indices driven, Values since, Values now)
+{
+  double work = 0.0;
+  for (Index i = 0; i < since.size; ++i) {
+    if (std::find(driven.begin(), driven.end(), i) == driven.end()) {
+      work += tau[i] * (now[i] - since[i]);
+    }
+    since[i] = now[i];
+  }
+  return work;
+}
+
+double sum_of_sizes(Values values)
+{
+  double sum = 0.0;
+  for (double value : values) {
+    sum += std::abs(value);
+  }
+  return sum;
 }
 
 bool is_position(const Manifold & manifold, Values q)

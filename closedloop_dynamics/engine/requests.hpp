@@ -32,6 +32,21 @@ struct Request
 /// Copy what is handed over, if it is an array of as many numbers.
 bool take(const Given &, Values to);
 
+/// Put the torques of actuated joints, none for zero, in their places in System.tau, -1 where none
+/// may act; false where they are no array of as many finite numbers, or one acts that may not.
+bool spread_torques(Indices actuated, Values tau, const Given &);
+
+/// How what is handed over compares with numbers: the same, others of at most a size, or neither.
+enum class Comparison : Index {EQUAL, USUAL, OTHER};
+Comparison compare(Values, double usual, const Given &);
+
+/// Work of torques held from coordinates `since` to `now`, but for those at `driven` places;
+/// `since` is moved to `now`.
+double work_of_hold(Values tau, Indices driven, Values since, Values now);
+
+/// Sum of absolute values.
+double sum_of_sizes(Values);
+
 /// Whether coordinates are finite, quaternions among them of norm 1 but for rounding.
 bool is_position(const Manifold &, Values q);
 

@@ -45,6 +45,8 @@ def build_driver(system, method):
 
 # Rows of all arrays of ``Runs``.
 RUN, REFERENCE = range(2)
+# Tolerances of the two, by that of the run.
+RUN_FACTORS = np.array([1.0, columns.LOOSER]).reshape(2, 1, 1)
 
 
 class Runs(NamedTuple):
@@ -299,8 +301,7 @@ class Switching:
         if moved:
             self.control[columns.STIFF_THRESHOLD] = 0.0
         _follow_effects(self._system, 1.0, self._unit)
-        for scale, factor in zip(self._runs.scale, (1.0, columns.LOOSER)):
-            np.multiply(self._unit, factor * self.watch[columns.TOLERANCE], out=scale)
+        np.multiply(self._unit, self.watch[columns.TOLERANCE] * RUN_FACTORS, out=self._runs.scale)
 
     def rewind(self):
         """Begin as a new driver would."""

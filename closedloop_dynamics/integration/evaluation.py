@@ -109,7 +109,8 @@ class Evaluator:
         self.q, self.qd, self.tau = asked.state[places], asked.state[rates], asked.torque
         self._refused, self._names = refused, tuple(quantities)
         self._evaluate = native.bind('evaluate_request', one.native, whole.native, asked)
-        results = {'acceleration': one.qdd, 'multipliers': asked.lam if one.leaves_out else one.lam}
+        results = {'acceleration': one.qdd,
+                   'multipliers': asked.lam if one.leaves_out else one.lam}
         for name in quantities:
             view = results[name].view()
             view.flags.writeable = False
@@ -129,7 +130,8 @@ class Evaluator:
         if not self._evaluate():
             self._refused(self.q, self.qd, self.tau)
             raise ValueError(
-                'evaluator: expected quaternions of norm 1 to the last digits in q: normalise them')
+                'evaluator: expected quaternions of norm 1 to the last digits in q: '
+                'normalise them')
 
     def __repr__(self):
         """Return what it computes of how many numbers."""

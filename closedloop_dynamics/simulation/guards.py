@@ -261,15 +261,15 @@ class EnergyGuard:
 
         """
         balance = simulation.energy_balance
-        self.note(simulation, balance)
+        rounding = self.rounding(simulation, balance.kinetic + abs(balance.stored))
+        self.note(simulation, balance, rounding)
         before = self._look
         if before is not None:
             moving = (before.balance.kinetic + abs(balance.stored - before.balance.stored)
                       + abs(balance.dissipated - before.balance.dissipated)
                       + abs(balance.work - before.balance.work))
             lost = abs(balance.residual - before.balance.residual)
-            allowed = (ENERGY_ERROR * moving + LITTLE * self.moved
-                       + self.rounding(simulation, balance.kinetic + abs(balance.stored)))
+            allowed = ENERGY_ERROR * moving + LITTLE * self.moved + rounding
             if not lost <= allowed or self.worst > ENERGY_ERROR:
                 worst = self.worst if math.isfinite(lost) else math.inf
                 problem = self._problem(lost, moving, before, simulation, worst)
@@ -283,8 +283,10 @@ class EnergyGuard:
         if self._start is None and balance is not None:
             self._start = balance
 
-    def note(self, simulation, balance):
+    def note(self, simulation, balance, rounding=None):
         """Note how much energy has moved, and the error of the present balance."""
+        if rounding is None:
+            rounding = self.rounding(simulation, balance.kinetic + abs(balance.stored))
         if self._look is not None and self._look.balance is None:
             self._look.balance = self._start = simulation.energy_at_start
         start = balance if self._start is None else self._start
@@ -292,7 +294,7 @@ class EnergyGuard:
             abs(balance.residual - start.residual),
             balance.kinetic + abs(balance.stored - start.stored)
             + abs(balance.dissipated - start.dissipated) + abs(balance.work - start.work),
-            self.rounding(simulation, balance.kinetic + abs(balance.stored)), simulation.time)
+            rounding, simulation.time)
 
     @staticmethod
     def rounding(simulation, present):

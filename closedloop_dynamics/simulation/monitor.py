@@ -196,6 +196,9 @@ class Monitor:
         """Advance as the driver does, and count; see ``drivers.FixedSteps.advance``."""
         if not (self._fixed and self.sampling):
             return self._counted(state, origin, done, step_size, steps)
+        if 0 < steps <= self._to_sample:
+            self._to_sample -= steps
+            return self._counted(state, origin, done, step_size, steps)
         status, made, elapsed = DONE, 0, 0.0
         while made < steps and status == DONE:
             if self._to_sample == 0:

@@ -64,6 +64,8 @@ BETTER = 3.0
 LARGEST_MOTION = 1e3
 # Gravity's acceleration, to compare forces with weights [m/s^2].
 EARTH = 9.81
+# What ``native.compare`` finds.
+EQUAL, USUAL = 0, 1
 
 
 class Simulation:
@@ -202,6 +204,12 @@ class Simulation:
         self._find_joint_forces = native.bind(
             'find_joint_forces', system.native, self._state, self._lam, row, point,
             np.zeros_like(system.work.force), self._joint_forces_found)
+        self._energies_found = np.empty(2)
+        self._find_energies = native.bind(
+            'energies', system.model, system.work, self._qd, self._energies_found)
+        self._spread = np.zeros(len(system.tau))
+        self._spread_torques = native.bind('spread_torques', self._allowed, self._spread)
+        self._compare_torques = native.bind('compare', system.tau, USUAL_TORQUE)
         model, work = self._equations.model, self._equations.work
         self._wrenches_found = np.empty((len(model.cut), work.wrench.shape[1]))
         self._find_cut_wrenches = native.bind(
@@ -689,17 +697,17 @@ class Simulation:
 
     @property
     def energy_scale(self):
-        """Return the work of weights and torques along the mechanism's length, and at 1 rad/s [J]."""
+        """Return work of weights and torques over the mechanism's length, and at 1 rad/s [J]."""
         return self.passive_energy_scale + (
-            max(self._assembler.extent, 1.0) * float(np.abs(self.system.applied).sum()))
+            max(self._assembler.extent, 1.0) * native.sum_of_sizes(self.system.applied))
 
     @property
     def passive_energy_scale(self):
-        """Return the work of weights along the mechanism's length, and the energy at 1 rad/s [J]."""
+        """Return work of weights over the mechanism's length, and the energy at 1 rad/s [J]."""
         length = self._assembler.extent
         # With the energy of a rate: at rest without weight there is no other scale.
         return self._mass * (
-            length * float(np.linalg.norm(self.system.model.gravity)) + length ** 2)
+            length * math.hypot(*self.system.model.gravity.tolist()) + length ** 2)
 
     @property
     def guards(self):
@@ -723,7 +731,10 @@ class Simulation:
 
     def _by_freedom(self):
         """Return the coordinate of each freedom, behind them those of ``torque_names``."""
-        own = self.coordinates.by_freedom(self._q)
+        own, manifold = self._q, self.system.manifold
+        if manifold is not None:
+            native.fill_numbers(manifold, own)
+            own = manifold.number
         if not len(self._cuts.acted):
             return own
         # Nor are these to be believed where only states beside the present one were looked at.
@@ -767,10 +778,10 @@ class Simulation:
     def _energies(self):
         """Return kinetic and stored energy of the present state."""
         self._evaluate()
-        found = np.empty(2)
-        native.energies(self.system.model, self.system.work, self._qd, found)
-        kinetic, stored = self._effects.energies()
-        return float(found[0]) + kinetic, float(found[1]) + stored
+        self._find_energies()
+        (own, potential), (kinetic, stored) = self._energies_found.tolist(), (
+            self._effects.energies())
+        return own + kinetic, potential + stored
 
     @property
     def body_poses(self):
@@ -1067,7 +1078,7 @@ class Simulation:
 
     def _order(self, tau, steps):
         """Advance by whole steps; drives follow torques with their delays."""
-        if not (self._delay_line.pending or any(self._effects.drives.values())):
+        if not (self._delay_line.pending or self._effects.delays):
             self._command(tau)
             self._advance(self.step_size, steps)
             return
@@ -1083,12 +1094,17 @@ class Simulation:
 
     def _command(self, tau):
         """Let joint torques act from now on."""
-        if not (tau == self.system.tau).all():
+        found = self._compare_torques(tau)
+        if found == EQUAL:
+            return
+        if found != USUAL:
+            if (tau == self.system.tau).all():
+                return
             self.require_bearable(tau)
-            self._add_work()
-            self._driver.restart()
-            self.system.tau[:] = tau
-            self._fresh = False
+        self._add_work()
+        self._driver.restart()
+        self.system.tau[:] = tau
+        self._fresh = False
 
     def _set_guards(self, stiffness, method):
         """Let a run by a method be watched."""
@@ -1104,14 +1120,17 @@ class Simulation:
 
     def _advance(self, size, steps):
         """Advance by steps of one size, watched by the guards."""
-        remembers = self._effects.remembers
-        for guard in self._guards:
+        remembers, guards = self._effects.remembers, self._guards
+        for guard in guards:
             guard.begin(self)
         if remembers:
             self._look()
         while steps > 0:
-            portion = 1 if remembers else min(
-                (steps, *(guard.until_look for guard in self._guards)))
+            portion = 1 if remembers else steps
+            for guard in guards:
+                until_look = guard.until_look
+                if until_look < portion:
+                    portion = until_look
             try:
                 self._advance_unguarded(size, portion)
             except MotionError:
@@ -1124,7 +1143,7 @@ class Simulation:
                 raise
             if remembers:
                 self._look()
-            for guard in self._guards:
+            for guard in guards:
                 guard.look(self, portion)
             steps -= portion
 
@@ -1219,16 +1238,17 @@ class Simulation:
 
     def _advance_unguarded(self, size, steps):
         self._fresh = False
-        raster = (self._time_base, self._steps) if size == self.step_size else (self.time, 0)
+        whole = size == self.scene.method.step_size
+        origin, done = (self._time_base, self._steps) if whole else (self.time, 0)
         before = self._state.copy()
         try:
-            status, elapsed = self._driver.advance(self._state, *raster, size, steps)
+            status, elapsed = self._driver.advance(self._state, origin, done, size, steps)
         except BaseException:
             # Ctrl-C, within steps that count as not made.
             self._state[:] = before
             self._driver.restart(moved=True)
             raise
-        if status == DONE and size == self.step_size:
+        if whole and status == DONE:
             self._steps += steps
             return
         self._time_base += elapsed
@@ -1284,9 +1304,9 @@ class Simulation:
         ValueError
 
         """
+        if self._spread_torques(torque):
+            return self._spread.copy()
         tau = np.zeros(len(self._places))
-        if torque is None:
-            return tau
         if hasattr(torque, 'items'):
             require_actuated(self.mechanism, torque)
             for name, value in torque.items():

@@ -18,7 +18,6 @@ import numpy as np
 
 from .loop_model import LoopModel
 from .spatial_modeling import build_spatial_model
-from ..core import types as t
 from ..core.codegen import space
 from ..core.equations import Equations
 from ..engine import native
