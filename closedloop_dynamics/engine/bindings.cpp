@@ -3,6 +3,8 @@
 
 // The engine in Python: which functions it has there. Nothing is computed here.
 
+#include <atomic>
+#include <stdexcept>
 #include <string_view>
 
 #include "arguments.hpp"
@@ -58,9 +60,29 @@ std::pair<double, double> nearest_to_path(
   return {found.distance, found.along};
 }
 
-/// Whether a signal, such as that of Ctrl-C, asks to stop; Python's error is set then.
+/// Whether all long computations of this process are to stop. Signals reach Python's main thread
+/// alone, which sets this for the others.
+std::atomic<bool> all_stop{false};
+
+/// Set it to 0 or 1, or leave it as it is with 2; what it is then.
+bool stop_all(Index wanted)
+{
+  if (wanted < 0 || wanted > 2) {
+    throw std::invalid_argument("stop_all: expected 0, 1 or 2");
+  }
+  if (wanted < 2) {
+    all_stop = wanted == 1;
+  }
+  return all_stop;
+}
+
+/// Whether a signal, such as that of Ctrl-C, asks to stop; Python's error is set then in the main
+/// thread.
 bool is_interrupted()
 {
+  if (all_stop) {
+    return true;
+  }
   const PyGILState_STATE state = PyGILState_Ensure();
   const bool stops = PyErr_CheckSignals() != 0;
   PyGILState_Release(state);
@@ -155,10 +177,12 @@ const Entry entries[] = {
     "advance_switching",
     "advance_switching(system, tableau, stabilisation, runs, state, origin, done, step_size, "
     "steps)"),
+  entry<stop_all>(
+    "stop_all", "stop_all(wanted): whether long computations are to stop; 1 yes, 0 no, 2 as before"),
   released<run_samples, Length::ANY, Length::ANY, Length::ANY, Length::ROWS_OF_STATE>(
     "run_samples",
     "run_samples(system, stepper, watch, step_size, start, torque, zero_order_hold, decimation, "
-    "steps, states, status, found, stop)"),
+    "steps, states, status, found)"),
   released<annotate>("annotate", "annotate(system, torque, zero_order_hold, decimation, buffer)"),
   released<fill_joint_forces>(
     "fill_joint_forces",

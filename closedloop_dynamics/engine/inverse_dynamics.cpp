@@ -201,8 +201,8 @@ bool find_torques(
   const System & system, Indices actuated, Index loops, Values out, const Given & given_q,
   const Given & given_qd, const Given & given_qdd)
 {
-  const Model & model = system.all.empty() ? system.model : system.all.model;
-  const Workspace & work = system.all.empty() ? system.work : system.all.work;
+  const Model & model = system.whole.empty() ? system.model : system.whole.model;
+  const Workspace & work = system.whole.empty() ? system.work : system.whole.work;
   const Index nv = system.nv(), nc = model.equations();
   if (system.has_cut_coordinates() || nv == 0 || out.size != actuated.size + nc) {
     return false;

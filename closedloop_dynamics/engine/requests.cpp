@@ -60,7 +60,7 @@ bool fits(const System & system, const Request & request)
   return request.own.size == system.effects.states.size &&
          request.state.size >= system.own() + request.own.size &&
          request.torque.size == request.actuated.size && request.held.size == system.tau.size &&
-         request.lam.size == system.all.lam.size;
+         request.lam.size == system.whole.lam.size;
 }
 
 bool evaluate_checked(const System & system, const Request & request, const System * whole)
@@ -80,7 +80,7 @@ bool evaluate_checked(const System & system, const Request & request, const Syst
       begin_effects(system, request);
     }
     evaluate_state(system, request.state);
-    if (!system.all.empty()) {
+    if (!system.whole.empty()) {
       serves = find_all_multipliers(system, q, qd, request.lam);
       if (!serves && whole != nullptr) {
         evaluate_state(*whole, request.state);
@@ -211,7 +211,7 @@ bool fulfil(Table jac, Values bias, Values qdd)
 
 bool find_all_multipliers(const System & system, Values q, Values qd, Values lam)
 {
-  const AllEquations & all = system.all;
+  const AllEquations & all = system.whole;
   const Model & model = all.model;
   const Workspace & work = all.own;
   outward(model, q, qd, work);
@@ -244,7 +244,7 @@ void find_joint_forces(
   const System & system, Values state, Values lam, Indices row, Table point, Table scratch,
   Table out)
 {
-  const AllEquations & all = system.all;
+  const AllEquations & all = system.whole;
   const Model & model = all.empty() ? system.model : all.model;
   const Workspace & work = all.empty() ? system.work : all.work;
   const Values q = system.q(state), qd = system.qd(state);

@@ -338,12 +338,12 @@ Status WatchedRun::judge(
 void run_samples(
   const System & system, const Stepper & stepper, const Watch & watch, double step_size,
   Table start, Cube<double> torque, Index zero_order_hold, Index decimation, Index steps,
-  Cube<double> states, Indices status, Table found, Indices stop)
+  Cube<double> states, Indices status, Table found)
 {
   if (!fit(
       system, stepper, watch, start, torque, zero_order_hold, decimation, steps, states) ||
     status.size != states.pages || found.rows != states.pages ||
-    found.columns != finding::COLUMNS || stop.size != 1)
+    found.columns != finding::COLUMNS)
   {
     throw std::invalid_argument("run_samples: arrays that do not fit together");
   }
@@ -351,9 +351,6 @@ void run_samples(
   WatchedRun run(system, watch, start.columns, stepper, step_size);
   status.fill(static_cast<Index>(Status::INTERRUPTED));
   for (Index sample = 0; sample < states.pages; ++sample) {
-    if (__atomic_load_n(stop.data, __ATOMIC_RELAXED) != 0) {
-      return;
-    }
     const Status ended = run.make(
       start[start.rows > 1 ? sample : 0], torque[torque.pages > 1 ? sample : 0], zero_order_hold,
       decimation, steps, states[sample], found[sample]);

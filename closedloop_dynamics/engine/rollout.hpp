@@ -79,12 +79,11 @@ enum : Index {SHARE, LOST, MOVED, STEPS, COLUMNS};
 /// row acting for `zero_order_hold` steps. States after every `decimation` steps, the start first,
 /// are written to `states`, shape (n, instants, ns), how the runs ended to `status`, shape (n,),
 /// and what is known of their energy to `found`, shape (n, finding::COLUMNS). DOUBTFUL: a guard may
-/// end the run, or not: steps made one by one decide. No run is begun any more where an entry of
-/// `stop`, shape (1,), is not zero. The system and the stepper are left as before.
+/// end the run, or not: steps made one by one decide. The system and the stepper are left as before.
 void run_samples(
   const System &, const Stepper &, const Watch &, double step_size, Table start,
   Cube<double> torque, Index zero_order_hold, Index decimation, Index steps, Cube<double> states,
-  Indices status, Table found, Indices stop);
+  Indices status, Table found);
 
 /// Fill in a buffer of which only the states are known.
 void annotate(

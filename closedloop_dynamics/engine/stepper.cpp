@@ -16,24 +16,24 @@ Status make_steps(
   switch (stepper.kind) {
     case stepper::FIXED:
       return advance_fixed(
-        system, stepper.tableau, stepper.stabilisation, state, step_size, steps,
-        runs.scratch[0]).first;
+        system, stepper.tableau, stepper.stabilisation, runs.scratch[0], state, step_size,
+        steps).first;
     case stepper::EXPLICIT:
       return advance_explicit(
-        system, stepper.tableau, stepper.stabilisation, state, 0.0, done, step_size, steps,
-        runs.control[0], runs.scale[0], runs.scratch[0]);
+        system, stepper.tableau, stepper.stabilisation, runs.control[0], runs.scale[0],
+        runs.scratch[0], state, 0.0, done, step_size, steps);
     case stepper::STIFF_FIXED:
       return advance_stiff_fixed(
-        system, stepper.stabilisation, state, step_size, steps, runs.matrix, runs.pivots,
-        runs.stiff_scratch[0]).first;
+        system, stepper.stabilisation, runs.matrix, runs.pivots, runs.stiff_scratch[0], state,
+        step_size, steps).first;
     case stepper::STIFF:
       runs.control(0, control::REACHED) = static_cast<double>(done) * step_size;
       return advance_stiff(
-        system, stepper.stabilisation, state, static_cast<double>(done + steps) * step_size,
-        runs.control[0], runs.scale[0], runs.matrix, runs.pivots, runs.stiff_scratch[0]);
+        system, stepper.stabilisation, runs.control[0], runs.scale[0], runs.matrix, runs.pivots,
+        runs.stiff_scratch[0], state, static_cast<double>(done + steps) * step_size);
     default:
       return advance_switching(
-        system, stepper.tableau, stepper.stabilisation, state, 0.0, done, step_size, steps, runs);
+        system, stepper.tableau, stepper.stabilisation, runs, state, 0.0, done, step_size, steps);
   }
 }
 

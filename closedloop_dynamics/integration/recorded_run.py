@@ -61,7 +61,7 @@ class Watch(NamedTuple):
 SHARE, LOST, MOVED, STEPS = range(4)
 
 
-def run_samples(system, stepper, watch, step_size, start, torque, schedule, stop):
+def run_samples(system, stepper, watch, step_size, start, torque, schedule):
     """
     Make whole runs, one after the other, of a system and a driver that stand at their start.
 
@@ -81,8 +81,6 @@ def run_samples(system, stepper, watch, step_size, start, torque, schedule, stop
         Joint torques [N m or N].
     schedule : tuple of 3 int
         Steps that a row acts for, from one instant to the next, and in all.
-    stop : ndarray of int, shape (1,)
-        No run is begun any more where it is not zero.
 
     Returns
     -------
@@ -99,8 +97,8 @@ def run_samples(system, stepper, watch, step_size, start, torque, schedule, stop
     states = np.empty((count, schedule[2] // schedule[1] + 1, start.shape[1]))
     status, found = np.empty(count, dtype=np.int64), np.empty((count, 4))
     native.run_samples(
-        system.native, stepper, watch, step_size, start, torque, *schedule, states, status, found,
-        stop)
+        system.native, stepper, watch, step_size, start, torque, *schedule, states, status,
+        found)
     return states, status, found
 
 

@@ -28,6 +28,7 @@ from .key_paths import changed, resolve
 from .rollout_run import (
     checked_quantities, FEWEST, fits_simd, MOST, nothing, record, record_all, Schedule, SimdRuns,
     Start, STATE)
+from ..engine import native
 
 # Runs that are made in one call, at most.
 MOST_AT_ONCE = 64
@@ -99,10 +100,10 @@ def rollout(simulation, torques=None, initial_position=None, initial_velocity=No
     runs = _Runs(simulation, given, schedule, quantities, hold)
     results = {name: np.empty((given.samples, *values.shape))
                for name, values in runs.nothing().items()}
-    failures, stop = {}, np.zeros(1, dtype=np.int64)
+    failures = {}
 
     def run(samples):
-        for sample, (done, failure) in runs.run(samples, results, stop):
+        for sample, (done, failure) in runs.run(samples, results):
             for name, values in done.items():
                 if not np.may_share_memory(results[name], values):
                     results[name][sample] = values
@@ -111,7 +112,7 @@ def rollout(simulation, torques=None, initial_position=None, initial_velocity=No
 
     threads = checked_threads(threads)
     with runs:
-        _each(run, runs.portions(threads), threads, stop)
+        _each(run, runs.portions(threads), threads)
     time = schedule.interval * (schedule.decimation * np.arange(schedule.instants))
     return Rollout(time, **results, failures=dict(sorted(failures.items())))
 
@@ -126,7 +127,7 @@ def checked_threads(threads):
     return int(threads)
 
 
-def _each(run, portions, threads, stop):
+def _each(run, portions, threads):
     """Call a function with the numbers of some samples at a time, in several threads."""
     if min(threads, len(portions)) == 1:
         for samples in portions:
@@ -137,10 +138,12 @@ def _each(run, portions, threads, stop):
         for _ in pool.map(run, portions):
             pass
     except BaseException:
-        stop[0] = 1
+        # Ctrl-C reaches this thread alone.
+        native.stop_all(1)
         raise
     finally:
         pool.shutdown(cancel_futures=True)
+        native.stop_all(0)
 
 
 class _Twins:
@@ -208,13 +211,15 @@ class _Runs:
             size = max(1, min(MOST_AT_ONCE, -(-count // (2 * threads if threads > 1 else 1))))
         return [range(first, min(first + size, count)) for first in range(0, count, size)]
 
-    def run(self, samples, results, stop):
+    def run(self, samples, results):
         """Return for each of some samples its number, results and why it ended early or None."""
+        if native.stop_all(2):
+            raise KeyboardInterrupt
         done = {}
         if self._fits_simd and len(samples) >= FEWEST:
             done = self._side_by_side(samples, results)
         if not done and len(samples) > 1 and self._again and not self._moved:
-            done = self._at_once(samples, stop)
+            done = self._at_once(samples)
         for sample in samples:
             record = done.get(sample)
             yield sample, self._alone(sample) if record is None else self._result(record)
@@ -231,7 +236,7 @@ class _Runs:
             room = tuple(results[name][samples[0]:samples[-1] + 1] for name in STATE)
         return dict(zip(starts, together.record(list(starts.values()), room) or ()))
 
-    def _at_once(self, samples, stop):
+    def _at_once(self, samples):
         """Return records of samples run in one call, by number; None where run alone."""
         try:
             start = self._start(samples[0])
@@ -240,7 +245,7 @@ class _Runs:
             return {}
         torques = np.array([self._given.torques_of(sample) for sample in samples])
         return dict(zip(samples, record_all(
-            start.simulation, torques, self._schedule, self._quantities, stop)))
+            start.simulation, torques, self._schedule, self._quantities)))
 
     def _starts(self, samples):
         """Return what those samples begin with that can begin."""

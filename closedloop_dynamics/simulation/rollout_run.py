@@ -36,7 +36,7 @@ from .guards import (
 from ..core.codegen.lanes import LANES, spread
 from ..engine import native
 from ..integration.batch import build_batch, filled, fits
-from ..integration.control import DONE
+from ..integration.control import DONE, INTERRUPTED
 from ..integration.drivers import FixedSteps
 from ..integration.recorded_run import (
     allocate_buffer, joint_forces, LOST, MOVED, run_samples, SHARE, STEPS, Watch)
@@ -188,7 +188,7 @@ def record(simulation, torques, schedule, quantities=QUANTITIES):
                     schedule.steps(simulation.step_size), quantities)
 
 
-def record_all(simulation, torques, schedule, quantities, stop=None):
+def record_all(simulation, torques, schedule, quantities):
     """
     Make runs from where a simulation stands as a whole, as far as that is possible.
 
@@ -198,8 +198,6 @@ def record_all(simulation, torques, schedule, quantities, stop=None):
         As for ``record``.
     torques : ndarray, shape (n, rows, number of actuated joints)
         Of each run [N m or N].
-    stop : ndarray of int, shape (1,), optional
-        No run is begun any more where it is not zero.
 
     Returns
     -------
@@ -215,7 +213,7 @@ def record_all(simulation, torques, schedule, quantities, stop=None):
     states, status, found = run_samples(
         simulation.system, simulation.monitor.driver.stepper, _watch(simulation),
         simulation.step_size, simulation.integrated[np.newaxis].copy(), tau,
-        schedule.in_steps(steps), np.zeros(1, dtype=np.int64) if stop is None else stop)
+        schedule.in_steps(steps))
     simulation.touch()
     for k in np.flatnonzero(status == DONE):
         records[bearable[k]] = Record(
@@ -482,6 +480,9 @@ class SimdRuns:
             tuple(pack)[:-1], driver.tableau, driver.stabilisation, state, first.step_size,
             efforts, *schedule.in_steps(steps), np.zeros((len(driver.scratch), len(state))),
             *room, looks, seen, work)
+        if status == INTERRUPTED:
+            # By another thread, which was.
+            raise KeyboardInterrupt
         if status != DONE:
             return None
         records = []

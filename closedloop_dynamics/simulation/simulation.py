@@ -45,7 +45,8 @@ from ..effects.effect_set import EffectSet
 from ..effects.energy_balance import EnergyBalance
 from ..engine import native
 from ..integration.control import (
-    CONTACT_PASSED, DONE, MOST_EVALUATIONS, NOT_FINITE, OPEN_LOOP, POOR_EQUATIONS, TOO_MUCH_WORK)
+    CONTACT_PASSED, DONE, INTERRUPTED, MOST_EVALUATIONS, NOT_FINITE, OPEN_LOOP, POOR_EQUATIONS,
+    TOO_MUCH_WORK)
 from ..integration.drivers import build_driver
 from ..integration.evaluation import Evaluator, QUANTITIES, request
 from ..integration.left_out import LENIENT, OPENED
@@ -1237,6 +1238,8 @@ class Simulation:
         self.energy_guard.judge(self)
 
     def _advance_unguarded(self, size, steps):
+        if native.stop_all(2):
+            raise KeyboardInterrupt
         self._fresh = False
         whole = size == self.scene.method.step_size
         origin, done = (self._time_base, self._steps) if whole else (self.time, 0)
@@ -1251,6 +1254,11 @@ class Simulation:
         if whole and status == DONE:
             self._steps += steps
             return
+        if status == INTERRUPTED:
+            # By another thread, which was.
+            self._state[:] = before
+            self._driver.restart(moved=True)
+            raise KeyboardInterrupt
         self._time_base += elapsed
         if status != DONE:
             self._fresh = False

@@ -152,7 +152,7 @@ def test_declarations_of_the_interface_of_python_are_its_own(tmp_path):
     check(api)
     for right, wrong in (('METH_NOARGS 0x0004', 'METH_NOARGS 0x0008'),
                          ('Py_mod_exec 2', 'Py_mod_exec 3'),
-                         ('PyObject *PyFloat_FromDouble(double)', 'int PyFloat_FromDouble(double)'),
+                         ('*PyFloat_FromDouble(double)', '**PyFloat_FromDouble(double)'),
                          ('c_contiguous = 0x0038', 'c_contiguous = 0x0030')):
         assert right in api
         with pytest.raises(build.BuildError):

@@ -25,8 +25,8 @@ from closedloop_dynamics.effects import (
     actuator, body_contact, bushing, cable, course, curve, expression, force_table,
     joint_friction, table)
 from closedloop_dynamics.integration import (
-    batch, control, drivers, left_out, recorded_run, registry, system, tableau)
-from closedloop_dynamics.simulation import guards
+    batch, control, drivers, evaluation, left_out, recorded_run, registry, system, tableau)
+from closedloop_dynamics.simulation import guards, simulation
 import pytest
 
 FOLDER = Path(engine.__file__).parent
@@ -72,6 +72,7 @@ ENUMS = {
     'stepper': (drivers, {
         'FIXED': 'FIXED_STEPS', 'EXPLICIT': 'EXPLICIT_STEPS', 'SWITCHING': 'SWITCHING_STEPS',
         'STIFF_FIXED': 'FIXED_STIFF_STEPS', 'STIFF': 'STIFF_STEPS'}),
+    'Comparison': (simulation, {'OTHER': None}),
     'finding': (recorded_run, {'COLUMNS': None}),
     'rollout.cpp: OWN': (table, {}),
 }
@@ -108,7 +109,7 @@ RECORDS = {
     'Contacts': table.Contacts, 'CutCoordinates': table.CutCoordinates,
     'EffectTable': table.EffectTable, 'Tableau': tableau.Tableau, 'Runs': drivers.Runs,
     'RunBuffer': recorded_run.RunBuffer, 'Watch': recorded_run.Watch,
-    'Stepper': drivers.Stepper, 'Batch': batch.Batch}
+    'Stepper': drivers.Stepper, 'Request': evaluation.Request, 'Batch': batch.Batch}
 
 
 def text(path):
