@@ -53,7 +53,8 @@ def test_change_log_is_read_once_it_has_a_version():
 def test_everything_needed_from_the_package_index_is_in_the_manifest():
     # Keys of rosdep that bring Python packages of other names.
     brought = {'eigen': 'cmeel-eigen', 'mcap-ros2-support': 'mcap',
-               'python3-pil': 'pillow', 'python3-rosbags-pip': 'rosbags'}
+               'python3-numba': 'llvmlite', 'python3-pil': 'pillow',
+               'python3-rosbags-pip': 'rosbags'}
     keys = {depend.name for depend in manifest().exec_depends + manifest().build_depends}
     present = {brought.get(key, key.removeprefix('python3-')) for key in keys}
     lines = (ROOT / 'requirements' / 'runtime.txt').read_text().splitlines()
