@@ -13,6 +13,7 @@
 #include "loop_closure.hpp"
 #include "manifold.hpp"
 #include "recursion.hpp"
+#include "requests.hpp"
 
 namespace closedloop
 {
@@ -57,10 +58,7 @@ void record(const System & system, Values state, const RunBuffer & buffer, Index
   cut_wrenches(
     system.model.cut, system.model.cut_point, work.cut_piece, work.body, system.lam, work.share,
     buffer.wrench[instant]);
-  for (Index k = 0; k < buffer.body.size; ++k) {
-    point_position(
-      work, buffer.body[k], buffer.point(k, 0), buffer.point(k, 1), buffer.place[instant][k]);
-  }
+  place_points(work.body, buffer.body, buffer.point, buffer.place[instant]);
 }
 
 /// Whether arrays fit together.
