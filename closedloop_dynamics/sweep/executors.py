@@ -89,12 +89,14 @@ class Processes:
         self._pool = self._new()
 
     def _new(self):
-        return ProcessPoolExecutor(self._workers, self._context, initializer=_begin)
+        parent, self._alive = self._context.Pipe(duplex=False)
+        return ProcessPoolExecutor(
+            self._workers, self._context, initializer=_begin, initargs=(parent,))
 
     def submit(self, function, *arguments):
         """Hand over work."""
         try:
-            return self._pool.submit(function, *arguments)
+            return self._pool.submit(_work, function, *arguments)
         except BrokenProcessPool as error:
             future = Future()
             future.set_exception(error)
@@ -125,13 +127,11 @@ class Processes:
                 'take one worker, which is this process.') from None
 
     def close(self):
-        """End the workers at once."""
-        processes = list((getattr(self._pool, '_processes', None) or {}).values())
-        self._pool.shutdown(wait=False, cancel_futures=True)
-        for process in processes:
-            process.terminate()
-        for process in processes:
-            process.join()
+        """End the workers, what they compute being given up."""
+        # Not by signals: a worker that is killed while it sends leaves the pool waiting for ever
+        # for the rest of what it sent.
+        self._alive.close()
+        self._pool.shutdown(cancel_futures=True)
 
 
 class Growing:
@@ -173,17 +173,48 @@ class Growing:
         self._engine.close()
 
 
-def _begin():
-    """Leave Ctrl-C to the parent, and end when it is gone."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    parent = multiprocessing.parent_process()
+class _Worker:
+    """What a worker process knows of itself."""
+
+    computes = False
+    ends = False
+
+
+def _begin(parent):
+    """
+    Leave Ctrl-C to the parent, and end when it is gone or wants it.
+
+    Parameters
+    ----------
+    parent : multiprocessing.connection.Connection
+        Whose other end the parent closes.
+
+    """
+
+    def interrupt(number, frame):
+        if _Worker.ends and _Worker.computes:
+            raise KeyboardInterrupt
 
     def watch():
-        parent.join()
+        parent.poll(None)
+        _Worker.ends = True
+        signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)
+        time.sleep(END_WITHIN)
         os._exit(1)
 
-    if parent is not None:
-        threading.Thread(target=watch, daemon=True).start()
+    signal.signal(signal.SIGINT, interrupt)
+    threading.Thread(target=watch, daemon=True).start()
+
+
+def _work(function, *arguments):
+    """Compute in a worker, as long as it is wanted."""
+    _Worker.computes = True
+    try:
+        if _Worker.ends:
+            raise KeyboardInterrupt
+        return function(*arguments)
+    finally:
+        _Worker.computes = False
 
 
 class Handed:
@@ -302,6 +333,9 @@ def _engine(batches, workers, scheduler, executor):
 
 # Between two looks whether to go on [s].
 ASK_EVERY = 0.2
+
+# What a worker has to end by itself [s].
+END_WITHIN = 2.0
 
 
 @dataclass

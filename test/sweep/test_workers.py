@@ -18,6 +18,8 @@ import multiprocessing
 import os
 import signal
 from test.sweep.files import assert_same, read
+import threading
+import time
 
 from closedloop_dynamics.sweep import executors, storage, sweep
 from closedloop_dynamics.sweep.executors import EngineError
@@ -51,6 +53,22 @@ def assert_complete(path, written):
     sweep('four_bar', VARY, alone, **OPTIONS, workers=1)
     assert_same(read(path), read(alone))
     assert np.isfinite(read(path)['final_position'][:24]).all()
+
+
+def test_workers_end_in_the_middle_of_sending():
+    for delay in np.linspace(0.0, 0.04, 9):
+        before = set(threading.enumerate())
+        processes = executors.Processes(2)
+        first = processes.submit(np.zeros, 1000)
+        for _ in range(3):
+            processes.submit(np.zeros, 4_000_000)
+        first.result(60)
+        time.sleep(delay)  # There is no telling from outside when a worker sends.
+        closing = threading.Thread(target=processes.close, daemon=True)
+        closing.start()
+        for thread in [closing, *set(threading.enumerate()) - before]:
+            thread.join(30)
+            assert not thread.is_alive()
 
 
 def test_a_killed_process_loses_no_sample(tmp_path, written):
