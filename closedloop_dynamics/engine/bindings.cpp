@@ -64,16 +64,12 @@ std::pair<double, double> nearest_to_path(
 /// alone, which sets this for the others.
 std::atomic<bool> all_stop{false};
 
-/// Set it to 0 or 1, or leave it as it is with 2; what it is then.
-bool stop_all(Index wanted)
+void stop_all(Index stops)
 {
-  if (wanted < 0 || wanted > 2) {
-    throw std::invalid_argument("stop_all: expected 0, 1 or 2");
+  if (stops != 0 && stops != 1) {
+    throw std::invalid_argument("stop_all: expected 0 or 1");
   }
-  if (wanted < 2) {
-    all_stop = wanted == 1;
-  }
-  return all_stop;
+  all_stop = stops == 1;
 }
 
 /// Whether a signal, such as that of Ctrl-C, asks to stop; Python's error is set then in the main
@@ -120,20 +116,24 @@ const Entry entries[] = {
   entry<bias_forces>("bias_forces", "bias_forces(work, out)"),
   entry<joint_wrenches>("joint_wrenches", "joint_wrenches(model, work, qdd, lam, wrench)"),
   entry<tree_torque>("tree_torque", "tree_torque(model, work, qdd, out)"),
-  entry<point_position>("point_position", "point_position(work, body, x, y, out)"),
   entry<to_user_order>("to_user_order", "to_user_order(model, ordered, out)"),
   entry<forward_dynamics>(
     "forward_dynamics", "forward_dynamics(model, work, q, qd, tau, qdd, lam)"),
   entry<fill_quaternions>("fill_quaternions", "fill_quaternions(matrices, out)"),
   entry<move_coordinates>("move", "move(manifold, q, change, share)"),
-  entry<evaluate, Length::Q, Length::QD>("evaluate", "evaluate(system, q, qd): accelerations and multipliers"),
-  entry<evaluate_with_poses, Length::STATE>("evaluate_with_poses", "evaluate_with_poses(system, state)"),
-  entry<is_regular, Length::Q, Length::QD>("is_regular", "is_regular(system, q, qd): whether elimination will do"),
+  entry<evaluate, Length::Q, Length::QD>(
+    "evaluate", "evaluate(system, q, qd): accelerations and multipliers"),
+  entry<evaluate_with_poses, Length::STATE>(
+    "evaluate_with_poses", "evaluate_with_poses(system, state)"),
+  entry<is_regular, Length::Q, Length::QD>(
+    "is_regular", "is_regular(system, q, qd): whether elimination will do"),
   entry<evaluate_state, Length::STATE>("evaluate_state", "evaluate_state(system, state)"),
   released<evaluate_again, Length::STATE>("evaluate_again", "evaluate_again(system, state, count)"),
-  entry<apply_listed, Length::Q, Length::QD>("apply_listed", "apply_listed(system, q, qd): forces of effects"),
+  entry<apply_listed, Length::Q, Length::QD>(
+    "apply_listed", "apply_listed(system, q, qd): forces of effects"),
   entry<derivative, Length::STATE, Length::STATE>("derivative", "derivative(system, state, out)"),
-  entry<stabilise, Length::ANY, Length::STATE>("stabilise", "stabilise(system, stabilisation, state)"),
+  entry<stabilise, Length::ANY, Length::STATE>(
+    "stabilise", "stabilise(system, stabilisation, state)"),
   entry<equations_serve, Length::ANY, Length::STATE>(
     "equations_serve", "equations_serve(system, stabilisation, state): after a step"),
   entry<apply_effects>("apply_effects", "apply_effects(effects, body, q, qd, tau)"),
@@ -178,7 +178,7 @@ const Entry entries[] = {
     "advance_switching(system, tableau, stabilisation, runs, state, origin, done, step_size, "
     "steps)"),
   entry<stop_all>(
-    "stop_all", "stop_all(wanted): whether long computations are to stop; 1 yes, 0 no, 2 as before"),
+    "stop_all", "stop_all(stops): whether long computations in all threads are to stop, 1 or 0"),
   released<run_samples, Length::ANY, Length::ANY, Length::ANY, Length::ROWS_OF_STATE>(
     "run_samples",
     "run_samples(system, stepper, watch, step_size, start, torque, zero_order_hold, decimation, "
@@ -196,7 +196,8 @@ const Entry entries[] = {
     "evaluate_request", "evaluate_request(system, whole, request): whether it was done"),
   entry<spread_torques>(
     "spread_torques", "spread_torques(actuated, tau, given): whether it was done"),
-  entry<compare>("compare", "compare(values, usual, given): 0 equal, 1 others that are usual, 2 neither"),
+  entry<compare>(
+    "compare", "compare(values, usual, given): 0 equal, 1 others that are usual, 2 neither"),
   entry<work_of_hold>(
     "work_of_hold", "work_of_hold(tau, driven, since, now): work; `since` is moved to `now`"),
   entry<sum_of_sizes>("sum_of_sizes", "sum_of_sizes(values)"),

@@ -3,13 +3,9 @@
 
 #include "fixed_steps.hpp"
 
-#include <algorithm>
+#include <limits>
 
-#include "contact_events.hpp"
-#include "evaluation.hpp"
-#include "left_out.hpp"
 #include "manifold.hpp"
-#include "projection.hpp"
 #include "stick_slip.hpp"
 #include "time_events.hpp"
 
@@ -31,6 +27,12 @@ void interpolate_parabola(
     between[i] = state[i] + share * (along + share * (out[i] - state[i] - along));
   }
   normalise(system.manifold, between);
+}
+
+double time_to_corner(const System & system, Values state)
+{
+  return system.has_effects() ? time_to_next_corner(
+    system.effects, state.from(system.own())) : std::numeric_limits<double>::infinity();
 }
 
 bool Parts::shorten(const System & system, Values state, Values out)
@@ -63,64 +65,17 @@ std::pair<Status, Index> advance_fixed(
   const System & system, const Tableau & tableau, Stabilisation stabilisation, Table scratch,
   Values state, double step_size, Index steps)
 {
-  Interrupt interrupt(system.interrupted);
-  return make_fixed_steps(
-    system, tableau, stabilisation, state, step_size, steps, scratch, interrupt);
-}
-
-std::pair<Status, Index> make_fixed_steps(
-  const System & system, const Tableau & tableau, Stabilisation stabilisation, Values state,
-  double step_size, Index steps, Table scratch, Interrupt & interrupt)
-{
   const Values stage = scratch[0], out = scratch[1], start = scratch[2];
   const Table slopes = scratch.from(3);
-  for (Index done = 0; done < steps; ++done) {
-    Parts parts(step_size);
-    copy(state, start);
-    // Once, but where a joint under dry friction comes to rest within the step, or a force over
-    // time has a corner.
-    while (parts.left > 0.0) {
-      if (system.has_effects()) {
-        parts.size = std::min(
-          parts.size, time_to_next_corner(system.effects, state.from(system.own())));
-      }
-      const ContactGuard contacts(system);
-      derivative(system, state, slopes[0]);
-      contacts.begin();
+  return make_steps_in_parts(
+    system, stabilisation, state, step_size, steps, {slopes[0], out, start, stage},
+    1 + tableau.steps(), [&](double size) {
       if (tableau.steps() == 0) {
-        semi_implicit_step(system.manifold, state, system.nv(), parts.size, slopes[0], out);
+        semi_implicit_step(system.manifold, state, system.nv(), size, slopes[0], out);
       } else {
-        step(system, tableau, state, parts.size, slopes, stage, out);
+        step(system, tableau, state, size, slopes, stage, out);
       }
-      const bool closed = stabilise(system, stabilisation, out);
-      const bool finite = all_finite(out);
-      const bool stops = interrupt.after(1 + tableau.steps());
-      if (!(closed && finite) || stops) {
-        copy(start, state);
-        return {stops ? Status::INTERRUPTED : finite ? Status::OPEN_LOOP : Status::NOT_FINITE,
-          done};
-      }
-      if (!equations_serve(system, stabilisation, out)) {
-        copy(start, state);
-        return {Status::POOR_EQUATIONS, done};
-      }
-      if (parts.shorten(system, state, out)) {
-        continue;
-      }
-      const double size = parts.size;
-      if (contacts.is_passed(
-          out, size, [&](double share) {
-            interpolate_parabola(system, state, slopes[0], out, size, share, stage);
-            return stage;
-          }))
-      {
-        copy(start, state);
-        return {Status::CONTACT_PASSED, done};
-      }
-      parts.accept(system, state, out);
-    }
-  }
-  return {Status::DONE, steps};
+    });
 }
 
 }  // namespace closedloop

@@ -4,9 +4,14 @@
 #ifndef CLOSEDLOOP_DYNAMICS__ENGINE__FIXED_STEPS_HPP_
 #define CLOSEDLOOP_DYNAMICS__ENGINE__FIXED_STEPS_HPP_
 
+#include <algorithm>
 #include <utility>
 
+#include "contact_events.hpp"
+#include "evaluation.hpp"
 #include "interrupt.hpp"
+#include "left_out.hpp"
+#include "projection.hpp"
 #include "runge_kutta.hpp"
 
 // Whole steps of one size, with a stabilisation after each.
@@ -21,10 +26,8 @@ std::pair<Status, Index> advance_fixed(
   const System &, const Tableau &, Stabilisation, Table scratch, Values state, double step_size,
   Index steps);
 
-/// The same within a longer run that can be interrupted.
-std::pair<Status, Index> make_fixed_steps(
-  const System &, const Tableau &, Stabilisation, Values state, double step_size, Index steps,
-  Table scratch, Interrupt &);
+/// Time until the next corner of a force over time [s]; infinity where none is.
+double time_to_corner(const System &, Values state);
 
 /// State at a share of a step, by the parabola through both its ends with a slope at its start;
 /// quadratic, which is enough to see where a path leads.
@@ -48,6 +51,62 @@ struct Parts
   /// Accept the part: `state` becomes `out`.
   void accept(const System &, Values state, Values out);
 };
+
+/// Rows of a scratch that steps of one size need, shape (ns,) each.
+struct StepScratch
+{
+  Values slope;
+  Values out;
+  Values start;
+  Values between;
+};
+
+/// Advance a state in place by steps of one size, as `advance_fixed` does. `attempt(size)` makes a
+/// step of that size [s] from the state and its slope, both known, into `out`, in `evaluations`.
+template<class Attempt>
+std::pair<Status, Index> make_steps_in_parts(
+  const System & system, Stabilisation stabilisation, Values state, double step_size, Index steps,
+  const StepScratch & scratch, Index evaluations, Attempt && attempt)
+{
+  const auto [slope, out, start, between] = scratch;
+  Interrupt interrupt(system.interrupted);
+  for (Index done = 0; done < steps; ++done) {
+    Parts parts(step_size);
+    copy(state, start);
+    // Once, but where a joint under dry friction comes to rest within the step, or a force over
+    // time has a corner.
+    while (parts.left > 0.0) {
+      parts.size = std::min(parts.size, time_to_corner(system, state));
+      const ContactGuard contacts(system);
+      derivative(system, state, slope);
+      contacts.begin();
+      attempt(parts.size);
+      const bool closed = stabilise(system, stabilisation, out);
+      const bool finite = all_finite(out), stops = interrupt.after(evaluations);
+      Status failure = Status::DONE;
+      if (!(closed && finite) || stops) {
+        failure = stops ? Status::INTERRUPTED : finite ? Status::OPEN_LOOP : Status::NOT_FINITE;
+      } else if (!equations_serve(system, stabilisation, out)) {
+        failure = Status::POOR_EQUATIONS;
+      } else if (parts.shorten(system, state, out)) {
+        continue;
+      } else if (contacts.is_passed(
+          out, parts.size, [&, slope = slope, out = out, between = between](double share) {
+            interpolate_parabola(system, state, slope, out, parts.size, share, between);
+            return between;
+          }))
+      {
+        failure = Status::CONTACT_PASSED;
+      }
+      if (failure != Status::DONE) {
+        copy(start, state);
+        return {failure, done};
+      }
+      parts.accept(system, state, out);
+    }
+  }
+  return {Status::DONE, steps};
+}
 
 }  // namespace closedloop
 

@@ -17,21 +17,21 @@ class Interrupt
 public:
   /// `asked` returns whether to stop; none: never.
   explicit Interrupt(bool (* asked)())
-  : asked_(asked) {}
+  : asked_(asked), pace_(pace_of_thread()) {}
 
   /// Ask after so many more evaluations, but no more than some twenty times a second.
   bool after(Index evaluations)
   {
-    left_ -= evaluations;
-    if (left_ > 0 || asked_ == nullptr) {
+    pace_.left -= evaluations;
+    if (pace_.left > 0 || asked_ == nullptr) {
       return false;
     }
-    left_ = BETWEEN_LOOKS;
+    pace_.left = BETWEEN_LOOKS;
     const auto now = Clock::now();
-    if (now < next_) {
+    if (now < pace_.next) {
       return false;
     }
-    next_ = now + std::chrono::milliseconds(50);
+    pace_.next = now + std::chrono::milliseconds(50);
     return asked_();
   }
 
@@ -40,9 +40,21 @@ private:
   // Evaluations between looks at the clock: of the fastest mechanisms 10 us.
   static constexpr Index BETWEEN_LOOKS = 100;
 
+  struct Pace
+  {
+    Index left;
+    Clock::time_point next;
+  };
+
+  /// One for all computations of a thread: many short ones are heard as one long one is.
+  static Pace & pace_of_thread()
+  {
+    static thread_local Pace pace = {BETWEEN_LOOKS, {}};
+    return pace;
+  }
+
   bool (* asked_)();
-  Index left_ = BETWEEN_LOOKS;
-  Clock::time_point next_ = Clock::now() + std::chrono::milliseconds(50);
+  Pace & pace_;
 };
 
 }  // namespace closedloop

@@ -15,64 +15,53 @@
 namespace closedloop
 {
 
+using Law = void(const EffectTable &, Index row, Table body, Values q, Values qd, Values tau);
+
 // In joints (joint_laws.cpp).
-void apply_joint_damping(const EffectTable &, Index row, Table body, Values q, Values qd, Values);
-void apply_joint_spring(const EffectTable &, Index row, Table body, Values q, Values qd, Values);
-void apply_end_stop(const EffectTable &, Index row, Table body, Values q, Values qd, Values);
+Law apply_joint_damping;
+Law apply_joint_spring;
+Law apply_end_stop;
 /// Friction of a joint that slides; one at rest is listed in EffectTable.sticking.
-void apply_joint_friction(const EffectTable &, Index row, Table body, Values q, Values qd, Values);
+Law apply_joint_friction;
 /// A drive with limits and lag, in the place of the command.
-void apply_actuator(
-  const EffectTable &, Index row, Table body, Values q, Values qd, Values tau);
+Law apply_actuator;
 /// List a rotor at a cut joint in EffectTable.sticking: its force follows from accelerations.
-void apply_cut_rotor(const EffectTable &, Index row, Table body, Values q, Values qd, Values);
+Law apply_cut_rotor;
 
 // At points (point_laws.cpp).
-void apply_point_spring(const EffectTable &, Index row, Table body, Values q, Values qd, Values);
-void apply_spatial_point_spring(
-  const EffectTable &, Index row, Table body, Values q, Values qd, Values);
-void apply_external_force(const EffectTable &, Index row, Table body, Values q, Values qd, Values);
-void apply_spatial_external_force(
-  const EffectTable &, Index row, Table body, Values q, Values qd, Values);
+Law apply_point_spring;
+Law apply_spatial_point_spring;
+Law apply_external_force;
+Law apply_spatial_external_force;
 
 // Springs whose force over the stroke is a table (force_table_laws.cpp).
-void apply_joint_force_table(
-  const EffectTable &, Index row, Table body, Values q, Values qd, Values);
-void apply_point_force_table(
-  const EffectTable &, Index row, Table body, Values q, Values qd, Values);
-void apply_spatial_force_table(
-  const EffectTable &, Index row, Table body, Values q, Values qd, Values);
+Law apply_joint_force_table;
+Law apply_point_force_table;
+Law apply_spatial_force_table;
 
 // Bushings (bushing_laws.cpp).
-void apply_bushing(const EffectTable &, Index row, Table body, Values q, Values qd, Values);
-void apply_spatial_bushing(
-  const EffectTable &, Index row, Table body, Values q, Values qd, Values);
+Law apply_bushing;
+Law apply_spatial_bushing;
 
 // Contacts of a point with the world (contact_laws.cpp).
-void apply_contact(const EffectTable &, Index row, Table body, Values q, Values qd, Values);
-void apply_spatial_contact(
-  const EffectTable &, Index row, Table body, Values q, Values qd, Values);
+Law apply_contact;
+Law apply_spatial_contact;
 
 // Contacts of a roller with another body (body_contact_laws.cpp).
-void apply_line_contact(const EffectTable &, Index row, Table body, Values q, Values qd, Values);
-void apply_circle_contact(const EffectTable &, Index row, Table body, Values q, Values qd, Values);
-void apply_curve_contact(const EffectTable &, Index row, Table body, Values q, Values qd, Values);
-void apply_spatial_body_contact(
-  const EffectTable &, Index row, Table body, Values q, Values qd, Values);
+Law apply_line_contact;
+Law apply_circle_contact;
+Law apply_curve_contact;
+Law apply_spatial_body_contact;
 
 // Cables over guides and pulleys (cable_laws.cpp).
-void apply_cable(const EffectTable &, Index row, Table body, Values q, Values qd, Values);
-void apply_spatial_cable(const EffectTable &, Index row, Table body, Values q, Values qd, Values);
+Law apply_cable;
+Law apply_spatial_cable;
 
 // Given over time (prescribed_laws.cpp).
-void apply_prescribed_torque(
-  const EffectTable &, Index row, Table body, Values q, Values qd, Values);
-void apply_prescribed_force(
-  const EffectTable &, Index row, Table body, Values q, Values qd, Values);
-void apply_spatial_prescribed_force(
-  const EffectTable &, Index row, Table body, Values q, Values qd, Values);
-void apply_prescribed_motion(
-  const EffectTable &, Index row, Table body, Values q, Values qd, Values);
+Law apply_prescribed_torque;
+Law apply_prescribed_force;
+Law apply_spatial_prescribed_force;
+Law apply_prescribed_motion;
 
 /// Set the right-hand sides of all prescribed motions to the time in their states.
 void update_driven_motions(const EffectTable &);

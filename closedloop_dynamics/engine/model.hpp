@@ -8,7 +8,8 @@
 #include "columns.hpp"
 
 // Data of the kernels: the constant Model and the mutable Workspace. The fields are those of the
-// named tuples of the same names in Python, in the same order; `fields` names them for bindings.cpp.
+// named tuples of the same names in Python, in the same order; `fields` names them for
+// bindings.cpp.
 
 namespace closedloop
 {

@@ -87,13 +87,6 @@ void energies(const Model & model, const Workspace & work, Values qd, Values out
   }
 }
 
-void point_position(const Workspace & work, Index i, double x, double y, Values out)
-{
-  const Table & body = work.body;
-  out[0] = body(i, plane::PX) + body(i, plane::COS) * x - body(i, plane::SIN) * y;
-  out[1] = body(i, plane::PY) + body(i, plane::SIN) * x + body(i, plane::COS) * y;
-}
-
 void bias_forces(const Workspace & work, Table out)
 {
   const Index size = work.size(), first = work.first_force();

@@ -27,9 +27,6 @@ void turn_spherical(
 /// Kinetic energy and potential energy in gravity [J], of a state whose motion is in `work`.
 void energies(const Model &, const Workspace &, Values qd, Values out);
 
-/// Place of a point of a planar body [m], shape (2,).
-void point_position(const Workspace &, Index body, double x, double y, Values out);
-
 /// Copy the bodies' bias forces into the first columns of `out`, shape (nb + 1, 3 or more).
 void bias_forces(const Workspace &, Table out);
 
@@ -40,7 +37,8 @@ void newton(const Model &, const Workspace &, Values qdd, Table wrench);
 void joint_wrenches(
   const Model &, const Workspace &, Values qdd, Values lam, Table wrench);
 
-/// Wrenches of a cut joint, side by side in `share`: at its point, at the origins of bodies A and B.
+/// Wrenches of a cut joint, side by side in `share`: at its point, at the origins of bodies A and
+/// B.
 void wrenches_of_cut(
   Indexes cut, Table cut_point, Indexes cut_piece, Table body, Values lam, Values share, Index a);
 

@@ -74,7 +74,8 @@ bool fit(
          (torque.pages == 1 || torque.pages == states.pages) &&
          torque.columns == system.tau.size && watch.direct.size == system.tau.size &&
          watch.roles.size == system.effects.states.size && zero_order_hold > 0 &&
-         decimation > 0 && steps >= 0 && torque.rows * zero_order_hold >= std::max<Index>(steps, 1) &&
+         decimation > 0 && steps >= 0 &&
+         torque.rows * zero_order_hold >= std::max<Index>(steps, 1) &&
          states.rows == steps / decimation + 1 && states.columns == ns &&
          watch.first > 0 && watch.cycle > 0 && watch.most > 0 &&
          (is_fixed || (runs.control.rows == count && runs.scale.pages == count &&

@@ -62,8 +62,8 @@ struct Watch
   template<class Visitor>
   void fields(Visitor && visit)
   {
-    visit(first, rarely, call, whole, cycle, most, closure, regular, nothing, kinetic, stored, roles,
-      direct);
+    visit(first, rarely, call, whole, cycle, most, closure, regular, nothing, kinetic, stored,
+      roles, direct);
   }
 };
 
@@ -79,7 +79,8 @@ enum : Index {SHARE, LOST, MOVED, STEPS, COLUMNS};
 /// row acting for `zero_order_hold` steps. States after every `decimation` steps, the start first,
 /// are written to `states`, shape (n, instants, ns), how the runs ended to `status`, shape (n,),
 /// and what is known of their energy to `found`, shape (n, finding::COLUMNS). DOUBTFUL: a guard may
-/// end the run, or not: steps made one by one decide. The system and the stepper are left as before.
+/// end the run, or not: steps made one by one decide. The system and the stepper are left as they
+/// were.
 void run_samples(
   const System &, const Stepper &, const Watch &, double step_size, Table start,
   Cube<double> torque, Index zero_order_hold, Index decimation, Index steps, Cube<double> states,

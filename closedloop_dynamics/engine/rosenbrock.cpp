@@ -5,7 +5,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
 
 #include "contact_events.hpp"
 #include "evaluation.hpp"
@@ -144,62 +143,19 @@ void interpolate_cubic(
       left * (size * slope[i] - rise) + share * (rise - size * end[i]));
   }
 }
-
-/// Time until the next corner of a force over time [s].
-double time_to_corner(const System & system, Values state)
-{
-  return system.has_effects() ? time_to_next_corner(
-    system.effects, state.from(system.own())) : std::numeric_limits<double>::infinity();
-}
 }  // namespace
 
 std::pair<Status, Index> advance_stiff_fixed(
   const System & system, Stabilisation stabilisation, Table matrix, Indices pivots, Table scratch,
   Values state, double step_size, Index steps)
 {
-  const Values out = scratch[OUT], start = scratch[START];
-  Interrupt interrupt(system.interrupted);
-  for (Index done = 0; done < steps; ++done) {
-    Parts parts(step_size);
-    copy(state, start);
-    // Once, but where a joint under dry friction comes to rest within the step, or a force over
-    // time has a corner.
-    while (parts.left > 0.0) {
-      parts.size = std::min(parts.size, time_to_corner(system, state));
-      const ContactGuard contacts(system);
-      derivative(system, state, scratch[SLOPE]);
-      contacts.begin();
-      factor_jacobian(system, state, parts.size, matrix, pivots, scratch);
-      stiff_step(system, state, parts.size, matrix, pivots, scratch);
-      const bool closed = stabilise(system, stabilisation, out);
-      const bool finite = all_finite(out), stops = interrupt.after(state.size + STAGES + 1);
-      if (!(closed && finite) || stops) {
-        copy(start, state);
-        return {stops ? Status::INTERRUPTED : finite ? Status::OPEN_LOOP : Status::NOT_FINITE,
-          done};
-      }
-      if (!equations_serve(system, stabilisation, out)) {
-        copy(start, state);
-        return {Status::POOR_EQUATIONS, done};
-      }
-      if (parts.shorten(system, state, out)) {
-        continue;
-      }
-      const double size = parts.size;
-      if (contacts.is_passed(
-          out, size, [&](double share) {
-            interpolate_parabola(
-              system, state, scratch[SLOPE], out, size, share, scratch[STAGE]);
-            return scratch[STAGE];
-          }))
-      {
-        copy(start, state);
-        return {Status::CONTACT_PASSED, done};
-      }
-      parts.accept(system, state, out);
-    }
-  }
-  return {Status::DONE, steps};
+  return make_steps_in_parts(
+    system, stabilisation, state, step_size, steps,
+    {scratch[SLOPE], scratch[OUT], scratch[START], scratch[STAGE]}, state.size + STAGES + 1,
+    [&](double size) {
+      factor_jacobian(system, state, size, matrix, pivots, scratch);
+      stiff_step(system, state, size, matrix, pivots, scratch);
+    });
 }
 
 Status advance_stiff(

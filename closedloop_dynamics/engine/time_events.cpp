@@ -32,9 +32,9 @@ double time_to_next_corner(const EffectTable & effects, Values own)
   for (Index row = 0; row < effects.count(); ++row) {
     if (follows_time(effects, row)) {
       const Index state = effects.index(row, effect::STATE);
-      wait = std::min(
-        wait,
-        end_of_piece(effects, row, effects.values(row, 0), piece_number(own[state + 1])) - own[state]);
+      const double end =
+        end_of_piece(effects, row, effects.values(row, 0), piece_number(own[state + 1]));
+      wait = std::min(wait, end - own[state]);
     }
   }
   return wait;

@@ -213,8 +213,6 @@ class _Runs:
 
     def run(self, samples, results):
         """Return for each of some samples its number, results and why it ended early or None."""
-        if native.stop_all(2):
-            raise KeyboardInterrupt
         done = {}
         if self._fits_simd and len(samples) >= FEWEST:
             done = self._side_by_side(samples, results)

@@ -481,7 +481,7 @@ class SimdRuns:
             efforts, *schedule.in_steps(steps), np.zeros((len(driver.scratch), len(state))),
             *room, looks, seen, work)
         if status == INTERRUPTED:
-            # By another thread, which was.
+            # Another thread was.
             raise KeyboardInterrupt
         if status != DONE:
             return None

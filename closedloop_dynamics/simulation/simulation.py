@@ -1238,14 +1238,15 @@ class Simulation:
         self.energy_guard.judge(self)
 
     def _advance_unguarded(self, size, steps):
-        if native.stop_all(2):
-            raise KeyboardInterrupt
         self._fresh = False
         whole = size == self.scene.method.step_size
         origin, done = (self._time_base, self._steps) if whole else (self.time, 0)
         before = self._state.copy()
         try:
             status, elapsed = self._driver.advance(self._state, origin, done, size, steps)
+            if status == INTERRUPTED:
+                # Another thread was.
+                raise KeyboardInterrupt
         except BaseException:
             # Ctrl-C, within steps that count as not made.
             self._state[:] = before
@@ -1254,11 +1255,6 @@ class Simulation:
         if whole and status == DONE:
             self._steps += steps
             return
-        if status == INTERRUPTED:
-            # By another thread, which was.
-            self._state[:] = before
-            self._driver.restart(moved=True)
-            raise KeyboardInterrupt
         self._time_base += elapsed
         if status != DONE:
             self._fresh = False

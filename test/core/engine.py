@@ -68,8 +68,10 @@ class Engine:
 
     def point(self, name, position):
         """Return (place, velocity) of a point on a body after ``move``."""
-        place, row = np.empty(2), self.body_row[name]
-        native.point_position(self.work, row, *position, place)
+        row, places = self.body_row[name], np.empty((1, 2))
+        native.place_points(
+            self.work.body, np.array([row]), np.array([position], dtype=float), places)
+        place = places[0]
         body = self.work.body[row]
         x, y = place - body[[PX, PY]]
         return place, body[[VX, VY]] + body[OMEGA] * np.array((-y, x))
