@@ -192,43 +192,6 @@ class Equations:
         native.energies(self.model, self.work, self._qd, found)
         return float(found[0]), float(found[1])
 
-    def closes(self, qdd):
-        """
-        Tell whether accelerations fulfil all equations, but for rounding.
-
-        Parameters
-        ----------
-        qdd : ndarray, shape (nv,)
-            Accelerations.
-
-        Returns
-        -------
-        bool
-
-        """
-        bias = self.closures()[2].copy()
-        return native.fulfil(self.jacobian(), bias, np.array(qdd))
-
-    def of_all(self, lam):
-        """
-        Return the least multipliers of all equations that do what those of the kept ones do.
-
-        Parameters
-        ----------
-        lam : ndarray
-            Multipliers of the kept equations, in the mechanism's order.
-
-        Returns
-        -------
-        ndarray, shape (nc,)
-
-        """
-        if self.kept.all():
-            return lam
-        found = np.zeros(self.nc)
-        native.multipliers_of_all(self.jacobian(), lam, self.kept.astype(np.int64), found)
-        return found
-
     def of_kept(self, lam):
         """
         Return multipliers of the kept equations that do what those of all do, where they can.

@@ -21,6 +21,7 @@
 #include "inverse_dynamics.hpp"
 #include "joint_reaction.hpp"
 #include "laws.hpp"
+#include "least_forces.hpp"
 #include "left_out.hpp"
 #include "loop_closure.hpp"
 #include "manifold.hpp"
@@ -141,7 +142,13 @@ const Entry entries[] = {
   entry<nearest_to_path>(
     "nearest_to_path",
     "nearest_to_path(pieces, start_x, start_y, end_x, end_y): distance from a curve, and where"),
-  entry<load_joints>("load_joints", "load_joints(model, work, effects, q, qd, qdd, lam)"),
+  entry<find_reactions>(
+    "find_reactions", "find_reactions(model, work, effects, q, qd, qdd, lam): wrenches in joints"),
+  entry<minimise_joint_wrenches>(
+    "minimise_joint_wrenches",
+    "minimise_joint_wrenches(system, model, work, wrench, lam, independent)"),
+  entry<update_joint_loads>(
+    "update_joint_loads", "update_joint_loads(model, work, effects, qd, lam)"),
   entry<measure_cut_coordinates>(
     "measure_cut_coordinates",
     "measure_cut_coordinates(index, values, body, states, first, position, velocity)"),
@@ -207,10 +214,7 @@ const Entry entries[] = {
   entry<find_all_multipliers, Length::Q, Length::QD>(
     "find_all_multipliers",
     "find_all_multipliers(system, q, qd, lam): whether accelerations fulfil all equations"),
-  entry<multipliers_of_all>("multipliers_of_all", "multipliers_of_all(jac, lam, kept, out)"),
   entry<multipliers_of_kept>("multipliers_of_kept", "multipliers_of_kept(jac, lam, kept, out)"),
-  entry<fulfil>(
-    "fulfil", "fulfil(jac, bias, qdd): whether accelerations fulfil equations, but for rounding"),
   entry<place_points>("place_points", "place_points(body, row, point, out)"),
   entry<find_joint_forces, Length::STATE>(
     "find_joint_forces", "find_joint_forces(system, state, lam, row, point, scratch, out)"),

@@ -11,6 +11,7 @@
 #include "interrupt.hpp"
 #include "joint_reaction.hpp"
 #include "laws.hpp"
+#include "least_forces.hpp"
 #include "manifold.hpp"
 #include "null_space.hpp"
 #include "rank_revealing.hpp"
@@ -50,6 +51,15 @@ void accelerate_with_all_equations(const System & system, Values q, Values qd)
     DenseMatrix jac(model.equations(), model.joints());
     constraint_jacobian(model, work, view(jac));
     multipliers_of_kept(view(jac), all.lam, all.kept, system.lam);
+    return;
+  }
+  const Index independent = static_cast<Index>(work.health[health::RANK]);
+  if (independent < model.equations() && system.joints.body.rows > 0) {
+    outward(model, q, qd, work);
+    apply_listed(system, q, qd);
+    bias_forces(work, work.force);
+    joint_wrenches(model, work, system.qdd, system.lam, work.force);
+    minimise_joint_wrenches(system, model, work, work.force, system.lam, independent);
   }
 }
 
@@ -157,13 +167,26 @@ void hold_joints_at_rest(const System & system, Values q, Values qd)
 /// Evaluate the reactions in joints that loaded effects read.
 void evaluate_joint_loads(const System & system, Values q, Values qd)
 {
+  const EffectTable & effects = system.effects;
+  const AllEquations & all = system.whole;
+  if (!all.empty()) {
+    if (system.is_unrolled()) {
+      bias_forces(system.work, effects.reaction);
+    }
+    outward(all.model, q, qd, all.own);
+    spread_multipliers(system, all.lam);
+    joint_wrenches(all.model, all.own, system.qdd, all.lam, effects.reaction);
+    minimise_joint_wrenches(
+      system, all.model, all.own, effects.reaction, all.lam, system.lam.size);
+    update_joint_loads(all.model, all.own, effects, qd, all.lam);
+    return;
+  }
   if (system.is_unrolled()) {
     call(system.table, routine::REACTIONS, q, qd);
-    update_joint_loads(system.model, system.work, system.effects, qd, system.lam);
   } else {
-    load_joints(
-      system.model, system.work, system.effects, q, qd, system.qdd, system.lam);
+    find_reactions(system.model, system.work, effects, q, qd, system.qdd, system.lam);
   }
+  update_joint_loads(system.model, system.work, effects, qd, system.lam);
 }
 
 /// Add what depends on the accelerations.
@@ -191,7 +214,7 @@ void take_states(const System & system, Values state)
   }
 }
 
-void apply_listed(const System & system, Values q, Values qd)
+void apply_listed_to(const System & system, Table body, Values q, Values qd)
 {
   if (!system.has_effects()) {
     return;
@@ -201,7 +224,12 @@ void apply_listed(const System & system, Values q, Values qd)
     fill_numbers(system.manifold, q);
     positions = system.manifold.number;
   }
-  apply_effects(system.effects, system.work.body, positions, qd, system.tau);
+  apply_effects(system.effects, body, positions, qd, system.tau);
+}
+
+void apply_listed(const System & system, Values q, Values qd)
+{
+  apply_listed_to(system, system.work.body, q, qd);
 }
 
 void evaluate_in_parts(const System & system, Values q, Values qd)

@@ -42,6 +42,9 @@ void take_states(const System &, Values state);
 /// Forces of the listed effects on the bodies, and joint torques, after `outward`.
 void apply_listed(const System &, Values q, Values qd);
 
+/// The same on other bodies than those of the system.
+void apply_listed_to(const System &, Table body, Values q, Values qd);
+
 /// Rates of all joints of a state, those of cut joints behind, shape (nv + nk,).
 void rates_with_cuts(const System &, Values state, Values out);
 

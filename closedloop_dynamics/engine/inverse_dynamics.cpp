@@ -12,6 +12,7 @@
 #include "dispatch.hpp"
 #include "evaluation.hpp"
 #include "joint_reaction.hpp"
+#include "least_forces.hpp"
 #include "loop_closure.hpp"
 #include "manifold.hpp"
 #include "null_space.hpp"
@@ -233,8 +234,13 @@ bool find_torques(
     }
     // Friction driven by reactions depends on the result: a fixed point, fast because friction is
     // the smaller part.
-    load_joints(
-      model, work, system.effects, view(q), view(qd), view(qdd), out.from(actuated.size));
+    const Values lam = out.from(actuated.size);
+    find_reactions(model, work, system.effects, view(q), view(qd), view(qdd), lam);
+    if (!system.whole.empty()) {
+      minimise_joint_wrenches(
+        system, model, work, system.effects.reaction, lam, system.lam.size);
+    }
+    update_joint_loads(model, work, system.effects, view(qd), lam);
     if (settle(system.effects)) {
       return true;
     }

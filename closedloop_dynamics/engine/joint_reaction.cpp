@@ -90,7 +90,7 @@ double cut_load(
 }
 }  // namespace
 
-void load_joints(
+void find_reactions(
   const Model & model, const Workspace & work, const EffectTable & table, Values q, Values qd,
   Values qdd, Values lam)
 {
@@ -99,7 +99,6 @@ void load_joints(
     outward(model, q, qd, work);
   }
   joint_wrenches(model, work, qdd, lam, table.reaction);
-  update_joint_loads(model, work, table, qd, lam);
 }
 
 void update_joint_loads(

@@ -13,10 +13,10 @@
 namespace closedloop
 {
 
-/// Compute the wrenches in the joints, and update the loads. EffectTable.reaction is as
+/// Compute the wrenches in the joints of the tree, into EffectTable.reaction, which is as
 /// `bias_forces` leaves it; of the workspace only poses are read. `qdd`, shape (nv,), `lam`, shape
 /// (nc,): accelerations and multipliers.
-void load_joints(
+void find_reactions(
   const Model &, const Workspace &, const EffectTable &, Values q, Values qd, Values qdd,
   Values lam);
 

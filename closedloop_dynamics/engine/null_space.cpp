@@ -283,10 +283,4 @@ void multipliers_of_kept(Table jac, Values lam, Indices kept, Values out)
   solve_least(rows_of(all, kept, out.size).transpose(), all.transpose() * dense(lam), out);
 }
 
-void multipliers_of_all(Table jac, Values lam, Indices kept, Values out)
-{
-  const auto all = dense(jac);
-  solve_least(all.transpose(), rows_of(all, kept, lam.size).transpose() * dense(lam), out);
-}
-
 }  // namespace closedloop

@@ -54,9 +54,6 @@ Rank solve(
 /// Least-squares multipliers of the kept equations with the joint forces of all of them.
 void multipliers_of_kept(Table jac, Values lam, Indices kept, Values out);
 
-/// Least multipliers of all equations with the joint forces of those of the kept ones.
-void multipliers_of_all(Table jac, Values lam, Indices kept, Values out);
-
 }  // namespace closedloop
 
 #endif  // CLOSEDLOOP_DYNAMICS__ENGINE__NULL_SPACE_HPP_

@@ -128,12 +128,20 @@ static void shift(const Model & model, const Workspace & work, Table wrench, Ind
     wrench.row(model.tree(i, tree::PARENT)), wrench.row(i), work.share.data);
 }
 
-void joint_wrenches(
-  const Model & model, const Workspace & work, Values qdd, Values lam, Table wrench)
+/// Wrenches on the bodies become those in the joints that carry them.
+static void shift_to_joints(const Model & model, const Workspace & work, Table wrench)
+{
+  for (Index i = model.tree.rows - 1; i > 0; --i) {
+    shift(model, work, wrench, i);
+  }
+}
+
+/// Subtract from the bodies' wrenches what the multipliers exert on them.
+static void subtract_cut_wrenches(
+  const Model & model, const Workspace & work, Values lam, Table wrench)
 {
   const Indexes & cut = model.cut;
   const Index size = work.size();
-  newton(model, work, qdd, wrench);
   for (Index a = 0; a < cut.rows; ++a) {
     wrenches_of_cut(cut, model.cut_point, work.cut_piece, work.body, lam, work.share, a);
     for (Index n = 0; n < size; ++n) {
@@ -141,9 +149,22 @@ void joint_wrenches(
       wrench(cut(a, cut::BODY_B), n) -= work.share[2 * size + n];
     }
   }
-  for (Index i = model.tree.rows - 1; i > 0; --i) {
-    shift(model, work, wrench, i);
-  }
+}
+
+void joint_wrenches(
+  const Model & model, const Workspace & work, Values qdd, Values lam, Table wrench)
+{
+  newton(model, work, qdd, wrench);
+  subtract_cut_wrenches(model, work, lam, wrench);
+  shift_to_joints(model, work, wrench);
+}
+
+void wrenches_of_multipliers(
+  const Model & model, const Workspace & work, Values lam, Table wrench)
+{
+  wrench.fill(0.0);
+  subtract_cut_wrenches(model, work, lam, wrench);
+  shift_to_joints(model, work, wrench);
 }
 
 void cut_wrenches(

@@ -10,6 +10,7 @@
 #include "dispatch.hpp"
 #include "evaluation.hpp"
 #include "forces.hpp"
+#include "least_forces.hpp"
 #include "loop_closure.hpp"
 #include "null_space.hpp"
 #include "projection.hpp"
@@ -218,9 +219,17 @@ bool find_all_multipliers(const System & system, Values q, Values qd, Values lam
   update(model, work, Responses::NONE);
   DenseMatrix jac(model.equations(), model.joints());
   constraint_jacobian(model, work, view(jac));
-  multipliers_of_all(view(jac), system.lam, all.kept, lam);
+  spread_multipliers(system, lam);
   DenseVector bias(model.equations());
   to_user_order(model, work.bias, view(bias));
+  if (system.has_effects()) {
+    hold_as_evaluated(system.effects);
+    apply_listed_to(system, work.body, q, qd);
+    system.effects.sticking.hold.fill(0.0);
+  }
+  bias_forces(work, work.force);
+  joint_wrenches(model, work, system.qdd, lam, work.force);
+  minimise_joint_wrenches(system, model, work, work.force, lam, system.lam.size);
   return fulfil(view(jac), view(bias), system.qdd);
 }
 

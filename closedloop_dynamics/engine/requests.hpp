@@ -60,8 +60,9 @@ bool evaluate_given(
 /// where those that `system` works on do not do. False where the numbers are no state.
 bool evaluate_request(const System & system, const System & whole, const Request &);
 
-/// Least multipliers of all equations in an evaluated state, where the elimination works on some;
-/// false where the accelerations do not fulfil all of them.
+/// Multipliers of all equations in an evaluated state, where the elimination works on some: those
+/// of least_forces.hpp. Readings of effects are to be evaluated again afterwards. False where the
+/// accelerations do not fulfil all equations.
 bool find_all_multipliers(const System &, Values q, Values qd, Values lam);
 
 /// Whether accelerations fulfil J qdd = -bias but for rounding.

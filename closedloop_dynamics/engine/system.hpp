@@ -33,6 +33,21 @@ struct AllEquations
   void fields(Visitor && visit) {visit(model, work, lam, kept, own, numbers, energy);}
 };
 
+/// Where the joints are, fixed ones left out: first those of the tree, then the cut joints in the
+/// user's order.
+struct JointPlaces
+{
+  /// Of the joints of the tree: the row of the body that each carries.
+  Indices row;
+  /// Of all, shape (n, 2): rows of the two bodies.
+  Indexes body;
+  /// Shape (2 n, 2 or 3): the joint's point on the one and on the other body [m].
+  Table point;
+
+  template<class Visitor>
+  void fields(Visitor && visit) {visit(row, body, point);}
+};
+
 /// One mechanism with all that an evaluation of its motion reads and writes
 /// (integration/system.py). A state vector has the coordinates, shape (nq,), the rates, shape
 /// (nv,), the effects' own states, and, where there are quaternions, the work of their torques.
@@ -52,6 +67,7 @@ struct System
   Table corrections;
   Manifold manifold;
   AllEquations whole;
+  JointPlaces joints;
   /// Returns whether a computation that takes long is to stop; none: never. Set by the host.
   bool (* interrupted)() = nullptr;
 
@@ -73,7 +89,7 @@ struct System
   void fields(Visitor && visit)
   {
     visit(model, work, dense, partition, settings, tau, qdd, lam, applied, effects, table,
-      corrections, manifold, whole);
+      corrections, manifold, whole, joints);
   }
 };
 

@@ -10,7 +10,7 @@ namespace closedloop
 
 namespace
 {
-constexpr Index TREE_COLUMNS = 6, CUT_COLUMNS = 14, HEALTH_COLUMNS = 10, SETTINGS = 5;
+constexpr Index TREE_COLUMNS = 6, CUT_COLUMNS = 14, HEALTH_COLUMNS = 10, SETTINGS = 6;
 constexpr Index BODY_STAGES = 13, TABLE_COLUMNS = 23;
 
 /// Whether all entries of a column are within bounds.
@@ -179,6 +179,14 @@ const char * misfit(const System & system)
     {
       return "all equations";
     }
+  }
+  const JointPlaces & joints = system.joints;
+  if (joints.point.rows != 2 * joints.body.rows || joints.row.size > joints.body.rows ||
+    (joints.body.rows > 0 && (joints.body.columns != 2 || joints.point.columns !=
+    (system.work.planar() ? 2 : 3))) || !within(joints.row, 1, nv) ||
+    !within(joints.body, 0, 0, 0, nv) || !within(joints.body, 1, 0, 0, nv))
+  {
+    return "joints";
   }
   return system.has_effects() ? misfit(system.effects, system) : nullptr;
 }

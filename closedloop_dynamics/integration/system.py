@@ -37,9 +37,29 @@ MOST_UNROLLED_BODIES, MOST_UNROLLED_FREEDOMS = 24, 40
 # Columns of System.settings: the formulation, Baumgarte's decay rate [1/s] (0: none), the closure
 # error [m, rad] that projection leaves and the one at which it gives up, and how far beside a
 # state the rank-revealing path asks the branch [rad].
-FORMULATION, BAUMGARTE_GAIN, CLOSURE_TOLERANCE, CLOSURE_LIMIT, ASIDE = range(5)
+FORMULATION, BAUMGARTE_GAIN, CLOSURE_TOLERANCE, CLOSURE_LIMIT, ASIDE, SIZE = range(6)
 # The eighth power of this is the error of the interpolation between such places.
 DISTANCE_ASIDE = 0.015
+
+
+class JointPlaces(NamedTuple):
+    """
+    Where the joints are, fixed ones left out: those of the tree, then the cut joints.
+
+    Attributes
+    ----------
+    row : ndarray of int, shape (number of joints in the tree,)
+        Of the bodies that they carry.
+    body : ndarray of int, shape (n, 2)
+        Rows of the two bodies of each.
+    point : ndarray, shape (2 n, 2 or 3)
+        The joint's point on the one body and on the other [m].
+
+    """
+
+    row: np.ndarray
+    body: np.ndarray
+    point: np.ndarray
 
 
 class System(NamedTuple):
@@ -75,6 +95,8 @@ class System(NamedTuple):
         Where quaternions are among the coordinates; None where there are none.
     whole : AllEquations or None
         Where the elimination works on some of them only.
+    joints : JointPlaces or None
+        Where the joints are, for forces that are not unique; None: there are none of these.
     native
         The engine's view of all these.
 
@@ -100,6 +122,7 @@ class System(NamedTuple):
     corrections: np.ndarray
     manifold: Optional[Manifold]
     whole: Optional[AllEquations]
+    joints: Optional[JointPlaces]
     native: object
 
     @property
@@ -128,7 +151,7 @@ class System(NamedTuple):
 
 
 def build_system(model, formulation=SUBSYSTEM, baumgarte=0.0, extent=1.0, independent=False,
-                 elements=(), unrolled=None, cuts=None):
+                 elements=(), unrolled=None, cuts=None, joints=None):
     """
     Allocate a system.
 
@@ -151,6 +174,8 @@ def build_system(model, formulation=SUBSYSTEM, baumgarte=0.0, extent=1.0, indepe
         bodies and the subsystem-level formulation.
     cuts : tuple of 2 ndarrays, optional
         Of the cut joints that anything acts in, as for ``effects.table.build_table``.
+    joints : JointPlaces, optional
+        Needed where the elimination leaves equations out.
 
     """
     nv, nc = len(model.tree) - 1, len(model.column) - 1
@@ -160,7 +185,7 @@ def build_system(model, formulation=SUBSYSTEM, baumgarte=0.0, extent=1.0, indepe
                                else MOST_UNROLLED_BODIES))
     # Closure errors of 1e-12 of the size are rounding; one of 1e-5 of it is an open loop.
     settings = np.array([
-        formulation, baumgarte, 1e-12 * extent, 1e-5 * extent, DISTANCE_ASIDE])
+        formulation, baumgarte, 1e-12 * extent, 1e-5 * extent, DISTANCE_ASIDE, extent])
     tau = np.zeros(nv + (0 if cuts is None else len(cuts[0])))
     # With room for those that are left out: they may be taken again.
     most = len(with_all_equations(model).column) - 1
@@ -173,7 +198,7 @@ def build_system(model, formulation=SUBSYSTEM, baumgarte=0.0, extent=1.0, indepe
         settings=settings, tau=tau, qdd=np.zeros(nv), lam=np.zeros(nc),
         applied=tau if effects is None else effects.applied[:nv], effects=effects, table=None,
         corrections=np.zeros((2, nv if unrolled else 0)), manifold=manifold_of(model),
-        whole=None, native=None)
+        whole=None, joints=joints, native=None)
     return _linked(system)
 
 

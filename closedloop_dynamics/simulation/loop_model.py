@@ -21,7 +21,9 @@ import numpy as np
 from .assembly import Assembler, MOST_EQUATIONS, rank_of, RANK_TOLERANCE
 from .errors import AssemblyError
 from ..core.equations import Equations
+from ..integration.system import JointPlaces
 from ..mechanism.decomposition import decompose
+from ..mechanism.mechanism import FIXED
 
 # Relative rounding errors of a Jacobian, and what closure errors make of entries that are zero in
 # a closed position, are below this.
@@ -92,6 +94,34 @@ class LoopModel:
                     cut_point=self.model.cut_point)
             self._known[key] = model, Equations(model)
         return self._known[key]
+
+    @property
+    def joint_points(self):
+        """
+        Return where the joints are on their two bodies, fixed ones of the tree left out.
+
+        Returns
+        -------
+        integration.system.JointPlaces
+
+        """
+        joints = [joint for joint in self.mechanism.joints if joint.type != FIXED]
+        origin = (0.0, 0.0) if self.mechanism.planar else (0.0, 0.0, 0.0)
+        ends = [((joint.parent, joint.position), (joint.child, origin)) for joint in joints]
+        ends += [((cut.body_a, cut.point_a), (cut.body_b, cut.point_b))
+                 for cut in self.mechanism.cut_joints]
+        placed = [self._placed(*end) for pair in ends for end in pair]
+        return JointPlaces(
+            np.array([self._placed(joint.child, origin)[0] for joint in joints], dtype=np.int64),
+            np.array([row for row, _ in placed], dtype=np.int64).reshape(-1, 2),
+            np.array([place for _, place in placed], dtype=float).reshape(-1, len(origin)))
+
+    def _placed(self, body, position):
+        """Return the row of a body, and a point of the body in the frame of the row."""
+        if self.placements is None:
+            return self.rows[body], position
+        placement = self.placements[body]
+        return placement.row, placement.place(np.array(position, dtype=float))
 
     def keep(self, kept):
         """Let the elimination work on some equations, as ``of``; return the model."""

@@ -127,7 +127,7 @@ class Simulation:
         self.system = build_system(
             model, FORMULATIONS[method.formulation], baumgarte, size,
             method.stabilisation == 'independent', self._effects.elements,
-            cuts=self._effects.cuts)
+            cuts=self._effects.cuts, joints=self._geometry.joint_points)
         self._table = self._effects.bind(self.system)
         self._motions.records = self._effects.records
         self._balance = EnergyBalance(self._effects)
@@ -221,13 +221,10 @@ class Simulation:
         """
         Return whether equations that repeat others may be left out.
 
-        In the plane not where loops drift apart, as these equations drift, too, nor where friction
-        follows reactions: it is the least ones that count.
+        In the plane not where loops drift apart, as these equations drift, too.
 
         """
-        return not self.mechanism.planar or (
-            method.stabilisation in CLOSING
-            and not any(record.feels_reactions for record in self._motions.records.values()))
+        return not self.mechanism.planar or method.stabilisation in CLOSING
 
     def _prescribe(self, scene):
         """Look up the equations of prescribed motions; let them start."""
@@ -516,7 +513,8 @@ class Simulation:
         """
         Lagrange multipliers of the present state, shape (nc,) [N, N m].
 
-        Of all equations that do not always hold; the least where some repeat others.
+        Of all equations that do not always hold. Where some repeat others, those of the forces
+        that are least in all joints together (engine/least_forces.hpp).
 
         """
         return self._all_multipliers().copy()
@@ -541,10 +539,12 @@ class Simulation:
         return found
 
     def _all_multipliers(self):
-        """Return the least multipliers of all equations in the present state."""
+        """Return the multipliers of all equations in the present state."""
         self._evaluate()
         if self._lam is not self.system.lam:
             self._find_all_multipliers()
+            # Readings of effects are those on other bodies now.
+            self._fresh = self.system.effects is None
         return self._lam
 
     def _moved_equations(self):
@@ -554,7 +554,7 @@ class Simulation:
 
     @property
     def shared_forces(self):
-        """Names of joints and couplings whose forces are not unique: the least are given."""
+        """Names of joints and couplings whose forces are not unique: see ``multipliers``."""
         return find_redundancy(self.mechanism, self._q).shared
 
     @property
@@ -980,9 +980,9 @@ class Simulation:
         components = find_redundancy(self.mechanism, self._q).components
         return [
             f'{name} depends on the force in {joint}, which is not unique: closure equations '
-            f'repeat others ({", ".join(parts)} in world axes). The friction is that of the least '
-            'forces, and another choice of cut joints gives another. Replace a joint by one that '
-            'leaves the loop more freedoms, or friction_coefficient by coulomb.'
+            f'repeat others ({", ".join(parts)} in world axes). The friction is that of the '
+            'least forces in all joints together. Replace a joint by one that leaves the loop '
+            'more freedoms, or friction_coefficient by coulomb.'
             for name, record in loaded.items() for joint, parts in components.items()
             if (record.joint == joint or record.joint.startswith(f'{joint}.'))
             and any(part.startswith('force') for part in parts)]
@@ -1904,9 +1904,9 @@ class Simulation:
 
     def _multipliers_elsewhere(self, probe):
         """Return the multipliers of all equations, which are solved where those kept do not do."""
-        equations = self._equations.move(probe.q, probe.qd)
-        if equations.closes(self.system.qdd):
-            return equations.of_all(self.system.lam)
+        lam = np.zeros(len(self.system.whole.lam))
+        if native.find_all_multipliers(self.system.native, probe.q, probe.qd, lam):
+            return lam
         whole = with_equations(self.system, self._geometry.of(None)[0])
         other = Probe(whole)
         other.q[:], other.qd[:], other.own[:] = probe.q, probe.qd, probe.own

@@ -105,7 +105,8 @@ CONSTANTS = {
 RECORDS = {
     'Model': types.Model, 'Workspace': types.Workspace, 'Manifold': manifold.Manifold,
     'DenseWorkspace': formulations.DenseWorkspace, 'Partition': independent.Partition,
-    'AllEquations': system.AllEquations, 'System': system.System, 'Sticking': table.Sticking,
+    'AllEquations': system.AllEquations, 'System': system.System,
+    'JointPlaces': system.JointPlaces, 'Sticking': table.Sticking,
     'Contacts': table.Contacts, 'CutCoordinates': table.CutCoordinates,
     'EffectTable': table.EffectTable, 'Tableau': tableau.Tableau, 'Runs': drivers.Runs,
     'RunBuffer': recorded_run.RunBuffer, 'Watch': recorded_run.Watch,

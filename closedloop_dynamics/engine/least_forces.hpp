@@ -1,0 +1,34 @@
+// SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+// SPDX-License-Identifier: Apache-2.0
+
+#ifndef CLOSEDLOOP_DYNAMICS__ENGINE__LEAST_FORCES_HPP_
+#define CLOSEDLOOP_DYNAMICS__ENGINE__LEAST_FORCES_HPP_
+
+#include "system.hpp"
+
+// Forces in the joints where closure equations repeat others. These forces are not unique: those
+// are chosen that are least in all joints together, of the tree and cut ones alike,
+//
+//   sum over the joints of |F|^2 + (|M_a|^2 + |M_b|^2) / (2 size^2)  =  least
+//
+// with the force F and its moments M_a, M_b about the joint's points on the two bodies; forces of
+// couplings and prescribed motions count as moments. The choice does not depend on which joints
+// are cut.
+
+namespace closedloop
+{
+
+/// Choose multipliers of all equations, shape (nc,), which have the same joint forces J^T lam as
+/// before. `work` has the motion of the bodies; `wrench` has the wrenches in the joints of the tree
+/// that go with the multipliers, before and afterwards. At most `independent` equations repeat no
+/// others: where loops are open by rounding more of them seem to.
+void minimise_joint_wrenches(
+  const System &, const Model &, const Workspace & work, Table wrench, Values lam,
+  Index independent);
+
+/// Multipliers of all equations that are zero where the elimination leaves an equation out.
+void spread_multipliers(const System &, Values lam);
+
+}  // namespace closedloop
+
+#endif  // CLOSEDLOOP_DYNAMICS__ENGINE__LEAST_FORCES_HPP_
