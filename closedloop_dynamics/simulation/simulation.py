@@ -52,7 +52,7 @@ from ..integration.evaluation import Evaluator, QUANTITIES, request
 from ..integration.left_out import LENIENT, OPENED
 from ..integration.registry import INTEGRATORS, SCIPY
 from ..integration.system import (
-    BAUMGARTE_GAIN, build_system, CLOSURE_LIMIT, parts_of_state, Probe, with_equations,
+    BAUMGARTE_GAIN, build_system, CLOSURE_LIMIT, parts_of_state, Probe, refine, with_equations,
     with_partition)
 from ..mechanism.couplings import measured
 from ..mechanism.decomposition import decompose
@@ -161,6 +161,8 @@ class Simulation:
         # How often the equations that the elimination works on were exchanged.
         self.exchanges = 0
         self.reset()
+        refine(self.system, self._state)
+        self._fresh = False
 
     def _find_decided(self):
         """Find the joints with friction that loops and motions move, or hold, by themselves."""

@@ -14,6 +14,7 @@
 
 """Regular mechanisms stay regular whatever their masses; singular and redundant ones do not."""
 
+from copy import deepcopy
 from dataclasses import replace
 
 from closedloop_dynamics.core import codegen
@@ -24,6 +25,8 @@ from closedloop_dynamics.integration.registry import PROJECTION
 from closedloop_dynamics.integration.system import build_system
 from closedloop_dynamics.mechanism.mechanism import Body, Coupling, CutJoint, Joint, Mechanism
 from closedloop_dynamics.simulation.modeling import build_model
+from closedloop_dynamics.simulation.scene import load_scene
+from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.simulation.spatial_modeling import build_spatial_model
 import numpy as np
 import pytest
@@ -171,3 +174,32 @@ def test_a_massless_link_that_no_force_turns_is_regular(unrolled):
     for found, wanted in ((system.qdd, expected.qdd), (system.lam, expected.lam)):
         np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-11 * np.abs(wanted).max())
     assert system.work.health[RANK_REVEALING_COUNT] == 0
+
+
+# Of shipped scenes: bodies without mass whose forces, or the masses around them, let refinement
+# converge slowly, and one that only a coupling holds.
+SLOW = [('slider_crank', 'rod'), ('carpet_scraper', 'coupler'), ('rack_press', 'lever'),
+        ('rssr_four_bar', 'rocker')]
+
+
+@pytest.mark.parametrize(('name', 'body'), SLOW)
+def test_a_scene_with_a_massless_link_is_refined_by_routines(name, body):
+    scene = load_scene(name)
+    light = [replace(scene, mechanism=replace(scene.mechanism, bodies=tuple(
+        replace(one, mass=mass, inertia=inertia, massless=mass == 0.0)
+        if one.name == body else one for one in scene.mechanism.bodies)))
+        for mass, inertia in ((0.0, 0.0), (1e-9, 1e-12 * np.array(
+            1.0 if scene.mechanism.planar else (1.0, 1.0, 1.0))))]
+    massless, lightest = map(Simulation, light)
+    assert set(codegen.REFINED) < set(massless.system.routines)
+    assert set(codegen.REFINED) < set(deepcopy(massless.system).routines)
+    assert not set(codegen.REFINED) & set(Simulation(scene).system.routines)
+    for _ in range(3):
+        q, qd = massless.position, massless.velocity
+        expected, _ = lightest.forward_dynamics(q, qd)
+        found, _ = massless.forward_dynamics(q, qd)
+        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-6 * (1e-3 + np.abs(expected).max()))
+        for simulation in (massless, lightest):
+            simulation.step(duration=0.02)
+        np.testing.assert_allclose(massless.position, lightest.position, rtol=0, atol=1e-7)
+    assert massless.system.work.health[RANK_REVEALING_COUNT] == 0
