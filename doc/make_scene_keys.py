@@ -118,7 +118,10 @@ def page():
               'other values to the parameters of its mechanism, and may add its own.', '',
               '## Scene', '', *_names(SCENE_KEYS), '', '### `initial`', '',
               *table(Initial, INITIAL_KEYS), '', '### `method`', '',
-              *table(Method, keys_of(Method))]
+              *table(Method, keys_of(Method)), '', '### `effects`', '',
+              'Entries by name, each of one `type` below. Of every type but `prescribed_motion` '
+              'one with `enabled: false` is switched off at the start, and can be switched on '
+              'while the scene runs.']
     for kind, record_type in EFFECTS.items():
         summary = inspect.getdoc(record_type).partition('\n')[0]
         lines += ['', f'### An entry of `effects` with `type: {kind}`', '', summary, '',

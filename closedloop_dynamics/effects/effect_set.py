@@ -102,9 +102,10 @@ class EffectSet:
 
     """
 
-    def __init__(self, effects, model, machine, cuts=None):
+    def __init__(self, effects, model, machine, cuts=None, switched_off=()):
         """Keep the bare model, change it, collect the force elements."""
-        self.records, self.enabled = dict(effects), dict.fromkeys(effects, True)
+        self.records = dict(effects)
+        self.enabled = {name: name not in switched_off for name in effects}
         self._model, self._machine, self._table, self._system = model, machine, None, None
         self._bare = model.body.copy(), model.tree[:, TYPE].copy(), model.gravity.copy()
         elements = {name: record.element(machine) for name, record in effects.items()}
@@ -132,6 +133,9 @@ class EffectSet:
         self._table, self._system = system.effects, system
         if self._table is None:
             self._table = build_table((), system.tau, 0, 0)
+        for row, name in enumerate(self._rows):
+            if not self.enabled[name]:
+                self._fill(row)
         return self._table
 
     def move(self, system):
@@ -143,7 +147,17 @@ class EffectSet:
     def _refill(self, kind):
         """Write the parameters of the effects of a kind anew."""
         for row in np.flatnonzero(self._table.kind == kind):
-            fill_row(self._table, row, self.records[self._rows[row]].element(self._machine))
+            self._fill(row)
+
+    def _fill(self, row):
+        """Write the present parameters of an effect, and whether it acts, into the table."""
+        table, name = self._table, self._rows[row]
+        fill_row(table, row, self.records[name].element(self._machine))
+        table.enabled[row] = self.enabled[name]
+        if not self.enabled[name]:
+            table.output[row] = 0.0
+            table.index[row, LOADED] = 0
+            table.loaded[0] = table.index[:, LOADED].sum()
 
     @property
     def freedoms_with_friction(self):
@@ -267,12 +281,7 @@ class EffectSet:
         if name not in self._rows:
             return np.zeros(0, dtype=int)
         row = self._rows.index(name)
-        fill_row(self._table, row, record.element(self._machine))
-        self._table.enabled[row] = self.enabled[name]
-        if not self.enabled[name]:
-            self._table.output[row] = 0.0
-            self._table.index[row, LOADED] = 0
-        self._table.loaded[0] = self._table.index[:, LOADED].sum()
+        self._fill(row)
         if was or not self.enabled[name]:
             return np.zeros(0, dtype=int)
         first = self._table.index[row, STATE]

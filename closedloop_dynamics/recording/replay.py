@@ -138,11 +138,9 @@ def _positions(player):
 class _Player:
     """A simulation that follows a recording, with small differences at its starts if wanted."""
 
-    def __init__(self, recording, perturbation, off):
+    def __init__(self, recording, perturbation):
         self._recording, self._perturbation = recording, perturbation
         self.simulation = Simulation(recording.scene)
-        for name in off:
-            self.simulation.set_effect(name, enabled=False)
         self.starts, self.notes = [], []
         self.sensed = any(
             effect.instrument() is not None for effect in self.simulation.effects.values())
@@ -161,8 +159,8 @@ class _Logged(_Player):
 
     def __init__(self, recording, perturbation=0.0):
         self._log, self._changes = recording.log, list(recording.changes[1:])
-        self._scene, facts = (*recording.changes[:1], (recording.scene, {}))[0]
-        super().__init__(recording, perturbation, facts.get('disabled', ()))
+        self._scene = recording.changes[0][0] if recording.changes else recording.scene
+        super().__init__(recording, perturbation)
         # Torques that act at each entry: without a step, a new command has not acted yet.
         self._acting = self._log.torque.copy()
         for k in np.flatnonzero(np.diff(self._log.time) == 0.0) + 1:
@@ -267,7 +265,7 @@ class _Logged(_Player):
                       != getattr(self._scene.method, field.name)}
             if method:
                 self.simulation.prepare_method(**method)()
-            _switch(self.simulation, scene.effects, facts.get('disabled', ()))
+            _switch(self.simulation, scene)
             self._scene = scene
 
 
@@ -275,7 +273,7 @@ class _Stamped(_Player):
     """Makes do with stamps and efforts, where there is no log."""
 
     def __init__(self, recording, perturbation=0.0):
-        super().__init__(recording, perturbation, ())
+        super().__init__(recording, perturbation)
         self._motion = recording.motion
         self.starts.append((0.0, 'from the first recorded state'))
         self.notes.append(
@@ -303,10 +301,10 @@ class _Stamped(_Player):
             yield True
 
 
-def _switch(simulation, effects, off):
-    """Give the effects of a running simulation other values."""
-    for name, record in effects.items():
-        enabled = name not in off
+def _switch(simulation, scene):
+    """Give the effects of a running simulation those values that they have in a scene."""
+    for name, record in scene.effects.items():
+        enabled = name not in scene.switched_off
         if record != simulation.effects[name] or enabled != (name in simulation.enabled_effects):
             simulation.set_effect(name, enabled=enabled, **{
                 field.name: getattr(record, field.name) for field in fields(record)})

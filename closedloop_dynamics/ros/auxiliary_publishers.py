@@ -62,9 +62,9 @@ class Descriptions:
         # so after the last state that was published.
         if told != self._told:
             scene, effects, enabled = self._told = told
-            disabled = [name for name in effects if name not in enabled]
+            off = [name for name in effects if name not in enabled]
             self._scene.publish(String(data=scene_text(
-                scene, effects, disabled, after=self._log.index)))
+                scene, effects, off, after=self._log.index)))
 
 
 class ReplayLog:

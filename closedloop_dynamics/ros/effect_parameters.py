@@ -64,7 +64,7 @@ class EffectParameters:
         kind = effect_type(record)
         descriptor = ParameterDescriptor(
             description=f'Whether the effect {name!r} ({kind}) is simulated.')
-        values = {ENABLED: (True, descriptor)}
+        values = {ENABLED: (name in self._simulation.enabled_effects, descriptor)}
         for field in fields(record):
             value = getattr(record, field.name)
             # A whole number serves as a number, and nothing as no limit.

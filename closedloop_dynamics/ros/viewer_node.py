@@ -132,13 +132,13 @@ class Attached:
 
     def _on_scene(self, message):
         try:
-            scene, facts = read_scene_text(message.data)
+            scene, _ = read_scene_text(message.data)
         except SceneError as error:
             self._logger.error(f'{self.name}: {error}')
             return
         if self.feed is None:
             self._describe(scene)
-        self._scene, self._disabled = scene, facts.get('disabled', ())
+        self._scene = scene
         self._tell()
 
     def _describe(self, scene):
@@ -253,7 +253,7 @@ class Attached:
             drives=drives_told(self._drives), unused=['accuracy', 'tolerance'],
             method={key: getattr(self._scene.method, key) for key in METHOD},
             effects=effects_told(
-                self._scene.effects, lambda name: name not in self._disabled))
+                self._scene.effects, lambda name: name not in self._scene.switched_off))
 
     def _follow(self, page, do, **asked):
         """Ask the simulator for what a page asks for."""

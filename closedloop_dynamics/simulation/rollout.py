@@ -175,9 +175,9 @@ class _Runs:
     def __init__(self, simulation, given, schedule, quantities, hold):
         self._type, self._given, self._schedule = type(simulation), given, schedule
         self._quantities, self._hold = quantities, hold
-        self._scene = replace(simulation.scene, effects=simulation.effects)
-        self._disabled = [name for name in simulation.effects
-                          if name not in simulation.enabled_effects]
+        self._scene = replace(
+            simulation.scene, effects=simulation.effects, switched_off=tuple(
+                name for name in simulation.effects if name not in simulation.enabled_effects))
         self._again = not given.parameters
         self._fits_simd = fits_simd(simulation, schedule)
         # Whether samples start in states of their own.
@@ -311,10 +311,6 @@ class _Runs:
 
     def _built(self, scene):
         simulation = self._type(scene)
-        if self._disabled:
-            for name in self._disabled:
-                simulation.set_effect(name, enabled=False)
-            simulation.reset()
         # Nobody asks runs for their local error.
         simulation.monitor.sampling = False
         return simulation

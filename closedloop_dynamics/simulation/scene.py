@@ -220,8 +220,11 @@ def _scene(data, given, path, read):
         initial = _initial(data['initial'], mechanism, names)
     with at('effects'):
         directory = None if path is None else path.parent
-        effects = {key: _effect(key, values, names, directory, mechanism.tree)
-                   for key, values in _section(data, 'effects').items()}
+        effects, switched_off = {}, []
+        for key, values in _section(data, 'effects').items():
+            effects[key], acts = _effect(key, values, names, directory, mechanism.tree)
+            if not acts:
+                switched_off.append(key)
     with at('method'):
         method = _method(names.record(Method, _section(data, 'method')))
     for key in parameters.values:
@@ -231,7 +234,7 @@ def _scene(data, given, path, read):
                 repr(key), nearest(key, read.parameters), ('parameters', key))
     return Scene('scene' if path is None else path.stem, path, data.get('description', ''),
                  mechanism, initial, effects, method, parameters=dict(names.values),
-                 source=(data, dict(given), read))
+                 source=(data, dict(given), read), switched_off=tuple(switched_off))
 
 
 def _section(data, key):
@@ -346,10 +349,17 @@ def _initial(value, mechanism, names):
 
 
 def _effect(key, values, names, directory, tree):
-    """Return the record of one effect; files that it names stand beside the scene."""
+    """
+    Return the record of one effect, and whether it acts from the start.
+
+    Files that it names stand beside the scene.
+
+    """
     with at(key):
         name(key)
-        mapping(values, ('type',))
+        values = dict(mapping(values, ('type',)))
+        with at('enabled'):
+            acts = boolean(values.pop('enabled', True))
         with at('type'):
             record_type = EFFECTS[one_of(tuple(EFFECTS), 'one of the effects')(values['type'])]
         required, optional = keys_of(record_type)
@@ -365,7 +375,7 @@ def _effect(key, values, names, directory, tree):
             if shift is not None and len(place) == len(shift):
                 record = replace(record, position=tuple(
                     one - step for one, step in zip(place, shift)))
-        return record
+        return record, acts
 
 
 def _with_columns(values, files, directory):

@@ -145,6 +145,8 @@ class Scene:
     initial : Initial
     effects : dict of str to record
         One record of ``effects.registry`` for each effect, by its free name.
+    switched_off : tuple of str
+        Those of them that do not act at the start.
     method : Method
     parameters : dict of str to float
         What expressions were computed with: the scene's own and its mechanism's.
@@ -162,6 +164,7 @@ class Scene:
     method: Method = Method()
     parameters: dict = field(default_factory=dict, compare=False, repr=False)
     source: Optional[tuple] = field(default=None, compare=False, repr=False)
+    switched_off: Tuple[str, ...] = ()
 
     def __post_init__(self):
         """Refuse an initial state or an effect that does not fit the mechanism."""
@@ -189,3 +192,9 @@ class Scene:
                 effect.fit(self.mechanism)
         with at('effects'):
             require_one_drive_each(self.effects)
+        for key in self.switched_off:
+            with at('effects'):
+                one_of(tuple(self.effects), 'one of the effects')(key)
+            if self.effects[key].motion(key) is not None:
+                raise FieldError('a prescribed motion that acts from the start', 'false',
+                                 'leave it out of the scene', ('effects', key, 'enabled'))

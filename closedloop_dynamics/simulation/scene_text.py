@@ -34,7 +34,7 @@ FORMAT = 1
 MECHANISM_FILE = 'mechanism.yaml'
 
 
-def scene_text(scene, effects=None, disabled=(), **facts):
+def scene_text(scene, effects=None, switched_off=None, **facts):
     """
     Return a scene as text.
 
@@ -44,16 +44,17 @@ def scene_text(scene, effects=None, disabled=(), **facts):
         With its mechanism.
     effects : dict of str to record, optional
         In place of the scene's own: with values that were changed since.
-    disabled : sequence of str
-        Names of effects that are switched off.
+    switched_off : sequence of str, optional
+        In place of the scene's own: names of effects.
     **facts
         What else is to be told, as JSON can: a simulated time, say.
 
     """
     initial, coordinates = scene.initial, scene.mechanism.coordinates
     effects = scene.effects if effects is None else effects
+    switched_off = scene.switched_off if switched_off is None else switched_off
     return json.dumps({
-        'format': FORMAT, 'name': scene.name, **facts, 'disabled': list(disabled),
+        'format': FORMAT, 'name': scene.name, **facts,
         'scene': {
             'mechanism': f'./{MECHANISM_FILE}',
             'description': scene.description,
@@ -66,8 +67,10 @@ def scene_text(scene, effects=None, disabled=(), **facts):
                     in coordinates.told('velocity', initial.velocity).items()
                     if not initial.hold
                     or {name, coordinates.joint_of(name)} & set(initial.hold)}},
-            'effects': {name: {'type': effect_type(record), **_values(record)}
-                        for name, record in effects.items()},
+            'effects': {name: {
+                'type': effect_type(record), **_values(record),
+                **({'enabled': False} if name in switched_off else {})}
+                for name, record in effects.items()},
             'method': {key: value for key, value in _values(scene.method).items()
                        if key not in scene.method.unused}},
         'mechanism': _mechanism(scene.mechanism)}, allow_nan=False,
@@ -82,7 +85,7 @@ def read_scene_text(text):
     -------
     scene : scene_records.Scene
     facts : dict
-        ``disabled`` and what else was told.
+        What else was told.
 
     Raises
     ------

@@ -112,7 +112,8 @@ class Simulation:
         acted = acted_in(self.mechanism, scene.effects)
         machine = Machine(self.mechanism, self._rows, placements, self._motions.rows, acted)
         self._effects = EffectSet(scene.effects, model, machine, coordinate_arrays(
-            self.mechanism, model, self._rows, placements, acted, True) if acted else None)
+            self.mechanism, model, self._rows, placements, acted, True) if acted else None,
+            scene.switched_off)
         self._cuts = CutJoints(self.mechanism, model, self._rows, placements, acted)
         self._mass = sum(body.mass for body in self.mechanism.bodies)
         self._coupling_scales = coupling_scales(self.mechanism)

@@ -80,7 +80,7 @@ def _scene(scene, simulation):
         *_parameters(scene),
         *_mechanism(scene.mechanism, simulation, parameters=False),
         _initial(scene.mechanism, scene.initial, simulation),
-        _effects(scene.effects),
+        _effects(scene),
         _method(scene.method),
     ]
 
@@ -286,12 +286,12 @@ def _told(value, write):
     return ', '.join(parts)
 
 
-def _effects(effects):
+def _effects(scene):
     return _table('Effects', ('name', 'type', 'parameters'), [
-        (name, effect_type(effect),
+        (name, effect_type(effect) + (', switched off' if name in scene.switched_off else ''),
          ', '.join(f'{key} = {_listed(value)}' for key, value in asdict(effect).items()
                    if value is not None))
-        for name, effect in effects.items()])
+        for name, effect in scene.effects.items()])
 
 
 def _listed(value):

@@ -58,10 +58,10 @@ class RateControl:
         """Build the model."""
         effects = {name: effect for name, effect in scene.effects.items()
                    if effect.drive() is None}
-        self._model = Simulation(replace(scene, effects=effects))
+        self._model = Simulation(_only(scene, effects))
         # At rest dry friction would hold what the torques are to move.
-        self._smooth = Simulation(replace(scene, effects={
-            name: effect for name, effect in effects.items() if not effect.ENDS_STEPS}))
+        self._smooth = Simulation(_only(scene, (
+            name for name, effect in effects.items() if not effect.ENDS_STEPS)))
         names = self._model.actuated_joints
         if set(rates) != set(names):
             raise ValueError(f'rate: expected one for every actuated joint ({", ".join(names)}), '
@@ -254,10 +254,16 @@ def _row(simulation):
         {point.name: simulation.point(point.name) for point in simulation.mechanism.points})
 
 
+def _only(scene, names):
+    """Return the scene with these of its effects."""
+    names = tuple(names)
+    return replace(scene, effects={name: scene.effects[name] for name in names},
+                   switched_off=tuple(name for name in scene.switched_off if name in names))
+
+
 def _without(scene, names):
     """Return the scene without some of its effects."""
-    return replace(scene, effects={
-        name: effect for name, effect in scene.effects.items() if name not in names})
+    return _only(scene, (name for name in scene.effects if name not in names))
 
 
 def _times(scene, types):

@@ -71,8 +71,6 @@ class Hand:
     ----------
     scene : simulation.scene_records.Scene
         With the spring, the places it can be fixed to, and gravity, switched off, if it has none.
-    off : tuple of str
-        Effects that were added.
     spring : str
         Name of the spring.
     gravity : str
@@ -96,20 +94,19 @@ class Hand:
         down = (0.0, -EARTH) if mechanism.planar else (0.0, 0.0, -EARTH)
         self.gravity = next((name for name, record in effects.items()
                              if isinstance(record, Gravity)), None)
-        self.off = ()
+        off = scene.switched_off
         if self.gravity is None:
             self.gravity = free_name('gravity', effects)
             effects[self.gravity] = Gravity(acceleration=down)
-            self.off = (self.gravity,)
+            off += (self.gravity,)
         self.spring = free_name('hand', effects)
         mass = sum(body.mass for body in mechanism.bodies) or 1.0
         stiffness = mass * EARTH / (GIVE * size)
         effects[self.spring] = PointSpring(
             point_a=next(iter(self._points.values())), anchor=tuple(0.0 for _ in down),
             stiffness=stiffness, damping=DAMPING * math.sqrt(stiffness * mass))
-        self.off += (self.spring,)
         self.scene = replace(
-            scene, effects=effects,
+            scene, effects=effects, switched_off=(*off, self.spring),
             mechanism=replace(mechanism, points=(*mechanism.points, *added)))
         self.dimensions, self.size = len(down), size
 
@@ -152,9 +149,6 @@ class Runner:
         """Build the simulation, standing still at its start."""
         self._hand = Hand(scene, extent(scene.mechanism))
         self.simulation = simulation = Simulation(self._hand.scene)
-        for name in self._hand.off:
-            simulation.set_effect(name, enabled=False)
-        simulation.reset()
         self._clock, self.playing, self._kinematic = clock, False, False
         self._pacer = Pacer(simulation.step_size, 1.0, clock)
         self._failure, self._holder, self._grabbed = None, None, None

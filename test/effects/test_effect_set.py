@@ -37,6 +37,8 @@ from closedloop_dynamics.effects.rotor import Rotor
 from closedloop_dynamics.effects.sensor import Sensor
 from closedloop_dynamics.effects.table import JOINT_FRICTION
 from closedloop_dynamics.mechanism.mechanism import Point
+from closedloop_dynamics.simulation.scene import load_scene, SceneError
+from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest
 
@@ -265,3 +267,48 @@ def test_readings_of_an_effect_that_is_not_listed_are_refused():
     simulation = simulated(block(), {'push': ExternalForce('center')}, [0.0])
     with pytest.raises(ValueError, match='one of the effects'):
         simulation.effect_readings('pull')
+
+
+@pytest.mark.parametrize('scene', ['three_rrr', 'double_wishbone'])
+def test_effects_switched_off_in_the_scene_act_once_they_are_switched_on(scene):
+    scene = load_scene(scene)
+    names = tuple(name for name, record in scene.effects.items() if record.motion(name) is None)
+    off = Simulation(replace(scene, switched_off=names))
+    bare = Simulation(replace(scene, effects={
+        name: record for name, record in scene.effects.items() if name not in names}))
+    for simulation in (off, bare):
+        simulation.step(duration=0.05)
+    assert set(off.enabled_effects).isdisjoint(names)
+    np.testing.assert_array_equal(off.position, bare.position)
+    np.testing.assert_array_equal(off.velocity, bare.velocity)
+    # A rollout begins as the simulation is.
+    off.reset()
+    runs = off.rollout(steps=10)
+    off.advance(off.joint_torques(None), 10)
+    np.testing.assert_array_equal(runs.position[0, -1], off.position)
+    off.reset()
+    for name in names:
+        off.set_effect(name, enabled=True)
+    whole = Simulation(scene)
+    q, qd = whole.position, whole.velocity
+    np.testing.assert_array_equal(
+        off.forward_dynamics(q, qd)[0], whole.forward_dynamics(q, qd)[0])
+
+
+def test_a_switch_in_a_scene_is_a_boolean_and_of_no_prescribed_motion(tmp_path):
+    path = tmp_path / 'scene.yaml'
+
+    def load(switch, effect='{type: gravity, acceleration: [0.0, -9.81], %s}'):
+        path.write_text('mechanism: four_bar\n'
+                        'initial: {position: {crank_joint: 1.0, coupler_joint: -0.5, '
+                        'rocker_joint: 2.0}, hold: [crank_joint]}\n'
+                        f'effects:\n  one: {effect % switch}\n')
+        return load_scene(path)
+
+    assert load('enabled: false').switched_off == ('one',)
+    assert load('enabled: true') == load('')
+    with pytest.raises(SceneError, match=r"effects.one.enabled: expected .*true or false.*'off'"):
+        load('enabled: "off"')
+    with pytest.raises(SceneError, match=r'effects.one.enabled: .*leave it out of the scene'):
+        load('enabled: false', '{type: prescribed_motion, joint: crank_joint, '
+             'shape: expression, expression: t, %s}')

@@ -42,7 +42,7 @@ class Recorder:
     def __init__(self, scene):
         self.simulation = Simulation(scene)
         self.rows, self.jumps, self.index = [], 0, 0
-        self.changes = [(scene, {'after': 0, 'disabled': []})]
+        self.changes = [(scene, {'after': 0})]
         self.note(np.zeros(len(self.simulation.joint_names)))
 
     def note(self, tau, published=True):
@@ -64,10 +64,11 @@ class Recorder:
     def change(self, name, **values):
         """Change an effect between two ticks."""
         self.simulation.set_effect(name, **values)
-        off = [each for each in self.simulation.effects
-               if each not in self.simulation.enabled_effects]
-        scene = replace(self.changes[-1][0], effects=self.simulation.effects)
-        self.changes.append((scene, {'after': self.index, 'disabled': off}))
+        off = tuple(each for each in self.simulation.effects
+                    if each not in self.simulation.enabled_effects)
+        scene = replace(
+            self.changes[-1][0], effects=self.simulation.effects, switched_off=off)
+        self.changes.append((scene, {'after': self.index}))
 
     def recording(self, first=0, without=()):
         """Return what a bag holds, from some state on."""

@@ -67,7 +67,7 @@ def test_descriptions_are_there_for_whoever_comes_late(simulator, listener):
     shipped = load_scene('slider_crank')
     assert (scene.mechanism, scene.initial, scene.effects, scene.method) == (
         shipped.mechanism, shipped.initial, shipped.effects, shipped.method)
-    assert facts == {'after': 0, 'disabled': []}
+    assert facts == {'after': 0}
 
 
 def test_scene_is_told_anew_when_it_changes(simulator, listener):
@@ -83,7 +83,7 @@ def test_scene_is_told_anew_when_it_changes(simulator, listener):
     scene, facts = read_scene_text(scenes[-1].data)
     assert scene.effects['gravity'].acceleration == (0.0, -1.62)
     # Since the one state that was published before.
-    assert facts == {'after': 1, 'disabled': ['gravity']}
+    assert (facts, scene.switched_off) == ({'after': 1}, ('gravity',))
     assert len(scenes) == 2
 
 
