@@ -24,6 +24,7 @@ from closedloop_dynamics.effects.cable import Cable
 from closedloop_dynamics.effects.contact import Contact
 from closedloop_dynamics.effects.end_stop import EndStop
 from closedloop_dynamics.effects.external_force import ExternalForce
+from closedloop_dynamics.effects.fluid_drag import FluidDrag
 from closedloop_dynamics.effects.force_table import ForceTable
 from closedloop_dynamics.effects.gravity import Gravity
 from closedloop_dynamics.effects.joint_damping import JointDamping
@@ -34,6 +35,7 @@ from closedloop_dynamics.effects.point_spring import PointSpring
 from closedloop_dynamics.effects.prescribed_force import PrescribedForce
 from closedloop_dynamics.effects.rotor import Rotor
 from closedloop_dynamics.effects.sensor import Sensor
+from closedloop_dynamics.effects.tendon import Tendon
 from closedloop_dynamics.mechanism.mechanism import Body, Joint, Mechanism, Point
 from closedloop_dynamics.simulation.scene_records import Initial, Method, Scene
 import matplotlib.figure
@@ -173,6 +175,17 @@ def elements():
         f'{c:g} N m s/rad': run(PENDULUM, {'gravity': EARTH, 'mount': Bushing(
             'tip', anchor=(0.5, 0.0), turning_stiffness=30.0, turning_damping=c)},
             -0.5, 0.0, 2.0) for c in (0.0, 0.3)})
+    draw('tendon', 'position [m]', {
+        label: run(BLOCK, {'spring': Tendon({'slide': 1.0}, stiffness, rest=rest)}, 0.1)
+        for label, stiffness, rest in (
+            ('linear', 100.0, 0.0), ('with play of 0.05 m', 100.0, (-0.05, 0.0)),
+            ('cubic', (0.0, 0.0, 1e4), 0.0))})
+    draw('fluid_drag', 'speed [m/s]', {
+        label: run(UPRIGHT, {'gravity': EARTH, 'air': FluidDrag(
+            'center', linear=(linear, 0.0), quadratic=(quadratic, 0.0))}, 0.0,
+            of=lambda simulation: simulation.velocity[0])
+        for label, linear, quadratic in (
+            ('linear', 2.0, 0.0), ('quadratic', 0.0, 0.4), ('both', 2.0, 0.4))})
     draw('cable', 'height [m]', {
         f'c = {c:g} s/m': run(UPRIGHT, {'gravity': EARTH, 'rope': Cable(
             ('ceiling', 'center'), 2e3, 0.5, damping=c)}, 0.3, 0.0, 1.5) for c in (0.0, 0.2)})

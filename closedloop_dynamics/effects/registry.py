@@ -28,6 +28,7 @@ from .cable import Cable
 from .contact import Contact
 from .end_stop import EndStop
 from .external_force import ExternalForce
+from .fluid_drag import FluidDrag
 from .force_table import ForceTable
 from .gravity import Gravity
 from .joint_damping import JointDamping
@@ -39,6 +40,7 @@ from .prescribed_force import PrescribedForce
 from .prescribed_motion import PrescribedMotion
 from .rotor import Rotor
 from .sensor import Sensor
+from .tendon import Tendon
 
 EFFECTS = {
     'actuator': Actuator,
@@ -48,6 +50,7 @@ EFFECTS = {
     'contact': Contact,
     'end_stop': EndStop,
     'external_force': ExternalForce,
+    'fluid_drag': FluidDrag,
     'force_table': ForceTable,
     'gravity': Gravity,
     'joint_damping': JointDamping,
@@ -59,6 +62,7 @@ EFFECTS = {
     'prescribed_motion': PrescribedMotion,
     'rotor': Rotor,
     'sensor': Sensor,
+    'tendon': Tendon,
 }
 
 

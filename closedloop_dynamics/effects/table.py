@@ -30,7 +30,7 @@ import numpy as np
  PRESCRIBED_FORCE, JOINT_FORCE_TABLE, POINT_FORCE_TABLE, BUSHING, CABLE, LINE_CONTACT,
  CIRCLE_CONTACT, CURVE_CONTACT, SPATIAL_PRESCRIBED_FORCE, SPATIAL_BUSHING,
  SPATIAL_CABLE, PRESCRIBED_MOTION, SPATIAL_BODY_CONTACT, SPATIAL_FORCE_TABLE,
- CUT_ROTOR) = range(27)
+ CUT_ROTOR, TENDON, FLUID_DRAG, SPATIAL_FLUID_DRAG) = range(30)
 # Columns of EffectTable.index: first own state; joint (its place in q, of a cut joint behind those
 # of the tree) or the row of the body that carries the first point; the row of the second point's
 # body, or of the joint's; whether the law wants the reaction in its joint, as its second state;
@@ -96,7 +96,7 @@ class State(NamedTuple):
 class ForceElement(NamedTuple):
     """One effect as a row of the table."""
 
-    kind: int  # ``JOINT_DAMPING`` to ``PRESCRIBED_MOTION``
+    kind: int  # ``JOINT_DAMPING`` to ``SPATIAL_FLUID_DRAG``
     index: Tuple[int, ...]  # FIRST and SECOND, as far as the law reads them
     values: Tuple[float, ...]  # Parameters, in the order the law reads them
     states: Tuple[State, ...] = ()  # In the order the law reads and writes them

@@ -70,6 +70,12 @@ void apply_law(
       return apply_spatial_force_table(table, row, body, q, qd, tau);
     case effect::CUT_ROTOR:
       return apply_cut_rotor(table, row, body, q, qd, tau);
+    case effect::TENDON:
+      return apply_tendon(table, row, body, q, qd, tau);
+    case effect::FLUID_DRAG:
+      return apply_fluid_drag(table, row, body, q, qd, tau);
+    case effect::SPATIAL_FLUID_DRAG:
+      return apply_spatial_fluid_drag(table, row, body, q, qd, tau);
   }
 }
 

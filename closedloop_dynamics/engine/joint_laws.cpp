@@ -58,6 +58,45 @@ void apply_joint_spring(
   table.output(row, 1) = -stiffness * stretch;
 }
 
+void apply_tendon(
+  const EffectTable & table, Index row, Table, Values q, Values qd, Values)
+{
+  const Values values = table.values[row];
+  const double * data = table.data.data + table.index(row, effect::DATA);
+  const Index springs = static_cast<Index>(values[0]), dampers = static_cast<Index>(values[1]);
+  // Behind the joints and their arms the coefficients are two entries.
+  const Index joints = table.index(row, effect::ENTRIES) - 2;
+  const double * stiffness = data + 2 * joints;
+  const double * damping = stiffness + springs;
+  double length = 0.0, rate = 0.0;
+  for (Index k = 0; k < joints; ++k) {
+    const Index joint = static_cast<Index>(data[2 * k]);
+    length += data[2 * k + 1] * q[joint];
+    rate += data[2 * k + 1] * qd[joint];
+  }
+  const double stretch = length - std::max(values[2], std::min(values[3], length));
+  const double speed = std::fabs(rate);
+  double elastic = 0.0, stored = 0.0, viscous = 0.0, power = stretch;
+  for (Index i = 0; i < springs; ++i) {
+    elastic += stiffness[i] * power;
+    power *= stretch;
+    stored += stiffness[i] * power / static_cast<double>(i + 2);
+  }
+  power = rate;
+  for (Index i = 0; i < dampers; ++i) {
+    viscous += damping[i] * power;
+    power *= speed;
+  }
+  const double tension = elastic + viscous;
+  for (Index k = 0; k < joints; ++k) {
+    table.applied[static_cast<Index>(data[2 * k])] -= data[2 * k + 1] * tension;
+  }
+  table.rates[table.index(row, effect::STATE)] = viscous * rate;
+  table.output(row, effect::STORED) = stored;
+  table.output(row, 1) = tension;
+  table.output(row, 2) = length;
+}
+
 void apply_end_stop(
   const EffectTable & table, Index row, Table, Values q, Values qd, Values)
 {

@@ -20,6 +20,8 @@ using Law = void(const EffectTable &, Index row, Table body, Values q, Values qd
 // In joints (joint_laws.cpp).
 Law apply_joint_damping;
 Law apply_joint_spring;
+/// Spring and damper along a weighted sum of coordinates.
+Law apply_tendon;
 Law apply_end_stop;
 /// Friction of a joint that slides; one at rest is listed in EffectTable.sticking.
 Law apply_joint_friction;
@@ -38,6 +40,10 @@ Law apply_spatial_external_force;
 Law apply_joint_force_table;
 Law apply_point_force_table;
 Law apply_spatial_force_table;
+
+// Drag of fluids (drag_laws.cpp).
+Law apply_fluid_drag;
+Law apply_spatial_fluid_drag;
 
 // Bushings (bushing_laws.cpp).
 Law apply_bushing;

@@ -23,6 +23,7 @@ from closedloop_dynamics.effects.cable import Cable
 from closedloop_dynamics.effects.contact import Contact
 from closedloop_dynamics.effects.end_stop import EndStop
 from closedloop_dynamics.effects.external_force import ExternalForce
+from closedloop_dynamics.effects.fluid_drag import FluidDrag
 from closedloop_dynamics.effects.force_table import ForceTable
 from closedloop_dynamics.effects.gravity import Gravity
 from closedloop_dynamics.effects.joint_damping import JointDamping
@@ -36,6 +37,7 @@ from closedloop_dynamics.effects.registry import EFFECTS
 from closedloop_dynamics.effects.rotor import Rotor
 from closedloop_dynamics.effects.sensor import Sensor
 from closedloop_dynamics.effects.table import JOINT_FRICTION
+from closedloop_dynamics.effects.tendon import Tendon
 from closedloop_dynamics.mechanism.mechanism import Point
 from closedloop_dynamics.simulation.scene import load_scene, SceneError
 from closedloop_dynamics.simulation.simulation import Simulation
@@ -106,6 +108,9 @@ def every_element(rng, mechanism, q):
                             interpolation='cubic'),
         'mount': Bushing(point(), anchor=place, stiffness=(20.0, 5.0), damping=(1.0, 0.0),
                          turning_stiffness=2.0, turning_damping=0.1),
+        'belt': Tendon(dict.fromkeys(mechanism.joint_names[:2], 0.5), (20.0, 3.0), (0.1, 0.05),
+                       (-0.1, 0.1)),
+        'water': FluidDrag(point(), (0.5, 0.1), (0.3, 0.2), 0.05, 0.02, (0.2, -0.1), 0.3),
         'rope': Cable((point(), point(), point()), 50.0, 0.1, damping=0.1),
         'roller': BodyContact(point(), 'base', 'line', 300.0, radius=0.02, exponent=1.5,
                               damping=0.4, friction=0.3, slip_velocity=0.2)}

@@ -22,7 +22,7 @@ from closedloop_dynamics.core import formulations, independent, manifold, types
 from closedloop_dynamics.core.codegen import (
     elimination, function_table, refinement, space as code_in_space)
 from closedloop_dynamics.effects import (
-    actuator, body_contact, bushing, cable, course, curve, expression, force_table,
+    actuator, body_contact, bushing, cable, course, curve, expression, fluid_drag, force_table,
     joint_friction, table)
 from closedloop_dynamics.integration import (
     batch, control, drivers, evaluation, left_out, recorded_run, registry, system, tableau)
@@ -98,6 +98,7 @@ CONSTANTS = {
     'force_table_laws.cpp': (force_table, ('COLUMNS',)),
     'body_contact_laws.cpp': (body_contact, ('PLACE_B', 'DIRECTION', 'FLAT', 'ROUND')),
     'bushing_laws.cpp': (bushing, ('AXES_A', 'AXES_B', 'ALONG', 'LOSS')),
+    'drag_laws.cpp': (fluid_drag, ('COLUMNS',)),
     'joint_laws.cpp': (actuator, ('FADING',)),
     'sticking.hpp': (joint_friction, ('REST',)),
     'validation.cpp': (types, ('TREE_COLUMNS', 'CUT_COLUMNS', 'HEALTH_COLUMNS', 'BODY_STAGES')),

@@ -1,0 +1,117 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Drag of a fluid on a body, along the axes of the body and about them.
+
+    F_i = -(b_i + d_i |v_i|) v_i        at ``point``, v: its velocity relative to the fluid
+    M_i = -(e_i + f_i |w_i|) w_i        w: angular velocity of the body
+
+F . v and M . w are dissipated; a fluid that flows at u does the work F . u. Of a box with the
+edges a, b, c in a fluid of the density rho d_1 is about rho b c / 2. When: bodies that swim or
+fly, wind, paddles and stirrers, oil baths.
+
+"""
+
+from dataclasses import dataclass
+import math
+from typing import Union
+
+import numpy as np
+
+from .effect import Effect
+from .table import DISSIPATED, FLUID_DRAG, ForceElement, SPATIAL_FLUID_DRAG, State, WORK
+from ..core.codegen.spatial import rotation
+from ..mechanism.checks import (
+    list_of, name, not_negative, number, one_or_several, orientation, vector)
+from ..mechanism.fields import FieldError, shown
+from ..mechanism.mechanism import Quaternion, UNTURNED, Vector, Vector3
+
+# Numbers of an entry: an axis in the frame of the row, coefficients along and about it.
+COLUMNS = 7
+# Keys of the coefficients, in the order the law reads them.
+ALONG, ABOUT = ('linear', 'quadratic'), ('turning_linear', 'turning_quadratic')
+
+
+def _none_negative(value):
+    """Return floats of which none is less than zero, two or three."""
+    return list_of(not_negative)(vector(value))
+
+
+@dataclass(frozen=True)
+class FluidDrag(Effect):
+    """
+    Drag of a fluid on a body, along the axes of the body and about them.
+
+    Attributes
+    ----------
+    point : str
+        A named point, where the force acts.
+    linear, quadratic : tuple of 2 floats, or 3 in space
+        b and d along the axes, zero or more [N s/m, N s^2/m^2].
+    turning_linear, turning_quadratic : float, or tuple of 3 floats in space
+        e and f about the axes, zero or more [N m s/rad, N m s^2/rad^2]; one number in space:
+        about each axis.
+    flow : tuple of 2 floats, or 3 in space
+        u, velocity of the fluid in the world [m/s].
+    angle : float
+        Of the first axis in the frame of the point's body [rad]; in the plane.
+    orientation : tuple of 4 floats
+        Of the axes in the frame of the point's body; in space.
+
+    """
+
+    CHECKS = {'point': name, **dict.fromkeys(ALONG, _none_negative),
+              **dict.fromkeys(ABOUT, one_or_several(not_negative, _none_negative)),
+              'flow': vector, 'angle': number, 'orientation': orientation}
+    VECTORS = (*ALONG, 'flow')
+    READINGS = ('force', 'torque')
+
+    point: str
+    linear: Vector = (0.0, 0.0)
+    quadratic: Vector = (0.0, 0.0)
+    turning_linear: Union[float, Vector3] = 0.0
+    turning_quadratic: Union[float, Vector3] = 0.0
+    flow: Vector = (0.0, 0.0)
+    angle: float = 0.0
+    orientation: Quaternion = UNTURNED
+
+    def fit(self, mechanism):
+        """Refuse a mechanism without the point, and keys of space in the plane or the reverse."""
+        super().fit(mechanism)
+        for key, where in (('angle', True), ('orientation', False)):
+            if mechanism.planar != where and getattr(self, key) != getattr(FluidDrag, key):
+                raise FieldError(f'no such key in {"space" if where else "the plane"}',
+                                 shown(getattr(self, key)), path=(key,))
+        for key in ABOUT:
+            value = getattr(self, key)
+            if isinstance(value, tuple) and (mechanism.planar or len(value) != 3):
+                raise FieldError('one number, or three in space', shown(value), path=(key,))
+
+    def element(self, machine):
+        """Return the effect as a row of the table."""
+        row, place = machine.point(self.point)
+        states = (State(DISSIPATED), State(WORK))
+        along = [machine.vector(getattr(self, key)) for key in ALONG]
+        flow = machine.vector(self.flow)
+        if machine.mechanism.planar:
+            return ForceElement(FLUID_DRAG, (row,), (
+                *place, math.cos(self.angle), math.sin(self.angle), *along[0], *along[1],
+                self.turning_linear, self.turning_quadratic, *flow), states)
+        axes = machine.placement(machine.carrier(self.point)).axes @ np.array(
+            rotation(self.orientation))
+        about = [np.broadcast_to(getattr(self, key), 3).tolist() for key in ABOUT]
+        return ForceElement(SPATIAL_FLUID_DRAG, (row,), (*place, *flow), states, data=tuple(
+            (*axes[:, k].tolist(), along[0][k], along[1][k], about[0][k], about[1][k])
+            for k in range(3)))

@@ -1,0 +1,101 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Spring and damper along a weighted sum of joint coordinates, as of a tendon over pulleys.
+
+    l = sum_j r_j q_j        tau_j = -r_j T        on each joint of ``arms``
+    T = k_1 s + k_2 s^2 + ... + (c_1 + c_2 |l'| + ...) l'
+
+with s what l is above the upper or, less than zero, below the lower end of ``rest``, and zero
+between. It stores k_1 s^2 / 2 + k_2 s^3 / 3 + ... and dissipates (c_1 + c_2 |l'| + ...) l'^2.
+When: tendons and belts over several joints, springs and dampers of one joint that are not
+linear, play.
+
+"""
+
+from dataclasses import dataclass
+from numbers import Real
+from typing import Dict, Tuple, Union
+
+from .effect import Effect
+from .table import DISSIPATED, ForceElement, State, TENDON
+from ..mechanism.checks import freedom, list_of, number, one_of
+from ..mechanism.fields import at, FieldError, shown
+
+
+def _arms(value):
+    """Return a dict of floats by the names of joints, one or more; refuse anything else."""
+    if not isinstance(value, dict) or not value:
+        raise FieldError('moment arms by the names of joints', shown(value))
+    found = {}
+    for key, arm in value.items():
+        with at(key):
+            found[freedom(key)] = number(arm)
+    return found
+
+
+def _coefficients(value):
+    """Return a number as a tuple of one float, a list as one of all."""
+    return list_of(number)((value,) if isinstance(value, Real) else value)
+
+
+def _range(value):
+    """Return two floats that do not fall; a number is both."""
+    found = list_of(number)((value, value) if isinstance(value, Real) else value)
+    if len(found) != 2 or found[0] > found[1]:
+        raise FieldError('a number, or [least, largest]', shown(value))
+    return found
+
+
+@dataclass(frozen=True)
+class Tendon(Effect):
+    """
+    Spring and damper along a weighted sum of joint coordinates.
+
+    Attributes
+    ----------
+    arms : dict of str to float
+        r, moment arms by joint, of the tree and with one number [m/rad; 1 of slides].
+    stiffness : float, or tuple of floats
+        k_1, k_2 and so on [N/m, N/m^2]; one number is k_1.
+    damping : float, or tuple of floats
+        c_1, c_2 and so on [N s/m, N s^2/m^2]; one number is c_1.
+    rest : float, or tuple of 2 floats
+        Least and largest l without a force of the spring [m]; one number is both.
+
+    """
+
+    CHECKS = {'arms': _arms, 'stiffness': _coefficients, 'damping': _coefficients, 'rest': _range}
+    READINGS = ('tension', 'length')
+
+    arms: Dict[str, float]
+    stiffness: Union[float, Tuple[float, ...]] = 0.0
+    damping: Union[float, Tuple[float, ...]] = 0.0
+    rest: Union[float, Tuple[float, float]] = 0.0
+
+    def fit(self, mechanism):
+        """Refuse a mechanism without the joints."""
+        super().fit(mechanism)
+        for joint in self.arms:
+            with at('arms'):
+                one_of(mechanism.coordinates.single_names, 'one of the joints of the tree')(joint)
+
+    def element(self, machine):
+        """Return the effect as a row of the table."""
+        return ForceElement(
+            TENDON, (), (float(len(self.stiffness)), float(len(self.damping)), *self.rest),
+            (State(DISSIPATED),), data=(
+                *((float(machine.joint(joint)), arm) for joint, arm in self.arms.items()),
+                self.stiffness, self.damping))
