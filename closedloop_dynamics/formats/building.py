@@ -152,7 +152,7 @@ def mechanism_of(model, end_stops=None, mend_inertias=False):
         ignored[f'characters of {named.changed} name(s)'] = (
             'names have letters, digits and underscores, each once')
     effects, position = _effects(
-        model, groups, mechanism, tree, named, end_stops, omitted, ignored)
+        model, groups, frames, mechanism, tree, named, end_stops, omitted, ignored)
     limits = {named.joint(joint.name): (joint.lower, joint.upper) for joint in tree.joints
               if JOINT_FREEDOMS[joint.type] == 1 and (joint.lower, joint.upper) != (None, None)}
     return Imported(mechanism, position, effects, limits, omitted, ignored)
@@ -423,8 +423,9 @@ def _points(model, groups, frames, named):
     """Yield the frames that a file names, and the links that were merged into others."""
     merged = {name: (name, IDENTITY) for group, links in groups.links.items()
               for name in links if name != group}
-    lifted = {_center(link): (link.name, unturned(link.center)) for link in _lifted(model, groups)}
-    ends = {_end(spring, number): end for spring in model.springs
+    centers = [*_lifted(model, groups), *(model.links[drag.link] for drag in model.drags)]
+    lifted = {_center(link): (link.name, unturned(link.center)) for link in centers}
+    ends = {_end(spring, number): end for spring in (*model.springs, *model.ropes)
             for number, end in enumerate(spring.ends)}
     for name, (link, pose) in {**merged, **model.frames, **lifted, **ends}.items():
         if name in groups.links:
@@ -448,7 +449,7 @@ def _end(spring, number):
     return f'{spring.name}_end_{number + 1}'
 
 
-def _effects(model, groups, mechanism, tree, named, end_stops, omitted, ignored):
+def _effects(model, groups, frames, mechanism, tree, named, end_stops, omitted, ignored):
     """Return what acts on the joints, as a scene has it, and where they start."""
     effects, position = {'gravity': {'type': 'gravity', 'acceleration': model.gravity}}, {}
     if not any(model.gravity):
@@ -462,6 +463,7 @@ def _effects(model, groups, mechanism, tree, named, end_stops, omitted, ignored)
         effects[f'spring_{point_a}'] = {
             'type': 'point_spring', 'point_a': point_a, 'point_b': point_b,
             'stiffness': spring.stiffness, 'damping': spring.damping, 'free_length': spring.rest}
+    _add_along(model, groups, frames, named, end_stops, effects, ignored)
     limits, drives = [], []
     closing = [joint for joint in tree.cuts if joint.type in mechanism.measured_types]
     for joint in (*tree.joints, *closing):
@@ -486,6 +488,37 @@ def _effects(model, groups, mechanism, tree, named, end_stops, omitted, ignored)
     if drives:
         ignored[f'limits of {len(drives)} drive(s)'] = 'give them as effects of type actuator'
     return effects, position
+
+
+def _add_along(model, groups, frames, named, end_stops, effects, ignored):
+    """Add ropes, belts and drag; note limits that no stiffness is asked for."""
+    limits = [one for one in model.ropes if one.stiffness is None] + [
+        one for one in model.belts if one.limit]
+    if limits and end_stops is None:
+        ignored[f'limits of {len(limits)} tendon(s)'] = 'no end stops unless they are asked for'
+    for rope in model.ropes:
+        stiffness = rope.stiffness or end_stops
+        if stiffness is not None:
+            effects[free_name(f'cable_{word(rope.name)}', effects)] = {
+                'type': 'cable', 'points': [named.body(_end(rope, number))
+                                            for number in range(len(rope.ends))],
+                'stiffness': stiffness, 'free_length': rope.length}
+    for belt in model.belts:
+        stiffness = (end_stops,) if belt.limit else belt.stiffness
+        if stiffness != (None,):
+            effects[free_name(f'tendon_{word(belt.name)}', effects)] = {
+                'type': 'tendon',
+                'arms': {named.joint(joint): arm for joint, arm in belt.arms.items()},
+                'stiffness': stiffness, 'damping': belt.damping, 'rest': belt.rest}
+    for drag in model.drags:
+        group, pose = groups.place(drag.link, Pose(drag.rotation, np.zeros(3)))
+        point = named.body(_center(model.links[drag.link]))
+        effects[f'drag_{point}'] = {
+            'type': 'fluid_drag', 'point': point, 'linear': drag.linear,
+            'quadratic': drag.quadratic, 'turning_linear': drag.turning_linear,
+            'turning_quadratic': drag.turning_quadratic, 'flow': drag.flow,
+            'orientation': {'quaternion': _orientation(
+                (frames[group].inverse @ pose).rotation)}}
 
 
 def _act(joint, key, mechanism, name, effects, omitted):

@@ -29,9 +29,10 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from .mjcf_omissions import disabled, omissions
+from .mjcf_omissions import disabled, omissions, sides
 from .mjcf_pictures import read_pictures
-from .model import Asked, Connection, free_name, Link, Model, Omission, Relation, Spring
+from .model import (
+    Asked, Belt, Connection, Drag, free_name, Link, Model, Omission, Relation, Rope, Spring)
 from .pose import about, IDENTITY, of_quaternion, Pose, quaternion_of, unturned
 from .xml_file import Element, read_bytes, read_xml
 from ..mechanism.mechanism import (
@@ -89,7 +90,9 @@ def read_mjcf(path, asked=Asked()):
         told = ' '.join(str(error).split())
         raise MechanismError(f'{path}: expected a model that MuJoCo compiles, got: {told}'
                              ) from None
-    reader = _Reader(mujoco, compiled, model)
+    ellipsoids = _asks(root, 'fluidshape', 'ellipsoid') or any(
+        b'"ellipsoid"' in content for _, content in parts.values())
+    reader = _Reader(mujoco, compiled, model, ellipsoids)
     links = reader.read()
     reader.start(start)
     read_pictures(mujoco, f'<mujoco>{drawn}</mujoco>', folder, model, links)
@@ -153,6 +156,12 @@ def _name_bodies(root):
             # Copies have a number behind it.
             body.attributes['name'] = free_name(f'body_{number}{"_" * copied}', taken)
             taken.add(body.attributes['name'])
+
+
+def _asks(element, key, value):
+    """Tell whether an element, or one in it, has an attribute of a value."""
+    return element.attributes.get(key) == value or any(
+        _asks(child, key, value) for child in element.children)
 
 
 def _key_frame(root):
@@ -305,8 +314,9 @@ def _text(element, left_out=()):
 class _Reader:
     """Records from what MuJoCo compiled."""
 
-    def __init__(self, mujoco, compiled, model):
+    def __init__(self, mujoco, compiled, model, ellipsoids):
         self.compiled, self.model, self.mujoco = compiled, model, mujoco
+        self.ellipsoids = ellipsoids
         self.objects = mujoco.mjtObj
         self.joints = {}
         self.bodies = [self._name(self.objects.mjOBJ_BODY, body, f'body_{body}')
@@ -322,11 +332,10 @@ class _Reader:
         for body in range(1, compiled.nbody):
             self._body(body)
         self._find_drives()
-        carried = [tendon for tendon in range(compiled.ntendon) if self._spring(tendon)]
-        model.omitted += omissions(self.mujoco, compiled, model.name, carried)
-        limited = int(np.count_nonzero(compiled.tendon_limited))
-        if limited:
-            model.ignored[f'limits of {limited} tendon(s)'] = 'no end stops along tendons'
+        carried = {key for tendon in range(compiled.ntendon) for key in self._along(tendon)}
+        carried.update(key for joint in range(compiled.njnt) for key in self._beyond(joint))
+        model.omitted += omissions(
+            self.mujoco, compiled, model.name, carried, self._drag() if self._passive() else True)
         if not (self._disabled('EQUALITY') or self._disabled('CONSTRAINT')):
             for equality in range(compiled.neq):
                 self._equality(equality)
@@ -369,11 +378,12 @@ class _Reader:
             damping, armature = (
                 gear ** 2 * float(getattr(compiled, f'actuator_{key}', np.zeros(count))[drive])
                 for key in ('damping', 'armature'))
+            damping *= not self._disabled('DAMPER')
             if kind in in_joints:
                 joint = model.joints[self.joints[target]]
                 drives.add(joint.name)
                 joint.armature += armature
-                joint.damping += 0.0 if self._disabled('DAMPER') else damping
+                joint.damping += damping
                 continue
             self._leave(self.objects.mjOBJ_ACTUATOR, drive, 'it drives no joint')
             for key, size, unit in (('damping', damping, 'N s/m'), ('armature', armature, 'kg')):
@@ -386,25 +396,106 @@ class _Reader:
             model.ignored['gains and limits of actuators'] = (
                 'commands are torques and forces of joints')
 
-    def _spring(self, tendon):
-        """Add the spring and damper of a straight tendon; return whether it has no other ones."""
+    def _along(self, tendon):
+        """Add what acts along a tendon; yield the fields and rows that are read."""
         compiled, first = self.compiled, int(self.compiled.tendon_adr[tendon])
         wraps = range(first, first + int(compiled.tendon_num[tendon]))
-        stiffness, damping = (
-            0.0 if self._disabled(flag) else float(np.ravel(field[tendon])[0])
-            for field, flag in ((compiled.tendon_stiffness, 'SPRING'),
-                                (compiled.tendon_damping, 'DAMPER')))
-        shortest, longest = compiled.tendon_lengthspring[tendon].tolist()
-        straight = len(wraps) == 2 and all(
-            compiled.wrap_type[k] == self.mujoco.mjtWrap.mjWRAP_SITE for k in wraps)
-        if not straight or not (stiffness or damping) or stiffness and shortest < longest:
-            return False
-        sites = [int(compiled.wrap_objid[k]) for k in wraps]
-        self.model.springs.append(Spring(
-            self._called(self.objects.mjOBJ_TENDON, tendon)[1], tuple(
-                (self._body_name(int(compiled.site_bodyid[site])),
-                 unturned(compiled.site_pos[site])) for site in sites),
-            stiffness, damping, longest))
+        name = self._called(self.objects.mjOBJ_TENDON, tendon)[1]
+        stiffness, damping = (self._powers('tendon', key, tendon, flag) for key, flag in (
+            ('stiffness', 'SPRING'), ('damping', 'DAMPER')))
+        rest = tuple(compiled.tendon_lengthspring[tendon].tolist())
+        limits = tuple(compiled.tendon_range[tendon].tolist()) if (
+            compiled.tendon_limited[tendon] and not self._unlimited()) else None
+        joints, plain = self._tendon(tendon), not (any(stiffness[1:]) or any(damping[1:]))
+        if joints is not None:
+            arms = Counter()
+            for joint, share in joints:
+                arms[self.joints[joint]] += share
+            if any(stiffness) or any(damping):
+                self.model.belts.append(Belt(name, arms, stiffness, damping, rest))
+            if limits:
+                self.model.belts.append(Belt(f'{name}_limit', arms, rest=limits, limit=True))
+            yield from self._read('tendon', ('stiffness', 'damping'), tendon)
+            return
+        if any(compiled.wrap_type[k] != self.mujoco.mjtWrap.mjWRAP_SITE for k in wraps):
+            if limits:
+                self.model.ignored[f'limits of tendon {name}'] = (
+                    'no end stops along tendons around geometry')
+            return
+        ends = tuple((self._body_name(int(compiled.site_bodyid[site])),
+                      unturned(compiled.site_pos[site])) for site in (
+                          int(compiled.wrap_objid[k]) for k in wraps))
+        if limits:
+            self.model.ropes.append(Rope(f'{name}_limit', ends, limits[1]))
+            if limits[0] > 0.0:
+                self.model.ignored[f'the least length of tendon {name}'] = (
+                    'cables pull and never push')
+        pulls = bool(stiffness[0]) and rest[0] <= 0.0 < rest[1]
+        if pulls and not any(stiffness[1:]):
+            self.model.ropes.append(Rope(name, ends, rest[1], stiffness[0]))
+            yield from self._read('tendon', ('stiffness',), tendon)
+            stiffness = (0.0,)
+        elif rest[0] < rest[1] and any(stiffness):
+            return
+        if len(ends) == 2 and plain:
+            if stiffness[0] or damping[0]:
+                self.model.springs.append(Spring(name, ends, stiffness[0], damping[0], rest[1]))
+            yield from self._read('tendon', ('stiffness', 'damping'), tendon)
+
+    def _beyond(self, joint):
+        """Add higher terms of a joint's spring and damper; yield what is read of them."""
+        compiled, dof = self.compiled, int(self.compiled.jnt_dofadr[joint])
+        if TYPES[compiled.jnt_type[joint]] not in (PRISMATIC, REVOLUTE):
+            return
+        stiffness = (0.0, *self._powers('jnt', 'stiffness', joint, 'SPRING')[1:])
+        damping = (0.0, *self._powers('dof', 'damping', dof, 'DAMPER')[1:])
+        if any(stiffness) or any(damping):
+            name = self.joints[joint]
+            rest = float(compiled.qpos_spring[int(compiled.jnt_qposadr[joint])])
+            self.model.belts.append(Belt(name, {name: 1.0}, stiffness, damping, (rest, rest)))
+        yield from self._read('jnt', ('stiffness',), joint)
+        yield from self._read('dof', ('damping',), dof)
+
+    def _powers(self, kind, key, row, flag):
+        """Return the coefficients of a spring or damper, from the first power on."""
+        if self._disabled(flag):
+            return (0.0,)
+        first = np.ravel(getattr(self.compiled, f'{kind}_{key}')[row])[:1]
+        # Older versions have the first alone.
+        more = getattr(self.compiled, f'{kind}_{key}poly', None)
+        return tuple(first.tolist()) + (() if more is None else tuple(more[row].tolist()))
+
+    def _read(self, kind, keys, row):
+        for key in keys:
+            yield f'{kind}_{key}', row
+            yield f'{kind}_{key}poly', row
+
+    def _passive(self):
+        """Tell whether MuJoCo has any forces that no drive and no constraint makes."""
+        return not (self._disabled('SPRING') and self._disabled('DAMPER'))
+
+    def _unlimited(self):
+        return self._disabled('LIMIT') or self._disabled('CONSTRAINT')
+
+    def _drag(self):
+        """Add the drag on boxes of the bodies' inertia; return whether there is no other one."""
+        compiled = self.compiled
+        density, viscosity = compiled.opt.density, compiled.opt.viscosity
+        if self.ellipsoids or not (density or viscosity):
+            return not (density or viscosity)
+        for body in range(1, compiled.nbody):
+            mass = compiled.body_mass[body]
+            if mass > 0.0 and compiled.body_weldid[body]:
+                box = sides(mass, compiled.body_inertia[body])
+                size, others = float(box.mean()), box.prod() / box
+                powers = (box ** 4).sum() - box ** 4
+                self.model.drags.append(Drag(
+                    self._body_name(body), _rotation(compiled.body_iquat[body]),
+                    3 * (3.0 * math.pi * size * viscosity,),
+                    tuple((0.5 * density * others).tolist()),
+                    3 * (math.pi * size ** 3 * viscosity,),
+                    tuple((density * box * powers / 64.0).tolist()),
+                    tuple(compiled.opt.wind.tolist())))
         return True
 
     def _name(self, kind, number, default):
@@ -435,7 +526,7 @@ class _Reader:
         self.model.add(Link(
             name, where, float(compiled.body_mass[body]), compiled.body_ipos[body].copy(),
             axes @ np.diag(compiled.body_inertia[body]) @ axes.T,
-            carried=float(compiled.body_gravcomp[body])))
+            carried=float(compiled.body_gravcomp[body]) if self._passive() else 0.0))
         place = Pose(_rotation(compiled.body_quat[body]), compiled.body_pos[body].copy())
         parent = self._body_name(compiled.body_parentid[body])
         first, count = int(compiled.body_jntadr[body]), int(compiled.body_jntnum[body])
@@ -470,6 +561,8 @@ class _Reader:
         if not self._disabled('SPRING'):
             found.stiffness = float(np.ravel(compiled.jnt_stiffness[joint])[0])
         found.in_parent = place
+        if kind == FREE or kind == SPHERICAL and not self._turns(joint):
+            self._weigh(found)
         if kind == FREE:
             if found.friction and not np.array_equal(place.rotation, np.eye(3)):
                 # One of several freedoms is a box, not a ball.
@@ -490,10 +583,31 @@ class _Reader:
             back = unturned(-drawn * found.axis) if kind == PRISMATIC else Pose(
                 about(found.axis, -drawn), np.zeros(3))
             found.in_parent = found.in_parent @ back
-        if compiled.jnt_limited[joint] and not (
-                self._disabled('LIMIT') or self._disabled('CONSTRAINT')):
+        if compiled.jnt_limited[joint] and not self._unlimited():
             found.lower, found.upper = compiled.jnt_range[joint].tolist()
         return found
+
+    def _turns(self, joint):
+        """Tell whether what carries a joint can turn."""
+        compiled, body = self.compiled, int(self.compiled.jnt_bodyid[joint])
+        while body:
+            first = int(compiled.body_jntadr[body])
+            before = range(first, min(first + int(compiled.body_jntnum[body]), joint))
+            if any(TYPES[compiled.jnt_type[one]] != PRISMATIC for one in before):
+                return True
+            body = int(compiled.body_parentid[body])
+        return False
+
+    def _weigh(self, joint):
+        """Make the armature of what floats, or of a ball on what does not turn, a body's own."""
+        armature, joint.armature = joint.armature, 0.0
+        if armature:
+            link = Link(free_name(f'{joint.child}_armature', self.model.links), joint.where,
+                        armature if joint.type == FREE else 0.0, inertia=armature * np.eye(3),
+                        carried=1.0)
+            self.model.add(link)
+            self.model.add(Connection(free_name(link.name, self.model.joints), FIXED, joint.child,
+                                      link.name, joint.where))
 
     def _equality(self, number):
         compiled, model = self.compiled, self.model

@@ -43,10 +43,10 @@ FIELDS = {
     'actuator_dampingpoly': (
         'higher terms of the damping', 'ACTUATOR', _LINEAR, ('N s^2/m^2', 'N m s^2/rad^2'),
         'DAMPER')}
-# Those that springs between two points have.
-CARRIED = ('tendon_stiffness', 'tendon_damping')
 # Acceleration that weights are compared by [m/s^2].
 STANDARD = 9.81
+# Twice the least moment of a box that MuJoCo takes from a body's [kg m^2].
+LEAST = 1e-15
 
 
 def disabled(mujoco, compiled, what):
@@ -70,7 +70,7 @@ def disabled(mujoco, compiled, what):
     return bool(compiled.opt.disableflags & int(getattr(known, f'mjDSBL_{what}', 0)))
 
 
-def omissions(mujoco, compiled, name, carried=()):
+def omissions(mujoco, compiled, name, carried, no_drag):
     """
     Return what is left out of a compiled model, a list of Omission.
 
@@ -82,8 +82,10 @@ def omissions(mujoco, compiled, name, carried=()):
         What it made of the file.
     name : str
         Of the model.
-    carried : sequence of int
-        Tendons whose springs and dampers are read.
+    carried : set of tuples (str, int)
+        Fields and rows of them that are read.
+    no_drag : bool
+        Whether nothing of the drag of a fluid is left out.
 
     """
     found = {}
@@ -94,19 +96,19 @@ def omissions(mujoco, compiled, name, carried=()):
         for row, values in enumerate(np.atleast_1d(getattr(compiled, field, ()))):
             size = float(np.abs(values).max(initial=0.0))
             number = int(compiled.dof_jntid[row]) if field.startswith('dof') else row
-            if size and (field not in CARRIED or row not in carried):
+            if size and (field, row) not in carried:
                 element = mujoco.mj_id2name(
                     compiled, getattr(mujoco.mjtObj, f'mjOBJ_{kind}'), number)
                 found[field, number] = Omission(
                     quantity, kind.lower(), element or f'number {number + 1}', reason, size,
                     units[_turns(mujoco, compiled, kind, number)])
-    drag = _drag(compiled)
+    drag = 0.0 if no_drag else _drag(compiled)
     if drag:
         weight = STANDARD * float(compiled.body_mass.sum())
         found['fluid', 0] = Omission(
             f'drag at 1 m/s, {100.0 * drag / weight:.2g} % of the weight,', 'model', name,
-            f'no effect acts in a fluid (density {compiled.opt.density:g} kg/m^3, viscosity '
-            f'{compiled.opt.viscosity:g} Pa s)', drag, 'N')
+            f'bodies are boxes in a fluid, not ellipsoids (density {compiled.opt.density:g} '
+            f'kg/m^3, viscosity {compiled.opt.viscosity:g} Pa s)', drag, 'N')
     driven = int(np.count_nonzero(compiled.body_plugin >= 0))
     if driven:
         found['plugin', 0] = Omission(f'what programs do to {driven} bodies', 'model', name,
@@ -117,15 +119,19 @@ def omissions(mujoco, compiled, name, carried=()):
     return list(found.values())
 
 
+def sides(mass, moments):
+    """Return the sides of boxes of masses and principal moments, shape (..., 3) [m]."""
+    beyond = np.sum(moments, axis=-1, keepdims=True) - 2.0 * moments
+    return np.sqrt(6.0 * np.maximum(beyond, LEAST) / np.expand_dims(mass, -1))
+
+
 def _drag(compiled):
     """Return the drag of all bodies, boxes of their inertia, on the widest face, at 1 m/s [N]."""
     massive = compiled.body_mass > 0.0
-    mass, moments = compiled.body_mass[massive, None], compiled.body_inertia[massive]
-    sides = np.sqrt(6.0 * np.maximum(moments.sum(axis=1, keepdims=True) - 2.0 * moments, 0.0)
-                    / mass)
-    across = np.sort(sides, axis=1)[:, 1:].prod(axis=1)
+    boxes = sides(compiled.body_mass[massive], compiled.body_inertia[massive])
+    across = np.sort(boxes, axis=1)[:, 1:].prod(axis=1)
     return float(np.sum(0.5 * compiled.opt.density * across
-                        + 3.0 * np.pi * compiled.opt.viscosity * sides.mean(axis=1)))
+                        + 3.0 * np.pi * compiled.opt.viscosity * boxes.mean(axis=1)))
 
 
 def _turns(mujoco, compiled, kind, number):

@@ -193,6 +193,82 @@ class Spring:
     rest: float
 
 
+@dataclass
+class Rope:
+    """
+    What pulls along straight lines from place to place on links where it is stretched.
+
+    Attributes
+    ----------
+    name : str
+    ends : tuple of tuples (str, Pose)
+        Links, or ``'ground'``, and poses on them, two or more.
+    length : float
+        Free of force up to it [m].
+    stiffness : float or None
+        [N/m]; None where the length is a limit, of whatever stiffness is asked for.
+
+    """
+
+    name: str
+    ends: tuple
+    length: float
+    stiffness: Optional[float] = None
+
+
+@dataclass
+class Belt:
+    """
+    A spring and damper along a weighted sum of coordinates of joints of one freedom.
+
+    Attributes
+    ----------
+    name : str
+    arms : dict of str to float
+        By joint.
+    stiffness, damping : tuple of floats
+        Coefficients of the first, second, ... power of stretch and rate; SI units.
+    rest : tuple of 2 floats
+        Least and largest sum without a force of the spring.
+    limit : bool
+        Whether the ends of ``rest`` are limits, of whatever stiffness is asked for.
+
+    """
+
+    name: str
+    arms: dict
+    stiffness: tuple = ()
+    damping: tuple = ()
+    rest: tuple = (0.0, 0.0)
+    limit: bool = False
+
+
+@dataclass
+class Drag:
+    """
+    Drag of a fluid at a link's centre of mass, along and about three axes.
+
+    Attributes
+    ----------
+    link : str
+    rotation : ndarray, shape (3, 3)
+        The axes as columns in the link's frame.
+    linear, quadratic, turning_linear, turning_quadratic : tuple of 3 floats
+        As of the effect ``fluid_drag``.
+    flow : tuple of 3 floats
+        Velocity of the fluid [m/s].
+
+    """
+
+    link: str
+    rotation: np.ndarray
+    linear: tuple
+    quadratic: tuple
+    turning_linear: tuple
+    turning_quadratic: tuple
+    flow: tuple
+
+
 @dataclass(frozen=True)
 class Omission:
     """
@@ -257,6 +333,9 @@ class Model:
         In the file's order.
     relations : list of Relation
     springs : list of Spring
+    ropes : list of Rope
+    belts : list of Belt
+    drags : list of Drag
     frames : dict of str to tuple (str, Pose)
         Named frames on links, or on ``'ground'``.
     ground_visual : list of mechanism.Visual
@@ -276,6 +355,9 @@ class Model:
     joints: dict = field(default_factory=dict)
     relations: list = field(default_factory=list)
     springs: list = field(default_factory=list)
+    ropes: list = field(default_factory=list)
+    belts: list = field(default_factory=list)
+    drags: list = field(default_factory=list)
     frames: dict = field(default_factory=dict)
     ground_visual: list = field(default_factory=list)
     gravity: tuple = GRAVITY

@@ -267,37 +267,20 @@ def test_what_moves_bodies_and_is_left_out_is_named_with_its_size(tmp_path):
     imported = read_model(written(tmp_path, text))
     assert [(one.quantity, one.kind, one.name, one.size, one.unit)
             for one in sorted(imported.omitted, key=lambda one: -one.size)] == [
-        ('stiffness', 'tendon', 'belt', 30.0, 'N m/rad'),
         ('stiffness', 'joint', 'ball', 4.0, 'N m/rad'),
         ('friction', 'tendon', 'belt', 2.0, 'N m'),
-        ('damping', 'tendon', 'belt', 0.5, 'N m s/rad'),
         ('armature', 'joint', 'ball', 0.3, 'kg m^2'),
         ('armature', 'tendon', 'belt', 0.2, 'kg m^2')]
-    assert imported.ignored['limits of 1 tendon(s)'] == 'no end stops along tendons'
+    assert imported.ignored['limits of 1 tendon(s)'] == 'no end stops unless they are asked for'
     notes = lines(imported)
     assert notes[0] == (
-        'left out of the motion, no effect acts along such tendons: stiffness of tendon belt '
-        '(30 N m/rad); friction of tendon belt (2 N m); damping of tendon belt (0.5 N m s/rad); '
-        'armature of tendon belt (0.2 kg m^2)')
+        'left out of the motion, no effect has it in joints of several freedoms: stiffness of '
+        'joint ball (4 N m/rad); armature of joint ball (0.3 kg m^2)')
+    assert notes[1] == (
+        'left out of the motion, no effect acts along such tendons: friction of tendon belt '
+        '(2 N m); armature of tendon belt (0.2 kg m^2)')
     # What has no influence on the motion comes last.
     assert 'pictures' in notes[-1] and 'pictures' not in ''.join(notes[:-1])
-    linear = TREE.replace('stiffness="3"', 'stiffness="3 7 -9"')
-    if hasattr(mujoco.MjModel, 'jnt_stiffnesspoly'):
-        assert [str(one.size) for one in read_model(written(tmp_path, linear)).omitted] == ['9.0']
-
-
-def test_a_fluid_is_named_with_what_it_does(tmp_path):
-    text = ('<mujoco model="m"><option density="500" viscosity="3"/><worldbody><body><freejoint/>'
-            '<geom type="box" size="0.1 0.2 0.3" density="1000"/></body></worldbody></mujoco>')
-    compiled = mujoco.MjModel.from_xml_string(text)
-    data = mujoco.MjData(compiled)
-    data.qvel[0] = 1.0
-    mujoco.mj_forward(compiled, data)
-    omission, = read_model(written(tmp_path, text)).omitted
-    assert omission.size == pytest.approx(-data.qfrc_passive[0])
-    share = 100 * omission.size / (48 * 9.81)
-    assert omission.quantity == f'drag at 1 m/s, {share:.2g} % of the weight,'
-    assert omission.reason == 'no effect acts in a fluid (density 500 kg/m^3, viscosity 3 Pa s)'
 
 
 def test_bodies_without_names_are_drawn_too(tmp_path):

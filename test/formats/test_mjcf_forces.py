@@ -1,0 +1,129 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Forces of MJCF that no drive and no constraint makes: those of MuJoCo, by the engine itself."""
+
+from closedloop_dynamics.formats.registry import read_model
+from closedloop_dynamics.simulation.scene import load_scene
+from closedloop_dynamics.simulation.simulation import Simulation
+import numpy as np
+import pytest
+
+from .test_mjcf import of_mujoco, state, TREE, written
+
+mujoco = pytest.importorskip('mujoco')
+
+BELT = ('<tendon><fixed name="belt" {}><joint joint="hinge" coef="0.4"/>'
+        '<joint joint="slide" coef="-1.5"/></fixed></tendon><actuator>')
+CORD = ('<tendon><spatial name="cord" {}><site site="hook"/>{}<site site="tip"/></spatial>'
+        '</tendon><actuator>')
+SITES = [('<joint name="ball"', '<site name="tip" pos="0 0.2 0.1"/><joint name="ball"'),
+         ('<light pos="0 0 1"/>', '<site name="hook" pos="0.5 0 2"/>'
+                                  '<site name="guide" pos="0.1 0.2 1.6"/>')]
+VARIANTS = {
+    'a tendon of joints': [('<actuator>', BELT.format(
+        'stiffness="30" damping="2" springlength="0.1"'))],
+    'one with play': [('<actuator>', BELT.format('stiffness="30" springlength="-0.05 0.1"'))],
+    'one of higher powers': [('<actuator>', BELT.format(
+        'stiffness="30 -8 60" damping="2 0.5 0.7" springlength="0.1"'))],
+    'joints of higher powers': [('stiffness="3"', 'stiffness="3 7 -9" damping="0.5 0.3 0.2"')],
+    'only higher powers': [('stiffness="3"', 'stiffness="0 7 9"')],
+    'a rope between sites': [*SITES, ('<actuator>', CORD.format(
+        'stiffness="40" springlength="0 0.3" damping="3"', ''))],
+    'a rope over a guide': [*SITES, ('<actuator>', CORD.format(
+        'stiffness="40" springlength="0 0.9"', '<site site="guide"/>'))],
+    'a fluid': [('<option ', '<option density="900" viscosity="2" wind="1 -2 0.5" ')],
+    'armature of what floats': [('<freejoint name="drift"/>',
+                                 '<joint type="free" name="drift" armature="0.3"/>')],
+    'weights compensated, without springs and dampers': [
+        ('<body name="hand"', '<body gravcomp="1" name="hand"'),
+        ('contact=', 'spring="disable" damper="disable" contact='),
+        ('<option ', '<option density="900" ')]}
+BALLS = """\
+<mujoco><worldbody><body name="lift"><joint name="up" type="slide" axis="0 0 1"/>
+  <inertial pos="0 0 0.1" mass="1" diaginertia="0.1 0.1 0.1"/>
+  <body name="rod"><joint name="ball" type="ball" pos="0 0 0.1" armature="0.2" damping="0.1"/>
+  <inertial pos="0.1 0.2 0.3" mass="2" diaginertia="0.02 0.03 0.04"/></body></body></worldbody>
+</mujoco>
+"""
+
+
+def compared(tmp_path, text, few):
+    """Assert that the engine's accelerations of a tree are MuJoCo's."""
+    try:
+        compiled = mujoco.MjModel.from_xml_string(text)
+    except ValueError as error:
+        pytest.skip(f'this version of MuJoCo does not have it: {error}')
+    path = written(tmp_path, text)
+    imported, rng = read_model(path), np.random.default_rng(0)
+    assert not imported.omitted
+    simulation = Simulation(load_scene(path))
+    for _ in range(4):
+        data, q, qd = state(compiled, imported, rng)
+        theirs = of_mujoco(compiled, data, imported)
+        np.testing.assert_allclose(simulation.forward_dynamics(q, qd)[0], theirs, rtol=few,
+                                   atol=few * np.abs(theirs).max())
+    return imported
+
+
+@pytest.mark.parametrize('variant', VARIANTS)
+def test_accelerations_are_those_of_mujoco(tmp_path, variant):
+    text = TREE
+    for old, new in VARIANTS[variant]:
+        assert old in text
+        text = text.replace(old, new)
+    compared(tmp_path, text, 1e-11)
+
+
+def test_the_armature_of_a_ball_that_slides_carry_is_that_of_its_body(tmp_path):
+    compared(tmp_path, BALLS, 1e-11)
+    imported = read_model(written(tmp_path, BALLS.replace('type="slide"', 'type="hinge"')))
+    assert [(one.quantity, one.name, one.size) for one in imported.omitted] == [
+        ('armature', 'ball', 0.2)]
+
+
+def test_limits_of_tendons_are_end_stops_where_they_are_asked_for(tmp_path):
+    text = TREE
+    for old, new in (*SITES, ('<actuator>', CORD.format(
+            'limited="true" range="0.1 0.7"', '<site site="guide"/>').replace(
+            '<actuator>', '') + BELT.format('limited="true" range="-0.2 0.3"'))):
+        text = text.replace(old, new)
+    path = written(tmp_path, text)
+    ignored = read_model(path).ignored
+    assert ignored['limits of 2 tendon(s)'] == 'no end stops unless they are asked for'
+    assert ignored['the least length of tendon cord'] == 'cables pull and never push'
+    found = read_model(path, end_stops=1e4)
+    assert 'limits of 2 tendon(s)' not in found.ignored
+    assert found.effects['cable_cord_limit'] == {
+        'type': 'cable', 'points': ['cord_limit_end_1', 'cord_limit_end_2', 'cord_limit_end_3'],
+        'stiffness': 1e4, 'free_length': 0.7}
+    assert found.effects['tendon_belt_limit'] == {
+        'type': 'tendon', 'arms': {'hinge': 0.4, 'slide': -1.5}, 'stiffness': (1e4,),
+        'damping': (), 'rest': (-0.2, 0.3)}
+
+
+def test_drag_on_ellipsoids_is_named_with_its_share(tmp_path):
+    text = ('<mujoco model="m"><option density="500" viscosity="3"/><worldbody><body><freejoint/>'
+            '<geom type="box" size="0.1 0.2 0.3" density="1000" fluidshape="ellipsoid"/></body>'
+            '</worldbody></mujoco>')
+    compiled = mujoco.MjModel.from_xml_string(text.replace('fluidshape="ellipsoid"', ''))
+    data = mujoco.MjData(compiled)
+    data.qvel[0] = 1.0
+    mujoco.mj_forward(compiled, data)
+    omission, = read_model(written(tmp_path, text)).omitted
+    assert omission.size == pytest.approx(-data.qfrc_passive[0])
+    share = 100 * omission.size / (48 * 9.81)
+    assert omission.quantity == f'drag at 1 m/s, {share:.2g} % of the weight,'
+    assert omission.reason == ('bodies are boxes in a fluid, not ellipsoids (density 500 kg/m^3, '
+                               'viscosity 3 Pa s)')
