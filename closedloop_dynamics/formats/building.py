@@ -640,7 +640,7 @@ def _together(quantity, kind, unit, omissions):
     if len(omissions) > MOST_NAMED:
         names += f' and {len(omissions) - MOST_NAMED} more'
     size = '' if np.isinf(omissions[0].size) else (
-        f' ({"up to " if len(omissions) > 1 else ""}{omissions[0].size:.3g} {unit})')
+        f' ({"up to " if len(omissions) > 1 else ""}{omissions[0].size:.3g}{unit and " "}{unit})')
     return f'{quantity} of {kind} {names}{size}'
 
 

@@ -38,7 +38,7 @@ from .xml_file import Element, read_bytes, read_xml
 from ..mechanism.mechanism import (
     FIXED, FREE, GROUND, MechanismError, PRISMATIC, REVOLUTE, SPHERICAL)
 
-MOST_INCLUDES = 100
+MOST_INCLUDES, MOST_MESHES = 100, 2000
 # What is left out, and why.
 SECTIONS = {
     'asset': 'for pictures and contacts', 'visual': 'for pictures', 'statistic': 'for pictures',
@@ -222,7 +222,7 @@ def _stripped(root, folder, left_out, asked, parts, assets):
         if 'file' in mesh.attributes:
             place = folder / compiler.get('meshdir', compiler.get('assetdir', ''))
             file = _inside(mesh, place / mesh.attributes['file'], folder, asked, 'a mesh')
-            _put(assets, mesh, file, read_bytes(file))
+            _put(assets, mesh, file, read_bytes(file), MOST_MESHES)
         mesh.attributes.pop('material', None)
     attached = [part for part in found if part.tag == 'model']
     for part in attached:
@@ -245,21 +245,21 @@ def _has(element, tag):
     return element.tag == tag or any(_has(child, tag) for child in element.children)
 
 
-def _put(files, element, path, content):
+def _put(files, element, path, content, most):
     """Put a file under the name that an element has for it, which no other one may have."""
     name = element.word('file')
     known, _ = files.setdefault(name, (path, content))
     if known != path:
         raise element.error('another name for another file', f'{name!r} for {known} and {path}')
-    if len(files) > MOST_INCLUDES:
-        raise element.error(f'at most {MOST_INCLUDES} files', 'more')
+    if len(files) > most:
+        raise element.error(f'at most {most} files', 'more')
 
 
 def _attach(part, folder, left_out, asked, parts, assets):
     """Read a model that is attached to others, with the meshes that its masses need."""
     path = _inside(part, folder / part.word('file'), folder, asked, 'a model')
     known = part.word('file') in parts
-    _put(parts, part, path, b'')
+    _put(parts, part, path, b'', MOST_INCLUDES)
     if known:
         return
     root = _included(read_xml(path, ('mujoco',)), path.parent, [path], asked)

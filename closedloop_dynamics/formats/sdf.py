@@ -31,6 +31,7 @@ from .pose import IDENTITY, of_angles, of_quaternion, Pose, unturned
 from .sdf_parts import FALSE, flattened, included, MODEL, OWN_AXES, TRUE, version_of, WORLD
 from .visuals import color_in, placed, visuals
 from .xml_file import read_xml
+from .xml_omissions import leave_out
 from ..mechanism.fields import among, nearest
 from ..mechanism.mechanism import (
     FIXED, FREE, GROUND, HELICAL, MechanismError, PRISMATIC, REVOLUTE, SPHERICAL, UNIVERSAL)
@@ -49,7 +50,7 @@ REASONS = {
     'self_collide': 'for contacts', 'plugin': 'for a simulator', 'sensor': 'for sensors',
     'light': 'for pictures', 'scene': 'for pictures', 'gui': 'for pictures',
     'physics': 'for a simulator',
-    'drake:linear_bushing_rpy': 'bushings close no loops', 'enable_wind': 'for a simulator',
+    'enable_wind': 'for a simulator',
     'allow_auto_disable': 'for a simulator'}
 
 
@@ -92,7 +93,7 @@ def read_sdf(path, asked=Asked()):
         if one in still:
             flattened(one, own, asked)
             model.ground_visual += _Reader(one, model, own).drawn()
-    model.ignore(root.unasked(), REASONS)
+    leave_out(model, root, REASONS)
     return model
 
 

@@ -32,6 +32,7 @@ from .sdf import add_joints
 from .sdf_parts import FALSE, TRUE
 from .visuals import color_in, visuals
 from .xml_file import read_xml
+from .xml_omissions import leave_out
 from ..mechanism.fields import nearest
 from ..mechanism.mechanism import (
     CYLINDRICAL, FIXED, FREE, GROUND, MechanismError, PLANAR, PRISMATIC, REVOLUTE, SPHERICAL,
@@ -49,7 +50,6 @@ REASONS = {
     'joint_properties': 'for another program',
     'safety_controller': 'for controllers', 'calibration': 'for controllers',
     'hardware': 'for controllers', 'sensor': 'for sensors',
-    'drake:linear_bushing_rpy': 'bushings close no loops',
     # In an element gazebo.
     **dict.fromkeys((
         'mu1', 'mu2', 'mu', 'fdir1', 'kp', 'kd', 'maxVel', 'minDepth', 'maxContacts',
@@ -108,7 +108,7 @@ def read_urdf(path, asked=Asked()):
         for joint in joints:
             joint.actuated = (joint.type in (REVOLUTE, PRISMATIC) and bool(joint.effort)
                               and joint not in [mimic for mimic, _ in mimics])
-    model.ignore(robot.unasked(), REASONS)
+    leave_out(model, robot, REASONS)
     return model
 
 

@@ -21,7 +21,6 @@ asks for is told as ignored.
 
 """
 
-from collections import Counter
 import math
 from pathlib import Path
 from xml.parsers import expat
@@ -141,17 +140,29 @@ class Element:
                 ' '.join(f'{value:g}' for value in vector)))
         return vector / length
 
-    def unasked(self, found=None):
-        """Count the tags and attributes that nobody asked for, by tag, or by tag and attribute."""
-        found = Counter() if found is None else found
-        found.update(f'{self.tag}@{key}' for key in self.attributes
-                     if key not in self._asked and not key.startswith('xmlns'))
+    def unasked(self, above=()):
+        """
+        Yield what nobody asked for.
+
+        Yields
+        ------
+        str
+            A tag, or a tag and an attribute as ``tag@attribute``.
+        str or Element
+            The attribute's value, or the element.
+        tuple of Element
+            Those that it stands in, the outermost first.
+
+        """
+        above = (*above, self)
+        for key, value in self.attributes.items():
+            if key not in self._asked and not key.startswith('xmlns'):
+                yield f'{self.tag}@{key}', value, above
         for child in self.children:
             if child.tag in self._asked:
-                child.unasked(found)
+                yield from child.unasked(above)
             else:
-                found[child.tag] += 1
-        return found
+                yield child.tag, child, above
 
 
 def read_xml(path, root, text=None):

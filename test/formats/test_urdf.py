@@ -19,6 +19,7 @@ import re
 import sys
 
 from closedloop_dynamics.cli import main
+from closedloop_dynamics.formats.building import lines
 from closedloop_dynamics.formats.registry import read_model
 from closedloop_dynamics.formats.yaml_text import mechanism_text
 from closedloop_dynamics.mechanism.mechanism import Coupling, MechanismError
@@ -463,3 +464,22 @@ def test_commands_read_models_as_they_are_asked_to(tmp_path, capsys):
     scene.write_text('mechanism: ./robot.urdf\nanywhere: 3\n')
     with pytest.raises(SceneError, match='anywhere: expected'):
         load_scene(scene)
+
+
+def test_what_moves_bodies_and_nobody_reads_is_named_with_its_size(tmp_path):
+    moving = ('<gazebo reference="crank"><velocity_decay><linear>0.2</linear><angular>0.5'
+              '</angular></velocity_decay></gazebo><gazebo><plugin name="sea" '
+              'filename="gz-sim-hydrodynamics-system"/><plugin name="camera" filename="c.so"/>'
+              '</gazebo><drake:linear_bushing_rpy><drake:bushing_torque_stiffness value="1 20 3"/>'
+              '</drake:linear_bushing_rpy>')
+    text = robot(LINKS, TREE, LOOPS['loop'][1], moving).replace(
+        '<limit', '<dynamics D="1.5" K="-7" mu="0"/><limit', 1)
+    imported = read_model(written(tmp_path, text))
+    assert {(one.quantity, one.kind, one.name, one.size) for one in imported.omitted} == {
+        ('velocity_decay', 'gazebo', 'crank', 0.5), ('plugin', 'gazebo', 'four_bar', np.inf),
+        ('drake:linear_bushing_rpy', 'robot', 'four_bar', 20.0),
+        ('D', 'joint', 'crank_joint', 1.5), ('K', 'joint', 'crank_joint', 7.0)}
+    assert imported.ignored['dynamics@mu'] == 'not known to this reader'
+    assert imported.ignored['plugin'] == 'for a simulator'
+    assert ('left out of the motion, not known to this reader: K of joint crank_joint (7); D of '
+            'joint crank_joint (1.5)') in lines(imported)

@@ -1,0 +1,79 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""What elements of URDF and SDF say that nobody asked for: what moves bodies with its size."""
+
+from collections import Counter
+import math
+import re
+
+from .model import Omission
+
+# Tags of what moves bodies, and why it is left out.
+MOVING = {
+    'velocity_decay': 'damping of velocities acts on no real body',
+    'dampingFactor': 'damping of velocities acts on no real body',
+    'fluid_added_mass': 'no effect has the inertia of a fluid',
+    'enable_wind': 'a file has no wind of its own',
+    'drake:linear_bushing_rpy': 'bushings close no loops',
+    'drake:controller_gains': 'commands are torques and forces of joints'}
+# Programs that act on bodies by themselves, by their names.
+PROGRAMS = re.compile('hydrodynamic|buoyan|drag|wind|thrust|propel|rotor|force|torque|spring|damp',
+                      re.IGNORECASE)
+NUMBER = re.compile(r'[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?')
+OFF = ('', 'false')
+# Elements that are told by their names.
+OWNERS = ('link', 'joint', 'gazebo', 'model')
+
+
+def leave_out(model, root, reasons):
+    """
+    Note what nobody asked for in a file.
+
+    Parameters
+    ----------
+    model : Model
+        To be filled.
+    root : Element
+        The outermost one, after all has been read.
+    reasons : dict of str to str
+        By tag, why what moves nothing is left out.
+
+    """
+    counts = Counter()
+    for label, value, above in root.unasked():
+        tag, _, key = label.partition('@')
+        reason = MOVING.get(label)
+        if key and tag == 'dynamics' or above[-1].tag == 'dynamics':
+            reason = 'not known to this reader'
+        elif label == 'plugin' and PROGRAMS.search(' '.join(value.attributes.values())):
+            reason = 'programs are not run'
+        words = value if key else ' '.join(_words(value))
+        sizes = () if label == 'plugin' else map(abs, map(float, NUMBER.findall(words)))
+        size = max(sizes, default=math.inf)
+        if reason is None or not size or label != 'plugin' and words.strip() in OFF:
+            counts[label] += 1
+            continue
+        owner = next((one for one in reversed(above) if one.tag in OWNERS), above[-1])
+        name = owner.attributes.get('name') or owner.attributes.get('reference') or model.name
+        model.omitted.append(Omission(key or tag, owner.tag, name, reason, size))
+    model.ignore(counts, reasons)
+
+
+def _words(element):
+    """Yield what stands in an element, as text or as attributes ``value``."""
+    yield element.text
+    yield element.attributes.get('value', '')
+    for child in element.children:
+        yield from _words(child)
