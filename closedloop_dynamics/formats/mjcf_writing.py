@@ -31,6 +31,9 @@ from ..mechanism.mechanism import (
 ATTRIBUTES = {
     'joint_damping': 'damping', 'joint_friction': 'frictionloss', 'joint_spring': 'stiffness'}
 
+# Powers of springs and dampers that MuJoCo has.
+MOST_POWERS = 3
+
 
 def mjcf(mechanism, effects=None, start=None, left_out=None):
     """
@@ -74,6 +77,9 @@ def mjcf(mechanism, effects=None, start=None, left_out=None):
         _equalities(mechanism, cut, bodies, sections['equality'])
     for coupling in mechanism.couplings:
         _gear(sections, coupling.name, coupling.joints, coupling.offset)
+    for name, values in (effects or {}).items():
+        if _along(name, values, mechanism, bodies[GROUND], sections['tendon'], acting):
+            del acting.left[name]
     for joint in mechanism.joints:
         if joint.actuated:
             for single in _singles(mechanism, joint):
@@ -86,6 +92,41 @@ def mjcf(mechanism, effects=None, start=None, left_out=None):
     if left_out is not None:
         left_out.update(acting.left)
     return written(root)
+
+
+def _along(name, values, mechanism, world, section, acting):
+    """Add the tendon that an effect is; return whether there is one."""
+    kind = values['type']
+    places = [values[key] for key in ('point_a', 'point_b') if values.get(key)]
+    if kind == 'tendon':
+        rest, stiffness, damping = (np.ravel(values.get(key) or 0.0) for key in (
+            'rest', 'stiffness', 'damping'))
+        # Lengths of -1 are what MuJoCo finds where the model is drawn.
+        if max(len(stiffness), len(damping)) > MOST_POWERS or np.all(rest == -1.0):
+            return False
+        tendon = ElementTree.SubElement(section, 'fixed')
+        for joint, arm in values['arms'].items():
+            ElementTree.SubElement(tendon, 'joint', joint=acting.freedoms[joint][0],
+                                   coef=numbers(arm))
+    elif kind == 'point_spring' or kind == 'cable' and not (
+            values.get('damping') or any(values.get('radii') or ())):
+        rope = kind == 'cable'
+        stiffness, damping = [values.get('stiffness', 0.0)], [
+            0.0 if rope else values.get('damping', 0.0)]
+        rest = [0.0, values['free_length']] if rope else [values.get('free_length', 0.0)]
+        tendon = ElementTree.SubElement(section, 'spatial')
+        if values.get('anchor'):
+            ElementTree.SubElement(world, 'site', name=f'{name}_anchor',
+                                   pos=numbers(*(*values['anchor'], 0.0)[:3]))
+            places.append(f'{name}_anchor')
+        for place in values['points'] if rope else places:
+            ElementTree.SubElement(tendon, 'site', site=place)
+    else:
+        return False
+    for key, found in (('name', name), ('stiffness', numbers(*stiffness)),
+                       ('damping', numbers(*damping)), ('springlength', numbers(*rest))):
+        tendon.set(key, found)
+    return True
 
 
 def _singles(mechanism, joint):

@@ -98,6 +98,8 @@ class Acting:
 
     Attributes
     ----------
+    freedoms : dict of str to tuple (str, int, int)
+        By the name of a freedom: the single joint that has it, its place there, and of how many.
     left : dict of str to str
         Names of effects that nothing was written for, and of those of which something is not
         written, with what that is.
@@ -112,21 +114,20 @@ class Acting:
     def __init__(self, mechanism, effects, singles):
         """Sort effects by what they act in."""
         _refuse_cuts(mechanism, effects)
-        self._at, self.left = {}, {}
-        freedoms = {}
+        self._at, self.left, self.freedoms = {}, {}, {}
         for joint in mechanism.joints:
             names = list(mechanism.coordinates.names[mechanism.coordinates.rates[joint.name]])
             for single in singles(joint):
                 count = JOINT_FREEDOMS[single.type]
-                freedoms.update((name, (single.name, place, count))
-                                for place, name in enumerate(names[:count]))
+                self.freedoms.update((name, (single.name, place, count))
+                                     for place, name in enumerate(names[:count]))
                 names = names[count:]
         for name, values in (effects or {}).items():
             if values['type'] == 'gravity':
                 continue
             self.left[name] = ''
-            if values.get('joint') in freedoms:
-                single, place, count = freedoms[values['joint']]
+            if values.get('joint') in self.freedoms:
+                single, place, count = self.freedoms[values['joint']]
                 rows = self._at.setdefault(single, {}).setdefault(values['type'], count * [None])
                 rows[place] = rows[place] or (name, values)
 

@@ -239,6 +239,38 @@ def test_mjcf_has_armature_and_what_acts_in_balls_and_what_floats(tmp_path):
     assert '<freejoint ' in mjcf(mechanism)
 
 
+def test_mjcf_has_tendons_springs_between_points_and_ropes(tmp_path):
+    pytest.importorskip('mujoco')
+    mechanism = replace(tree('revolute', 'prismatic', 'revolute'), points=(
+        Point('tip', 'b2', (0.1, 0.2, 0.3)), Point('hook', 'ground', (0.0, 0.0, 0.5)),
+        Point('guide', 'b0', (0.0, 0.1, 0.0))))
+    same = {'tendon_belt': {'type': 'tendon', 'arms': {'j0': 0.5, 'j1': -2.0},
+                            'stiffness': (3.0, 0.0, 0.0), 'damping': (0.2, 0.0, 0.0),
+                            'rest': (-0.1, 0.3)},
+            'cable_rope': {'type': 'cable', 'points': ['hook', 'guide', 'tip'],
+                           'stiffness': 50.0, 'free_length': 0.4}}
+    effects = {**GRAVITY, 'belt': same['tendon_belt'], 'rope': same['cable_rope'],
+               'strut': {'type': 'point_spring', 'point_a': 'tip', 'anchor': (0.1, 0.2, 0.7),
+                         'stiffness': 5.0, 'damping': 0.5, 'free_length': 0.2},
+               'oil': {'type': 'cable', 'points': ['hook', 'tip'], 'stiffness': 5.0,
+                       'free_length': 0.1, 'damping': 1.0},
+               'bent': {'type': 'tendon', 'arms': {'j0': 1.0}, 'stiffness': (1.0, 1.0, 1.0, 1.0)}}
+    left_out = {}
+    (tmp_path / 'm.xml').write_text(mjcf(mechanism, effects, left_out=left_out))
+    assert left_out == {'oil': '', 'bent': ''}
+    found = read_model(tmp_path / 'm.xml')
+    assert not found.omitted
+    places = {point.name: (point.body, point.position) for point in found.mechanism.points}
+    ropes = [places[name] for name in found.effects['cable_rope'].pop('points')]
+    assert ropes == [(point.body, point.position) for name in same['cable_rope'].pop('points')
+                     for point in mechanism.points if point.name == name]
+    assert {key: found.effects[key] for key in same} == same
+    strut = found.effects['spring_strut_end_1']
+    assert [places[strut.pop(key)] for key in ('point_a', 'point_b')] == [
+        ('b2', (0.1, 0.2, 0.3)), ('ground', (0.1, 0.2, 0.7))]
+    assert strut == {'type': 'point_spring', 'stiffness': 5.0, 'damping': 0.5, 'free_length': 0.2}
+
+
 def test_rotors_of_drives_are_written_for_drake_and_read_again(tmp_path):
     mechanism = tree('revolute', 'prismatic')
     effects = {**GRAVITY, 'a': {'type': 'rotor', 'joint': 'j0', 'inertia': 0.5 / 1e12 ** 2,
