@@ -26,7 +26,7 @@ from ..mechanism.fields import FieldError
 from ..mechanism.mechanism import MechanismError
 from ..simulation.errors import AssemblyError
 from ..simulation.key_paths import changed, resolve
-from ..simulation.motions import require_actuated, with_motions
+from ..simulation.motions import moving, require_actuated, with_motions
 from ..simulation.scene import load_scene
 from ..simulation.simulation import Simulation
 
@@ -164,6 +164,22 @@ def with_numbers(scene, arguments):
             arguments.set, '--set').items()})
     except (FieldError, MechanismError) as error:
         raise UsageError(f'--set: {error}') from None
+
+
+def scene_of(arguments):
+    """
+    Return the scene of a command line, read, with the numbers set and the motions it prescribes.
+
+    Raises
+    ------
+    SceneError, UsageError
+
+    """
+    scene = with_numbers(load_scene(arguments.scene, **reading(arguments)), arguments)
+    try:
+        return moving(scene, mapping(arguments.motion, '--motion'))
+    except FieldError as error:
+        raise UsageError(f'--{error}') from None
 
 
 def add_directory(parser, files, default=' (default: only print)'):

@@ -23,16 +23,13 @@ import warnings
 
 from .command import (
     add_motion, add_reading, add_scene, add_set, add_torque, checked_torques, Command, FAILED,
-    mapping, positive, reading, require_free, UsageError, with_numbers)
+    mapping, positive, require_free, scene_of, UsageError)
 from ..integration.registry import ADAPTIVE, AUTO, INTEGRATORS, STABILISATIONS
-from ..mechanism.fields import FieldError
 from ..recording.rows import write_scene
 from ..recording.run import columns, ErrorEstimate, Report, run
 from ..simulation.errors import InaccuracyWarning, SimulationError
 from ..simulation.monitor import energy_in_words
-from ..simulation.motions import moving
 from ..simulation.rollout_run import TIME_ROUNDING
-from ..simulation.scene import load_scene
 from ..simulation.scene_records import FORMULATIONS
 from ..simulation.signals import program_watch
 from ..simulation.simulation import Simulation
@@ -129,15 +126,14 @@ def _run(arguments):
 
 def _prepared(arguments):
     """Return the simulation and the torques; errors here are the user's."""
-    torque, motion = mapping(arguments.torque, '--torque'), mapping(arguments.motion, '--motion')
+    torque = mapping(arguments.torque, '--torque')
     if arguments.accuracy is not None:
         if arguments.integrator is not None:
             raise UsageError('--accuracy: expected it without --integrator, got both')
         arguments.integrator = AUTO
     if arguments.output not in (None, STANDARD_OUTPUT):
         require_free(arguments, Path(arguments.output))
-    scene = _moved(with_numbers(load_scene(
-        arguments.scene, **reading(arguments)), arguments), motion)
+    scene = scene_of(arguments)
     with announced(LOADING):
         simulation = checked_torques(
             arguments.scene, scene, torque, lambda scene: Simulation.from_scene(
@@ -145,14 +141,6 @@ def _prepared(arguments):
                 stabilisation=arguments.stabilisation, formulation=arguments.formulation,
                 tolerance=arguments.tolerance, accuracy=arguments.accuracy))
     return simulation, torque
-
-
-def _moved(scene, motion):
-    """Return a scene with the motions of the command line; what is wrong with them is told."""
-    try:
-        return moving(scene, motion)
-    except FieldError as error:
-        raise UsageError(f'--{error}') from None
 
 
 @contextmanager

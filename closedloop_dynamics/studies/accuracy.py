@@ -110,15 +110,15 @@ def settings(line, interval, quick=False):
 
 
 OUTPUTS = 100
-# A line is not refined beyond this cost, in CPU time per simulated time; computing a
-# motion with its outputs may take longer, but no more than so many times.
+# A line is not refined beyond this cost, in CPU time per simulated time, nor beyond that of the
+# reference if it is larger; computing a motion with its outputs is given up after so long [s].
 COST_LIMIT, QUICK_COST_LIMIT = 0.1, 0.05
 PATIENCE = 10.0
 # Timing: rounds over all settings in turn, so that what disturbs one disturbs all; runs shorter
 # than the shortest timing are repeated within a round [s].
 ROUNDS, QUICK_ROUNDS = 7, 5
-# Runs that take longer are measured in the first rounds alone [s].
-LONG, LONG_ROUNDS = 0.03, 3
+# Runs that take longer are measured in the first rounds alone, very long ones once [s].
+LONG, LONG_ROUNDS, LONGEST_ROUGH = 0.03, 3, 1.0
 SHORTEST_TIMING = 2e-3
 DIVERGED = 'diverged'
 # Where every digit of an angle is gone [rad, m].
@@ -140,6 +140,7 @@ class Row:
     energy_error: float = math.nan  # Largest change of energy less the work done [J]
     evaluations: float = math.nan  # Of the accelerations, per simulated second
     cost: float = math.nan  # CPU time per simulated time: a share of real time
+    seconds: float = math.nan  # Simulated for it [s]
 
     @property
     def line(self):
@@ -152,7 +153,7 @@ class Study:
     """A finished work-precision study."""
 
     scene: object  # Scene
-    duration: float  # [s]
+    duration: float  # As far as the reference is known [s]
     torque: dict
     reference: Reference
     rows: list  # List of Row: line by line, from coarse to fine
@@ -181,7 +182,7 @@ def study_accuracy(scene, torque=None, duration=1.0, quick=False, lines=None,
     quick : bool
         Fewer and coarser settings, fewer repeats.
     lines : list of Line, optional
-        ``sweep.default_lines`` when not given.
+        ``default_lines`` when not given.
     progress : callable
         Called with the number of parts done and of all parts.
 
@@ -203,43 +204,54 @@ def study_accuracy(scene, torque=None, duration=1.0, quick=False, lines=None,
     for done, line in enumerate(lines, start=2):
         measured += _line(scene, torque, interval, line, reference, limit, quick)
         progress(done, total)
-    rows = _with_costs(measured, duration, torque, rounds,
+    rows = _with_costs(measured, torque, rounds,
                        lambda done: progress(total - rounds + done, total))
-    return Study(scene, duration, dict(torque or {}), reference, rows)
+    return Study(scene, interval * len(reference.trajectory), dict(torque or {}), reference, rows)
 
 
 def _line(scene, torque, interval, line, reference, limit, quick):
     """Return (row, simulation) of each setting of a line, until it is too costly or exact."""
     measured, exact = [], 0
     for setting in settings(line, interval, quick):
+        if setting.stride > len(reference.trajectory):
+            continue
         method = setting.method(scene, interval)
         row, simulation = _measure(scene, torque, interval, setting, method, reference)
+        if row.failure and measured and row.failure == measured[-1][0].failure:
+            # It is not the step size or the tolerance that fails.
+            break
         measured.append((row, simulation))
         exact = exact + 1 if row.position_error <= 2.0 * reference.error.position else 0
-        if row.cost > limit or exact == 2:
+        if row.cost > max(limit, reference.cost) or exact == 2:
             break
     return measured
 
 
 def _measure(scene, torque, interval, setting, method, reference):
     """Return the row of a setting with a first, rough cost, and its simulation."""
-    outputs = OUTPUTS // setting.stride
+    outputs = len(reference.trajectory) // setting.stride
     try:
         simulation = Simulation(replace(scene, method=method))
-        tau = simulation.joint_torques(torque)
-        motion = record(simulation, tau, setting.steps, outputs, PATIENCE)
-        _time_once(simulation, tau, setting.steps * outputs)
-        cost = _time_once(simulation, tau, setting.steps * outputs)
     except SimulationError as error:
         return Row(setting, method, failure=str(error)), None
-    wrong = difference(motion, reference.trajectory.every(setting.stride))
+    tau = simulation.joint_torques(torque)
+    motion = record(simulation, tau, setting.steps, outputs, PATIENCE)
+    if motion.failure:
+        return Row(setting, method, failure=motion.failure), None
+    wrong = difference(motion, reference.trajectory.every(setting.stride), simulation.coordinates)
     if not wrong.position < LARGEST_ERROR:
         return Row(setting, method, failure=f'{DIVERGED}: off by {wrong.position:.2g}'), None
+    try:
+        cost = _time_once(simulation, tau, setting.steps * outputs)
+        if cost < LONGEST_ROUGH:
+            cost = _time_once(simulation, tau, setting.steps * outputs)
+    except SimulationError as error:
+        return Row(setting, method, failure=str(error)), None
     seconds = interval * setting.stride * outputs
     return Row(
         setting, method, '', wrong.position, wrong.velocity, wrong.force, motion.closure,
         motion.energy_error, simulation.system.work.health[EVALUATIONS] / seconds,
-        cost / seconds), simulation
+        cost / seconds, seconds), simulation
 
 
 def _time_once(simulation, tau, steps):
@@ -251,13 +263,14 @@ def _time_once(simulation, tau, steps):
     return time.thread_time() - begin
 
 
-def _with_costs(measured, duration, torque, rounds, progress):
+def _with_costs(measured, torque, rounds, progress):
     """Return the rows with the median of their costs, measured in turn."""
     costs = [[] for _ in measured]
     for number in range(rounds):
         for (row, simulation), cost in zip(measured, costs):
-            if simulation is not None and (
-                    number < LONG_ROUNDS or row.cost * duration < LONG):
+            taken = row.cost * row.seconds
+            if simulation is not None and taken < LONGEST_ROUGH and (
+                    number < LONG_ROUNDS or taken < LONG):
                 cost.append(_mean_time(row, simulation, torque))
         progress(number + 1)
     return [replace(row, cost=statistics.median(cost)) if cost else row
@@ -266,10 +279,7 @@ def _with_costs(measured, duration, torque, rounds, progress):
 
 def _mean_time(row, simulation, torque):
     """Return the CPU time per simulated time of one round."""
-    setting = row.setting
-    outputs = OUTPUTS // setting.stride
-    steps = setting.steps * outputs
-    seconds = steps * simulation.step_size
-    repeats = min(100, math.ceil(SHORTEST_TIMING / max(row.cost * seconds, 1e-6)))
+    steps = round(row.seconds / simulation.step_size)
+    repeats = min(100, math.ceil(SHORTEST_TIMING / max(row.cost * row.seconds, 1e-6)))
     tau = simulation.joint_torques(torque)
-    return sum(_time_once(simulation, tau, steps) for _ in range(repeats)) / repeats / seconds
+    return sum(_time_once(simulation, tau, steps) for _ in range(repeats)) / repeats / row.seconds

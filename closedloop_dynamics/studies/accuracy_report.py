@@ -34,6 +34,8 @@ CSV_HEADER = (
 LINE_COLORS = (*COLORS, '#E69F00')
 MARKERS = 'osD^vP*X<>'
 REAL_TIME = 1.0
+# An error of positions that is none [rad or m].
+SMALLEST = 1e-16
 _UNITS = ((1.0, 's'), (1e-3, 'ms'), (1e-6, 'µs'))
 
 
@@ -41,7 +43,7 @@ def title(study):
     """Return what was studied, on one line."""
     driven = ', '.join(f'{joint} = {value:g}' for joint, value in study.torque.items() if value)
     return f'{study.scene.name}, {study.duration:g} s, ' + (
-        f'driven by {driven} N m' if driven else 'without torques')
+        f'driven by {driven} N m or N' if driven else 'without torques')
 
 
 def table(study, rows=None, markdown=False):
@@ -60,8 +62,8 @@ def _cells(row):
     value = f'{row.setting.value:g}' + ('' if line.adaptive else ' s')
     start = (line.integrator, line.stabilisation, line.formulation, value)
     if row.failure:
-        # The first sentence says what happened.
-        return (*start, row.failure.split('; ')[0].split('. ')[0], *[''] * 6)
+        # The first sentence says what happened; the last column may be wide.
+        return (*start, *[''] * 6, row.failure.split('; ')[0].split('. ')[0])
     return (*start, short(row.position_error), short(row.velocity_error),
             short(row.force_error), short(row.closure), short(row.energy_error),
             f'{row.evaluations:.0f}', seconds(row.cost))
@@ -123,7 +125,8 @@ def _panel(axes, heading, lines, study):
     axes.set_title(heading, fontsize=10)
     axes.set_xscale('log')
     axes.set_yscale('log')
-    floor = study.reference.error.position
+    # Where nothing moves, the reference is exact.
+    floor = max(study.reference.error.position, SMALLEST)
     refused = []
     for number, (label, rows) in enumerate(lines.items()):
         rows = [row for row in rows if not row.failure]
@@ -148,7 +151,8 @@ def _panel(axes, heading, lines, study):
     axes.annotate("below the reference's own error", (0.02, floor),
                   xycoords=('axes fraction', 'data'), xytext=(0, -2),
                   textcoords='offset points', va='top', fontsize=7.5, color='#555555')
-    axes.set_xlim(0.7 * min(row.cost for row in study.rows if not row.failure), 2.0 * REAL_TIME)
+    costs = [row.cost for row in study.rows if not row.failure] or [REAL_TIME]
+    axes.set_xlim(0.7 * min(costs), 2.0 * max(REAL_TIME, *costs))
     axes.xaxis.set_major_formatter(FuncFormatter(_time))
     axes.xaxis.set_minor_formatter(NullFormatter())
     axes.yaxis.set_major_locator(LogLocator(numticks=20))

@@ -52,6 +52,8 @@ def for_target(study, target):
             holding.append(row)
     if holding:
         return _advice(wanted, min(holding, key=lambda row: row.cost), study)
+    if not _succeeding(study):
+        return Advice(None, f'{wanted} is reached by no method: none gets through.')
     best = min(_succeeding(study), key=lambda row: row.position_error)
     return Advice(None, f'{wanted} is reached by none of the settings tried; the smallest error '
                         f'is {best.position_error:.1e}, by {_named(best)}. {_why(best, study)}')
@@ -63,6 +65,8 @@ def for_budget(study, budget):
     affordable = [row for row in _succeeding(study) if row.cost <= budget]
     if affordable:
         return _advice(wanted, min(affordable, key=lambda row: row.position_error), study)
+    if not _succeeding(study):
+        return Advice(None, f'{wanted} nothing gets through, nor for more.')
     least = min(_succeeding(study), key=lambda row: row.cost)
     return Advice(None, f'{wanted} nothing gets through: the cheapest setting, {_named(least)}, '
                         f'takes {share(least.cost)}. Take a larger budget.')

@@ -15,13 +15,15 @@
 """
 Simulated motions as arrays, and the one that errors are measured against.
 
-The motions that prove the reference share as little as possible with it: another integrator, which
-beside singular configurations looks at other places of the branch; and independent coordinates,
-where they get through.
+The motions that prove the reference share as little as possible with it: another integrator with
+another formulation, which beside singular configurations looks at other places of the branch; and
+independent coordinates, where they get through. What a small difference at the start becomes tells
+how many digits there are to know.
 
 """
 
 from dataclasses import dataclass, replace
+import math
 import time
 
 import numpy as np
@@ -32,27 +34,35 @@ from ..simulation.errors import SimulationError
 from ..simulation.simulation import Simulation
 
 
-class TooSlow(SimulationError):
-    """A run that was given up because it took too long."""
-
-
 @dataclass(frozen=True)
 class Trajectory:
     """A motion at even times."""
 
-    # Shape (outputs, nv) [rad or m], [rad/s or m/s].
+    # Shape (outputs, nq), (outputs, nv) [rad or m], [rad/s or m/s].
     position: np.ndarray
     velocity: np.ndarray
     # Shape (outputs, nc): multipliers: forces and moments at the cut joints [N, N m].
     force: np.ndarray
     closure: float  # Largest closure error of positions at the outputs [m or rad]
     energy_error: float  # Largest residual of the energy balance at the outputs [J]
+    cost: float = math.nan  # CPU time per simulated time
+    failure: str = ''  # Why it ended before the last output; empty where it did not
 
     def every(self, stride):
         """Return every ``stride``-th output alone, the first one counted as ``stride``."""
-        part = slice(stride - 1, None, stride)
-        return Trajectory(self.position[part], self.velocity[part], self.force[part],
-                          self.closure, self.energy_error)
+        return self._part(slice(stride - 1, None, stride))
+
+    def first(self, outputs):
+        """Return the first outputs alone."""
+        return self._part(slice(outputs))
+
+    def _part(self, part):
+        return replace(self, position=self.position[part], velocity=self.velocity[part],
+                       force=self.force[part])
+
+    def __len__(self):
+        """Return the number of outputs."""
+        return len(self.position)
 
 
 @dataclass(frozen=True)
@@ -64,11 +74,40 @@ class Difference:
     force: float
 
 
-def difference(one, other):
-    """Compare two motions."""
-    return Difference(*(
-        float(np.abs(getattr(one, name) - getattr(other, name)).max(initial=0.0))
-        for name in ('position', 'velocity', 'force')))
+def differences(one, other, coordinates):
+    """
+    Compare two motions, output by output, as far as both go.
+
+    Parameters
+    ----------
+    one : Trajectory
+        The first.
+    other : Trajectory
+        The second.
+    coordinates : mechanism.coordinates.Coordinates
+        Of the mechanism.
+
+    Returns
+    -------
+    ndarray, shape (outputs, 3)
+        Largest differences of positions, of orientations the angle of the rotation that leads from
+        one to the other [rad or m], of velocities [rad/s or m/s] and of constraint forces
+        [N or N m].
+
+    """
+    found = []
+    for k in range(min(len(one), len(other))):
+        change = coordinates.apart(one.position[k], other.position[k])
+        for _, rate in coordinates.balls:
+            change[rate:rate + 3] = np.linalg.norm(change[rate:rate + 3])
+        found.append([np.abs(apart).max(initial=0.0) for apart in (
+            change, one.velocity[k] - other.velocity[k], one.force[k] - other.force[k])])
+    return np.array(found).reshape(-1, 3)
+
+
+def difference(one, other, coordinates):
+    """Return the largest differences of two motions, a ``Difference``; see ``differences``."""
+    return Difference(*differences(one, other, coordinates).max(axis=0, initial=0.0).tolist())
 
 
 def record(simulation, tau, steps, outputs, patience=float('inf')):
@@ -79,7 +118,7 @@ def record(simulation, tau, steps, outputs, patience=float('inf')):
     ----------
     simulation : Simulation
         Reset here.
-    tau : ndarray, shape (nv,)
+    tau : ndarray, shape (number of ``torque_names``,)
         Constant joint torques [N m or N].
     steps : int
         Whole steps from one output to the next.
@@ -88,49 +127,79 @@ def record(simulation, tau, steps, outputs, patience=float('inf')):
     patience : float
         Give up after this time of computing [s].
 
-    Raises
-    ------
-    SimulationError
-        ``TooSlow`` among them.
+    Returns
+    -------
+    Trajectory
+        As far as it goes; its ``failure`` says why it ends early.
 
     """
-    # Compiling, half a minute in a new installation, does not count as computing time.
-    simulation.reset()
-    simulation.advance(tau, 0)
     position, velocity, force, closure, energy_error = [], [], [], 0.0, 0.0
+    failure, begun = '', time.thread_time()
+    try:
+        # Compiling, half a minute in a new installation, does not count as computing time.
+        simulation.reset()
+        simulation.advance(tau, 0)
+        _require_patience(simulation, steps * outputs, patience)
+        begin, begun = time.perf_counter(), time.thread_time()
+        for _ in range(outputs):
+            simulation.advance(tau, steps)
+            position.append(simulation.position)
+            velocity.append(simulation.velocity)
+            force.append(simulation.multipliers)
+            closure = max(closure, simulation.closure)
+            energy_error = max(energy_error, abs(simulation.energy_balance.residual))
+            if time.perf_counter() - begin > patience and len(position) < outputs:
+                failure = (f'given up at t = {simulation.time:.3g} s after {patience:g} s of '
+                           'computing')
+                break
+    except SimulationError as error:
+        failure = str(error)
+    cost = (time.thread_time() - begun) / (simulation.time or math.inf)
+    return Trajectory(*(np.array(rows).reshape(len(rows), -1 if rows else 0) for rows in (
+        position, velocity, force)), closure, energy_error, cost, failure)
+
+
+def _require_patience(simulation, steps, patience):
+    """Raise ``SimulationError`` where not even a tenth of the steps could be awaited."""
+    simulation.touch()
     begin = time.perf_counter()
-    for _ in range(outputs):
-        simulation.advance(tau, steps)
-        position.append(simulation.position)
-        velocity.append(simulation.velocity)
-        force.append(simulation.multipliers)
-        closure = max(closure, simulation.closure)
-        energy_error = max(energy_error, abs(simulation.energy_balance.residual))
-        if time.perf_counter() - begin > patience:
-            raise TooSlow(f'given up at t = {simulation.time:.3g} s after {patience:g} s of '
-                          'computing')
-    return Trajectory(np.array(position), np.array(velocity), np.array(force), closure,
-                      energy_error)
+    simulation.multipliers
+    taken = time.perf_counter() - begin
+    if FEWEST * steps * taken > 10.0 * patience:
+        raise SimulationError(
+            f'given up: one evaluation of the accelerations takes {taken:.2g} s')
 
 
-# The first that succeeds is the reference, the second one proves it: an integrator, and its
-# tolerance or its share of the time between two outputs as step size.
-CANDIDATES = (('dop853', 1e-13), ('dopri5', 1e-13), ('rk4', 1e-3), ('rodas4', 1e-11))
+# Evaluations of a step, at least.
+FEWEST = 4
+# The first that gets furthest is the reference, the next one proves it: an integrator, its
+# tolerance or its share of the time between two outputs as step size, and the formulation. That
+# of a proof is another one; a mechanism too large for it is proved by the last ones.
+CANDIDATES = (
+    ('dop853', 1e-13, 'subsystem'), ('dopri5', 1e-13, 'augmented'), ('rk4', 1e-3, 'augmented'),
+    ('rodas4', 1e-11, 'augmented'), ('dopri5', 1e-13, 'subsystem'), ('rk4', 1e-3, 'subsystem'))
 # Distance of the places that a proof looks at beside a singular configuration, against that of
 # the reference.
 NEARER = 0.7
 PATIENCE = 10.0
+# Where less is known than this, nothing is compared [rad or m]; less than the first only where
+# that would end the comparison before this share of the outputs.
+KNOWN_TO, SHARE = (1e-6, 1e-3), 0.1
+# Shift of the start that tells how differences grow [rad or m].
+SHIFT = 1e-9
 
 
 @dataclass(frozen=True)
 class Reference:
     """A motion computed as exactly as it goes."""
 
-    trajectory: Trajectory
-    # Larger one of the differences from the motions that prove it: its own error is of this
+    trajectory: Trajectory  # As far as it is known
+    # Largest of the differences from the motions that prove it: its own error is of this
     # size.
     error: Difference
-    description: str  # What it was computed with, in sentences
+    description: str  # What it was computed with, how far and how well it is known, in sentences
+    growth: float = math.nan  # Of a small difference at the start; NaN where it cannot be told
+    cost: float = 0.0  # CPU time per simulated time
 
 
 def compute_reference(scene, torque, interval, outputs):
@@ -146,59 +215,118 @@ def compute_reference(scene, torque, interval, outputs):
     interval : float
         Time between two outputs [s].
     outputs : int
-        Instants to compare at.
+        Instants to compare at. Where the motions that prove it differ by more than ``KNOWN_TO``,
+        or end, the reference ends, too.
 
     Raises
     ------
     SimulationError
-        Where no two methods get through.
+        Where no two methods agree on even the first output.
 
     """
     found, failures = [], []
-    for integrator, value in CANDIDATES:
-        if integrator not in INTEGRATORS or len(found) == 2:
-            continue
-        try:
-            found.append(((integrator, value), _motion(
-                scene, torque, interval, outputs, integrator, value, 'projection',
-                NEARER if found else 1.0)))
-        except SimulationError as error:
-            failures.append(f'{_named(integrator, value, interval)}: {error}')
+    for candidate in CANDIDATES:
+        name = _named(candidate, interval)
+        motion = _motion(scene, torque, interval, outputs, candidate, 'projection',
+                         NEARER if found else 1.0)
+        if motion.failure:
+            failures.append(f'{name}: {motion.failure}')
+        if len(motion):
+            found.append((candidate, motion))
+        if sum(not motion.failure for _, motion in found) == 2:
+            break
+    found.sort(key=lambda one: -len(one[1]))
     if len(found) < 2:
-        raise SimulationError(
-            'There is nothing to measure errors against: fewer than two methods get through '
-            f'{interval * outputs:g} s of this scene at tight tolerance. Take a shorter duration '
-            'or smaller torques.\n' + '\n'.join(failures))
-    (name, value), reference = found[0]
-    proofs = {_named(*found[1][0], interval): difference(reference, found[1][1])}
-    try:
-        proofs['independent coordinates'] = difference(reference, _motion(
-            scene, torque, interval, outputs, name, value, 'independent', NEARER))
-    except SimulationError as error:
-        failures.append(f'{_named(name, value, interval)}, independent: {error}')
-    own = Difference(*(max(getattr(proof, each) for proof in proofs.values())
-                       for each in ('position', 'velocity', 'force')))
+        raise SimulationError(_nothing(interval * outputs, failures))
+    (candidate, reference), (second, proof) = found[:2]
+    proofs = {_named(second, interval): proof}
+    independent = _motion(
+        scene, torque, interval, len(proof), candidate, 'independent', NEARER)
+    if len(independent):
+        proofs['independent coordinates'] = independent
+    if independent.failure:
+        failures.append(f'{_named(candidate, interval)}, independent: {independent.failure}')
+    coordinates = Simulation(scene).coordinates
+    apart = np.zeros((len(proof), 3))
+    for one in proofs.values():
+        by_output = differences(reference, one, coordinates)
+        apart[:len(by_output)] = np.maximum(apart[:len(by_output)], by_output)
+    for limit in KNOWN_TO:
+        beyond = np.flatnonzero(~(apart[:, 0] <= limit))
+        known = int(beyond[0]) if len(beyond) else len(proof)
+        if known >= SHARE * outputs:
+            break
+    if known == 0:
+        raise SimulationError(_nothing(interval * outputs, [
+            f'{_named(candidate, interval)} and {" and ".join(proofs)} differ by '
+            f'{apart[0, 0]:.1e} rad or m at t = {interval:g} s', *failures]))
+    own = Difference(*apart[:known].max(axis=0).tolist())
     lines = [
-        f'Reference: {_named(name, value, interval)}; proven by {" and ".join(proofs)}: they '
-        f'differ by {own.position:.1e} rad or m, {own.velocity:.1e} rad/s or m/s, '
-        f'{own.force:.1e} N or N m. Smaller errors cannot be told.', *failures]
-    return Reference(reference, own, '\n'.join(lines))
+        f'Reference: {_named(candidate, interval)}; proved by {" and ".join(proofs)}: they differ '
+        f'by {own.position:.1e} rad or m, {own.velocity:.1e} rad/s or m/s, {own.force:.1e} N or '
+        f'N m. Smaller errors cannot be told.']
+    growth = _growth(scene, torque, interval, known, candidate, reference.first(known))
+    if not math.isnan(growth):
+        lines.append(
+            f'A small difference at the start becomes at most {growth:.2g} times as large.')
+    if not np.any(reference.velocity):
+        lines.append('Nothing moves: every method is exact.')
+    if known < outputs:
+        why = (f'after it they differ by more than {limit:g} rad or m, and smaller errors mean '
+               'nothing' if len(beyond) else 'no two methods go further')
+        lines.append(f'The comparison ends at t = {known * interval:.4g} s of '
+                     f'{outputs * interval:g} s: {why}.')
+    return Reference(reference.first(known), own, '\n'.join([*lines, *failures]), growth,
+                     reference.cost)
 
 
-def _named(integrator, value, interval):
-    if INTEGRATORS[integrator].kind == ADAPTIVE:
-        return f'{integrator} at tolerance {value:g}'
-    return f'{integrator} in steps of {value * interval:g} s'
+def _nothing(duration, failures):
+    """Return what to say where there is no reference."""
+    return ('There is nothing to measure errors against: fewer than two methods get through '
+            f'{duration:g} s of this scene at tight tolerance and agree. Take a shorter duration '
+            'or smaller torques.\n' + '\n'.join(failures))
 
 
-def _motion(scene, torque, interval, outputs, integrator, value, stabilisation, aside):
-    """Return the trajectory of one method at its tightest."""
+def _named(candidate, interval):
+    """Return what a motion was computed with, in words."""
+    integrator, value, formulation = candidate
+    how = (f'at tolerance {value:g}' if INTEGRATORS[integrator].kind == ADAPTIVE
+           else f'in steps of {value * interval:g} s')
+    return f'{integrator} {how} ({formulation})'
+
+
+def _motion(scene, torque, interval, outputs, candidate, stabilisation, aside):
+    """Return the trajectory of one method at its tightest, as far as it goes."""
+    integrator, value, formulation = candidate
     adaptive = INTEGRATORS[integrator].kind == ADAPTIVE
     steps = 1 if adaptive else round(1.0 / value)
     method = replace(
         scene.method, integrator=integrator, step_size=interval / steps,
         tolerance=value if adaptive else scene.method.tolerance, stabilisation=stabilisation,
-        formulation='subsystem', baumgarte_time_constant=None)
-    simulation = Simulation(replace(scene, method=method))
+        formulation=formulation, baumgarte_time_constant=None)
+    try:
+        simulation = Simulation(replace(scene, method=method))
+    except SimulationError as error:
+        nothing = np.zeros((0, 0))
+        return Trajectory(nothing, nothing, nothing, math.nan, math.nan, failure=str(error))
     simulation.system.settings[ASIDE] *= aside
     return record(simulation, simulation.joint_torques(torque), steps, outputs, PATIENCE)
+
+
+def _growth(scene, torque, interval, outputs, candidate, reference):
+    """Return how many times a small difference at the start grows; NaN where it cannot start."""
+    start = Simulation(scene)
+    coordinates = start.coordinates
+    shifted = coordinates.moved(start.position, np.full(coordinates.nv, SHIFT))
+    try:
+        other = replace(scene, initial=replace(scene.initial, position=tuple(shifted.tolist())))
+        before = coordinates.apart(Simulation(other).position, start.position)
+    except SimulationError:
+        return math.nan
+    before = np.abs(before).max(initial=0.0)
+    # Where motions are prescribed, nothing may be free to differ.
+    if before < 0.01 * SHIFT:
+        return math.nan
+    motion = _motion(other, torque, interval, outputs, candidate, 'projection', 1.0)
+    apart = differences(motion, reference, coordinates)
+    return math.nan if motion.failure else float(apart[:, 0].max(initial=0.0) / before)
