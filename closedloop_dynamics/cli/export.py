@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""``closedloop export``: a mechanism with its loops in MJCF, URDF or SDF."""
+"""``closedloop export``: a mechanism with its loops in MJCF, URDF or SDF; a scene in C."""
 
 from dataclasses import asdict
 from pathlib import Path
@@ -26,11 +26,15 @@ from ..formats.in_space import in_space
 from ..formats.registry import is_model, read_model, writer, WRITERS
 from ..formats.sdf_writing import sdf
 from ..mechanism.mechanism import Mechanism, MechanismError
+from ..simulation.errors import AssemblyError
 from ..simulation.far_assembly import find_closed
 from ..simulation.model_scene import assembled
 from ..simulation.modeling import extent
-from ..simulation.scene import load_scene_or_mechanism
+from ..simulation.scene import load_scene, load_scene_or_mechanism
 from ..visual.progress import announced
+
+# How the name of a file ends that code is written to.
+C = '.c'
 
 
 def _add_arguments(parser):
@@ -38,7 +42,7 @@ def _add_arguments(parser):
                         help='a shipped scene or mechanism by its name, a YAML file, or a model')
     parser.add_argument('--output', metavar='FILE', type=Path, required=True,
                         help=f'where to write it; a name that ends with {", ".join(WRITERS)} '
-                             'tells the format')
+                             f'or {C} tells the format')
     parser.add_argument('--overwrite', action='store_true', help='replace FILE if it exists')
     parser.add_argument('--drake', action='store_true',
                         help='SDF for Drake, which refuses loops of joints: pins and ball joints '
@@ -48,13 +52,15 @@ def _add_arguments(parser):
 
 def _run(arguments):
     suffix = arguments.output.suffix.lower()
-    if suffix not in WRITERS:
-        raise UsageError(f'--output: expected a name that ends with one of {", ".join(WRITERS)}, '
-                         f'got {str(arguments.output)!r}')
-    write = writer(suffix)
+    if suffix not in (*WRITERS, C):
+        raise UsageError(f'--output: expected a name that ends with one of '
+                         f'{", ".join((*WRITERS, C))}, got {str(arguments.output)!r}')
+    write = None if suffix == C else writer(suffix)
     if arguments.drake and write is not sdf:
         raise UsageError('--drake: expected it with an output that ends with .sdf')
     require_free(arguments, arguments.output)
+    if suffix == C:
+        return _write_c(arguments)
     with announced('Reading the machine and closing its loops ...'):
         mechanism, effects, position, hold, limits = _read(
             arguments.scene, **reading(arguments))
@@ -78,6 +84,33 @@ def _run(arguments):
     if left_out:
         print('left out: the effects ' + ', '.join(
             f'{name} ({what})' if what else name for name, what in left_out.items()))
+    return 0
+
+
+def _write_c(arguments):
+    """Write a scene as C and its header."""
+    # Only here: no other format needs what generates code.
+    from ..simulation.c_source import c_source, left_out
+    from ..simulation.simulation import Simulation
+    if reading(arguments):
+        raise UsageError('--output: expected a scene to write C of; a model in another format '
+                         'becomes one by `closedloop import`')
+    header = arguments.output.with_suffix('.h')
+    require_free(arguments, header)
+    try:
+        simulation = Simulation.from_scene(load_scene(arguments.scene))
+        text, declared = c_source(simulation, arguments.output.stem)
+    except AssemblyError as error:
+        raise UsageError(f'{arguments.scene}: {error}') from None
+    except ValueError as error:
+        raise UsageError(f'--output: {error}') from None
+    arguments.output.write_text(text, encoding='utf-8')
+    header.write_text(declared, encoding='utf-8')
+    print(f'{arguments.output}, {header}: {len(simulation.position)} coordinates, '
+          f'{len(simulation.joint_names)} rates, {len(simulation.system.lam)} multipliers')
+    sensors = left_out(simulation)
+    if sensors:
+        print(f'left out: {", ".join(sensors)}, which only measure')
     return 0
 
 
@@ -110,7 +143,7 @@ def _closed(mechanism, position, hold, limits):
 
 COMMAND = Command(
     name='export',
-    summary='write a mechanism with its loops in another format (MJCF, URDF, SDF)',
+    summary='write a mechanism with its loops in another format (MJCF, URDF, SDF), or as C',
     description="""\
 Write a mechanism for other programs: MJCF, whose equalities close the loops in
 MuJoCo, URDF with elements loop and constraint (URDF+, and proposed for URDF), or
@@ -118,12 +151,17 @@ SDF, whose joints form loops. SDF is drawn with its loops closed, and its coordi
 count from there. Joints of several freedoms that a format does not have become several
 joints. Of the effects of a scene, gravity and what acts on joints is written. For a
 robot description without loops, to show it, see closedloop urdf.
+
+A name that ends with .c gets C99, and a header beside it: evaluation, correction of
+the loops, a step, energies and points, for programs without this package
+(doc/export.md). What cannot be written so is refused.
 """,
     epilog="""\
 examples:
   closedloop export three_rrr --output three_rrr.xml
   closedloop export my_robot.yaml --output my_robot.urdf
   closedloop export delta_robot --output delta_robot.sdf
+  closedloop export stewart_platform --output stewart_platform.c
 """,
     add_arguments=_add_arguments,
     run=_run)

@@ -160,6 +160,11 @@ class EffectSet:
             table.loaded[0] = table.index[:, LOADED].sum()
 
     @property
+    def by_name(self):
+        """Return the rows of the table by the names of their effects."""
+        return dict(zip(self._rows, self.elements))
+
+    @property
     def freedoms_with_friction(self):
         """Names of the freedoms that dry friction acts in, each once."""
         return tuple({self.records[name].joint: None for name, kind in zip(

@@ -479,6 +479,11 @@ class Simulation:
         """Return those among ``joint_names`` alone: of actuated joints that are not cut."""
         return self._actuated[self._actuated < len(self.joint_names)]
 
+    @property
+    def point_rows(self):
+        """Rows of the bodies of the named points, and the places in them, shape (n, 2 or 3)."""
+        return self._geometry.named_points[:2]
+
     def body_row(self, name):
         """Return the row of a body in the arrays of ``system``."""
         return self._rows[name]

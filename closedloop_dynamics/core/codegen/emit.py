@@ -19,7 +19,7 @@ from llvmlite import ir
 from . import sincos
 from .expression_graph import (
     ADD, BOTH, CHOOSE, COSINE, DIVIDE, GREATER_EQUAL, LESS, LOAD, MULTIPLY, needed_for, NEGATE, Q,
-    QD, SINE, SUBTRACT)
+    QD, SINE, SQUARE_ROOT, SUBTRACT)
 
 _DOUBLE, _WORD = ir.DoubleType(), ir.IntType(64)
 _FUNCTION = ir.FunctionType(_WORD, [_WORD.as_pointer()] + 2 * [_DOUBLE.as_pointer()])
@@ -122,6 +122,9 @@ class Writer:
             return builder.fcmp_ordered('>=', *numbers)
         if kind == BOTH:
             return builder.and_(*numbers)
+        if kind == SQUARE_ROOT:
+            return builder.call(
+                builder.module.declare_intrinsic('llvm.sqrt', [_DOUBLE]), numbers)
         assert kind == CHOOSE
         return builder.select(*numbers)
 

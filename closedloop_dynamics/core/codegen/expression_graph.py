@@ -25,7 +25,7 @@ import math
 
 # Operations. A LOAD names an input and the place in it; a SINE and a COSINE their angle.
 (LOAD, ADD, SUBTRACT, MULTIPLY, DIVIDE, NEGATE, SINE, COSINE, LESS, GREATER_EQUAL, CHOOSE,
- BOTH) = range(12)
+ BOTH, SQUARE_ROOT) = range(13)
 # Inputs beside those of a function table: coordinates and rates.
 Q, QD = -1, -2
 
@@ -245,6 +245,11 @@ def sine(angle):
 def cosine(angle):
     """Return the cosine of a number or a symbol."""
     return angle._put(COSINE, angle) if isinstance(angle, Symbol) else math.cos(angle)
+
+
+def square_root(value):
+    """Return the square root of a number or a symbol."""
+    return value._put(SQUARE_ROOT, value) if isinstance(value, Symbol) else math.sqrt(value)
 
 
 def chosen(condition, yes, no):

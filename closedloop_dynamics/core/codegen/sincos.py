@@ -26,15 +26,15 @@ from llvmlite import ir
 
 _DOUBLE, _WORD = ir.DoubleType(), ir.IntType(64)
 # pi/2 in three parts of 33 bits: their products with integers below 2^20 are exact.
-_PARTS = (1.57079632673412561417e+00, 6.07710050630396597660e-11, 2.02226624871116645580e-21)
-_SINE = (1.58969099521155010221e-10, -2.50507602534068634195e-08, 2.75573137070700676789e-06,
-         -1.98412698298579493134e-04, 8.33333333332248946124e-03, -1.66666666666666324348e-01)
-_COSINE = (-1.13596475577881948265e-11, 2.08757232129817482790e-09, -2.75573143513906633035e-07,
-           2.48015872894767294178e-05, -1.38888888888741095749e-03, 4.16666666666666019037e-02)
+PARTS = (1.57079632673412561417e+00, 6.07710050630396597660e-11, 2.02226624871116645580e-21)
+SINE = (1.58969099521155010221e-10, -2.50507602534068634195e-08, 2.75573137070700676789e-06,
+        -1.98412698298579493134e-04, 8.33333333332248946124e-03, -1.66666666666666324348e-01)
+COSINE = (-1.13596475577881948265e-11, 2.08757232129817482790e-09, -2.75573143513906633035e-07,
+          2.48015872894767294178e-05, -1.38888888888741095749e-03, 4.16666666666666019037e-02)
 # Added and subtracted, it rounds to an integer, whose last bits are the last of the sum.
-_ROUNDER = 6755399441055744.0
+ROUNDER = 6755399441055744.0
 # Angles beyond are left to the C library: 260,000 turns.
-_LARGEST = 1.6e6
+LARGEST = 1.6e6
 
 
 def write(builder, angles):
@@ -112,7 +112,7 @@ def within(builder, angle, vector):
 
     """
     largest, least = (ir.Constant(vector, [limit] * vector.count)
-                      for limit in (_LARGEST, -_LARGEST))
+                      for limit in (LARGEST, -LARGEST))
     return builder.and_(builder.fcmp_ordered('<', angle, largest),
                         builder.fcmp_ordered('>', angle, least))
 
@@ -149,29 +149,29 @@ def polynomials(builder, angle, vector):
     def minus(first, second):
         return builder.fsub(first, second, flags=('contract',))
 
-    shifted = builder.fadd(builder.fmul(angle, constant(0.6366197723675814)), constant(_ROUNDER))
+    shifted = builder.fadd(builder.fmul(angle, constant(0.6366197723675814)), constant(ROUNDER))
     quarter = builder.bitcast(shifted, ir.VectorType(_WORD, count))
-    turns = builder.fsub(shifted, constant(_ROUNDER))
+    turns = builder.fsub(shifted, constant(ROUNDER))
     # x + tail is what is left: the products are exact, so are both differences but the last.
-    near = minus(angle, times(turns, constant(_PARTS[0])))
-    part = times(turns, constant(_PARTS[1]))
+    near = minus(angle, times(turns, constant(PARTS[0])))
+    part = times(turns, constant(PARTS[1]))
     x = builder.fsub(near, part)
     tail = builder.fsub(builder.fsub(builder.fsub(near, x), part),
-                        times(turns, constant(_PARTS[2])))
+                        times(turns, constant(PARTS[2])))
     # Both series take the tail to first order only: it must be the rounding of x.
     coarse = x
     x = builder.fadd(coarse, tail)
     tail = builder.fadd(builder.fsub(coarse, x), tail)
     z = times(x, x)
-    series = constant(_SINE[0])
-    for coefficient in _SINE[1:-1]:
+    series = constant(SINE[0])
+    for coefficient in SINE[1:-1]:
         series = plus(times(series, z), constant(coefficient))
     # sin(x + tail) = x + (x^3 (S + z series) + tail (1 - z / 2))
-    series = plus(constant(_SINE[-1]), times(z, series))
+    series = plus(constant(SINE[-1]), times(z, series))
     sine = plus(x, plus(times(times(z, x), series),
                         times(tail, minus(constant(1.0), times(constant(0.5), z)))))
-    series = constant(_COSINE[0])
-    for coefficient in _COSINE[1:]:
+    series = constant(COSINE[0])
+    for coefficient in COSINE[1:]:
         series = plus(times(series, z), constant(coefficient))
     # cos(x + tail) = 1 - z / 2 + (z^2 series - x tail), the rounding of 1 - z / 2 kept.
     half = builder.fmul(constant(0.5), z)

@@ -1,0 +1,183 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+
+"""
+Routines of a mechanism together with what acts on it, for programs that know no effects.
+
+Laws of force are traced into the evaluation: beside gravity and torques it knows springs, dampers
+and constant forces. Their numbers are inputs, like masses and lengths.
+
+"""
+
+import numpy as np
+
+from . import forward_dynamics
+from .expression_graph import Routine
+from .function_table import CLOSURE, CORRECTIONS, LAM, QDD, TAU
+from .routines import Unrolling
+from .spatial import rigid
+from .vectors import add, cross, dot, is_zero, scale, subtract, times, ZERO
+from ..types import BALL, COORDINATE, DOF, PARENT, TYPE
+
+# Inputs and outputs beside those of a function table: numbers of effects and of points; energies
+# and places.
+VALUES, POINT, ENERGY, PLACE = range(40, 44)
+
+
+class SceneUnrolling(Unrolling):
+    """
+    One mechanism and what acts on it, with symbols in the place of all numbers that may change.
+
+    Parameters
+    ----------
+    model : Model
+        Constant arrays of the mechanism.
+    act : callable
+        Takes a ``Forces`` and lets the effects act.
+    values : tuple of 2 int
+        Shape of the array of the effects' numbers.
+
+    """
+
+    def __init__(self, model, act, values):
+        """Make the symbols of all inputs."""
+        super().__init__(model)
+        self.values = self.symbols(VALUES, values)
+        self._act = act
+
+    def moved(self):
+        """Run the outward recursion and let the effects act; return these forces."""
+        self.recursion.outward(self.model, self.q, self.qd, self.work)
+        forces = Forces(self)
+        self._act(forces)
+        return forces
+
+    def evaluation(self):
+        """Accelerations and multipliers."""
+        forces = self.moved()
+        qdd, lam = (np.full(count, 0.0, dtype=object) for count in (self.nv, self.nc))
+        tau = self.symbols(TAU, (self.nv,)) + forces.torque
+        bool(forward_dynamics.accelerate(
+            self.recursion, self.model, self.work, tau, 0.0, qdd, lam))
+        self.outputs += [(QDD, n, value) for n, value in enumerate(qdd)]
+        self.outputs += [(LAM, n, value) for n, value in enumerate(lam)]
+
+    def correction(self):
+        """Least changes of coordinates and of rates that close the loops."""
+        super().correction()
+        self.outputs = [one for one in self.outputs if one[0] in (CORRECTIONS, CLOSURE)]
+
+    def energies(self):
+        """Kinetic energy, that of gravity, and what effects store [J]."""
+        one, kinetic, weight = self.recursion, 0.0, 0.0
+        forces = self.moved()
+        for i, row in list(enumerate(self.constant.tree))[1:]:
+            body, motion, rate = one.bodies[i], one.motion[i], self.qd[row[DOF]]
+            inertia, _ = rigid(body, motion)
+            rates = motion.spin + motion.velocity
+            kinetic = kinetic + dot(rates, times(inertia, rates))
+            if body.armature is not None:
+                kinetic = kinetic + body.armature * rate * rate
+            if not is_zero(body.rotor):
+                kinetic = kinetic + 2.0 * rate * dot(one.rotor[i], one.motion[row[PARENT]].spin)
+            moment = add(scale(motion.origin, body.mass), times(motion.frame, body.moment))
+            weight = weight - dot(self.model.gravity, moment)
+        self.outputs += [(ENERGY, 0, 0.5 * kinetic), (ENERGY, 1, weight),
+                         (ENERGY, 2, forces.stored)]
+
+    def places(self, rows):
+        """Places of points of bodies."""
+        self.recursion.outward(self.model, self.q, self.qd, self.work)
+        size = len(self.model.gravity)
+        points = self.symbols(POINT, (len(rows), size))
+        for n, (row, point) in enumerate(zip(rows, points)):
+            motion = self.recursion.motion[row]
+            place = add(motion.origin, times(motion.frame, (*point, *(3 - size) * (0.0,))))
+            self.outputs += [(PLACE, n * size + k, place[k]) for k in range(size)]
+
+    def named(self, name):
+        """Return what was unrolled as a routine."""
+        return Routine(name, self.graph, self.outputs)
+
+
+class Forces:
+    """
+    What laws of force see and do while they are traced.
+
+    Parameters
+    ----------
+    unrolling : SceneUnrolling
+        After the outward recursion.
+
+    Attributes
+    ----------
+    torque : ndarray, shape (nv,)
+        Of effects in the joints.
+    stored : number
+        Energy.
+
+    """
+
+    def __init__(self, unrolling):
+        """Begin without forces."""
+        self._one, self._values = unrolling.recursion, unrolling.values
+        self._q, self._qd, tree = unrolling.q, unrolling.qd, unrolling.constant.tree
+        self._row = {row[DOF]: row for row in tree[1:]}
+        self.torque, self.stored = np.full(unrolling.nv, 0.0, dtype=object), 0.0
+
+    def numbers(self, row):
+        """Return the numbers of a row of the table of effects."""
+        return self._values[row]
+
+    def coordinate(self, joint):
+        """Return the coordinate of a joint of one freedom."""
+        assert self._row[joint][TYPE] != BALL
+        return self._q[self._row[joint][COORDINATE]]
+
+    def rate(self, joint):
+        """Return the rate of a joint."""
+        return self._qd[joint]
+
+    def twist(self, joint, torque):
+        """Apply a torque or force in a joint."""
+        self.torque[joint] = self.torque[joint] + torque
+
+    def turned(self, body, vector):
+        """Return a vector of two or three numbers in a body's frame in world axes."""
+        return times(self._one.motion[body].frame, _in_space(vector))
+
+    def spin(self, body):
+        """Return the angular velocity of a body."""
+        return self._one.motion[body].spin
+
+    def place(self, body, offset):
+        """Return the place of a point at an offset in world axes, and its velocity."""
+        motion = self._one.motion[body]
+        return add(motion.origin, offset), add(motion.velocity, cross(motion.spin, offset))
+
+    def push(self, body, offset, force, moment=ZERO):
+        """Apply a force at an offset in world axes, and a moment; the ground takes any."""
+        if body > 0:
+            self._one.force[body] = subtract(
+                self._one.force[body], add(moment, cross(offset, force)) + tuple(force))
+
+    def store(self, energy):
+        """Add to the energy stored."""
+        self.stored = self.stored + energy
+
+
+def _in_space(vector):
+    """Return a vector with zeros for what the plane does not have."""
+    return (*vector, *(3 - len(vector)) * (0.0,))

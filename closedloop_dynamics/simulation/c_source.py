@@ -1,0 +1,264 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+
+"""A scene as C99: evaluation, correction of the loops, a step, energies and points."""
+
+import re
+import textwrap
+
+import numpy as np
+
+from .c_template import HEADER, PLAIN, SOURCE, WITH_QUATERNIONS
+from .errors import SimulationError
+from ..core.codegen.c_writer import SINE_AND_COSINE, statements
+from ..core.codegen.expression_graph import Q, QD
+from ..core.codegen.function_table import (
+    BODY, CLOSURE, CORRECTIONS, CUT_POINT, GRAVITY, LAM, QDD, TAU)
+from ..core.codegen.scene_routines import (
+    ENERGY, PLACE, POINT, SceneUnrolling, VALUES)
+from ..core.types import CUT_NUMBER, CUT_ROW, ROWS
+from ..effects.table import VALUE_COLUMNS
+from ..effects.traced_laws import act, refused
+from ..integration.system import CLOSURE_LIMIT, CLOSURE_TOLERANCE
+
+# What the columns of the arrays hold: those of ``core.types`` and ``core.codegen.space``.
+_BODY_COLUMNS = (
+    'mass, first moments x y, moment of inertia about the origin, place of the joint in the '
+    'parent x y, angle of the frame at coordinate 0, rotor inertia at the joint')
+_SPATIAL_BODY_COLUMNS = (
+    'mass, first moments x y z, moments of inertia about the origin xx yy zz xy xz yz, place of '
+    "the joint in the parent x y z, its axes there row by row, whether it shares the parent's z "
+    'axis, rotor inertia at the joint, lead of a screw, angular momentum of rotors on the parent '
+    'x y z')
+_CUT_COLUMNS = (
+    'cut point in body A x y, in body B x y, angle or length; of couplings the sum held, then the '
+    'factor of each joint')
+_SPATIAL_CUT_COLUMNS = (
+    'cut point in body A x y z, in body B x y z, axes in A row by row, in B, length or lead; of '
+    'couplings the sum held, then the factor of each joint')
+
+
+def refusals(simulation):
+    """
+    Tell what of a simulation has no C, and why.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        Of the scene.
+
+    Returns
+    -------
+    dict of str to str
+        Reasons by what is refused.
+
+    """
+    found = {f'effects.{name}': reason
+             for name, reason in refused(simulation.effect_set).items()}
+    for name in simulation.torque_names[len(simulation.joint_names):]:
+        found.setdefault(name, 'a joint that closes a loop, in which something acts')
+    if not simulation.system.is_unrolled:
+        found['mechanism'] = (
+            'too large, or of another formulation than subsystem: code is generated for '
+            'mechanisms of few bodies alone')
+    return found
+
+
+def c_source(simulation, name):
+    """
+    Write a scene as C99.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        In the state to start from; parameters are those that effects and masses have now.
+    name : str
+        Of the functions and of both files.
+
+    Returns
+    -------
+    source, header : str
+        What ``name.c`` and ``name.h`` hold.
+
+    Raises
+    ------
+    ValueError
+        For a name that C does not take.
+    SimulationError
+        Where something of the scene has no C, with names and reasons; or where the scene starts in
+        a singular position, where the code cannot begin.
+
+    """
+    if not re.fullmatch('[A-Za-z][A-Za-z0-9_]*', name):
+        raise ValueError(f'name: expected letters, digits and _, a letter first, got {name!r}')
+    reasons = refusals(simulation)
+    if reasons:
+        raise SimulationError(f'{simulation.scene.name} cannot be written as C: ' + '; '.join(
+            f'{what} ({why})' for what, why in reasons.items()))
+    return _Text(simulation, name).both()
+
+
+def left_out(simulation):
+    """Return names of effects that only measure, and have no part in the motion."""
+    return [name for name, record in simulation.effect_set.records.items()
+            if record.instrument() is not None]
+
+
+class _Text:
+    """Both files of one scene."""
+
+    def __init__(self, simulation, name):
+        self.simulation, self.name = simulation, name
+        self.system, self.model = simulation.system, simulation.system.model
+        self.planar, table = simulation.mechanism.planar, self.system.effects
+        values = np.zeros((0, VALUE_COLUMNS)) if table is None else table.values
+        self.rows, places = simulation.point_rows
+        body, cut = ((_BODY_COLUMNS, _CUT_COLUMNS) if self.planar
+                     else (_SPATIAL_BODY_COLUMNS, _SPATIAL_CUT_COLUMNS))
+        effects = ', '.join(simulation.effect_set.by_name)
+        # By the input of a routine: the member of the model, its numbers, and what they are.
+        self.members = {
+            BODY: ('body', self.model.body, f'of each row of the tree, the ground first: {body}'),
+            GRAVITY: ('gravity', self.model.gravity, 'acceleration of gravity'),
+            CUT_POINT: ('cut_point', self.model.cut_point,
+                        f'of each closed joint or coupling, in the order of elimination: {cut}'),
+            VALUES: ('effect', values, f'of each effect ({effects}) its parameters'),
+            POINT: ('point', places, 'of each named point its place in its row of the tree')}
+        self.members = {source: one for source, one in self.members.items() if one[1].size}
+
+    def both(self):
+        """Return the source and the header."""
+        words = self._words()
+        return tuple(re.sub(
+            '@([A-Z]+)@', lambda match: words[match[1]], text) for text in (SOURCE, HEADER))
+
+    def _words(self):
+        """Return what takes the place of each word of the templates."""
+        simulation, system = self.simulation, self.system
+        coordinates, points = simulation.coordinates, simulation.mechanism.points
+        nq, nv, nc = len(simulation.position), len(system.qdd), len(system.lam)
+        size = len(self.model.gravity)
+        settings = system.settings[[CLOSURE_TOLERANCE, CLOSURE_LIMIT]]
+        return {
+            'NAME': self.name, 'UPPER': self.name.upper(), 'HEADER': f'{self.name}.h',
+            # No name ends a comment.
+            'TITLE': f'{simulation.scene.name}, in C'.replace('*/', '* /'),
+            'NQ': str(nq), 'NV': str(nv), 'NC': str(nc), 'NP': str(len(points)),
+            'SPACE': 'two' if size == 2 else 'three',
+            'COLUMNS': '\n'.join(_wrapped(f'{name}: {what}.')
+                                 for name, _, what in self.members.values()),
+            'MEMBERS': '\n'.join(f'  double {name}{_shape(array)};'
+                                 for name, array, _ in self.members.values()),
+            'COORDINATES': _numbered(coordinates.columns('position')),
+            'RATES': _numbered(coordinates.columns('velocity')),
+            'MULTIPLIERS': '\n'.join(_wrapped(line) for line in self._multipliers()),
+            'POINTS': _numbered([point.name for point in points]),
+            'DEFAULT': ',\n'.join([*(f'  .{name} = {_initializer(array)}'
+                                     for name, array, _ in self.members.values()),
+                                   f'  .closure_tolerance = {float(settings[0])!r}',
+                                   f'  .closure_limit = {float(settings[1])!r}']),
+            'START': f'  .q = {_initializer(simulation.position)},\n'
+                     f'  .qd = {_initializer(simulation.velocity)}',
+            'SINES': SINE_AND_COSINE, 'ROUTINES': '\n'.join(self._routines()),
+            'MANIFOLD': self._manifold(),
+            'SPARSITIES': '\n'.join(map(_column, ('nq', 'nv', 'nc'), (nq, nv, nc)))}
+
+    def _multipliers(self):
+        """Say of which joints the multipliers are."""
+        closures = self.simulation.mechanism.closures
+        for cut in sorted(self.model.cut.tolist(), key=lambda cut: cut[CUT_ROW]):
+            if cut[ROWS]:
+                first = cut[CUT_ROW]
+                until = '' if cut[ROWS] == 1 else f' to {first + cut[ROWS] - 1}'
+                yield f'{first}{until}: {closures[cut[CUT_NUMBER]].name}'
+
+    def _routines(self):
+        """Yield what is generated: the functions that know the mechanism."""
+        unrolled, rows = self._unrolled, self.rows.tolist()
+        yield self._function(
+            'int evaluation', unrolled(lambda one: one.evaluation()),
+            {Q: 'const double *q', QD: 'const double *qd', TAU: 'const double *tau',
+             QDD: 'double *qdd', LAM: 'double *lam'})
+        yield '/* Changes of q and qd that close the loops, one behind the other. */'
+        yield self._function(
+            'int correction', unrolled(lambda one: one.correction()),
+            {Q: 'const double *q', QD: 'const double *qd', CORRECTIONS: 'double *change',
+             CLOSURE: 'double *closure'})
+        yield self._function(
+            'int energies_of', unrolled(lambda one: one.energies()),
+            {Q: 'const double *q', QD: 'const double *qd', ENERGY: 'double *energies'})
+        yield self._function(
+            'int places_of', unrolled(lambda one: one.places(rows)),
+            {Q: 'const double *q', PLACE: 'double *places'})
+
+    def _unrolled(self, what):
+        """Return a routine of a new unrolling."""
+        table = self.system.effects
+        one = SceneUnrolling(
+            self.model, lambda forces: act(table, forces),
+            self.members[VALUES][1].shape if VALUES in self.members else (0, VALUE_COLUMNS))
+        what(one)
+        return one.named('')
+
+    def _function(self, head, routine, parameters):
+        """Return a function of the model and some arrays."""
+        places = {source: text.rpartition('*')[2] for source, text in parameters.items()}
+        pointers = []
+        for source, (name, array, _) in self.members.items():
+            pointers.append(f'const double *const {name} = &model->{name}{array.ndim * "[0]"};')
+            places[source] = name
+        lines = statements(routine, places)
+        used = '\n'.join(lines)
+        unused = [*(f'(void){name};' for name in places.values()
+                    if not re.search(rf'\b{name}\[', used)), '(void)model;']
+        body = '\n  '.join([*pointers, *unused, *lines])
+        return (f'static {head}(\n  const {self.name}_model *model, '
+                f'{", ".join(parameters.values())})\n{{\n  {body}\n}}\n')
+
+    def _manifold(self):
+        """Return how states are moved, with quaternions where there are any."""
+        manifold = self.system.manifold
+        if manifold is None:
+            return PLAIN
+        fields = {'BALLS': str(len(manifold.balls)), 'BALL': _initializer(manifold.balls),
+                  'PLACE': _initializer(manifold.place)}
+        return re.sub('@([A-Z]+)@', lambda match: fields[match[1]], WITH_QUATERNIONS)
+
+
+def _wrapped(text):
+    """Return a line of a comment, broken where it is long."""
+    return textwrap.fill(text, 99, initial_indent=' *   ', subsequent_indent=' *     ')
+
+
+def _numbered(names):
+    """Return names with their places, as lines of a comment."""
+    return _wrapped(', '.join(f'{n} {name}' for n, name in enumerate(names)) or 'none')
+
+
+def _shape(array):
+    return ''.join(f'[{count}]' for count in array.shape)
+
+
+def _initializer(array):
+    """Return an array as C initializes it, every number to the last bit."""
+    if array.ndim > 1:
+        return '{' + ',\n    '.join(map(_initializer, array)) + '}'
+    return '{' + ', '.join(map(repr, array.tolist())) + '}'
+
+
+def _column(name, count):
+    """Return CasADi's sparsity of a dense column."""
+    numbers = [count, 1, 0, count, *range(count)]
+    return f'static const long long int column_{name}[] = {{{", ".join(map(str, numbers))}}};'

@@ -1,0 +1,259 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+
+"""C that is written for a scene: the same run, its faults, CasADi, and what is refused."""
+
+import ctypes
+from dataclasses import replace
+import math
+import re
+import shutil
+import subprocess
+
+from closedloop_dynamics.cli import main
+from closedloop_dynamics.core.codegen.c_writer import SINE_AND_COSINE
+from closedloop_dynamics.effects.external_force import ExternalForce
+from closedloop_dynamics.effects.joint_damping import JointDamping
+from closedloop_dynamics.effects.joint_spring import JointSpring
+from closedloop_dynamics.effects.payload import Payload
+from closedloop_dynamics.effects.point_spring import PointSpring
+from closedloop_dynamics.simulation.c_source import c_source
+from closedloop_dynamics.simulation.errors import SimulationError
+from closedloop_dynamics.simulation.scene import load_scene
+from closedloop_dynamics.simulation.simulation import Simulation
+import numpy as np
+import pytest
+
+compiled = pytest.mark.skipif(
+    shutil.which('cc') is None, reason='needs a C compiler, called cc, to compile what is written')
+STRICT = ('-std=c99', '-O1', '-Wall', '-Wextra', '-Wpedantic', '-Werror')
+# Of a tree with a spring in it, in the plane: no loop, no multiplier.
+PENDULUM = """\
+name: pendulum
+bodies: {rod: {mass: 1.5, center_of_mass: [0.3, 0.0], inertia: 0.02}}
+joints: {pin: {type: revolute, parent: ground, child: rod, position: [0.0, 0.0], actuated: true}}
+points: {tip: {body: rod, position: [0.6, 0.0]}}
+"""
+PENDULUM_SCENE = """\
+mechanism: ./pendulum.yaml
+initial: {position: {pin: 0.4}}
+effects: {gravity: {type: gravity, acceleration: [0.0, -9.81]}}
+"""
+
+
+def simulation_of(scene, effects=()):
+    scene = load_scene(scene)
+    scene = replace(scene, effects={**scene.effects, **dict(effects)}, method=replace(
+        scene.method, integrator='rk4', step_size=1e-3, stabilisation='projection'))
+    return Simulation.from_scene(scene)
+
+
+def build(folder, simulation, *options, name='model'):
+    source, header = c_source(simulation, name)
+    (folder / f'{name}.c').write_text(source)
+    (folder / f'{name}.h').write_text(header)
+    out = folder / (f'{name}.so' if '-shared' in options else name)
+    subprocess.run(('cc', *STRICT, *options, '-o', out, folder / f'{name}.c', '-lm'), check=True)
+    return out
+
+
+def run(program, steps, tau, every=50):
+    text = subprocess.run(
+        (program, str(steps), '0.001', str(every), *map(repr, tau.tolist())), check=True,
+        capture_output=True, text=True).stdout
+    return np.array([line.split() for line in text.splitlines()], dtype=float)
+
+
+def torques(simulation, size=0.2):
+    rng = np.random.default_rng(3)
+    return dict(zip(simulation.actuated_joints,
+                    size * rng.normal(size=len(simulation.actuated_joints))))
+
+
+def require_same_run(folder, simulation, steps=200, every=50):
+    """Compare coordinates, rates and energy of a run with those of the compiled one."""
+    command, nq = torques(simulation), len(simulation.position)
+    rows = run(build(folder, simulation, '-DMODEL_MAIN'), steps,
+               simulation.joint_torques(command), every)
+    assert len(rows) == steps // every + 1
+    start = simulation.position
+    for number, row in enumerate(rows):
+        if number:
+            simulation.step(command, every * 1e-3)
+        assert row[0] == pytest.approx(simulation.time, abs=1e-12)
+        np.testing.assert_allclose(row[1:1 + nq], simulation.position, rtol=0, atol=2e-13)
+        scale = 1.0 + np.abs(simulation.velocity).max()
+        np.testing.assert_allclose(row[1 + nq:-3], simulation.velocity, rtol=0,
+                                   atol=2e-12 * scale)
+        assert row[-3:].sum() == pytest.approx(simulation.energy, rel=1e-11, abs=1e-11)
+    # It has moved.
+    assert np.abs(simulation.position - start).max() > 1e-3
+
+
+@compiled
+@pytest.mark.parametrize('scene', (
+    'three_rrr_vertical', 'carpet_scraper', 'slider_crank', 'scissor_lift', 'rssr_four_bar',
+    'bricard', 'double_wishbone'))
+def test_a_run_is_reproduced(scene, tmp_path):
+    require_same_run(tmp_path, simulation_of(scene))
+
+
+@compiled
+def test_a_run_with_orientations_is_reproduced(tmp_path):
+    simulation = simulation_of('stewart_platform')
+    assert simulation.system.manifold is not None
+    require_same_run(tmp_path, simulation, 100)
+
+
+@compiled
+def test_effects_are_carried_in_the_plane(tmp_path):
+    bodies = [body.name for body in load_scene('three_rrr').mechanism.bodies]
+    points = [point.name for point in load_scene('three_rrr').mechanism.points]
+    simulation = simulation_of('three_rrr', {
+        'spring': JointSpring('theta_1', 3.0, 0.2), 'damper': JointDamping('theta_2', 0.05),
+        'strut': PointSpring(points[0], None, (0.1, 0.7), 20.0, 0.3, 0.1),
+        'push': ExternalForce(points[1], (0.4, -0.3), 0.05, 'body'),
+        'pull': ExternalForce(points[-1], (-0.2, 0.1), 0.01),
+        'tool': Payload(bodies[-1], 0.3, (0.02, 0.01), 1e-4)})
+    require_same_run(tmp_path, simulation)
+    assert simulation.effect_readings('strut')['stored_energy'] > 0.0
+
+
+@compiled
+def test_effects_are_carried_in_space(tmp_path):
+    mechanism = load_scene('rssr_four_bar').mechanism
+    names = mechanism.coordinates.names
+    simulation = simulation_of('rssr_four_bar', {
+        'spring': JointSpring(names[0], 0.3, 0.2), 'damper': JointDamping(names[0], 0.02),
+        'strut': PointSpring(mechanism.points[0].name, None, (0.1, 0.2, 0.7), 20.0, 0.3, 0.1)})
+    require_same_run(tmp_path, simulation)
+
+
+@compiled
+def test_a_tree_without_loops_has_no_multipliers(tmp_path):
+    path = tmp_path / 'swing.yaml'
+    (tmp_path / 'pendulum.yaml').write_text(PENDULUM)
+    path.write_text(PENDULUM_SCENE)
+    require_same_run(tmp_path, simulation_of(path))
+
+
+@compiled
+def test_the_library_evaluates_corrects_and_reports_faults(tmp_path):
+    simulation = simulation_of('four_bar')
+    library = ctypes.CDLL(str(build(tmp_path, simulation, '-shared', '-fPIC')))
+    model = ctypes.c_char.in_dll(library, 'model_default')
+    nv, nc = len(simulation.joint_names), len(simulation.multipliers)
+
+    def call(function, *arrays):
+        return getattr(library, function)(ctypes.byref(model), *(
+            ctypes.c_void_p(one.ctypes.data) for one in arrays))
+
+    rng = np.random.default_rng(0)
+    q, qd, tau = simulation.position, simulation.velocity, np.zeros(nv)
+    tau[0], qdd, lam = 0.7, np.zeros(nv), np.zeros(nc)
+    assert call('model_evaluate', q, qd, tau, qdd, lam) == 0
+    simulation.system.tau[:] = tau
+    simulation.touch()
+    np.testing.assert_allclose(qdd, simulation.acceleration, rtol=1e-12)
+    np.testing.assert_allclose(lam, simulation.multipliers, rtol=1e-12)
+    # Bound to points by name.
+    places = np.zeros_like(simulation.points)
+    library.model_points(ctypes.byref(model), ctypes.c_void_p(q.ctypes.data),
+                         ctypes.c_void_p(places.ctypes.data))
+    np.testing.assert_allclose(places, simulation.points, atol=1e-14)
+    # What is open a little is closed, what is far open is reported and left alone.
+    state = np.concatenate((q + 1e-3 * rng.normal(size=nv), qd))
+    assert call('model_correct', state) == 0
+    simulation.set_state(state[:nv], state[nv:], hold=simulation.joint_names[:1])
+    np.testing.assert_allclose(state[:nv], simulation.position, atol=1e-9)
+    bad = np.full(2 * nv, math.nan)
+    assert call('model_correct', bad) == 1
+    torn = state.copy()
+    torn[nv:] = 1e200
+    before = torn.copy()
+    tau = np.zeros(nv)
+    status = library.model_step(
+        ctypes.byref(model), ctypes.c_void_p(torn.ctypes.data), ctypes.c_void_p(tau.ctypes.data),
+        ctypes.c_double(1e-3))
+    assert status in (1, 2, 3) and np.array_equal(torn, before)
+
+
+@compiled
+def test_sines_are_right_to_the_last_digits(tmp_path):
+    angles = np.concatenate((
+        np.random.default_rng(1).uniform(-40.0, 40.0, 5000), np.arange(-20, 21) * math.pi / 4,
+        [0.0, 1e-300, 1.5e6, -1.59e6, 1e7, -3e15]))
+    program = tmp_path / 'sines.c'
+    program.write_text(
+        '#include <math.h>\n' + SINE_AND_COSINE + 'void both(int n, double *a, double *s, '
+        'double *c) {sines_and_cosines(n, a, s, c);}\n')
+    for options in ((), ('-O3', '-ffp-contract=fast')):
+        library = tmp_path / f'sines{len(options)}.so'
+        subprocess.run(('cc', *STRICT, *options, '-shared', '-fPIC', '-o', library, program,
+                        '-lm'), check=True)
+        sine, cosine = np.zeros_like(angles), np.zeros_like(angles)
+        ctypes.CDLL(str(library)).both(
+            len(angles), *(ctypes.c_void_p(one.ctypes.data) for one in (angles, sine, cosine)))
+        for found, exact in ((sine, np.sin(angles)), (cosine, np.cos(angles))):
+            # As for the vectors of our own code; near a zero what pi/2's parts leave out.
+            assert (np.abs(found - exact) <= 2.3e-16 * np.abs(exact) + 1e-17).all()
+
+
+@compiled
+def test_casadi_calls_it(tmp_path):
+    casadi = pytest.importorskip('casadi', reason='needs casadi, from the Python package index')
+    simulation = simulation_of('three_rrr_vertical')
+    library = build(tmp_path, simulation, '-shared', '-fPIC', name='three_rrr')
+    function = casadi.external('three_rrr', str(library))
+    assert (function.n_in(), function.n_out()) == (3, 2)
+    assert function.name_in() == ['q', 'qd', 'tau'] and function.name_out() == ['qdd', 'lam']
+    tau = simulation.joint_torques(torques(simulation))
+    simulation.step(torques(simulation), 0.05)
+    qd = simulation.velocity
+    qdd, lam = function(simulation.position, qd, tau)
+    for found, expected in zip((qdd, lam), simulation.forward_dynamics(
+            simulation.position, qd, torques(simulation))):
+        np.testing.assert_allclose(np.ravel(found), expected, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize('scene, words', (
+    ('three_rrr_payload_friction', ('effects.gear_1', 'joint_friction')),
+    ('rope_hoist', ('effects.rope', 'cable')),
+    ('differential', ('effects.engine', 'prescribed_force'))))
+def test_what_has_no_c_is_refused_by_name(scene, words):
+    with pytest.raises(SimulationError) as error:
+        c_source(simulation_of(scene), 'model')
+    for word in words:
+        assert word in str(error.value)
+
+
+def test_a_name_that_c_does_not_take_is_refused():
+    with pytest.raises(ValueError, match="letters, digits and _, a letter first, got '3 rrr'"):
+        c_source(simulation_of('four_bar'), '3 rrr')
+
+
+def test_the_command_writes_both_files(tmp_path, capsys):
+    assert main(['export', 'four_bar', '--output', str(tmp_path / 'bar.c')]) == 0
+    assert 'bar.c' in capsys.readouterr().out
+    header = (tmp_path / 'bar.h').read_text()
+    joints = load_scene('four_bar').mechanism.coordinates.names
+    assert all(f'velocity.{name}' in header for name in joints)
+    assert not re.search('@[A-Z]+@', header + (tmp_path / 'bar.c').read_text())
+    # Neither file is replaced unasked.
+    (tmp_path / 'bar.c').unlink()
+    assert main(['export', 'four_bar', '--output', str(tmp_path / 'bar.c')]) == 2
+    assert 'bar.h exists' in capsys.readouterr().err
+    assert main(['export', 'cam_follower', '--output', str(tmp_path / 'cam.c')]) == 1
+    assert 'effects.outline' in capsys.readouterr().err
