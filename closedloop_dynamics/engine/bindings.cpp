@@ -31,6 +31,7 @@
 #include "requests.hpp"
 #include "rollout.hpp"
 #include "rosenbrock.hpp"
+#include "routines.hpp"
 #include "sticking.hpp"
 #include "switching.hpp"
 #include "validation.hpp"
@@ -208,6 +209,8 @@ const Entry entries[] = {
   entry<work_of_hold>(
     "work_of_hold", "work_of_hold(tau, driven, since, now): work; `since` is moved to `now`"),
   entry<sum_of_sizes>("sum_of_sizes", "sum_of_sizes(values)"),
+  entry<call>(
+    "call", "call(table, which, q, qd): a generated routine; whether its results are good"),
   entry<numbers_of_coordinates>("fill_numbers", "fill_numbers(manifold, q)"),
   entry<find_torques>(
     "find_torques", "find_torques(system, actuated, loops, out, q, qd, qdd): whether it was done"),

@@ -21,6 +21,7 @@ import textwrap
 import numpy as np
 
 from .c_template import HEADER, PLAIN, SOURCE, WITH_QUATERNIONS
+from .derivatives import refusals
 from .errors import SimulationError
 from ..core.codegen.c_writer import SINE_AND_COSINE, statements
 from ..core.codegen.expression_graph import Q, QD
@@ -30,7 +31,7 @@ from ..core.codegen.scene_routines import (
     ENERGY, PLACE, POINT, SceneUnrolling, VALUES)
 from ..core.types import CUT_NUMBER, CUT_ROW, ROWS
 from ..effects.table import VALUE_COLUMNS
-from ..effects.traced_laws import act, refused
+from ..effects.traced_laws import act
 from ..integration.system import CLOSURE_LIMIT, CLOSURE_TOLERANCE
 
 # What the columns of the arrays hold: those of ``core.types`` and ``core.codegen.space``.
@@ -48,32 +49,6 @@ _CUT_COLUMNS = (
 _SPATIAL_CUT_COLUMNS = (
     'cut point in body A x y z, in body B x y z, axes in A row by row, in B, length or lead; of '
     'couplings the sum held, then the factor of each joint')
-
-
-def refusals(simulation):
-    """
-    Tell what of a simulation has no C, and why.
-
-    Parameters
-    ----------
-    simulation : Simulation
-        Of the scene.
-
-    Returns
-    -------
-    dict of str to str
-        Reasons by what is refused.
-
-    """
-    found = {f'effects.{name}': reason
-             for name, reason in refused(simulation.effect_set).items()}
-    for name in simulation.torque_names[len(simulation.joint_names):]:
-        found.setdefault(name, 'a joint that closes a loop, in which something acts')
-    if not simulation.system.is_unrolled:
-        found['mechanism'] = (
-            'too large, or of another formulation than subsystem: code is generated for '
-            'mechanisms of few bodies alone')
-    return found
 
 
 def c_source(simulation, name):

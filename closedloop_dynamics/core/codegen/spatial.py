@@ -411,13 +411,30 @@ class Recursion:
             left = symmetric(
                 lambda m, n: (0.0 if alone in (m, n) else inertia[m][n] - share[m] * scaled[n]),
                 size=6)
-            force = tuple(
-                torque if alone == n else force[n] + scaled[n] * right for n in range(6))
-            offset = self.motion[i].offset
             self.inertia[parent] = tuple(
-                map(add, self.inertia[parent], shifted(left, offset)))
-            self.force[parent] = add(self.force[parent], at_parent(force, offset))
+                map(add, self.inertia[parent], shifted(left, self.motion[i].offset)))
+            self.hand_over(i, parent, torque, scaled, right)
         return inverse, right
+
+    def hand_over(self, i, parent, torque, scaled, right):
+        """
+        Let a parent take what a joint leaves of the force on its body.
+
+        Parameters
+        ----------
+        i, parent : int
+            The body and its parent, which is not the ground.
+        torque : number
+            In the joint [N m, N].
+        scaled : tuple of 6
+            U / D of the joint.
+        right : number
+            As ``eliminate`` returns it.
+
+        """
+        force, alone = self.force[i], self.alone(i)
+        force = tuple(torque if alone == n else force[n] + scaled[n] * right for n in range(6))
+        self.force[parent] = add(self.force[parent], at_parent(force, self.motion[i].offset))
 
     def alone(self, i):
         """Return which coordinate of motion a joint takes all of, None where there is none."""

@@ -1,0 +1,237 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+
+"""
+Derivatives of accelerations and multipliers, as code that is generated from the graph.
+
+The equations of motion and of the loops are differentiated, with accelerations and multipliers
+held, and what that leaves is solved for the derivatives of these by the factors that an
+evaluation has, too: of the residuals
+
+    R = M qdd + h - J^T lambda - tau = 0,    C = J qdd + Jdot qd = 0
+
+the derivatives by any x are those of ``K (qdd, lambda) = -(dR/dx, dC/dx)`` with K = (M, -J^T; J,
+0). Coordinates are those of the spanning tree, each changed alone, with the loops open: what
+changes along the loops is what a closing change of all of them adds up to.
+
+"""
+
+import numpy as np
+
+from . import elimination, forward_dynamics
+from .expression_graph import (
+    ADD, CHOOSE, chosen, COSINE, DIVIDE, LOAD, MULTIPLY, NEGATE, SINE, SQUARE_ROOT, SUBTRACT,
+    Symbol)
+from .function_table import LAM, QDD
+from .scene_routines import SceneUnrolling
+from .spatial import at_parent, rigid
+from .vectors import add, dot, is_zero, scale, subtract, times, transpose, ZERO
+from ..manifold import manifold_of
+from ..types import (
+    BODY_A, BODY_B, COORDINATE, CUT_ROW, DINV, DOF, PARENT, RHS, ROW, ROWS)
+
+# Outputs: d (qdd, lambda) / d (q, qd, tau), one column of nv + nc numbers behind the other; then
+# d (J qd) / d (q, qd), in columns of nc numbers.
+DERIVATIVE, RATE = 44, 45
+# Half the product of a quaternion x, y, z, w and an axis of the child: place and sign of what each
+# component changes by.
+_TURN = (((3, 1), (2, 1), (1, -1), (0, -1)), ((2, -1), (3, 1), (0, 1), (1, -1)),
+         ((1, 1), (0, -1), (3, 1), (2, -1)))
+
+
+class DerivativeUnrolling(SceneUnrolling):
+    """
+    A mechanism and what acts on it, unrolled for derivatives.
+
+    Accelerations and multipliers of the state are inputs, as an evaluation leaves them.
+
+    Parameters
+    ----------
+    model, act, values
+        As for ``SceneUnrolling``.
+
+    """
+
+    def __init__(self, model, act, values):
+        """Let every joint be looked at alone."""
+        super().__init__(model, act, values)
+        self.recursion.hinges = ()
+
+    def derivatives(self):
+        """Store the derivatives by coordinates, rates and torques, and those of closure rates."""
+        residuals = self.residuals()
+        self._prepare()
+        rates = np.full(self.nc, 0.0, dtype=object)
+        forward_dynamics.to_user_order(self.model, self.work.closure_rate, rates)
+        columns, count = [], self.nv + self.nc
+        for number, seed in enumerate(self._seeds()):
+            found = differentiated(self.graph, [*residuals, *rates], seed)
+            columns.append(found[:count])
+            self.outputs += [(RATE, number * self.nc + n, value)
+                             for n, value in enumerate(found[count:])]
+        for joint in range(self.nv):
+            # A torque is in one residual alone.
+            columns.append([-1.0 if n == joint else 0.0 for n in range(count)])
+        for number, column in enumerate(columns):
+            self.outputs += [(DERIVATIVE, number * count + n, value)
+                             for n, value in enumerate(self._solved(column))]
+
+    def residuals(self):
+        """Return R without the torques, and C in the mechanism's order of equations."""
+        forces, one, tree = self.moved(), self.recursion, self.constant.tree
+        qdd, lam = self.symbols(QDD, (self.nv,)), self.symbols(LAM, (self.nc,))
+        world, own = list(qdd), np.full(self.nv, 0.0, dtype=object)
+        for frame, turns in one.balls(self.constant):
+            world[turns] = times(frame, world[turns])
+        after, wrench = [2 * ZERO], [2 * ZERO, *one.force[1:]]
+        for i in range(1, len(tree)):
+            parent, rate = tree[i, PARENT], world[tree[i, DOF]]
+            before = after[parent]
+            after.append(one.follow(i, before, rate))
+            inertia, _ = rigid(one.bodies[i], one.motion[i])
+            wrench[i] = add(wrench[i], times(inertia, after[i]))
+            armature, rotor = one.bodies[i].armature, one.rotor[i]
+            if armature is not None:
+                own[tree[i, DOF]] = armature * rate
+            if not is_zero(rotor):
+                own[tree[i, DOF]] = own[tree[i, DOF]] + dot(
+                    rotor, add(one.motion[parent].spin_rate, before[:3]))
+                wrench[parent] = add(wrench[parent], scale(rotor, rate) + ZERO)
+        closed = np.full(self.nc, 0.0, dtype=object)
+        for a, cut in enumerate(self.constant.cut):
+            for row, closure in enumerate(one.closures(self.model, a), start=cut[CUT_ROW]):
+                total = closure.bias
+                for body, unit in ((cut[BODY_A], closure.on_a), (cut[BODY_B], closure.on_b)):
+                    wrench[body] = subtract(wrench[body], scale(unit, lam[row]))
+                    total = total + dot(unit, after[body])
+                for i, factor in closure.in_joints:
+                    dof = tree[i, DOF]
+                    own[dof] = own[dof] - factor * lam[row]
+                    total = total + factor * world[dof]
+                closed[row] = total
+        for i in range(len(tree) - 1, 0, -1):
+            parent, dof = tree[i, PARENT], tree[i, DOF]
+            own[dof] = own[dof] + dot(one.motion[i].axis, wrench[i])
+            if parent > 0:
+                wrench[parent] = add(wrench[parent], at_parent(wrench[i], one.motion[i].offset))
+        for frame, turns in one.balls(self.constant):
+            own[turns] = times(transpose(frame), own[turns])
+        return [*(own - forces.torque), *closed]
+
+    def _prepare(self):
+        """Factor; the routine tells where that does not go well."""
+        bool(forward_dynamics.prepare(
+            self.recursion, self.model, np.full(self.nv, 0.0, dtype=object), self.work))
+        # Changes of the accelerations have no bias of their own.
+        self.recursion.motion = [
+            motion._replace(spin_rate=ZERO) for motion in self.recursion.motion]
+
+    def _seeds(self):
+        """Yield changes of coordinates, then of rates, by the place of their symbols."""
+        turns, manifold = {}, manifold_of(self.constant)
+        for first, rate in [] if manifold is None else manifold.balls.tolist():
+            for axis, changes in enumerate(_TURN):
+                turns[rate + axis] = {
+                    self.q[first + k].place: (0.5 * sign) * self.q[first + other]
+                    for k, (other, sign) in enumerate(changes)}
+        by_rate = {row[DOF]: row[COORDINATE] for row in self.constant.tree[1:]}
+        for joint in range(self.nv):
+            yield turns.get(joint) or {self.q[by_rate[joint]].place: 1.0}
+        for joint in range(self.nv):
+            yield {self.qd[joint].place: 1.0}
+
+    def _solved(self, column):
+        """Return the changes of accelerations and multipliers that undo those of residuals."""
+        one, tree, work = self.recursion, self.constant.tree, self.work
+        tau = [0.0 - value for value in column[:self.nv]]
+        for frame, turns in one.balls(self.constant):
+            tau[turns] = times(frame, tau[turns])
+        one.force = [2 * ZERO for _ in tree]
+        for i in range(len(tree) - 1, 0, -1):
+            parent, torque = tree[i, PARENT], tau[tree[i, DOF]]
+            right = torque - dot(one.motion[i].axis, one.force[i])
+            work.body[i, RHS] = right
+            if parent > 0:
+                scaled = scale(one.factors[i][0], work.body[i, DINV])
+                one.hand_over(i, parent, torque, scaled, right)
+        right = np.full(self.nc, 0.0, dtype=object)
+        forward_dynamics.free_acceleration(self.model, work, right)
+        for cut in self.constant.cut:
+            for k in range(cut[ROWS]):
+                place = cut[ROW] + k
+                right[place] = 0.0 - right[place] - column[self.nv + cut[CUT_ROW] + k]
+        elimination.solve(self.model, work, right)
+        forward_dynamics.apply(self.model, work, right)
+        qdd, lam = (np.full(count, 0.0, dtype=object) for count in (self.nv, self.nc))
+        one.outward_acceleration(self.model, work, qdd)
+        forward_dynamics.to_user_order(self.model, right, lam)
+        return [*qdd, *lam]
+
+
+def differentiated(graph, values, seed):
+    """
+    Return the derivatives of values in one direction, as further operations of their graph.
+
+    Parameters
+    ----------
+    graph : ExpressionGraph
+        More is put into it.
+    values : sequence of Symbol or float
+        To be differentiated.
+    seed : dict of int to number
+        What inputs change by, by the places of their symbols.
+
+    Returns
+    -------
+    list of Symbol or float
+
+    """
+    known, operations = dict(seed), graph.operations
+
+    def symbol(operand):
+        return Symbol(graph, operand) if isinstance(operand, int) else operand
+
+    def change(operand):
+        return known.get(operand, 0.0) if isinstance(operand, int) else 0.0
+
+    last = max((value.place for value in values if isinstance(value, Symbol)), default=-1)
+    for place in range(min(seed), last + 1):
+        kind, *operands = operations[place]
+        if kind == LOAD or not any(
+                isinstance(one, int) and one in known for one in operands):
+            continue
+        changes = [change(one) for one in operands]
+        if kind in (ADD, SUBTRACT):
+            found = changes[0] + changes[1] if kind == ADD else changes[0] - changes[1]
+        elif kind == MULTIPLY:
+            found = changes[0] * symbol(operands[1]) + symbol(operands[0]) * changes[1]
+        elif kind == DIVIDE:
+            found = (changes[0] - Symbol(graph, place) * changes[1]) / symbol(operands[1])
+        elif kind == NEGATE:
+            found = 0.0 - changes[0]
+        elif kind == SINE:
+            found = graph.put(COSINE, operands[0]) * changes[0]
+        elif kind == COSINE:
+            found = 0.0 - graph.put(SINE, operands[0]) * changes[0]
+        elif kind == SQUARE_ROOT:
+            found = 0.5 * changes[0] / Symbol(graph, place)
+        elif kind == CHOOSE:
+            found = chosen(symbol(operands[0]), *changes[1:])
+        else:
+            # A comparison jumps, or stays.
+            continue
+        if isinstance(found, Symbol) or found != 0.0:
+            known[place] = found
+    return [known.get(value.place, 0.0) if isinstance(value, Symbol) else 0.0 for value in values]

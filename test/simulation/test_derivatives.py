@@ -1,0 +1,209 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+
+"""Derivatives of accelerations and multipliers: differences of a dense twin, and refusals."""
+
+from dataclasses import replace
+
+from closedloop_dynamics.core.codegen.derivatives import differentiated
+from closedloop_dynamics.core.codegen.expression_graph import (
+    chosen, cosine, ExpressionGraph, LOAD, Q, sine, square_root)
+from closedloop_dynamics.effects.external_force import ExternalForce
+from closedloop_dynamics.effects.joint_damping import JointDamping
+from closedloop_dynamics.effects.joint_spring import JointSpring
+from closedloop_dynamics.effects.point_spring import PointSpring
+from closedloop_dynamics.engine import native
+from closedloop_dynamics.simulation.derivatives import Differentiator
+from closedloop_dynamics.simulation.errors import SimulationError, SingularityError
+from closedloop_dynamics.simulation.scene import load_scene
+from closedloop_dynamics.simulation.simulation import Simulation
+import numpy as np
+import pytest
+
+# Of sixth order.
+WEIGHTS = ((1, 3 / 4), (2, -3 / 20), (3, 1 / 60))
+PARALLELOGRAM = """\
+name: parallelogram
+bodies:
+  left: {mass: 1.0, center_of_mass: [0.25, 0.0], inertia: 0.02}
+  bar: {mass: 1.0, center_of_mass: [0.5, 0.0], inertia: 0.1}
+  right: {mass: 1.0, center_of_mass: [0.25, 0.0], inertia: 0.02}
+joints:
+  a: {type: revolute, parent: ground, child: left, position: [0.0, 0.0], actuated: true}
+  b: {type: revolute, parent: left, child: bar, position: [0.5, 0.0]}
+  c: {type: revolute, parent: ground, child: right, position: [1.0, 0.0]}
+cut_joints:
+  d: {type: revolute, body_a: bar, point_a: [1.0, 0.0], body_b: right, point_b: [0.5, 0.0]}
+"""
+PARALLELOGRAM_SCENE = """\
+mechanism: ./parallelogram.yaml
+initial: {position: {a: 0.7, b: -0.7, c: 0.7}, hold: [a]}
+effects: {gravity: {type: gravity, acceleration: [0.0, -9.81]}}
+"""
+
+
+def simulation_of(scene, effects=(), **method):
+    scene = load_scene(scene)
+    scene = replace(scene, effects={**scene.effects, **dict(effects)})
+    return Simulation.from_scene(scene, **method)
+
+
+def torques(simulation):
+    rng = np.random.default_rng(5)
+    return dict(zip(simulation.actuated_joints,
+                    0.3 * rng.normal(size=len(simulation.actuated_joints))))
+
+
+def twin(scene, effects, command):
+    """Return accelerations and multipliers of changes, by the dense augmented equations."""
+    simulation = simulation_of(scene, effects, formulation='augmented', integrator='rk4')
+    assert not simulation.system.is_unrolled
+    tau = simulation.joint_torques(command)
+    state = simulation.integrated.copy()
+    nq, nv = len(simulation.position), len(simulation.velocity)
+
+    def moved(q, qd, change):
+        state[:nq], state[nq:nq + nv] = q, qd + change[nv:2 * nv]
+        if simulation.system.manifold is None:
+            state[:nq] += change[:nv]
+        else:
+            native.move(simulation.system.manifold, state[:nq], change[:nv].copy(), 1.0)
+        simulation.system.tau[:] = tau + change[2 * nv:]
+        native.evaluate_state(simulation.system.native, state)
+        return np.concatenate((simulation.system.qdd, simulation.system.lam))
+    return moved
+
+
+def require_derivatives(scene, effects=(), duration=0.2, step=1e-3):
+    """Compare all derivatives, in a state that moves, with differences of the twin."""
+    simulation = simulation_of(scene, effects, integrator='rk4', step_size=1e-3)
+    command = torques(simulation)
+    simulation.step(command, duration)
+    q, qd, nv = simulation.position, simulation.velocity, len(simulation.velocity)
+    assert np.abs(qd).max() > 1e-3
+    found = Differentiator(simulation)(q, qd, command)
+    dense = twin(scene, effects, command)
+    np.testing.assert_allclose(
+        np.concatenate((found.acceleration, found.multipliers)),
+        dense(q, qd, np.zeros(3 * nv)), rtol=1e-9, atol=1e-9)
+    for first, derivative in enumerate((found.by_position, found.by_velocity, found.by_torque)):
+        expected = np.stack([sum(
+            weight / step * (dense(q, qd, times * step * unit) - dense(q, qd, -times * step * unit))
+            for times, weight in WEIGHTS) for unit in np.eye(3 * nv)[first * nv:][:nv]], axis=1)
+        np.testing.assert_allclose(derivative, expected, rtol=0,
+                                   atol=1e-9 * max(1.0, np.abs(expected).max()))
+    return simulation, found
+
+
+@pytest.mark.parametrize('scene', ('four_bar', 'three_rrr_vertical', 'slider_crank'))
+def test_derivatives_in_the_plane_are_differences_of_a_dense_twin(scene):
+    require_derivatives(scene)
+
+
+def test_derivatives_of_effects_in_the_plane():
+    points = [point.name for point in load_scene('three_rrr').mechanism.points]
+    require_derivatives('three_rrr', {
+        'spring': JointSpring('theta_1', 3.0, 0.2), 'damper': JointDamping('theta_2', 0.05),
+        'strut': PointSpring(points[0], None, (0.1, 0.7), 20.0, 0.3, 0.1),
+        'push': ExternalForce(points[1], (0.4, -0.3), 0.05, 'body')})
+
+
+def test_derivatives_in_space_with_effects():
+    mechanism = load_scene('rssr_four_bar').mechanism
+    require_derivatives('rssr_four_bar', {
+        'damper': JointDamping(mechanism.coordinates.names[0], 0.02),
+        'strut': PointSpring(mechanism.points[0].name, None, (0.1, 0.2, 0.7), 20.0, 0.3, 0.1)},
+        step=2e-3)
+
+
+@pytest.mark.slow
+def test_derivatives_with_orientations():
+    simulation, _ = require_derivatives('stewart_platform', duration=0.05)
+    assert simulation.system.manifold is not None
+
+
+def test_derivatives_by_torque_solve_the_dense_equations():
+    simulation, found = require_derivatives('carpet_scraper')
+    inertia, jac = simulation.inertia, simulation.constraint_jacobian
+    nv, nc = len(inertia), len(jac)
+    system = np.block([[inertia, -jac.T], [jac, np.zeros((nc, nc))]])
+    np.testing.assert_allclose(
+        system @ found.by_torque, np.eye(nv + nc)[:, :nv], rtol=0, atol=1e-9)
+
+
+def test_parameters_are_read_anew():
+    simulation = simulation_of('four_bar', {'damper': JointDamping('crank_joint', 0.1)})
+    differentiate = Differentiator(simulation)
+    state = simulation.position, simulation.velocity
+    before = differentiate(*state).by_velocity
+    simulation.set_effect('damper', coefficient=0.3)
+    after = differentiate(*state)
+    np.testing.assert_allclose(
+        after.by_velocity[:, 0] - before[:, 0], -0.2 * after.by_torque[:, 0], rtol=1e-9)
+    simulation.set_effect('damper', enabled=False)
+    with pytest.raises(SimulationError, match='Other effects are switched on'):
+        differentiate(*state)
+
+
+def test_singular_positions_are_refused(tmp_path):
+    (tmp_path / 'parallelogram.yaml').write_text(PARALLELOGRAM)
+    (tmp_path / 'scene.yaml').write_text(PARALLELOGRAM_SCENE)
+    simulation = simulation_of(tmp_path / 'scene.yaml')
+    differentiate = Differentiator(simulation)
+    assert np.isfinite(differentiate(simulation.position, simulation.velocity).by_position).all()
+    with pytest.raises(SingularityError, match='closure equations depend on one another'):
+        differentiate(np.zeros(3), np.zeros(3))
+
+
+@pytest.mark.parametrize('scene, name, reason', (
+    ('three_rrr_payload_friction', 'effects.gear_1', 'dry friction jumps'),
+    ('slider_crank_end_stop', 'effects.buffer', 'begins and ends')))
+def test_effects_without_derivatives_are_refused(scene, name, reason):
+    with pytest.raises(SimulationError) as error:
+        Differentiator(simulation_of(scene))
+    assert name in str(error.value) and reason in str(error.value)
+
+
+def test_every_operation_is_differentiated_as_complex_steps_tell():
+    graph = ExpressionGraph()
+    x, y = (graph.put(LOAD, Q, place) for place in range(2))
+
+    def formulas(x, y, sine, cosine, root, pick):
+        return [x + y, x - 2.0 * y, x * y * x, y / x, -x * 3.0, sine(x * y), cosine(x / y),
+                root(x * x + y), pick(x, y), 2.0 / (x * sine(y)), x - x]
+
+    def evaluated(values):
+        known = []
+        for kind, *operands in graph.operations:
+            one = [known[o] if isinstance(o, int) and kind != LOAD else o for o in operands]
+            known.append((
+                lambda: values[one[1]], lambda: one[0] + one[1], lambda: one[0] - one[1],
+                lambda: one[0] * one[1], lambda: one[0] / one[1], lambda: -one[0],
+                lambda: np.sin(one[0]), lambda: np.cos(one[0]), lambda: one[0] < one[1],
+                lambda: one[0] >= one[1], lambda: one[1] if one[0] else one[2],
+                lambda: one[0] and one[1], lambda: np.sqrt(one[0]))[kind]())
+        return known
+
+    found = formulas(x, y, sine, cosine, square_root, lambda a, b: chosen(a < b, a * a, b))
+    seeds = {x.place: 0.7, y.place: -0.4}
+    changes = differentiated(graph, found, seeds)
+    values = 0.8, 1.3
+    known = evaluated(values)
+    step = 1e-30
+    exact = formulas(*(value + 1j * step * seed for value, seed in zip(values, seeds.values())),
+                     np.sin, np.cos, np.sqrt, lambda a, b: a * a if a.real < b.real else b)
+    for change, value in zip(changes, exact):
+        number = known[change.place] if hasattr(change, 'place') else change
+        assert number == pytest.approx(value.imag / step, rel=1e-13, abs=1e-13)
