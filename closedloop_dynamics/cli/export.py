@@ -23,6 +23,7 @@ from .command import add_reading, Command, reading, require_free, UsageError
 from ..effects.registry import effect_type
 from ..formats.building import Imported
 from ..formats.in_space import in_space
+from ..formats.model import free_name
 from ..formats.registry import is_model, read_model, writer, WRITERS
 from ..formats.sdf_writing import sdf
 from ..mechanism.mechanism import Mechanism, MechanismError
@@ -73,7 +74,7 @@ def _run(arguments):
                              'no such position (give a scene with a start near one)')
     left_out = {}
     options = {'drake': True} if arguments.drake else {}
-    text = write(mechanism, effects, start if moved else None, left_out, **options)
+    text = write(mechanism, effects, start if moved else None, left_out, limits, **options)
     arguments.output.write_text(text, encoding='utf-8')
     print(f'{arguments.output}: {len(mechanism.bodies)} bodies, {len(mechanism.joints)} joints, '
           f'{len(mechanism.cut_joints)} that close loops')
@@ -118,7 +119,11 @@ def _read(name, **asked):
     """Return a mechanism, its effects, and where it starts, with what is held and the limits."""
     if is_model(name):
         imported = read_model(name, **asked)
-        return imported.mechanism, imported.effects, imported.position, (), imported.limits
+        effects = {**imported.effects, **{
+            free_name(f'drive_{joint}', imported.effects): {
+                'type': 'actuator', 'joint': joint, 'max_torque': torque, 'max_speed': speed}
+            for joint, (torque, speed) in imported.drives.items()}}
+        return imported.mechanism, effects, imported.position, (), imported.limits
     subject = load_scene_or_mechanism(name, **asked)
     effects = {key: {'type': effect_type(effect), **asdict(effect)}
                for key, effect in getattr(subject, 'effects', {}).items()}

@@ -26,7 +26,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .model import Connection, free_name, Omission
+from .model import Connection, free_name, NO_LIMIT, Omission
 from .pose import IDENTITY, Pose, quaternion_of, unturned
 from .visuals import placed
 from ..mechanism.fields import FieldError
@@ -79,6 +79,8 @@ class Imported:
         Keys of the effects as a scene has them, gravity among them.
     limits : dict of str to tuple of 2
         Least and largest coordinate of joints of one freedom, None where there is none.
+    drives : dict of str to tuple of 2
+        Largest torque and speed of driven joints of one freedom, None where there is none.
     omitted : list of model.Omission
         What moves bodies and was left out.
     ignored : dict of str to str
@@ -90,6 +92,7 @@ class Imported:
     position: dict
     effects: dict = field(default_factory=dict)
     limits: dict = field(default_factory=dict)
+    drives: dict = field(default_factory=dict)
     omitted: list = field(default_factory=list)
     ignored: dict = field(default_factory=dict)
 
@@ -125,7 +128,7 @@ def mechanism_of(model, end_stops=None, mend_inertias=False):
     """
     ignored, omitted = dict(model.ignored), list(model.omitted)
     model.check()
-    joints = [_upright(joint) for joint in model.joints.values()]
+    joints = [_upright(_bounded(joint)) for joint in model.joints.values()]
     groups = _Groups(model, joints)
     moving = groups.moving(joints, ignored)
     tree = _spanning_tree(groups, moving)
@@ -155,7 +158,10 @@ def mechanism_of(model, end_stops=None, mend_inertias=False):
         model, groups, frames, mechanism, tree, named, end_stops, omitted, ignored)
     limits = {named.joint(joint.name): (joint.lower, joint.upper) for joint in tree.joints
               if JOINT_FREEDOMS[joint.type] == 1 and (joint.lower, joint.upper) != (None, None)}
-    return Imported(mechanism, position, effects, limits, omitted, ignored)
+    drives = {named.joint(joint.name): (joint.effort or None, joint.speed or None)
+              for joint in tree.joints if joint.actuated and JOINT_FREEDOMS[joint.type] == 1
+              and (joint.effort or joint.speed)}
+    return Imported(mechanism, position, effects, limits, drives, omitted, ignored)
 
 
 def _upright(joint):
@@ -170,6 +176,13 @@ def _upright(joint):
         turned = IDENTITY
     return replace(joint, in_parent=joint.in_parent @ turned, in_child=joint.in_child @ turned,
                    axis=None)
+
+
+def _bounded(joint):
+    """Return a joint without limits that are none."""
+    return replace(joint, **{
+        key: None for key in ('lower', 'upper', 'effort', 'speed')
+        if getattr(joint, key) is not None and abs(getattr(joint, key)) >= NO_LIMIT})
 
 
 class _Groups:

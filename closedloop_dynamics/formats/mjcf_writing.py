@@ -35,7 +35,7 @@ ATTRIBUTES = {
 MOST_POWERS = 3
 
 
-def mjcf(mechanism, effects=None, start=None, left_out=None):
+def mjcf(mechanism, effects=None, start=None, left_out=None, limits=None):
     """
     Return a mechanism as MJCF.
 
@@ -49,6 +49,8 @@ def mjcf(mechanism, effects=None, start=None, left_out=None):
         Coordinates, which become the key frame ``start``.
     left_out : dict, optional
         Filled with the names of effects that are not written, or in part, as ``Acting.left``.
+    limits : dict of str to tuple of 2, optional
+        Least and largest coordinate of joints of one freedom, None where there is none.
 
     Returns
     -------
@@ -68,7 +70,7 @@ def mjcf(mechanism, effects=None, start=None, left_out=None):
     bodies = {GROUND: ElementTree.SubElement(root, 'worldbody')}
     sections = {tag: ElementTree.SubElement(root, tag)
                 for tag in ('tendon', 'equality', 'actuator')}
-    acting = Acting(mechanism, effects, lambda joint: _singles(mechanism, joint))
+    acting = Acting(mechanism, effects, lambda joint: _singles(mechanism, joint), limits)
     _add_bodies(mechanism, bodies, sections, acting)
     for point in mechanism.points:
         ElementTree.SubElement(bodies[point.body], 'site', name=point.name,
@@ -83,7 +85,7 @@ def mjcf(mechanism, effects=None, start=None, left_out=None):
     for joint in mechanism.joints:
         if joint.actuated:
             for single in _singles(mechanism, joint):
-                _add_motors(sections['actuator'], single)
+                _add_motors(sections['actuator'], single, acting)
     for tag, section in sections.items():
         if not len(section):
             root.remove(section)
@@ -137,11 +139,15 @@ def _singles(mechanism, joint):
     return chain(mechanism, joint, balls=True)
 
 
-def _add_motors(section, single):
+def _add_motors(section, single, acting):
     """Add a motor for each freedom of a joint."""
     count = {SPHERICAL: 3, FREE: 6}.get(single.type, 1)
     for number in range(count):
         motor = ElementTree.SubElement(section, 'motor', joint=single.name)
+        torque, _ = acting.drive(single.name, speeds=False) if count == 1 else (None, None)
+        if torque is not None:
+            motor.set('ctrlrange', numbers(-torque, torque))
+            motor.set('ctrllimited', 'true')
         if count > 1:
             motor.set('gear', ' '.join('1' if number == k else '0' for k in range(count)))
 
@@ -229,6 +235,9 @@ def _acting_on(single, acting):
             found[attribute] = numbers(values[JOINT_EFFECTS[kind]])
             if values.get('rest'):
                 found['springref'] = numbers(values['rest'])
+    limits = acting.limits(single.name)
+    if limits is not None:
+        found.update(range=numbers(*limits), limited='true')
     rotor = acting.same(single.name, 'rotor')
     if rotor is not None:
         found['armature'] = numbers(reflected(rotor))

@@ -35,6 +35,8 @@ from ..mechanism.mechanism import GROUND, JOINT_FREEDOMS, MechanismError
 MOMENTS = ('ixx', 'iyy', 'izz', 'ixy', 'ixz', 'iyz')
 # Standard gravity of formats that leave it to the simulator [m/s^2].
 GRAVITY = (0.0, 0.0, -9.81)
+# Limits of coordinates and drives from here on are none [SI units].
+NO_LIMIT = 1e9
 
 
 def free_name(name, taken):

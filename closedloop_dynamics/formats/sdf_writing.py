@@ -25,10 +25,10 @@ from xml.etree import ElementTree
 import numpy as np
 
 from .in_space import in_space, X, Y, Z
-from .model import inertia_matrix, MOMENTS
+from .model import inertia_matrix, MOMENTS, NO_LIMIT
 from .pose import about, IDENTITY, of_quaternion, Pose, quaternion_of, unturned
 from .writing import (
-    Acting, APART, chain, EFFORT, gravity_of, JOINT_EFFECTS, mimics_of, moments_of, numbers,
+    Acting, APART, chain, gravity_of, JOINT_EFFECTS, mimics_of, moments_of, numbers,
     pose_of, reflected, Single, written)
 from ..mechanism.mechanism import (
     CYLINDRICAL, FIXED, FREE, GROUND, HELICAL, JOINT_FREEDOMS, MechanismError, PLANAR, PRISMATIC,
@@ -43,7 +43,7 @@ DRAKE = 'http://drake.mit.edu'
 LEAST_MASS = 1e-12
 
 
-def sdf(mechanism, effects=None, start=None, left_out=None, drake=False):
+def sdf(mechanism, effects=None, start=None, left_out=None, limits=None, drake=False):
     """
     Return a mechanism as SDF: a world with a model whose joints form loops.
 
@@ -59,6 +59,8 @@ def sdf(mechanism, effects=None, start=None, left_out=None, drake=False):
         Coordinates of the position that is drawn, which closes the loops; zero if not given.
     left_out : dict, optional
         Filled with the names of effects that are not written, or in part, as ``Acting.left``.
+    limits : dict of str to tuple of 2, optional
+        Least and largest coordinate of joints of one freedom, None where there is none.
     drake : bool
         Whether loops are closed by Drake's ball constraints, as it refuses loops of joints.
 
@@ -79,7 +81,8 @@ def sdf(mechanism, effects=None, start=None, left_out=None, drake=False):
     root = ElementTree.Element('sdf', version='1.11')
     world = ElementTree.SubElement(root, 'world', name=mechanism.name)
     ElementTree.SubElement(world, 'gravity').text = numbers(*gravity_of(effects))
-    writer = _Sdf(mechanism, ElementTree.SubElement(world, 'model', name=mechanism.name), effects)
+    writer = _Sdf(mechanism, ElementTree.SubElement(world, 'model', name=mechanism.name), effects,
+                  limits)
     zero = {joint.name: start[places.coordinates[joint.name]][0] for joint in mechanism.joints
             if JOINT_FREEDOMS[joint.type] == 1}
     shifted = replace(mechanism, couplings=tuple(replace(
@@ -108,10 +111,10 @@ def sdf(mechanism, effects=None, start=None, left_out=None, drake=False):
 class _Sdf:
     """What is written into an element model, link by link and joint by joint."""
 
-    def __init__(self, mechanism, model, effects):
+    def __init__(self, mechanism, model, effects, limits):
         """Name the links, in SDF's one space of names for all, and write what they weigh."""
         self.mechanism, self.model, self.mimics, self.drakes = mechanism, model, {}, False
-        self.acting = Acting(mechanism, effects, self._singles)
+        self.acting = Acting(mechanism, effects, self._singles, limits)
         taken = {one.name for one in (*mechanism.joints, *mechanism.cut_joints)} | {'world'}
         taken |= {single.name for joint in mechanism.joints
                   for single in self._singles(joint)}
@@ -222,8 +225,18 @@ class _Sdf:
                 _text(element, 'drake:gear_ratio', 1)
         for number, axis in enumerate(axes):
             child = _add_axis(element, number, axis)
+            limit = ElementTree.Element('limit')
+            if len(axes) == 1:
+                for tag, one in zip(('lower', 'upper'), self.acting.limits(single.name) or ()):
+                    # Those that are none stay so wherever it is drawn.
+                    _text(limit, tag, one if abs(one) >= NO_LIMIT else one - q[number])
             if joint.actuated:
-                _text(ElementTree.SubElement(child, 'limit'), 'effort', EFFORT)
+                torque, speed = self.acting.drive(single.name, speeds=True)
+                _text(limit, 'effort', torque or NO_LIMIT)
+                if speed is not None:
+                    _text(limit, 'velocity', speed)
+            if len(limit):
+                child.append(limit)
             dynamics = ElementTree.Element('dynamics')
             for kind, tag in DYNAMICS.items():
                 values = [*acting[kind], None, None][number]

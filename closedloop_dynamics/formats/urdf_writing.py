@@ -19,10 +19,10 @@ from xml.etree import ElementTree
 import numpy as np
 
 from .in_space import in_space, Z
-from .model import GRAVITY, MOMENTS
+from .model import GRAVITY, MOMENTS, NO_LIMIT
 from .pose import angles_of, of_quaternion, Pose
 from .writing import (
-    Acting, chain, EFFORT, gravity_of, JOINT_EFFECTS, mimics_of, moments_of, numbers, pose_of,
+    Acting, chain, gravity_of, JOINT_EFFECTS, mimics_of, moments_of, numbers, pose_of,
     written)
 from ..mechanism.mechanism import (
     CYLINDRICAL, FIXED, FREE, GROUND, HELICAL, MechanismError, PLANAR, PRISMATIC, REVOLUTE,
@@ -32,7 +32,7 @@ from ..mechanism.mechanism import (
 DYNAMICS = {'joint_damping': 'damping', 'joint_friction': 'friction'}
 
 
-def urdf_with_loops(mechanism, effects=None, start=None, left_out=None):
+def urdf_with_loops(mechanism, effects=None, start=None, left_out=None, limits=None):
     """
     Return a mechanism as URDF, its loops as elements loop and constraint.
 
@@ -46,6 +46,8 @@ def urdf_with_loops(mechanism, effects=None, start=None, left_out=None):
         Coordinates, for which URDF has no place.
     left_out : dict, optional
         Filled with the names of effects that are not written, or in part, as ``Acting.left``.
+    limits : dict of str to tuple of 2, optional
+        Least and largest coordinate of joints of one freedom, None where there is none.
 
     Returns
     -------
@@ -69,7 +71,7 @@ def urdf_with_loops(mechanism, effects=None, start=None, left_out=None):
             ElementTree.SubElement(inertial, 'mass', value=numbers(body.mass))
             ElementTree.SubElement(inertial, 'inertia', dict(zip(
                 MOMENTS, map(numbers, moments_of(body)))))
-    acting = Acting(mechanism, effects, lambda joint: chain(mechanism, joint, balls=False))
+    acting = Acting(mechanism, effects, lambda joint: chain(mechanism, joint, balls=False), limits)
     mimics = mimics_of(mechanism, 'URDF')
     for joint in mechanism.joints:
         parent, singles = joint.parent, chain(mechanism, joint, balls=False)
@@ -79,6 +81,8 @@ def urdf_with_loops(mechanism, effects=None, start=None, left_out=None):
                 child = f'{joint.name}_link_{number + 1}'
                 ElementTree.SubElement(robot, 'link', name=child)
             kind = {REVOLUTE: 'continuous', FREE: 'floating'}.get(single.type, single.type)
+            if kind == 'continuous' and acting.limits(single.name):
+                kind = 'revolute'
             element = ElementTree.SubElement(robot, 'joint', name=single.name, type=kind)
             ElementTree.SubElement(element, 'parent', link=parent)
             ElementTree.SubElement(element, 'child', link=child)
@@ -100,11 +104,14 @@ def urdf_with_loops(mechanism, effects=None, start=None, left_out=None):
 def _add_dynamics(element, single, joint, acting, mimics):
     """Add limits that URDF asks for, what acts on a joint, and what it mimics."""
     if single.type in (REVOLUTE, PRISMATIC):
-        limit = ElementTree.SubElement(element, 'limit', effort=EFFORT if joint.actuated else '0',
-                                       velocity='1e9')
-        if single.type == PRISMATIC:
-            limit.set('lower', '-1e9')
-            limit.set('upper', '1e9')
+        torque, speed = acting.drive(single.name, speeds=True)
+        limit = ElementTree.SubElement(
+            element, 'limit', effort=numbers((torque or NO_LIMIT) if joint.actuated else 0.0),
+            velocity=numbers(speed or NO_LIMIT))
+        ends = acting.limits(single.name)
+        if ends or single.type == PRISMATIC:
+            for key, one in zip(('lower', 'upper'), ends or (-NO_LIMIT, NO_LIMIT)):
+                limit.set(key, numbers(one))
     if single.type in (REVOLUTE, PRISMATIC):
         found = {kind: acting.each(single.name, kind) for kind in DYNAMICS}
         values = {DYNAMICS[kind]: numbers(keys[0][JOINT_EFFECTS[kind]])

@@ -27,6 +27,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from .in_space import X, Y, Z
+from .model import NO_LIMIT
 from .pose import of_quaternion, Pose
 from ..mechanism.couplings import measured
 from ..mechanism.mechanism import (
@@ -38,13 +39,12 @@ JOINT_EFFECTS = {
     'joint_damping': 'coefficient', 'joint_friction': 'coulomb', 'joint_spring': 'stiffness'}
 # What formats do not have of others.
 BEYOND = {'joint_friction': 'beyond its Coulomb part',
-          'rotor': 'beyond its reflected inertia'}
+          'rotor': 'beyond its reflected inertia',
+          'actuator': ('beyond its largest torque', 'beyond its largest torque and speed')}
 # Gear ratio from which the turning of a rotor's carrier does not count.
 ENDLESS = 1e9
 # How far apart two balls are that stand for a hinge where a loop is closed [m].
 APART = 0.1
-# What a driven joint is told by where it has no limit of its own [N m or N].
-EFFORT = '1e9'
 
 
 class Single(NamedTuple):
@@ -95,6 +95,8 @@ class Acting:
         Keys of effects, by name.
     singles : callable
         Returns the single joints of a joint.
+    limits : dict of str to tuple of 2, optional
+        Least and largest coordinate of joints of one freedom, None where there is none.
 
     Attributes
     ----------
@@ -111,9 +113,10 @@ class Acting:
 
     """
 
-    def __init__(self, mechanism, effects, singles):
+    def __init__(self, mechanism, effects, singles, limits=None):
         """Sort effects by what they act in."""
         _refuse_cuts(mechanism, effects)
+        self._limits = limits or {}
         self._at, self.left, self.freedoms = {}, {}, {}
         for joint in mechanism.joints:
             names = list(mechanism.coordinates.names[mechanism.coordinates.rates[joint.name]])
@@ -130,6 +133,33 @@ class Acting:
                 single, place, count = self.freedoms[values['joint']]
                 rows = self._at.setdefault(single, {}).setdefault(values['type'], count * [None])
                 rows[place] = rows[place] or (name, values)
+
+    def limits(self, single):
+        """Return least and largest coordinate of a single joint; None where neither is limited."""
+        found = self._limits.get(single, (None, None))
+        return None if found == (None, None) else tuple(
+            end if one is None else one for one, end in zip(found, (-NO_LIMIT, NO_LIMIT)))
+
+    def drive(self, single, speeds):
+        """
+        Return the largest torque and speed of the drive of a single joint, None for none.
+
+        Parameters
+        ----------
+        single : str
+        speeds : bool
+            Whether the format has largest speeds.
+
+        """
+        pair = self._at.get(single, {}).get('actuator', [None])[0]
+        if pair is None:
+            return None, None
+        name, values = pair
+        torque, speed = values.get('max_torque'), values.get('max_speed')
+        del self.left[name]
+        if values.get('lag') or values.get('delay') or speed is not None and not speeds:
+            self.left[name] = BEYOND['actuator'][speeds]
+        return torque, speed
 
     def each(self, single, kind):
         """Return the keys of the effect of a type in each freedom of a single; None for none."""

@@ -19,7 +19,7 @@ from dataclasses import replace
 from closedloop_dynamics.cli import main
 from closedloop_dynamics.formats.in_space import in_space
 from closedloop_dynamics.formats.mjcf_writing import mjcf
-from closedloop_dynamics.formats.registry import read_model
+from closedloop_dynamics.formats.registry import read_model, writer
 from closedloop_dynamics.formats.sdf_writing import sdf
 from closedloop_dynamics.formats.urdf_writing import urdf_with_loops
 from closedloop_dynamics.mechanism.config import shipped_path
@@ -269,6 +269,42 @@ def test_mjcf_has_tendons_springs_between_points_and_ropes(tmp_path):
     assert [places[strut.pop(key)] for key in ('point_a', 'point_b')] == [
         ('b2', (0.1, 0.2, 0.3)), ('ground', (0.1, 0.2, 0.7))]
     assert strut == {'type': 'point_spring', 'stiffness': 5.0, 'damping': 0.5, 'free_length': 0.2}
+
+
+@pytest.mark.parametrize('suffix', ['.xml', '.urdf', '.sdf'])
+def test_limits_of_joints_are_written_and_read_again(tmp_path, suffix):
+    if suffix == '.xml':
+        pytest.importorskip('mujoco')
+    mechanism = tree('revolute', 'prismatic', 'revolute', 'prismatic', 'revolute', 'spherical')
+    limits = {'j0': (-0.5, 1.5), 'j1': (-0.25, 0.125), 'j2': (None, 0.75), 'j3': (0.0, None)}
+    q = mechanism.coordinates.moved(mechanism.coordinates.start(), np.full(8, 0.0625))
+    path = tmp_path / f'm{suffix}'
+    path.write_text(writer(suffix)(mechanism, {}, q, limits=limits))
+    found, drawn = read_model(path).limits, 0.0625 if suffix == '.sdf' else 0.0
+    assert found == {name: tuple(one if one is None else one - drawn for one in some)
+                     for name, some in limits.items()}
+
+
+def test_limits_of_drives_are_written(tmp_path):
+    mujoco = pytest.importorskip('mujoco')
+    mechanism = tree('revolute', 'prismatic')
+    effects = {'a': {'type': 'actuator', 'joint': 'j0', 'max_torque': 3.0, 'max_speed': 7.0,
+                     'lag': 0.0, 'delay': 0.0}}
+    late, left_out = {'a': {**effects['a'], 'delay': 0.1}}, {}
+    for write, suffix in ((urdf_with_loops, '.urdf'), (sdf, '.sdf')):
+        (tmp_path / f'm{suffix}').write_text(write(mechanism, effects, left_out=left_out))
+        assert set(left_out) <= {'gravity'}
+        assert read_model(tmp_path / f'm{suffix}').drives == {'j0': (3.0, 7.0)}
+        write(mechanism, late, left_out=left_out)
+        assert left_out.pop('a') == 'beyond its largest torque and speed'
+        left_out.clear()
+    model = mujoco.MjModel.from_xml_string(mjcf(mechanism, effects, left_out=left_out))
+    assert model.actuator_ctrlrange.tolist() == [[-3.0, 3.0]]
+    assert left_out == {'a': 'beyond its largest torque'}
+    # From one format to another, too.
+    assert main(['export', str(tmp_path / 'm.urdf'), '--output', str(tmp_path / 'm.xml')]) == 0
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / 'm.xml'))
+    assert model.actuator_ctrlrange.tolist() == [[-3.0, 3.0]]
 
 
 def test_rotors_of_drives_are_written_for_drake_and_read_again(tmp_path):
