@@ -319,6 +319,8 @@ class _Reader:
         self.ellipsoids = ellipsoids
         self.objects = mujoco.mjtObj
         self.joints = {}
+        self.named_joints = {self._name(self.objects.mjOBJ_JOINT, joint, '')
+                             for joint in range(compiled.njnt)}
         self.bodies = [self._name(self.objects.mjOBJ_BODY, body, f'body_{body}')
                        for body in range(compiled.nbody)]
 
@@ -501,6 +503,10 @@ class _Reader:
     def _name(self, kind, number, default):
         return self.mujoco.mj_id2name(self.compiled, kind, int(number)) or default
 
+    def _free_joint(self, name):
+        """Return a name that no joint has, of those that are still to come either."""
+        return free_name(name, {*self.model.joints, *self.named_joints})
+
     def _called(self, kind, number):
         """Return what an element is, and its name."""
         return (kind.name.removeprefix('mjOBJ_').lower(),
@@ -534,7 +540,7 @@ class _Reader:
             joint = first + number
             child = name
             if number < count - 1:
-                child = free_name(f'{name}_{number + 1}', self.model.links)
+                child = free_name(f'{name}_{number + 1}', {*self.model.links, *self.bodies})
                 self.model.add(Link(child, where))
             connection = self._joint(joint, name, number, parent, child, place)
             self.model.add(connection)
@@ -542,14 +548,14 @@ class _Reader:
             parent, place = child, IDENTITY
         if not count:
             self.model.add(Connection(
-                free_name(f'{name}_fixed', self.model.joints), FIXED, parent, name, where,
+                self._free_joint(f'{name}_fixed'), FIXED, parent, name, where,
                 in_parent=place))
 
     def _joint(self, joint, body, number, parent, child, place):
         compiled = self.compiled
         kind = TYPES[compiled.jnt_type[joint]]
-        name = self._name(self.objects.mjOBJ_JOINT, joint, '') or free_name(
-            f'{body}_joint_{number + 1}', self.model.joints)
+        name = self._name(self.objects.mjOBJ_JOINT, joint, '') or self._free_joint(
+            f'{body}_joint_{number + 1}')
         found = Connection(name, kind, parent, child,
                            f'{self.model.path}: <joint name={name!r}>')
         dof, address = int(compiled.jnt_dofadr[joint]), int(compiled.jnt_qposadr[joint])
@@ -602,12 +608,13 @@ class _Reader:
         """Make the armature of what floats, or of a ball on what does not turn, a body's own."""
         armature, joint.armature = joint.armature, 0.0
         if armature:
-            link = Link(free_name(f'{joint.child}_armature', self.model.links), joint.where,
+            link = Link(free_name(f'{joint.child}_armature', {*self.model.links, *self.bodies}),
+                        joint.where,
                         armature if joint.type == FREE else 0.0, inertia=armature * np.eye(3),
                         carried=1.0)
             self.model.add(link)
-            self.model.add(Connection(free_name(link.name, self.model.joints), FIXED, joint.child,
-                                      link.name, joint.where))
+            self.model.add(Connection(
+                self._free_joint(link.name), FIXED, joint.child, link.name, joint.where))
 
     def _equality(self, number):
         compiled, model = self.compiled, self.model

@@ -298,6 +298,17 @@ def test_bodies_without_names_are_drawn_too(tmp_path):
         'ground is the world')
 
 
+def test_names_that_are_made_up_are_none_of_the_file(tmp_path):
+    part = '<body name="{}"><joint{}/><joint axis="1 0 0"/><geom size="0.1"/></body>'
+    text = ('<mujoco><worldbody>' + part.format('a', '') + part.format('a_1', ' name="a_joint_2"')
+            + '<body name="a_fixed"><joint name="a_1_joint_2"/><geom size="0.1"/></body>'
+            '</worldbody></mujoco>')
+    mechanism = read_model(written(tmp_path, text)).mechanism
+    assert mechanism.joint_names == (
+        'a_joint_1', 'a_joint_2_', 'a_joint_2', 'a_1_joint_2_', 'a_1_joint_2')
+    assert [body.name for body in mechanism.bodies] == ['a', 'a_1_', 'a_1', 'a_1_1', 'a_fixed']
+
+
 def test_actuators_of_several_outputs(tmp_path):
     if not hasattr(mujoco.mjtTrn, 'mjTRN_SO3'):
         pytest.skip('this version of MuJoCo has none')
