@@ -32,7 +32,7 @@ import pytest
 from .test_mutated_scenes import mutated, put, swap, told, WORD
 from ..formats import machines, test_sdf
 try:
-    from ..formats import test_mjcf
+    from ..formats import test_mjcf, test_mjcf_forces
 except pytest.skip.Exception:
     test_mjcf = None
 
@@ -54,14 +54,16 @@ GAZEBO = ('<gazebo><frame name="top" attached_to="rocker"><pose>0.3 0 0 0 0 0</p
           '</gazebo><gazebo reference="crank_joint"><springStiffness>3</springStiffness></gazebo>')
 FILES = {'urdf': [*(machines.four_bar(way) for way in machines.LOOPS),
                   machines.four_bar().replace('<inertial>', f'{DRAWN}<inertial>'),
-                  machines.robot(machines.LINKS, machines.TREE, GAZEBO)],
+                  machines.robot(machines.LINKS, machines.TREE, GAZEBO),
+                  machines.robot(machines.LINKS, machines.TREE, machines.LOOPS['loop'][1],
+                                 machines.MOVING)],
          'sdf': [test_sdf.FOUR_BAR, test_sdf.FOUR_BAR.replace(
              '<inertial>', f'{DRAWN_IN_SDF}<inertial>'),
              test_sdf.nested(test_sdf.ARM.replace('POSE', test_sdf.RAISED).replace(
                  'EXPRESSED', 'expressed_in="__model__"'))],
          'mjcf': [test_mjcf.TREE, test_mjcf.LOOPS.replace(
              'EQUALITY', '\n'.join(test_mjcf.EQUALITIES.values())),
-             test_mjcf.FULL] if test_mjcf else []}
+             test_mjcf.FULL, test_mjcf_forces.ALONG] if test_mjcf else []}
 
 
 def damaged(rng, text):

@@ -73,6 +73,13 @@ LOOPS = {
 """),
 }
 
+# What other programs let act on bodies.
+MOVING = ('<gazebo reference="crank"><velocity_decay><linear>0.2</linear><angular>0.5</angular>'
+          '</velocity_decay></gazebo><gazebo><plugin name="sea" '
+          'filename="gz-sim-hydrodynamics-system"/><plugin name="camera" filename="c.so"/>'
+          '</gazebo><drake:linear_bushing_rpy><drake:bushing_torque_stiffness value="1 20 3"/>'
+          '</drake:linear_bushing_rpy>\n')
+
 
 def four_bar(way='loop'):
     """Return the URDF of a four-bar, its loop written in one of the ways."""

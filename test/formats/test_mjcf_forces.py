@@ -50,6 +50,13 @@ VARIANTS = {
         ('<body name="hand"', '<body gravcomp="1" name="hand"'),
         ('contact=', 'spring="disable" damper="disable" contact='),
         ('<option ', '<option density="900" ')]}
+# Everything that acts along tendons and in a fluid.
+ALONG = TREE.replace('<option ', '<option density="900" viscosity="2" ').replace('<actuator>', """
+  <tendon><fixed name="belt" stiffness="30" damping="2" springlength="-0.05 0.1" limited="true"
+  range="-1 1"><joint joint="hinge" coef="0.4"/><joint joint="slide" coef="-1.5"/></fixed>
+  <spatial name="cord" stiffness="40" springlength="0 0.9" limited="true" range="0.1 2">
+  <site site="hook"/><site site="guide"/><site site="tip"/></spatial></tendon><actuator>""").replace(
+      *SITES[0]).replace(*SITES[1])
 BALLS = """\
 <mujoco><worldbody><body name="lift"><joint name="up" type="slide" axis="0 0 1"/>
   <inertial pos="0 0 0.1" mass="1" diaginertia="0.1 0.1 0.1"/>

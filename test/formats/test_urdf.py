@@ -29,7 +29,7 @@ import numpy as np
 import pytest
 
 from . import machines
-from .machines import four_bar, joint, link, LINKS, LOOPS, robot, TIPS, TREE
+from .machines import four_bar, joint, link, LINKS, LOOPS, MOVING, robot, TIPS, TREE
 
 
 def written(tmp_path, text, name='robot.urdf'):
@@ -467,12 +467,7 @@ def test_commands_read_models_as_they_are_asked_to(tmp_path, capsys):
 
 
 def test_what_moves_bodies_and_nobody_reads_is_named_with_its_size(tmp_path):
-    moving = ('<gazebo reference="crank"><velocity_decay><linear>0.2</linear><angular>0.5'
-              '</angular></velocity_decay></gazebo><gazebo><plugin name="sea" '
-              'filename="gz-sim-hydrodynamics-system"/><plugin name="camera" filename="c.so"/>'
-              '</gazebo><drake:linear_bushing_rpy><drake:bushing_torque_stiffness value="1 20 3"/>'
-              '</drake:linear_bushing_rpy>')
-    text = robot(LINKS, TREE, LOOPS['loop'][1], moving).replace(
+    text = robot(LINKS, TREE, LOOPS['loop'][1], MOVING).replace(
         '<limit', '<dynamics D="1.5" K="-7" mu="0"/><limit', 1)
     imported = read_model(written(tmp_path, text))
     assert {(one.quantity, one.kind, one.name, one.size) for one in imported.omitted} == {
