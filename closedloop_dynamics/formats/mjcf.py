@@ -23,8 +23,10 @@ hold exactly here.
 """
 
 from collections import Counter
+from contextlib import contextmanager
 import math
 from pathlib import Path
+import warnings
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
@@ -83,20 +85,38 @@ def read_mjcf(path, asked=Asked()):
     drawn = ''.join(_text(part, NOT_DRAWN) for part in root.children if part.tag in DRAWN)
     _stripped(root, folder, left_out, asked, parts, assets)
     model.ignore(left_out, {**SECTIONS, **PARTS}, 'for contacts')
-    try:
-        compiled = mujoco.MjSpec.from_string(
-            _text(root), include=_contents(parts), assets=_contents(assets)).compile()
-    except (ValueError, RuntimeError, mujoco.FatalError) as error:
-        told = ' '.join(str(error).split())
-        raise MechanismError(f'{path}: expected a model that MuJoCo compiles, got: {told}'
-                             ) from None
+    with _heard(mujoco, model.ignored):
+        try:
+            compiled = mujoco.MjSpec.from_string(
+                _text(root), include=_contents(parts), assets=_contents(assets)).compile()
+        except (ValueError, RuntimeError, mujoco.FatalError) as error:
+            told = ' '.join(str(error).split())
+            raise MechanismError(f'{path}: expected a model that MuJoCo compiles, got: {told}'
+                                 ) from None
     ellipsoids = _asks(root, 'fluidshape', 'ellipsoid') or any(
         b'"ellipsoid"' in content for _, content in parts.values())
     reader = _Reader(mujoco, compiled, model, ellipsoids)
     links = reader.read()
     reader.start(start)
-    read_pictures(mujoco, f'<mujoco>{drawn}</mujoco>', folder, model, links)
+    # What it warns of was told above.
+    with _heard(mujoco, {}):
+        read_pictures(mujoco, f'<mujoco>{drawn}</mujoco>', folder, model, links)
     return model
+
+
+@contextmanager
+def _heard(mujoco, notes):
+    """Note what MuJoCo warns of, which else writes a file where it runs."""
+    before, told = mujoco.get_mju_user_warning(), []
+    mujoco.set_mju_user_warning(told.append)
+    try:
+        with warnings.catch_warnings(record=True) as found:
+            warnings.simplefilter('always')
+            yield
+    finally:
+        mujoco.set_mju_user_warning(before)
+    for text in (*told, *(str(one.message) for one in found)):
+        notes[' '.join(text.split())] = 'a warning of MuJoCo'
 
 
 def _contents(files):

@@ -309,6 +309,23 @@ def test_names_that_are_made_up_are_none_of_the_file(tmp_path):
     assert [body.name for body in mechanism.bodies] == ['a', 'a_1_', 'a_1', 'a_1_1', 'a_fixed']
 
 
+def test_warnings_of_mujoco_are_told_and_write_no_file(tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    part = ('<mujoco model="part"><option timestep="0.01"/><worldbody><body name="b"><joint/>'
+            '<geom size="0.1"/></body></worldbody></mujoco>')
+    written(tmp_path, part, 'part.xml')
+    text = ('<mujoco><asset><model name="part" file="part.xml"/></asset><worldbody><body>'
+            '<attach model="part" body="b" prefix="p"/></body></worldbody></mujoco>')
+    before = mujoco.get_mju_user_warning()
+    ignored = read_model(written(tmp_path, text)).ignored
+    assert mujoco.get_mju_user_warning() is before
+    assert {path.name for path in tmp_path.iterdir()} == {'model.xml', 'part.xml'}
+    assert not capfd.readouterr().err
+    told = {text for text, why in ignored.items() if why == 'a warning of MuJoCo'}
+    # Older versions say nothing of it.
+    assert not told or any('timestep' in text for text in told)
+
+
 def test_actuators_of_several_outputs(tmp_path):
     if not hasattr(mujoco.mjtTrn, 'mjTRN_SO3'):
         pytest.skip('this version of MuJoCo has none')
