@@ -127,10 +127,10 @@ class Cable(Effect):
             with at('points'):
                 require_point(mechanism, index, point)
 
-    def windings(self, entries):
-        """Return the turns round pulleys that have a radius, from -pi/2 to 3 pi/2."""
-        return {point: float(entry[-1] / abs(radius)) for point, radius, entry in zip(
-            self.points, self.radii or (), entries.reshape(len(self.points), -1)) if radius}
+    def winding_places(self, columns):
+        """Return where, among its entries, the turns round pulleys stand that have a radius."""
+        return {point: columns * (index + 1) - 1 for index, (point, radius) in enumerate(zip(
+            self.points, self.radii or ())) if radius}
 
     def start_notes(self, name, readings, weight):
         """Tell of a stretch that few cables bear, by forces that no weight explains."""

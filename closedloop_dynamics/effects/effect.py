@@ -297,20 +297,19 @@ class Effect:
 
         """
 
-    def windings(self, entries):
+    def winding_places(self, columns):
         """
-        Return how far a cable is wound round pulleys.
+        Return where cables are told to be wound round pulleys.
 
         Parameters
         ----------
-        entries : ndarray
-            The effect's own numbers in the table, after an evaluation: those of ``element``, one
-            row after the other.
+        columns : int
+            Numbers of an entry of the effect's data.
 
         Returns
         -------
-        dict of str to float
-            By the point of the pulley [rad].
+        dict of str to int
+            By point: the place in these data of a length on the pulley [m], the radius before it.
 
         """
         return {}

@@ -89,14 +89,14 @@ class EffectSet:
         Which of these act back on the motion; the others are energies.
     drives : dict of int to float
         Delay of the command [s] of every joint whose command passes through a drive.
-    driven : ndarray of int
-        These joints.
     delays : bool
         Whether any of them is late.
     sensors, sensors_at_cuts : sensor.Chain
         What measures the joints of the tree, and cut joints.
     remembers : bool
         Whether what is measured depends on the states in between.
+    attends : bool
+        Whether either is so: commands that are late, or sensors that remember.
     cuts : tuple of 2 ndarrays or None
         Of the cut joints that anything acts in, as for ``table.build_table``.
 
@@ -115,8 +115,7 @@ class EffectSet:
         self.initial = np.array([state.initial for state in states], dtype=float)
         roles = np.array([state.role for state in states], dtype=int)
         self.roles = roles
-        self.own, self._dissipated, self._work = (
-            np.flatnonzero(roles == role) for role in (OWN, DISSIPATED, WORK))
+        self.own, self.remembers = np.flatnonzero(roles == OWN), False
         self._update()
         self.restart()
 
@@ -192,8 +191,8 @@ class EffectSet:
             if record.drive() is not None:
                 joint, delay = record.drive()
                 self.drives[self._machine.joint(joint)] = delay
-        self.driven = np.array(list(self.drives), dtype=np.int64)
         self.delays = any(self.drives.values())
+        self.attends = self.delays or self.remembers
 
     def restart(self):
         """Let the instruments begin anew."""
@@ -202,6 +201,7 @@ class EffectSet:
         # Noise of another sequence, so that the tree's is the same with and without.
         self.sensors_at_cuts = Chain(enabled, (1,))
         self.remembers = self.sensors.remembers
+        self.attends = self.delays or self.remembers
 
     @property
     def ending_steps(self):
@@ -393,14 +393,6 @@ class EffectSet:
             self._table.sticking.hold[row] = 0.0 if accelerations is None else (
                 -self._table.values[row, 0] * accelerations[self._table.index[row, FIRST]])
 
-    def dissipated(self, states):
-        """Return the energy dissipated so far, from the effects' states [J]."""
-        return float(states[self._dissipated].sum()) if len(self._dissipated) else 0.0
-
-    def work(self, states):
-        """Return the work that effects did from outside so far [J]."""
-        return float(states[self._work].sum()) if len(self._work) else 0.0
-
     def readings(self, name, states):
         """
         Return what an effect says of itself at the latest evaluation.
@@ -417,6 +409,24 @@ class EffectSet:
         return {self.records[name].ENERGY: float(values[STORED]), **self._flows(row, states), **{
             key: float(value) for key, value in zip(self.records[name].READINGS, values[1:])}}
 
+    def winding_places(self):
+        """
+        Return where the data of effects tell how far cables are wound round pulleys.
+
+        Returns
+        -------
+        dict of (str, str) to int
+            By cable and point, of those that are switched on; the radius stands before each.
+
+        """
+        found = {}
+        for row, (name, element) in enumerate(zip(self._rows, self.elements)):
+            if self.enabled[name] and len(element.data):
+                first = self._table.index[row, DATA]
+                found.update({(name, point): first + place for point, place in
+                              self.records[name].winding_places(len(element.data[0])).items()})
+        return found
+
     def windings(self):
         """
         Return how far cables are wound round pulleys at the latest evaluation.
@@ -427,14 +437,9 @@ class EffectSet:
             By cable and point [rad].
 
         """
-        found = {}
-        for row, (name, element) in enumerate(zip(self._rows, self.elements)):
-            if self.enabled[name] and len(element.data):
-                first = self._table.index[row, DATA]
-                entries = self._table.data[first:first + size_of_data(element)]
-                found.update({(name, point): angle for point, angle in
-                              self.records[name].windings(entries).items()})
-        return found
+        data = self._table.data
+        return {pulley: float(data[place] / abs(data[place - 1]))
+                for pulley, place in self.winding_places().items()}
 
     def drive_rows(self):
         """Return the rows of the drives that are switched on, and the joints they drive."""

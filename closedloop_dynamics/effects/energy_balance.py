@@ -15,10 +15,21 @@
 """Where the energy of a simulation is, where it went, and where it came from."""
 
 from dataclasses import dataclass
+import math
+from typing import NamedTuple
 
 import numpy as np
 
-from ..engine import native
+# Columns of ``EnergyAccount.numbers``, all [J]; a test compares them with the engine's.
+HELD_WORK, REFERENCE, START_KINETIC, START_STORED, COLUMNS = range(5)
+
+
+class EnergyAccount(NamedTuple):
+    """What the engine keeps of a run to draw its energy balance."""
+
+    roles: np.ndarray  # Shape (nz,): what the effects' states are, as of ``table``
+    since: np.ndarray  # Shape (nv + nk,): coordinates when work was added last
+    numbers: np.ndarray  # Shape (COLUMNS,)
 
 
 @dataclass(frozen=True)
@@ -51,20 +62,25 @@ class Energies:
 
 class EnergyBalance:
     """
-    Keeps account of the energy of a simulation.
+    Keeps account of the energy of a simulation; the engine draws the balance.
 
-    ``at_start``: Energies, or None where nobody has wanted to know yet.
+    Parameters
+    ----------
+    roles : ndarray of int, shape (nz,)
+        What the effects' states are.
+    freedoms : int
+        Of the joints, and of cut joints that anything acts in.
 
-    The work of a torque that is held and passes unchanged is tau . (q - q at the hold's start),
-    exactly; nothing is computed for it in between. Drives and other effects integrate theirs, and
-    so do torques on rotations in three dimensions, of which no coordinate tells the work.
+    Attributes
+    ----------
+    account : EnergyAccount
 
     """
 
-    def __init__(self, effects):
+    def __init__(self, roles, freedoms):
         """Start with nothing."""
-        self._effects = effects
-        self._since, self._work, self._reference, self.at_start = np.zeros(0), 0.0, None, None
+        self.account = EnergyAccount(
+            roles.astype(np.int64), np.zeros(freedoms), np.zeros(COLUMNS))
 
     def restart(self, q):
         """
@@ -72,30 +88,23 @@ class EnergyBalance:
 
         Parameters
         ----------
-        q : ndarray, shape (nv,)
+        q : ndarray, shape (nv + nk,)
             Coordinate of each freedom.
 
         """
-        self._since, self._work, self._reference, self.at_start = q.copy(), 0.0, None, None
+        _, since, numbers = self.account
+        since[:], numbers[:] = q, 0.0
+        numbers[REFERENCE] = math.nan
 
     def start(self, kinetic, stored):
         """Take the energy at the start [J]."""
-        self._reference = kinetic + stored
-        self.at_start = Energies(kinetic, stored, 0.0, 0.0, 0.0)
+        self.account.numbers[REFERENCE:] = kinetic + stored, kinetic, stored
 
-    def add_work(self, q, tau):
-        """
-        Add the work of the torques held up to here.
-
-        Parameters
-        ----------
-        q : ndarray, shape (nv,)
-            Coordinate of each freedom now.
-        tau : ndarray, shape (nv,)
-            The torques held so far.
-
-        """
-        self._work += native.work_of_hold(tau, self._effects.driven, self._since, q)
+    @property
+    def at_start(self):
+        """Return the balance at the start, None where nobody has wanted to know yet."""
+        _, reference, kinetic, stored = self.account.numbers.tolist()
+        return None if math.isnan(reference) else Energies(kinetic, stored, 0.0, 0.0, 0.0)
 
     def jump(self, q, energy):
         """
@@ -103,30 +112,11 @@ class EnergyBalance:
 
         Parameters
         ----------
-        q : ndarray, shape (nv,)
+        q : ndarray, shape (nv + nk,)
             Coordinate of each freedom after it.
         energy : float
             Kinetic and stored energy after it less before [J].
 
         """
-        self._since = q.copy()
-        self._reference += energy
-
-    def balance(self, states, kinetic, stored, turned=0.0):
-        """
-        Draw the balance, the work of all held torques being added.
-
-        Parameters
-        ----------
-        states : ndarray, shape (nz,)
-            The effects' own.
-        kinetic, stored : float
-            [J].
-        turned : float
-            Work of torques on rotations in three dimensions, which is integrated [J].
-
-        """
-        dissipated = self._effects.dissipated(states)
-        work = self._work + self._effects.work(states) + turned
-        return Energies(kinetic, stored, dissipated, work,
-                        kinetic + stored + dissipated - work - self._reference)
+        self.account.since[:] = q
+        self.account.numbers[REFERENCE] += energy

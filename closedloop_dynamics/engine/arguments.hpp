@@ -212,6 +212,38 @@ auto read(PyObject * from, Type & to, Place place)
   to = static_cast<Type>(number);
 }
 
+/// Read a tuple of records.
+template<class Record>
+void read(PyObject * from, std::vector<Record> & to, Place place)
+{
+  const Py_ssize_t count = PyTuple_Size(from);
+  if (count < 0) {
+    throw PythonError();
+  }
+  to.assign(static_cast<std::size_t>(count), {});
+  for (Py_ssize_t n = 0; n < count; ++n) {
+    read_record(PyTuple_GetItem(from, n), to[static_cast<std::size_t>(n)], place);
+  }
+}
+
+/// A system, with the tuple that keeps its arrays.
+struct Handle
+{
+  System system;
+  PyObject * owner = nullptr;
+};
+
+inline constexpr char handle_name[] = "closedloop_dynamics.engine.System";
+
+inline void read(PyObject * from, const System * & to, Place)
+{
+  void * found = PyCapsule_GetPointer(from, handle_name);
+  if (found == nullptr) {
+    throw PythonError();
+  }
+  to = &static_cast<Handle *>(found)->system;
+}
+
 template<class Type>
 auto read(PyObject * from, Type & to, Place place)->std::enable_if_t<IsRecord<Type>::value>
 {
@@ -237,15 +269,6 @@ void read_record(PyObject * from, Record & to, Place place)
     });
 }
 
-/// A system, with the tuple that keeps its arrays.
-struct Handle
-{
-  System system;
-  PyObject * owner = nullptr;
-};
-
-inline constexpr char handle_name[] = "closedloop_dynamics.engine.System";
-
 /// What a parameter of a type is read into.
 template<class Type>
 struct Holder
@@ -259,14 +282,7 @@ template<>
 struct Holder<System>
 {
   const System * value = nullptr;
-  void take(PyObject * from, Place)
-  {
-    void * found = PyCapsule_GetPointer(from, handle_name);
-    if (found == nullptr) {
-      throw PythonError();
-    }
-    value = &static_cast<Handle *>(found)->system;
-  }
+  void take(PyObject * from, Place place) {read(from, value, place);}
   const System & get() {return *value;}
 };
 

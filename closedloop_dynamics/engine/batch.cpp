@@ -5,6 +5,8 @@
 
 #include <algorithm>
 #include <cmath>
+#include <memory>
+#include <stdexcept>
 
 #include "interrupt.hpp"
 #include "manifold.hpp"
@@ -138,68 +140,182 @@ void record(Values state, Cube<double> position, Cube<double> velocity, Index in
     }
   }
 }
+/// What watches the lanes, each with its own memory.
+class WatchedLanes
+{
+public:
+  WatchedLanes(const std::vector<Lane> & lanes, Values state, Indices status)
+  : lanes_(lanes), status_(status)
+  {
+    status_.fill(static_cast<Index>(Status::DONE));
+    for (const Lane & lane : lanes) {
+      runs_.push_back(std::make_unique<CopiedRun>(lane.run));
+      own_.resize(static_cast<std::size_t>(lane.system->ns()));
+      runs_.back()->begin(*lane.system, state_of(state, runs_.size() - 1));
+    }
+  }
+  /// Look at all lanes after so many steps, and the work of their torques up to then.
+  void look(Values state, const double (&work)[LANES], Index done, bool at_energy)
+  {
+    for (std::size_t lane = 0; lane < runs_.size(); ++lane) {
+      const System & system = *lanes_[lane].system;
+      if (status_[lane] == static_cast<Index>(Status::DONE) && !(
+          runs_[lane]->keeps_to(system, state_of(state, lane), done, work[lane], at_energy)))
+      {
+        status_[lane] = static_cast<Index>(Status::DOUBTFUL);
+      }
+    }
+  }
+  void report(Table found) const
+  {
+    for (std::size_t lane = 0; lane < runs_.size(); ++lane) {
+      runs_[lane]->report(found[lane]);
+    }
+  }
+
+private:
+  Values state_of(Values state, std::size_t lane)
+  {
+    for (std::size_t k = 0; k < own_.size(); ++k) {
+      own_[k] = state[LANES * k + lane];
+    }
+    return {own_.data(), static_cast<Index>(own_.size())};
+  }
+
+  const std::vector<Lane> & lanes_;
+  Indices status_;
+  std::vector<std::unique_ptr<CopiedRun>> runs_;
+  std::vector<double> own_;
+};
+
+bool fits(const Batch & batch)
+{
+  const Index nv = batch.nv(), width = LANES * nv;
+  return width > 0 && batch.qdd.size == width && batch.tau.size == width &&
+         batch.closure.size % LANES == 0 && batch.corrections.rows == 2 &&
+         batch.corrections.columns == width && batch.tolerance.size == LANES &&
+         batch.limit.size == LANES && batch.error.size == LANES && (
+    batch.manifold.empty() || (
+      batch.manifold.place.size == nv && batch.manifold.number.size == nv));
+}
+
+bool fits(const Batch & batch, const Lane & lane, const Lane & first)
+{
+  return lane.system->nv() == batch.nv() && lane.system->nq() == batch.nq() &&
+         lane.system->effects.states.size == 0 && lane.run.stepper.kind == stepper::FIXED &&
+         lane.run.stepper.stabilisation == first.run.stepper.stabilisation &&
+         lane.run.numbers.size == guard::NUMBERS &&
+         lane.run.numbers[guard::STEP_SIZE] == first.run.numbers[guard::STEP_SIZE];
+}
 }  // namespace
 
 Status run_batch(
-  const Batch & batch, const Tableau & tableau, Stabilisation stabilisation, Values state,
-  double step_size, Table torque, Index zero_order_hold, Index decimation, Index steps,
-  Table scratch, Cube<double> position, Cube<double> velocity, Indices looks, Cube<double> seen,
-  Table work, bool (* interrupted)())
+  const Batch & batch, const std::vector<Lane> & lanes, Values state, Table torque,
+  Index zero_order_hold, Index decimation, Index steps, Table scratch, Cube<double> position,
+  Cube<double> velocity, Indices status, Table found)
 {
-  Interrupt interrupt(interrupted);
+  const Index count = static_cast<Index>(lanes.size());
+  if (count < 1 || count > LANES || !fits(batch) || !std::all_of(
+      lanes.begin(), lanes.end(), [&](const Lane & lane) {return fits(batch, lane, lanes[0]);}))
+  {
+    throw std::invalid_argument("run_batch: lanes that do not fit together");
+  }
+  const GuardedRun & like = lanes[0].run;
+  const Tableau & tableau = like.stepper.tableau;
+  const Stabilisation stabilisation = like.stepper.stabilisation;
+  const Watch & watch = like.watch;
+  const double step_size = like.numbers[guard::STEP_SIZE];
+  const Index n = batch.qdd.size, first = LANES * batch.nq(), stages = tableau.a.rows;
+  const Index ns = lanes[0].system->ns();
+  const auto has_rows = [&](Cube<double> rows, Index columns) {
+      return rows.pages == LANES && rows.rows == steps / decimation + 1 &&
+             rows.columns == columns;
+    };
+  if (zero_order_hold < 1 || decimation < 1 || steps < 0 || state.size != LANES * ns ||
+    torque.columns != n || torque.rows < 1 ||
+    torque.rows < (steps + zero_order_hold - 1) / zero_order_hold ||
+    scratch.rows < stages + 3 || scratch.columns != state.size ||
+    tableau.a.columns < stages - 1 || tableau.b.size > std::max<Index>(stages, 1) ||
+    !has_rows(position, batch.nq()) || !has_rows(velocity, batch.nv()) ||
+    status.size != count || found.rows != count || found.columns != finding::COLUMNS)
+  {
+    throw std::invalid_argument("run_batch: arrays that do not fit together");
+  }
+  Interrupt interrupt(lanes[0].system->interrupted);
   const Values stage = scratch[0], out = scratch[1], since = scratch[2];
   const Table slopes = scratch.from(3);
-  const Index n = batch.qdd.size, first = LANES * batch.nq();
   double worked[LANES] = {};
   const auto add_work_since = [&] {
       add_work(batch.manifold, batch.tau, since, state, LANES, {worked, LANES});
       copy(state, since);
     };
-  Index next = 0;
-  const auto look = [&](Index done) {
-      if (next == looks.size || looks[next] != done) {
-        return;
-      }
+  WatchedLanes watched(lanes, state, status);
+  const auto look = [&](Index done, bool at_energy) {
       add_work_since();
-      for (Index lane = 0; lane < LANES; ++lane) {
-        for (Index k = 0; k < seen.columns; ++k) {
-          seen[lane](next, k) = state[LANES * k + lane];
-        }
-        work(lane, next) = worked[lane];
+      watched.look(state, worked, done, at_energy);
+    };
+  const auto step = [&] {
+      if (!batch_step(batch, tableau, state, step_size, slopes, stage, out)) {
+        return Status::SINGULAR;
       }
-      ++next;
+      normalise(batch.manifold, out, LANES);
+      if (stabilisation >= Stabilisation::VELOCITY) {
+        const Status closed = project(
+          batch, out.part(0, first), out.part(first, n),
+          stabilisation == Stabilisation::PROJECTION);
+        if (closed != Status::DONE) {
+          return closed;
+        }
+      }
+      if (interrupt.after(1 + tableau.steps())) {
+        return Status::INTERRUPTED;
+      }
+      if (!all_finite(out)) {
+        return Status::NOT_FINITE;
+      }
+      copy(out, state);
+      return Status::DONE;
     };
   record(state, position, velocity, 0);
   copy(state, since);
-  look(0);
-  for (Index done = 0; done < steps; ++done) {
+  Index unseen = 0, between = watch.first;
+  for (Index done = 0; done < steps; ) {
     if (done % zero_order_hold == 0) {
       add_work_since();
       copy(torque[done / zero_order_hold], batch.tau);
     }
-    if (!batch_step(batch, tableau, state, step_size, slopes, stage, out)) {
-      return Status::SINGULAR;
-    }
-    normalise(batch.manifold, out, LANES);
-    if (stabilisation >= Stabilisation::VELOCITY) {
-      const Status status = project(
-        batch, out.part(0, first), out.part(first, n), stabilisation == Stabilisation::PROJECTION);
-      if (status != Status::DONE) {
-        return status;
+    // As one call of a simulation.
+    const Index at_once = std::min(
+      {zero_order_hold - done % zero_order_hold, decimation - done % decimation, steps - done});
+    for (Index left = at_once; left > 0; ) {
+      const Index portion = std::min({left, watch.most, between - unseen});
+      for (Index made = 0; made < portion; ++made) {
+        const Status ended = step();
+        if (ended != Status::DONE) {
+          return ended;
+        }
+      }
+      left -= portion;
+      done += portion;
+      unseen += portion;
+      const bool at_energy = unseen >= between;
+      if (at_energy) {
+        between = std::max(std::min(2 * between, watch.rarely), watch.first);
+        unseen = 0;
+      }
+      if (at_energy || !std::isinf(watch.closure)) {
+        look(done, at_energy);
       }
     }
-    if (interrupt.after(1 + tableau.steps())) {
-      return Status::INTERRUPTED;
+    if (unseen > 0 && (at_once >= watch.call || done == steps)) {
+      unseen = 0;
+      look(done, true);
     }
-    if (!all_finite(out)) {
-      return Status::NOT_FINITE;
+    if (done % decimation == 0) {
+      record(state, position, velocity, done / decimation);
     }
-    copy(out, state);
-    if ((done + 1) % decimation == 0) {
-      record(state, position, velocity, (done + 1) / decimation);
-    }
-    look(done + 1);
   }
+  watched.report(found);
   return Status::DONE;
 }
 

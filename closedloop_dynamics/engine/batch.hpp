@@ -4,7 +4,9 @@
 #ifndef CLOSEDLOOP_DYNAMICS__ENGINE__BATCH_HPP_
 #define CLOSEDLOOP_DYNAMICS__ENGINE__BATCH_HPP_
 
-#include "runge_kutta.hpp"
+#include <vector>
+
+#include "guarded_run.hpp"
 
 // Whole runs of several states at a time, side by side in vector lanes.
 
@@ -37,15 +39,26 @@ struct Batch
   }
 };
 
-/// Make whole runs of fixed steps of all lanes; arguments as of `run_samples`, `torque` of shape
-/// (rows, LANES * nv). Positions and velocities, shapes (LANES, instants, nq or nv), are written in
-/// place; also the states after `looks` steps, shape (n,), in ascending order, to `seen`, shape
-/// (LANES, n, ns), and the work of the torques up to these, shape (LANES, n). SINGULAR: a state
-/// needs what only single runs have. `interrupted`: as of System.
+/// A run of a lane by itself: its guards look at it (integration/batch.py).
+struct Lane
+{
+  const System * system = nullptr;
+  GuardedRun run;
+
+  template<class Visitor>
+  void fields(Visitor && visit) {visit(system, run);}
+};
+
+/// Make whole runs of fixed steps of all lanes; arguments as of `run_samples`, `state` of shape
+/// (LANES * ns,), `torque` (rows, LANES * nv). `scratch`: shape (stages + 3, LANES * ns). `lanes`:
+/// those that are looked at, of one method; the others repeat the last of them. Positions and
+/// velocities, shapes (LANES, instants, nq or nv), are written in place; `status` and `found`,
+/// shapes (lanes,) and (lanes, finding::COLUMNS), tell how each run ended. Not DONE: nothing is to
+/// be read; SINGULAR: a state needs what only single runs have.
 Status run_batch(
-  const Batch &, const Tableau &, Stabilisation, Values state, double step_size, Table torque,
+  const Batch &, const std::vector<Lane> & lanes, Values state, Table torque,
   Index zero_order_hold, Index decimation, Index steps, Table scratch, Cube<double> position,
-  Cube<double> velocity, Indices looks, Cube<double> seen, Table work, bool (* interrupted)());
+  Cube<double> velocity, Indices status, Table found);
 
 }  // namespace closedloop
 

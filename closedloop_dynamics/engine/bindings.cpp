@@ -14,10 +14,12 @@
 #include "cut_coordinates.hpp"
 #include "dispatch.hpp"
 #include "elimination.hpp"
+#include "energy_balance.hpp"
 #include "error_control.hpp"
 #include "evaluation.hpp"
 #include "fixed_steps.hpp"
 #include "forward_dynamics.hpp"
+#include "guarded_run.hpp"
 #include "inverse_dynamics.hpp"
 #include "joint_reaction.hpp"
 #include "laws.hpp"
@@ -85,17 +87,6 @@ bool is_interrupted()
   const bool stops = PyErr_CheckSignals() != 0;
   PyGILState_Release(state);
   return stops;
-}
-
-Status run_batch_for_python(
-  const Batch & batch, const Tableau & tableau, Stabilisation stabilisation, Values state,
-  double step_size, Table torque, Index zero_order_hold, Index decimation, Index steps,
-  Table scratch, Cube<double> position, Cube<double> velocity, Indices looks, Cube<double> seen,
-  Table work)
-{
-  return run_batch(
-    batch, tableau, stabilisation, state, step_size, torque, zero_order_hold, decimation, steps,
-    scratch, position, velocity, looks, seen, work, is_interrupted);
 }
 
 const Entry entries[] = {
@@ -187,27 +178,29 @@ const Entry entries[] = {
     "steps)"),
   entry<stop_all>(
     "stop_all", "stop_all(stops): whether long computations in all threads are to stop, 1 or 0"),
-  released<run_samples, Length::ANY, Length::ANY, Length::ANY, Length::ROWS_OF_STATE>(
+  released<advance_run>(
+    "advance_run", "advance_run(system, run, tau, steps): why it pauses, 0 where all are made"),
+  released<resume_run>("resume_run", "resume_run(system, run): as of advance_run"),
+  entry<look_at_energy>("look_at_energy", "look_at_energy(system, run): as of advance_run"),
+  entry<note_energy>("note_energy", "note_energy(system, run, out): the energy balance"),
+  entry<note_loss>("note_loss", "note_loss(numbers, lost, moved, rounding, time)"),
+  entry<add_held_work>("add_held_work", "add_held_work(system, account, state)"),
+  entry<fill_balance>("fill_balance", "fill_balance(system, account, state, out)"),
+  released<run_samples, Length::ANY, Length::ROWS_OF_STATE>(
     "run_samples",
-    "run_samples(system, stepper, watch, step_size, start, torque, zero_order_hold, decimation, "
-    "steps, states, status, found)"),
+    "run_samples(system, run, start, torque, zero_order_hold, decimation, steps, states, status, "
+    "found)"),
   released<annotate>("annotate", "annotate(system, torque, zero_order_hold, decimation, buffer)"),
   released<fill_joint_forces>(
     "fill_joint_forces",
     "fill_joint_forces(system, torque, zero_order_hold, decimation, state, qdd, lam, scratch, "
     "out)"),
-  released<judge, Length::ANY, Length::ROWS_OF_STATE>(
-    "judge", "judge(system, watch, seen, work, looks, balanced, found)"),
   entry<evaluate_given>(
     "evaluate_given", "evaluate_given(system, request, q, qd, torque): whether it was done"),
   entry<evaluate_request>(
     "evaluate_request", "evaluate_request(system, whole, request): whether it was done"),
   entry<spread_torques>(
     "spread_torques", "spread_torques(actuated, tau, given): whether it was done"),
-  entry<compare>(
-    "compare", "compare(values, usual, given): 0 equal, 1 others that are usual, 2 neither"),
-  entry<work_of_hold>(
-    "work_of_hold", "work_of_hold(tau, driven, since, now): work; `since` is moved to `now`"),
   entry<sum_of_sizes>("sum_of_sizes", "sum_of_sizes(values)"),
   entry<call>(
     "call", "call(table, which, q, qd): a generated routine; whether its results are good"),
@@ -221,10 +214,10 @@ const Entry entries[] = {
   entry<place_points>("place_points", "place_points(body, row, point, out)"),
   entry<find_joint_forces, Length::STATE>(
     "find_joint_forces", "find_joint_forces(system, state, lam, row, point, scratch, out)"),
-  released<run_batch_for_python>(
+  released<run_batch>(
     "run_batch",
-    "run_batch(batch, tableau, stabilisation, state, step_size, torque, zero_order_hold, "
-    "decimation, steps, scratch, position, velocity, looks, seen, work)"),
+    "run_batch(batch, lanes, state, torque, zero_order_hold, decimation, steps, scratch, "
+    "position, velocity, status, found)"),
 };
 
 constexpr char bound_name[] = "closedloop_dynamics.engine.bound";

@@ -138,18 +138,6 @@ Comparison compare(Values values, double usual, const Given & given)
          Comparison::USUAL : Comparison::OTHER;
 }
 
-double work_of_hold(Values tau, Indices driven, Values since, Values now)
-{
-  double work = 0.0;
-  for (Index i = 0; i < since.size; ++i) {
-    if (std::find(driven.begin(), driven.end(), i) == driven.end()) {
-      work += tau[i] * (now[i] - since[i]);
-    }
-    since[i] = now[i];
-  }
-  return work;
-}
-
 double sum_of_sizes(Values values)
 {
   double sum = 0.0;

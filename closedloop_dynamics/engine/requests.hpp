@@ -40,10 +40,6 @@ bool spread_torques(Indices actuated, Values tau, const Given &);
 enum class Comparison : Index {EQUAL, USUAL, OTHER};
 Comparison compare(Values, double usual, const Given &);
 
-/// Work of torques held from coordinates `since` to `now`, but for those at `driven` places;
-/// `since` is moved to `now`.
-double work_of_hold(Values tau, Indices driven, Values since, Values now);
-
 /// Sum of absolute values.
 double sum_of_sizes(Values);
 

@@ -3,41 +3,76 @@
 
 #include "stepper.hpp"
 
+#include <algorithm>
+
 #include "fixed_steps.hpp"
 
 namespace closedloop
 {
 
-Status make_steps(
-  const System & system, const Stepper & stepper, Values state, Index done, double step_size,
-  Index steps)
+std::pair<Status, Index> make_steps(
+  const System & system, const Stepper & stepper, Values state, double origin, Index done,
+  double step_size, Index steps)
 {
   const Runs & runs = stepper.runs;
   switch (stepper.kind) {
     case stepper::FIXED:
       return advance_fixed(
-        system, stepper.tableau, stepper.stabilisation, runs.scratch[0], state, step_size,
-        steps).first;
+        system, stepper.tableau, stepper.stabilisation, runs.scratch[0], state, step_size, steps);
     case stepper::EXPLICIT:
-      return advance_explicit(
-        system, stepper.tableau, stepper.stabilisation, runs.control[0], runs.scale[0],
-        runs.scratch[0], state, 0.0, done, step_size, steps);
+      return {advance_explicit(
+          system, stepper.tableau, stepper.stabilisation, runs.control[0], runs.scale[0],
+          runs.scratch[0], state, origin, done, step_size, steps), 0};
     case stepper::STIFF_FIXED:
       return advance_stiff_fixed(
         system, stepper.stabilisation, runs.matrix, runs.pivots, runs.stiff_scratch[0], state,
-        step_size, steps).first;
+        step_size, steps);
     case stepper::STIFF:
-      runs.control(0, control::REACHED) = static_cast<double>(done) * step_size;
-      return advance_stiff(
-        system, stepper.stabilisation, runs.control[0], runs.scale[0], runs.matrix, runs.pivots,
-        runs.stiff_scratch[0], state, static_cast<double>(done + steps) * step_size);
+      runs.control(0, control::REACHED) = origin + static_cast<double>(done) * step_size;
+      return {advance_stiff(
+          system, stepper.stabilisation, runs.control[0], runs.scale[0], runs.matrix, runs.pivots,
+          runs.stiff_scratch[0], state, origin + static_cast<double>(done + steps) * step_size),
+        0};
     default:
-      return advance_switching(
-        system, stepper.tableau, stepper.stabilisation, runs, state, 0.0, done, step_size, steps);
+      return {advance_switching(
+          system, stepper.tableau, stepper.stabilisation, runs, state, origin, done, step_size,
+          steps), 0};
   }
 }
 
-void restart(const Stepper & stepper)
+bool fits(const System & system, const Stepper & stepper)
+{
+  const Runs & runs = stepper.runs;
+  const Index ns = system.ns(), count = stepper.kind == stepper::SWITCHING ? 2 : 1;
+  if (stepper.kind < stepper::FIXED || stepper.kind > stepper::HOST) {
+    return false;
+  }
+  if (stepper.kind == stepper::HOST) {
+    return true;
+  }
+  const bool is_switching = stepper.kind == stepper::SWITCHING;
+  const bool is_stiff = stepper.kind >= stepper::SWITCHING;
+  const Tableau & tableau = stepper.tableau;
+  const Index stages = tableau.a.rows;
+  return (stepper.is_fixed() || (
+           runs.control.rows == count && runs.control.columns == (
+             is_switching ? static_cast<Index>(switching::COLUMNS) :
+             static_cast<Index>(control::COLUMNS)) && runs.scale.pages == count &&
+           runs.scale.rows == 2 && runs.scale.columns == ns)) &&
+         (!is_switching || (
+           stepper.unit.rows == 2 && stepper.unit.columns == ns &&
+           runs.monitor.size == monitor::COLUMNS && runs.weight.size == system.nq())) &&
+         (!is_stiff || (runs.stiff_scratch.pages == count &&
+         runs.stiff_scratch.rows == STIFF_ROWS && runs.stiff_scratch.columns == ns &&
+         runs.matrix.rows == ns && runs.matrix.columns == ns && runs.pivots.size == ns)) &&
+         (stepper.kind >= stepper::STIFF_FIXED || (
+           tableau.a.columns >= stages - 1 && tableau.b.size <= std::max<Index>(stages, 1) &&
+           runs.scratch.pages == count && runs.scratch.rows >= stages + (
+             stepper.is_fixed() ? 3 : static_cast<Index>(scratch::FIRST_SLOPE)) &&
+           runs.scratch.columns == ns));
+}
+
+void restart(const Stepper & stepper, bool moved)
 {
   const Runs & runs = stepper.runs;
   if (runs.control.rows > 0) {
@@ -46,6 +81,9 @@ void restart(const Stepper & stepper)
   }
   if (stepper.kind != stepper::SWITCHING) {
     return;
+  }
+  if (moved) {
+    runs.control(0, switching::STIFF_THRESHOLD) = 0.0;
   }
   for (Index which = 0; which < runs.scale.pages; ++which) {
     const double tolerance = (which == 0 ? 1.0 : LOOSER) * runs.monitor[monitor::TOLERANCE];

@@ -4,6 +4,8 @@
 #ifndef CLOSEDLOOP_DYNAMICS__ENGINE__STEPPER_HPP_
 #define CLOSEDLOOP_DYNAMICS__ENGINE__STEPPER_HPP_
 
+#include <utility>
+
 #include "switching.hpp"
 
 // Steps of any method, for runs that the engine makes as a whole.
@@ -11,10 +13,10 @@
 namespace closedloop
 {
 
-/// Values of Stepper.kind.
+/// Values of Stepper.kind; the last one's steps are made by the host.
 namespace stepper
 {
-enum : Index {FIXED, EXPLICIT, SWITCHING, STIFF_FIXED, STIFF};
+enum : Index {FIXED, EXPLICIT, SWITCHING, STIFF_FIXED, STIFF, HOST};
 }
 
 /// A method with its memory (integration/drivers.py).
@@ -28,16 +30,23 @@ struct Stepper
   /// With a row for the run alone but of the default method, empty where a method has none.
   Runs runs;
 
+  bool is_fixed() const {return kind == stepper::FIXED || kind == stepper::STIFF_FIXED;}
+
   template<class Visitor>
   void fields(Visitor && visit) {visit(kind, stabilisation, tableau, unit, runs);}
 };
 
-/// Advance a state by `steps` steps of `step_size` [s], `done` steps after time zero.
-Status make_steps(
-  const System &, const Stepper &, Values state, Index done, double step_size, Index steps);
+/// Whether the memory of a method is that of a system.
+bool fits(const System &, const Stepper &);
 
-/// Forget the past, as torques have changed.
-void restart(const Stepper &);
+/// Advance a state by `steps` steps of `step_size` [s], `done` steps after `origin` [s]. Returns the
+/// status and, of steps of one size, those completed.
+std::pair<Status, Index> make_steps(
+  const System &, const Stepper &, Values state, double origin, Index done, double step_size,
+  Index steps);
+
+/// Forget the past, as torques have changed, or with `moved` the state.
+void restart(const Stepper &, bool moved);
 
 }  // namespace closedloop
 

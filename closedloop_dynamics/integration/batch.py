@@ -25,6 +25,7 @@ from typing import NamedTuple, Optional
 
 import numpy as np
 
+from .guarded_run import GuardedRun
 from .registry import INDEPENDENT
 from .system import BAUMGARTE_GAIN, CLOSURE_LIMIT, CLOSURE_TOLERANCE
 from ..core.codegen import function_table as calls, lanes
@@ -48,6 +49,13 @@ class Batch(NamedTuple):
     error: np.ndarray  # Shape (LANES,): largest closure error of each
     manifold: Optional[Manifold]  # Of all of them
     kept: tuple  # Tuple of ndarrays that only the routines read and write
+
+
+class Lane(NamedTuple):
+    """A run of a lane by itself, by which it is watched."""
+
+    system: object  # ``System.native``
+    run: GuardedRun
 
 
 def fits(system, stabilisation):

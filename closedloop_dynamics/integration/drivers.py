@@ -14,16 +14,16 @@
 
 """Drivers, which advance the state of a simulation: one class for each way of stepping."""
 
-from typing import NamedTuple, Optional
-
 import numpy as np
 
 from . import control as columns
 from .control import DONE
 from .registry import ADAPTIVE, INTEGRATORS, ROSENBROCK, SCIPY, STABILISATIONS, SWITCHING
 from .scipy_solvers import SciPySolver
+from .steppers import (
+    EXPLICIT_STEPS, FIXED_STEPS, FIXED_STIFF_STEPS, one_run, REFERENCE, RUN, Runs, Stepper,
+    STIFF_STEPS, SWITCHING_STEPS)
 from .system import number_of_states, parts_of_state
-from .tableau import Tableau
 from ..core.manifold import weights
 from ..engine import native
 
@@ -43,49 +43,8 @@ def build_driver(system, method):
     return FixedSteps(system, integrator, stabilisation)
 
 
-# Rows of all arrays of ``Runs``.
-RUN, REFERENCE = range(2)
 # Tolerances of the two, by that of the run.
 RUN_FACTORS = np.array([1.0, columns.LOOSER]).reshape(2, 1, 1)
-
-
-class Runs(NamedTuple):
-    """A run of the default method and its reference run: records, tolerances and scratch."""
-
-    control: np.ndarray  # Shape (2, SWITCHING_COLUMNS)
-    scale: np.ndarray  # Shape (2, 2, ns): absolute and relative tolerance of each component
-    # Shape (2, rows, ns): of the explicit method; its row AFTER is the state at REACHED.
-    scratch: np.ndarray
-    stiff_scratch: np.ndarray  # Shape (2, STIFF_ROWS, ns): of the stiff method
-    matrix: np.ndarray  # Shape (ns, ns)
-    pivots: np.ndarray  # Shape (ns,)
-    monitor: np.ndarray  # Shape (MONITOR_COLUMNS,)
-    weight: np.ndarray  # Shape (nq,): of a component in the distance of the two
-
-
-# How a stepper of the engine makes its steps.
-STEPPERS = FIXED_STEPS, EXPLICIT_STEPS, SWITCHING_STEPS, FIXED_STIFF_STEPS, STIFF_STEPS = range(5)
-
-
-class Stepper(NamedTuple):
-    """A method with its memory, for runs that the engine makes as a whole."""
-
-    kind: int  # One of ``STEPPERS``
-    stabilisation: int
-    tableau: Optional[Tableau]
-    # Shape (2, ns): tolerances of the default method for a tolerance of 1.
-    unit: np.ndarray
-    # Of other methods with a row for the run alone; without rows where there is no such memory.
-    runs: Runs
-
-
-def _stepper(kind, stabilisation, tableau=None, **memory):
-    """Return a stepper of one run, with the memory that its method has."""
-    table, page = np.zeros((0, 0)), np.zeros((0, 0, 0))
-    runs = Runs(table, page, page, page, table, np.zeros(0, dtype=np.int64), *2 * [np.zeros(0)])
-    return Stepper(kind, stabilisation, tableau, table, runs._replace(
-        **{name: values if name in ('matrix', 'pivots') else values[np.newaxis]
-           for name, values in memory.items()}))
 
 
 def _allocate_runs(tableau, states, weight):
@@ -114,12 +73,12 @@ class FixedSteps:
         self.scratch = np.zeros((len(self.tableau.a) + 3, number_of_states(system)))
         self.take(system)
         # Steps of the latest call, and those of them that the next one need not make again.
-        self._made = self._before = 0
+        self.made = self._before = 0
 
     @property
     def stepper(self):
         """Return the method with its memory, for the engine."""
-        return _stepper(FIXED_STEPS, self.stabilisation, self.tableau, scratch=self.scratch)
+        return one_run(FIXED_STEPS, self.stabilisation, self.tableau, scratch=self.scratch)
 
     def take(self, system):
         """Step with a system that works on other equations."""
@@ -153,12 +112,12 @@ class FixedSteps:
         """
         before, self._before = self._before, 0
         status, made = self._advance(state, step_size, steps - before)
-        self._made = before + made
-        return status, self._made * step_size
+        self.made = before + made
+        return status, self.made * step_size
 
     def go_on(self):
         """Let the next call, which is the same again, go on from where the latest failed."""
-        self._before = self._made
+        self._before = self.made
 
     def restart(self, moved=False):
         """Forget the past: torques, or with ``moved`` the state. Fixed steps have none."""
@@ -201,8 +160,8 @@ class ErrorControlled:
     @property
     def stepper(self):
         """Return the method with its memory, for the engine."""
-        return _stepper(EXPLICIT_STEPS, self._stabilisation, self._tableau, control=self.control,
-                        scale=self._scale, scratch=self._scratch)
+        return one_run(EXPLICIT_STEPS, self._stabilisation, self._tableau, control=self.control,
+                       scale=self._scale, scratch=self._scratch)
 
     def advance(self, state, origin, done, step_size, steps):
         """Advance a state by ``steps`` times ``step_size``; see ``FixedSteps.advance``."""
@@ -327,12 +286,12 @@ class Stiff:
         self.control = np.zeros(columns.CONTROL_COLUMNS)
         self.take(system)
         # Of fixed steps as for ``FixedSteps``; of others whether the next call goes on.
-        self._made = self._before = 0
+        self.made = self._before = 0
 
     @property
     def stepper(self):
         """Return the method with its memory, for the engine."""
-        return _stepper(
+        return one_run(
             STIFF_STEPS if self._adaptive else FIXED_STIFF_STEPS, self._stabilisation,
             control=self.control, scale=self._scale, stiff_scratch=self._scratch,
             matrix=self._matrix, pivots=self._pivots)
@@ -342,9 +301,9 @@ class Stiff:
         before, self._before = self._before, 0
         if not self._adaptive:
             status, made = self._advance(state, step_size, steps - before)
-            self._made = before + made
-            return status, self._made * step_size
-        begin, self._made = origin + done * step_size, 1
+            self.made = before + made
+            return status, self.made * step_size
+        begin = origin + done * step_size
         if not before:
             self.control[columns.REACHED] = begin
         status = self._advance(state, origin + (done + steps) * step_size)
@@ -363,7 +322,7 @@ class Stiff:
 
     def go_on(self):
         """Let the next call go on; see ``FixedSteps.go_on``."""
-        self._before = self._made
+        self._before = 1 if self._adaptive else self.made
 
     memory = ()
 

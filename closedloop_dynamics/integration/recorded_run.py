@@ -39,42 +39,20 @@ class RunBuffer(NamedTuple):
     place: np.ndarray  # Shape (instants, n, 2): in the world [m]
 
 
-class Watch(NamedTuple):
-    """When runs are looked at, and what must hold then; see ``engine/rollout.hpp``."""
-
-    first: int
-    rarely: int
-    call: int
-    whole: bool
-    cycle: int
-    most: int
-    closure: float  # [m or rad]
-    regular: bool
-    nothing: float  # [J]
-    kinetic: float  # [J]
-    stored: float  # [J]
-    roles: np.ndarray  # Shape (nz,)
-    direct: np.ndarray  # Shape (nv,)
-
-
 # Columns of what is found out about the energy of a run.
-SHARE, LOST, MOVED, STEPS = range(4)
+SHARE, LOST, MOVED, TIME = range(4)
 
 
-def run_samples(system, stepper, watch, step_size, start, torque, schedule):
+def run_samples(system, run, start, torque, schedule):
     """
-    Make whole runs, one after the other, of a system and a driver that stand at their start.
+    Make whole runs, one after the other, like one that stands at its start.
 
     Parameters
     ----------
     system : System
         Model and workspace of the mechanism.
-    stepper : drivers.Stepper
-        Of its driver.
-    watch : Watch
-        Guards of the runs.
-    step_size : float
-        [s].
+    run : guarded_run.GuardedRun
+        Left as it is.
     start : ndarray, shape (n, ns)
         State of each, or one for all.
     torque : ndarray, shape (n or 1, rows, nv)
@@ -90,15 +68,14 @@ def run_samples(system, stepper, watch, step_size, start, torque, schedule):
         Of ``integration.control``.
     found : ndarray, shape (n, 4)
         Largest error of the energy balance relative to the energy that had moved by then, that
-        error and that energy [J], steps up to then.
+        error and that energy [J], when it was found [s].
 
     """
     count = max(len(start), len(torque))
     states = np.empty((count, schedule[2] // schedule[1] + 1, start.shape[1]))
     status, found = np.empty(count, dtype=np.int64), np.empty((count, 4))
     native.run_samples(
-        system.native, stepper, watch, step_size, start, torque, *schedule, states, status,
-        found)
+        system.native, run, start, torque, *schedule, states, status, found)
     return states, status, found
 
 

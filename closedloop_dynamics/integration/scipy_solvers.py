@@ -17,6 +17,7 @@
 import numpy as np
 
 from .control import DONE, NOT_FINITE, OPEN_LOOP, POOR_EQUATIONS, STEP_TOO_SMALL
+from .steppers import HOST_STEPS, one_run
 from ..engine import native
 
 # A solver that needs more evaluations than this to the next output has lost its way.
@@ -40,6 +41,11 @@ class SciPySolver:
         self._solver_type = getattr(integrate, name)
         self._stabilisation, self._tolerance = stabilisation, tolerance
         self._solver = self._dense = None
+
+    @property
+    def stepper(self):
+        """Return what tells the engine to leave the steps to Python."""
+        return one_run(HOST_STEPS, self._stabilisation)
 
     def advance(self, state, origin, done, step_size, steps):
         """Advance a state by ``steps`` times ``step_size``; see ``FixedSteps.advance``."""

@@ -27,64 +27,25 @@ NEAR = 1e-3
 LIMITS = -0.5 * math.pi, 1.5 * math.pi
 
 
-class CableGuard:
-    """Looks whether cables stay within the windings of pulleys that their lengths know."""
+def explain(simulation):
+    """
+    Raise where a run has stopped because a winding is at its limit.
 
-    until_look = LOOK_EVERY
+    Raises
+    ------
+    NumericalError
 
-    def __init__(self):
-        """Begin with nothing seen."""
-        self.restart()
-
-    def restart(self):
-        """Forget what has been seen."""
-        self._before = None
-
-    jump = restart
-
-    def begin(self, simulation):
-        """See where a run begins."""
-        if self._before is None:
-            self._take(simulation)
-
-    def _take(self, simulation):
-        self._before = (simulation.windings(), simulation.state, simulation.time,
-                        simulation.energy_balance.residual)
-
-    def look(self, simulation, steps):
-        """
-        Raise where the length of a cable has leapt by a turn of a pulley.
-
-        Raises
-        ------
-        NumericalError
-            The state of the latest look is kept.
-
-        """
-        windings, *state = self._before
-        for place, angle in simulation.windings().items():
-            if abs(angle - windings.get(place, angle)) > LEAP:
-                simulation.restore(*state)
-                raise NumericalError(_problem(place, windings[place], simulation.time))
-        self._take(simulation)
-
-    def explain(self, simulation):
-        """
-        Raise where a run has stopped because a winding is at its limit.
-
-        Raises
-        ------
-        NumericalError
-
-        """
-        for place, angle in simulation.windings().items():
-            if min(abs(angle - limit) for limit in LIMITS) < NEAR:
-                raise NumericalError(_problem(place, angle, simulation.time))
+    """
+    for place, angle in simulation.windings().items():
+        if min(abs(angle - limit) for limit in LIMITS) < NEAR:
+            raise leapt(place, angle, simulation.time)
 
 
-def _problem(place, angle, time):
+def leapt(place, angle, time):
+    """Return the error to raise where a cable leaps by a turn of a pulley."""
     cable, pulley = place
-    return (f'The cable {cable} is wound round the pulley at {pulley} by '
-            f'{math.degrees(angle):.3g} degrees at t = {time:.9g} s, the state of which is kept, '
-            'and goes on beyond -90 or 270 degrees, where its length would leap by a turn. Let it '
-            'run over more pulleys, or end the motion before.')
+    return NumericalError(
+        f'The cable {cable} is wound round the pulley at {pulley} by '
+        f'{math.degrees(angle):.3g} degrees at t = {time:.9g} s, the state of which is kept, '
+        'and goes on beyond -90 or 270 degrees, where its length would leap by a turn. Let it '
+        'run over more pulleys, or end the motion before.')

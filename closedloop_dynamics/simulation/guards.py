@@ -15,8 +15,8 @@
 """
 Guards of a run: error of the energy balance, loops that open, steps that cannot be stable.
 
-Every guard says after how many steps it wants to look again, looks, and raises where the motion
-has become meaningless.
+The engine looks, by the numbers here (``engine/guarded_run.hpp``); what it has found is told here,
+and raised where the motion has become meaningless.
 
 The fastest rate of the motion, the largest eigenvalue of the derivative's
 Jacobian J, is estimated by a power iteration on differences of the derivative, J v =
@@ -26,7 +26,6 @@ is a rate of its own.
 
 """
 
-from dataclasses import dataclass
 import math
 import warnings
 
@@ -36,6 +35,7 @@ from .errors import (
     ClosureError, InaccuracyWarning, NumericalError, SingularityError, StiffnessError)
 from ..core.types import SINGULAR_COUNT
 from ..engine import native
+from ..integration import guarded_run as run
 from ..integration.registry import ADAPTIVE, AUTO, EXPLICIT, FIXED, INTEGRATORS
 from ..integration.system import parts_of_state
 
@@ -56,12 +56,6 @@ LOOK_EVERY_AMONG_LAWS = 100
 # Errors of the energy balance, relative to the energy that has moved, that are worth a warning and
 # that end the run.
 ENERGY_WARN, ENERGY_ERROR = 1e-3, 0.1
-# Less than this share of the energy there is may be rounding; and between two looks, less than
-# this share of all that has moved.
-ROUNDING, LITTLE = 1e-9, 1e-6
-# Less energy than this share of what the scene's forces would do along its length is none.
-NOTHING = 1e-13
-
 # Steps between two looks at the closure; and the closure error, against the size of the mechanism,
 # at which loops count as open.
 CLOSURE_LOOK_EVERY, OPEN = 500, 1e-3
@@ -119,16 +113,6 @@ def fastest_rate(system, state, own=()):
     return rate
 
 
-@dataclass
-class Look:
-    """Where a simulation stood when the energy guard looked at it."""
-
-    # Effects.energy_balance.Energies; None of the start, until somebody wants to know
-    balance: object
-    state: np.ndarray  # As ``Simulation.state`` has it
-    time: float  # [s]
-
-
 class EnergyGuard:
     """
     Looks at the energy balance: seldom where it holds, from the first steps on.
@@ -139,6 +123,8 @@ class EnergyGuard:
         Of the scene.
     rate : callable
         Returns the fastest rate of the motion in a state [1/s].
+    numbers, counts : ndarray
+        Of the ``GuardedRun`` that is watched.
     limit : float
         Step size times rate up to which the method is stable; infinite where it always is.
     among_laws : bool
@@ -148,16 +134,8 @@ class EnergyGuard:
 
     Attributes
     ----------
-    moved : float
-        The most energy that has moved up to any look since the guard began [J].
     among_laws : bool
         As given.
-    worst, worst_time : float
-        Largest error of the balance relative to what had moved by then, and when [s].
-    worst_lost, worst_moved : float
-        That error and what had moved by then [J].
-    failed : bool
-        Whether a look has ended the run.
     first, rarely : int
         Steps before the first look, and the most between two.
     call : int
@@ -167,9 +145,11 @@ class EnergyGuard:
 
     """
 
-    def __init__(self, method, rate, limit=math.inf, among_laws=False, every_call=False):
+    def __init__(self, method, rate, numbers, counts, limit=math.inf, among_laws=False,
+                 every_call=False):
         """Begin with nothing seen."""
         self._method, self._rate, self._limit = method, rate, limit
+        self._numbers, self._counts = numbers, counts
         self.among_laws = among_laws
         integrator = INTEGRATORS[method.integrator]
         self.first = FIRST_LOOK_ORDER_1 if integrator.order == 1 else FIRST_LOOK
@@ -182,53 +162,14 @@ class EnergyGuard:
 
     def restart(self):
         """Forget what has been seen: a run begins."""
-        self._since, self._between, self._look, self._start = 0, self.first, None, None
-        self.moved, self.worst, self.worst_time, self._warned = 0.0, 0.0, 0.0, False
-        self.worst_lost, self.worst_moved, self.failed = 0.0, 0.0, False
+        self._numbers[run.MOVED:run.LOST] = 0.0
+        self._counts[run.SINCE], self._counts[run.BETWEEN] = 0, self.first
+        self._counts[run.BEGUN] = self._counts[run.WARNED] = self._counts[run.FAILED] = 0
+        self.jump()
 
     def jump(self):
         """Do not compare with what was before: the state or an effect has been changed."""
-        self._look = None
-
-    @property
-    def until_look(self):
-        """Return the steps left until the next look."""
-        return math.inf if self.whole else self._between - self._since
-
-    def begin(self, simulation):
-        """See where a run, or what follows a jump, begins."""
-        if self._look is None:
-            # A short run need not cost a look at the start.
-            self._take(simulation, None if simulation.at_start else simulation.energy_balance)
-
-    def look(self, simulation, steps):
-        """
-        Raise where the energy balance is far off; warn, once, where it is a little.
-
-        Raises
-        ------
-        StiffnessError, NumericalError
-            The state of the latest look that was well is kept.
-
-        """
-        self._since += steps
-        if self._since < self._between:
-            return
-        self._between = max(min(2 * self._between, self.rarely), self.first)
-        self._look_now(simulation)
-
-    def end(self, simulation, steps):
-        """
-        Look after a call, unless that would cost more than its few steps.
-
-        Raises
-        ------
-        StiffnessError, NumericalError
-            As for ``look``.
-
-        """
-        if self._since > 0 and steps >= self.call:
-            self._look_now(simulation)
+        self._counts[run.LOOKED] = run.NOT
 
     def pass_on(self, simulation):
         """
@@ -237,73 +178,16 @@ class EnergyGuard:
         Raises
         ------
         StiffnessError, NumericalError
-            As for ``look``; the state kept is the latest that was passed on.
+            Where the energy balance is far off; the state kept is the latest that was passed on.
 
         """
-        if self._since >= self._least:
-            self._look_now(simulation)
-
-    def _look_now(self, simulation):
-        self._since = 0
-        self.judge(simulation)
-        if self.worst > ENERGY_WARN and not self._warned:
-            self._warned = True
-            warnings.warn(self.finding, InaccuracyWarning, stacklevel=2)
-
-    def judge(self, simulation):
-        """
-        Look at the balance now.
-
-        Raises
-        ------
-        StiffnessError, NumericalError
-            As for ``look``.
-
-        """
-        balance = simulation.energy_balance
-        rounding = self.rounding(simulation, balance.kinetic + abs(balance.stored))
-        self.note(simulation, balance, rounding)
-        before = self._look
-        if before is not None:
-            moving = (before.balance.kinetic + abs(balance.stored - before.balance.stored)
-                      + abs(balance.dissipated - before.balance.dissipated)
-                      + abs(balance.work - before.balance.work))
-            lost = abs(balance.residual - before.balance.residual)
-            allowed = ENERGY_ERROR * moving + LITTLE * self.moved + rounding
-            if not lost <= allowed or self.worst > ENERGY_ERROR:
-                worst = self.worst if math.isfinite(lost) else math.inf
-                problem = self._problem(lost, moving, before, simulation, worst)
-                self.failed = True
-                simulation.restore(before.state, before.time, before.balance.residual)
-                raise problem
-        self._take(simulation, balance)
-
-    def _take(self, simulation, balance):
-        self._look = Look(balance, simulation.state, simulation.time)
-        if self._start is None and balance is not None:
-            self._start = balance
-
-    def note(self, simulation, balance, rounding=None):
-        """Note how much energy has moved, and the error of the present balance."""
-        if rounding is None:
-            rounding = self.rounding(simulation, balance.kinetic + abs(balance.stored))
-        if self._look is not None and self._look.balance is None:
-            self._look.balance = self._start = simulation.energy_at_start
-        start = balance if self._start is None else self._start
-        self.compare(
-            abs(balance.residual - start.residual),
-            balance.kinetic + abs(balance.stored - start.stored)
-            + abs(balance.dissipated - start.dissipated) + abs(balance.work - start.work),
-            rounding, simulation.time)
-
-    @staticmethod
-    def rounding(simulation, present):
-        """Return how much of an error may be rounding, of the energy that there is [J]."""
-        return ROUNDING * present + NOTHING * simulation.energy_scale
+        if self._counts[run.SINCE] >= self._least:
+            simulation.look_at_energy()
 
     def missed(self, balance):
         """Return what a balance misses since the guard began [J]."""
-        return balance.residual - (0.0 if self._start is None else self._start.residual)
+        return balance.residual - (
+            float(self._numbers[run.LOOK - 1]) if self._counts[run.BEGUN] else 0.0)
 
     def compare(self, lost, moved, rounding, time):
         """
@@ -317,14 +201,42 @@ class EnergyGuard:
             [s].
 
         """
-        self.moved = max(self.moved, moved)
-        lost -= rounding
-        share = lost / self.moved if lost > 0.0 and self.moved > 0.0 else 0.0
-        if not math.isfinite(lost):
-            share = math.inf
-        if not share <= self.worst:
-            self.worst, self.worst_time = share, time
-            self.worst_lost, self.worst_moved = lost, self.moved
+        native.note_loss(self._numbers, lost, moved, rounding, time)
+
+    @property
+    def moved(self):
+        """Return the most energy that has moved up to any look since the guard began [J]."""
+        return float(self._numbers[run.MOVED])
+
+    @property
+    def worst(self):
+        """Return the largest error of the balance relative to what had moved by then."""
+        return float(self._numbers[run.WORST])
+
+    @property
+    def worst_time(self):
+        """Return when that was [s]."""
+        return float(self._numbers[run.WORST_TIME])
+
+    @property
+    def worst_lost(self):
+        """Return that error [J]."""
+        return float(self._numbers[run.WORST_LOST])
+
+    @property
+    def worst_moved(self):
+        """Return what had moved by then [J]."""
+        return float(self._numbers[run.WORST_MOVED])
+
+    @property
+    def failed(self):
+        """Return whether a look has ended the run."""
+        return bool(self._counts[run.FAILED])
+
+    def warn(self):
+        """Warn, once, where the energy balance is a little off."""
+        self._counts[run.WARNED] = 1
+        warnings.warn(self.finding, InaccuracyWarning, stacklevel=2)
 
     @property
     def finding(self):
@@ -335,11 +247,14 @@ class EnergyGuard:
                 f'{self.worst_moved:.3g} J that moved until t = {self.worst_time:.6g} s: '
                 f'{_setting(self._method)} does not follow this motion. {_cure(self._method)}')
 
-    def _problem(self, lost, moving, before, simulation, worst):
-        """Return the error to raise."""
+    def problem(self, simulation):
+        """Return the error to raise where the latest look has ended a run."""
+        lost, moving, before = self._numbers[run.LOST:run.LOOK_TIME + 1].tolist()
+        # Where the balance is no number, not even the start of it may be believed.
+        worst = self.worst if math.isfinite(lost) else math.inf
         rate, size = self._rate(simulation.integrated), self._method.step_size
-        kept = f'The state of t = {before.time:.9g} s is kept.'
-        what = (f'The energy balance is off by {lost:.3g} J between t = {before.time:.9g} and '
+        kept = f'The state of t = {before:.9g} s is kept.'
+        what = (f'The energy balance is off by {lost:.3g} J between t = {before:.9g} and '
                 f'{simulation.time:.9g} s, where {moving:.3g} J moved')
         if worst > ENERGY_ERROR and not lost > ENERGY_ERROR * moving:
             what = f'The energy balance misses {worst:.0%} of all energy that moved'
@@ -375,95 +290,19 @@ def _cure(method):
     return 'Take integrator: auto, which controls its error, or a smaller step.'
 
 
-class EquationGuard:
-    """Looks whether equations that had to be taken again can be left out again."""
-
-    def __init__(self):
-        """Begin."""
-        self.restart()
-
-    def restart(self):
-        """Count from here."""
-        self._since, self._between = 0, EQUATIONS_FIRST_LOOK
-
-    @property
-    def until_look(self):
-        """Return the steps left until the next look, however many are made at once."""
-        return self._between - self._since
-
-    def begin(self, simulation):
-        """Do nothing: every look stands by itself."""
-
-    def jump(self):
-        """Do nothing, likewise."""
-
-    def look(self, simulation, steps):
-        """Let the simulation leave out equations again; ever more seldom, as that may not last."""
-        self._since += steps
-        if self._since >= self._between:
-            self._since = 0
-            if simulation.leave_out_again():
-                self._between = min(2 * self._between, EQUATIONS_LOOK_EVERY)
-
-
-class ClosureGuard:
-    """
-    Looks at the closure where the method alone does not keep the loops closed.
-
-    ``extent``: float; size of the mechanism [m].
-
-    """
-
-    def __init__(self, method, extent):
-        """Decide what to look for."""
-        self._method, self._extent = method, extent
-
-    # However few steps are made at once, the loops are looked at after them.
-    until_look = CLOSURE_LOOK_EVERY
-
-    @property
-    def limit(self):
-        """Return the closure error at which loops count as open [m or rad]."""
-        return OPEN * self._extent
-
-    @property
-    def regular(self):
-        """Return whether a singular configuration ends the run."""
-        return self._method.stabilisation == 'none'
-
-    def restart(self):
-        """Do nothing: every look stands by itself."""
-
-    jump = restart
-
-    def begin(self, simulation):
-        """Do nothing: every look stands by itself."""
-
-    def look(self, simulation, steps):
-        """
-        Raise where loops have opened.
-
-        Raises
-        ------
-        SingularityError
-            Where a singular configuration was met without any stabilisation.
-        ClosureError
-            Where the loops have drifted apart.
-
-        """
-        method = self._method
-        if self.regular and simulation.system.work.health[SINGULAR_COUNT] > 0.0:
-            raise SingularityError(
-                f'A singular configuration was met up to t = {simulation.time:.9g} s: closure '
-                'equations vanish there, and with the drift that stabilisation: none allows the '
-                'branch on which the mechanism goes on cannot be told. Take stabilisation: '
-                'projection.')
-        closure = simulation.closure
-        if not closure <= self.limit:
-            raise ClosureError(
-                f'The loops have drifted apart by {closure:.3g} m (or rad) at t = '
-                f'{simulation.time:.9g} s: stabilisation: {method.stabilisation} does not close '
-                'them again. Take stabilisation: projection, or a smaller step.')
+def opened_loops(simulation):
+    """Return the error to raise where a method that does not close the loops has lost them."""
+    stabilisation, time = simulation.scene.method.stabilisation, simulation.time
+    if simulation.run.watch.regular and simulation.system.work.health[SINGULAR_COUNT] > 0.0:
+        return SingularityError(
+            f'A singular configuration was met up to t = {time:.9g} s: closure '
+            'equations vanish there, and with the drift that stabilisation: none allows the '
+            'branch on which the mechanism goes on cannot be told. Take stabilisation: '
+            'projection.')
+    return ClosureError(
+        f'The loops have drifted apart by {simulation.closure:.3g} m (or rad) at t = '
+        f'{time:.9g} s: stabilisation: {stabilisation} does not close '
+        'them again. Take stabilisation: projection, or a smaller step.')
 
 
 class StiffnessGuard:

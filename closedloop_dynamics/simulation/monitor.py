@@ -17,7 +17,6 @@
 from copy import deepcopy
 from dataclasses import dataclass
 import math
-import time
 
 import numpy as np
 
@@ -25,7 +24,7 @@ from ..core.codegen.function_table import BODY
 from ..core.independent import forget
 from ..core.manifold import weights
 from ..core.types import EVALUATIONS, RANK_REVEALING_COUNT
-from ..integration import control as columns, left_out
+from ..integration import control as columns, guarded_run as run, left_out
 from ..integration.control import DONE
 from ..integration.drivers import build_driver, Switching
 from ..integration.registry import FIXED, INTEGRATORS
@@ -125,35 +124,42 @@ def _number(value, digits=3):
 
 class Monitor:
     """
-    A driver that keeps account of its cost and of the local error.
+    A driver, and an account of its cost and of the local error.
 
     Attributes
     ----------
     driver : object
-        The driver itself, for calls that are not to be counted.
-    sampling : bool
-        Whether to estimate the error of fixed steps, at the cost of some 20 steps in 1000.
+        The driver itself.
 
     Parameters
     ----------
     driver, system, method
         As of ``drivers.build_driver``.
-    choose_equations : callable
-        Called where a step failed in the latest good state, the reason its argument, a status of
-        ``integration.advance``; returns whether to go on from there.
+    numbers, counts : ndarray
+        Of the ``GuardedRun`` whose steps are counted.
 
     """
 
-    def __init__(self, driver, system, method, choose_equations):
+    def __init__(self, driver, system, method, numbers, counts):
         """Count from zero."""
-        self.driver, self.sampling = driver, True
-        self._choose_equations = choose_equations
+        self.driver, self._sampling = driver, True
+        self._numbers, self._counts = numbers, counts
         self._system, self._method = system, method
         integrator = INTEGRATORS[method.integrator]
         self._fixed = integrator.kind == FIXED
         self._order = integrator.order
         self._probe = None
         self.clear()
+
+    @property
+    def sampling(self):
+        """Whether to estimate the error of fixed steps, at the cost of some 20 steps in 1000."""
+        return self._sampling
+
+    @sampling.setter
+    def sampling(self, wanted):
+        self._sampling = wanted
+        self._counts[run.TO_SAMPLE] = 0 if self._fixed and wanted else -1
 
     def take(self, system):
         """Go on counting with a system that works on other equations."""
@@ -162,8 +168,9 @@ class Monitor:
 
     def clear(self):
         """Forget what has been counted: the time starts again."""
-        self._time, self._steps, self._nanoseconds = 0.0, 0, 0
-        self._to_sample, self._between, self._local_error = 0, FIRST_SAMPLE, math.nan
+        self._numbers[run.COST_TIME:run.COST_NANOSECONDS + 1] = 0.0
+        self._between, self._local_error = FIRST_SAMPLE, math.nan
+        self.sampling = self._sampling
         control = getattr(self.driver, 'control', None)
         if control is not None:
             # What stands between is counted, too.
@@ -192,40 +199,15 @@ class Monitor:
         """Forget the past of the motion, as a driver does."""
         self.driver.restart(moved)
 
-    def advance(self, state, origin, done, step_size, steps):
-        """Advance as the driver does, and count; see ``drivers.FixedSteps.advance``."""
-        if not (self._fixed and self.sampling):
-            return self._counted(state, origin, done, step_size, steps)
-        if 0 < steps <= self._to_sample:
-            self._to_sample -= steps
-            return self._counted(state, origin, done, step_size, steps)
-        status, made, elapsed = DONE, 0, 0.0
-        while made < steps and status == DONE:
-            if self._to_sample == 0:
-                self._sample(state, step_size)
-                self._to_sample = self._between
-                self._between = min(2 * self._between, SAMPLE_EVERY)
-            portion = min(steps - made, self._to_sample)
-            status, part = self._counted(state, origin, done + made, step_size, portion)
-            made += portion
-            elapsed = made * step_size if status == DONE else elapsed + part
-            self._to_sample -= portion
-        return status, elapsed
+    def count(self, elapsed, step_size):
+        """Count what was made of a portion of steps that failed, a time in s."""
+        self._numbers[run.COST_TIME] += elapsed
+        self._numbers[run.COST_STEPS] += round(elapsed / step_size)
 
-    def _counted(self, state, origin, done, step_size, steps):
-        """Advance and add up time and cost."""
-        begin = time.perf_counter_ns()
-        status, elapsed = self.driver.advance(state, origin, done, step_size, steps)
-        while status != DONE and self._choose_equations(status):
-            self.driver.go_on()
-            status, elapsed = self.driver.advance(state, origin, done, step_size, steps)
-        self._nanoseconds += time.perf_counter_ns() - begin
-        self._time += elapsed
-        self._steps += round(elapsed / step_size)
-        return status, elapsed
-
-    def _sample(self, state, step_size):
+    def sample(self, state, step_size):
         """Estimate the error of the next step, leaving everything as it is."""
+        self._counts[run.TO_SAMPLE] = self._between
+        self._between = min(2 * self._between, SAMPLE_EVERY)
         if self._probe is None:
             system = deepcopy(self._system)
             self._probe = system, build_driver(system, self._method)
@@ -258,7 +240,8 @@ class Monitor:
             Findings beside these.
 
         """
-        steps, error, health = self._steps, self._local_error, self._system.work.health
+        time, steps, spent = self._numbers[run.COST_TIME:run.COST_NANOSECONDS + 1].tolist()
+        steps, error, health = int(steps), self._local_error, self._system.work.health
         control = getattr(self.driver, 'control', None)
         bound = math.nan
         findings = [*notes, *([energy_guard.finding] if energy_guard.finding else [])]
@@ -288,7 +271,7 @@ class Monitor:
             error = float(control[columns.LARGEST_ERROR]) * self._method.tolerance
         method = f'{self._method.integrator}, {self._method.stabilisation}'
         return RunReport(
-            method, self._time, steps, 1e-9 * self._nanoseconds, error, closure, energy_error,
+            method, time, steps, 1e-9 * spent, error, closure, energy_error,
             int(health[EVALUATIONS]), energy_guard.moved, bound,
             tuple(findings))
 

@@ -23,23 +23,19 @@ numbers, bit for bit.
 """
 
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Optional
 
 import numpy as np
 
-from .cable_guard import CableGuard
 from .errors import SimulationError
-from .guards import (
-    CLOSING, ClosureGuard, ENERGY_WARN, EquationGuard, EQUATIONS_FIRST_LOOK, NOTHING,
-    USUAL_TORQUE)
+from .guards import CLOSING, ENERGY_WARN, USUAL_TORQUE
 from ..core.codegen.lanes import LANES, spread
 from ..engine import native
-from ..integration.batch import build_batch, filled, fits
+from ..integration.batch import build_batch, filled, fits, Lane
 from ..integration.control import DONE, INTERRUPTED
 from ..integration.drivers import FixedSteps
 from ..integration.recorded_run import (
-    allocate_buffer, joint_forces, LOST, MOVED, run_samples, SHARE, STEPS, Watch)
+    allocate_buffer, joint_forces, LOST, MOVED, run_samples, SHARE, TIME)
 from ..integration.scipy_solvers import SciPySolver
 from ..mechanism.checks import one_of
 from ..mechanism.fields import at
@@ -51,8 +47,6 @@ QUANTITIES = (*STATE, 'acceleration', 'effort', 'constraint_forces', 'joint_forc
 FEWEST, MOST = 3, LANES
 # A time counts as a multiple of the step up to this share of the step.
 TIME_ROUNDING = 1e-9
-# More steps than any run has.
-NEVER = 2 ** 62
 
 
 @dataclass(frozen=True)
@@ -148,16 +142,15 @@ def runs_whole(simulation):
     Returns
     -------
     bool
-        False for SciPy's methods, commands that arrive late, sensors that remember, cables, what
-        acts in cut joints, and equations that may be left out but are not, or drift apart.
+        False for SciPy's methods, commands that arrive late, sensors that remember, what acts
+        in cut joints, and equations that may be left out but are not, or drift apart.
 
     """
     effects = simulation.effect_set
-    watched = any(isinstance(guard, EquationGuard) for guard in simulation.guards)
+    watched = simulation.run.watch.chooses
     return not (
         isinstance(simulation.monitor.driver, SciPySolver) or effects.remembers
         or any(effects.drives.values()) or effects.cuts is not None or simulation.exchanges
-        or any(isinstance(guard, CableGuard) for guard in simulation.guards)
         or watched != simulation.leaves_out
         or watched and simulation.scene.method.stabilisation not in CLOSING)
 
@@ -211,8 +204,7 @@ def record_all(simulation, torques, schedule, quantities):
         return records
     tau = all_torques(simulation, torques[bearable])
     states, status, found = run_samples(
-        simulation.system, simulation.monitor.driver.stepper, _watch(simulation),
-        simulation.step_size, simulation.integrated[np.newaxis].copy(), tau,
+        simulation.system, simulation.run, simulation.integrated[np.newaxis].copy(), tau,
         schedule.in_steps(steps))
     simulation.touch()
     for k in np.flatnonzero(status == DONE):
@@ -228,35 +220,10 @@ def _finding(simulation, found):
         return None
     guard = simulation.energy_guard
     guard.restart()
-    guard.compare(found[LOST], found[MOVED], 0.0, found[STEPS] * simulation.step_size)
+    guard.compare(found[LOST], found[MOVED], 0.0, found[TIME])
     finding = guard.finding
     guard.restart()
     return finding or None
-
-
-def _watch(simulation):
-    """Return what a run from here must keep to."""
-    health = simulation.system.work.health.copy()
-    start = simulation.energy_at_start if simulation.at_start else simulation.energy_balance
-    # Nothing has been evaluated yet for the run.
-    simulation.system.work.health[:] = health
-    return _guards(simulation)._replace(kinetic=start.kinetic, stored=start.stored)
-
-
-def _guards(simulation):
-    """Return the same without the energy there."""
-    guard, effects = simulation.energy_guard, simulation.effect_set
-    closure = [each for each in simulation.guards if isinstance(each, ClosureGuard)]
-    direct = np.ones(len(simulation.torque_names))
-    direct[list(effects.drives)] = 0.0
-    return Watch(
-        first=guard.first, rarely=guard.rarely, call=guard.call, whole=guard.whole,
-        cycle=EQUATIONS_FIRST_LOOK if simulation.leaves_out else NEVER,
-        most=closure[0].until_look if closure else NEVER,
-        closure=closure[0].limit if closure else np.inf,
-        regular=bool(closure) and closure[0].regular,
-        nothing=NOTHING * simulation.passive_energy_scale, kinetic=np.nan, stored=np.nan,
-        roles=effects.roles, direct=direct)
 
 
 def all_torques(simulation, torques):
@@ -274,49 +241,6 @@ def buffer_for(simulation, schedule, quantities):
             name not in STATE for name in quantities),
         np.array([simulation.body_row(point.body) for point in points], dtype=np.int64),
         np.array([point.position for point in points]).reshape(-1, 2))
-
-
-@lru_cache(maxsize=16)
-def _looks(watch, schedule, steps):
-    """
-    Return after how many steps the guards look at a run of fixed steps, the start first.
-
-    Parameters
-    ----------
-    watch : tuple of 4 int and a bool
-        ``first``, ``rarely``, ``call`` and ``most`` of a ``Watch``; whether all looks are wanted,
-        those at loops, too.
-    schedule : Schedule
-        Of the run.
-    steps : int
-        In an interval.
-
-    Returns
-    -------
-    looks : ndarray of int, shape (n,)
-    balanced : ndarray of int, shape (n,)
-        1 where energy is looked at.
-
-    """
-    first, rarely, call, most, closure = watch
-    hold, decimation, end = schedule.in_steps(steps)
-    found, done, unseen, between = {0: 1}, 0, 0, first
-    while done < end:
-        at_once = min(hold - done % hold, decimation - done % decimation, end - done)
-        left = at_once
-        while left > 0:
-            portion = min(left, most, between - unseen)
-            left, done, unseen = left - portion, done + portion, unseen + portion
-            if unseen >= between:
-                between, unseen = max(min(2 * between, rarely), first), 0
-                found[done] = 1
-            elif closure:
-                found.setdefault(done, 0)
-        if unseen > 0 and at_once >= call:
-            unseen, found[done] = 0, 1
-    found[end] = 1
-    return tuple(np.array(list(numbers), dtype=np.int64)
-                 for numbers in (found.keys(), found.values()))
 
 
 def values_of(simulation, buffer, tau, schedule, quantities):
@@ -470,33 +394,23 @@ class SimdRuns:
             names = first.coordinates
             room = tuple(np.empty((LANES, schedule.instants, count))
                          for count in (names.nq, names.nv))
-        guards = _guards(first)
-        looks, balanced = _looks(
-            (guards.first, guards.rarely, guards.call, guards.most, np.isfinite(guards.closure)),
-            schedule, steps)
-        seen = np.empty((LANES, len(looks), len(starts[0].state)))
-        work = np.empty((LANES, len(looks)))
+        watched = tuple(Lane(start.simulation.system.native, start.simulation.run)
+                        for start in starts)
+        ended, found = np.empty(len(starts), dtype=np.int64), np.empty((len(starts), 4))
         status = native.run_batch(
-            tuple(pack)[:-1], driver.tableau, driver.stabilisation, state, first.step_size,
-            efforts, *schedule.in_steps(steps), np.zeros((len(driver.scratch), len(state))),
-            *room, looks, seen, work)
+            tuple(pack)[:-1], watched, state, efforts, *schedule.in_steps(steps),
+            np.zeros((len(driver.scratch), len(state))), *room, ended, found)
+        for start in starts:
+            start.simulation.touch()
         if status == INTERRUPTED:
             # Another thread was.
             raise KeyboardInterrupt
         if status != DONE:
             return None
-        records = []
-        for start, tau, *motion, states, done in zip(starts, torques, *room, seen, work):
-            simulation, found = start.simulation, np.empty(4)
-            watch = guards if simulation is first else _guards(simulation)
-            status = native.judge(
-                simulation.system.native, watch, states, done, looks, balanced, found)
-            simulation.touch()
-            records.append(None if status != DONE else Record(
-                _values_of_motion(
-                    simulation, tau, schedule, steps, self.quantities, *motion),
-                _finding(simulation, found)))
-        return records
+        return [None if how != DONE else Record(
+            _values_of_motion(start.simulation, tau, schedule, steps, self.quantities, *motion),
+            _finding(start.simulation, energy))
+            for start, tau, how, energy, *motion in zip(starts, torques, ended, found, *room)]
 
     def _pack_of(self, systems):
         """Return a pack of systems, the last one where they are still the same."""

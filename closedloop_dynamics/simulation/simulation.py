@@ -17,17 +17,19 @@
 from dataclasses import replace
 from functools import partial
 import math
+from time import perf_counter_ns
 import warnings
 
 import numpy as np
 
 from .assembly import angle_notes, Assembler
-from .cable_guard import CableGuard
+from .cable_guard import explain, leapt, LOOK_EVERY as CABLE_LOOK_EVERY
 from .cut_joints import acted_in, coordinate_arrays, coupling_moments, CutJoints
 from .errors import (
     AssemblyError, ClosureError, MotionError, NumericalError, SimulationError, StiffnessError)
 from .guards import (
-    CLOSING, ClosureGuard, EnergyGuard, EquationGuard, StiffnessGuard, USUAL_TORQUE)
+    CLOSING, CLOSURE_LOOK_EVERY, EnergyGuard, EQUATIONS_FIRST_LOOK, EQUATIONS_LOOK_EVERY, OPEN,
+    opened_loops, StiffnessGuard, USUAL_TORQUE)
 from .health import health_of
 from .inverse_dynamics import InverseDynamics
 from .modeling import coupling_scales, extent
@@ -42,13 +44,15 @@ from ..core.formulations import AUGMENTED, SUBSYSTEM, SYSTEM
 from ..effects.delay_line import DelayLine
 from ..effects.effect import Machine
 from ..effects.effect_set import EffectSet
-from ..effects.energy_balance import EnergyBalance
+from ..effects.energy_balance import Energies, EnergyBalance
 from ..engine import native
+from ..integration import guarded_run
 from ..integration.control import (
     CONTACT_PASSED, DONE, INTERRUPTED, MOST_EVALUATIONS, NOT_FINITE, OPEN_LOOP, POOR_EQUATIONS,
     TOO_MUCH_WORK)
 from ..integration.drivers import build_driver
 from ..integration.evaluation import Evaluator, QUANTITIES, request
+from ..integration.guarded_run import COMMAND
 from ..integration.left_out import LENIENT, OPENED
 from ..integration.registry import INTEGRATORS, SCIPY
 from ..integration.system import (
@@ -65,8 +69,6 @@ BETTER = 3.0
 LARGEST_MOTION = 1e3
 # Gravity's acceleration, to compare forces with weights [m/s^2].
 EARTH = 9.81
-# What ``native.compare`` finds.
-EQUAL, USUAL = 0, 1
 
 
 class Simulation:
@@ -100,7 +102,9 @@ class Simulation:
         self.scene = scene
         self.mechanism = with_motions(scene)
         self.decomposition = decompose(self.mechanism)
-        self._time_base, self._steps = 0.0, 0
+        self._numbers = np.zeros(guarded_run.NUMBERS)
+        self._counts = np.zeros(guarded_run.COUNTS, dtype=np.int64)
+        self._set_time(0.0, 0)
         self._points = {point.name: point for point in self.mechanism.points}
         self._geometry = geometry_of(self.mechanism, self.decomposition)
         self._rows, placements = self._geometry.rows, self._geometry.placements
@@ -131,7 +135,7 @@ class Simulation:
             cuts=self._effects.cuts, joints=self._geometry.joint_points)
         self._table = self._effects.bind(self.system)
         self._motions.records = self._effects.records
-        self._balance = EnergyBalance(self._effects)
+        self._balance = EnergyBalance(self._effects.roles, len(self.system.tau))
         self.coordinates = self.mechanism.coordinates
         *parts, states = parts_of_state(self.system)
         self._parts, self._state = tuple(parts), np.zeros(states)
@@ -154,11 +158,12 @@ class Simulation:
             self._assembler.require_independent(self._initial[0])
         self._fresh = False
         self._require_known_steps(method)
-        self._driver = Monitor(
-            build_driver(self.system, method), self.system, method, self._choose_equations)
+        self._driver = Monitor(build_driver(self.system, method), self.system, method,
+                               self._numbers, self._counts)
         self._set_guards(StiffnessGuard(self.system, method, self._effects.own), method)
         self._inverse = self._inverse_dynamics()
         self._set_probes()
+        self._set_run()
         # How often the equations that the elimination works on were exchanged.
         self.exchanges = 0
         self.reset()
@@ -208,12 +213,16 @@ class Simulation:
         self._find_joint_forces = native.bind(
             'find_joint_forces', system.native, self._state, self._lam, row, point,
             np.zeros_like(system.work.force), self._joint_forces_found)
-        self._energies_found = np.empty(2)
+        self._energies_found, self._balance_found = np.empty(2), np.empty(5)
+        account = self._balance.account
+        # The work of the torques held up to here.
+        self._add_work = native.bind('add_held_work', system.native, account, self._state)
+        self._draw_balance = native.bind(
+            'fill_balance', system.native, account, self._state, self._balance_found)
         self._find_energies = native.bind(
             'energies', system.model, system.work, self._qd, self._energies_found)
         self._spread = np.zeros(len(system.tau))
         self._spread_torques = native.bind('spread_torques', self._allowed, self._spread)
-        self._compare_torques = native.bind('compare', system.tau, USUAL_TORQUE)
         model, work = self._equations.model, self._equations.work
         self._wrenches_found = np.empty((len(model.cut), work.wrench.shape[1]))
         self._find_cut_wrenches = native.bind(
@@ -346,7 +355,12 @@ class Simulation:
     def time(self):
         """Time since the start or the last reset [s]."""
         # Counted, not summed: an hour of steps adds up to an hour.
-        return self._time_base + self._steps * self.step_size
+        return (float(self._numbers[guarded_run.TIME_BASE])
+                + int(self._counts[guarded_run.STEPS]) * self.step_size)
+
+    def _set_time(self, base, steps):
+        """Let the time be so many steps after another one [s]."""
+        self._numbers[guarded_run.TIME_BASE], self._counts[guarded_run.STEPS] = base, steps
 
     @property
     def position(self):
@@ -698,11 +712,9 @@ class Simulation:
     def energy_balance(self):
         """Energy balance since the last reset, an ``effects.energy_balance.Energies`` [J]."""
         self._start_balance()
-        self._add_work()
-        kinetic, stored = self._energies()
-        # Of torques on rotations, which the state has behind all others.
-        turned = 0.0 if self.system.manifold is None else self._state[-1]
-        return self._balance.balance(self._own, kinetic, stored, turned)
+        self._draw_balance()
+        self._fresh = True
+        return Energies(*self._balance_found.tolist())
 
     @property
     def energy_scale(self):
@@ -719,9 +731,9 @@ class Simulation:
             length * math.hypot(*self.system.model.gravity.tolist()) + length ** 2)
 
     @property
-    def guards(self):
-        """Return what watches the run: see ``guards``."""
-        return tuple(self._guards)
+    def run(self):
+        """Return what the engine makes steps of, a ``guarded_run.GuardedRun``."""
+        return self._run
 
     @property
     def at_start(self):
@@ -733,10 +745,6 @@ class Simulation:
         """Energy balance of the initial state, an ``effects.energy_balance.Energies`` [J]."""
         self._start_balance()
         return self._balance.at_start
-
-    def _add_work(self):
-        """Add the work of the torques held up to here."""
-        self._balance.add_work(self._by_freedom(), self.system.tau)
 
     def _by_freedom(self):
         """Return the coordinate of each freedom, behind them those of ``torque_names``."""
@@ -1062,8 +1070,8 @@ class Simulation:
         self._order(tau, whole)
         rest = duration - whole * size
         if rest > 1e-9 * size:
-            self._advance(rest, 1)
-        self.energy_guard.end(self, whole + 1)
+            self._make(rest, 1)
+        self._make(size, 0, whole + 1)
 
     def advance(self, tau, steps):
         """
@@ -1082,14 +1090,22 @@ class Simulation:
             The state before the failing step is kept.
 
         """
-        self._order(tau, steps)
-        self.energy_guard.end(self, steps)
+        if self._effects.attends or self._delay_line.pending:
+            self._order(tau, steps)
+            self._make(self.step_size, 0, steps)
+            return
+        self._fresh = False
+        pause = self._advance_run(tau, steps)
+        if pause == COMMAND:
+            self._command(tau)
+        if pause:
+            self._go_on(pause)
 
     def _order(self, tau, steps):
         """Advance by whole steps; drives follow torques with their delays."""
         if not (self._delay_line.pending or self._effects.delays):
             self._command(tau)
-            self._advance(self.step_size, steps)
+            self._make_all(steps)
             return
         self._delay_line.order(self.time, tau, self._effects.drives, self.system.tau)
         while True:
@@ -1098,68 +1114,137 @@ class Simulation:
             if steps <= 0:
                 break
             count = self._delay_line.steps_until_next(self.time, self.step_size, steps)
-            self._advance(self.step_size, count)
+            self._make_all(count)
             steps -= count
 
     def _command(self, tau):
         """Let joint torques act from now on."""
-        found = self._compare_torques(tau)
-        if found == EQUAL:
+        if (tau == self.system.tau).all():
             return
-        if found != USUAL:
-            if (tau == self.system.tau).all():
-                return
-            self.require_bearable(tau)
+        self.require_bearable(tau)
         self._add_work()
         self._driver.restart()
         self.system.tau[:] = tau
         self._fresh = False
 
-    def _set_guards(self, stiffness, method):
-        """Let a run by a method be watched."""
-        self._stiffness = stiffness
-        self.energy_guard = EnergyGuard(
-            method, stiffness.rate, stiffness.limit, stiffness.among_laws,
-            self._geometry.may_leave_out)
-        self._cable_guards = [CableGuard()] * bool(self._effects.windings())
-        self._guards = [*self._cable_guards, self.energy_guard,
-                        *[EquationGuard()] * self._geometry.may_leave_out]
-        if method.stabilisation not in CLOSING:
-            self._guards.append(ClosureGuard(method, extent(self.mechanism)))
-
-    def _advance(self, size, steps):
-        """Advance by steps of one size, watched by the guards."""
-        remembers, guards = self._effects.remembers, self._guards
-        for guard in guards:
-            guard.begin(self)
-        if remembers:
+    def _make_all(self, steps):
+        """Make whole steps; sensors that remember see every state."""
+        if not self._effects.remembers:
+            self._make(self.step_size, steps)
+            return
+        self._look()
+        for _ in range(steps):
+            self._make(self.step_size, 1)
             self._look()
-        while steps > 0:
-            portion = 1 if remembers else steps
-            for guard in guards:
-                until_look = guard.until_look
-                if until_look < portion:
-                    portion = until_look
-            try:
-                self._advance_unguarded(size, portion)
-            except MotionError:
-                raise
-            except SimulationError:
-                # What stopped it may be a cable at its limit, or steps that cannot be stable.
-                for guard in self._cable_guards:
-                    guard.explain(self)
-                self._stiffness.check(self._state, size)
-                raise
-            if remembers:
-                self._look()
-            for guard in guards:
-                guard.look(self, portion)
-            steps -= portion
 
     def _look(self):
         """Let sensors that remember see the present state."""
         self.measured()
         self.measured_cut_joints()
+
+    def _make(self, size, steps, call=0):
+        """Make steps of one size [s], the end of a call of so many steps where that is told."""
+        counts = self._counts
+        counts[guarded_run.DUE] = counts[guarded_run.HANDED] = 0
+        counts[guarded_run.LEFT], counts[guarded_run.CALL] = steps, call
+        self._numbers[guarded_run.SIZE] = size
+        self._go_on(COMMAND)
+
+    def _go_on(self, pause):
+        """Do what the engine pauses for, and let it go on, until all steps are made."""
+        while pause:
+            if pause == guarded_run.START_ENERGY:
+                self._start_balance()
+            elif pause == guarded_run.SAMPLE:
+                self._driver.sample(self._state, self.step_size)
+            elif pause == guarded_run.FAILURE or pause == guarded_run.HAND_OVER:
+                self._make_portion(pause == guarded_run.FAILURE)
+            elif pause == guarded_run.CHOICE:
+                if self.leave_out_again():
+                    self._counts[guarded_run.EQUATIONS_BETWEEN] = min(
+                        2 * self._counts[guarded_run.EQUATIONS_BETWEEN], EQUATIONS_LOOK_EVERY)
+            elif pause != COMMAND:
+                self._tell(pause)
+            self._fresh = False
+            pause = self._resume_run()
+
+    def _tell(self, pause):
+        """Warn of, or raise, what the guards have found; the latest good state is kept."""
+        numbers, guard = self._numbers, self.energy_guard
+        if pause == guarded_run.INACCURATE:
+            guard.warn()
+        elif pause == guarded_run.ENERGY_LOST:
+            problem = guard.problem(self)
+            self.restore(self._run.kept, *numbers[
+                [guarded_run.LOOK_TIME, guarded_run.PRESENT - 1]].tolist())
+            raise problem
+        elif pause == guarded_run.CABLE_LEAPT:
+            before = dict(zip(self._effects.winding_places(), self._run.windings.tolist()))
+            place = max(before, key=lambda each: abs(self.windings()[each] - before[each]))
+            self.restore(self._run.kept_by_cables, *numbers[
+                [guarded_run.CABLE_TIME, guarded_run.CABLE_RESIDUAL]].tolist())
+            raise leapt(place, before[place], self.time)
+        else:
+            raise opened_loops(self)
+
+    def look_at_energy(self):
+        """
+        Look at the energy balance now: warn where it is a little off.
+
+        Raises
+        ------
+        NumericalError, StiffnessError
+            Where it is far off; the latest state that was well is kept.
+
+        """
+        self._start_balance()
+        pause = self._look_at_energy()
+        if pause:
+            self._tell(pause)
+
+    def _set_guards(self, stiffness, method):
+        """Let a run by a method be watched."""
+        self._stiffness = stiffness
+        self.energy_guard = EnergyGuard(
+            method, stiffness.rate, self._numbers, self._counts, stiffness.limit,
+            stiffness.among_laws, self._geometry.may_leave_out)
+        self._restart_guards()
+
+    def _restart_guards(self):
+        """Let the guards begin."""
+        self.energy_guard.restart()
+        counts = self._counts
+        counts[guarded_run.CABLES_LOOKED] = counts[guarded_run.EQUATIONS_SINCE] = 0
+        counts[guarded_run.EQUATIONS_BETWEEN] = EQUATIONS_FIRST_LOOK
+
+    def _watch(self):
+        """Return the numbers by which the engine watches the run."""
+        guard, method = self.energy_guard, self.scene.method
+        places, size = self._effects.winding_places().values(), extent(self.mechanism)
+        drifts = method.stabilisation not in CLOSING
+        return guarded_run.Watch(
+            guard.first, guard.rarely, guard.call, guard.whole, self._geometry.may_leave_out,
+            min(CABLE_LOOK_EVERY if places else guarded_run.NEVER,
+                CLOSURE_LOOK_EVERY if drifts else guarded_run.NEVER),
+            OPEN * size if drifts else math.inf, method.stabilisation == 'none', self._mass, size,
+            USUAL_TORQUE, np.array([*places], dtype=np.int64))
+
+    def _set_run(self):
+        """Let the engine make steps by the present method, system and guards."""
+        before = getattr(self, '_run', None)
+        self._numbers[guarded_run.STEP_SIZE] = self.step_size
+        run = guarded_run.guarded_run(
+            self._driver.driver.stepper, self._watch(), self._balance.account, self._state,
+            sum(map(np.size, self._driver.memory)), self._numbers, self._counts)
+        if before is not None and len(before.kept) == len(run.kept) and (
+                np.array_equal(before.watch.windings, run.watch.windings)):
+            # Where the guards have seen it.
+            run = run._replace(kept=before.kept, kept_by_cables=before.kept_by_cables,
+                               windings=before.windings)
+        self._run, engine = run, self.system.native
+        self._advance_run, self._resume_run, self._look_at_energy = (
+            native.bind(name, engine, run)
+            for name in ('advance_run', 'resume_run', 'look_at_energy'))
 
     def _choose_equations(self, status):
         """
@@ -1216,6 +1301,7 @@ class Simulation:
         self._take(with_equations(self.system, model))
         self._driver.take(self.system)
         self._stiffness.move(self.system)
+        self._set_run()
         self._fresh = False
         self.exchanges += 1
 
@@ -1243,37 +1329,59 @@ class Simulation:
             Where the motion is none; the latest state that was well is kept.
 
         """
-        self.energy_guard.judge(self)
+        self._start_balance()
+        pause = self._look_at_energy()
+        if pause == guarded_run.ENERGY_LOST:
+            self._tell(pause)
 
-    def _advance_unguarded(self, size, steps):
-        self._fresh = False
-        whole = size == self.scene.method.step_size
-        origin, done = (self._time_base, self._steps) if whole else (self.time, 0)
-        before = self._state.copy()
+    def _make_portion(self, failed):
+        """Make steps that the engine does not: those of other solvers, or after a failure."""
+        numbers, counts, driver = self._numbers, self._counts, self._driver.driver
+        size, portion = float(numbers[guarded_run.SIZE]), int(counts[guarded_run.HANDED])
+        grid = self.time, 0
+        if size == self.step_size:
+            grid = float(numbers[guarded_run.TIME_BASE]), int(counts[guarded_run.STEPS])
+        status, elapsed = None, 0.0
+        if failed:
+            status, elapsed = int(counts[guarded_run.STATUS]), float(numbers[guarded_run.ELAPSED])
+            driver.made = int(counts[guarded_run.MADE])
+        begin = perf_counter_ns()
         try:
-            status, elapsed = self._driver.advance(self._state, origin, done, size, steps)
-            if status == INTERRUPTED:
-                # Another thread was.
-                raise KeyboardInterrupt
+            while status != DONE:
+                if status == INTERRUPTED:
+                    # Another thread was.
+                    raise KeyboardInterrupt
+                if status is not None:
+                    if not self._choose_equations(status):
+                        break
+                    driver.go_on()
+                status, elapsed = driver.advance(self._state, *grid, size, portion)
         except BaseException:
             # Ctrl-C, within steps that count as not made.
-            self._state[:] = before
+            self._state[:] = self._run.before
             self._driver.restart(moved=True)
             raise
-        if whole and status == DONE:
-            self._steps += steps
+        numbers[guarded_run.COST_NANOSECONDS] += perf_counter_ns() - begin
+        if status == DONE:
             return
-        self._time_base += elapsed
-        if status != DONE:
-            self._fresh = False
-            beyond = self._motions.advice_on_stopping(
-                self._assembler, self._q, self.time, self.step_size)
-            if beyond:
-                raise MotionError(
-                    f'The motion cannot go on at t = {self.time:.9g} s; the state before is kept. '
-                    f'{beyond}')
+        self._driver.count(elapsed, size)
+        numbers[guarded_run.TIME_BASE] += elapsed
+        self._fresh = False
+        beyond = self._motions.advice_on_stopping(
+            self._assembler, self._q, self.time, self.step_size)
+        if beyond:
+            raise MotionError(
+                f'The motion cannot go on at t = {self.time:.9g} s; the state before is kept. '
+                f'{beyond}')
+        # What stopped it may be a cable at its limit, or steps that cannot be stable.
+        explain(self)
+        self._stiffness.check(self._state, size)
+        raise self._stopped(status, size)
+
+    def _stopped(self, status, size):
+        """Return the error to raise where a step [s] could not be made."""
         if status == NOT_FINITE:
-            raise NumericalError(
+            return NumericalError(
                 f'The state left the finite numbers at t = {self.time:.9g} s; the last finite '
                 f'state is kept. Take a smaller step than {size:g} s, or smaller torques '
                 f'(largest now {np.abs(self.system.tau).max(initial=0.0):g}).')
@@ -1281,26 +1389,25 @@ class Simulation:
             error = self.system.work.health[t.CLOSURE]
             advice = self._assembler.advice_on_opening(self._q) or (
                 f'Take a smaller step than {size:g} s: the motion in one step is too large.')
-            raise ClosureError(
+            return ClosureError(
                 f'The loops could not be closed after the step at t = {self.time:.9g} s (error '
                 f'{error:.3g}); the state before it is kept. {advice}')
         if status == TOO_MUCH_WORK:
-            raise NumericalError(
+            return NumericalError(
                 f'The motion at t = {self.time:.9g} s takes more than {MOST_EVALUATIONS} '
                 f'evaluations for {size:g} s; the last good state is kept. Take smaller torques '
                 f'(largest now {np.abs(self.system.tau).max(initial=0.0):g}), allow a larger '
                 'error, or leave out what is so fast.')
         if status == CONTACT_PASSED:
-            raise NumericalError(
+            return NumericalError(
                 f'A contact ({self._effects.passed}) was passed within a step of {size:g} s at '
                 f't = {self.time:.9g} s, between evaluations that felt nothing of it; the state '
                 'before is kept. Take a smaller step, or a method with error control, such as '
                 'integrator: auto.')
-        if status != DONE:
-            raise NumericalError(
-                f'No step at t = {self.time:.9g} s is small enough to keep the error that is '
-                'allowed; the last good state is kept. The motion is not smooth there: allow '
-                'more, or take a fixed step.')
+        return NumericalError(
+            f'No step at t = {self.time:.9g} s is small enough to keep the error that is '
+            'allowed; the last good state is kept. The motion is not smooth there: allow '
+            'more, or take a fixed step.')
 
     def joint_torques(self, torque):
         """
@@ -1373,7 +1480,7 @@ class Simulation:
             self._exchange(self._geometry.as_at_first() if self._may_leave_out(self.scene.method)
                            else self._geometry.keep(None))
         self.exchanges = 0
-        self._time_base, self._steps = 0.0, 0
+        self._set_time(0.0, 0)
         if self._motions:
             for name, record in self._motions.forget_commands(self.scene.effects).items():
                 self._effects.put(name, record, True)
@@ -1386,7 +1493,7 @@ class Simulation:
         self._effects.restart()
         self._delay_line = DelayLine()
         self.system.tau[:] = 0.0
-        self._time_base, self._steps, self._fresh = 0.0, 0, False
+        self._fresh = False
         health = self.system.work.health
         health[:] = 0.0
         health[t.SMALLEST_PIVOT] = health[t.SMALLEST_PIVOT_EVER] = 1.0
@@ -1394,8 +1501,7 @@ class Simulation:
         if self.system.manifold is not None:
             self._state[-1] = 0.0
         self._balance.restart(self._by_freedom())
-        for guard in self._guards:
-            guard.restart()
+        self._restart_guards()
         self._stiffness.check(self._state, self.step_size)
 
     def set_step_size(self, step_size):
@@ -1468,7 +1574,7 @@ class Simulation:
                 self._take(system)
                 self.exchanges += 1
             self.system = system
-            self._driver = Monitor(driver, system, method, self._choose_equations)
+            self._driver = Monitor(driver, system, method, self._numbers, self._counts)
             self._take_method(method, guard)
 
         return take_effect
@@ -1486,13 +1592,14 @@ class Simulation:
     def _jump(self):
         """Compare nothing with what was before."""
         self._fresh = False
-        for guard in self._guards:
-            guard.jump()
+        self.energy_guard.jump()
+        self._counts[guarded_run.CABLES_LOOKED] = 0
 
     def _take_method(self, method, stiffness):
-        self._time_base, self._steps = self.time, 0
+        self._set_time(self.time, 0)
         self.scene = replace(self.scene, method=method)
         self._set_guards(stiffness, method)
+        self._set_run()
         self.system.settings[BAUMGARTE_GAIN] = (
             1.0 / method.time_constant if method.stabilisation == 'baumgarte' else 0.0)
         self._driver.restart()
@@ -1598,7 +1705,7 @@ class Simulation:
         self._start_balance()
         steps = round(time / self.step_size)
         exact = steps * self.step_size == time
-        self._time_base, self._steps = (0.0, steps) if exact else (time, 0)
+        self._set_time(*((0.0, steps) if exact else (time, 0)))
         self._effects.restart()
         self._recall(state)
         self._driver.restart()
@@ -1634,8 +1741,9 @@ class Simulation:
         monitor.RunReport
 
         """
-        balance = self.energy_balance
-        self.energy_guard.note(self, balance)
+        self._start_balance()
+        native.note_energy(self.system.native, self._run, self._balance_found)
+        balance = Energies(*self._balance_found.tolist())
         return self._driver.report(
             self.closure, self.energy_guard.missed(balance), self.energy_guard,
             tuple(self.load_notes()))
@@ -1734,6 +1842,7 @@ class Simulation:
         before = self.energy
         anew = self._try_effect(name, enabled, parameters)
         self._own[anew] = self._effects.initial[anew]
+        self._set_run()
         self._effects.follow_time(self._own, self.time)
         if self.leaves_out and not self._may_leave_out(self.scene.method):
             self._exchange(self._geometry.keep(None))

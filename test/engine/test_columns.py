@@ -22,11 +22,12 @@ from closedloop_dynamics.core import formulations, independent, manifold, types
 from closedloop_dynamics.core.codegen import (
     elimination, function_table, refinement, space as code_in_space)
 from closedloop_dynamics.effects import (
-    actuator, body_contact, bushing, cable, course, curve, expression, fluid_drag, force_table,
-    joint_friction, table)
+    actuator, body_contact, bushing, cable, course, curve, energy_balance, expression, fluid_drag,
+    force_table, joint_friction, table)
 from closedloop_dynamics.integration import (
-    batch, control, drivers, evaluation, left_out, recorded_run, registry, system, tableau)
-from closedloop_dynamics.simulation import guards, simulation
+    batch, control, evaluation, guarded_run, left_out, recorded_run, registry, steppers, system,
+    tableau)
+from closedloop_dynamics.simulation import guards
 import pytest
 
 FOLDER = Path(engine.__file__).parent
@@ -60,24 +61,28 @@ ENUMS = {
     'cut_coordinate': (table, {}),
     'cut_coordinate.Value': (table, {}),
     'control': (control, {'COLUMNS': 'CONTROL_COLUMNS'}),
-    'switching': (control, {}),
-    'monitor': (control, {}),
+    'switching': (control, {'COLUMNS': 'SWITCHING_COLUMNS'}),
+    'monitor': (control, {'COLUMNS': 'MONITOR_COLUMNS'}),
     # Only the end of the first rows, and the state at REACHED, are Python's business.
     'scratch': (control, dict.fromkeys(('STAGE', 'OUT', 'BEFORE', 'LAST_STAGE'))),
     'course.cpp: Operation': (expression, {}),
     'left_out.cpp: PIVOT': (left_out, {}),
     'independent.cpp: CHOSEN_RATIO': (independent, {}),
     'manifold.cpp: QUATERNION': (manifold, {}),
-    'switching.cpp: RUN': (drivers, {}),
-    'stepper': (drivers, {
+    'switching.cpp: RUN': (steppers, {}),
+    'stepper': (steppers, {
         'FIXED': 'FIXED_STEPS', 'EXPLICIT': 'EXPLICIT_STEPS', 'SWITCHING': 'SWITCHING_STEPS',
-        'STIFF_FIXED': 'FIXED_STIFF_STEPS', 'STIFF': 'STIFF_STEPS'}),
-    'Comparison': (simulation, {'OTHER': None}),
+        'STIFF_FIXED': 'FIXED_STIFF_STEPS', 'STIFF': 'STIFF_STEPS', 'HOST': 'HOST_STEPS'}),
+    'account': (energy_balance, {}),
+    'guard.Number': (guarded_run, {}),
+    'guard.Count': (guarded_run, {}),
+    'guard.Looked': (guarded_run, {}),
+    'Pause': (guarded_run, {}),
     'finding': (recorded_run, {'COLUMNS': None}),
-    'rollout.cpp: OWN': (table, {}),
+    'energy_balance.cpp: OWN': (table, {}),
 }
 # The engine's alone.
-INNER = {'Length', 'Level', 'projection.cpp: By', 'rosenbrock.cpp: STAGE',
+INNER = {'Length', 'Level', 'Comparison', 'projection.cpp: By', 'rosenbrock.cpp: STAGE',
          'python_api.hpp: PyGILState_STATE'}
 # Constants of the same name.
 CONSTANTS = {
@@ -86,7 +91,7 @@ CONSTANTS = {
     'error_control.hpp': (control, ('MOST_EVALUATIONS',)),
     'switching.cpp': (control, ('FLOOR',)),
     'switching.hpp': (control, ('LOOSER',)),
-    'rollout.cpp': (guards, ('ENERGY_ERROR', 'ROUNDING', 'LITTLE')),
+    'guarded_run.cpp': (guards, ('ENERGY_WARN', 'ENERGY_ERROR')),
     'elimination.hpp': (elimination, ('POOR_PIVOT',)),
     'elimination.cpp': (elimination, ('SMALL_PIVOT', 'MANY_JOINTS')),
     'refinement.cpp': (refinement, ('REFINEMENTS', 'CONVERGED', 'ROUNDING', 'VERY_MOBILE')),
@@ -109,14 +114,16 @@ RECORDS = {
     'AllEquations': system.AllEquations, 'System': system.System,
     'JointPlaces': system.JointPlaces, 'Sticking': table.Sticking,
     'Contacts': table.Contacts, 'CutCoordinates': table.CutCoordinates,
-    'EffectTable': table.EffectTable, 'Tableau': tableau.Tableau, 'Runs': drivers.Runs,
-    'RunBuffer': recorded_run.RunBuffer, 'Watch': recorded_run.Watch,
-    'Stepper': drivers.Stepper, 'Request': evaluation.Request, 'Batch': batch.Batch}
+    'EffectTable': table.EffectTable, 'Tableau': tableau.Tableau, 'Runs': steppers.Runs,
+    'RunBuffer': recorded_run.RunBuffer, 'Watch': guarded_run.Watch,
+    'GuardedRun': guarded_run.GuardedRun, 'EnergyAccount': energy_balance.EnergyAccount,
+    'Lane': batch.Lane, 'Stepper': steppers.Stepper, 'Request': evaluation.Request,
+    'Batch': batch.Batch}
 
 
 def text(path):
     """Return a source without its comments."""
-    return re.sub(r'//.*', '', path.read_text())
+    return re.sub(r' *//.*', '', path.read_text())
 
 
 def sources():

@@ -19,7 +19,7 @@ import math
 from closedloop_dynamics.core.codegen import lanes
 from closedloop_dynamics.core.codegen.lanes import LANES
 from closedloop_dynamics.engine import native
-from closedloop_dynamics.integration.batch import build_batch
+from closedloop_dynamics.integration.batch import build_batch, Lane
 from closedloop_dynamics.integration.control import DONE, SINGULAR
 from closedloop_dynamics.simulation.rollout_run import QUANTITIES, SimdRuns
 from closedloop_dynamics.simulation.simulation import Simulation
@@ -134,6 +134,6 @@ def test_angles_beyond_the_polynomials_are_not_for_lanes():
         state[LANES - 1] += 2.0 * math.pi * turns
         motion = np.zeros((2, LANES, 2, 3))
         assert native.run_batch(
-            pack[:-1], driver.tableau, driver.stabilisation, state, 1e-3, np.zeros((1, 3 * LANES)),
+            pack[:-1], (Lane(system.native, simulation.run),), state, np.zeros((1, 3 * LANES)),
             1, 1, 1, np.zeros((len(driver.scratch), 6 * LANES)), *motion,
-            np.zeros(0, dtype=np.int64), np.zeros((LANES, 0, 6)), np.zeros((LANES, 0))) == status
+            np.zeros(1, dtype=np.int64), np.zeros((1, 4))) == status

@@ -1,0 +1,69 @@
+// SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+// SPDX-License-Identifier: Apache-2.0
+
+#ifndef CLOSEDLOOP_DYNAMICS__ENGINE__ENERGY_BALANCE_HPP_
+#define CLOSEDLOOP_DYNAMICS__ENGINE__ENERGY_BALANCE_HPP_
+
+#include <cmath>
+
+#include "system.hpp"
+
+// Where the energy of a run is, where it went, and where it came from.
+
+namespace closedloop
+{
+
+/// EnergyAccount.numbers: work of torques that were held, up to EnergyAccount.since, energy at the
+/// start, NaN where it is not known, and its two parts [J].
+namespace account
+{
+enum : Index {HELD_WORK, REFERENCE, START_KINETIC, START_STORED, COLUMNS};
+}
+
+/// What is kept of a run to draw its energy balance (effects/energy_balance.py).
+struct EnergyAccount
+{
+  /// Shape (nz,): what the effects' states are (effects/table.py).
+  Indices roles;
+  /// Shape (nv + nk,): coordinate of each freedom when work was added last.
+  Values since;
+  Values numbers;
+
+  template<class Visitor>
+  void fields(Visitor && visit) {visit(roles, since, numbers);}
+};
+
+/// An energy balance [J].
+struct Energies
+{
+  double kinetic = 0.0;
+  double stored = 0.0;
+  double dissipated = 0.0;
+  double work = 0.0;
+  /// Its error.
+  double residual = 0.0;
+
+  /// Energy that has moved since another balance, beside what was kinetic.
+  double apart(const Energies & other) const
+  {
+    return std::abs(stored - other.stored) + std::abs(dissipated - other.dissipated) +
+           std::abs(work - other.work);
+  }
+};
+
+/// Add the work of the torques held up to a state, shape (ns,). Of a torque that passes unchanged
+/// it is tau . (q - q at the hold's start), exactly; drives integrate theirs, and so do torques on
+/// rotations in three dimensions, of which no coordinate tells the work.
+void add_held_work(const System &, const EnergyAccount &, Values state);
+
+/// Evaluate a state, add the work up to it, and draw the balance.
+Energies draw_balance(const System &, const EnergyAccount &, Values state);
+
+/// The same as numbers, shape (5,), in the order of Energies.
+void fill_balance(const System &, const EnergyAccount &, Values state, Values out);
+
+void write(const Energies &, Values out);
+
+}  // namespace closedloop
+
+#endif  // CLOSEDLOOP_DYNAMICS__ENGINE__ENERGY_BALANCE_HPP_

@@ -1,0 +1,548 @@
+// SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+// SPDX-License-Identifier: Apache-2.0
+
+#include "guarded_run.hpp"
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <limits>
+#include <stdexcept>
+
+#include "evaluation.hpp"
+#include "loop_closure.hpp"
+#include "recursion.hpp"
+#include "requests.hpp"
+
+namespace closedloop
+{
+
+namespace
+{
+// Errors of the energy balance, relative to the energy that has moved, that are worth a warning and
+// that end the run; what of them may be rounding, of the energy there is; between two looks, of all
+// that has moved; and of what the scene's forces would do along its length.
+constexpr double ENERGY_WARN = 1e-3, ENERGY_ERROR = 0.1;
+constexpr double ROUNDING = 1e-9, LITTLE = 1e-6, NOTHING = 1e-13;
+// A winding that changes by more between two looks has leapt by a whole turn [rad].
+constexpr double LEAP = 1.5 * M_PI;
+
+using namespace guard;  // NOLINT
+
+// What is to be looked at, in this order; bits of DUE.
+constexpr Index CABLES = 1, ENERGY = 2, EQUATIONS = 4, LOOPS = 8;
+
+/// Call with every array that outlasts a restart of the method.
+template<class Visit>
+void visit_memory(const System & system, const Stepper & stepper, Visit && visit)
+{
+  const Runs & runs = stepper.runs;
+  if (stepper.kind == stepper::EXPLICIT) {
+    visit(runs.control[0]);
+  } else if (stepper.kind == stepper::SWITCHING) {
+    visit(runs.control.all());
+    visit(runs.monitor);
+    visit(runs.scratch[1][scratch::AFTER]);
+  }
+  visit(system.partition.order);
+  visit(system.partition.record);
+}
+
+/// Keep the state and the method's memory.
+void keep(const System & system, const GuardedRun & run, Values kept)
+{
+  double * next = std::copy(run.state.begin(), run.state.end(), kept.begin());
+  visit_memory(
+    system, run.stepper, [&](auto part) {next = std::copy(part.begin(), part.end(), next);});
+}
+
+Index length_to_keep(const System & system, const GuardedRun & run)
+{
+  Index length = run.state.size;
+  visit_memory(system, run.stepper, [&](auto part) {length += part.size;});
+  return length;
+}
+
+bool fits(const System & system, const GuardedRun & run)
+{
+  const Index ns = system.ns(), nc = run.watch.windings.size;
+  const auto is_place = [&](Index place) {return place > 0 && place < system.effects.data.size;};
+  return fits(system, run.stepper) && run.state.size == ns && run.before.size == ns &&
+         run.account.roles.size == system.effects.states.size &&
+         run.account.since.size == system.tau.size &&
+         run.account.numbers.size == account::COLUMNS &&
+         run.numbers.size == NUMBERS && run.counts.size == COUNTS &&
+         run.kept.size == length_to_keep(system, run) &&
+         (nc == 0 || run.kept_by_cables.size == run.kept.size) && run.windings.size == nc &&
+         std::all_of(run.watch.windings.begin(), run.watch.windings.end(), is_place) &&
+         run.watch.first > 0 && run.watch.most > 0;
+}
+
+void require_fitting(const System & system, const GuardedRun & run)
+{
+  if (!fits(system, run)) {
+    throw std::invalid_argument("a guarded run: arrays that do not fit the system");
+  }
+}
+
+Values at(const GuardedRun & run, Index place) {return run.numbers.part(place, 5);}
+
+Energies read(Values from) {return {from[0], from[1], from[2], from[3], from[4]};}
+
+bool knows_start(const GuardedRun & run)
+{
+  return !std::isnan(run.account.numbers[account::REFERENCE]);
+}
+
+double energy_scale(const System & system, const Watch & watch)
+{
+  const Values & gravity = system.model.gravity;
+  const double weight = gravity.size == 2 ?
+    std::hypot(gravity[0], gravity[1]) : std::hypot(gravity[0], gravity[1], gravity[2]);
+  // With the energy of a rate: at rest without weight there is no other scale.
+  return watch.mass * (watch.extent * weight + watch.extent * watch.extent) +
+         std::max(watch.extent, 1.0) * sum_of_sizes(system.applied);
+}
+
+/// How far a cable is wound round a pulley [rad].
+double winding(const System & system, const GuardedRun & run, Index k)
+{
+  const Values & data = system.effects.data;
+  const Index place = run.watch.windings[k];
+  return data[place] / std::abs(data[place - 1]);
+}
+
+/// Take note of windings that are well, as the state was evaluated.
+void take_windings(const System & system, const GuardedRun & run, const Energies & balance)
+{
+  for (Index k = 0; k < run.windings.size; ++k) {
+    run.windings[k] = winding(system, run, k);
+  }
+  keep(system, run, run.kept_by_cables);
+  run.numbers[CABLE_TIME] = run.time();
+  run.numbers[CABLE_RESIDUAL] = balance.residual;
+  run.counts[CABLES_LOOKED] = 1;
+}
+
+/// Take note that the guard has seen a balance that is well.
+void take(const System & system, const GuardedRun & run, const Energies & balance)
+{
+  keep(system, run, run.kept);
+  write(balance, at(run, LOOK));
+  run.numbers[LOOK_TIME] = run.time();
+  run.counts[LOOKED] = AT_BALANCE;
+  if (run.counts[BEGUN] == 0) {
+    write(balance, at(run, BEGIN));
+    run.counts[BEGUN] = 1;
+  }
+}
+
+/// See where a run, or what follows a jump, begins.
+Pause begin(const System & system, const GuardedRun & run)
+{
+  const bool cables = run.watch.windings.size > 0 && run.counts[CABLES_LOOKED] == 0;
+  if (run.counts[LOOKED] != NOT && !cables) {
+    return Pause::NONE;
+  }
+  // A short run need not cost a look at the start.
+  const bool at_start = !knows_start(run) && run.time() == 0.0;
+  if (!knows_start(run) && (cables || !at_start)) {
+    return Pause::START_ENERGY;
+  }
+  if (at_start) {
+    keep(system, run, run.kept);
+    run.numbers[LOOK_TIME] = 0.0;
+    run.counts[LOOKED] = AT_STATE;
+    return Pause::NONE;
+  }
+  const Energies balance = draw_balance(system, run.account, run.state);
+  if (run.counts[LOOKED] == NOT) {
+    take(system, run, balance);
+  }
+  if (cables) {
+    take_windings(system, run, balance);
+  }
+  return Pause::NONE;
+}
+
+Pause look_at_cables(const System & system, const GuardedRun & run)
+{
+  const Energies balance = draw_balance(system, run.account, run.state);
+  for (Index k = 0; k < run.windings.size; ++k) {
+    if (std::abs(winding(system, run, k) - run.windings[k]) > LEAP) {
+      return Pause::CABLE_LEAPT;
+    }
+  }
+  take_windings(system, run, balance);
+  return Pause::NONE;
+}
+
+/// Note how much energy has moved, and the error of a balance; return what may be rounding [J].
+double note(const System & system, const GuardedRun & run, const Energies & present)
+{
+  if (run.counts[LOOKED] == AT_STATE) {
+    const Values & known = run.account.numbers;
+    write(
+      {known[account::START_KINETIC], known[account::START_STORED], 0.0, 0.0, 0.0},
+      at(run, LOOK));
+    copy(at(run, LOOK), at(run, BEGIN));
+    run.counts[LOOKED] = AT_BALANCE;
+    run.counts[BEGUN] = 1;
+  }
+  const double rounding = ROUNDING * (present.kinetic + std::abs(present.stored)) +
+    NOTHING * energy_scale(system, run.watch);
+  const Energies start = run.counts[BEGUN] != 0 ? read(at(run, BEGIN)) : present;
+  note_loss(
+    run.numbers, std::abs(present.residual - start.residual),
+    present.kinetic + present.apart(start), rounding, run.time());
+  return rounding;
+}
+
+Pause look_at_loops(const System & system, const GuardedRun & run)
+{
+  if (run.watch.regular && system.work.health[health::SINGULAR_COUNT] > 0.0) {
+    return Pause::NOT_REGULAR;
+  }
+  double closure = 0.0;
+  if (system.whole.empty()) {
+    evaluate_with_poses(system, run.state);
+    closure = largest(system.work.closure);
+  } else {
+    const AllEquations & all = system.whole;
+    outward(all.model, system.q(run.state), system.qd(run.state), all.own);
+    update(all.model, all.own, Responses::NONE);
+    closure = largest(all.own.closure);
+  }
+  return closure <= run.watch.closure ? Pause::NONE : Pause::LOOPS_OPEN;
+}
+
+/// Look at what is due first.
+Pause look(const System & system, const GuardedRun & run)
+{
+  Index & due = run.counts[DUE];
+  if ((due & CABLES) != 0) {
+    due -= CABLES;
+    return look_at_cables(system, run);
+  }
+  if ((due & ENERGY) != 0) {
+    if (!knows_start(run)) {
+      return Pause::START_ENERGY;
+    }
+    due -= ENERGY;
+    return look_at_energy(system, run);
+  }
+  if ((due & EQUATIONS) != 0) {
+    due -= EQUATIONS;
+    return Pause::CHOICE;
+  }
+  due -= LOOPS;
+  return look_at_loops(system, run);
+}
+
+/// Book steps that were made.
+void book(const System & system, const GuardedRun & run, Index steps)
+{
+  const Indices & counts = run.counts;
+  const Values & numbers = run.numbers;
+  const double elapsed = static_cast<double>(steps) * numbers[SIZE];
+  numbers[COST_TIME] += elapsed;
+  numbers[COST_STEPS] += static_cast<double>(steps);
+  counts[LEFT] -= steps;
+  if (numbers[SIZE] == numbers[STEP_SIZE]) {
+    counts[STEPS] += steps;
+  } else {
+    numbers[TIME_BASE] += elapsed;
+  }
+  if (counts[TO_SAMPLE] > 0) {
+    counts[TO_SAMPLE] -= steps;
+  }
+  counts[SINCE] += steps;
+  Index due = run.watch.windings.size > 0 ? CABLES : 0;
+  if (counts[SINCE] >= counts[BETWEEN]) {
+    counts[BETWEEN] =
+      std::max(std::min(2 * counts[BETWEEN], run.watch.rarely), run.watch.first);
+    due |= ENERGY;
+  }
+  if (run.watch.chooses) {
+    counts[EQUATIONS_SINCE] += steps;
+    if (counts[EQUATIONS_SINCE] >= counts[EQUATIONS_BETWEEN]) {
+      counts[EQUATIONS_SINCE] = 0;
+      if (system.whole.empty() && run.stepper.stabilisation >= Stabilisation::PROJECTION) {
+        due |= EQUATIONS;
+      }
+    }
+  }
+  counts[DUE] = due | (std::isinf(run.watch.closure) ? 0 : LOOPS);
+}
+
+/// Make steps, or find out why not.
+Pause make_portion(const System & system, const GuardedRun & run, Index steps)
+{
+  const Indices & counts = run.counts;
+  const Values & numbers = run.numbers;
+  copy(run.state, run.before);
+  if (run.stepper.kind == stepper::HOST) {
+    counts[HANDED] = steps;
+    return Pause::HAND_OVER;
+  }
+  const double size = numbers[SIZE];
+  const bool whole = size == numbers[STEP_SIZE];
+  const double origin = whole ? numbers[TIME_BASE] : run.time();
+  const Index done = whole ? counts[STEPS] : 0;
+  const auto begin = std::chrono::steady_clock::now();
+  const auto [status, made] =
+    make_steps(system, run.stepper, run.state, origin, done, size, steps);
+  numbers[COST_NANOSECONDS] += static_cast<double>(
+    std::chrono::duration_cast<std::chrono::nanoseconds>(
+      std::chrono::steady_clock::now() - begin).count());
+  if (status == Status::DONE) {
+    book(system, run, steps);
+    return Pause::NONE;
+  }
+  if (status == Status::INTERRUPTED) {
+    // Steps that count as not made.
+    copy(run.before, run.state);
+    restart(run.stepper, true);
+  }
+  counts[HANDED] = steps;
+  counts[MADE] = made;
+  counts[STATUS] = static_cast<Index>(status);
+  numbers[ELAPSED] = run.stepper.is_fixed() ? static_cast<double>(made) * size :
+    run.stepper.runs.control(0, control::REACHED) -
+    (origin + static_cast<double>(done) * size);
+  return Pause::FAILURE;
+}
+
+/// Make steps until all are made or there is something to do.
+Pause go_on(const System & system, const GuardedRun & run)
+{
+  const Indices & counts = run.counts;
+  while (true) {
+    while (counts[DUE] != 0) {
+      const Pause pause = look(system, run);
+      if (pause != Pause::NONE) {
+        return pause;
+      }
+    }
+    if (counts[LEFT] <= 0) {
+      // A look after a call, unless that would cost more than its few steps.
+      if (counts[SINCE] == 0 || counts[CALL] < run.watch.call) {
+        return Pause::NONE;
+      }
+      counts[DUE] = ENERGY;
+      continue;
+    }
+    Pause pause = begin(system, run);
+    if (pause != Pause::NONE) {
+      return pause;
+    }
+    if (counts[TO_SAMPLE] == 0) {
+      return Pause::SAMPLE;
+    }
+    Index portion = std::min(counts[LEFT], run.watch.most);
+    if (!run.watch.whole) {
+      portion = std::min(portion, counts[BETWEEN] - counts[SINCE]);
+    }
+    if (run.watch.chooses) {
+      portion = std::min(portion, counts[EQUATIONS_BETWEEN] - counts[EQUATIONS_SINCE]);
+    }
+    if (counts[TO_SAMPLE] > 0) {
+      portion = std::min(portion, counts[TO_SAMPLE]);
+    }
+    pause = make_portion(system, run, std::max<Index>(portion, 1));
+    if (pause != Pause::NONE) {
+      return pause;
+    }
+  }
+}
+
+void begin_call(const GuardedRun & run, Index steps)
+{
+  const Indices & counts = run.counts;
+  counts[DUE] = counts[HANDED] = 0;
+  counts[LEFT] = counts[CALL] = std::max<Index>(steps, 0);
+  run.numbers[SIZE] = run.numbers[STEP_SIZE];
+}
+
+void let_act(const System & system, const GuardedRun & run, const double * torque)
+{
+  add_held_work(system, run.account, run.state);
+  restart(run.stepper, false);
+  std::copy(torque, torque + system.tau.size, system.tau.begin());
+}
+}  // namespace
+
+Pause advance_run(const System & system, const GuardedRun & run, const Given & tau, Index steps)
+{
+  require_fitting(system, run);
+  begin_call(run, steps);
+  const Comparison found = compare(system.tau, run.watch.usual, tau);
+  if (found == Comparison::OTHER) {
+    return Pause::COMMAND;
+  }
+  if (found == Comparison::USUAL) {
+    let_act(system, run, tau.numbers.data);
+  }
+  return go_on(system, run);
+}
+
+Pause resume_run(const System & system, const GuardedRun & run)
+{
+  require_fitting(system, run);
+  if (const Index handed = run.counts[HANDED]; handed > 0) {
+    run.counts[HANDED] = 0;
+    book(system, run, handed);
+  }
+  return go_on(system, run);
+}
+
+void note_loss(Values numbers, double lost, double moved, double rounding, double time)
+{
+  if (numbers.size != NUMBERS) {
+    throw std::invalid_argument("note_loss: numbers of another length");
+  }
+  if (moved > numbers[MOVED]) {
+    numbers[MOVED] = moved;
+  }
+  lost -= rounding;
+  double share = lost > 0.0 && numbers[MOVED] > 0.0 ? lost / numbers[MOVED] : 0.0;
+  if (!std::isfinite(lost)) {
+    share = std::numeric_limits<double>::infinity();
+  }
+  if (!(share <= numbers[WORST])) {
+    numbers[WORST] = share;
+    numbers[WORST_TIME] = time;
+    numbers[WORST_LOST] = lost;
+    numbers[WORST_MOVED] = numbers[MOVED];
+  }
+}
+
+void note_energy(const System & system, const GuardedRun & run, Values out)
+{
+  require_fitting(system, run);
+  if (out.size != 5 || !knows_start(run)) {
+    throw std::invalid_argument("note_energy: 5 numbers, of a run whose start is known");
+  }
+  const Energies present = draw_balance(system, run.account, run.state);
+  note(system, run, present);
+  write(present, out);
+}
+
+Pause look_at_energy(const System & system, const GuardedRun & run)
+{
+  require_fitting(system, run);
+  if (!knows_start(run)) {
+    return Pause::START_ENERGY;
+  }
+  const Values & numbers = run.numbers;
+  run.counts[SINCE] = 0;
+  const Energies present = draw_balance(system, run.account, run.state);
+  write(present, at(run, PRESENT));
+  const bool compares = run.counts[LOOKED] != NOT;
+  const double rounding = note(system, run, present);
+  if (compares) {
+    const Energies before = read(at(run, LOOK));
+    const double moving = before.kinetic + present.apart(before);
+    const double lost = std::abs(present.residual - before.residual);
+    numbers[LOST] = lost;
+    numbers[MOVING] = moving;
+    const double allowed = ENERGY_ERROR * moving + LITTLE * numbers[MOVED] + rounding;
+    if (!(lost <= allowed) || numbers[WORST] > ENERGY_ERROR) {
+      run.counts[FAILED] = 1;
+      return Pause::ENERGY_LOST;
+    }
+  }
+  take(system, run, present);
+  return numbers[WORST] > ENERGY_WARN && run.counts[WARNED] == 0 ?
+         Pause::INACCURATE : Pause::NONE;
+}
+
+CopiedRun::CopiedRun(const GuardedRun & like)
+: run_(like), counts_(like.counts.begin(), like.counts.end())
+{
+  Values * const parts[] = {
+    &run_.state, &run_.before, &run_.kept, &run_.kept_by_cables, &run_.windings, &run_.numbers,
+    &run_.account.since, &run_.account.numbers};
+  for (const Values * part : parts) {
+    values_.insert(values_.end(), part->begin(), part->end());
+  }
+  double * next = values_.data();
+  for (Values * part : parts) {
+    part->data = next;
+    next += part->size;
+  }
+  run_.counts.data = counts_.data();
+}
+
+void CopiedRun::begin(const System & system, Values start)
+{
+  require_fitting(system, run_);
+  const std::vector<double> health(system.work.health.begin(), system.work.health.end());
+  const Values & known = run_.account.numbers, & numbers = run_.numbers;
+  const Indices & counts = run_.counts;
+  copy(start, run_.state);
+  known[account::REFERENCE] = 0.0;
+  const Energies balance = draw_balance(system, run_.account, run_.state);
+  known[account::HELD_WORK] = 0.0;
+  known[account::REFERENCE] = balance.kinetic + balance.stored;
+  known[account::START_KINETIC] = balance.kinetic;
+  known[account::START_STORED] = balance.stored;
+  // Nothing has been evaluated yet for the run.
+  std::copy(health.begin(), health.end(), system.work.health.begin());
+  numbers[TIME_BASE] = 0.0;
+  numbers.part(MOVED, LOST - MOVED).fill(0.0);
+  for (const Index zero : {STEPS, DUE, HANDED, SINCE, EQUATIONS_SINCE, BEGUN, CABLES_LOOKED,
+      WARNED, FAILED})
+  {
+    counts[zero] = 0;
+  }
+  counts[BETWEEN] = run_.watch.first;
+  counts[TO_SAMPLE] = -1;
+  counts[LOOKED] = AT_STATE;
+}
+
+void CopiedRun::command(const System & system, Values torque)
+{
+  if (!std::equal(torque.begin(), torque.end(), system.tau.begin())) {
+    let_act(system, run_, torque.data);
+  }
+}
+
+Status CopiedRun::advance(const System & system, Index steps)
+{
+  begin_call(run_, steps);
+  Pause pause = go_on(system, run_);
+  while (pause == Pause::INACCURATE) {
+    run_.counts[WARNED] = 1;
+    pause = go_on(system, run_);
+  }
+  return pause == Pause::NONE ? Status::DONE :
+         pause == Pause::FAILURE ? static_cast<Status>(run_.counts[STATUS]) : Status::DOUBTFUL;
+}
+
+bool CopiedRun::keeps_energy(const System & system)
+{
+  const Pause pause = look_at_energy(system, run_);
+  return pause == Pause::NONE || pause == Pause::INACCURATE;
+}
+
+bool CopiedRun::keeps_to(
+  const System & system, Values state, Index steps, double work, bool at_energy)
+{
+  copy(state, run_.state);
+  run_.counts[STEPS] = steps;
+  run_.account.numbers[account::HELD_WORK] = work;
+  return (!at_energy || keeps_energy(system)) && (
+    std::isinf(run_.watch.closure) || look_at_loops(system, run_) == Pause::NONE);
+}
+
+void CopiedRun::report(Values found) const
+{
+  const Values & numbers = run_.numbers;
+  found[finding::SHARE] = numbers[WORST];
+  found[finding::LOST] = numbers[WORST_LOST];
+  found[finding::MOVED] = numbers[WORST_MOVED];
+  found[finding::TIME] = numbers[WORST_TIME];
+}
+
+}  // namespace closedloop

@@ -1,0 +1,92 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+A run that the engine makes and watches, call by call, until there is something to do or to tell.
+
+The meanings of columns are told in ``engine/guarded_run.hpp``; a test compares the places.
+
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from .steppers import Stepper
+from ..effects.energy_balance import EnergyAccount
+
+# Columns of ``GuardedRun.numbers``.
+(TIME_BASE, STEP_SIZE, SIZE, ELAPSED, COST_TIME, COST_STEPS, COST_NANOSECONDS, MOVED, WORST,
+ WORST_TIME, WORST_LOST, WORST_MOVED, LOST, MOVING, LOOK_TIME, BEGIN) = range(16)
+LOOK, PRESENT, CABLE_TIME, CABLE_RESIDUAL, NUMBERS = 20, 25, 30, 31, 32
+# Columns of ``GuardedRun.counts``.
+(STEPS, LEFT, CALL, HANDED, MADE, STATUS, DUE, TO_SAMPLE, SINCE, BETWEEN, EQUATIONS_SINCE,
+ EQUATIONS_BETWEEN, LOOKED, BEGUN, CABLES_LOOKED, WARNED, FAILED, COUNTS) = range(18)
+# Values of LOOKED.
+NOT, AT_STATE, AT_BALANCE = range(3)
+# Why a run pauses.
+(NONE, COMMAND, START_ENERGY, SAMPLE, HAND_OVER, FAILURE, CHOICE, INACCURATE, ENERGY_LOST,
+ CABLE_LEAPT, NOT_REGULAR, LOOPS_OPEN) = range(12)
+# More steps than any run has.
+NEVER = 2 ** 62
+
+
+class Watch(NamedTuple):
+    """When a run is looked at, and what must hold then."""
+
+    first: int
+    rarely: int
+    call: int
+    whole: bool
+    chooses: bool
+    most: int
+    closure: float  # [m or rad]
+    regular: bool
+    mass: float  # [kg]
+    extent: float  # [m]
+    usual: float  # [N m or N]
+    windings: np.ndarray  # Shape (nw,)
+
+
+class GuardedRun(NamedTuple):
+    """A run with its memory."""
+
+    stepper: Stepper
+    watch: Watch
+    account: EnergyAccount
+    state: np.ndarray  # Shape (ns,)
+    before: np.ndarray  # Shape (ns,): scratch
+    kept: np.ndarray  # Shape (ns and the length of the method's memory,)
+    kept_by_cables: np.ndarray  # The same; of no length without windings
+    windings: np.ndarray  # Shape (nw,) [rad]
+    numbers: np.ndarray  # Shape (NUMBERS,)
+    counts: np.ndarray  # Shape (COUNTS,), of int
+
+
+def guarded_run(stepper, watch, account, state, memory, numbers, counts):
+    """
+    Allocate a run.
+
+    Parameters
+    ----------
+    stepper, watch, account, state, numbers, counts
+        As of ``GuardedRun``; taken as they are.
+    memory : int
+        Length of what outlasts a restart of the method.
+
+    """
+    count = len(watch.windings)
+    return GuardedRun(
+        stepper, watch, account, state, np.zeros_like(state), np.zeros(len(state) + memory),
+        np.zeros(len(state) + memory if count else 0), np.zeros(count), numbers, counts)
