@@ -190,6 +190,8 @@ const Entry entries[] = {
     "run_samples",
     "run_samples(system, run, start, torque, zero_order_hold, decimation, steps, states, status, "
     "found)"),
+  released<check_starts>(
+    "check_starts", "check_starts(system, run, tolerance, states, fine)"),
   released<annotate>("annotate", "annotate(system, torque, zero_order_hold, decimation, buffer)"),
   released<fill_joint_forces>(
     "fill_joint_forces",

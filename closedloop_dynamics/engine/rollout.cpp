@@ -4,6 +4,7 @@
 #include "rollout.hpp"
 
 #include <algorithm>
+#include <cmath>
 #include <functional>
 #include <stdexcept>
 #include <vector>
@@ -11,14 +12,20 @@
 #include "evaluation.hpp"
 #include "loop_closure.hpp"
 #include "manifold.hpp"
+#include "projection.hpp"
 #include "recursion.hpp"
 #include "requests.hpp"
+#include "stick_slip.hpp"
 
 namespace closedloop
 {
 
 namespace
 {
+// Smallest pivot, about the squared sine between an equation and the others, of positions that are
+// no singular ones for sure.
+constexpr double CLEAR_PIVOT = 1e-6;
+
 /// Which row of the torques acts at an instant.
 Index row_at(Index instant, Index decimation, Index zero_order_hold)
 {
@@ -110,7 +117,56 @@ Status make(
   }
   return run.keeps_energy(system) ? Status::DONE : Status::DOUBTFUL;
 }
+
+/// Whether the loops and their rates are closed, far from singular positions.
+bool is_closed(const System & system, double tolerance, Values state)
+{
+  const Values q = system.q(state), qd = system.qd(state);
+  double fastest = 0.0;
+  for (double rate : qd) {
+    fastest = std::max(fastest, std::abs(rate));
+  }
+  evaluate_with_poses(system, state);
+  const Workspace & work = system.work;
+  outward(system.model, q, qd, work);
+  update(system.model, work, Responses::NONE);
+  return largest(work.closure) <= tolerance && largest(work.closure_rate) <= tolerance * fastest &&
+         work.health[health::SMALLEST_PIVOT] >= CLEAR_PIVOT && all_finite(system.qdd) &&
+         is_position(system.manifold, q);
+}
 }  // namespace
+
+void check_starts(
+  const System & system, const GuardedRun & like, double tolerance, Table states, Indices fine)
+{
+  if (states.columns != system.ns() || fine.size != states.rows ||
+    system.has_cut_coordinates() || !system.whole.empty() || !fits(system, like.stepper) ||
+    like.stepper.kind == stepper::HOST || like.numbers.size != guard::NUMBERS)
+  {
+    throw std::invalid_argument("check_starts: arrays that do not fit together");
+  }
+  const Beginning beginning(system, like.stepper.runs);
+  std::vector<double> values(static_cast<std::size_t>(system.ns()));
+  const Values trial{values.data(), system.ns()};
+  for (Index sample = 0; sample < states.rows; ++sample) {
+    const Values state = states[sample];
+    bool is_fine = all_finite(state) && is_closed(system, tolerance, state);
+    if (is_fine) {
+      copy(state, trial);
+      restart(like.stepper, true);
+      is_fine = make_steps(
+        system, like.stepper, trial, 0.0, 0, like.numbers[guard::STEP_SIZE], 1).first ==
+        Status::DONE;
+    }
+    if (is_fine && system.has_effects()) {
+      begin_friction(
+        system.effects, system.qd(state),
+        state.part(system.own(), system.effects.states.size));
+    }
+    fine[sample] = is_fine ? 1 : 0;
+    beginning.restore();
+  }
+}
 
 void run_samples(
   const System & system, const GuardedRun & like, Table start, Cube<double> torque,

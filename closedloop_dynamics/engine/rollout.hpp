@@ -41,6 +41,13 @@ void run_samples(
   const System &, const GuardedRun &, Table start, Cube<double> torque, Index zero_order_hold,
   Index decimation, Index steps, Cube<double> states, Indices status, Table found);
 
+/// Whether states, shape (n, ns), are to start from as they are: loops and their rates closed to
+/// `tolerance` [m or rad], far from singular positions, and with a step that can be made; `fine`, of
+/// shape (n,), is 1 then, 0 where only an assembly can tell. Friction follows the rates, in place.
+/// The system and the run are left as they were.
+void check_starts(
+  const System &, const GuardedRun &, double tolerance, Table states, Indices fine);
+
 /// Fill in a buffer of which only the states are known.
 void annotate(
   const System &, Table torque, Index zero_order_hold, Index decimation, const RunBuffer &);

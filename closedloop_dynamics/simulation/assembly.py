@@ -68,6 +68,11 @@ class Assembler:
     ``equations``: core.equations.Equations; those of the mechanism. ``kept``: ndarray of bool,
     shape (nc,), optional; to close some of them only.
 
+    Attributes
+    ----------
+    is_light : bool
+        Whether bodies are so light that motions may be without inertia.
+
     """
 
     def __init__(self, mechanism, equations, kept=None):
@@ -79,7 +84,7 @@ class Assembler:
         self.nv, self.nc = equations.nv, equations.nc if kept is None else int(kept.sum())
         # Right-hand sides of the velocities: those of prescribed motions, behind all others.
         self.prescribed_rates = np.zeros(len(mechanism.motions))
-        self._light = any(body.inertia == 0.0 and not (body.mass and any(body.center_of_mass))
+        self.is_light = any(body.inertia == 0.0 and not (body.mass and any(body.center_of_mass))
                           for body in mechanism.bodies)
 
     def closure(self, q):
@@ -118,7 +123,7 @@ class Assembler:
             raise AssemblyError(self._open_loops(guess, psi, hold))
         if len(hold) > 0:
             self._require_complete(q, free, hold)
-        if self._light:
+        if self.is_light:
             self._require_inertia(q)
         return q
 
@@ -484,7 +489,7 @@ class Assembler:
         inertia = self.inertia(q)[np.ix_(free, free)]
         diagonal = np.diag(inertia)
         # Coordinates without inertia of their own get a little: the change stays finite.
-        little = NO_INERTIA * diagonal.max(initial=0.0) if self._light else 0.0
+        little = NO_INERTIA * diagonal.max(initial=0.0) if self.is_light else 0.0
         # LAPACK answers numbers that overflow in more than one way.
         with suppress(np.linalg.LinAlgError):
             factor = np.linalg.cholesky(inertia + little * np.eye(len(free)))

@@ -63,6 +63,8 @@ CLOSURE_LOOK_EVERY, OPEN = 500, 1e-3
 EQUATIONS_FIRST_LOOK, EQUATIONS_LOOK_EVERY = 64, 4096
 # Torques up to this one are not asked for what they would do within a step [N m or N].
 USUAL_TORQUE = 1e6
+# In a step, of a joint [rad, m]: error-controlled methods would divide it for minutes.
+LARGEST_MOTION = 1e3
 # What keeps the loops closed to rounding.
 CLOSING = ('projection', 'independent')
 

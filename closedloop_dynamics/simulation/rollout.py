@@ -27,7 +27,7 @@ from .errors import SimulationError
 from .key_paths import changed, resolve
 from .rollout_run import (
     checked_quantities, FEWEST, fits_simd, MOST, nothing, record, record_all, Schedule, SimdRuns,
-    Start, STATE)
+    Start, starts_as_given, STATE)
 from ..engine import native
 
 # Runs that are made in one call, at most.
@@ -206,7 +206,7 @@ class _Runs:
         count, size = self._given.samples, 1
         if self._fits_simd:
             size = MOST
-        elif self._again and not self._moved:
+        elif self._again:
             # Two for each thread, as some take longer.
             size = max(1, min(MOST_AT_ONCE, -(-count // (2 * threads if threads > 1 else 1))))
         return [range(first, min(first + size, count)) for first in range(0, count, size)]
@@ -216,7 +216,7 @@ class _Runs:
         done = {}
         if self._fits_simd and len(samples) >= FEWEST:
             done = self._side_by_side(samples, results)
-        if not done and len(samples) > 1 and self._again and not self._moved:
+        if not done and len(samples) > 1 and self._again:
             done = self._at_once(samples)
         for sample in samples:
             record = done.get(sample)
@@ -235,30 +235,49 @@ class _Runs:
         return dict(zip(starts, together.record(list(starts.values()), room) or ()))
 
     def _at_once(self, samples):
-        """Return records of samples run in one call, by number; None where run alone."""
-        try:
-            start = self._start(samples[0])
-        except (SimulationError, ValueError):
-            # Run alone, they will say why.
+        """Return records of samples run in one call, by number; those left out run alone."""
+        starts = list(self._starts_alike(samples).items())
+        if not starts:
             return {}
-        torques = np.array([self._given.torques_of(sample) for sample in samples])
-        return dict(zip(samples, record_all(
-            start.simulation, torques, self._schedule, self._quantities)))
+        numbers = [sample for sample, _ in starts]
+        return dict(zip(numbers, record_all(
+            starts[0][1].simulation, np.array([start.torques for _, start in starts]),
+            self._schedule, self._quantities, np.array([start.state for _, start in starts]))))
 
     def _starts(self, samples):
         """Return what those samples begin with that can begin."""
-        given, starts = self._given, {}
+        starts = self._starts_alike(samples) if self._again else {}
         for sample in samples:
-            if starts and self._again and not self._moved:
-                # Nothing has moved since the first of them: all start there.
-                starts[sample] = replace(starts[samples[0]], torques=given.torques_of(sample))
-                continue
-            try:
-                starts[sample] = self._start(sample)
-            except (SimulationError, ValueError):
-                # Run alone, it will say why.
-                pass
-        return starts
+            if sample not in starts:
+                try:
+                    starts[sample] = self._start(sample)
+                except (SimulationError, ValueError):
+                    # Run alone, it will say why.
+                    pass
+        return {sample: starts[sample] for sample in samples if sample in starts}
+
+    def _starts_alike(self, samples):
+        """Return starts of this thread's simulation that need no assembly, by number."""
+        given, states = self._given, None
+        if self._moved and (self._hold or given.position is None):
+            return {}
+        try:
+            simulation = self._start(samples[0]).simulation if not self._moved else (
+                self._simulation(samples[0]))
+        except (SimulationError, ValueError):
+            # Run alone, they will say why.
+            return {}
+        if self._moved:
+            positions, velocities = (np.array(each) for each in zip(*map(
+                given.state_of, samples)))
+            if given.velocity is None:
+                velocities = np.zeros((len(samples), simulation.coordinates.nv))
+            states, fine = starts_as_given(simulation, positions, velocities)
+        else:
+            states = [simulation.integrated.copy()] * len(samples)
+            fine = [True] * len(samples)
+        return {sample: Start(simulation, state, given.torques_of(sample))
+                for sample, state, good in zip(samples, states, fine) if good}
 
     def _result(self, record):
         return record.values, record.failure

@@ -27,8 +27,9 @@ from typing import Optional
 
 import numpy as np
 
+from .assembly import TOLERANCE
 from .errors import SimulationError
-from .guards import CLOSING, ENERGY_WARN, USUAL_TORQUE
+from .guards import CLOSING, ENERGY_WARN, LARGEST_MOTION, USUAL_TORQUE
 from ..core.codegen.lanes import LANES, spread
 from ..engine import native
 from ..integration.batch import build_batch, filled, fits, Lane
@@ -38,7 +39,7 @@ from ..integration.recorded_run import (
     allocate_buffer, joint_forces, LOST, MOVED, run_samples, SHARE, TIME)
 from ..integration.scipy_solvers import SciPySolver
 from ..mechanism.checks import one_of
-from ..mechanism.fields import at
+from ..mechanism.fields import at, FieldError
 
 STATE = ('position', 'velocity')
 QUANTITIES = (*STATE, 'acceleration', 'effort', 'constraint_forces', 'joint_forces', 'points',
@@ -181,7 +182,49 @@ def record(simulation, torques, schedule, quantities=QUANTITIES):
                     schedule.steps(simulation.step_size), quantities)
 
 
-def record_all(simulation, torques, schedule, quantities):
+def starts_as_given(simulation, positions, velocities):
+    """
+    Return states to start from that need no assembly, as far as there are such.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        At its start.
+    positions : ndarray, shape (n, nq)
+        Joint coordinates.
+    velocities : ndarray, shape (n, nv)
+        Joint rates.
+
+    Returns
+    -------
+    states : ndarray, shape (n, ns)
+    fine : ndarray of bool, shape (n,)
+        Whether ``set_state`` would take each to the last digit.
+
+    """
+    system, names = simulation.system, simulation.coordinates
+    states = np.tile(simulation.integrated, (len(positions), 1))
+    if system.manifold is not None:
+        positions = [_unit(names, position) for position in positions]
+    states[:, :names.nq], states[:, names.nq:names.nq + names.nv] = positions, velocities
+    fine = np.zeros(len(states), dtype=np.int64)
+    if runs_whole(simulation) and simulation.takes_closed_states:
+        tolerance = 0.5 * TOLERANCE * simulation.run.watch.extent
+        native.check_starts(system.native, simulation.run, tolerance, states, fine)
+        simulation.touch()
+        fine[np.abs(velocities).max(axis=1) * simulation.step_size > LARGEST_MOTION] = 0
+    return states, fine == 1
+
+
+def _unit(coordinates, position):
+    """Return joint coordinates with quaternions of norm 1; what has none as it is."""
+    try:
+        return coordinates.unit(position)
+    except FieldError:
+        return position
+
+
+def record_all(simulation, torques, schedule, quantities, starts=None):
     """
     Make runs from where a simulation stands as a whole, as far as that is possible.
 
@@ -191,6 +234,8 @@ def record_all(simulation, torques, schedule, quantities):
         As for ``record``.
     torques : ndarray, shape (n, rows, number of actuated joints)
         Of each run [N m or N].
+    starts : ndarray, shape (n, ns), optional
+        Where each begins; where the simulation stands, when not given.
 
     Returns
     -------
@@ -203,9 +248,9 @@ def record_all(simulation, torques, schedule, quantities):
     if not (steps and len(bearable) and runs_whole(simulation)):
         return records
     tau = all_torques(simulation, torques[bearable])
+    starts = simulation.integrated[np.newaxis].copy() if starts is None else starts[bearable]
     states, status, found = run_samples(
-        simulation.system, simulation.run, simulation.integrated[np.newaxis].copy(), tau,
-        schedule.in_steps(steps))
+        simulation.system, simulation.run, starts, tau, schedule.in_steps(steps))
     simulation.touch()
     for k in np.flatnonzero(status == DONE):
         records[bearable[k]] = Record(

@@ -28,8 +28,8 @@ from .cut_joints import acted_in, coordinate_arrays, coupling_moments, CutJoints
 from .errors import (
     AssemblyError, ClosureError, MotionError, NumericalError, SimulationError, StiffnessError)
 from .guards import (
-    CLOSING, CLOSURE_LOOK_EVERY, EnergyGuard, EQUATIONS_FIRST_LOOK, EQUATIONS_LOOK_EVERY, OPEN,
-    opened_loops, StiffnessGuard, USUAL_TORQUE)
+    CLOSING, CLOSURE_LOOK_EVERY, EnergyGuard, EQUATIONS_FIRST_LOOK, EQUATIONS_LOOK_EVERY,
+    LARGEST_MOTION, OPEN, opened_loops, StiffnessGuard, USUAL_TORQUE)
 from .health import health_of
 from .inverse_dynamics import InverseDynamics
 from .modeling import coupling_scales, extent
@@ -65,8 +65,6 @@ from ..mechanism.fields import at, FieldError, keys_of, mapping
 FORMULATIONS = {'subsystem': SUBSYSTEM, 'system': SYSTEM, 'augmented': AUGMENTED}
 # How much further from dependent equations must be to be exchanged for others.
 BETTER = 3.0
-# In a step, of a joint [rad, m]: error-controlled methods would divide it for minutes.
-LARGEST_MOTION = 1e3
 # Gravity's acceleration, to compare forces with weights [m/s^2].
 EARTH = 9.81
 
@@ -477,6 +475,12 @@ class Simulation:
     def leaves_out(self):
         """Whether equations that repeat others are left out, and watched."""
         return self._geometry.leaves_out
+
+    @property
+    def takes_closed_states(self):
+        """Whether nothing else is asked of a state to start from than that it closes the loops."""
+        return not (self._motions or self.leaves_out or self.system.is_independent
+                    or self._assembler.is_light or self._table.loaded[0])
 
     @property
     def effect_set(self):
