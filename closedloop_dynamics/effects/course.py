@@ -22,8 +22,10 @@ the next begins (``engine/time_events.hpp``). With a period the chain begins ane
 
 """
 
+from bisect import bisect_right
 from functools import partial
 import math
+from operator import itemgetter
 
 import numpy as np
 
@@ -269,6 +271,5 @@ def present(found, period, time):
     """
     time += SAME_TIME * max(1.0, abs(time))
     cycle = 0 if period is None else math.floor(time / period)
-    starts = [piece[0] for piece in found[1:]]
     inside = time if period is None else time - cycle * period
-    return float(cycle * len(found) + int(np.searchsorted(starts, inside, 'right')))
+    return float(cycle * len(found) + bisect_right(found, inside, 1, key=itemgetter(0)) - 1)

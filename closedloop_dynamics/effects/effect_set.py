@@ -191,6 +191,8 @@ class EffectSet:
             if record.drive() is not None:
                 joint, delay = record.drive()
                 self.drives[self._machine.joint(joint)] = delay
+        self._timed = [row for row, name in enumerate(self._rows)
+                       if self.records[name].clock(0.0) is not None]
         self.delays = any(self.drives.values())
         self.attends = self.delays or self.remembers
 
@@ -357,11 +359,10 @@ class EffectSet:
 
     def follow_time(self, states, time):
         """Let the own states of effects that follow the time begin at a time [s], in place."""
-        for row, name in enumerate(self._rows):
-            clock = self.records[name].clock(time)
-            if clock is not None:
-                first = self._table.index[row, STATE]
-                states[first:first + len(clock)] = clock
+        for row in self._timed:
+            clock = self.records[self._rows[row]].clock(time)
+            first = self._table.index[row, STATE]
+            states[first:first + len(clock)] = clock
 
     def energies(self):
         """

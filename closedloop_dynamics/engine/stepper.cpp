@@ -54,7 +54,8 @@ bool fits(const System & system, const Stepper & stepper)
   const bool is_stiff = stepper.kind >= stepper::SWITCHING;
   const Tableau & tableau = stepper.tableau;
   const Index stages = tableau.a.rows;
-  return (stepper.is_fixed() || (
+  // Steps of one size by the stiff method have what the others have.
+  return ((stepper.is_fixed() && runs.control.rows == 0 && runs.scale.pages == 0) || (
            runs.control.rows == count && runs.control.columns == (
              is_switching ? static_cast<Index>(switching::COLUMNS) :
              static_cast<Index>(control::COLUMNS)) && runs.scale.pages == count &&

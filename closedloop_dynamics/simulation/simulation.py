@@ -120,7 +120,8 @@ class Simulation:
         self._mass = sum(body.mass for body in self.mechanism.bodies)
         self._coupling_scales = coupling_scales(self.mechanism)
         self._coupled = coupling_moments(self.mechanism)
-        self.acts_in_cuts = len(acted) > 0 or self._coupled[0].any() or any(
+        self._couples = bool(self._coupled[0].any())
+        self.acts_in_cuts = len(acted) > 0 or self._couples or any(
             measured(self.mechanism, coupling) for coupling in self.mechanism.couplings)
         for name, angle in scene.initial.turned.items():
             self._effects.begin_angle(name, angle)
@@ -560,7 +561,7 @@ class Simulation:
         found = self._wrenches_found[:len(self.cut_joints)].copy()
         if self.acts_in_cuts:
             self._cuts.add_efforts(self.system.work.body, self._cut_efforts(), found)
-            if self._coupled[0].any():
+            if self._couples:
                 found[:, 0] += self._coupled[0] @ self.coupling_forces
         return found
 
@@ -661,7 +662,7 @@ class Simulation:
         self._find_joint_forces()
         self._fresh = False
         found = self._joint_forces_found.copy()
-        if self._coupled[0].any():
+        if self._couples:
             found[:, 0] += self._coupled[1] @ self.coupling_forces
         return found
 
@@ -1064,10 +1065,10 @@ class Simulation:
             For a torque or duration that makes no sense.
 
         """
-        tau = self.joint_torques(torque)
-        size = self.step_size
         if duration is None:
+            tau = self._spread if self._spread_torques(torque) else self.joint_torques(torque)
             return self.advance(tau, 1)
+        tau, size = self.joint_torques(torque), self.step_size
         if not (math.isfinite(duration) and duration >= 0.0):
             raise ValueError(f'duration: expected a finite number >= 0 [s], got {duration!r}')
         whole = math.floor(duration / size * (1.0 + 1e-12) + 1e-9)

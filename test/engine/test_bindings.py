@@ -22,10 +22,12 @@ import weakref
 
 from closedloop_dynamics.engine import native
 from closedloop_dynamics.integration.drivers import build_driver
+from closedloop_dynamics.integration.guarded_run import NONE
 from closedloop_dynamics.integration.registry import PROJECTION
 from closedloop_dynamics.integration.system import build_system, number_of_states
 from closedloop_dynamics.simulation.modeling import build_model
 from closedloop_dynamics.simulation.scene_records import Method
+from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest
 
@@ -300,3 +302,42 @@ def test_no_reference_is_lost_or_kept_by_calls(system):
     for _ in range(50):
         calls()
     assert [sys.getrefcount(each) for each in watched] == before
+
+
+@pytest.fixture(params=['rk4', 'auto', 'dopri5', 'rodas4', 'rodas4_fixed'])
+def guarded(request):
+    """Yield a simulation, whose run the engine watches."""
+    simulation = Simulation.from_scene('slider_crank_end_stop', integrator=request.param)
+    simulation.step(duration=0.01)
+    yield simulation
+
+
+def shortened(record):
+    """Yield a record with each of its arrays, and those of records in it, one row short."""
+    for name, value in zip(record._fields, record):
+        if name == 'tableau':
+            continue
+        if isinstance(value, tuple):
+            yield from (record._replace(**{name: each}) for each in shortened(value))
+        elif isinstance(value, np.ndarray):
+            for axis in range(value.ndim) if value.size else ():
+                yield record._replace(
+                    **{name: np.ascontiguousarray(np.delete(value, 0, axis))})
+
+
+def test_runs_that_do_not_fit_their_system_are_refused(guarded):
+    system, run, tau = guarded.system.native, guarded.run, np.zeros(len(guarded.torque_names))
+    assert native.advance_run(system, run, tau, 1) == NONE
+    refused = 0
+    for wrong in shortened(run):
+        for arguments in (('advance_run', tau, 1), ('resume_run',), ('look_at_energy',),
+                          ('note_energy', np.zeros(5))):
+            with pytest.raises(RuntimeError, match='do not fit the system'):
+                getattr(native, arguments[0])(system, wrong, *arguments[1:])
+        refused += 1
+    assert refused > 10
+    states = guarded.integrated[np.newaxis].copy()
+    fine = np.zeros(1, dtype=np.int64)
+    for wrong, short in ((states[:, 1:].copy(), fine), (states, np.zeros(2, dtype=np.int64))):
+        with pytest.raises(RuntimeError, match='do not fit together'):
+            native.check_starts(system, run, 1e-12, wrong, short)

@@ -15,6 +15,7 @@
 """Rollouts side by side in vectors: the numbers of rollouts of one sample, bit for bit."""
 
 import math
+import tracemalloc
 
 from closedloop_dynamics.core.codegen import lanes
 from closedloop_dynamics.core.codegen.lanes import LANES
@@ -137,3 +138,100 @@ def test_angles_beyond_the_polynomials_are_not_for_lanes():
             pack[:-1], (Lane(system.native, simulation.run),), state, np.zeros((1, 3 * LANES)),
             1, 1, 1, np.zeros((len(driver.scratch), 6 * LANES)), *motion,
             np.zeros(1, dtype=np.int64), np.zeros((1, 4))) == status
+
+
+@pytest.fixture
+def good():
+    """Yield good arguments of ``run_batch`` by name, for 6 steps in two lanes."""
+    simulation = Simulation.from_scene('four_bar', integrator='rk4')
+    system, driver = simulation.system, simulation.monitor.driver
+    start = np.concatenate((simulation.position, simulation.velocity))
+    batch = build_batch([system])
+    yield {
+        'batch': tuple(batch)[:-1],
+        'lanes': (Lane(system.native, simulation.run),) * 2,
+        'state': lanes.spread([start] * LANES), 'torque': np.zeros((3, 3 * LANES)),
+        'zero_order_hold': 2, 'decimation': 3, 'steps': 6,
+        'scratch': np.zeros((len(driver.scratch), 6 * LANES)),
+        'position': np.zeros((LANES, 3, 3)), 'velocity': np.zeros((LANES, 3, 3)),
+        'status': np.zeros(2, dtype=np.int64), 'found': np.zeros((2, 4))}
+
+
+@pytest.mark.parametrize('name', ['state', 'torque', 'scratch', 'position', 'velocity', 'status',
+                                  'found'])
+def test_every_array_of_a_batch_is_checked(good, name):
+    assert native.run_batch(*good.values()) == DONE
+    for axis in range(good[name].ndim):
+        longer = np.concatenate([good[name]] * 2, axis)
+        # More rows of these two do no harm.
+        for wrong in [np.delete(good[name], 0, axis)] + [longer] * (
+                axis > 0 or name not in ('torque', 'scratch')):
+            with pytest.raises(RuntimeError, match='do not fit together'):
+                native.run_batch(*{**good, name: np.ascontiguousarray(wrong)}.values())
+
+
+@pytest.mark.parametrize('change', [
+    {'zero_order_hold': 0}, {'decimation': 0}, {'steps': -1}, {'steps': 7}, {'decimation': -3},
+    {'zero_order_hold': 1}, {'lanes': ()}])
+def test_schedules_and_lanes_of_a_batch_are_checked(good, change):
+    with pytest.raises(RuntimeError, match='do not fit together'):
+        native.run_batch(*{**good, **change}.values())
+
+
+@pytest.mark.parametrize('number', range(1, 8))
+def test_every_array_within_a_batch_is_checked(good, number):
+    for axis in range(good['batch'][number].ndim):
+        batch = list(good['batch'])
+        batch[number] = np.ascontiguousarray(np.delete(batch[number], 0, axis))
+        with pytest.raises(RuntimeError, match='do not fit together'):
+            native.run_batch(*{**good, 'batch': tuple(batch)}.values())
+
+
+def test_lanes_of_another_mechanism_are_refused(good):
+    other = Simulation.from_scene('three_rrr', integrator='rk4')
+    lane, _ = good['lanes']
+    for wrong in (Lane(other.system.native, other.run), Lane(lane.system, other.run)):
+        with pytest.raises(RuntimeError, match='fit'):
+            native.run_batch(*{**good, 'lanes': (lane, wrong)}.values())
+
+
+def test_memory_of_a_run_does_not_grow_with_its_steps(packs):
+    simulation, peaks = Simulation.from_scene('four_bar', integrator='rk4'), []
+    for steps in (2000, 2000, 60000):
+        tracemalloc.start()
+        try:
+            simulation.rollout(np.zeros((LANES, 1, 1)), steps=steps, every=steps, threads=1)
+            peaks.append(tracemalloc.get_traced_memory()[1])
+        finally:
+            tracemalloc.stop()
+    assert packs == [LANES] * 3
+    assert peaks[2] <= peaks[1] + 10000
+
+
+@pytest.mark.parametrize('scene, method', [
+    ('three_rrr', {}), ('three_rrr', {'integrator': 'auto'}), ('stewart_platform', {}),
+    ('carpet_scraper_dry', {}), ('slider_crank_end_stop', {'integrator': 'dopri5'})])
+def test_starts_that_are_closed_or_not_are_those_of_states_set(scene, method):
+    method = {'integrator': 'rk4', **method}
+    simulation = Simulation.from_scene(scene, **method)
+    positions, velocities = [], []
+    for _ in range(4):
+        simulation.step(duration=0.02)
+        positions.append(simulation.position)
+        velocities.append(simulation.velocity)
+    # As they are, at rest, and to be assembled.
+    velocities[1][:] = 0.0
+    velocities[2] = 1.01 * velocities[2] + 1e-3
+    simulation.reset()
+    torques = torques_for(simulation, 4, 10)
+    assert_each_as_alone(
+        simulation, simulation.rollout(torques, positions, velocities, quantities=QUANTITIES),
+        torques, initial_position=positions, initial_velocity=velocities)
+    states = simulation.rollout(torques, positions, velocities, threads=1)
+    for sample, rows in enumerate(torques):
+        one = Simulation.from_scene(scene, **method)
+        one.set_state(positions[sample], velocities[sample])
+        for torque in rows:
+            one.step(torque)
+        np.testing.assert_array_equal(states.position[sample, -1], one.position)
+        np.testing.assert_array_equal(states.velocity[sample, -1], one.velocity)
