@@ -85,7 +85,7 @@ class Assembler:
         # Right-hand sides of the velocities: those of prescribed motions, behind all others.
         self.prescribed_rates = np.zeros(len(mechanism.motions))
         self.is_light = any(body.inertia == 0.0 and not (body.mass and any(body.center_of_mass))
-                          for body in mechanism.bodies)
+                            for body in mechanism.bodies)
 
     def closure(self, q):
         """Return psi, shape (nc,), in the mechanism's order [m, rad]."""
