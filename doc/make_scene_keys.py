@@ -118,7 +118,9 @@ def page():
               'expression of them, as text: numbers, `pi`, + - * / ** and brackets, and the '
               'functions ' + ', '.join(f'`{name}`' for name in FUNCTIONS) + '. A scene gives '
               'other values to the parameters of its mechanism, and may add its own.', '',
-              '## Scene', '', *_names(SCENE_KEYS), '', '### `initial`', '',
+              '## Scene', '', *_names(SCENE_KEYS),
+              '`mechanism` is the name of a shipped mechanism, the path of a file, or what such a '
+              'file has.', '', '### `initial`', '',
               *table(Initial, INITIAL_KEYS), '', '### `method`', '',
               *table(Method, keys_of(Method)), '', '### `effects`', '',
               'Entries by name, each of one `type` below. Of every type but `prescribed_motion` '

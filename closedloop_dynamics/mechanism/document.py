@@ -22,11 +22,13 @@ Size and nesting are limited while the file is read, not afterwards.
 
 """
 
+from collections.abc import Mapping
 from contextlib import contextmanager
 import math
 from pathlib import Path
 import re
 
+import numpy as np
 import yaml
 
 from .fields import at, FieldError
@@ -207,6 +209,23 @@ class Document:
             raise FieldError('a key of one word', 'a list or mapping as key')
         _require_plain(event)
         return event.value
+
+
+def plain(value):
+    """
+    Return data that were built in Python as a file would have them, as a copy.
+
+    Mappings become dict, sequences and arrays lists, numbers of NumPy those of Python; anything
+    else stays as it is.
+
+    """
+    if isinstance(value, Mapping):
+        return {key: plain(one) for key, one in value.items()}
+    if isinstance(value, (np.ndarray, np.generic)):
+        return value.tolist()
+    if isinstance(value, (list, tuple)):
+        return [plain(one) for one in value]
+    return value
 
 
 def _require_plain(event):

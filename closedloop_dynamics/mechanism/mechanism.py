@@ -35,7 +35,7 @@ along it, or both. An axis is given in the frame at q = 0.
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Dict, Optional, Tuple, Union
+from typing import Any, Dict, Optional, Tuple, Union
 
 from .coordinates import (
     Coordinates, CYLINDRICAL, FIXED, FREE, HELICAL, PLANAR, POINT_ON_LINE, PRISMATIC, REVOLUTE,
@@ -353,8 +353,8 @@ class Mechanism:
     description: str = ''
     couplings: Tuple[Coupling, ...] = ()
     parameters: dict = field(default_factory=dict, compare=False, repr=False)
-    source: Optional[tuple] = field(default=None, compare=False, repr=False)
-    tree: Optional[object] = field(default=None, compare=False, repr=False)
+    source: Any = field(default=None, compare=False, repr=False)
+    tree: Any = field(default=None, compare=False, repr=False)
     motions: Tuple[Motion, ...] = ()
     ground_visual: Tuple[Visual, ...] = field(default=(), compare=False)
 
@@ -362,30 +362,30 @@ class Mechanism:
     valid = False
 
     @cached_property
-    def joint_names(self):
+    def joint_names(self) -> Tuple[str, ...]:
         """Names of the joints."""
         return tuple(joint.name for joint in self.joints)
 
     @cached_property
-    def coordinates(self):
+    def coordinates(self) -> Coordinates:
         """Names and places of the numbers of a state, a ``coordinates.Coordinates``."""
         return Coordinates(self.joints)
 
-    def point(self, name):
+    def point(self, name: str) -> Point:
         """Return the named point of a name that there is."""
         return next(point for point in self.points if point.name == name)
 
-    def cut_joint(self, name):
+    def cut_joint(self, name: str) -> Optional[CutJoint]:
         """Return the cut joint of a name; None where no cut joint has it."""
         return next((cut for cut in self.cut_joints if cut.name == name), None)
 
     @cached_property
-    def closures(self):
+    def closures(self) -> Tuple[Union[CutJoint, Coupling, Motion], ...]:
         """Return what holds the coordinates, in the order of the multipliers."""
         return (*self.cut_joints, *self.couplings, *self.motions)
 
     @cached_property
-    def actuated_joints(self):
+    def actuated_joints(self) -> Tuple[str, ...]:
         """
         Names of the actuated joints' freedoms, in the order of qd: ``crank``, ``hip.1``.
 
@@ -396,22 +396,22 @@ class Mechanism:
                 *(self.cut_coordinates.names[place] for place in self.cut_coordinates.actuated))
 
     @cached_property
-    def measured_types(self):
+    def measured_types(self) -> Tuple[str, ...]:
         """Return the types of cut joints that have coordinates."""
         return MEASURED if self.planar else SPATIAL_MEASURED
 
     @cached_property
-    def cut_coordinates(self):
+    def cut_coordinates(self) -> Coordinates:
         """Names and places of the coordinates of cut joints, as ``coordinates``."""
         return Coordinates([cut for cut in self.cut_joints if cut.type in self.measured_types])
 
     @cached_property
-    def measured_cuts(self):
+    def measured_cuts(self) -> Tuple[str, ...]:
         """Names of the freedoms of cut joints that have one number each."""
         return self.cut_coordinates.single_names
 
     @cached_property
-    def turning_cuts(self):
+    def turning_cuts(self) -> Tuple[str, ...]:
         """Names of those of them that turn in space, where turns are counted one by one."""
         if self.planar:
             return ()
@@ -421,11 +421,11 @@ class Mechanism:
                      if not known.lengths[place] and known.names[place] not in threads)
 
     @cached_property
-    def planar(self):
+    def planar(self) -> bool:
         """Whether this is a mechanism in the plane: vectors of two numbers."""
         return len(self.bodies[0].center_of_mass) == 2
 
-    def require_planar(self, what):
+    def require_planar(self, what: str) -> None:
         """
         Refuse a mechanism in space where only planar ones are known.
 
@@ -446,7 +446,7 @@ class Mechanism:
                 'the node closedloop_simulator take it.')
 
     @property
-    def number_of_equations(self):
+    def number_of_equations(self) -> int:
         """Return nc, the number of closure equations; in space with those that always hold."""
         equations = CUT_JOINT_EQUATIONS if self.planar else SPATIAL_CUT_JOINT_EQUATIONS
         return (sum(equations[cut.type] for cut in self.cut_joints)

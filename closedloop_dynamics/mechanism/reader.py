@@ -21,13 +21,14 @@ got the text 'uper_arm' (did you mean 'upper_arm'?)``.
 
 """
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any, Dict, Optional, Tuple, Union
 
 from .between import BETWEEN, link, with_tree
 from .checks import number
-from .document import Document
+from .document import Document, plain
 from .expressions import Parameters, put_changes
 from .fields import among, at, FieldError, keys_of, mapping, nearest, normalise
 from .mechanism import Joint, Mechanism, MechanismError, MESH
@@ -39,17 +40,20 @@ _NOTHING = {'mass': 0.0, 'inertia': 0.0}
 # What follows from a shape, that stands beside it for a body's keys.
 _SHAPE_KEYS = ('shape', 'density')
 
-__all__ = ['read_mechanism', 'validate_mechanism', 'with_cuts', 'with_kept', 'with_parameters']
+__all__ = ['mechanism_of', 'read_mechanism', 'validate_mechanism', 'with_cuts', 'with_kept',
+           'with_parameters']
 
 
-def read_mechanism(path, parameters=None):
+def read_mechanism(
+        path: Union[str, Path, Mapping[str, Any]],
+        parameters: Optional[Mapping[str, float]] = None) -> Mechanism:
     """
-    Read a mechanism from a YAML file.
+    Read a mechanism from a YAML file, or from what such a file has.
 
     Parameters
     ----------
-    path : str or pathlib.Path
-        Of the file.
+    path : str, pathlib.Path or mapping
+        Of the file; or its keys and values, paths of meshes from the working directory on.
     parameters : mapping of str to float, optional
         Values in the place of those that its section ``parameters`` gives.
 
@@ -63,12 +67,30 @@ def read_mechanism(path, parameters=None):
         Where the file cannot be read or describes no mechanism.
 
     """
+    if isinstance(path, Mapping):
+        try:
+            return mechanism_of(plain(path), Path(), parameters)
+        except FieldError as error:
+            raise MechanismError(str(error)) from None
     document = Document(path, MechanismError)
     with document.errors():
-        return _mechanism(_located(document.data, Path(path).resolve().parent), parameters or {})
+        return mechanism_of(document.data, Path(path).parent, parameters)
 
 
-def _located(data, folder):
+def mechanism_of(data: Any, folder: Path,
+                 parameters: Optional[Mapping[str, float]] = None) -> Mechanism:
+    """
+    Return the mechanism of plain data, with the paths of meshes from a folder on.
+
+    Raises
+    ------
+    FieldError
+
+    """
+    return _mechanism(_located(data, folder.resolve()), parameters or {})
+
+
+def _located(data: Any, folder: Path) -> Any:
     """Return data with the paths of meshes, which are told from a folder on, as a whole."""
     bodies = data.get('bodies') if isinstance(data, Mapping) else None
     drawn = [body.get('visual') for body in (
@@ -83,7 +105,7 @@ def _located(data, folder):
     return data
 
 
-def with_parameters(mechanism, parameters):
+def with_parameters(mechanism: Mechanism, parameters: Mapping[str, float]) -> Mechanism:
     """
     Return a mechanism that was read from a file with other values of its parameters.
 
@@ -109,7 +131,7 @@ def with_parameters(mechanism, parameters):
         _mechanism(data, {**given, **parameters}, orders)))
 
 
-def with_cuts(mechanism, cut):
+def with_cuts(mechanism: Mechanism, cut: Sequence[str]) -> Mechanism:
     """
     Return a mechanism that was read from a file with other joints cut.
 
@@ -133,7 +155,7 @@ def with_cuts(mechanism, cut):
         found.tree, listed=mechanism.tree.listed, open=mechanism.tree.open))
 
 
-def with_kept(mechanism, joints):
+def with_kept(mechanism: Mechanism, joints: Collection[str]) -> Mechanism:
     """
     Return a mechanism with some joints in its tree, where the program may choose.
 
@@ -165,7 +187,9 @@ def with_kept(mechanism, joints):
         open=tuple(name for name in mechanism.tree.open if name not in kept)))
 
 
-def _mechanism(data, given, orders=None):
+def _mechanism(
+        data: Any, given: Mapping[str, float],
+        orders: Optional[Mapping[str, bool]] = None) -> Mechanism:
     """Return the mechanism of plain data, or raise FieldError; with orders what to cut."""
     mapping(data, *keys_of(Mechanism, leave_out=('source', 'tree', 'motions')))
     parameters = Parameters.read(data.get('parameters'), given)
@@ -177,17 +201,19 @@ def _mechanism(data, given, orders=None):
                     repr(key), nearest(key, parameters.values))
             with at(key):
                 number(value)
-    spatial, links = _is_spatial(data), {}
+    spatial = _is_spatial(data)
+    links: Dict[str, Any] = {}
     ground = ()
     if 'ground_visual' in data:
         with at('ground_visual'):
             ground = visuals(_evaluated(data['ground_visual'], parameters), spatial)
-    mechanism = Mechanism(**{**{
+    values: Dict[str, Any] = {
         key: _records(value, key, parameters, spatial, links, data) if key in SECTIONS else value
-        for key, value in data.items()},
-        'parameters': dict(parameters.values), 'source': (data, dict(given), orders),
+        for key, value in data.items()}
+    mechanism = Mechanism(**{
+        **values, 'parameters': dict(parameters.values), 'source': (data, dict(given), orders),
         'ground_visual': ground})
-    origin = (0.0, 0.0, 0.0) if spatial else (0.0, 0.0)
+    origin: Any = (0.0, 0.0, 0.0) if spatial else (0.0, 0.0)
     bodies = tuple(
         replace(body, center_of_mass=origin)
         if body.massless is True and body.center_of_mass is None else body
@@ -198,10 +224,10 @@ def _mechanism(data, given, orders=None):
     return checked(with_tree(_checked_parts(mechanism, spatial), links, orders))
 
 
-def _checked_parts(mechanism, spatial):
+def _checked_parts(mechanism: Mechanism, spatial: bool) -> Mechanism:
     """Return a mechanism with all but its joints checked one by one."""
     sections = SPATIAL_SECTIONS if spatial else SECTIONS
-    found = {}
+    found: Dict[str, Any] = {}
     for key, (_, checks) in sections.items():
         if key in ('bodies', 'cut_joints', 'points', 'couplings'):
             with at(key):
@@ -210,14 +236,14 @@ def _checked_parts(mechanism, spatial):
     return replace(mechanism, **found)
 
 
-def _checked_record(record, checks):
+def _checked_record(record: Any, checks: Mapping[str, Any]) -> Any:
     if getattr(record, 'massless', False):
         return record
     with at(record.name):
         return normalise(replace(record), **checks)
 
 
-def _is_spatial(data):
+def _is_spatial(data: Mapping[str, Any]) -> bool:
     """Tell whether data describe a mechanism in space, as their first joint does."""
     joints = data.get('joints')
     first = next(iter(joints.values()), None) if isinstance(joints, Mapping) else None
@@ -228,7 +254,9 @@ def _is_spatial(data):
     return isinstance(place, list) and len(place) == 3
 
 
-def _records(section, key, parameters, spatial, links, data):
+def _records(
+        section: Any, key: str, parameters: Parameters, spatial: bool,
+        links: Dict[str, Any], data: Mapping[str, Any]) -> Tuple[Any, ...]:
     """Return the records of one section of the file; put joints, of both kinds, into links."""
     record_type, _ = SECTIONS[key]
     required, optional = keys_of(record_type, leave_out=('name',))
@@ -254,7 +282,7 @@ def _records(section, key, parameters, spatial, links, data):
     return tuple(records)
 
 
-def _evaluated(shapes, parameters):
+def _evaluated(shapes: Any, parameters: Parameters) -> Any:
     """Return shapes with numbers in the place of expressions; paths of meshes are none."""
     if not isinstance(shapes, list):
         return shapes
@@ -272,7 +300,7 @@ def _evaluated(shapes, parameters):
     return found
 
 
-def _body(values, parameters, spatial):
+def _body(values: Dict[str, Any], parameters: Parameters, spatial: bool) -> Dict[str, Any]:
     """Return the keys of a body with those that it need not say."""
     for key in _SHAPE_KEYS:
         if key in values:

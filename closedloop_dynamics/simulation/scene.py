@@ -25,6 +25,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
+from typing import Any, Dict, List, Optional, Set, Tuple, Union
 
 import numpy as np
 
@@ -35,11 +36,11 @@ from ..formats.registry import is_model, read_model
 from ..mechanism.checks import boolean, list_of, name, NAME_PATTERN, number, one_of, text
 from ..mechanism.config import config_directory, shipped_names, shipped_path
 from ..mechanism.csv_columns import read_columns
-from ..mechanism.document import Document
+from ..mechanism.document import Document, plain
 from ..mechanism.expressions import Parameters, put_changes
 from ..mechanism.fields import among, at, FieldError, keys_of, mapping, nearest, shown
-from ..mechanism.mechanism import MechanismError
-from ..mechanism.reader import read_mechanism, with_kept, with_parameters
+from ..mechanism.mechanism import Mechanism, MechanismError
+from ..mechanism.reader import mechanism_of, read_mechanism, with_kept, with_parameters
 
 __all__ = ['config_directory', 'Initial', 'load_scene', 'load_scene_or_mechanism', 'Method',
            'Scene', 'scene_names', 'scene_with', 'SceneError']
@@ -58,20 +59,22 @@ class SceneError(ValueError):
     """A scene that cannot be read or simulated."""
 
 
-def scene_names():
+def scene_names() -> List[str]:
     """Return the names of the shipped scenes, sorted."""
     return shipped_names('scenes')
 
 
-def load_scene(name_or_path, **reading):
+def load_scene(name_or_path: Union[str, Path, Mapping[str, Any]], **reading: Any) -> Scene:
     """
-    Read a scene.
+    Read a scene, or build one of what the file of a scene has.
 
     Parameters
     ----------
-    name_or_path : str or pathlib.Path
+    name_or_path : str, pathlib.Path or mapping
         A shipped scene by its name (a single word), or the path of a file: of a scene, or of a
-        model in another format (``formats``), under gravity, at rest, with the loops closed.
+        model in another format (``formats``), under gravity, at rest, with the loops closed. Or
+        the keys and values of a scene, in which ``mechanism`` may be a ``Mechanism``, too; paths
+        in it are from the working directory on.
     **reading
         Of a model: what ``formats.registry.read_model`` takes.
 
@@ -81,6 +84,14 @@ def load_scene(name_or_path, **reading):
         Where there is no such scene, or it or its mechanism is faulty.
 
     """
+    if isinstance(name_or_path, Mapping):
+        if reading:
+            raise SceneError(f'expected a model in another format, which is read with '
+                             f'{among(reading)}, got a mapping')
+        try:
+            return _read(plain(name_or_path), None)
+        except FieldError as error:
+            raise SceneError(str(error)) from None
     path = _scene_path(name_or_path)
     if is_model(path):
         # Here, as most scenes need nothing of other formats.
@@ -92,7 +103,8 @@ def load_scene(name_or_path, **reading):
     return _scene_of(Document(path, SceneError))
 
 
-def load_scene_or_mechanism(name_or_path, **reading):
+def load_scene_or_mechanism(
+        name_or_path: Union[str, Path], **reading: Any) -> Union[Scene, Mechanism]:
     """
     Read a scene, or a mechanism where a file or shipped name is that of one.
 
@@ -120,11 +132,11 @@ def load_scene_or_mechanism(name_or_path, **reading):
     return _scene_of(document)
 
 
-def _is_name(name_or_path):
+def _is_name(name_or_path: Any) -> bool:
     return isinstance(name_or_path, str) and NAME_PATTERN.fullmatch(name_or_path) is not None
 
 
-def _scene_path(name_or_path):
+def _scene_path(name_or_path: Union[str, Path]) -> Path:
     """Return the path of a scene given by name or path."""
     if not _is_name(name_or_path):
         return Path(name_or_path)
@@ -135,7 +147,7 @@ def _scene_path(name_or_path):
         raise SceneError(str(error)) from None
 
 
-def _shipped(kind, value):
+def _shipped(kind: str, value: Any) -> Path:
     """Return the path of the shipped scene or mechanism that ``value`` names."""
     names = shipped_names(kind)
     if value not in names:
@@ -145,24 +157,24 @@ def _shipped(kind, value):
     return shipped_path(kind, value)
 
 
-def _scene_of(document):
+def _scene_of(document: Document) -> Scene:
     with document.errors():
-        return _read(document)
+        return _read(document.data, document.path)
 
 
-def _read(document):
-    """Return the scene that a document describes, or raise FieldError."""
-    data = document.data
+def _read(data: Any, path: Optional[Path]) -> Scene:
+    """Return the scene of plain data, from a file or from none, or raise FieldError."""
+    directory = Path() if path is None else path.parent
     if isinstance(data, Mapping) and 'bodies' in data:
         raise FieldError(
             'a scene', 'a mechanism', 'a scene names one under `mechanism` and says under '
             '`initial` where it starts', ('bodies',))
     mapping(data, ('mechanism',))
-    model = _model(data, document.path.parent)
+    model = _model(data, directory)
     mapping(data, *(SCENE_KEYS if model is None else MODEL_KEYS))
     if model is None:
         with at('mechanism'):
-            mechanism = _mechanism(data['mechanism'], document.path.parent, *_acted_on(data))
+            mechanism = _mechanism(data['mechanism'], directory, *_acted_on(data))
     else:
         mechanism = model.mechanism
         if 'initial' not in data:
@@ -171,10 +183,10 @@ def _read(document):
             mechanism = model.mechanism
             data = {**data, 'initial': {
                 'position': mechanism.coordinates.told('position', start.position)}}
-    return _scene(data, {}, document.path, mechanism)
+    return _scene(data, {}, path, mechanism)
 
 
-def scene_with(scene, values):
+def scene_with(scene: Scene, values: Mapping[str, float]) -> Scene:
     """
     Return a scene that was read from a file with other values of its parameters.
 
@@ -206,7 +218,9 @@ def scene_with(scene, values):
                        _scene(data, {**given, **values}, scene.path, mechanism))
 
 
-def _scene(data, given, path, read):
+def _scene(
+        data: Mapping[str, Any], given: Mapping[str, float], path: Optional[Path],
+        read: Mechanism) -> Scene:
     """Return the scene of plain data, with the mechanism read and parameters given beside it."""
     parameters = Parameters.read(data.get('parameters'), given)
     mechanism = read
@@ -219,8 +233,9 @@ def _scene(data, given, path, read):
     with at('initial'):
         initial = _initial(data['initial'], mechanism, names)
     with at('effects'):
-        directory = None if path is None else path.parent
-        effects, switched_off = {}, []
+        directory = Path() if path is None else path.parent
+        effects: Dict[str, Any] = {}
+        switched_off: List[str] = []
         for key, values in _section(data, 'effects').items():
             effects[key], acts = _effect(key, values, names, directory, mechanism.tree)
             if not acts:
@@ -237,13 +252,13 @@ def _scene(data, given, path, read):
                  source=(data, dict(given), read), switched_off=tuple(switched_off))
 
 
-def _section(data, key):
+def _section(data: Mapping[str, Any], key: str) -> Mapping[str, Any]:
     """Return an optional mapping; a key with nothing below it counts as absent."""
     value = data.get(key)
     return mapping({} if value is None else value)
 
 
-def _acted_on(data):
+def _acted_on(data: Mapping[str, Any]) -> Tuple[Set[str], ...]:
     """
     Return the names of joints that a scene acts on.
 
@@ -257,7 +272,9 @@ def _acted_on(data):
         Those that other effects name.
 
     """
-    found, rather, named = [], [], []
+    found: List[str] = []
+    rather: List[Any] = []
+    named: List[Any] = []
     for key, place in (('initial', 'hold'), ('initial', 'velocity')):
         section = data.get(key)
         held = section.get(place) if isinstance(section, Mapping) else None
@@ -271,19 +288,22 @@ def _acted_on(data):
                  for names in (found, rather, named))
 
 
-def _mechanism(value, directory, kept, rather, named):
+def _mechanism(value: Any, directory: Path, kept: Set[str], rather: Set[str],
+               named: Set[str]) -> Mechanism:
     """
-    Return the mechanism that ``value`` names or is the path of, some joints not cut.
+    Return the mechanism that ``value`` is, names or is the path of, some joints not cut.
 
     Those that effects name are cut where a loop leaves no other.
 
     """
-    if isinstance(value, str) and not _is_name(value):
-        path = directory / value
-    else:
-        path = _shipped('mechanisms', value)
     try:
-        read = read_mechanism(path)
+        if isinstance(value, Mechanism):
+            return value
+        if isinstance(value, Mapping):
+            read = mechanism_of(value, directory)
+        else:
+            read = read_mechanism(_shipped('mechanisms', value) if _is_name(value) or not (
+                isinstance(value, str)) else directory / value)
         for more in (rather | named, rather):
             with suppress(FieldError):
                 return cheapest(with_kept(read, kept | more))
@@ -292,7 +312,7 @@ def _mechanism(value, directory, kept, rather, named):
         raise FieldError('a valid mechanism', f'this error in its file:\n{error}') from None
 
 
-def _model(data, directory):
+def _model(data: Mapping[str, Any], directory: Path) -> Any:
     """Return what the model of a scene was read as; None where it has a mechanism."""
     path = data['mechanism']
     if not isinstance(path, str) or _is_name(path) or not is_model(path):
@@ -313,13 +333,13 @@ def _model(data, directory):
                          path=('mechanism',)) from None
 
 
-def _words(value):
+def _words(value: Any) -> Dict[str, str]:
     """Return a mapping of words or numbers as one of text."""
     return {key: one if isinstance(one, str) else shown(one)
             for key, one in mapping(value).items()}
 
 
-def _initial(value, mechanism, names):
+def _initial(value: Any, mechanism: Mechanism, names: Parameters) -> Initial:
     """Return the initial state of a mechanism."""
     mapping(value, *INITIAL_KEYS)
     coordinates = mechanism.coordinates
@@ -348,7 +368,9 @@ def _initial(value, mechanism, names):
     return Initial(tuple(position.tolist()), tuple(velocity.tolist()), hold, turned)
 
 
-def _effect(key, values, names, directory, tree):
+def _effect(
+        key: str, values: Any, names: Parameters, directory: Path,
+        tree: Any) -> Tuple[Any, bool]:
     """
     Return the record of one effect, and whether it acts from the start.
 
@@ -361,7 +383,8 @@ def _effect(key, values, names, directory, tree):
         with at('enabled'):
             acts = boolean(values.pop('enabled', True))
         with at('type'):
-            record_type = EFFECTS[one_of(tuple(EFFECTS), 'one of the effects')(values['type'])]
+            kind = one_of(tuple(EFFECTS), 'one of the effects')(values['type'])
+            record_type: Any = EFFECTS[kind]
         required, optional = keys_of(record_type)
         values = _with_columns(values, record_type.FILES, directory)
         values = dict(mapping(values, ['type', *required], optional))
@@ -378,7 +401,9 @@ def _effect(key, values, names, directory, tree):
         return record, acts
 
 
-def _with_columns(values, files, directory):
+def _with_columns(
+        values: Mapping[str, Any], files: Mapping[str, Any],
+        directory: Path) -> Dict[str, Any]:
     """Return the keys of an effect with columns of numbers in the place of files."""
     found = dict(values)
     for key in files:
@@ -392,7 +417,7 @@ def _with_columns(values, files, directory):
     return found
 
 
-def _method(values):
+def _method(values: Mapping[str, Any]) -> Method:
     """Return the method of a scene."""
     method = Method(**mapping(values, *keys_of(Method)))
     for key, need in method.unused.items():

@@ -13,10 +13,11 @@
 # limitations under the License.
 
 """
-A scene with its mechanism as one text, to travel in a bag and be simulated again elsewhere.
+A scene with its mechanism as plain data: for a file, or to travel in a bag as one text.
 
-The text is JSON, which the readers of scenes and mechanisms take as well: what comes
-back went through the same checks as any other file.
+What the readers of scenes and mechanisms make of the data is the scene again, to the last digit:
+it went through the same checks as any other file. Expressions stand there as their values, and
+joints between bodies as those of the tree and cut joints.
 
 """
 
@@ -24,17 +25,23 @@ from dataclasses import fields, MISSING, replace
 import json
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any, Dict, List, Mapping, Optional, Sequence, Tuple, Union
 
 from .scene import load_scene, SceneError
+from .scene_records import Scene
 from ..effects.registry import effect_type
+from ..mechanism.mechanism import Mechanism
 from ..mechanism.shapes import told
 from ..mechanism.validation import SECTIONS
 
 FORMAT = 1
 MECHANISM_FILE = 'mechanism.yaml'
+# Of a file, where a mapping could be divided.
+LONGEST_LINE = 110
 
 
-def scene_text(scene, effects=None, switched_off=None, **facts):
+def scene_text(scene: Scene, effects: Optional[Mapping[str, Any]] = None,
+               switched_off: Optional[Sequence[str]] = None, **facts: Any) -> str:
     """
     Return a scene as text.
 
@@ -50,34 +57,93 @@ def scene_text(scene, effects=None, switched_off=None, **facts):
         What else is to be told, as JSON can: a simulated time, say.
 
     """
+    data = scene_data(scene, effects, switched_off)
+    mechanism = data['mechanism']
+    return json.dumps({
+        'format': FORMAT, 'name': scene.name, **facts,
+        'scene': {**data, 'mechanism': f'./{MECHANISM_FILE}'}, 'mechanism': mechanism},
+        allow_nan=False, ensure_ascii=False)
+
+
+def scene_data(
+        scene: Scene, effects: Optional[Mapping[str, Any]] = None,
+        switched_off: Optional[Sequence[str]] = None) -> Dict[str, Any]:
+    """
+    Return a scene as ``load_scene`` takes it, with its mechanism.
+
+    Parameters
+    ----------
+    scene : scene_records.Scene
+        With its mechanism.
+    effects : mapping of str to record, optional
+        In place of the scene's own.
+    switched_off : sequence of str, optional
+        Likewise.
+
+    Returns
+    -------
+    dict of str to object
+        Mappings, lists, text, numbers and truth values.
+
+    """
     initial, coordinates = scene.initial, scene.mechanism.coordinates
     effects = scene.effects if effects is None else effects
     switched_off = scene.switched_off if switched_off is None else switched_off
-    return json.dumps({
-        'format': FORMAT, 'name': scene.name, **facts,
-        'scene': {
-            'mechanism': f'./{MECHANISM_FILE}',
-            'description': scene.description,
-            'initial': {
-                'position': {
-                    **coordinates.told('position', initial.position), **initial.turned},
-                'hold': list(initial.hold),
-                'velocity': {
-                    name: value for name, value
-                    in coordinates.told('velocity', initial.velocity).items()
-                    if not initial.hold
-                    or {name, coordinates.joint_of(name)} & set(initial.hold)}},
-            'effects': {name: {
-                'type': effect_type(record), **_values(record),
-                **({'enabled': False} if name in switched_off else {})}
-                for name, record in effects.items()},
-            'method': {key: value for key, value in _values(scene.method).items()
-                       if key not in scene.method.unused}},
-        'mechanism': _mechanism(scene.mechanism)}, allow_nan=False,
-        ensure_ascii=False)
+    return {
+        'mechanism': _mechanism(scene.mechanism),
+        'description': scene.description,
+        'initial': {
+            'position': {
+                **coordinates.told('position', initial.position), **initial.turned},
+            'hold': list(initial.hold),
+            'velocity': {
+                name: value for name, value
+                in coordinates.told('velocity', initial.velocity).items()
+                if not initial.hold
+                or {name, coordinates.joint_of(name)} & set(initial.hold)}},
+        'effects': {name: {
+            'type': effect_type(record), **_values(record),
+            **({'enabled': False} if name in switched_off else {})}
+            for name, record in effects.items()},
+        'method': {key: value for key, value in _values(scene.method).items()
+                   if key not in scene.method.unused}}
 
 
-def read_scene_text(text):
+def write_scene(scene: Scene, path: Union[str, Path]) -> None:
+    """
+    Write a scene with its mechanism to one YAML file, which ``load_scene`` reads.
+
+    Parameters
+    ----------
+    scene : scene_records.Scene
+        From a file or built in Python.
+    path : str or pathlib.Path
+        Of the file; one that is there is replaced.
+
+    Raises
+    ------
+    OSError
+        Where it cannot be written.
+
+    """
+    lines: List[str] = []
+    for key, value in scene_data(scene).items():
+        _write(lines, '', key, value)
+    Path(path).write_text('\n'.join(lines) + '\n', encoding='utf-8')
+
+
+def _write(lines: List[str], indent: str, key: str, value: Any) -> None:
+    """Append the lines of a key: what is short in one line, as JSON, which YAML has within it."""
+    line = f'{indent}{key}: {json.dumps(value, allow_nan=False, ensure_ascii=False)}'
+    if len(line) <= LONGEST_LINE or not isinstance(value, dict):
+        lines.append(line)
+        return
+    lines.append(f'{indent}{key}:')
+    for below, one in value.items():
+        _write(lines, f'{indent}  ', below, one)
+
+
+def read_scene_text(text: str) -> Tuple[Scene, Dict[str, Any]]:
     """
     Return the scene in a text, and the facts beside it.
 
@@ -110,7 +176,8 @@ def read_scene_text(text):
         return replace(load_scene(path), name=name, path=None), facts
 
 
-def _mechanism(mechanism):
+def _mechanism(mechanism: Mechanism) -> Dict[str, Any]:
+    """Return a mechanism as its file has it."""
     drawn = {'ground_visual': [told(visual, not mechanism.planar) for visual in (
         mechanism.ground_visual)]} if mechanism.ground_visual else {}
     return {'name': mechanism.name, 'description': mechanism.description, **drawn, **{
@@ -119,7 +186,7 @@ def _mechanism(mechanism):
         for key in SECTIONS}}
 
 
-def _record(record, spatial):
+def _record(record: Any, spatial: bool) -> Dict[str, Any]:
     """Return the fields of a part of a mechanism as a file has them."""
     values = _values(record, leave_out=('name',))
     if 'orientation' in values:
@@ -129,7 +196,7 @@ def _record(record, spatial):
     return values
 
 
-def _values(record, leave_out=()):
+def _values(record: Any, leave_out: Sequence[str] = ()) -> Dict[str, Any]:
     """Return the fields of a record that differ from their defaults."""
     return {
         field.name: value for field in fields(record)

@@ -19,7 +19,8 @@ import json
 
 from closedloop_dynamics.mechanism.fields import FieldError
 from closedloop_dynamics.simulation.scene import load_scene, scene_names, SceneError
-from closedloop_dynamics.simulation.scene_text import read_scene_text, scene_text
+from closedloop_dynamics.simulation.scene_text import (
+    read_scene_text, scene_data, scene_text, write_scene)
 import pytest
 
 
@@ -30,6 +31,16 @@ def test_shipped_scenes_come_back(name):
     back, facts = read_scene_text(scene_text(scene, switched_off=off, simulated_time=0.1 + 0.2))
     assert back == replace(scene, path=None, switched_off=off)
     assert facts == {'simulated_time': 0.1 + 0.2}
+
+
+@pytest.mark.parametrize('name', scene_names())
+def test_shipped_scenes_come_back_as_data_and_from_one_file(name, tmp_path):
+    scene, path = load_scene(name), tmp_path / f'{name}.yaml'
+    write_scene(scene, path)
+    for back in (load_scene(scene_data(scene)), load_scene(path)):
+        assert back == replace(scene, name=back.name, path=back.path)
+        assert back.mechanism.ground_visual == scene.mechanism.ground_visual
+    assert back.name == name
 
 
 def test_changed_effects_and_methods_are_told():
