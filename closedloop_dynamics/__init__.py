@@ -22,29 +22,40 @@ their signal handlers before the compiler is loaded.
 
 from importlib import import_module
 import os
+from typing import Any, List
 
 # The matrices here are small: more than one thread for each would only make them wait for one
 # another (on a busy machine 50 times as long). Heeded where NumPy is not loaded yet; what is set
 # already is left alone.
 os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
 
+# For type checkers the same stands in __init__.pyi.
 _HOMES = {
-    'AssemblyError': 'simulation.errors', 'ClosureError': 'simulation.errors',
-    'load_scene': 'simulation.scene', 'MechanismError': 'mechanism.mechanism',
-    'NumericalError': 'simulation.errors', 'scene_names': 'simulation.scene',
-    'SceneError': 'simulation.scene', 'Simulation': 'simulation.simulation',
-    'SimulationError': 'simulation.errors', 'SingularityError': 'simulation.errors'}
+    'AssemblyError': 'simulation.errors', 'Body': 'mechanism.mechanism',
+    'ClosureError': 'simulation.errors', 'Coupling': 'mechanism.mechanism',
+    'CutJoint': 'mechanism.mechanism', 'Evaluation': 'simulation.evaluation',
+    'Evaluator': 'integration.evaluation', 'Initial': 'simulation.scene_records',
+    'Joint': 'mechanism.mechanism', 'load_scene': 'simulation.scene',
+    'Mechanism': 'mechanism.mechanism', 'MechanismError': 'mechanism.mechanism',
+    'Method': 'simulation.scene_records', 'Model': 'simulation.model',
+    'NumericalError': 'simulation.errors', 'Point': 'mechanism.mechanism',
+    'read_mechanism': 'mechanism.reader', 'Rollout': 'simulation.rollout',
+    'rollout': 'simulation.model_rollout', 'Scene': 'simulation.scene_records',
+    'scene_names': 'simulation.scene', 'SceneError': 'simulation.scene',
+    'Simulation': 'simulation.simulation', 'SimulationError': 'simulation.errors',
+    'SingularityError': 'simulation.errors', 'State': 'simulation.state',
+    'write_scene': 'simulation.scene_text'}
 __all__ = sorted(_HOMES)
 __version__ = '0.1.0'
 
 
-def __getattr__(name):
+def __getattr__(name: str) -> Any:
     """Import a public name on first use."""
     if name not in _HOMES:
         raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
     return getattr(import_module(f'{__name__}.{_HOMES[name]}'), name)
 
 
-def __dir__():
+def __dir__() -> List[str]:
     """List the public names."""
     return [*globals(), *__all__]

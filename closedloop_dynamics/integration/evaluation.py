@@ -15,11 +15,12 @@
 """States that are evaluated beside a run, from Python: one call each."""
 
 from copy import deepcopy
-from typing import NamedTuple
+from typing import Callable, NamedTuple, Sequence
 
 import numpy as np
 
-from .system import parts_of_state, with_equations
+from .system import parts_of_state, System, with_equations
+from ..core.types import Model
 from ..engine import native
 
 QUANTITIES = ('acceleration', 'multipliers')
@@ -36,12 +37,12 @@ class Request(NamedTuple):
     held: np.ndarray  # Shape (nv + nk,): scratch
 
 
-def request(system, own, actuated):
+def request(system: System, own: np.ndarray, actuated: np.ndarray) -> Request:
     """Allocate a request; ``own`` and ``actuated`` are taken as they are."""
     *_, states = parts_of_state(system)
     return Request(
         np.zeros(states), own, np.zeros(len(actuated)), actuated,
-        np.zeros(len(system.whole.lam) if system.leaves_out else 0), np.zeros(len(system.tau)))
+        np.zeros(0 if system.whole is None else len(system.whole.lam)), np.zeros(len(system.tau)))
 
 
 class Evaluator:
@@ -67,10 +68,17 @@ class Evaluator:
 
     """
 
+    q: np.ndarray
+    qd: np.ndarray
+    tau: np.ndarray
+    acceleration: np.ndarray
+    multipliers: np.ndarray
+
     __slots__ = ('q', 'qd', 'tau', 'acceleration', 'multipliers', '_evaluate', '_refused',
                  '_names')
 
-    def __init__(self, system, model, own, actuated, quantities, refused):
+    def __init__(self, system: System, model: Model, own: np.ndarray, actuated: np.ndarray,
+                 quantities: Sequence[str], refused: Callable[..., None]) -> None:
         """
         Copy a system.
 
@@ -133,7 +141,7 @@ class Evaluator:
                 'evaluator: expected quaternions of norm 1 to the last digits in q: '
                 'normalise them')
 
-    def __repr__(self):
+    def __repr__(self) -> str:
         """Return what it computes of how many numbers."""
         return (f'<Evaluator of {", ".join(self._names)}: q {self.q.shape}, qd {self.qd.shape}, '
                 f'tau {self.tau.shape}>')

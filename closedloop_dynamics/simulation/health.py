@@ -16,14 +16,16 @@
 
 from dataclasses import dataclass
 import math
+from typing import Sequence, Union
 
 import numpy as np
 
 from .loop_model import largest_of_group
+from ..core.equations import Equations
 from ..core.types import (
-    CLOSURE, CUT_ROW, DOF, EVALUATIONS, PARENT, PRISMATIC,
+    CLOSURE, CUT_ROW, DOF, EVALUATIONS, Model, PARENT, PRISMATIC,
     PROJECTION_ITERATIONS, RANK, RANK_REVEALING_COUNT, ROW, ROWS, SINGULAR_COUNT,
-    SMALLEST_PIVOT, SMALLEST_PIVOT_EVER, TYPE)
+    SMALLEST_PIVOT, SMALLEST_PIVOT_EVER, TYPE, Workspace)
 
 # Smallest pivots below this (about 2 degrees from a singular configuration) are worth a
 # warning: forces grow with the inverse distance, errors of the input with them.
@@ -91,16 +93,16 @@ class Health:
     drive_sine: float = math.nan
 
     @property
-    def unique_forces(self):
+    def unique_forces(self) -> bool:
         """Whether the constraint forces are the only ones possible, not just the least."""
         return self.rank == self.equations
 
     @property
-    def near_singular(self):
+    def near_singular(self) -> bool:
         """Whether constraint forces deserve a warning: they are about to lose their meaning."""
         return not self.smallest_pivot >= WARN_BELOW
 
-    def __str__(self):
+    def __str__(self) -> str:
         """Return the record in words, one line for each thing worth knowing."""
         lines = [
             f'smallest pivot {self.smallest_pivot:.2g} (worst {self.smallest_pivot_ever:.2g}), '
@@ -121,7 +123,9 @@ class Health:
         return '\n'.join(lines)
 
 
-def health_of(model, work, equations, passive=()):
+def health_of(
+        model: Model, work: Workspace, equations: Equations,
+        passive: Union[Sequence[int], np.ndarray] = ()) -> Health:
     """
     Return the record of a workspace.
 
@@ -157,7 +161,9 @@ def health_of(model, work, equations, passive=()):
         drive_sine=loose)
 
 
-def drive_sine(model, equations, jac, passive):
+def drive_sine(
+        model: Model, equations: Equations, jac: np.ndarray,
+        passive: Union[Sequence[int], np.ndarray]) -> float:
     """
     Return how far locked drives are from leaving the mechanism loose, as in ``Health``.
 
@@ -208,7 +214,7 @@ def drive_sine(model, equations, jac, passive):
     return float(np.copysign(distance, np.linalg.det(rows)))
 
 
-def block_condition(model, inertia, jac):
+def block_condition(model: Model, inertia: np.ndarray, jac: np.ndarray) -> float:
     """
     Return the largest condition number of the block pivots of J I^-1 J^T.
 
@@ -227,7 +233,7 @@ def block_condition(model, inertia, jac):
         half = np.linalg.solve(np.linalg.cholesky(inertia), jac.T)
         lengths = np.linalg.norm(half, axis=0)
         half /= np.where(lengths > 0.0, lengths, 1.0)
-        matrix = half.T @ half
+        matrix: np.ndarray = half.T @ half
         for cut in model.cut[np.argsort(model.cut[:, ROW])]:
             rows = slice(cut[CUT_ROW], cut[CUT_ROW] + cut[ROWS])
             pivot = matrix[rows, rows].copy()

@@ -37,7 +37,8 @@ class PlanarGeometry(LoopModel):
     def __init__(self, mechanism, decomposition=None):
         """Look up the rows of bodies and points."""
         super().__init__(mechanism, decomposition)
-        self._bodies = [self.rows[body.name] for body in mechanism.bodies]
+        self._poses = np.ix_(
+            [self.rows[body.name] for body in mechanism.bodies], (t.PX, t.PY, t.ALPHA))
         self._points = np.array([self.rows[point.body] for point in mechanism.points], dtype=int)
         self._places = np.array([point.position for point in mechanism.points]).reshape(-1, 2)
 
@@ -53,7 +54,7 @@ class PlanarGeometry(LoopModel):
 
     def poses_among(self, body):
         """Return x, y [m] and angle [rad] of the bodies where the rows are, shape (nb, 3)."""
-        return body[np.ix_(self._bodies, (t.PX, t.PY, t.ALPHA))]
+        return body[self._poses]
 
     @property
     def named_points(self):

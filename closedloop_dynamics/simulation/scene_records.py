@@ -14,17 +14,21 @@
 
 """Records of a scene: frozen, checked when they are built."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Optional, Tuple
+from typing import Any, Dict, Optional, Tuple, TYPE_CHECKING, Union
 
 from ..effects.effect_set import require_one_drive_each
 from ..effects.registry import EFFECTS
 from ..integration.registry import ADAPTIVE, AUTO, BAUMGARTE, INTEGRATORS, STABILISATIONS
 from ..mechanism.checks import freedom, list_of, name, number, one_of, positive, text
-from ..mechanism.fields import at, FieldError, mapping, normalise, shown
+from ..mechanism.fields import at, FieldError, keys_of, mapping, normalise, shown
 from ..mechanism.mechanism import Mechanism
 from ..mechanism.validation import validate_mechanism
+
+if TYPE_CHECKING:
+    from .model import Model
 
 FORMULATIONS = ('subsystem', 'system', 'augmented')
 
@@ -55,7 +59,7 @@ class Initial:
     hold: Tuple[str, ...] = ()
     turned: dict = field(default_factory=dict)
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         """Refuse what is no list of finite numbers, and joints held twice."""
         normalise(self, position=list_of(number), velocity=list_of(number), hold=list_of(freedom))
         for index, joint in enumerate(self.hold):
@@ -101,7 +105,7 @@ class Method:
     formulation: str = 'subsystem'
     accuracy: float = 1e-6
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         """Refuse unknown methods and impossible times."""
         normalise(self, integrator=one_of(tuple(INTEGRATORS)), step_size=positive,
                   stabilisation=one_of(tuple(STABILISATIONS)), tolerance=positive,
@@ -113,7 +117,7 @@ class Method:
             normalise(self, baumgarte_time_constant=positive)
 
     @property
-    def unused(self):
+    def unused(self) -> Dict[str, str]:
         """Return what each key that means nothing here would need, by key."""
         adaptive = INTEGRATORS[self.integrator].kind == ADAPTIVE
         needs = {
@@ -125,7 +129,7 @@ class Method:
         return {key: need for key, (used, need) in needs.items() if not used}
 
     @property
-    def time_constant(self):
+    def time_constant(self) -> float:
         """Time constant of Baumgarte's method [s]: as given, or tied to the step."""
         return self.baumgarte_time_constant or 10.0 * self.step_size
 
@@ -166,7 +170,7 @@ class Scene:
     source: Optional[tuple] = field(default=None, compare=False, repr=False)
     switched_off: Tuple[str, ...] = ()
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         """Refuse an initial state or an effect that does not fit the mechanism."""
         normalise(self, description=text, mechanism=validate_mechanism, effects=mapping)
         coordinates = self.mechanism.coordinates
@@ -198,3 +202,41 @@ class Scene:
             if self.effects[key].motion(key) is not None:
                 raise FieldError('a prescribed motion that acts from the start', 'false',
                                  'leave it out of the scene', ('effects', key, 'enabled'))
+
+    def with_method(self, method: Union[str, Mapping[str, Any], Method]) -> 'Scene':
+        """
+        Return the scene with another method.
+
+        Parameters
+        ----------
+        method : str, mapping or Method
+            An integrator's name, what changes by the keys of ``Method``, where None changes
+            nothing, or all of it.
+
+        Raises
+        ------
+        ValueError
+            For a name or value that no scene could have there.
+
+        """
+        if isinstance(method, Method):
+            return replace(self, method=method)
+        with at('method'):
+            given = mapping({'integrator': method} if isinstance(method, str) else method,
+                            *keys_of(Method))
+            return replace(self, method=replace(self.method, **{
+                key: value for key, value in given.items() if value is not None}))
+
+    def model(self) -> 'Model':
+        """
+        Return a model of the scene, to be asked for what follows from any state.
+
+        Raises
+        ------
+        AssemblyError
+            Where the loops cannot be closed from the initial state.
+
+        """
+        # Here, as reading a scene takes no engine.
+        from .model import Model
+        return Model(self)

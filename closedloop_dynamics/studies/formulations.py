@@ -26,8 +26,9 @@ from .formulation_errors import exact_dynamics
 from ..core.formulations import SUBSYSTEM
 from ..engine import native
 from ..integration.system import build_system, MOST_UNROLLED_BODIES
+from ..simulation.data import FORMULATIONS
 from ..simulation.modeling import build_model
-from ..simulation.simulation import FORMULATIONS, Simulation
+from ..simulation.simulation import Simulation
 
 SIZES = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 QUICK_SIZES = (1, 3, 10, 30, 100)

@@ -1,0 +1,607 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+A state of a mechanism, and all that evaluates it: the arrays that change.
+
+What a scene says stays as it is (``model.Model``); here are the coordinates and rates, the
+torques, the effects with their own states, and the engine's system with its scratch.
+
+"""
+
+import math
+from typing import Any, Mapping, Optional, Sequence, Tuple, Union
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .assembly import Assembler
+from .cut_joints import coordinate_arrays, CutJoints
+from .errors import AssemblyError, SimulationError
+from .guards import CLOSING
+from .inverse_dynamics import InverseDynamics
+from .modeling import extent
+from .motions import Motions, require_actuated
+from .names import Names
+from .redundancy import geometry_of
+from .scene_records import Method, Scene
+from .state import State
+from ..core import types as t
+from ..core.formulations import AUGMENTED, SUBSYSTEM, SYSTEM
+from ..effects.effect import Machine
+from ..effects.effect_set import EffectSet
+from ..engine import native
+from ..integration.evaluation import Evaluator, QUANTITIES, request
+from ..integration.system import (
+    build_system, parts_of_state, Probe, refine, System, with_equations)
+from ..mechanism.decomposition import decompose
+from ..mechanism.fields import at
+from ..mechanism.mechanism import Point
+
+FORMULATIONS = {'subsystem': SUBSYSTEM, 'system': SYSTEM, 'augmented': AUGMENTED}
+# Torques, or numbers of a state, by name or in their order.
+Numbers = Union[Mapping[str, Any], ArrayLike]
+
+
+class Data(Names):
+    """
+    One state of a scene's mechanism, and what evaluates it.
+
+    Parameters
+    ----------
+    scene : scene_records.Scene
+        The initial state is assembled: positions and velocities close the loops.
+
+    Attributes
+    ----------
+    decomposition : mechanism.decomposition.Decomposition
+    system : integration.system.System
+
+    Raises
+    ------
+    AssemblyError
+        Where the loops cannot be closed from the scene's initial state.
+
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        """Build the arrays and assemble the initial state."""
+        super().__init__(scene)
+        self.decomposition = decompose(self.mechanism)
+        self._time = 0.0
+        self._points = {point.name: point for point in self.mechanism.points}
+        self._geometry = geometry_of(self.mechanism, self.decomposition)
+        self._rows, placements = self._geometry.rows, self._geometry.placements
+        self._prescribe(scene)
+        if self._may_leave_out(scene.method):
+            self._geometry.leave_out_repeated(np.array(scene.initial.position))
+            self._motions.look_up(self._geometry.model)
+        model, self._equations = self._geometry.model, self._geometry.equations
+        machine = Machine(
+            self.mechanism, self._rows, placements, self._motions.rows, self.acted)
+        self._effects = EffectSet(scene.effects, model, machine, coordinate_arrays(
+            self.mechanism, model, self._rows, placements, self.acted, True)
+            if self.acted else None, scene.switched_off)
+        self._cuts = CutJoints(self.mechanism, model, self._rows, placements, self.acted)
+        for name, angle in scene.initial.turned.items():
+            self._effects.begin_angle(name, angle)
+        method = scene.method
+        baumgarte = 1.0 / method.time_constant if method.stabilisation == 'baumgarte' else 0.0
+        self.system: System = build_system(
+            model, FORMULATIONS[method.formulation], baumgarte, extent(self.mechanism),
+            method.stabilisation == 'independent', self._effects.elements,
+            cuts=self._effects.cuts, joints=self._geometry.joint_points)
+        self._table = self._effects.bind(self.system)
+        self._motions.records = self._effects.records
+        *parts, states = parts_of_state(self.system)
+        self._parts, self._state = tuple(parts), np.zeros(states)
+        self._q, self._qd, self._own = (self._state[part] for part in parts)
+        self._assembler = Assembler(self.mechanism, self._equations)
+        self._places = {name: place for place, name in enumerate(self.torque_names)}
+        self._actuated = np.array(
+            [self._places[name] for name in self.actuated_joints], dtype=int)
+        # Those that take a torque: no joints whose motion is prescribed.
+        prescribed = {motion.freedom for motion in self.mechanism.motions}
+        self._allowed = np.array([
+            -1 if name in prescribed else self._places[name] for name in self.actuated_joints],
+            dtype=np.int64)
+        self._initial = self._assembled(
+            scene.initial.position, scene.initial.velocity, scene.initial.hold)
+        self._motions.require_independent(self._assembler, self._initial[0])
+        self._find_decided()
+        if method.stabilisation == 'independent':
+            self._assembler.require_independent(self._initial[0])
+        self._q[:], self._qd[:] = self._initial
+        self._own[:] = self._effects.initial
+        refine(self.system, self._state)
+        self._fresh = False
+        self._inverse = self._inverse_dynamics()
+        self._set_probes()
+
+    def _find_decided(self) -> None:
+        """Find the joints with friction that loops and motions move, or hold, by themselves."""
+        names = self._effects.freedoms_with_friction
+        if not names:
+            return
+        in_tree = [name for name in names if name in self.coordinates.index]
+        in_cuts = [name for name in names if name not in self.coordinates.index]
+        units = np.eye(len(self.joint_names))[[self.coordinates.index[name] for name in in_tree]]
+
+        def derivatives(position: np.ndarray) -> np.ndarray:
+            moved = self._equations.move(position)
+            return np.concatenate(
+                (units, self._cuts.jacobian(moved.model, moved.work, in_cuts)))
+
+        decided = self._assembler.decided(self._initial[0], derivatives)
+        self._effects.decide(np.array(in_tree + in_cuts)[decided].tolist())
+
+    def _inverse_dynamics(self) -> InverseDynamics:
+        """Return what solves for the torques of a motion, of the present equations."""
+        return InverseDynamics(self.mechanism, self.system, self._effects, self._table,
+                               self._equations, self._cuts, self._actuated)
+
+    def _set_probes(self) -> None:
+        """Evaluate the present state, and any other, of the present system."""
+        system = self.system
+        self._present = Probe(system, self._state)
+        self._probe = Probe(system)
+        asked = request(system, self._own, self._allowed)
+        self._evaluate_given = native.bind('evaluate_given', system.native, asked)
+        # Of all equations, in the present state and in that one.
+        self._lam, self._lam_given = system.lam, system.lam
+        if system.leaves_out:
+            self._lam, self._lam_given = np.zeros(len(asked.lam)), asked.lam
+            self._find_all_multipliers = native.bind(
+                'find_all_multipliers', system.native, self._q, self._qd, self._lam)
+        self._spread = np.zeros(len(system.tau))
+        self._spread_torques = native.bind('spread_torques', self._allowed, self._spread)
+
+    def _may_leave_out(self, method: Method) -> bool:
+        """
+        Return whether equations that repeat others may be left out.
+
+        In the plane not where loops drift apart, as these equations drift, too.
+
+        """
+        return not self.mechanism.planar or method.stabilisation in CLOSING
+
+    def _prescribe(self, scene: Scene) -> None:
+        """Look up the equations of prescribed motions; let them start."""
+        self._motions = Motions(
+            scene, self.mechanism, self._geometry.model, self.place, self._cut_place)
+        self._motions.follow(0.0)
+
+    def _cut_place(self, name: str, position: np.ndarray) -> float:
+        """Return the coordinate of a freedom of a cut joint in a position of the joints."""
+        equations = self._geometry.equations
+        cuts = CutJoints(
+            self.mechanism, equations.model, self._rows, self._geometry.placements, ())
+        found, _ = cuts.measure(equations.move(position).work.body)
+        return float(found[cuts.place(name)])
+
+    @property
+    def time(self) -> float:
+        """Time of the state [s]."""
+        return self._time
+
+    @property
+    def position(self) -> np.ndarray:
+        """
+        Joint coordinates, shape (nq,) [rad or m].
+
+        nq is nv, the number of joint rates, and one more for each spherical and each free joint:
+        orientations are unit quaternions x, y, z, w. ``coordinates.columns`` names them.
+
+        """
+        return self._q.copy()
+
+    @property
+    def velocity(self) -> np.ndarray:
+        """
+        Joint rates, shape (nv,) [rad/s or m/s].
+
+        Of an orientation the angular velocity relative to the parent, about the child's axes.
+
+        """
+        return self._qd.copy()
+
+    @property
+    def integrated(self) -> np.ndarray:
+        """
+        Joint coordinates, rates and the effects' own states, shape (ns,): not a copy.
+
+        Who writes it calls ``touch`` then.
+
+        """
+        return self._state
+
+    def snapshot(self) -> State:
+        """Return the present state; torques and the memory of a method are no part of it."""
+        return State(self.time, self._q, self._qd, self._own, self.coordinates)
+
+    def require_state(self, state: State) -> None:
+        """
+        Refuse what is no state of this scene, or no batch of such.
+
+        Raises
+        ------
+        ValueError
+
+        """
+        if not isinstance(state, State):
+            raise ValueError('state: expected a State, as Model.assemble and Model.state return '
+                             f'it, got {state!r}')
+        if state.coordinates.names != self.coordinates.names:
+            raise ValueError(
+                f'state: expected one of {self.mechanism.name}, with the joints '
+                f'{", ".join(self.joint_names)}, got one with '
+                f'{", ".join(state.coordinates.names)}')
+        if state.own.shape[-1] != len(self._own):
+            raise ValueError(f'state: expected {len(self._own)} own states of effects, got own of '
+                             f'shape {state.own.shape}')
+
+    def touch(self) -> None:
+        """Note that the state or the system's arrays were changed from outside."""
+        self._fresh = False
+
+    def place(self, name: str, position: np.ndarray) -> np.ndarray:
+        """
+        Return the place of a named point in another position of the joints.
+
+        Parameters
+        ----------
+        name : str
+            Of the point.
+        position : ndarray, shape (nv,)
+            Joint coordinates, which need not close the loops [rad or m].
+
+        Returns
+        -------
+        ndarray, shape (2,), in space (3,)
+            [m].
+
+        """
+        point = self._named_point(name)
+        return self._geometry.point(position, point.body, point.position)
+
+    def _named_point(self, name: str) -> Point:
+        if name not in self._points:
+            raise SimulationError(
+                f'There is no point {name!r} on {self.mechanism.name}; its points: '
+                f'{", ".join(self._points) or "none"}.')
+        return self._points[name]
+
+    @property
+    def leaves_out(self) -> bool:
+        """Whether equations that repeat others are left out, and watched."""
+        return self._geometry.leaves_out
+
+    @property
+    def takes_closed_states(self) -> bool:
+        """Whether nothing else is asked of a state to start from than that it closes the loops."""
+        return not (self._motions or self.leaves_out or self.system.is_independent
+                    or self._assembler.is_light or self._table.loaded[0])
+
+    @property
+    def effect_set(self) -> EffectSet:
+        """Return the effects as the kernels have them, an ``effects.effect_set.EffectSet``."""
+        return self._effects
+
+    @property
+    def actuated(self) -> np.ndarray:
+        """Return the places of the actuated joints among ``torque_names``, in their order."""
+        return self._actuated
+
+    @property
+    def actuated_in_tree(self) -> np.ndarray:
+        """Return those among ``joint_names`` alone: of actuated joints that are not cut."""
+        return self._actuated[self._actuated < len(self.joint_names)]
+
+    @property
+    def point_rows(self) -> Tuple[np.ndarray, np.ndarray]:
+        """Rows of the bodies of the named points, and the places in them, shape (n, 2 or 3)."""
+        return self._geometry.named_points[:2]
+
+    def body_row(self, name: str) -> int:
+        """Return the row of a body in the arrays of ``system``."""
+        return self._rows[name]
+
+    @property
+    def command_delay(self) -> float:
+        """Longest time that a command is on its way to a drive [s]."""
+        return max(self._effects.drives.values(), default=0.0)
+
+    def _assembled(
+            self, position: ArrayLike, velocity: Optional[ArrayLike],
+            hold: Sequence[str]) -> Tuple[np.ndarray, np.ndarray]:
+        nv = self.coordinates.nv
+        q = self._taken(position)
+        qd = np.zeros(nv) if velocity is None else vector('velocity', velocity, nv)
+        # The assembler works in the same workspace, whether it succeeds or not.
+        self._fresh = False
+        self._motions.begin(self._assembler, self.time, q, qd)
+        try:
+            self._assembly = self._closed(q, qd, hold)
+        except AssemblyError:
+            if not (self._motions and hold):
+                raise
+            # What is held may leave the motions no room.
+            self._assembly = self._closed(q, qd, ())
+        return self._assembly[2:4]
+
+    def _closed(self, q: np.ndarray, qd: np.ndarray, hold: Sequence[str]) -> Tuple[Any, ...]:
+        """Return a guess, the state that closes the loops near it, and the joints held."""
+        closed = self._assembler.positions(q, hold)
+        return q, qd, closed, self._assembler.velocities(closed, qd, hold), hold
+
+    def _near(
+            self, position: Numbers, velocity: Optional[Numbers],
+            hold: Optional[Sequence[str]]) -> Tuple[np.ndarray, np.ndarray]:
+        """Return what is assembled near a state, joints that are not named as they are."""
+        with np.errstate(all='ignore'):
+            return self._assembled(
+                self._by_joint('position', position, self._q),
+                self._by_joint('velocity', velocity, self._qd), hold or ())
+
+    def _taken(self, position: ArrayLike) -> np.ndarray:
+        """Return joint coordinates as an array, quaternions of norm 1."""
+        q = vector('position', position, self.coordinates.nq)
+        if self.system.manifold is None:
+            return q
+        with at('position'):
+            return self.coordinates.unit(q)
+
+    def _by_joint(self, what: str, values: Any, present: np.ndarray) -> Any:
+        """Return a mapping by joint name as an array, anything else as it is."""
+        if not hasattr(values, 'items'):
+            return values
+        with at(what):
+            return self.coordinates.filled(what, values, present)
+
+    def _feel_loads(self) -> None:
+        """Let effects start with the rates and the reactions of their joints as they are."""
+        if self._effects.cuts is not None:
+            self._fresh = False
+            self._evaluate()
+            self._effects.follow_angles(self._own)
+            self._fresh = False
+        self._effects.follow(self._own, self._effects.rates(self._q, self._qd))
+        self._effects.follow_time(self._own, self.time)
+        if self._table.loaded[0] > 0:
+            # A fixed point: friction changes the reactions a little.
+            for _ in range(20):
+                self._fresh = False
+                self._evaluate()
+                places, values = self._effects.loads()
+                self._own[places] = values
+            self._fresh = False
+
+    def _evaluate(self) -> None:
+        """Evaluate the present state once for all that is asked of it."""
+        if not self._fresh:
+            self._present.evaluate()
+            self._fresh = True
+
+    def _exchange(self, model: t.Model) -> None:
+        """Evaluate with other closure equations, from the same state."""
+        self._take(with_equations(self.system, model))
+        self._fresh = False
+
+    def _take(self, system: System) -> None:
+        """Evaluate by a system that works on the equations that are kept."""
+        self.system, self._equations = system, self._geometry.equations
+        self._motions.look_up(system.model)
+        self._effects.move(system)
+        self._assembler = Assembler(self.mechanism, self._equations)
+        self._inverse = self._inverse_dynamics()
+        self._set_probes()
+
+    def joint_torques(self, torque: Optional[Numbers]) -> np.ndarray:
+        """
+        Return joint torques as an array from any form that ``step`` takes, by ``torque_names``.
+
+        Parameters
+        ----------
+        torque : mapping, sequence or None
+            By joint name, or in the order of the actuated joints.
+
+        Raises
+        ------
+        ValueError
+
+        """
+        if self._spread_torques(torque):
+            return self._spread.copy()
+        tau = np.zeros(len(self._places))
+        named: Any = torque
+        if hasattr(named, 'items'):
+            require_actuated(self.mechanism, named)
+            for name, value in named.items():
+                tau[self._places[name]] = value
+        else:
+            values = np.array(torque, dtype=float)
+            if values.shape != (len(self._actuated),):
+                raise ValueError(
+                    f'torque: expected {len(self._actuated)} values, for '
+                    f'{", ".join(self.actuated_joints)}; got shape {values.shape}')
+            tau[self._actuated] = values
+            if self.mechanism.motions:
+                require_actuated(
+                    self.mechanism, [self.torque_names[place] for place in np.flatnonzero(tau)])
+        if not _are_finite(tau):
+            raise ValueError(f'torque: expected finite numbers, got {torque!r}')
+        return tau
+
+    def forward_dynamics(
+            self, position: ArrayLike, velocity: ArrayLike,
+            torque: Optional[Numbers] = None) -> Tuple[np.ndarray, np.ndarray]:
+        """
+        Compute accelerations and multipliers of a state that closes the loops.
+
+        Parameters
+        ----------
+        position : sequence, shape (nq,)
+            Closing the loops.
+        velocity : sequence, shape (nv,)
+            Keeping them closed.
+        torque : mapping, sequence or None
+            As for ``step``.
+
+        Returns
+        -------
+        acceleration : ndarray, shape (nv,)
+        multipliers : ndarray, shape (nc,)
+
+        """
+        self._fresh = False
+        if self._evaluate_given(position, velocity, torque):
+            return self.system.qdd.copy(), self._lam_given.copy()
+        nv, system = len(self.joint_names), self.system
+        probe = self._probe
+        probe.q[:] = self._taken(position)
+        probe.qd[:] = vector('velocity', velocity, nv)
+        tau, applied = self.joint_torques(torque), system.tau.copy()
+        system.tau[:] = tau
+        self._table.states[:] = self._own
+        self._effects.follow(self._table.states, self._effects.rates(probe.q, probe.qd))
+        probe.own[:] = self._table.states
+        probe.evaluate_only()
+        lam = system.lam
+        if self.leaves_out:
+            lam = self._multipliers_elsewhere(probe)
+        system.tau[:] = applied
+        self._fresh = False
+        return system.qdd.copy(), lam.copy()
+
+    def evaluator(self, *quantities: str) -> Evaluator:
+        """
+        Return what computes ``forward_dynamics`` of state after state at the least cost.
+
+        Parameters
+        ----------
+        *quantities : str
+            What is wanted: ``'acceleration'``, ``'multipliers'``; both when not given.
+
+        Returns
+        -------
+        integration.evaluation.Evaluator
+            In the present state without torques; it works on a copy of the mechanism and of the
+            effects, as they are now.
+
+        Raises
+        ------
+        ValueError
+            For an unknown quantity.
+
+        Examples
+        --------
+        >>> evaluate = simulation.evaluator('acceleration')
+        >>> evaluate.q[:], evaluate.qd[:], evaluate.tau[:] = q, qd, tau
+        >>> evaluate()
+        >>> evaluate.acceleration
+
+        """
+        made = Evaluator(
+            self.system, self._geometry.of(None)[0] if self.leaves_out else self.system.model,
+            self._own, self._allowed, quantities or QUANTITIES, self._refuse)
+        made.q[:], made.qd[:] = self._q, self._qd
+        return made
+
+    def _refuse(self, q: ArrayLike, qd: ArrayLike, torque: ArrayLike) -> None:
+        """Raise where a state or torques are none."""
+        self._taken(q)
+        vector('velocity', qd, len(self.joint_names))
+        self.joint_torques(torque)
+
+    def _multipliers_elsewhere(self, probe: Probe) -> np.ndarray:
+        """Return the multipliers of all equations, which are solved where those kept do not do."""
+        everything: Any = self.system.whole
+        lam = np.zeros(len(everything.lam))
+        if native.find_all_multipliers(self.system.native, probe.q, probe.qd, lam):
+            return lam
+        whole = with_equations(self.system, self._geometry.of(None)[0])
+        other = Probe(whole)
+        other.q[:], other.qd[:], other.own[:] = probe.q, probe.qd, probe.own
+        other.evaluate_only()
+        return whole.lam
+
+    def inverse_dynamics(
+            self, position: ArrayLike, velocity: ArrayLike,
+            acceleration: ArrayLike) -> Tuple[np.ndarray, np.ndarray]:
+        """
+        Compute the torques and constraint forces that a motion needs.
+
+        Parameters
+        ----------
+        position, velocity, acceleration : sequence, shape (nv,)
+            Consistent with the loops.
+
+        Returns
+        -------
+        torque : ndarray, shape (number of actuated joints,)
+            The least ones where the mechanism is actuated redundantly [N m or N].
+        multipliers : ndarray, shape (nc,)
+
+        Raises
+        ------
+        SimulationError
+            Where the actuated joints cannot produce the motion, or it opens the loops.
+
+        Notes
+        -----
+        Solves tau + tau_effects + J^T lambda = I qdd + c, tau zero at the joints that are not
+        actuated. The torques are those at the joints, after limits and lags of the drives; dry
+        friction is that of a steady motion, none where a joint rests.
+
+        """
+        self._fresh = False
+        self._effects.follow_time(self._table.states, self.time)
+        found = self._inverse.solve_given(position, velocity, acceleration)
+        if found is not None:
+            return found
+        nv = len(self.joint_names)
+        q = self._taken(position)
+        qd, qdd = (vector(name, values, nv) for name, values in (
+            ('velocity', velocity), ('acceleration', acceleration)))
+        return self._inverse.solve(q, qd, qdd)
+
+
+def vector(name: str, values: ArrayLike, length: int) -> np.ndarray:
+    """
+    Return finite numbers as a new array, shape (length,).
+
+    Parameters
+    ----------
+    name : str
+        What they are, for the error message.
+    values : sequence
+        Of numbers.
+    length : int
+        How many are expected.
+
+    Raises
+    ------
+    ValueError
+
+    """
+    array = np.array(values, dtype=float, order='C')
+    if array.shape != (length,) or not _are_finite(array):
+        raise ValueError(f'{name}: expected {length} finite numbers, got {values!r}')
+    return array
+
+
+def _are_finite(array: np.ndarray) -> bool:
+    """Return whether all numbers are finite."""
+    # Their sum is where all are, and quicker to tell; it may overflow alone.
+    return math.isfinite(array.sum()) or np.isfinite(array).all()

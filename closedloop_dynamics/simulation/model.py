@@ -1,0 +1,452 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""A model: what a scene says of a mechanism, to be asked for what follows from any state."""
+
+from collections.abc import Callable, Mapping
+from threading import RLock
+from typing import Any, Dict, List, NamedTuple, Optional, Sequence, Tuple
+import warnings
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .data import Numbers, vector
+from .errors import AssemblyError
+from .evaluation import Evaluation
+from .key_paths import changed, resolve
+from .named_array import frozen
+from .names import Names
+from .readings import Readings
+from .scene_records import Scene
+from .state import State
+from ..integration.evaluation import Evaluator
+from ..mechanism.fields import at
+
+# Warnings of one call, at most.
+MOST_NOTES = 3
+
+
+class InverseDynamicsResult(NamedTuple):
+    """
+    What a motion needs; a batch has a leading axis.
+
+    Attributes
+    ----------
+    torque : ndarray, shape (number of actuated joints,)
+        [N m or N].
+    multipliers : ndarray, shape (nc,)
+        Lagrange multipliers [N, N m].
+
+    """
+
+    torque: np.ndarray
+    multipliers: np.ndarray
+
+
+class Model(Names):
+    """
+    A mechanism with its effects, constant: states go in, evaluations come out.
+
+    May be asked by several threads; one after the other is served.
+
+    Parameters
+    ----------
+    scene : scene_records.Scene
+        ``Scene.model`` builds it.
+
+    Attributes
+    ----------
+    scene : scene_records.Scene
+    mechanism : mechanism.mechanism.Mechanism
+    coordinates : mechanism.coordinates.Coordinates
+
+    Raises
+    ------
+    AssemblyError
+        Where the loops cannot be closed from the scene's initial state.
+
+    Examples
+    --------
+    >>> model = load_scene('four_bar').model()
+    >>> state = model.assemble({'crank_joint': 0.3}, hold=['crank_joint'])
+    >>> model.evaluate(state, {'crank_joint': 5.0}).points['coupler_point']
+
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        """Build the arrays and close the loops at the scene's start."""
+        if not isinstance(scene, Scene):
+            raise TypeError(
+                f'Model: expected a Scene, as load_scene returns it, got {scene!r}')
+        super().__init__(scene)
+        self._work = _Workspace(scene)
+        self._lock = RLock()
+
+    def with_parameters(self, values: Mapping[str, float]) -> 'Model':
+        """
+        Return a model of other numbers.
+
+        Parameters
+        ----------
+        values : mapping of str to float
+            By key path, such as ``'mechanism.bodies.crank.mass'``,
+            ``'effects.gravity.acceleration.1'``, ``'parameters.l'``.
+
+        Raises
+        ------
+        ValueError
+            Where there is no such number, or a value is impossible at its place.
+
+        """
+        return Model(changed(self.scene, {
+            resolve(self.scene, key): value for key, value in values.items()}))
+
+    # States.
+
+    def assemble(self, position: Optional[Numbers] = None, velocity: Optional[Numbers] = None,
+                 hold: Sequence[str] = (), time: float = 0.0) -> State:
+        """
+        Return a state that closes the loops, the effects' own states beginning anew.
+
+        Parameters
+        ----------
+        position : mapping, or sequence of shape (nq,) or (n, nq), optional
+            Approximate joint coordinates [rad or m]; in a mapping by joint name, the others near
+            those of the scene's start. A mapping may have sequences of n numbers, each for one
+            state of a batch. The scene's start when not given.
+        velocity : mapping, or sequence of shape (nv,) or (n, nv), optional
+            Approximate joint rates [rad/s or m/s], likewise; zero where not given, but those of
+            the scene where no position is given either.
+        hold : sequence of str
+            Joints kept as given, as many as there are degrees of freedom; the nearest closed
+            state when there are none.
+        time : float
+            Of the state [s]: where prescribed motions are.
+
+        Raises
+        ------
+        AssemblyError
+            Where no such state closes the loops.
+        ValueError
+            For unknown names, other shapes, and numbers that are not finite.
+
+        Warns
+        -----
+        RuntimeWarning
+            Where what was assembled may not be what was meant.
+
+        """
+        initial = self.scene.initial
+        if position is None:
+            position, hold = initial.position, hold or initial.hold
+            velocity = initial.velocity if velocity is None else velocity
+        samples, (positions, velocities) = _batch(
+            {'position': position, 'velocity': velocity}, self.coordinates.keys)
+        states: List[State] = []
+        notes: List[str] = []
+        with self._lock:
+            for k in range(1 if samples is None else samples):
+                which = () if samples is None else (f'state {k}',)
+                try:
+                    with at(*which):
+                        states.append(self._work.assembled(
+                            positions(k), velocities(k), hold, time))
+                except AssemblyError as error:
+                    raise AssemblyError(': '.join((*which, str(error)))) from None
+                notes += [': '.join((*which, note)) for note in self._work.assembly_notes()]
+        if len(notes) > MOST_NOTES:
+            notes[MOST_NOTES:] = [f'and {len(notes) - MOST_NOTES} more notes on these states']
+        for note in notes:
+            warnings.warn(note, RuntimeWarning, stacklevel=2)
+        return states[0] if samples is None else State.stack(states)
+
+    def state(self, q: ArrayLike, qd: Optional[ArrayLike] = None, own: Optional[ArrayLike] = None,
+              time: ArrayLike = 0.0) -> State:
+        """
+        Return a state, or a batch, of numbers as they are: nothing is assembled.
+
+        Parameters
+        ----------
+        q : array_like, shape (nq,) or (n, nq)
+            Joint coordinates that close the loops [rad or m].
+        qd : array_like, shape (nv,) or (n, nv), optional
+            Joint rates that keep them closed [rad/s or m/s]; zero when not given.
+        own : array_like, shape (nz,) or (n, nz), optional
+            The effects' own states; beginning anew when not given.
+        time : float, or array_like of shape (n,)
+            [s].
+
+        Raises
+        ------
+        ValueError
+            For other shapes, numbers that are not finite, and quaternions whose norm is not 1.
+
+        """
+        place = np.array(q, dtype=float)
+        batch = place.shape[:-1]
+        rates = np.zeros((*batch, self.coordinates.nv)) if qd is None else qd
+        nothing = np.zeros((*batch, self._work.own_states))
+        given = State(time, place, rates, nothing if own is None else own, self.coordinates)
+        self._work.require_state(given)
+        each = given.each
+        if len(self.coordinates.balls):
+            each = [State(one.time, self.coordinates.unit(one.q), one.qd, one.own,
+                          self.coordinates) for one in each]
+        if own is None and self._work.own_states:
+            with self._lock:
+                each = [self._work.begun(one.time, one.q, one.qd) for one in each]
+        return each[0] if not given.is_batch else State.stack(each) if each else given
+
+    # What follows from a state.
+
+    def evaluate(self, state: State, torque: Optional[Numbers] = None) -> Evaluation:
+        """
+        Return all that follows from a state, or from each of a batch, under torques.
+
+        Parameters
+        ----------
+        state : State
+            Closing the loops.
+        torque : mapping, or sequence of shape (na,) or (n, na), optional
+            Of the actuated joints [N m or N]: by joint name, those that are not named getting
+            none, or for all of them in their order; for a batch one row for each, or one for all.
+            Drives have them at once, whatever their delay.
+
+        Raises
+        ------
+        ValueError
+            For a state of another mechanism, and torques of other joints or shapes.
+
+        """
+        self._work.require_state(state)
+        with self._lock:
+            return self._work.evaluated(state, torque)
+
+    def inverse(self, state: State, acceleration: ArrayLike) -> InverseDynamicsResult:
+        """
+        Return the torques and multipliers that a motion needs.
+
+        Parameters
+        ----------
+        state : State
+            Closing the loops.
+        acceleration : array_like, shape (nv,), or (n, nv) for a batch
+            Consistent with the loops, as ``Evaluation.acceleration`` is [rad/s^2 or m/s^2].
+
+        Returns
+        -------
+        InverseDynamicsResult
+            The least torques where the mechanism is actuated redundantly; as
+            ``Simulation.inverse_dynamics``.
+
+        Raises
+        ------
+        SimulationError
+            Where the actuated joints cannot produce the motion, or it opens the loops.
+        ValueError
+            For a state of another mechanism, and accelerations of another shape.
+
+        """
+        self._work.require_state(state)
+        wanted = np.array(acceleration, dtype=float)
+        if wanted.shape != state.qd.shape:
+            raise ValueError(f'acceleration: expected shape {state.qd.shape}, as the rates of the '
+                             f'state, got {wanted.shape}')
+        with self._lock:
+            if not state.is_batch:
+                return self._work.needed(state, wanted)
+            found = [self._work.needed(*pair) for pair in zip(state, wanted)]
+        if not found:
+            raise ValueError('state: expected at least one, got an empty batch')
+        return InverseDynamicsResult(*map(frozen, zip(*found)))
+
+    def inertia(self, state: State) -> np.ndarray:
+        """Return the generalized inertia matrix of the spanning tree, shape (..., nv, nv)."""
+        return self._of_each(state, lambda data: data.inertia)
+
+    def constraint_jacobian(self, state: State) -> np.ndarray:
+        """Return the derivatives of the closure equations by the coordinates, (..., nc, nv)."""
+        return self._of_each(state, lambda data: data.constraint_jacobian)
+
+    def _of_each(self, state: State, asked: 'Callable[[Readings], np.ndarray]') -> np.ndarray:
+        """Return an array that follows from a state, or from each of a batch."""
+        self._work.require_state(state)
+        with self._lock:
+            found = [asked(self._work.at(one)) for one in state.each]
+        return np.array(found) if state.is_batch else found[0]
+
+    def evaluator(self, *quantities: str) -> Evaluator:
+        """
+        Return what evaluates state after state at the least cost, in the scene's start.
+
+        Parameters
+        ----------
+        *quantities : str
+            As for ``Simulation.evaluator``, as is what is returned and raised.
+
+        """
+        with self._lock:
+            self._work.at(self._work.start())
+            return self._work.evaluator(*quantities)
+
+    def begins(self, state: State) -> bool:
+        """
+        Tell whether the effects begin anew in a state, or in all of a batch.
+
+        Parameters
+        ----------
+        state : State
+            Of this model; times and dissipated energies do not count.
+
+        """
+        self._work.require_state(state)
+        with self._lock:
+            return all(self._work.begins(one) for one in state.each)
+
+    def __reduce__(self) -> Tuple[Any, ...]:
+        """Copy and pickle as the scene, of which the model is built anew."""
+        return Model, (self.scene,)
+
+    def __repr__(self) -> str:
+        """Tell what it is a model of."""
+        effects = f'; effects: {", ".join(self.scene.effects)}' if self.scene.effects else ''
+        return (f'<Model of {self.mechanism.name}: {self.coordinates.nv} joint rates, '
+                f'{len(self.cut_joints)} cut joints, actuated: '
+                f'{", ".join(self.actuated_joints) or "nothing"}{effects}>')
+
+
+class _Workspace(Readings):
+    """Data that a model puts one state after the other into."""
+
+    def start(self) -> State:
+        """Return the scene's start, assembled."""
+        return self.begun(0.0, *self._initial)
+
+    @property
+    def own_states(self) -> int:
+        """How many states the effects have."""
+        return len(self._own)
+
+    def begun(self, time: float, q: np.ndarray, qd: np.ndarray) -> State:
+        """Return a state in which the effects begin anew, as it is."""
+        self._put(time, q, qd, self._effects.initial)
+        self.system.tau[:] = 0.0
+        self._feel_loads()
+        return self.snapshot()
+
+    def assembled(self, position: Numbers, velocity: Optional[Numbers], hold: Sequence[str],
+                  time: float) -> State:
+        """Return a state near another one, whose joints that are not named are the start's."""
+        q, _ = self._initial
+        self._put(vector('time', [time], 1)[0], q, np.zeros(self.coordinates.nv),
+                  self._effects.initial)
+        return self.begun(time, *self._near(position, velocity, hold))
+
+    def _put(self, time: float, q: np.ndarray, qd: np.ndarray, own: np.ndarray) -> None:
+        """Move to a state, with closure equations that serve there."""
+        if self.leaves_out and not self._geometry.serves(q):
+            self._exchange(self._geometry.choose(q))
+        self._time = float(time)
+        self._q[:], self._qd[:], self._own[:] = q, qd, own
+        if self._motions:
+            self._motions.follow(self._time)
+        self._fresh = False
+
+    def at(self, state: State) -> Readings:
+        """Move to a state, without torques."""
+        self._put(state.time, state.q, state.qd, state.own)
+        self.system.tau[:] = 0.0
+        return self
+
+    def evaluated(self, state: State, torque: Optional[Numbers]) -> Evaluation:
+        """Return what follows from a state, or from each of a batch, under torques."""
+        if not state.is_batch:
+            self.at(state)
+            self.system.tau[:] = self.joint_torques(torque)
+            return self.evaluation(state)
+        if not len(state):
+            raise ValueError('state: expected at least one, got an empty batch')
+        rows = None if torque is None or isinstance(torque, Mapping) else np.array(
+            torque, dtype=float)
+        if rows is not None and rows.ndim > 1 and rows.shape != (
+                len(state), len(self.actuated_joints)):
+            na = len(self.actuated_joints)
+            raise ValueError(f'torque: expected shape ({na},) or {(len(state), na)} for '
+                             f'{len(state)} states and {", ".join(self.actuated_joints)}; got '
+                             f'shape {rows.shape}')
+        return Evaluation.stack([
+            self.evaluated(one, rows[k] if rows is not None and rows.ndim > 1 else torque)
+            for k, one in enumerate(state)], state)
+
+    def needed(self, state: State, acceleration: np.ndarray) -> InverseDynamicsResult:
+        """Return the torques and multipliers that a motion needs."""
+        self.at(state)
+        # The effects' own states, too, are those of this state.
+        self._evaluate()
+        return InverseDynamicsResult(*map(frozen, self.inverse_dynamics(
+            state.q, state.qd, acceleration)))
+
+    def begins(self, state: State) -> bool:
+        """Tell whether the effects that act on the motion begin anew in a state."""
+        places = self._effects.own
+        return not len(places) or np.array_equal(
+            self.begun(0.0, state.q, state.qd).own[places], state.own[places])
+
+
+def _batch(given: Mapping[str, Optional[Numbers]], keys: Sequence[str]) -> Tuple[
+        Optional[int], List[Callable[[int], Any]]]:
+    """
+    Return how many states are given, None for a single one, and what gives those of each.
+
+    Raises
+    ------
+    ValueError
+        Where there are different numbers of them.
+
+    """
+    counts: Dict[str, int] = {}
+    found: List[Callable[[int], Any]] = []
+    for what, values in given.items():
+        if isinstance(values, Mapping):
+            several = {key: np.array(value, dtype=float) for key, value in values.items()
+                       if isinstance(value, (list, tuple, np.ndarray)) and np.ndim(value) > 0}
+            for key, numbers in several.items():
+                if numbers.ndim > 1:
+                    raise ValueError(f'{what}: {key}: expected a number, or n of them, got shape '
+                                     f'{numbers.shape}')
+                counts[f'{what} of {key}'] = len(numbers)
+            found.append(_of_mapping(values, several))
+            continue
+        rows = None if values is None else np.array(values, dtype=float)
+        if rows is not None and rows.ndim > 1:
+            if rows.ndim > 2:
+                raise ValueError(f'{what}: expected one or two axes, got shape {rows.shape}')
+            counts[what] = len(rows)
+        found.append(_of_rows(rows))
+    if len(set(counts.values())) > 1:
+        raise ValueError('expected the same number of states everywhere, got ' + ', '.join(
+            f'{count} in {what}' for what, count in counts.items()))
+    return next(iter(counts.values()), None), found
+
+
+def _of_mapping(values: Mapping[str, Any], several: Dict[str, np.ndarray]) -> Callable[
+        [int], Any]:
+    """Return what gives the numbers by name of one state."""
+    return lambda k: {**values, **{key: float(numbers[k]) for key, numbers in several.items()}}
+
+
+def _of_rows(rows: Optional[np.ndarray]) -> Callable[[int], Any]:
+    """Return what gives the numbers of one state."""
+    return lambda k: rows[k] if rows is not None and rows.ndim > 1 else rows

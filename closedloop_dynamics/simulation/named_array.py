@@ -1,0 +1,115 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Arrays whose rows have names."""
+
+from collections.abc import Mapping
+from typing import Any, Dict, Iterator, Optional, Sequence, Tuple, Union
+
+import numpy as np
+
+from ..mechanism.fields import among, nearest
+
+Place = Union[int, slice]
+
+
+def frozen(values: Any) -> np.ndarray:
+    """Return numbers as a new array that cannot be written."""
+    return sealed(np.array(values, dtype=float))
+
+
+def sealed(array: np.ndarray) -> np.ndarray:
+    """Return an array that nobody else holds; it cannot be written any more."""
+    array.flags.writeable = False
+    return array
+
+
+class NamedArray(Mapping[str, np.ndarray]):
+    """
+    An array that cannot be written, and whose rows can be asked for by name.
+
+    ``forces['elbow']`` is the row of that name, ``numpy.asarray(forces)`` all of them,
+    ``forces.names`` what they are called. Before the rows there may be the axis of a batch.
+
+    Parameters
+    ----------
+    what : str
+        What the numbers are, for messages.
+    places : dict of str to int or slice
+        Where the rows are, by name.
+    array : ndarray, shape (..., rows), or (..., rows, columns)
+        That nobody else holds; it cannot be written any more.
+    axis : int
+        Of the rows: -1 or -2.
+
+    Raises
+    ------
+    KeyError
+        For an unknown name; it says which there are.
+
+    """
+
+    __slots__ = ('what', 'array', '_places', '_axis')
+
+    def __init__(self, what: str, places: Dict[str, Place], array: np.ndarray,
+                 axis: int) -> None:
+        """Name the rows."""
+        self.what, self.array, self._places, self._axis = what, sealed(array), places, axis
+
+    @property
+    def names(self) -> Tuple[str, ...]:
+        """Names of the rows, in their order."""
+        return tuple(self._places)
+
+    def __getitem__(self, name: str) -> Any:
+        """Return the row of a name; a number where it has no columns and there is no batch."""
+        if name not in self._places:
+            raise KeyError(f'{self.what}: expected one of {among(self._places) or "no names"}, '
+                           f'got {name!r}{_hint(name, self._places)}')
+        place = self._places[name]
+        found = self.array[..., place] if self._axis == -1 else self.array[..., place, :]
+        return float(found) if found.ndim == 0 else found
+
+    def stacked(self, arrays: 'Sequence[NamedArray]') -> 'NamedArray':
+        """Return arrays of the same names as one, with the axis of a batch."""
+        return NamedArray(
+            self.what, self._places, np.array([each.array for each in arrays]), self._axis)
+
+    def __iter__(self) -> Iterator[str]:
+        """Go through the names."""
+        return iter(self._places)
+
+    def __len__(self) -> int:
+        """Return how many names there are."""
+        return len(self._places)
+
+    def __array__(self, dtype: Any = None, copy: Optional[bool] = None) -> np.ndarray:
+        """Return all rows."""
+        if dtype is None and not copy:
+            return self.array
+        return np.array(self.array, dtype=dtype)
+
+    def __reduce__(self) -> Tuple[Any, ...]:
+        """Copy and pickle as what can never be written."""
+        return NamedArray, (self.what, self._places, self.array, self._axis)
+
+    def __repr__(self) -> str:
+        """Return what the numbers are, their shape and their names."""
+        return f'<{self.what} {self.array.shape} of {", ".join(self._places) or "nothing"}>'
+
+
+def _hint(name: Any, names: Mapping[str, Place]) -> str:
+    """Return a guess which name was meant."""
+    hint = nearest(name, names) if isinstance(name, str) else None
+    return f' ({hint})' if hint else ''

@@ -1,0 +1,536 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""What can be told of the present state: accelerations, forces, energies and places."""
+
+import math
+from typing import Any, Dict, List, Optional, Sequence, Tuple
+
+import numpy as np
+
+from .cut_joints import coupling_moments
+from .data import Data
+from .errors import SimulationError
+from .evaluation import Evaluation
+from .health import Health, health_of
+from .modeling import coupling_scales
+from .named_array import NamedArray, Place
+from .redundancy import find_redundancy
+from .scene_records import Scene
+from .state import State
+from ..core.equations import Equations
+from ..engine import native
+from ..mechanism.couplings import measured
+
+
+class Readings(Data):
+    """
+    What follows from the present state, evaluated once for all that is asked of it.
+
+    Attributes
+    ----------
+    acts_in_cuts : bool
+        Whether anything acts along the coordinates of cut joints.
+
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        """Build the arrays and assemble the initial state."""
+        super().__init__(scene)
+        self._mass = sum(body.mass for body in self.mechanism.bodies)
+        self._coupling_scales = coupling_scales(self.mechanism)
+        self._coupled = coupling_moments(self.mechanism)
+        self._couples = bool(self._coupled[0].any())
+        self.acts_in_cuts = len(self.acted) > 0 or self._couples or any(
+            measured(self.mechanism, coupling) for coupling in self.mechanism.couplings)
+        # Of what an evaluation tells by name.
+        records: Dict[str, Sequence[Any]] = {
+            'joint_forces': self.mechanism.joints, 'constraint_forces': self.cut_joints,
+            'points': self.mechanism.points, 'body_poses': self.mechanism.bodies,
+            'coupling_forces': self.mechanism.couplings, 'motion_forces': self.mechanism.motions}
+        self._places_of: Dict[str, Dict[str, Place]] = {
+            what: {record.name: place for place, record in enumerate(each)}
+            for what, each in records.items()}
+        self._passive = np.setdiff1d(np.arange(self.coordinates.nv), self._actuated)
+
+    def _set_probes(self) -> None:
+        """Bind what places points and finds forces and energies in the present state, too."""
+        super()._set_probes()
+        system, geometry = self.system, self._geometry
+        body, (row, point) = system.work.body, geometry.named_points
+        self._points_found = np.zeros((len(row), 2 if self.mechanism.planar else 3))
+        self._place_points = native.bind('place_points', body, row, point, self._points_found)
+        row, point = geometry.joint_places
+        self._joint_forces_found = np.zeros((len(row), system.work.wrench.shape[1]))
+        self._find_joint_forces = native.bind(
+            'find_joint_forces', system.native, self._state, self._lam, row, point,
+            np.zeros_like(system.work.force), self._joint_forces_found)
+        self._energies_found = np.empty(2)
+        self._find_energies = native.bind(
+            'energies', system.model, system.work, self._qd, self._energies_found)
+        model, work = self._equations.model, self._equations.work
+        self._wrenches_found = np.empty((len(model.cut), work.wrench.shape[1]))
+        self._find_cut_wrenches = native.bind(
+            'cut_wrenches', model.cut, model.cut_point, work.cut_piece, body, self._lam,
+            work.share, self._wrenches_found)
+
+    @property
+    def cut_position(self) -> np.ndarray:
+        """
+        Coordinates of the cut joints, shape (nq of ``Mechanism.cut_coordinates``,) [rad or m].
+
+        Those that the same joint of a tree has, with body A as the child and body B as the parent:
+        of one that turns the angle of body A in body B, of one that slides how far point A is
+        from point B along the axis. In space an angle is followed where a drive or an effect acts
+        along it; others are between -pi and pi. Of a spherical joint a unit quaternion x, y, z, w,
+        w not negative.
+
+        """
+        return self._cut_state()[0]
+
+    @property
+    def cut_velocity(self) -> np.ndarray:
+        """Rates of ``cut_joint_names``, shape (number of them,) [rad/s or m/s]."""
+        return self._cut_state()[1]
+
+    @property
+    def cut_acceleration(self) -> np.ndarray:
+        """Accelerations of ``cut_joint_names`` under the last torques [rad/s^2 or m/s^2]."""
+        if not self._cuts.count:
+            return np.zeros(0)
+        return self._cuts.accelerations(self._moved_equations(), self.system.qdd)
+
+    @property
+    def cut_effort(self) -> np.ndarray:
+        """Efforts of commands, as ``effort``, in the order of ``cut_joint_names``."""
+        effort = np.zeros(self._cuts.count)
+        effort[self._cuts.acted] = self._efforts()[len(self.joint_names):]
+        self._add_motions(effort)
+        return effort
+
+    def _add_motions(self, effort: np.ndarray) -> None:
+        """Add what moves cut joints as prescribed to their efforts, in place."""
+        for motion in self.mechanism.motions:
+            place = self._cuts.place(motion.freedom)
+            if place is not None:
+                effort[place] += self.motion_forces[motion.name]
+
+    def _cut_efforts(self) -> np.ndarray:
+        """Return all that acts along the freedoms of cut joints [N m; N]."""
+        effort = np.zeros(self._cuts.count)
+        if len(self._cuts.acted):
+            effort[self._cuts.acted] = self._table.applied[len(self._qd):]
+        self._add_motions(effort)
+        for coupling, force, scale in zip(
+                self.mechanism.couplings, self.coupling_forces, self._coupling_scales):
+            for cut in measured(self.mechanism, coupling):
+                effort[self._cuts.place(cut.name)] += scale * force
+        return effort
+
+    def _cut_state(self) -> Tuple[np.ndarray, np.ndarray]:
+        """Return coordinates and rates of cut joints."""
+        if not self._cuts.count:
+            return np.zeros(0), np.zeros(0)
+        self._evaluate()
+        position, velocity = self._cuts.measure(self.system.work.body)
+        if len(self._cuts.acted):
+            position[self._cuts.acted] = self._table.cuts.q[len(self._qd):]
+        return self._cuts.whole(self.system.work.body, position), velocity
+
+    @property
+    def effort(self) -> np.ndarray:
+        """Joint torques applied last, behind the drives, shape (nv,) [N m or N]."""
+        tau = self._efforts()[:len(self.joint_names)]
+        for motion in self.mechanism.motions:
+            if motion.freedom in self.coordinates.index:
+                tau[self.coordinates.index[motion.freedom]] = self.motion_forces[motion.name]
+        return tau
+
+    def _efforts(self) -> np.ndarray:
+        """Return the torques applied last, behind the drives, those of cut joints last."""
+        tau = self.system.tau.copy()
+        if self._effects.drives:
+            self._evaluate()
+            self._effects.efforts(tau)
+        return tau
+
+    @property
+    def acceleration(self) -> np.ndarray:
+        """Joint accelerations of the present state under the last torques, shape (nv,)."""
+        self._evaluate()
+        return self.system.qdd.copy()
+
+    @property
+    def multipliers(self) -> np.ndarray:
+        """
+        Lagrange multipliers of the present state, shape (nc,) [N, N m].
+
+        Of all equations that do not always hold. Where some repeat others, those of the forces
+        that are least in all joints together (engine/least_forces.hpp).
+
+        """
+        return self._all_multipliers().copy()
+
+    @property
+    def constraint_forces(self) -> np.ndarray:
+        """
+        Wrenches at the cut joints, shape (number of cuts, 3): moment, force x, force y.
+
+        What body B exerts on body A, in world axes, at body A's cut point [N m, N]: the reaction,
+        and what the joint's drive, springs, dampers and friction hand over. In space of shape
+        (number of cuts, 6): moment x, y, z, force x, y, z.
+
+        """
+        self._all_multipliers()
+        self._find_cut_wrenches()
+        found = self._wrenches_found[:len(self.cut_joints)].copy()
+        if self.acts_in_cuts:
+            self._cuts.add_efforts(self.system.work.body, self._cut_efforts(), found)
+            if self._couples:
+                found[:, 0] += self._coupled[0] @ self.coupling_forces
+        return found
+
+    def _all_multipliers(self) -> np.ndarray:
+        """Return the multipliers of all equations in the present state."""
+        self._evaluate()
+        if self._lam is not self.system.lam:
+            self._find_all_multipliers()
+            # Readings of effects are those on other bodies now.
+            self._fresh = self.system.effects is None
+        return self._lam
+
+    def _moved_equations(self) -> Equations:
+        """Return the equations in the present state, which is evaluated, too."""
+        self._evaluate()
+        return self._equations.move(self._q, self._qd)
+
+    @property
+    def shared_forces(self) -> Tuple[str, ...]:
+        """Names of joints and couplings whose forces are not unique: see ``multipliers``."""
+        return find_redundancy(self.mechanism, self._q).shared
+
+    @property
+    def coupling_forces(self) -> np.ndarray:
+        """
+        Generalized forces of the couplings, shape (number of couplings,).
+
+        Times a joint's factor: the torque [N m] or force [N] of the coupling in that joint.
+
+        """
+        lam = self._all_multipliers()
+        first = len(lam) - len(self.mechanism.couplings) - len(self.mechanism.motions)
+        return lam[first:first + len(self.mechanism.couplings)] / self._coupling_scales
+
+    @property
+    def motion_forces(self) -> Dict[str, float]:
+        """
+        Torques and forces that the prescribed motions take, by the names of these effects.
+
+        In a joint what its drive exerts [N m; N], at a point the force along the direction [N];
+        ``effect_readings`` tells their power and work, too.
+
+        """
+        self._evaluate()
+        count = len(self.mechanism.motions)
+        return {motion.name: float(force) for motion, force in zip(
+            self.mechanism.motions, self.system.lam[len(self.system.lam) - count:])}
+
+    @property
+    def tooth_forces(self) -> np.ndarray:
+        """
+        Tooth or belt forces, shape (number of couplings,) [N]; NaN where no radius is given.
+
+        The torque of the coupling in its first joint over the radius of the wheel there, with the
+        torque's sign.
+
+        """
+        ratios = [np.nan if coupling.radius is None else
+                  next(iter(coupling.joints.values())) / coupling.radius
+                  for coupling in self.mechanism.couplings]
+        return np.array(ratios, dtype=float) * self.coupling_forces
+
+    def equation_forces(self) -> Dict[str, Dict[str, float]]:
+        """
+        Return the forces of equations that are no cut joint's, by what they are and by name.
+
+        Returns
+        -------
+        dict of str to dict of str to float
+            ``coupling_forces``, ``tooth_forces`` [N] and ``motion_forces``, as far as there are
+            couplings, couplings with a radius, and prescribed motions.
+
+        """
+        names = [coupling.name for coupling in self.mechanism.couplings]
+        toothed = [coupling.name for coupling in self.mechanism.couplings
+                   if coupling.radius is not None]
+        found = {}
+        if names:
+            found['coupling_forces'] = dict(zip(names, self.coupling_forces.tolist()))
+        if toothed:
+            forces = dict(zip(names, self.tooth_forces.tolist()))
+            found['tooth_forces'] = {name: forces[name] for name in toothed}
+        if self.mechanism.motions:
+            found['motion_forces'] = self.motion_forces
+        return found
+
+    @property
+    def joint_forces(self) -> np.ndarray:
+        """
+        Wrenches in the joints, shape (nv, 3): moment, force x, force y.
+
+        What the parent exerts on the child, in world axes, at the child's origin [N m, N]: the
+        reaction, and what the joint's drive, springs, dampers and friction hand over. In space of
+        shape (number of joints, 6): moment x, y, z, force x, y, z; NaN in fixed joints.
+
+        """
+        self._all_multipliers()
+        self._find_joint_forces()
+        self._fresh = False
+        found = self._joint_forces_found.copy()
+        if self._couples:
+            found[:, 0] += self._coupled[1] @ self.coupling_forces
+        return found
+
+    def force(self, name: str) -> np.ndarray:
+        """
+        Return the wrench in a joint or cut joint, shape (3,): moment, force x, force y.
+
+        Parameters
+        ----------
+        name : str
+            Of a joint, as in ``joint_forces``, or of a cut joint, as in ``constraint_forces``.
+
+        """
+        joints = [joint.name for joint in self.mechanism.joints]
+        if name in joints:
+            return self.joint_forces[joints.index(name)]
+        cuts = [cut.name for cut in self.cut_joints]
+        if name not in cuts:
+            raise SimulationError(
+                f'There is no joint {name!r} on {self.mechanism.name}; its joints: '
+                f'{", ".join([*joints, *cuts])}.')
+        return self.constraint_forces[cuts.index(name)]
+
+    @property
+    def closure(self) -> float:
+        """Largest closure error of positions [m or rad]."""
+        if self.leaves_out:
+            return self._closure_of_all()
+        self._evaluate()
+        return native.largest(self.system.work.closure)
+
+    @property
+    def constraint_jacobian(self) -> np.ndarray:
+        """Return the derivatives of the closure equations by the coordinates, shape (nc, nv)."""
+        return self._assembler.jacobian(self._q)
+
+    def _closure_of_all(self) -> float:
+        """Return the largest closure error, of equations that are left out among others."""
+        return self._equations.move(self._q).closure_error()
+
+    @property
+    def inertia(self) -> np.ndarray:
+        """Return the generalized inertia matrix of the spanning tree, shape (nv, nv)."""
+        return self._assembler.inertia(self._q)
+
+    @property
+    def energy(self) -> float:
+        """Kinetic energy and energy stored in gravity and effects [J]."""
+        return sum(self._energies())
+
+    def _energies(self) -> Tuple[float, float]:
+        """Return kinetic and stored energy of the present state."""
+        self._evaluate()
+        self._find_energies()
+        (own, potential), (kinetic, stored) = self._energies_found.tolist(), (
+            self._effects.energies())
+        return own + kinetic, potential + stored
+
+    @property
+    def body_poses(self) -> np.ndarray:
+        """
+        Poses of the bodies, shape (nb, 3): x, y [m], angle [rad], in the bodies' order.
+
+        In space of shape (nb, 7): x, y, z [m], unit quaternion x, y, z, w.
+
+        """
+        self._evaluate()
+        return self._geometry.poses_among(self.system.work.body)
+
+    def point(self, name: str) -> np.ndarray:
+        """Return the world place of a named point, shape (2,), in space (3,) [m]."""
+        self._named_point(name)
+        return self.points[list(self._points).index(name)]
+
+    @property
+    def points(self) -> np.ndarray:
+        """Places of all named points, shape (number of points, 2), in space 3 [m]."""
+        self._evaluate()
+        self._place_points()
+        return self._points_found.copy()
+
+    def evaluation(self, state: Optional[State] = None) -> Evaluation:
+        """
+        Return all that follows from the present state and torques, as one value.
+
+        Parameters
+        ----------
+        state : State, optional
+            The present one, where it is known already.
+
+        """
+        kinetic, stored = self._energies()
+        return Evaluation(
+            self.snapshot() if state is None else state, self.system.tau.copy(),
+            self.acceleration, self.multipliers, self.effort,
+            self._named('joint_forces', self.joint_forces),
+            self._named('constraint_forces', self.constraint_forces),
+            self._named('points', self.points),
+            self._named('body_poses', self.body_poses),
+            self._named('coupling_forces', self.coupling_forces),
+            self._named('motion_forces', np.array(list(self.motion_forces.values()))),
+            kinetic, stored, self.closure)
+
+    def _named(self, what: str, array: np.ndarray) -> NamedArray:
+        """Return what an evaluation tells by name; with columns where it has two axes."""
+        return NamedArray(what, self._places_of[what], array, -array.ndim)
+
+    @property
+    def health(self) -> Health:
+        """How well posed the equations of motion are in the present state: a ``Health``."""
+        return health_of(
+            self.system.model, self.system.work, self._moved_equations(), self._passive)
+
+    def measured(self) -> Tuple[np.ndarray, np.ndarray]:
+        """
+        Return what the scene's sensors show of the present state; the true one without any.
+
+        Returns
+        -------
+        position : ndarray, shape (nq,)
+        velocity : ndarray, shape (nv,)
+
+        """
+        position, velocity = self._effects.sensors.measure(self.time, self._q, self._qd)
+        return position.copy(), velocity.copy()
+
+    def measured_cut_joints(self) -> Tuple[np.ndarray, np.ndarray]:
+        """
+        Return the same of the cut joints.
+
+        Returns
+        -------
+        position, velocity : ndarray
+            As ``cut_position`` and ``cut_velocity``.
+
+        """
+        position, velocity = self._effects.sensors_at_cuts.measure(self.time, *self._cut_state())
+        return position.copy(), velocity.copy()
+
+    def effect_readings(self, name: str) -> Dict[str, float]:
+        """
+        Return what an effect says of itself in the present state.
+
+        Parameters
+        ----------
+        name : str
+            Of an effect that the scene lists.
+
+        Returns
+        -------
+        dict of str to float
+            Stored energy; energy dissipated and its power, or work done, since the last reset,
+            where the effect has such; the effect's own readings, such as forces; SI units.
+
+        """
+        self._evaluate()
+        return self._effects.readings(name, self._own)
+
+    def windings(self) -> Dict[Tuple[str, str], float]:
+        """
+        Return how far cables are wound round their pulleys in the present state.
+
+        Returns
+        -------
+        dict of (str, str) to float
+            By cable and point of the pulley [rad].
+
+        """
+        self._evaluate()
+        return self._effects.windings()
+
+    def assembly_notes(self) -> List[str]:
+        """
+        Tell what the last assembly, of the start or of a state set, made of what was given.
+
+        Returns
+        -------
+        list of str
+            Sentences, where it may not be what was meant: joints moved far, another branch, a
+            change point, other velocities.
+
+        """
+        self._fresh = False
+        return self._assembler.notes(*self._assembly)
+
+    def load_notes(self) -> List[str]:
+        """
+        Tell which effects depend on forces that are not unique in the present position.
+
+        Returns
+        -------
+        list of str
+            A sentence for each effect that is switched on and reads such a force.
+
+        """
+        loaded = {name: record for name, record in self._effects.records.items()
+                  if record.feels_reactions and self._effects.enabled[name]}
+        if not loaded:
+            return []
+        components = find_redundancy(self.mechanism, self._q).components
+        return [
+            f'{name} depends on the force in {joint}, which is not unique: closure equations '
+            f'repeat others ({", ".join(parts)} in world axes). The friction is that of the '
+            'least forces in all joints together. Replace a joint by one that leaves the loop '
+            'more freedoms, or friction_coefficient by coulomb.'
+            for name, record in loaded.items() for joint, parts in components.items()
+            if (record.joint == joint or record.joint.startswith(f'{joint}.'))
+            and any(part.startswith('force') for part in parts)]
+
+    def degrees_of_freedom(self) -> int:
+        """
+        Count the degrees of freedom at the present position and near it.
+
+        Returns
+        -------
+        int
+            Joints less the closure equations that do not depend on the others.
+
+        """
+        self._fresh = False
+        return self._assembler.degrees_of_freedom(self._q)
+
+    @property
+    def energy_scale(self) -> float:
+        """Return work of weights and torques over the mechanism's length, and at 1 rad/s [J]."""
+        return self.passive_energy_scale + (
+            max(self._assembler.extent, 1.0) * native.sum_of_sizes(self.system.applied))
+
+    @property
+    def passive_energy_scale(self) -> float:
+        """Return work of weights over the mechanism's length, and the energy at 1 rad/s [J]."""
+        length = self._assembler.extent
+        # With the energy of a rate: at rest without weight there is no other scale.
+        return self._mass * (
+            length * math.hypot(*self.system.model.gravity.tolist()) + length ** 2)
