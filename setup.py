@@ -52,7 +52,7 @@ setup(
     name=package_name,
     version='0.1.0',
     packages=find_packages(include=[package_name, package_name + '.*']),
-    package_data={package_name + '.view': ['page/*']},
+    package_data={package_name: ['__init__.pyi', 'py.typed'], package_name + '.view': ['page/*']},
     ext_modules=[Extension(
         f'{package_name}.engine.native', sorted(glob(f'{package_name}/engine/*.cpp')),
         py_limited_api=True)],
@@ -95,7 +95,7 @@ setup(
         # What closedloop sweep writes to, and a cluster to run it on; each on its own is enough.
         'sweep': ['distributed>=2024.1', 'netCDF4>=1.6.5', 'zarr>=3.0.8'],
         # colcon test looks for pytest here; without it, it finds no tests and passes.
-        'test': ['hypothesis', 'mcap-ros2-support', 'pytest', 'pytest-timeout'],
+        'test': ['hypothesis', 'mcap-ros2-support', 'mypy==2.4.1', 'pytest', 'pytest-timeout'],
     },
     zip_safe=False,
     long_description=(Path(__file__).resolve().parent / 'README.md').read_text(encoding='utf-8'),

@@ -1,0 +1,37 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+# What __init__.py loads when it is first asked for.
+from .integration.evaluation import Evaluator as Evaluator
+from .mechanism.mechanism import (
+    Body as Body, Coupling as Coupling, CutJoint as CutJoint, Joint as Joint,
+    Mechanism as Mechanism, MechanismError as MechanismError, Point as Point)
+from .mechanism.reader import read_mechanism as read_mechanism
+from .simulation.errors import (
+    AssemblyError as AssemblyError, ClosureError as ClosureError,
+    NumericalError as NumericalError, SimulationError as SimulationError,
+    SingularityError as SingularityError)
+from .simulation.evaluation import Evaluation as Evaluation
+from .simulation.model import Model as Model
+from .simulation.model_rollout import rollout as rollout
+from .simulation.rollout import Rollout as Rollout
+from .simulation.scene import (
+    load_scene as load_scene, scene_names as scene_names, SceneError as SceneError)
+from .simulation.scene_records import (
+    Initial as Initial, Method as Method, Scene as Scene)
+from .simulation.scene_text import write_scene as write_scene
+from .simulation.simulation import Simulation as Simulation
+from .simulation.state import State as State
+
+__version__: str
