@@ -291,12 +291,13 @@ Status advance_explicit(
     run.begin(grid.start(), state);
   }
   const double target = grid.target();
-  const double most =
-    control[control::WORK] + MOST_EVALUATIONS * static_cast<double>(steps);
+  WorkLimit limit(grid, system.work.health, control[control::WORK], MOST_EVALUATIONS);
   Status status = Status::DONE;
   while (is_before(control[control::REACHED], target) && status == Status::DONE) {
     status = run.accepted_step(system, interrupt);
-    if (status == Status::DONE && control[control::WORK] > most) {
+    if (status == Status::DONE &&
+      limit.exceeded(control[control::REACHED], control[control::WORK]))
+    {
       status = Status::TOO_MUCH_WORK;
     }
   }

@@ -41,8 +41,10 @@ constexpr double SAFETY = 0.9;
 constexpr double LEAST = 1e-14;
 /// In the place of a step size: there is no step to interpolate, but there is a past.
 constexpr double NOTHING_BETWEEN = -1.0;
-/// Evaluation limit for each output step.
+/// Evaluation limit between two times of output; one that takes dense decompositions, next to
+/// a singular position, counts as so many.
 constexpr double MOST_EVALUATIONS = 200000;
+constexpr double RANK_REVEALING_WORK = 100;
 
 /// Whether a time is before another by more than rounding.
 inline bool is_before(double time, double target)
@@ -58,8 +60,38 @@ struct Grid
   double step_size;
   Index steps;  ///< Steps to advance
 
-  double start() const {return origin + static_cast<double>(done) * step_size;}
-  double target() const {return origin + static_cast<double>(done + steps) * step_size;}
+  double time(Index step) const {return origin + static_cast<double>(done + step) * step_size;}
+  double start() const {return time(0);}
+  double target() const {return time(steps);}
+};
+
+/// The evaluations since a run passed a time of output, in one call or in several.
+class WorkLimit
+{
+public:
+  /// Of a run that made `evaluations` so far and may make so many more.
+  WorkLimit(const Grid & grid, const Values & health, double evaluations, double most)
+  : grid_(grid), health_(health), since_(work(evaluations)), most_(most) {}
+
+  /// Whether a run that has come to a time made too many.
+  bool exceeded(double reached, double evaluations)
+  {
+    for (; next_ < grid_.steps && !is_before(reached, grid_.time(next_)); ++next_) {
+      since_ = work(evaluations);
+    }
+    return work(evaluations) - since_ > most_;
+  }
+
+private:
+  double work(double evaluations) const
+  {
+    return evaluations + RANK_REVEALING_WORK * health_[health::RANK_REVEALING_COUNT];
+  }
+
+  Grid grid_;
+  Values health_;
+  double since_, most_;
+  Index next_ = 1;
 };
 
 /// An error-controlled explicit run: the method, its tolerances, shape (2, ns), and its memory.

@@ -301,8 +301,8 @@ Status Pair::advance(Values state, const Grid & grid)
     begin(grid.start(), state);
   }
   const double target = grid.target();
-  const double most = control[control::WORK] + other[control::WORK] +
-    2.0 * MOST_EVALUATIONS * static_cast<double>(grid.steps);
+  const auto work = [&]() {return control[control::WORK] + other[control::WORK];};
+  WorkLimit work_limit(grid, system_.work.health, work(), 2.0 * MOST_EVALUATIONS);
   Status status = Status::DONE;
   bool follows = false;
   while (status == Status::DONE && (follows || is_before(control[control::REACHED], target))) {
@@ -321,15 +321,15 @@ Status Pair::advance(Values state, const Grid & grid)
     const bool lost =
       which == REFERENCE && status != Status::DONE && status != Status::INTERRUPTED &&
       status != Status::POOR_EQUATIONS;
+    follows = runs_.monitor[monitor::OPEN] == 1.0 && !lost && is_before(
+      other[control::REACHED], control[control::REACHED]);
     if (lost) {
       status = Status::DONE;
-    } else if (status == Status::DONE &&
-      control[control::WORK] + other[control::WORK] > most)
+    } else if (status == Status::DONE && work_limit.exceeded(
+        follows ? other[control::REACHED] : control[control::REACHED], work()))
     {
       status = Status::TOO_MUCH_WORK;
     }
-    follows = runs_.monitor[monitor::OPEN] == 1.0 && !lost && is_before(
-      other[control::REACHED], control[control::REACHED]);
     if (!follows && status == Status::DONE) {
       update_monitor(lost);
     }

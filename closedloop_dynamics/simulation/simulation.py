@@ -51,7 +51,7 @@ from ..engine import native
 from ..integration import guarded_run
 from ..integration.control import (
     CONTACT_PASSED, DONE, INTERRUPTED, MOST_EVALUATIONS, NOT_FINITE, OPEN_LOOP, POOR_EQUATIONS,
-    TOO_MUCH_WORK)
+    RANK_REVEALING_WORK, TOO_MUCH_WORK)
 from ..integration.drivers import build_driver
 from ..integration.guarded_run import COMMAND
 from ..integration.left_out import LENIENT, OPENED
@@ -645,9 +645,8 @@ class Simulation(Readings):
         if status == TOO_MUCH_WORK:
             return NumericalError(
                 f'The motion at t = {self.time:.9g} s takes more than {MOST_EVALUATIONS} '
-                f'evaluations for {size:g} s; the last good state is kept. Take smaller torques '
-                f'(largest now {np.abs(self.system.tau).max(initial=0.0):g}), allow a larger '
-                'error, or leave out what is so fast.')
+                f'evaluations for {size:g} s; the last good state is kept. '
+                + self._advice_on_work())
         if status == CONTACT_PASSED:
             return NumericalError(
                 f'A contact ({self._effects.passed}) was passed within a step of {size:g} s at '
@@ -658,6 +657,21 @@ class Simulation(Readings):
             f'No step at t = {self.time:.9g} s is small enough to keep the error that is '
             'allowed; the last good state is kept. The motion is not smooth there: allow '
             'more, or take a fixed step.')
+
+    def _advice_on_work(self) -> str:
+        """Say what to do where a step takes too many evaluations."""
+        count = self.system.work.health[t.RANK_REVEALING_COUNT]
+        self._present.evaluate()
+        if self.system.work.health[t.RANK_REVEALING_COUNT] == count:
+            return ('Take smaller torques (largest now '
+                    f'{np.abs(self.system.tau).max(initial=0.0):g}), allow a larger error, or '
+                    'leave out what is so fast.')
+        return ('Closure equations depend on others next to this position, where an evaluation '
+                f'counts as {RANK_REVEALING_WORK}. ' + (
+                    'No independent coordinates describe the motion through it: take '
+                    'stabilisation: projection.'
+                    if self.scene.method.stabilisation == 'independent' else
+                    'Allow a larger error, or keep away from it by stops or another start.'))
 
     def require_bearable(self, tau: np.ndarray) -> None:
         """

@@ -20,8 +20,11 @@ import warnings
 
 from closedloop_dynamics.effects.contact import Contact
 from closedloop_dynamics.effects.joint_friction import JointFriction
+from closedloop_dynamics.effects.joint_spring import JointSpring
 from closedloop_dynamics.mechanism.config import shipped_names
+from closedloop_dynamics.simulation.errors import NumericalError
 from closedloop_dynamics.simulation.scene import load_scene
+from closedloop_dynamics.simulation.scene_records import Method
 from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest
@@ -72,3 +75,35 @@ def test_results_do_not_depend_on_how_calls_are_cut(name):
         warnings.simplefilter('ignore')
         found = ends(scene)
     assert np.abs(found - found[0]).max() < scene.method.accuracy
+
+
+def rattling(**method):
+    """Return a slider-crank whose crank swings 5,000 times within a time of output of 20 ms."""
+    return replace(load_scene('slider_crank'), method=Method(step_size=0.02, **method),
+                   effects={'spring': JointSpring('crank_joint', 1e9, 1.0)})
+
+
+def test_the_limit_on_work_does_not_depend_on_how_calls_are_cut():
+    found = set()
+    for cut in (1, 2, 10):
+        simulation = Simulation(rattling(accuracy=1e-9))
+        with pytest.raises(NumericalError, match='takes more than 200000 .* what is so fast'):
+            for _ in range(10 // cut):
+                simulation.advance(simulation.joint_torques(None), cut)
+        found.add((simulation.time, *simulation.position))
+    assert len(found) == 1
+    # Ten times as much work as one time of output may take, in one call.
+    simulation = Simulation(rattling(integrator='dop853', tolerance=1e-9))
+    simulation.advance(simulation.joint_torques(None), 20)
+    assert simulation.time == 20 * 0.02
+    assert simulation.report().evaluations > 200_000
+
+
+@pytest.mark.slow
+def test_independent_coordinates_that_end_at_a_singular_position_say_so():
+    # Arms and rods of a delta robot come to lie in planes, within a third of a second.
+    scene = load_scene('delta_robot')
+    scene = replace(scene, effects={'gravity': scene.effects['gravity']},
+                    method=Method(accuracy=1e-9, stabilisation='independent'))
+    with pytest.raises(NumericalError, match='depend on others next to .* take stabilisation: p'):
+        Simulation(scene).step(duration=0.32)
