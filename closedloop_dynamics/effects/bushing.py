@@ -42,7 +42,7 @@ import numpy as np
 from .effect import Effect
 from .table import BUSHING, DISSIPATED, ForceElement, SPATIAL_BUSHING, State
 from ..core.codegen.spatial import rotation
-from ..mechanism.checks import list_of, name, not_negative, number, orientation, vector
+from ..mechanism.checks import name, none_negative, not_negative, number, orientation, vector
 from ..mechanism.fields import FieldError, shown
 from ..mechanism.mechanism import GROUND, Quaternion, UNTURNED, Vector, Vector3
 
@@ -51,14 +51,9 @@ from ..mechanism.mechanism import GROUND, Quaternion, UNTURNED, Vector, Vector3
 AXES_A, AXES_B, ALONG, LOSS = 6, 15, 24, 27
 
 
-def _none_negative(value):
-    """Return floats of which none is less than zero, two or three."""
-    return list_of(not_negative)(vector(value))
-
-
 def _turning(value):
     """Return a float that is not less than zero, or three of them."""
-    return _none_negative(value) if isinstance(value, (list, tuple)) else not_negative(value)
+    return none_negative(value) if isinstance(value, (list, tuple)) else not_negative(value)
 
 
 @dataclass(frozen=True)
@@ -93,8 +88,8 @@ class Bushing(Effect):
 
     """
 
-    CHECKS = {'point_a': name, 'point_b': name, 'anchor': vector, 'stiffness': _none_negative,
-              'damping': _none_negative, 'turning_stiffness': _turning,
+    CHECKS = {'point_a': name, 'point_b': name, 'anchor': vector, 'stiffness': none_negative,
+              'damping': none_negative, 'turning_stiffness': _turning,
               'turning_damping': _turning, 'angle': number, 'rest_angle': number,
               'orientation': orientation, 'rest_orientation': orientation}
     VECTORS = ('anchor', 'stiffness', 'damping')

@@ -34,7 +34,7 @@ from .effect import Effect
 from .table import DISSIPATED, FLUID_DRAG, ForceElement, SPATIAL_FLUID_DRAG, State, WORK
 from ..core.codegen.spatial import rotation
 from ..mechanism.checks import (
-    list_of, name, not_negative, number, one_or_several, orientation, vector)
+    name, none_negative, not_negative, number, one_or_several, orientation, vector)
 from ..mechanism.fields import FieldError, shown
 from ..mechanism.mechanism import Quaternion, UNTURNED, Vector, Vector3
 
@@ -42,11 +42,6 @@ from ..mechanism.mechanism import Quaternion, UNTURNED, Vector, Vector3
 COLUMNS = 7
 # Keys of the coefficients, in the order the law reads them.
 ALONG, ABOUT = ('linear', 'quadratic'), ('turning_linear', 'turning_quadratic')
-
-
-def _none_negative(value):
-    """Return floats of which none is less than zero, two or three."""
-    return list_of(not_negative)(vector(value))
 
 
 @dataclass(frozen=True)
@@ -72,8 +67,8 @@ class FluidDrag(Effect):
 
     """
 
-    CHECKS = {'point': name, **dict.fromkeys(ALONG, _none_negative),
-              **dict.fromkeys(ABOUT, one_or_several(not_negative, _none_negative)),
+    CHECKS = {'point': name, **dict.fromkeys(ALONG, none_negative),
+              **dict.fromkeys(ABOUT, one_or_several(not_negative, none_negative)),
               'flow': vector, 'angle': number, 'orientation': orientation}
     VECTORS = (*ALONG, 'flow')
     READINGS = ('force', 'torque')

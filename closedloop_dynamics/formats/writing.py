@@ -147,6 +147,7 @@ class Acting:
         Parameters
         ----------
         single : str
+            Its name.
         speeds : bool
             Whether the format has largest speeds.
 

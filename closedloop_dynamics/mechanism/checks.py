@@ -116,6 +116,11 @@ def vector(value):
     return (vector3 if hasattr(value, '__len__') and len(value) == 3 else vector2)(value)
 
 
+def none_negative(value):
+    """Return two or three floats; refuse any that is less than zero."""
+    return list_of(not_negative)(vector(value))
+
+
 # What has a norm this near to 1 stays as it is, so that what was checked and written can be read
 # again to the last digit.
 UNIT_NORM = 1e-15

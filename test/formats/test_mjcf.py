@@ -102,6 +102,14 @@ def written(tmp_path, text, name='model.xml'):
     return path
 
 
+def compiled_or_skipped(text):
+    """Return what MuJoCo makes of a file, if this version does."""
+    try:
+        return mujoco.MjModel.from_xml_string(text)
+    except ValueError as error:
+        pytest.skip(f'this version of MuJoCo does not have it: {error}')
+
+
 def state(compiled, imported, rng):
     """Return MuJoCo's data in a state, and our coordinates and rates in the same."""
     coordinates = imported.mechanism.coordinates
@@ -213,10 +221,7 @@ def test_accelerations_are_those_of_mujoco(tmp_path, variant):
     for old, new in VARIANTS[variant]:
         assert old in text
         text = text.replace(old, new)
-    try:
-        compiled = mujoco.MjModel.from_xml_string(text)
-    except ValueError as error:
-        pytest.skip(f'this version of MuJoCo does not have it: {error}')
+    compiled = compiled_or_skipped(text)
     imported, rng = read_model(written(tmp_path, text)), np.random.default_rng(0)
     assert not imported.omitted
     for _ in range(3):

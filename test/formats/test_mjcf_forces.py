@@ -20,7 +20,7 @@ from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest
 
-from .test_mjcf import of_mujoco, state, TREE, written
+from .test_mjcf import compiled_or_skipped, of_mujoco, state, TREE, written
 
 mujoco = pytest.importorskip('mujoco')
 
@@ -55,8 +55,9 @@ ALONG = TREE.replace('<option ', '<option density="900" viscosity="2" ').replace
   <tendon><fixed name="belt" stiffness="30" damping="2" springlength="-0.05 0.1" limited="true"
   range="-1 1"><joint joint="hinge" coef="0.4"/><joint joint="slide" coef="-1.5"/></fixed>
   <spatial name="cord" stiffness="40" springlength="0 0.9" limited="true" range="0.1 2">
-  <site site="hook"/><site site="guide"/><site site="tip"/></spatial></tendon><actuator>""").replace(
-      *SITES[0]).replace(*SITES[1])
+  <site site="hook"/><site site="guide"/><site site="tip"/></spatial></tendon><actuator>""")
+for each in SITES:
+    ALONG = ALONG.replace(*each)
 BALLS = """\
 <mujoco><worldbody><body name="lift"><joint name="up" type="slide" axis="0 0 1"/>
   <inertial pos="0 0 0.1" mass="1" diaginertia="0.1 0.1 0.1"/>
@@ -68,11 +69,7 @@ BALLS = """\
 
 def compared(tmp_path, text, few):
     """Assert that the engine's accelerations of a tree are MuJoCo's."""
-    try:
-        compiled = mujoco.MjModel.from_xml_string(text)
-    except ValueError as error:
-        pytest.skip(f'this version of MuJoCo does not have it: {error}')
-    path = written(tmp_path, text)
+    compiled, path = compiled_or_skipped(text), written(tmp_path, text)
     imported, rng = read_model(path), np.random.default_rng(0)
     assert not imported.omitted
     simulation = Simulation(load_scene(path))
