@@ -8,7 +8,6 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
-#include <vector>
 
 namespace closedloop
 {
@@ -24,55 +23,67 @@ constexpr double DOUBT = 3.0;
 constexpr double NOTHING = 1e-12;
 // Inertia of a motion against the largest: less is none.
 constexpr double NO_INERTIA = 1e-14;
+// Square roots of pivots above this leave no doubt that all motions have one.
+constexpr double CLEAR = 1e-3;
 // Singular values below this times the largest belong to equations that repeat others.
 constexpr double REPEATED = 1e-9;
 
-/// Scaled singular vectors of J, and which of them are taken.
-struct Decomposition
+/// The rest of a solution: shares in the singular vectors of J, and which of them are taken.
+template<int Most>
+struct Choice
 {
-  DenseMatrix left, right;  ///< Columns
-  DenseVector singular, wanted;
-  std::vector<bool> taken;
+  typename Sized<Most>::Vector wanted;
+  Eigen::Array<bool, Eigen::Dynamic, 1, Eigen::ColMajor, Most, 1> taken;
 };
 
 /// Motion of the equations taken, and in the directions left the one of least constraint; false
 /// where one without inertia is pushed.
+template<int Most>
 bool solve_motion(
-  const Decomposition & found, const DenseVector & column_scale, const DenseEquations & equations,
-  Eigen::Map<DenseVector> out)
+  const Decomposition<Most> & place, const Choice<Most> & choice,
+  const DenseEquations<Most> & equations, Eigen::Map<DenseVector> out)
 {
-  const Index nv = equations.gim.rows(), count = found.singular.size();
-  DenseVector strong = DenseVector::Zero(nv);
-  std::vector<Index> free;
+  using Matrix = typename Sized<Most>::Matrix;
+  using Vector = typename Sized<Most>::Vector;
+  const auto & right = place.singular.matrixV();
+  const auto & singular = place.singular.singularValues();
+  const Index nv = place.gim.rows(), count = singular.size();
+  const Index freedoms = nv - choice.taken.count();
+  Vector strong = Vector::Zero(nv);
+  Matrix basis(freedoms, nv);
+  Index row = 0;
   for (Index k = 0; k < nv; ++k) {
-    if (k < count && found.taken[k]) {
-      strong += found.right.col(k) * (found.wanted[k] / found.singular[k]);
+    if (k < count && choice.taken[k]) {
+      strong += right.col(k) * (choice.wanted[k] / singular[k]);
     } else {
-      free.push_back(k);
+      basis.row(row++) = right.col(k).cwiseProduct(place.column_scale).transpose();
     }
   }
-  strong = strong.cwiseProduct(column_scale);
+  strong = strong.cwiseProduct(place.column_scale);
   out = strong;
-  const Index freedoms = static_cast<Index>(free.size());
   if (freedoms == 0) {
     return true;
   }
-  DenseMatrix basis(freedoms, nv);
-  for (Index k = 0; k < freedoms; ++k) {
-    basis.row(k) = found.right.col(free[k]).cwiseProduct(column_scale).transpose();
-  }
-  DenseMatrix inertia = basis * (equations.gim * basis.transpose());
-  DenseVector push = basis * (equations.force - equations.gim * strong);
-  DenseVector root = DenseVector::Ones(freedoms);
+  const Matrix carried = place.gim * basis.transpose();
+  Matrix inertia = basis * carried;
+  const Vector left = equations.force - place.gim * strong;
+  Vector push = basis * left;
+  Vector root = Vector::Ones(freedoms);
   for (Index k = 0; k < freedoms; ++k) {
     if (inertia(k, k) > 0.0) {
       root[k] = 1.0 / std::sqrt(inertia(k, k));
     }
   }
   inertia = root.asDiagonal() * inertia * root.asDiagonal();
-  const Eigen::SelfAdjointEigenSolver<DenseMatrix> eigen(inertia);
+  const Eigen::LLT<Matrix> factor(inertia);
+  if (factor.info() == Eigen::Success && factor.matrixLLT().diagonal().minCoeff() > CLEAR) {
+    push = factor.solve(push.cwiseProduct(root)).cwiseProduct(root).eval();
+    out += basis.transpose() * push;
+    return true;
+  }
+  const Eigen::SelfAdjointEigenSolver<Matrix> eigen(inertia);
   const auto & values = eigen.eigenvalues();
-  push = eigen.eigenvectors().transpose() * push.cwiseProduct(root);
+  push = (eigen.eigenvectors().transpose() * push.cwiseProduct(root)).eval();
   bool determined = true;
   const double largest_push = push.cwiseAbs().maxCoeff();
   for (Index k = 0; k < freedoms; ++k) {
@@ -106,20 +117,23 @@ bool is_worth_taking(
 }
 
 /// Remove from the multipliers what the equations left out would not notice.
-void make_least(const Decomposition & found, const DenseVector & row_scale,
-  Eigen::Map<DenseVector> lam)
+template<int Most>
+void make_least(
+  const Decomposition<Most> & place, const Choice<Most> & choice, Eigen::Map<DenseVector> lam)
 {
-  const Index nc = lam.size(), count = found.singular.size();
-  DenseMatrix idle(nc, nc);
-  Index columns = 0;
+  using Matrix = typename Sized<Most>::ByColumn;
+  const Index nc = lam.size(), count = choice.taken.size();
+  Matrix idle(nc, nc - choice.taken.count());
+  Index column = 0;
   for (Index k = 0; k < nc; ++k) {
-    if (k >= count || !found.taken[k]) {
-      idle.col(columns++) = found.left.col(k).cwiseProduct(row_scale);
+    if (k >= count || !choice.taken[k]) {
+      idle.col(column++) = place.singular.matrixU().col(k).cwiseProduct(place.row_scale);
     }
   }
-  const DenseMatrix basis = idle.leftCols(columns);
-  lam -= basis * basis.colPivHouseholderQr().solve(DenseVector(lam));
+  const typename Sized<Most>::Vector share = idle.colPivHouseholderQr().solve(lam);
+  lam -= idle * share;
 }
+
 /// The rows of a matrix that are kept.
 DenseMatrix rows_of(const Eigen::Map<DenseMatrix> & all, Indices kept, Index count)
 {
@@ -147,13 +161,14 @@ void solve_least(const Eigen::MatrixXd & matrix, const DenseVector & right, Valu
 }
 }  // namespace
 
-void scales(
-  const Model & model, const DenseMatrix & jac, DenseVector & row_scale,
-  DenseVector & column_scale)
+void scales(const Model & model, Table jac, Values row_scale, Values column_scale)
 {
-  const Index nv = jac.cols();
+  const Index nv = jac.columns;
   const Indexes & tree = model.tree, & cut = model.cut;
-  DenseVector lever = DenseVector::Zero(nv);
+  // Their inverses in the end.
+  const Values & lever = column_scale;
+  lever.fill(0.0);
+  row_scale.fill(1.0);
   double longest = 0.0;
   for (Index a = 0; a < cut.rows; ++a) {
     const Index first = cut(a, cut::CUT_ROW), last = first + cut(a, cut::LENGTHS);
@@ -181,7 +196,9 @@ void scales(
     } else if (lever[j] == 0.0) {
       lever[j] = longest > 0.0 ? longest : 1.0;
     }
-    column_scale[j] = 1.0 / lever[j];
+  }
+  for (double & scale : column_scale) {
+    scale = 1.0 / scale;
   }
   for (Index a = 0; a < cut.rows; ++a) {
     const Index first = cut(a, cut::CUT_ROW), together = cut(a, cut::LENGTHS);
@@ -200,82 +217,108 @@ void scales(
   }
 }
 
-Rank solve(
-  const Model & model, const DenseEquations & equations, double speed, Level level,
-  Values motion_out, Values lam_out)
+template<int Most>
+void Decomposition<Most>::decompose(const Model & model, Table jac, Table inertia)
 {
-  const Index nc = equations.jac.rows(), nv = equations.jac.cols();
+  using ByColumn = typename Sized<Most>::ByColumn;
+  row_scale.resize(jac.rows);
+  column_scale.resize(jac.columns);
+  scales(
+    model, jac, {row_scale.data(), row_scale.size()}, {column_scale.data(), column_scale.size()});
+  gim = dense(inertia);
+  const ByColumn scaled = row_scale.asDiagonal() * dense(jac) * column_scale.asDiagonal();
+  largest = jac.rows > 0 ? dense(jac).cwiseAbs().maxCoeff() : 0.0;
+  finite = scaled.allFinite() && gim.allFinite();
+  if (finite) {
+    singular.compute(scaled, Eigen::ComputeFullU | Eigen::ComputeFullV);
+  }
+}
+
+template<int Most>
+Rank solve(
+  const Decomposition<Most> & place, const DenseEquations<Most> & equations, double speed,
+  Level level, Values motion_out, Values lam_out)
+{
+  using Vector = typename Sized<Most>::Vector;
   Eigen::Map<DenseVector> motion = dense(motion_out), lam = dense(lam_out);
-  DenseVector row_scale = DenseVector::Ones(nc), column_scale = DenseVector::Ones(nv);
-  scales(model, equations.jac, row_scale, column_scale);
-  const DenseMatrix scaled = row_scale.asDiagonal() * equations.jac * column_scale.asDiagonal();
+  const Vector & row_scale = place.row_scale, & column_scale = place.column_scale;
+  const Index nc = row_scale.size();
   Rank rank;
-  if (!(scaled.allFinite() && equations.right.allFinite() && equations.force.allFinite() &&
-    equations.gim.allFinite()))
-  {
+  if (!(place.finite && equations.right.allFinite() && equations.force.allFinite())) {
     motion.setConstant(std::numeric_limits<double>::quiet_NaN());
     lam.setConstant(std::numeric_limits<double>::quiet_NaN());
     return rank;
   }
-  const Eigen::JacobiSVD<Eigen::MatrixXd> svd(scaled, Eigen::ComputeFullU | Eigen::ComputeFullV);
-  Decomposition found{svd.matrixU(), svd.matrixV(), svd.singularValues(), {}, {}};
-  const Index count = found.singular.size();
-  const double strongest = count > 0 ? found.singular[0] : 0.0;
-  found.wanted = found.left.transpose() * equations.right.cwiseProduct(row_scale);
-  found.taken.resize(count);
-  for (Index k = 0; k < count; ++k) {
-    found.taken[k] = found.singular[k] > WEAK * strongest;
-  }
-  bool determined = solve_motion(found, column_scale, equations, motion);
-  const DenseVector psi = equations.psi.cwiseProduct(row_scale);
-  const DenseVector rate = equations.rate.cwiseProduct(row_scale);
+  const auto & left = place.singular.matrixU();
+  const auto & right = place.singular.matrixV();
+  const auto & values = place.singular.singularValues();
+  const Index count = values.size();
+  const double strongest = count > 0 ? values[0] : 0.0;
+  const Vector wanted = equations.right.cwiseProduct(row_scale);
+  Choice<Most> choice;
+  choice.wanted = left.transpose() * wanted;
+  choice.taken = values.array() > WEAK * strongest;
+  bool determined = solve_motion(place, choice, equations, motion);
+  const Vector psi = equations.psi.cwiseProduct(row_scale);
+  const Vector rate = equations.rate.cwiseProduct(row_scale);
   const double gap = (nc > 0 ? psi.cwiseAbs().maxCoeff() : 0.0) + ROUNDING;
   const double drift = nc > 0 ? rate.cwiseAbs().maxCoeff() : 0.0;
-  const DenseVector scaled_motion = motion.cwiseQuotient(column_scale);
+  const Vector scaled_motion = motion.cwiseQuotient(column_scale);
   const double size = scaled_motion.cwiseAbs().maxCoeff();
   bool added = false;
   for (Index k = 0; k < count; ++k) {
-    const double singular = found.singular[k];
+    const double singular = values[k];
     if (!(singular > DEPENDENT * strongest)) {
       continue;
     }
     rank.weakest = singular;
     ++rank.distinct;
-    if (!found.taken[k]) {
-      double residual = found.wanted[k];
+    if (!choice.taken[k]) {
+      double residual = choice.wanted[k];
       if (level != Level::POSITION) {
-        residual -= singular * found.right.col(k).dot(scaled_motion);
+        residual -= singular * right.col(k).dot(scaled_motion);
       }
       if (is_worth_taking(
-          level, singular, std::abs(residual), gap, drift, std::abs(found.left.col(k).dot(psi)),
-          std::abs(found.left.col(k).dot(rate)), speed, size))
+          level, singular, std::abs(residual), gap, drift, std::abs(left.col(k).dot(psi)),
+          std::abs(left.col(k).dot(rate)), speed, size))
       {
-        found.taken[k] = true;
+        choice.taken[k] = true;
         added = true;
       }
     }
   }
   if (added) {
-    determined = solve_motion(found, column_scale, equations, motion);
+    determined = solve_motion(place, choice, equations, motion);
   }
   if (!determined) {
     motion.setConstant(std::numeric_limits<double>::quiet_NaN());
   }
-  const DenseVector need =
-    (equations.gim * motion - equations.force).cwiseProduct(column_scale);
+  rank.taken = choice.taken.count();
+  if (level != Level::ACCELERATION) {
+    return rank;
+  }
+  const Vector missing = place.gim * motion - equations.force;
+  const Vector need = missing.cwiseProduct(column_scale);
   lam.setZero();
   for (Index k = 0; k < count; ++k) {
-    if (found.taken[k]) {
-      ++rank.taken;
-      const double share = found.right.col(k).dot(need) / found.singular[k];
-      lam += share * found.left.col(k).cwiseProduct(row_scale);
+    if (choice.taken[k]) {
+      const double share = right.col(k).dot(need) / values[k];
+      lam += share * left.col(k).cwiseProduct(row_scale);
     }
   }
   if (rank.taken < nc && determined) {
-    make_least(found, row_scale, lam);
+    make_least(place, choice, lam);
   }
   return rank;
 }
+
+template struct Decomposition<FEW>;
+template struct Decomposition<Eigen::Dynamic>;
+template Rank solve(
+  const Decomposition<FEW> &, const DenseEquations<FEW> &, double, Level, Values, Values);
+template Rank solve(
+  const Decomposition<Eigen::Dynamic> &, const DenseEquations<Eigen::Dynamic> &, double, Level,
+  Values, Values);
 
 void multipliers_of_kept(Table jac, Values lam, Indices kept, Values out)
 {

@@ -4,7 +4,9 @@
 #ifndef CLOSEDLOOP_DYNAMICS__ENGINE__NULL_SPACE_HPP_
 #define CLOSEDLOOP_DYNAMICS__ENGINE__NULL_SPACE_HPP_
 
-#include <Eigen/Core>
+#include <Eigen/SVD>
+
+#include <type_traits>
 
 #include "model.hpp"
 
@@ -35,21 +37,55 @@ struct Rank
   Index distinct = 0;  ///< Number of equations that repeat no other
 };
 
+/// Most rows and columns of matrices that are kept on the stack: those of most mechanisms.
+constexpr int FEW = 24;
+
+/// Matrices and vectors of at most so many rows and columns; Eigen::Dynamic: of any number.
+template<int Most>
+struct Sized
+{
+  using Matrix = Eigen::Matrix<
+    double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor, Most, Most>;
+  using ByColumn = Eigen::Matrix<
+    double, Eigen::Dynamic, Eigen::Dynamic, Eigen::ColMajor, Most, Most>;
+  using Vector = Eigen::Matrix<double, Eigen::Dynamic, 1, Eigen::ColMajor, Most, 1>;
+  // Small matrices: accurate, and without memory of its own; large ones: many times as fast.
+  using Singular = std::conditional_t<
+    Most == Eigen::Dynamic, Eigen::BDCSVD<ByColumn>, Eigen::JacobiSVD<ByColumn>>;
+};
+
 /// The dense equations J x = right, I x = force + J^T lambda.
+template<int Most>
 struct DenseEquations
 {
-  DenseMatrix jac, gim;
-  DenseVector right, force;
-  DenseVector psi, rate;  ///< Closure errors of positions and rates
+  typename Sized<Most>::Vector right, force;
+  typename Sized<Most>::Vector psi, rate;  ///< Closure errors of positions and rates
+};
+
+/// The closure equations and the inertias at one place, whatever moves there.
+template<int Most>
+struct Decomposition
+{
+  typename Sized<Most>::Matrix gim;
+  typename Sized<Most>::Vector row_scale, column_scale;
+  typename Sized<Most>::Singular singular;  ///< Of the scaled J
+  double largest = 0.0;  ///< Entry of J
+  bool finite = false;
+
+  /// Take what J and I are there.
+  void decompose(const Model &, Table jac, Table gim);
 };
 
 /// Scales of the rows and columns of J that make its entries comparable lengths.
-void scales(const Model &, const DenseMatrix & jac, DenseVector & row, DenseVector & column);
+void scales(const Model &, Table jac, Values row, Values column);
 
 /// Solve with the equations that can be told apart; motion is NaN where one without inertia is
-/// pushed; of all multipliers that give the same motion the least ones.
+/// pushed; of all multipliers that give the same motion the least ones. They are computed for
+/// accelerations only.
+template<int Most>
 Rank solve(
-  const Model &, const DenseEquations &, double speed, Level, Values motion, Values lam);
+  const Decomposition<Most> &, const DenseEquations<Most> &, double speed, Level, Values motion,
+  Values lam);
 
 /// Least-squares multipliers of the kept equations with the joint forces of all of them.
 void multipliers_of_kept(Table jac, Values lam, Indices kept, Values out);

@@ -54,63 +54,6 @@ double fastest(const Workspace & work)
   return most;
 }
 
-/// Dense equations with the closure errors of the state in `work`; right-hand sides are zero.
-DenseEquations dense_equations(const Model & model, const Workspace & work)
-{
-  const Index nv = model.joints(), nc = work.right.size;
-  DenseEquations found{
-    DenseMatrix::Zero(nc, nv), DenseMatrix::Zero(nv, nv), DenseVector::Zero(nc),
-    DenseVector::Zero(nv), DenseVector::Zero(nc), DenseVector::Zero(nc)};
-  constraint_jacobian(model, work, view(found.jac));
-  update(model, work, Responses::NONE);
-  to_user_order(model, work.closure, view(found.psi));
-  to_user_order(model, work.closure_rate, view(found.rate));
-  return found;
-}
-
-/// Accelerations and multipliers at the state in `work`; `size` is the largest entry of J.
-Rank solve_here(
-  const Model & model, const Workspace & work, Values tau, const DenseVector & beside, Values qdd,
-  Values lam, double & size)
-{
-  DenseEquations equations = dense_equations(model, work);
-  work.right.fill(0.0);
-  constraint_right_side(work, 0.0, work.right);
-  to_user_order(model, work.right, view(equations.right));
-  equations.right += beside;
-  size = equations.jac.size() > 0 ? equations.jac.cwiseAbs().maxCoeff() : 0.0;
-  qdd.fill(0.0);
-  tree_torque(model, work, qdd, view(equations.force));
-  for (Index i = 0; i < qdd.size; ++i) {
-    equations.force[i] = tau[i] - equations.force[i];
-  }
-  generalized_inertia_matrix(model, work, view(equations.gim));
-  return solve(model, equations, fastest(work), Level::ACCELERATION, qdd, lam);
-}
-
-/// Bring a state onto the branch next to it, in place; return the closure error that is left.
-double return_to_branch(
-  const Model & model, const Workspace & work, const Manifold & manifold, Values q, Values qd,
-  double size)
-{
-  DenseVector change = DenseVector::Zero(qd.size);
-  double error = std::numeric_limits<double>::infinity();
-  for (int count = 0; count <= MOST_CORRECTIONS; ++count) {
-    outward(model, q, qd, work);
-    update(model, work, Responses::NONE);
-    error = largest(work.closure);
-    const bool positions = error > ROUNDING * size && count < MOST_CORRECTIONS;
-    correct_rank_revealing(
-      model, work, positions ? Level::POSITION : Level::VELOCITY, view(change));
-    if (!positions) {
-      dense(qd) += change;
-      break;
-    }
-    move(manifold, q, view(change), 1.0);
-  }
-  return error;
-}
-
 /// Where the k-th place around a state is, in units of the distance `aside`.
 double place_of(int k)
 {
@@ -129,56 +72,151 @@ double share_of(double place, int half)
   return share;
 }
 
-/// Forces of effects on the bodies, beside those of their own motion.
-DenseMatrix forces_on_bodies(const Workspace & work)
+/// The equations of one mechanism, decomposed once at each place that is looked at.
+template<int Most>
+class Solver
 {
-  DenseMatrix found(work.body.rows, work.size());
-  for (Index i = 0; i < work.body.rows; ++i) {
-    for (Index n = 0; n < work.size(); ++n) {
-      found(i, n) = work.body(i, work.first_force() + n);
+public:
+  using Matrix = typename Sized<Most>::Matrix;
+  using Vector = typename Sized<Most>::Vector;
+
+  Solver(const Model & model, const Workspace & work)
+  : model_(model), work_(work), jac_(work.right.size, model.joints()),
+    gim_(model.joints(), model.joints())
+  {
+    const Index nc = jac_.rows(), nv = jac_.cols();
+    equations_ = {Vector::Zero(nc), Vector::Zero(nv), Vector::Zero(nc), Vector::Zero(nc)};
+  }
+
+  /// As `correct_rank_revealing`.
+  void correct(Level level, Values out)
+  {
+    decompose();
+    measure();
+    equations_.right = -(level == Level::POSITION ? equations_.psi : equations_.rate);
+    equations_.force.setZero();
+    solve(place_, equations_, fastest(work_), level, out, {});
+  }
+
+  /// As `accelerate_rank_revealing`.
+  void accelerate(
+    Values tau, double baumgarte, double aside, const Manifold &, Values q, Values qd, Values qdd,
+    Values lam);
+
+private:
+  static Values view(Vector & vector) {return {vector.data(), vector.size()};}
+  static Table view(Matrix & matrix) {return {matrix.data(), matrix.rows(), matrix.cols()};}
+
+  /// Decompose the equations at the place in the workspace, but for the place before.
+  void decompose()
+  {
+    if (!known_) {
+      constraint_jacobian(model_, work_, view(jac_));
+      generalized_inertia_matrix(model_, work_, view(gim_));
+      place_.decompose(model_, view(jac_), view(gim_));
+      known_ = true;
     }
   }
-  return found;
-}
 
-void add_forces(const Workspace & work, const DenseMatrix & forces)
-{
-  for (Index i = 0; i < work.body.rows; ++i) {
-    for (Index n = 0; n < work.size(); ++n) {
-      work.body(i, work.first_force() + n) += forces(i, n);
+  /// Closure errors of the state in the workspace, with all that its equations say.
+  void measure()
+  {
+    update(model_, work_, Responses::NONE);
+    to_user_order(model_, work_.closure, view(equations_.psi));
+    to_user_order(model_, work_.closure_rate, view(equations_.rate));
+  }
+
+  /// Accelerations and multipliers at the state in the workspace.
+  Rank solve_here(Values tau, const Vector & beside, Vector & qdd, Vector & lam)
+  {
+    qdd.setZero();
+    tree_torque(model_, work_, view(qdd), view(equations_.force));
+    for (Index i = 0; i < qdd.size(); ++i) {
+      equations_.force[i] = tau[i] - equations_.force[i];
+    }
+    decompose();
+    measure();
+    work_.right.fill(0.0);
+    constraint_right_side(work_, 0.0, work_.right);
+    to_user_order(model_, work_.right, view(equations_.right));
+    equations_.right += beside;
+    return solve(
+      place_, equations_, fastest(work_), Level::ACCELERATION, view(qdd), view(lam));
+  }
+
+  /// Bring a state onto the branch next to it, in place; return the closure error that is left.
+  double return_to_branch(const Manifold & manifold, Values q, Values qd, double size)
+  {
+    Vector change = Vector::Zero(qd.size);
+    double error = std::numeric_limits<double>::infinity();
+    for (int count = 0; count <= MOST_CORRECTIONS; ++count) {
+      outward(model_, q, qd, work_);
+      update(model_, work_, Responses::NONE);
+      error = largest(work_.closure);
+      const bool positions = error > ROUNDING * size && count < MOST_CORRECTIONS;
+      correct(positions ? Level::POSITION : Level::VELOCITY, view(change));
+      if (!positions) {
+        dense(qd) += change;
+        break;
+      }
+      move(manifold, q, view(change), 1.0);
+      known_ = false;
+    }
+    return error;
+  }
+
+  /// Forces of effects on the bodies, beside those of their own motion.
+  Matrix forces_on_bodies() const
+  {
+    Matrix found(work_.body.rows - 1, work_.size());
+    for (Index i = 0; i < found.rows(); ++i) {
+      for (Index n = 0; n < found.cols(); ++n) {
+        found(i, n) = work_.body(i + 1, work_.first_force() + n);
+      }
+    }
+    return found;
+  }
+
+  void add_forces(const Matrix & forces)
+  {
+    for (Index i = 0; i < forces.rows(); ++i) {
+      for (Index n = 0; n < forces.cols(); ++n) {
+        work_.body(i + 1, work_.first_force() + n) += forces(i, n);
+      }
     }
   }
-}
-}  // namespace
 
-void correct_rank_revealing(const Model & model, const Workspace & work, Level level, Values out)
-{
-  DenseEquations equations = dense_equations(model, work);
-  equations.right = -(level == Level::POSITION ? equations.psi : equations.rate);
-  generalized_inertia_matrix(model, work, view(equations.gim));
-  DenseVector lam(work.right.size);
-  solve(model, equations, fastest(work), level, out, view(lam));
-}
+  const Model & model_;
+  const Workspace & work_;
+  Matrix jac_, gim_;
+  Decomposition<Most> place_;
+  DenseEquations<Most> equations_;
+  bool known_ = false;
+};
 
-void accelerate_rank_revealing(
-  const Model & model, const Workspace & work, Values tau, double baumgarte, double aside,
-  const Manifold & manifold, Values q, Values qd, Values qdd, Values lam)
+template<int Most>
+void Solver<Most>::accelerate(
+  Values tau, double baumgarte, double aside, const Manifold & manifold, Values q, Values qd,
+  Values qdd, Values lam)
 {
   const Index nv = qdd.size, nc = lam.size;
-  const Values & health = work.health;
-  DenseVector beside = DenseVector::Zero(nc), near(q.size), near_rate(nv);
-  DenseVector total = DenseVector::Zero(nv), inner = DenseVector::Zero(nv);
-  DenseVector found(nv), forces(nc);
-  update(model, work, Responses::NONE);
+  const Values & health = work_.health;
+  // A spherical joint has four coordinates and three rates.
+  Eigen::Matrix<
+    double, Eigen::Dynamic, 1, Eigen::ColMajor, Most == Eigen::Dynamic ? Most : 2 * Most, 1>
+  near(q.size);
+  Vector near_rate(nv), found(nv), forces(nc);
+  Vector beside = Vector::Zero(nc), total = Vector::Zero(nv), inner = Vector::Zero(nv);
+  update(model_, work_, Responses::NONE);
   for (Index k = 0; k < nc; ++k) {
-    work.right[k] = -baumgarte * (2.0 * work.closure_rate[k] + baumgarte * work.closure[k]);
+    work_.right[k] = -baumgarte * (2.0 * work_.closure_rate[k] + baumgarte * work_.closure[k]);
   }
-  to_user_order(model, work.right, view(beside));
-  DenseMatrix applied = forces_on_bodies(work);
+  to_user_order(model_, work_.right, view(beside));
+  Matrix applied = forces_on_bodies();
   health[health::RANK_REVEALING_COUNT] += 1.0;
-  const double speed = fastest(work);
-  double size = 0.0, levers = 0.0;
-  Rank rank = solve_here(model, work, tau, beside, view(found), view(forces), size);
+  const double speed = fastest(work_);
+  Rank rank = solve_here(tau, beside, found, forces);
+  const double size = place_.largest;
   const Index here = rank.distinct;
   const auto accept = [&]() {
       health[health::RANK] = static_cast<double>(rank.taken);
@@ -194,24 +232,27 @@ void accelerate_rank_revealing(
   if (!((close || (here < nc && health[health::LOOKED_BESIDE] == 0.0)) && speed > 0.0)) {
     return;
   }
-  outward(model, q, qd, work);
-  applied -= forces_on_bodies(work);
+  outward(model_, q, qd, work_);
+  applied -= forces_on_bodies();
   // Solve on the branch, so far ahead of the state; return whether it is on the branch.
   const auto solve_ahead = [&](double ahead) {
+      const Values there{near.data(), near.size()};
       near = dense(q);
       near_rate = dense(qd);
-      move(manifold, view(near), qd, ahead);
-      const double error = return_to_branch(
-        model, work, manifold, view(near), view(near_rate), size);
-      outward(model, view(near), view(near_rate), work);
-      add_forces(work, applied);
-      rank = solve_here(model, work, tau, beside, view(found), view(forces), levers);
+      if (ahead != 0.0) {
+        move(manifold, there, qd, ahead);
+        known_ = false;
+      }
+      const double error = return_to_branch(manifold, there, view(near_rate), size);
+      outward(model_, there, view(near_rate), work_);
+      add_forces(applied);
+      rank = solve_here(tau, beside, found, forces);
       return error <= SETTLED * size;
     };
   const auto leave_as_found = [&]() {
-      outward(model, q, qd, work);
-      update(model, work, Responses::NONE);
-      add_forces(work, applied);
+      outward(model_, q, qd, work_);
+      update(model_, work_, Responses::NONE);
+      add_forces(applied);
     };
   // First the branch beside the state, then places around it.
   const bool settled_here = solve_ahead(0.0);
@@ -274,6 +315,35 @@ void accelerate_rank_revealing(
     }
   }
   leave_as_found();
+}
+
+/// Call a function of a solver that is large enough.
+template<class Function>
+void with_solver(const Model & model, const Workspace & work, Function && function)
+{
+  if (std::max(model.joints(), work.right.size) <= FEW) {
+    Solver<FEW> solver(model, work);
+    function(solver);
+  } else {
+    Solver<Eigen::Dynamic> solver(model, work);
+    function(solver);
+  }
+}
+}  // namespace
+
+void correct_rank_revealing(const Model & model, const Workspace & work, Level level, Values out)
+{
+  with_solver(model, work, [&](auto & solver) {solver.correct(level, out);});
+}
+
+void accelerate_rank_revealing(
+  const Model & model, const Workspace & work, Values tau, double baumgarte, double aside,
+  const Manifold & manifold, Values q, Values qd, Values qdd, Values lam)
+{
+  with_solver(
+    model, work, [&](auto & solver) {
+      solver.accelerate(tau, baumgarte, aside, manifold, q, qd, qdd, lam);
+    });
 }
 
 }  // namespace closedloop
