@@ -84,6 +84,14 @@ def large_ladder():
     return again(system, case.q, case.qd)
 
 
+def beside_flat(loops, tilt):
+    """Return one evaluation of a ladder of parallelograms so far from flat [rad]."""
+    from closedloop_dynamics.simulation.scene_records import Method
+    from closedloop_dynamics.studies.hard_machines import ladder, scene
+    one = Simulation(scene(*ladder(loops, 0.5 * np.pi - tilt), Method()))
+    return again(one.system, one.position, one.velocity)
+
+
 def rollouts(scene):
     """Return a hundred steps of sixteen samples at once."""
     one = Simulation.from_scene(scene, integrator='rk4', step_size=1e-3)
@@ -96,6 +104,10 @@ TASKS = {
     'evaluation carpet_scraper': lambda: evaluation('carpet_scraper'),
     'evaluation on_carpet': lambda: evaluation('carpet_scraper_on_carpet'),
     'evaluation ladder of 201 joints': large_ladder,
+    'evaluation, 3 joints beside flat': lambda: beside_flat(1, 1e-2),
+    'evaluation, 3 joints nearly flat': lambda: beside_flat(1, 1e-4),
+    'evaluation, 7 joints beside flat': lambda: beside_flat(3, 1e-2),
+    'evaluation, 7 joints nearly flat': lambda: beside_flat(3, 1e-4),
     'Python call three_rrr': lambda: python_call('three_rrr'),
     'RK4 step three_rrr': lambda: steps('three_rrr', integrator='rk4', step_size=1e-3),
     'RK4 step carpet_scraper': lambda: steps('carpet_scraper', integrator='rk4', step_size=1e-3),
