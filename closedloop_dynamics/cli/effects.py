@@ -15,10 +15,9 @@
 """``closedloop effects``: what each effect of a scene costs and changes."""
 
 from .command import (
-    add_directory, add_scene, add_torque, assignment, checked_torques, Command, free_paths,
-    mapping, positive, UsageError)
+    add_directory, add_motion, add_reading, add_scene, add_set, add_torque, assignment,
+    checked_torques, Command, free_paths, mapping, positive, scene_of, UsageError)
 from ..simulation.motions import with_motions
-from ..simulation.scene import load_scene
 from ..studies import effects_report
 from ..studies.effects import study_effects
 from ..visual.progress import parts_bar
@@ -26,10 +25,16 @@ from ..visual.progress import parts_bar
 
 def _add_arguments(parser):
     add_scene(parser)
+    add_reading(parser)
     add_directory(parser, 'SCENE_effects.csv, .md and .png, and a picture of every contact')
     parser.add_argument('--duration', type=positive, default=2.0, metavar='SECONDS',
                         help='simulated time (default: 2)')
     add_torque(parser)
+    add_motion(parser)
+    add_set(parser)
+    parser.add_argument('--matters', type=positive, default=1e-3, metavar='CHANGE',
+                        help='change of positions that matters [rad or m]: effects that change '
+                             'less are advised against (default: 1e-3)')
     parser.add_argument('--joint-rate', type=assignment, action='append', default=[],
                         metavar='JOINT=VALUE',
                         help='keep an actuated joint at this rate [rad/s, m/s] instead; one '
@@ -37,15 +42,15 @@ def _add_arguments(parser):
 
 
 def _run(arguments):
-    scene = load_scene(arguments.scene)
-    scene.mechanism.require_planar('the comparison of effects')
+    scene = scene_of(arguments)
     torque, rates = mapping(arguments.torque, '--torque'), mapping(
         arguments.joint_rate, '--joint-rate')
     _check(arguments, scene, torque, rates)
     with parts_bar('parts', scene.name) as progress:
         study = study_effects(scene, arguments.duration, torque, rates, progress=progress)
     print(effects_report.table(study))
-    print(f'\n{effects_report.NOTE}\n\n{effects_report.summary(study)}')
+    print(f'\n{effects_report.NOTE}\n\n{effects_report.summary(study)}\n\n'
+          f'{effects_report.advice(study, arguments.matters)}')
     if arguments.output is not None:
         print('\n' + '\n'.join(map(str, effects_report.write(study, arguments.output))))
     return 0
@@ -71,8 +76,10 @@ COMMAND = Command(
     summary='measure cost and influence of each effect of a scene',
     description="""\
 Run a scene as it is, without each type of its effects, and with each type alone:
-what the effects cost in time per step, and what they change in motion, efforts,
-forces at the cut joints and energy. The drives get constant torques, or keep
+what the effects cost, in the time of one evaluation of the accelerations and in
+the number of evaluations that the motion takes, and what they change in motion,
+efforts, forces at the cut joints and energy. Then which of them matter, and what
+leaving out the others saves. The drives get constant torques, or keep
 constant rates. With --output: the table as CSV and Markdown, a picture of the
 changes, and for every contact one of torque, contact forces and forces at the
 cut joints over a turn of the drive.
@@ -80,6 +87,7 @@ cut joints over a turn of the drive.
     epilog="""\
 examples:
   closedloop effects three_rrr_payload_friction --output results
+  closedloop effects stewart_platform --matters 1e-4
   closedloop effects carpet_scraper_on_carpet --joint-rate theta_1=4.7124 --output results
 """,
     add_arguments=_add_arguments,

@@ -425,26 +425,6 @@ class Mechanism:
         """Whether this is a mechanism in the plane: vectors of two numbers."""
         return len(self.bodies[0].center_of_mass) == 2
 
-    def require_planar(self, what: str) -> None:
-        """
-        Refuse a mechanism in space where only planar ones are known.
-
-        Parameters
-        ----------
-        what : str
-            What needs it, in the singular.
-
-        Raises
-        ------
-        MechanismError
-
-        """
-        if not self.planar:
-            raise MechanismError(
-                f'{self.name} is a mechanism in space (vectors of three numbers): {what} knows '
-                'planar mechanisms only, so far. `closedloop check`, `closedloop simulate` and '
-                'the node closedloop_simulator take it.')
-
     @property
     def number_of_equations(self) -> int:
         """Return nc, the number of closure equations; in space with those that always hold."""

@@ -16,20 +16,25 @@
 Cost and influence of each effect of a scene.
 
 The scene is run as it is, and once more without each type of effect; the differences are what
-that type changes. Times are measured on short runs of every variant in turn, so that disturbances
-of the machine affect all of them, and each is compared with the one of the same round. The bare
-scene is measured twice: that tells how far such ratios can be trusted.
+that type changes. What it costs has two factors: the arithmetic, that is the time of one
+evaluation of the accelerations, in the same states with and without the effects; and the motion,
+that is the evaluations that a simulated second takes. Times are measured in turn, so that
+disturbances of the machine affect all of them, and each is compared with the one of the same
+round. The bare scene is measured twice: that tells how far such ratios can be trusted.
 
 """
 
 from dataclasses import dataclass, replace
 import math
 from time import process_time
-from typing import Dict, Tuple
+from typing import Dict, Optional, Tuple
 
 import numpy as np
 
+from .reference import in_angles
+from ..core.types import EVALUATIONS
 from ..effects.registry import effect_type
+from ..engine import native
 from ..simulation.errors import SimulationError
 from ..simulation.simulation import Simulation
 
@@ -102,10 +107,9 @@ class RateControl:
         return dict(zip(self._names, torque.tolist()))
 
 
-# Steps of one measurement, and how often it is repeated.
-STEPS, REPEATS = 200, 60
-# Made before them, untimed: what ran before must not matter.
-RUN_IN = 50
+# Rounds of one measurement; the states of the motion in which every round evaluates, and how often
+# in each: about a millisecond.
+REPEATS, STATES, TURN = 60, 8, 1e-3
 
 
 @dataclass(frozen=True)
@@ -127,31 +131,44 @@ class Record:
     """One run."""
 
     time: np.ndarray  # Shape (n,) [s]
-    # Shape (n, nv): of the joints, the effort behind the drives.
+    # Shape (n, nq), (n, nv), (n, nv): of the joints, the effort behind the drives.
     position: np.ndarray
     velocity: np.ndarray
     effort: np.ndarray
     force: np.ndarray  # Shape (n, number of cuts): magnitudes of the forces at the cut joints [N]
     balance: np.ndarray  # Shape (n, 5): kinetic, stored, dissipated energy, work, residual [J]
     readings: Dict[str, Dict[str, np.ndarray]]  # What each effect says of itself
-    points: Dict[str, np.ndarray]  # Shape (n, 2): places of the named points [m]
+    points: Dict[str, np.ndarray]  # Shape (n, 2), in space (n, 3): places of the points [m]
+    evaluations: float  # Of the accelerations, for a simulated second
 
 
 @dataclass(frozen=True)
 class Finding:
-    """Cost and influence of one type of effect."""
+    """Cost and influence of one type of effect; NaN where it could not be found."""
 
     kind: str  # Type of the effects
     names: Tuple[str, ...]  # Which effects of the scene those are
-    alone: Ratio  # Time per step with these effects alone, over that of the scene without any
-    without: Ratio  # Time per step of the scene without them, over that of the whole scene
-    # Largest differences that leaving them out makes: positions [rad, m], efforts [N m, N],
-    # forces at the cut joints [N], kinetic and stored energy [J].
+    failure: str  # Why the scene does not run without them; empty where it does
+    alone: Ratio  # Time of an evaluation with these effects alone, over that without any
+    without: Ratio  # Time of an evaluation without them, over that of the whole scene
+    motion: float  # Evaluations for a simulated second without them, over those of the whole scene
+    # Largest differences that leaving them out makes: positions [rad, m], orientations as rotation
+    # angles; places of named points [m], efforts [N m, N], forces at the cut joints [N], kinetic
+    # and stored energy [J].
     position: float
+    place: float
     effort: float
     force: float
     energy: float
-    run: Record  # Without them
+    # Names of the joint and of the point that this moves furthest; empty where there is none.
+    joint: str
+    point: str
+    run: Optional[Record]  # Without them
+
+    @property
+    def time(self):
+        """Return the computing time without them over that of the whole scene."""
+        return self.without.value * self.motion
 
 
 @dataclass(frozen=True)
@@ -161,9 +178,9 @@ class Study:
     simulation: Simulation  # Of the scene
     run: Record  # Of the scene as it is
     findings: Tuple[Finding, ...]  # One for each type of effect, in the scene's order
-    bare: float  # Time per step without any effect [s]
-    # Time per step, over that: without any effect once more, which only noise keeps from 1;
-    # with all listed but switched off; of the scene as it is.
+    bare: float  # Time of an evaluation without any effect [s]
+    # Times of an evaluation, over that: without any effect once more, which only noise keeps from
+    # 1; with all listed but switched off; of the scene as it is.
     again: Ratio
     off: Ratio
     whole: Ratio
@@ -199,40 +216,68 @@ def study_effects(scene, duration=2.0, torque=None, rates=None, rows=400,
         types.setdefault(effect_type(effect), []).append(name)
     parts = len(types) + 2
     progress(0, parts)
-    times = _times(scene, types)
-    progress(1, parts)
     simulation = Simulation(scene)
     whole = record(simulation, duration, rows, torque, rates)
+    progress(1, parts)
+    times = _times(scene, types, whole)
     progress(2, parts)
     findings = []
     for k, (kind, names) in enumerate(types.items()):
-        run = record(Simulation(_without(scene, names)), duration, rows, torque, rates)
-        findings.append(Finding(
-            kind, tuple(names), ratio(times['alone', kind], times['bare']),
-            ratio(times['without', kind], times['whole']),
-            *(float(np.abs(a - b).max(initial=0.0)) for a, b in (
-                (run.position, whole.position), (run.effort, whole.effort),
-                (run.force, whole.force),
-                (run.balance[:, :2].sum(axis=1), whole.balance[:, :2].sum(axis=1)))), run))
+        findings.append(_finding(
+            scene, kind, tuple(names), whole, times,
+            lambda one: record(one, duration, rows, torque, rates)))
         progress(3 + k, parts)
-    return Study(simulation, whole, tuple(findings), float(np.median(times['bare'])), *(
-        ratio(times[key], times['bare']) for key in ('again', 'off', 'whole')))
+    return Study(
+        simulation, whole, tuple(findings),
+        float(np.median(times['bare'])) if 'bare' in times else math.nan,
+        *(_ratio_of(times, key, 'bare') for key in ('again', 'off', 'whole')))
+
+
+def _finding(scene, kind, names, whole, times, run_of):
+    """Return what effects of one type cost and change."""
+    ratios = (_ratio_of(times, ('alone', kind), 'bare'), _ratio_of(
+        times, ('without', kind), 'whole'))
+    try:
+        simulation = Simulation(_without(scene, names))
+        run = run_of(simulation)
+    except (SimulationError, ValueError) as error:
+        return Finding(kind, names, str(error), *ratios, *[math.nan] * 6, '', '', None)
+    moved = np.abs(changes_of_position(simulation.coordinates, run, whole)).max(axis=0)
+    places = {name: float(np.linalg.norm(run.points[name] - place, axis=1).max())
+              for name, place in whole.points.items()}
+    return Finding(
+        kind, names, '', *ratios, run.evaluations / whole.evaluations,
+        float(moved.max(initial=0.0)), max(places.values(), default=math.nan),
+        *(float(np.abs(a - b).max(initial=0.0)) for a, b in (
+            (run.effort, whole.effort), (run.force, whole.force),
+            (run.balance[:, :2].sum(axis=1), whole.balance[:, :2].sum(axis=1)))),
+        simulation.joint_names[int(moved.argmax())] if len(moved) else '',
+        max(places, key=places.get, default=''), run)
+
+
+def changes_of_position(coordinates, run, whole):
+    """Return how far one run is from another, shape (n, nv), orientations as rotation angles."""
+    return np.array([in_angles(coordinates, q, other)
+                     for q, other in zip(run.position, whole.position)])
 
 
 def record(simulation, duration, rows, torque=None, rates=None):
     """Run a simulation from its start and keep what happens."""
     control = RateControl(simulation.scene, rates) if rates else None
-    kept, step = [], 0
+    kept, step, evaluations = [], 0, 0.0
     steps = max(1, round(duration / simulation.step_size))
     for row in range(min(rows, steps) + 1):
         until = round(row * steps / min(rows, steps))
         while step < until:
+            applied = torque if control is None else control.torque(simulation)
+            before = simulation.system.work.health[EVALUATIONS]
             if control is None:
-                simulation.step(torque, (until - step) * simulation.step_size)
+                simulation.step(applied, (until - step) * simulation.step_size)
                 step = until
             else:
-                simulation.step(control.torque(simulation))
+                simulation.step(applied)
                 step += 1
+            evaluations += simulation.system.work.health[EVALUATIONS] - before
         kept.append(_row(simulation))
     columns = list(zip(*kept))
     arrays = [np.array(column) for column in columns[:6]]
@@ -241,14 +286,15 @@ def record(simulation, duration, rows, torque=None, rates=None):
         readings={name: {key: np.array([values[name][key] for values in columns[6]])
                          for key in columns[6][0][name]} for name in columns[6][0]},
         points={name: np.array([values[name] for values in columns[7]])
-                for name in columns[7][0]})
+                for name in columns[7][0]},
+        evaluations=evaluations / simulation.time)
 
 
 def _row(simulation):
     balance = simulation.energy_balance
     return (
         simulation.time, simulation.position, simulation.velocity, simulation.effort,
-        np.hypot(*simulation.constraint_forces[:, 1:].T),
+        np.linalg.norm(simulation.constraint_forces[:, _forces(simulation)], axis=1),
         (balance.kinetic, balance.stored, balance.dissipated, balance.work, balance.residual),
         {name: simulation.effect_readings(name) for name in simulation.effects},
         {point.name: simulation.point(point.name) for point in simulation.mechanism.points})
@@ -261,35 +307,67 @@ def _only(scene, names):
                    switched_off=tuple(name for name in scene.switched_off if name in names))
 
 
+def _forces(simulation):
+    """Return where the force is in a wrench, behind the moment."""
+    return slice(1 if simulation.mechanism.planar else 3, None)
+
+
 def _without(scene, names):
     """Return the scene without some of its effects."""
     return _only(scene, (name for name in scene.effects if name not in names))
 
 
-def _times(scene, types):
-    """Return the times per step of every variant, one a round [s]."""
+def _times(scene, types, whole):
+    """Return the times of an evaluation of every variant that can be built, one a round [s]."""
     everything = tuple(scene.effects)
-    variants = {
-        'whole': Simulation(scene), 'off': Simulation(scene),
-        **{key: Simulation(_without(scene, everything)) for key in ('bare', 'again')}}
-    for name in everything:
-        variants['off'].set_effect(name, enabled=False)
+    without = {'whole': (), 'off': (), 'bare': everything, 'again': everything}
     for kind, names in types.items():
-        others = [name for name in everything if name not in names]
-        variants['alone', kind] = Simulation(_without(scene, others))
-        variants['without', kind] = Simulation(_without(scene, names))
+        without['alone', kind] = [name for name in everything if name not in names]
+        without['without', kind] = names
+    variants = {}
+    for key, names in without.items():
+        try:
+            variants[key] = _evaluation(Simulation(_without(scene, names)), key == 'off', whole)
+        except (SimulationError, ValueError):
+            # Its cells stay empty: this cannot be without that.
+            continue
     measured = {key: [] for key in variants}
     keys, shuffle = list(variants), np.random.default_rng(0)
     for _ in range(REPEATS):
         for k in shuffle.permutation(len(keys)):
-            simulation = variants[keys[k]]
-            simulation.reset()
-            tau = simulation.joint_torques(None)
-            simulation.advance(tau, RUN_IN)
-            start = process_time()
-            simulation.advance(tau, STEPS)
-            measured[keys[k]].append((process_time() - start) / STEPS)
+            measured[keys[k]].append(variants[keys[k]]())
     return {key: np.array(values) for key, values in measured.items()}
+
+
+def _evaluation(simulation, off, whole):
+    """Return what measures one evaluation of a simulation in states of a motion [s]."""
+    if off:
+        for name in simulation.effects:
+            simulation.set_effect(name, enabled=False)
+    own = simulation.integrated
+    states = []
+    for row in np.linspace(0, len(whole.time) - 1, STATES).astype(int):
+        state = own.copy()
+        moved = np.concatenate((whole.position[row], whole.velocity[row]))
+        state[:len(moved)] = moved
+        states.append(state)
+
+    def time(count):
+        begin = process_time()
+        for state in states:
+            native.evaluate_again(simulation.system.native, state, count)
+        return (process_time() - begin) / (count * STATES)
+
+    time(1)
+    count = max(1, round(TURN / (STATES * max(time(1), 1e-7))))
+    return lambda: time(count)
+
+
+def _ratio_of(times, key, other):
+    """Return the ratio of the times of two variants; NaN where there are none."""
+    if key in times and other in times:
+        return ratio(times[key], times[other])
+    return Ratio(math.nan, math.nan, math.nan)
 
 
 def ratio(times, others):

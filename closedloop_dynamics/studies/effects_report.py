@@ -17,17 +17,23 @@
 import matplotlib.figure
 import numpy as np
 
+from .effects import changes_of_position
 from ..visual.pictures import COLORS, DASHES, DOTS_PER_INCH
 from ..visual.tables import markdown_table, seconds, short, text_table, write_csv
 
-HEADER = ('effect', 'step alone', 'step without', 'position', 'effort', 'force', 'energy',
-          'dissipated')
-UNITS = ('', 'x bare', 'x whole', '[rad, m]', '[N m, N]', '[N]', '[J]', '[J]')
+HEADER = ('effect', 'arithmetic alone', 'arithmetic without', 'motion without', 'time without',
+          'position', 'points', 'effort', 'force', 'energy', 'dissipated')
+UNITS = ('', 'x bare', *3 * ('x whole',), '[rad, m]', '[m]', '[N m, N]', '[N]', '[J]', '[J]')
 NOTE = (
-    'step alone: time per step with these effects alone, over that without any; step without: of '
-    'the scene\nwithout them, over the whole scene. Medians of short runs in turn, and how far '
-    'they are uncertain.\nposition, effort, force (cut joints), energy (kinetic and stored): '
-    'the largest change that leaving them out makes;\ndissipated: by them, in the scene as it is.')
+    'arithmetic alone: time of one evaluation of the accelerations with these effects alone, over '
+    'that without any;\narithmetic without: of the scene without them, over the whole scene. '
+    'Medians in turn, in the same states of the\nmotion, and how far they are uncertain. motion '
+    'without: evaluations that a simulated second takes without them,\nover those of the whole '
+    'scene. time without: the product of these two.\nposition (of orientations the angle), places '
+    'of the named points, effort, force (cut joints), energy (kinetic and\nstored): the largest '
+    'change that leaving them out makes; dissipated: by them, in the scene as it is.')
+# A share of the time that is none [1].
+NEGLIGIBLE = 0.02
 
 
 def table(study, style=text_table):
@@ -38,19 +44,71 @@ def table(study, style=text_table):
 
     """
     header = [f'{name} {unit}'.strip() for name, unit in zip(HEADER, UNITS)]
-    return style(header, [
-        (label(finding), ratio(finding.alone), ratio(finding.without),
-         *(short(value) for value in (finding.position, finding.effort, finding.force,
-                                      finding.energy, dissipated(study, finding))))
-        for finding in study.findings])
+    lines = [style(header, [
+        (label(finding), ratio(finding.alone), ratio(finding.without), short(finding.motion),
+         short(finding.time),
+         *(short(value) for value in (finding.position, finding.place, finding.effort,
+                                      finding.force, finding.energy, dissipated(study, finding))))
+        for finding in study.findings])]
+    lines += [f'without {label(finding)}: {finding.failure}' for finding in study.findings
+              if finding.failure]
+    return '\n\n'.join(lines)
+
+
+def advice(study, matters):
+    """
+    Say which effects matter, and what leaving out the others saves.
+
+    Parameters
+    ----------
+    study : Study
+        Finished.
+    matters : float
+        A change of positions or places that matters [rad or m].
+
+    Returns
+    -------
+    str
+        A line for each type of effect.
+
+    """
+    lines = []
+    for finding in study.findings:
+        name = label(finding)
+        if finding.run is None:
+            lines.append(f'{name}: needed, the scene does not run without')
+            continue
+        changed = [f'{finding.joint} by {finding.position:.2g} rad or m'] if finding.joint else []
+        if finding.point:
+            changed.append(f'{finding.point} by {finding.place:.2g} m')
+        if finding.force > 0.0:
+            changed.append(f'forces at the cut joints by {finding.force:.2g} N')
+        largest = np.nanmax([finding.position, finding.place])
+        lines.append(f'{name}: changes {", ".join(changed) or "nothing"}, {_time(finding)}: '
+                     + (f'matters, at {matters:g}' if largest > matters else
+                        f'leave out, if {matters:g} is all that matters'))
+    return '\n'.join(lines)
+
+
+def _time(finding):
+    """Return what an effect takes of the computing time, in words."""
+    saved = 1.0 - finding.time
+    if np.isnan(saved):
+        return 'takes a time that could not be measured'
+    if abs(saved) < max(NEGLIGIBLE, finding.without.noise):
+        return 'takes no time worth speaking of'
+    if saved < 0.0:
+        return f'without it the motion takes {-100.0 * saved:.0f} % more time'
+    return f'takes {100.0 * saved:.0f} % of the time'
 
 
 def summary(study):
     """Return what is to be said of the whole scene, a few lines."""
     balance = study.run.balance[-1]
     return '\n'.join([
-        f'time per step: {seconds(study.bare)} without any effect, {ratio(study.off)} times that '
+        f'one evaluation: {seconds(study.bare)} without any effect, {ratio(study.off)} times that '
         f'with all listed but switched off, {ratio(study.whole)} times with all of them',
+        f'a simulated second takes {study.run.evaluations:.0f} of them',
         f'noise: the same without any effect, measured once more, took {ratio(study.again)} times '
         'as long',
         f'energy at the end: kinetic {balance[0]:.4g} J, stored {balance[1]:.4g} J, dissipated '
@@ -58,7 +116,9 @@ def summary(study):
 
 
 def ratio(value):
-    """Return a ratio of times with its uncertainty, in words."""
+    """Return a ratio of times with its uncertainty, in words; a dash where there is none."""
+    if np.isnan(value.value):
+        return '-'
     digits = 2 if value.noise > 0.002 else 3
     return f'{value.value:.{digits}f} ± {max(value.noise, 10.0 ** -digits):.{digits}f}'
 
@@ -82,8 +142,8 @@ def write(study, directory):
     paths = [directory / name for name in file_names(study.simulation.scene)]
     name = study.simulation.scene.name
     write_csv(paths[0], [f'{key} {unit}'.strip() for key, unit in zip(HEADER, UNITS)], [
-        (label(f), f.alone.value, f.without.value, f.position, f.effort, f.force, f.energy,
-         dissipated(study, f))
+        (label(f), f.alone.value, f.without.value, f.motion, f.time, f.position, f.place, f.effort,
+         f.force, f.energy, dissipated(study, f))
         for f in study.findings])
     paths[1].write_text(f'# What the effects of {name} cost and change\n\n'
                         f'{table(study, markdown_table)}\n\n{NOTE}\n\n{summary(study)}\n',
@@ -101,20 +161,22 @@ def file_names(scene):
 
 
 def contacts(scene):
-    """Return the names of the effects that scrape or rub at a point of the mechanism."""
+    """Return the names of the effects that scrape or rub at a point of a planar mechanism."""
     return [name for name, effect in scene.effects.items()
-            if 'scraping_force' in effect.READINGS]
+            if scene.mechanism.planar and 'scraping_force' in effect.READINGS]
 
 
 def changes(study):
     """Draw the scene as it is, and without each type of effect."""
     run, simulation = study.run, study.simulation
-    joint = _most_changed(study, 'position')
+    joint = int(np.argmax(sum(
+        np.abs(_moved(study, finding.run)).max(axis=0) for finding in _made(study)) + np.zeros(
+            len(simulation.joint_names))))
     cut = _most_changed(study, 'force')
     driven = _most_changed(study, 'effort')
     panels = [
         (f'change of position of\n{simulation.joint_names[joint]} [rad or m]',
-         lambda r: r.position[:, joint] - run.position[:, joint])]
+         lambda r: _moved(study, r)[:, joint])]
     if np.abs(run.effort).max() > 0.0:
         panels.append((f'effort of {simulation.joint_names[driven]}\n[N m or N]',
                        lambda r: r.effort[:, driven]))
@@ -131,6 +193,8 @@ def changes(study):
         # Wide and pale below the others, which would be hidden where they change nothing.
         axes.plot(run.time, of(run), color='0.75', linewidth=5.0, label='as it is')
         for k, finding in enumerate(study.findings):
+            if finding.run is None:
+                continue
             axes.plot(finding.run.time, of(finding.run), label=f'without {label(finding)}',
                       color=COLORS[k % 6], linestyle=DASHES[k // 6], linewidth=1.1)
         axes.set_ylabel(title)
@@ -146,7 +210,7 @@ def changes(study):
 
 
 def _costs(study, axes):
-    """Draw the time per step with each type alone."""
+    """Draw the time of an evaluation with each type alone."""
     names = ['nothing, once more', 'listed, all off', *map(label, study.findings),
              'the whole scene']
     ratios = [study.again, study.off, *(f.alone for f in study.findings), study.whole]
@@ -162,7 +226,8 @@ def _costs(study, axes):
     axes.axvline(1.0, color='black', linewidth=0.8, linestyle=':')
     axes.set_xlim(0.0, 2.0 * max(one.high for one in ratios))
     axes.set_yticks([])
-    axes.set_xlabel(f'time per step of each alone,\nover {seconds(study.bare)} without any\n'
+    axes.set_xlabel('time of one evaluation\nwith each alone,\n'
+                    f'over {seconds(study.bare)} without any\n'
                     '(lines: 95 % range of the median)')
     for side in ('top', 'right', 'left'):
         axes.spines[side].set_visible(False)
@@ -173,8 +238,18 @@ def _most_changed(study, quantity):
     whole = getattr(study.run, quantity)
     if whole.shape[1] == 0:
         return 0
-    change = sum(np.abs(getattr(f.run, quantity) - whole).max(axis=0) for f in study.findings)
+    change = sum(np.abs(getattr(f.run, quantity) - whole).max(axis=0) for f in _made(study))
     return int(np.argmax(change))
+
+
+def _made(study):
+    """Return the findings whose runs were made."""
+    return [finding for finding in study.findings if finding.run is not None]
+
+
+def _moved(study, run):
+    """Return how far a run is from the scene as it is, shape (n, nv)."""
+    return changes_of_position(study.simulation.coordinates, run, study.run)
 
 
 def work(study, contact):
@@ -188,9 +263,10 @@ def work(study, contact):
     top, middle, bottom = figure.subplots(3, 1)
     top.plot(angle, run.effort[turn, joint], color=COLORS[0], label='drive, as it is')
     free = next(f.run for f in study.findings if contact in f.names)
-    other, other_angle = _last_turn(free, joint)
-    top.plot(other_angle, free.effort[other, joint], color='#777777', linestyle='--',
-             label=f'without {contact}')
+    if free is not None:
+        other, other_angle = _last_turn(free, joint)
+        top.plot(other_angle, free.effort[other, joint], color='#777777', linestyle='--',
+                 label=f'without {contact}')
     top.set_ylabel('torque of the drive [N m]')
     forces = run.readings[contact]
     touching = forces['depth'][turn] > 0.0

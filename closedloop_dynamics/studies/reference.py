@@ -74,6 +74,29 @@ class Difference:
     force: float
 
 
+def in_angles(coordinates, q, other):
+    """
+    Return how far coordinates are from others, of orientations the angle between them.
+
+    Parameters
+    ----------
+    coordinates : mechanism.coordinates.Coordinates
+        Of the mechanism.
+    q, other : ndarray, shape (nq,)
+        [rad or m].
+
+    Returns
+    -------
+    ndarray, shape (nv,)
+        The angle of the rotation between two orientations in each of its three places.
+
+    """
+    change = coordinates.apart(q, other)
+    for _, rate in coordinates.balls:
+        change[rate:rate + 3] = np.linalg.norm(change[rate:rate + 3])
+    return change
+
+
 def differences(one, other, coordinates):
     """
     Compare two motions, output by output, as far as both go.
@@ -97,11 +120,9 @@ def differences(one, other, coordinates):
     """
     found = []
     for k in range(min(len(one), len(other))):
-        change = coordinates.apart(one.position[k], other.position[k])
-        for _, rate in coordinates.balls:
-            change[rate:rate + 3] = np.linalg.norm(change[rate:rate + 3])
         found.append([np.abs(apart).max(initial=0.0) for apart in (
-            change, one.velocity[k] - other.velocity[k], one.force[k] - other.force[k])])
+            in_angles(coordinates, one.position[k], other.position[k]),
+            one.velocity[k] - other.velocity[k], one.force[k] - other.force[k])])
     return np.array(found).reshape(-1, 3)
 
 
@@ -161,6 +182,10 @@ def record(simulation, tau, steps, outputs, patience=float('inf')):
 
 def _require_patience(simulation, steps, patience):
     """Raise ``SimulationError`` where not even a tenth of the steps could be awaited."""
+    joints = len(simulation.joint_names)
+    if simulation.scene.method.stabilisation == 'independent' and joints > MOST_INDEPENDENT:
+        raise SimulationError(f'given up: the choice of independent coordinates among {joints} '
+                              'takes too long')
     simulation.touch()
     begin = time.perf_counter()
     simulation.multipliers
@@ -172,6 +197,8 @@ def _require_patience(simulation, steps, patience):
 
 # Evaluations of a step, at least.
 FEWEST = 4
+# Joints among which independent coordinates are chosen, by dense decompositions in every step.
+MOST_INDEPENDENT = 200
 # The first that gets furthest is the reference, the next one proves it: an integrator, its
 # tolerance or its share of the time between two outputs as step size, and the formulation. That
 # of a proof is another one; a mechanism too large for it is proved by the last ones.

@@ -155,7 +155,7 @@ def test_keys_of_space_are_refused_in_the_plane(tmp_path):
         del data['joints']['pivot'][key]
 
 
-def test_who_knows_the_plane_only_refuses_space(tmp_path):
+def test_mechanisms_in_space_are_known_as_such(tmp_path):
     read(tmp_path, described())
     path = tmp_path / 'scene.yaml'
     path.write_text(yaml.safe_dump({'mechanism': 'mechanism.yaml', 'initial': {
@@ -163,5 +163,3 @@ def test_who_knows_the_plane_only_refuses_space(tmp_path):
     for read_in in (load_scene(path).mechanism, load_scene_or_mechanism(path).mechanism,
                     load_scene_or_mechanism(tmp_path / 'mechanism.yaml')):
         assert not read_in.planar
-        with pytest.raises(MechanismError, match='rssr is a mechanism in space'):
-            read_in.require_planar('a study')

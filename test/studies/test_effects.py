@@ -18,6 +18,9 @@ from dataclasses import replace
 
 from closedloop_dynamics import load_scene, Simulation
 from closedloop_dynamics.cli import main
+from closedloop_dynamics.core.types import EVALUATIONS
+from closedloop_dynamics.simulation.errors import SimulationError
+from closedloop_dynamics.simulation.motions import moving
 from closedloop_dynamics.simulation.scene_records import Method
 from closedloop_dynamics.studies import effects, effects_report
 from closedloop_dynamics.studies.effects import RateControl
@@ -41,6 +44,80 @@ def test_every_type_of_effect_is_found_once(study):
         for ratio in (finding.alone, finding.without):
             assert 0.0 < ratio.low <= ratio.value <= ratio.high
         assert finding.energy > 0.0
+
+
+def test_arithmetic_and_motion_are_told_apart(study):
+    for finding in study.findings:
+        assert finding.time == finding.without.value * finding.motion
+    # Gravity is an acceleration of the ground: no arithmetic at all.
+    gravity, *_, friction = study.findings
+    assert gravity.alone.value == pytest.approx(1.0, abs=0.15)
+    assert friction.without.value < 1.0
+    # The evaluations that the same run makes without rows.
+    simulation = Simulation(load_scene('slider_crank'))
+    run = effects.record(simulation, 0.2, 1)
+    alone = Simulation(load_scene('slider_crank'))
+    alone.step(None, 0.2)
+    made = alone.system.work.health[EVALUATIONS] / 0.2
+    assert run.evaluations == pytest.approx(made, rel=0.02)
+
+
+def test_advice_follows_what_matters(study):
+    coarse, fine = (effects_report.advice(study, matters) for matters in (10.0, 1e-12))
+    assert coarse.count('leave out') == len(study.findings) and 'matters, at 1e-12' in fine
+    assert 'tool by' in fine
+    assert 'forces at the cut joints by' in fine
+
+
+SCENES = {
+    'in space, with orientations': lambda: load_scene('stewart_platform'),
+    'in space, with contact': lambda: load_scene('delta_robot'),
+    'closure equations that repeat others': lambda: load_scene('bennett'),
+    'prescribed motion': lambda: moving(load_scene('four_bar'), {'crank_joint': '1.0472+2*t'})}
+
+
+@pytest.mark.parametrize('name', SCENES)
+def test_every_class_of_scene_is_studied(name, tmp_path, monkeypatch):
+    monkeypatch.setattr(effects, 'REPEATS', 2)
+    study = effects.study_effects(SCENES[name](), 0.1, rows=10)
+    for finding in study.findings:
+        assert finding.failure == '' and finding.without.value > 0.0 and finding.motion > 0.0
+        assert finding.position > 0.0 and finding.joint in study.simulation.joint_names
+    assert all(path.stat().st_size > 200 for path in effects_report.write(study, tmp_path))
+
+
+def test_changes_of_orientations_are_angles(monkeypatch):
+    monkeypatch.setattr(effects, 'REPEATS', 1)
+    scene = load_scene('stewart_platform')
+    study = effects.study_effects(scene, 0.3, rows=5)
+    finding, = study.findings
+    coordinates = study.simulation.coordinates
+    expected = 0.0
+    for q, other in zip(finding.run.position, study.run.position):
+        single = coordinates.place[coordinates.place >= 0]
+        expected = max(expected, np.abs(q - other)[single].max())
+        for first, _ in coordinates.balls:
+            one, two = q[first:first + 4], other[first:first + 4]
+            expected = max(expected, 2.0 * np.arccos(min(1.0, abs(one @ two))))
+    assert finding.position == pytest.approx(expected, rel=1e-6)
+
+
+def test_a_scene_that_needs_an_effect_says_so(monkeypatch, tmp_path):
+    monkeypatch.setattr(effects, 'REPEATS', 1)
+    built = effects.Simulation
+
+    def refusing(scene):
+        if 'gravity' not in scene.effects and scene.effects:
+            raise SimulationError('The scene needs its weight. Or so.')
+        return built(scene)
+
+    monkeypatch.setattr(effects, 'Simulation', refusing)
+    study = effects.study_effects(load_scene('slider_crank_end_stop'), 0.1, rows=5)
+    gravity, stop = study.findings
+    assert gravity.failure and gravity.run is None and not stop.failure
+    assert 'without gravity: The scene needs its weight' in effects_report.table(study)
+    assert 'gravity: needed' in effects_report.advice(study, 1e-3)
+    effects_report.write(study, tmp_path)
 
 
 def test_the_noise_of_times_is_told(study):
@@ -122,7 +199,7 @@ def test_the_command_prints_and_writes(tmp_path, capsys, monkeypatch):
                  str(tmp_path / 'new')]
     assert main(arguments) == 0
     output = capsys.readouterr().out
-    assert 'end_stop' in output and 'time per step' in output
+    assert 'end_stop' in output and 'one evaluation' in output
     assert (tmp_path / 'new' / 'slider_crank_end_stop_effects.md').exists()
     assert main(arguments) == 2
     assert '--overwrite' in capsys.readouterr().err
