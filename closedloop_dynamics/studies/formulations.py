@@ -14,7 +14,7 @@
 
 """Comparison of the formulations: time and rounding error as mechanisms grow."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import math
 import statistics
 import time
@@ -27,6 +27,7 @@ from ..core.formulations import SUBSYSTEM
 from ..engine import native
 from ..integration.system import build_system, MOST_UNROLLED_BODIES
 from ..simulation.data import FORMULATIONS
+from ..simulation.errors import SimulationError
 from ..simulation.modeling import build_model
 from ..simulation.simulation import Simulation
 
@@ -35,6 +36,10 @@ QUICK_SIZES = (1, 3, 10, 30, 100)
 SCENES = ('three_rrr', 'carpet_scraper')
 FAMILIES = {'ladder': ladder, 'chain': chain}
 SMALLEST = {'ladder': 1, 'chain': 3}
+# Time after which scenes are looked at [s].
+AFTER = 0.3
+# Accelerations and forces of a mechanism that rests [rad/s^2, m/s^2; N, N m].
+NOTHING = 1e-9
 # An evaluation expected to take longer is not made [s].
 LONGEST = 1.0
 # Timing: this many turns, each of evaluations that take this long together [s].
@@ -74,6 +79,7 @@ class Row:
     # Largest error relative to the largest value.
     acceleration_error: float = math.nan
     force_error: float = math.nan
+    failure: str = ''  # Why there are no numbers; empty where there are
 
 
 def growing_case(family, size):
@@ -161,13 +167,80 @@ def _repeats(system, case):
 
 def _time(system, case, count):
     """Return the CPU time of some evaluations [s]."""
+    return _time_in(system, np.concatenate((case.q, case.qd)), count)
+
+
+def _time_in(system, state, count):
     begin = time.thread_time()
-    native.evaluate_again(system.native, np.concatenate((case.q, case.qd)), count)
+    native.evaluate_again(system.native, state, count)
     return time.thread_time() - begin
 
 
 def _relative(value, reference):
-    return float(np.abs(value - reference).max() / np.abs(reference).max())
+    largest = np.abs(reference).max(initial=0.0)
+    return float(np.abs(value - reference).max() / largest) if largest > NOTHING else math.nan
+
+
+def study_scenes(scenes, progress=lambda done, total: None):
+    """
+    Measure time and differences of all formulations on scenes, with their effects, as they run.
+
+    Each is evaluated as it moves after ``AFTER`` without torques, or as it starts where it does
+    not get there.
+
+    Parameters
+    ----------
+    scenes : sequence of Scene
+        In the plane or in space.
+    progress : callable
+        Called with the number of scenes done and of all.
+
+    Returns
+    -------
+    list of Row
+        Their errors are the largest differences from the median of all formulations, component by
+        component. A formulation that fails is a row with its reason.
+
+    """
+    rows = []
+    for done, scene in enumerate(scenes):
+        progress(done, len(scenes))
+        rows += _of_scene(scene)
+    progress(len(scenes), len(scenes))
+    return rows
+
+
+def _of_scene(scene):
+    """Return the rows of a scene."""
+    moved = Simulation(scene)
+    sizes = (scene.name, len(moved.joint_names), len(scene.mechanism.joints),
+             scene.mechanism.number_of_equations)
+    try:
+        moved.step(duration=AFTER)
+    except SimulationError:
+        moved.reset()
+    q, qd = moved.position, moved.velocity
+    found, failures, timed = {}, {}, {}
+    for name in FORMULATIONS:
+        try:
+            simulation = Simulation(replace(scene, method=replace(scene.method, formulation=name)))
+            found[name] = simulation.forward_dynamics(q, qd)
+        except SimulationError as error:
+            failures[name] = str(error)
+            continue
+        state = simulation.integrated.copy()
+        state[:len(q) + len(qd)] = np.concatenate((q, qd))
+        count = max(1, round(TURN_TIME / max(_time_in(simulation.system, state, 1), 1e-7)))
+        timed[name] = simulation.system, state, count
+    times = {name: [] for name in timed}
+    for _ in range(FEW_TURNS if any(count == 1 for *_, count in timed.values()) else TURNS):
+        for name, (system, state, count) in timed.items():
+            times[name].append(_time_in(system, state, count) / count)
+    middle = [np.median(values, axis=0) for values in zip(*found.values())]
+    return [Row(*sizes, name, failure=failures[name]) if name in failures else Row(
+        *sizes, name, statistics.median(times[name]),
+        *(_relative(value, own) for value, own in zip(found[name], middle)))
+        for name in FORMULATIONS]
 
 
 def exponent(rows):

@@ -18,6 +18,7 @@ import math
 
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+import numpy as np
 
 from .formulations import exponent, FAMILIES, LONGEST, SCENES, UNROLLED
 from ..visual.pictures import DOTS_PER_INCH
@@ -30,6 +31,8 @@ CSV_HEADER = ('mechanism', 'size', 'joints', 'equations', 'formulation', 'time',
 # Okabe and Ito's palette; markers tell the lines apart without it.
 STYLES = {'subsystem': ('#0072B2', 'o', '-'), 'system': ('#D55E00', 's', '--'),
           'augmented': ('#009E73', 'D', ':'), UNROLLED: ('#56B4E9', '^', '-')}
+# Scenes whose names stand upright below a picture.
+MOST_UPRIGHT = 8
 HEADINGS = {'ladder': 'N four-bar loops side by side', 'chain': 'N links hung up at both ends'}
 SIZE_LABELS = {'ladder': 'loops N', 'chain': 'links N'}
 
@@ -54,14 +57,16 @@ def growth_text(rows):
 
 def write(rows, csv_path, picture_path):
     """Write the rows of a study and its picture; both files are replaced if they exist."""
+    picture = growth if any(row.family in FAMILIES for row in rows) else comparison
     write_csv(csv_path, CSV_HEADER, [
         (row.family, row.size, row.joints, row.equations, row.formulation, row.time,
          row.acceleration_error, row.force_error) for row in rows])
-    growth(rows).savefig(picture_path)
+    picture(rows).savefig(picture_path)
 
 
 def _cells(row):
-    made = seconds(row.time) if not math.isnan(row.time) else 'not made: too long'
+    made = seconds(row.time) if not math.isnan(row.time) else (
+        row.failure.split('. ')[0] or 'not made: too long')
     return (row.family, str(row.size), str(row.joints), str(row.equations), row.formulation, made,
             short(row.acceleration_error), short(row.force_error))
 
@@ -77,7 +82,7 @@ def growth(rows):
         _line_panels(panels[:, column], chosen)
         panels[0, column].set_title(HEADINGS[family], fontsize=10)
         panels[1, column].set_xlabel(SIZE_LABELS[family])
-    _scene_panels(panels[:, 2], [row for row in rows if row.family in SCENES])
+    _scene_panels(panels[:, 2], [row for row in rows if row.family in SCENES], SCENES)
     panels[0, 0].set_ylabel('CPU time of one evaluation')
     panels[1, 0].set_ylabel('largest relative rounding error')
     for axes in panels.flat:
@@ -90,6 +95,31 @@ def growth(rows):
         axes.yaxis.set_major_locator(LogLocator(numticks=12))
     handles, labels = panels[0, 2].get_legend_handles_labels()
     figure.legend(handles, labels, loc='outside lower center', ncols=4, frameon=False, fontsize=9)
+    return figure
+
+
+def comparison(rows):
+    """Draw the formulations on scenes."""
+    names = list(dict.fromkeys(row.family for row in rows))
+    figure = Figure(figsize=(max(5.0, 1.5 + 0.9 * len(names)), 6.5), dpi=DOTS_PER_INCH,
+                    layout='constrained')
+    figure.suptitle('One evaluation of the accelerations and constraint forces', fontsize=12)
+    panels = figure.subplots(2, 1, sharex=True)
+    _scene_panels(panels, rows, names)
+    for axes in panels:
+        axes.set_yscale('log')
+        axes.grid(which='major', color='#dddddd', linewidth=0.7)
+        axes.set_axisbelow(True)
+        axes.tick_params(labelsize=8)
+        axes.yaxis.set_minor_formatter(NullFormatter())
+    panels[0].set_title('')
+    panels[0].autoscale(axis='y')
+    panels[0].set_ylabel('CPU time')
+    panels[0].yaxis.set_major_formatter(FuncFormatter(lambda value, _: seconds(value)))
+    panels[1].set_ylabel('largest relative difference\nfrom the median of all')
+    panels[1].tick_params(axis='x', rotation=90 if len(names) > MOST_UPRIGHT else 0)
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc='outside lower center', ncols=3, frameon=False, fontsize=9)
     return figure
 
 
@@ -123,18 +153,21 @@ def _line_panels(panels, rows):
                            fontsize=8, color='#666666')
 
 
-def _scene_panels(panels, rows):
+def _scene_panels(panels, rows, names):
     """Draw the same for the mechanisms of the scenes, as points."""
     panels[0].set_title('shipped mechanisms', fontsize=10)
     panels[0].set_ylim(2e-8, 3.0 * LONGEST)
     for number, (name, (color, marker, _)) in enumerate(STYLES.items()):
-        chosen = [row for row in rows if row.formulation == name]
-        places = [SCENES.index(row.family) + 0.2 * (number - 1.5) for row in chosen]
+        chosen = [row for row in rows if row.formulation == name and not math.isnan(row.time)]
+        if not chosen:
+            continue
+        places = [names.index(row.family) + 0.2 * (number - 1.5) for row in chosen]
         style = {'color': color, 'marker': marker, 'linestyle': '', 'markersize': 6}
         panels[0].plot(places, [row.time for row in chosen], label=_label(name), **style)
         panels[1].plot(places, [_error(row) for row in chosen], **style)
-    panels[1].set_xticks(range(len(SCENES)), [name.replace('_', '\n') for name in SCENES])
-    panels[1].set_xlim(-0.6, len(SCENES) - 0.4)
+    panels[1].set_xticks(range(len(names)), [
+        name if len(names) > MOST_UPRIGHT else name.replace('_', '\n') for name in names])
+    panels[1].set_xlim(-0.6, len(names) - 0.4)
 
 
 def _label(name):
@@ -142,4 +175,4 @@ def _label(name):
 
 
 def _error(row):
-    return max(row.acceleration_error, row.force_error, 1e-17)
+    return np.nanmax([row.acceleration_error, row.force_error, 1e-17])

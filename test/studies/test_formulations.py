@@ -22,12 +22,14 @@ from closedloop_dynamics.engine import native
 from closedloop_dynamics.integration.system import build_system
 from closedloop_dynamics.mechanism.mechanism import PRISMATIC
 from closedloop_dynamics.mechanism.validation import validate_mechanism
+from closedloop_dynamics.simulation.errors import SimulationError
 from closedloop_dynamics.simulation.modeling import build_model
 from closedloop_dynamics.simulation.scene import load_scene
+from closedloop_dynamics.studies import formulations
 from closedloop_dynamics.studies.families import chain, ladder
 from closedloop_dynamics.studies.formulation_errors import exact_dynamics
 from closedloop_dynamics.studies.formulations import (
-    exponent, growing_case, Row, scene_case, study_formulations, VARIANTS)
+    exponent, growing_case, Row, scene_case, study_formulations, study_scenes, VARIANTS)
 from closedloop_dynamics.studies.formulations_report import growth, growth_text, table
 import numpy as np
 import pytest
@@ -91,6 +93,35 @@ def test_study_measures_every_formulation_of_every_size(tmp_path):
         assert row.acceleration_error < 1e-12 and row.force_error < 1e-12
     assert 'three_rrr' in table(rows) and table(rows, markdown=True).startswith('| mechanism |')
     growth(rows).savefig(tmp_path / 'growth.png')
+
+
+def test_formulations_agree_on_every_class_of_scene(capsys, tmp_path):
+    scenes = ['stewart_platform', 'bennett', 'carpet_scraper_on_carpet', 'planetary_gear']
+    arguments = ['formulations', *scenes, '--output', str(tmp_path)]
+    assert main(arguments) == 0
+    out = capsys.readouterr().out
+    assert all(out.count(name + ' ') == 3 for name in scenes)
+    with open(tmp_path / 'formulations.csv') as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 3 * len(scenes)
+    for row in rows:
+        assert float(row['time']) > 0.0 and float(row['acceleration_error']) < 1e-11
+        assert float(row['force_error'] or 0.0) < 1e-10
+    assert (tmp_path / 'formulations.png').stat().st_size > 10000
+
+
+def test_a_formulation_that_fails_is_a_row(monkeypatch):
+    built = formulations.Simulation
+
+    def refusing(scene):
+        if scene.method.formulation == 'system':
+            raise SimulationError('Too dense. Take another.')
+        return built(scene)
+
+    monkeypatch.setattr(formulations, 'Simulation', refusing)
+    rows = study_scenes([load_scene('four_bar')])
+    assert [bool(row.failure) for row in rows] == [False, True, False]
+    assert 'Too dense' in table(rows)
 
 
 def test_exponent_is_fitted_over_the_largest_tenfold():
