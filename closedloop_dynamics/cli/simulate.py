@@ -25,6 +25,7 @@ from .command import (
     add_motion, add_reading, add_scene, add_set, add_torque, checked_torques, Command, FAILED,
     mapping, positive, require_free, scene_of, UsageError)
 from ..integration.registry import ADAPTIVE, AUTO, INTEGRATORS, STABILISATIONS
+from ..recording.cost import probe
 from ..recording.rows import write_scene
 from ..recording.run import columns, ErrorEstimate, Report, run
 from ..simulation.errors import InaccuracyWarning, SimulationError
@@ -61,6 +62,9 @@ def _add_arguments(parser):
     run_options.add_argument('--forces', choices=('cuts', 'all'), default='cuts',
                              help='whose forces are written: those of the cut joints, or of all '
                                   'joints (default: cuts)')
+    run_options.add_argument('--dry-run', action='store_true',
+                             help='tell what the run will cost, from a probe of its first part '
+                                  'that takes a second or so, and write nothing')
     run_options.add_argument('--error-estimate', action=argparse.BooleanOptionalAction,
                              help='run a second, finer simulation that estimates the error '
                                   f'(default: up to {LONGEST_ESTIMATED:g} s)')
@@ -80,10 +84,12 @@ def _add_arguments(parser):
 
 def _run(arguments):
     simulation, torque = _prepared(arguments)
-    report, failure, estimate = Report(), None, None
-    if arguments.error_estimate or (
-            arguments.error_estimate is None and arguments.duration <= LONGEST_ESTIMATED):
-        estimate = ErrorEstimate(simulation)
+    estimated = arguments.error_estimate or (
+        arguments.error_estimate is None and arguments.duration <= LONGEST_ESTIMATED)
+    if arguments.dry_run:
+        return _tell_cost(simulation, torque, estimated, arguments)
+    report, failure = Report(), None
+    estimate = ErrorEstimate(simulation) if estimated else None
     all_forces = arguments.forces == 'all'
     with _opened(arguments.output) as write, \
             program_watch.noting() as received, progress_to(
@@ -122,6 +128,19 @@ def _run(arguments):
             f'  ended     at t = {report.time:.9g} s of {arguments.duration:g} s\n'),
             encoding='utf-8', errors='backslashreplace')
     return 128 + received[0] if received else FAILED if failure else 0
+
+
+def _tell_cost(simulation, torque, estimated, arguments):
+    """Print what the run will cost."""
+    with warnings.catch_warnings():
+        warnings.simplefilter('ignore', InaccuracyWarning)
+        costs = probe(simulation, arguments.duration, arguments.rate, torque, estimated)
+    run_cost, _ = costs
+    print('\n'.join(f'{simulation.scene.name}: {cost}' for cost in costs))
+    if not run_cost.failure:
+        print(f'  with rows{" and the run that tells the error" if estimated else ""} '
+              f'{run_cost.whole:.2g} s; {run_cost.share:.2%} of real time')
+    return FAILED if run_cost.failure else 0
 
 
 def _prepared(arguments):
@@ -242,6 +261,7 @@ examples:
   closedloop simulate three_rrr
   closedloop simulate three_rrr --torque theta_1=5 --torque theta_6=-3 --output run.csv
   closedloop simulate carpet_scraper --motion theta_1=4.7124*t --output run.csv
+  closedloop simulate delta_robot --duration 600 --dry-run
   closedloop simulate four_bar --set mechanism.bodies.crank.mass=2
   closedloop simulate carpet_scraper --duration 600 --step-size 5e-4 --rate 10 --output long.csv
 """,

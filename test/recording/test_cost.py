@@ -1,0 +1,90 @@
+# Copyright 2026 The closedloop_dynamics authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""What a run is expected to cost, from a probe, and ``closedloop simulate --dry-run``."""
+
+import math
+
+from closedloop_dynamics import Simulation
+from closedloop_dynamics.cli import main
+from closedloop_dynamics.recording import cost
+from closedloop_dynamics.recording.cost import Cost, probe
+import pytest
+
+
+def counted(monkeypatch, rate, limit):
+    """Let simulations cost ``rate(t)`` of CPU time per simulated time; probes end at a limit."""
+    def run(simulation, duration, rows, torque, *, report, on_row, keep_going, estimate):
+        report.time = report.cpu_time = 0.0
+        while report.time < duration - 1e-9 and keep_going():
+            report.cpu_time += rate(report.time) / rows
+            clock[0] += rate(report.time) / rows
+            report.time += 1.0 / rows
+
+    clock = [0.0]
+    monkeypatch.setattr(cost, 'run', run)
+    monkeypatch.setattr(cost.time, 'process_time', lambda: clock[0])
+    monkeypatch.setattr(cost, 'LONGEST', limit)
+
+
+def test_what_was_not_probed_costs_what_the_later_half_did(monkeypatch):
+    counted(monkeypatch, lambda time: 1.0 if time < 1.0 else 0.1, 1.3)
+    found, _ = probe(Simulation.from_scene('four_bar'), 100.0, 100.0)
+    # The first second is not what the run goes on like.
+    assert found.probed == pytest.approx(4.0, abs=0.05)
+    assert found.cpu_time == pytest.approx(1.0 + 0.1 * 99.0, rel=0.01)
+    assert found.whole == pytest.approx(found.cpu_time, rel=1e-9)
+
+
+def test_a_short_run_is_made_to_its_end(monkeypatch):
+    counted(monkeypatch, lambda time: 0.01 + 0.01 * (time > 5.0), 1.0)
+    found, _ = probe(Simulation.from_scene('four_bar'), 10.0, 100.0)
+    assert found.probed == pytest.approx(10.0) and found.cpu_time == pytest.approx(0.15, rel=0.01)
+
+
+@pytest.mark.parametrize('method, key, values', [
+    ({}, 'accuracy', (1e-6, 1e-9)), ({'integrator': 'dopri5'}, 'tolerance', (1e-6, 1e-9)),
+    ({'integrator': 'rk4'}, 'step_size', (1e-3, 5e-4))])
+def test_a_finer_method_is_told_beside_the_first(method, key, values):
+    simulation = Simulation.from_scene('stewart_platform', **method)
+    found = probe(simulation, 0.1, 100.0)
+    assert [(one.key, one.value) for one in found] == [
+        (key, pytest.approx(value)) for value in values]
+    assert all(0.0 < one.cpu_time < one.whole and not one.failure for one in found)
+    assert all(one.probed == pytest.approx(0.1) for one in found)
+    assert simulation.time == 0.0 and simulation.at_start
+
+
+def test_a_run_that_fails_is_no_cost():
+    simulation = Simulation.from_scene('four_bar', integrator='rk4', step_size=0.05)
+    found, _ = probe(simulation, 2.0, 100.0, {'crank_joint': 100.0})
+    assert 'could not be closed' in found.failure and 'the run fails at t =' in str(found)
+    assert 'of CPU' not in str(found)
+
+
+def test_costs_in_words():
+    one = Cost('accuracy', 1e-9, 10.0, 0.512, 0.9, 10.0)
+    assert str(one) == 'about 0.51 s of CPU for 10 s at accuracy 1e-09'
+    assert math.isclose(one.share, 0.0512)
+
+
+def test_dry_run_tells_and_writes_nothing(capsys, tmp_path):
+    output = tmp_path / 'run.csv'
+    assert main(['simulate', 'four_bar', '--duration', '0.2', '--dry-run',
+                 '--output', str(output)]) == 0
+    out = capsys.readouterr().out
+    assert 's of CPU for 0.2 s at accuracy 1e-06' in out and 'at accuracy 1e-09' in out
+    assert 'of real time' in out and not list(tmp_path.iterdir())
+    assert main(['simulate', 'four_bar', '--integrator', 'rk4', '--step-size', '0.05',
+                 '--torque', 'crank_joint=100', '--dry-run']) == 1
