@@ -100,8 +100,8 @@ def require_derivatives(scene, effects=(), duration=0.2, step=1e-3):
         dense(q, qd, np.zeros(3 * nv)), rtol=1e-9, atol=1e-9)
     for first, derivative in enumerate((found.by_position, found.by_velocity, found.by_torque)):
         expected = np.stack([sum(
-            weight / step * (dense(q, qd, times * step * unit) - dense(q, qd, -times * step * unit))
-            for times, weight in WEIGHTS) for unit in np.eye(3 * nv)[first * nv:][:nv]], axis=1)
+            weight / step * (dense(q, qd, k * step * unit) - dense(q, qd, -k * step * unit))
+            for k, weight in WEIGHTS) for unit in np.eye(3 * nv)[first * nv:][:nv]], axis=1)
         np.testing.assert_allclose(derivative, expected, rtol=0,
                                    atol=1e-9 * max(1.0, np.abs(expected).max()))
     return simulation, found
