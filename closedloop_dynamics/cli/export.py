@@ -48,6 +48,9 @@ def _add_arguments(parser):
     parser.add_argument('--drake', action='store_true',
                         help='SDF for Drake, which refuses loops of joints: pins and ball joints '
                              'that close loops become its ball constraints')
+    parser.add_argument('--derivatives', action='store_true',
+                        help=f'with an output that ends with {C}: derivatives of accelerations '
+                             'and multipliers, and the Jacobian for CasADi, too')
     add_reading(parser)
 
 
@@ -59,6 +62,8 @@ def _run(arguments):
     write = None if suffix == C else writer(suffix)
     if arguments.drake and write is not sdf:
         raise UsageError('--drake: expected it with an output that ends with .sdf')
+    if arguments.derivatives and suffix != C:
+        raise UsageError(f'--derivatives: expected it with an output that ends with {C}')
     require_free(arguments, arguments.output)
     if suffix == C:
         return _write_c(arguments)
@@ -100,7 +105,8 @@ def _write_c(arguments):
     require_free(arguments, header)
     try:
         simulation = Simulation.from_scene(load_scene(arguments.scene))
-        text, declared = c_source(simulation, arguments.output.stem)
+        text, declared = c_source(
+            simulation, arguments.output.stem, arguments.derivatives)
     except AssemblyError as error:
         raise UsageError(f'{arguments.scene}: {error}') from None
     except ValueError as error:

@@ -20,10 +20,13 @@ import textwrap
 
 import numpy as np
 
-from .c_template import HEADER, PLAIN, SOURCE, WITH_QUATERNIONS
+from .c_template import (
+    COMPONENTS, COMPONENTS_WITH_QUATERNIONS, DIFFERENTIATE, HEADER, JACOBIAN, PLAIN, SOURCE,
+    WITH_QUATERNIONS)
 from .derivatives import refusals
 from .errors import SimulationError
 from ..core.codegen.c_writer import SINE_AND_COSINE, statements
+from ..core.codegen.derivatives import DERIVATIVE, DerivativeUnrolling, RATE
 from ..core.codegen.expression_graph import Q, QD
 from ..core.codegen.function_table import (
     BODY, CLOSURE, CORRECTIONS, CUT_POINT, GRAVITY, LAM, QDD, TAU)
@@ -51,7 +54,7 @@ _SPATIAL_CUT_COLUMNS = (
     'couplings the sum held, then the factor of each joint')
 
 
-def c_source(simulation, name):
+def c_source(simulation, name, derivatives=False):
     """
     Write a scene as C99.
 
@@ -61,6 +64,8 @@ def c_source(simulation, name):
         In the state to start from; parameters are those that effects and masses have now.
     name : str
         Of the functions and of both files.
+    derivatives : bool
+        Whether to write derivatives, too, which take most of the file.
 
     Returns
     -------
@@ -82,7 +87,7 @@ def c_source(simulation, name):
     if reasons:
         raise SimulationError(f'{simulation.scene.name} cannot be written as C: ' + '; '.join(
             f'{what} ({why})' for what, why in reasons.items()))
-    return _Text(simulation, name).both()
+    return _Text(simulation, name, derivatives).both()
 
 
 def left_out(simulation):
@@ -94,8 +99,8 @@ def left_out(simulation):
 class _Text:
     """Both files of one scene."""
 
-    def __init__(self, simulation, name):
-        self.simulation, self.name = simulation, name
+    def __init__(self, simulation, name, derivatives):
+        self.simulation, self.name, self.derivatives = simulation, name, derivatives
         self.system, self.model = simulation.system, simulation.system.model
         self.planar, table = simulation.mechanism.planar, self.system.effects
         values = np.zeros((0, VALUE_COLUMNS)) if table is None else table.values
@@ -116,8 +121,9 @@ class _Text:
     def both(self):
         """Return the source and the header."""
         words = self._words()
-        return tuple(re.sub(
-            '@([A-Z]+)@', lambda match: words[match[1]], text) for text in (SOURCE, HEADER))
+        words |= {word: _filled(text, words) if self.derivatives else '' for word, text in (
+            ('JACOBIAN', JACOBIAN), ('DIFFERENTIATE', DIFFERENTIATE))}
+        return tuple(_filled(text, words) for text in (SOURCE, HEADER))
 
     def _words(self):
         """Return what takes the place of each word of the templates."""
@@ -148,7 +154,11 @@ class _Text:
                      f'  .qd = {_initializer(simulation.velocity)}',
             'SINES': SINE_AND_COSINE, 'ROUTINES': '\n'.join(self._routines()),
             'MANIFOLD': self._manifold(),
-            'SPARSITIES': '\n'.join(map(_column, ('nq', 'nv', 'nc'), (nq, nv, nc)))}
+            'SPARSITIES': '\n'.join(_dense(f'column_{name}', count, 1) for name, count in (
+                ('nq', nq), ('nv', nv), ('nc', nc))),
+            'DENSE': '\n'.join(_dense(name, *shape) for name, shape in (
+                ('qdd_q', (nv, nq)), ('qdd_rest', (nv, nv)), ('lam_q', (nc, nq)),
+                ('lam_rest', (nc, nv))))}
 
     def _multipliers(self):
         """Say of which joints the multipliers are."""
@@ -178,13 +188,21 @@ class _Text:
             'int places_of', unrolled(lambda one: one.places(rows)),
             {Q: 'const double *q', PLACE: 'double *places'})
 
-    def _unrolled(self, what):
-        """Return a routine of a new unrolling."""
+        if self.derivatives:
+            yield self._function(
+                'int derivatives_of',
+                unrolled(lambda one: one.derivatives(), DerivativeUnrolling),
+                {Q: 'const double *q', QD: 'const double *qd', QDD: 'const double *qdd',
+                 LAM: 'const double *lam', DERIVATIVE: 'double *derivatives'})
+
+    def _unrolled(self, what, kind=SceneUnrolling):
+        """Return a routine of a new unrolling, but for outputs that C has no use for."""
         table = self.system.effects
-        one = SceneUnrolling(
+        one = kind(
             self.model, lambda forces: act(table, forces),
             self.members[VALUES][1].shape if VALUES in self.members else (0, VALUE_COLUMNS))
         what(one)
+        one.outputs = [output for output in one.outputs if output[0] != RATE]
         return one.named('')
 
     def _function(self, head, routine, parameters):
@@ -206,10 +224,11 @@ class _Text:
         """Return how states are moved, with quaternions where there are any."""
         manifold = self.system.manifold
         if manifold is None:
-            return PLAIN
-        fields = {'BALLS': str(len(manifold.balls)), 'BALL': _initializer(manifold.balls),
-                  'PLACE': _initializer(manifold.place)}
-        return re.sub('@([A-Z]+)@', lambda match: fields[match[1]], WITH_QUATERNIONS)
+            return PLAIN + ('\n' + COMPONENTS if self.derivatives else '')
+        return _filled(WITH_QUATERNIONS, {
+            'BALLS': str(len(manifold.balls)), 'BALL': _initializer(manifold.balls),
+            'PLACE': _initializer(manifold.place)}) + (
+                '\n' + COMPONENTS_WITH_QUATERNIONS if self.derivatives else '')
 
 
 def _wrapped(text):
@@ -233,7 +252,16 @@ def _initializer(array):
     return '{' + ', '.join(map(repr, array.tolist())) + '}'
 
 
-def _column(name, count):
-    """Return CasADi's sparsity of a dense column."""
-    numbers = [count, 1, 0, count, *range(count)]
-    return f'static const long long int column_{name}[] = {{{", ".join(map(str, numbers))}}};'
+def _dense(name, rows, columns):
+    """Return CasADi's sparsity of a dense matrix: compressed columns."""
+    numbers = [rows, columns, *range(0, rows * columns + 1, rows or 1), *columns * [*range(rows)]]
+    if rows == 0:
+        numbers = [rows, columns, *(columns + 1) * [0]]
+    text = textwrap.fill(', '.join(map(str, numbers)), 99, initial_indent='  ',
+                         subsequent_indent='  ')
+    return f'static const long long int {name}[] = {{\n{text}}};'
+
+
+def _filled(text, words):
+    """Return a template with words in their places."""
+    return re.sub('@([A-Z]+)@', lambda match: words[match[1]], text)

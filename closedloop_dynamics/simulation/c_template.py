@@ -90,7 +90,7 @@ void @NAME@_energies(const @NAME@_model *model, const @NAME@_state *state, doubl
 /* Places of the named points in the world [m], @SPACE@ numbers each:
 @POINTS@ */
 void @NAME@_points(const @NAME@_model *model, const double *q, double *places);
-
+@DIFFERENTIATE@
 /* CasADi's calling convention: casadi.external('@NAME@', './@NAME@.so') is the evaluation of the
  * default model as a function (q, qd, tau) -> (qdd, lam). */
 int @NAME@(const double **arg, double **res, long long int *iw, double *w, int mem);
@@ -301,7 +301,7 @@ int @NAME@_work(
   if (sz_w) {*sz_w = 0;}
   return 0;
 }
-
+@JACOBIAN@
 #ifdef @UPPER@_MAIN
 #include <stdio.h>
 #include <stdlib.h>
@@ -346,6 +346,120 @@ int main(int count, char **text)
   return 0;
 }
 #endif
+"""
+
+# Where derivatives are asked for: in the header, and behind the functions of CasADi.
+DIFFERENTIATE = """
+/* Accelerations, multipliers and derivatives of both, of coordinates that close the loops: NV
+ * columns by coordinates, NV by rates, NV by torques, each of NV + NC numbers, those of the
+ * accelerations first. Each coordinate of the tree is changed alone; orientations are turned about
+ * the child's axes. */
+int @NAME@_differentiate(
+  const @NAME@_model *model, const double *q, const double *qd, const double *tau, double *qdd,
+  double *lam, double *derivatives);
+"""
+
+JACOBIAN = """
+int @NAME@_differentiate(
+  const @NAME@_model *model, const double *q, const double *qd, const double *tau, double *qdd,
+  double *lam, double *derivatives)
+{
+  const int status = @NAME@_evaluate(model, q, qd, tau, qdd, lam);
+  if (status == @UPPER@_OK && !derivatives_of(model, q, qd, qdd, lam, derivatives)) {
+    return @UPPER@_SINGULAR;
+  }
+  return status;
+}
+
+/* All Jacobians, blocks of their own: of each result by each argument. */
+int jac_@NAME@(const double **arg, double **res, long long int *iw, double *w, int mem)
+{
+  static const double zero[NQ + NV];
+  const double *q = arg[0] ? arg[0] : zero;
+  double qdd[NV], lam[NC1], *found = w, *by_q = w + 3 * NV * (NV + NC);
+  (void)iw;
+  (void)mem;
+  const int status = @NAME@_differentiate(
+    &@NAME@_default, q, arg[1] ? arg[1] : zero, arg[2] ? arg[2] : zero, qdd, lam, found);
+  if (status != @UPPER@_OK) {
+    return status;
+  }
+  by_components(q, found, by_q);
+  for (int n = 0; n < RESULTS; ++n) {
+    const int first = n == 0 ? 0 : NV, rows = n == 0 ? NV : NC;
+    for (int k = 0; k < ARGUMENTS; ++k) {
+      const double *from = k == 0 ? by_q : found + k * NV * (NV + NC);
+      double *to = res[ARGUMENTS * n + k];
+      for (int column = 0; to && column < (k == 0 ? NQ : NV); ++column) {
+        memcpy(to + column * rows, from + column * (NV + NC) + first, rows * sizeof(double));
+      }
+    }
+  }
+  return 0;
+}
+
+long long int jac_@NAME@_n_in(void) {return ARGUMENTS + RESULTS;}
+long long int jac_@NAME@_n_out(void) {return ARGUMENTS * RESULTS;}
+
+@DENSE@
+
+const long long int *jac_@NAME@_sparsity_in(long long int place)
+{
+  return place < ARGUMENTS ? @NAME@_sparsity_in(place) : @NAME@_sparsity_out(place - ARGUMENTS);
+}
+
+const long long int *jac_@NAME@_sparsity_out(long long int place)
+{
+  static const long long int *const found[] = {
+    qdd_q, qdd_rest, qdd_rest, lam_q, lam_rest, lam_rest};
+  return place >= 0 && place < ARGUMENTS * RESULTS ? found[place] : 0;
+}
+
+int jac_@NAME@_work(
+  long long int *sz_arg, long long int *sz_res, long long int *sz_iw, long long int *sz_w)
+{
+  if (sz_arg) {*sz_arg = ARGUMENTS + RESULTS;}
+  if (sz_res) {*sz_res = ARGUMENTS * RESULTS;}
+  if (sz_iw) {*sz_iw = 0;}
+  if (sz_w) {*sz_w = (3 * NV + NQ) * (NV + NC);}
+  return 0;
+}
+"""
+
+# Columns by coordinates, of such by changes of as many as there are rates.
+COMPONENTS = """\
+static void by_components(const double *q, const double *by_change, double *out)
+{
+  (void)q;
+  memcpy(out, by_change, NQ * (NV + NC) * sizeof(double));
+}
+"""
+
+COMPONENTS_WITH_QUATERNIONS = """\
+static void by_components(const double *q, const double *by_change, double *out)
+{
+  /* What component a rotation about an axis changes each component by, and its sign. */
+  static const int other[3][4] = {{3, 2, 1, 0}, {2, 3, 0, 1}, {1, 0, 3, 2}};
+  static const double sign[3][4] = {{1, 1, -1, -1}, {-1, 1, 1, -1}, {1, -1, 1, -1}};
+  enum { ROWS = NV + NC };
+  for (int i = 0; i < NV; ++i) {
+    if (place[i] >= 0) {
+      memcpy(out + place[i] * ROWS, by_change + i * ROWS, ROWS * sizeof(double));
+    }
+  }
+  for (int n = 0; n < BALLS; ++n) {
+    for (int k = 0; k < 4; ++k) {
+      double *to = out + (ball[n][0] + k) * ROWS;
+      for (int row = 0; row < ROWS; ++row) {
+        to[row] = 0.0;
+        for (int axis = 0; axis < 3; ++axis) {
+          to[row] += 2.0 * sign[axis][k] * q[ball[n][0] + other[axis][k]] *
+            by_change[(ball[n][1] + axis) * ROWS + row];
+        }
+      }
+    }
+  }
+}
 """
 
 # Of mechanisms whose coordinates are all numbers.

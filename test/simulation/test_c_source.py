@@ -30,6 +30,7 @@ from closedloop_dynamics.effects.joint_spring import JointSpring
 from closedloop_dynamics.effects.payload import Payload
 from closedloop_dynamics.effects.point_spring import PointSpring
 from closedloop_dynamics.simulation.c_source import c_source
+from closedloop_dynamics.simulation.derivatives import Differentiator
 from closedloop_dynamics.simulation.errors import SimulationError
 from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.simulation.simulation import Simulation
@@ -46,11 +47,30 @@ bodies: {rod: {mass: 1.5, center_of_mass: [0.3, 0.0], inertia: 0.02}}
 joints: {pin: {type: revolute, parent: ground, child: rod, position: [0.0, 0.0], actuated: true}}
 points: {tip: {body: rod, position: [0.6, 0.0]}}
 """
+BALL = """\
+name: ball
+bodies:
+  rod: {mass: 1.5, center_of_mass: [0.3, 0.1, 0.0], inertia: [0.02, 0.03, 0.04, 0.001, 0.0, 0.0]}
+  arm: {mass: 0.5, center_of_mass: [0.2, 0.0, 0.0], inertia: [0.01, 0.02, 0.02]}
+joints:
+  ball: {type: spherical, parent: ground, child: rod, position: [0.0, 0.0, 0.0]}
+  hinge: {type: revolute, parent: rod, child: arm, position: [0.6, 0.0, 0.0],
+          axis: [0.0, 1.0, 0.0], actuated: true}
+"""
+BALL_SCENE = """\
+mechanism: ./ball.yaml
+initial:
+  position: {ball: {orientation: {rpy: [0.3, -0.4, 1.1]}}, hinge: 0.4}
+  velocity: {ball: {angular_velocity: [0.5, -1.0, 2.0]}, hinge: 1.0}
+effects: {gravity: {type: gravity, acceleration: [0.0, 0.0, -9.81]}}
+"""
 PENDULUM_SCENE = """\
 mechanism: ./pendulum.yaml
 initial: {position: {pin: 0.4}}
 effects: {gravity: {type: gravity, acceleration: [0.0, -9.81]}}
 """
+MECHANISMS = {'pendulum': PENDULUM, 'ball': BALL}
+SCENES = {'pendulum': PENDULUM_SCENE, 'ball': BALL_SCENE}
 
 
 def simulation_of(scene, effects=()):
@@ -60,8 +80,8 @@ def simulation_of(scene, effects=()):
     return Simulation.from_scene(scene)
 
 
-def build(folder, simulation, *options, name='model'):
-    source, header = c_source(simulation, name)
+def build(folder, simulation, *options, name='model', derivatives=False):
+    source, header = c_source(simulation, name, derivatives)
     (folder / f'{name}.c').write_text(source)
     (folder / f'{name}.h').write_text(header)
     out = folder / (f'{name}.so' if '-shared' in options else name)
@@ -226,6 +246,58 @@ def test_casadi_calls_it(tmp_path):
     for found, expected in zip((qdd, lam), simulation.forward_dynamics(
             simulation.position, qd, torques(simulation))):
         np.testing.assert_allclose(np.ravel(found), expected, rtol=1e-12, atol=1e-12)
+
+
+@compiled
+@pytest.mark.parametrize('scene', ('slider_crank', 'rssr_four_bar', 'pendulum', 'ball'))
+def test_casadi_gets_jacobians(scene, tmp_path):
+    casadi = pytest.importorskip('casadi', reason='needs casadi, from the Python package index')
+    if scene in MECHANISMS:
+        (tmp_path / f'{scene}.yaml').write_text(MECHANISMS[scene])
+        (tmp_path / 'scene.yaml').write_text(SCENES[scene])
+    simulation = simulation_of(tmp_path / 'scene.yaml' if scene in MECHANISMS else scene)
+    library = build(
+        tmp_path, simulation, '-shared', '-fPIC', name='machine', derivatives=True)
+    function = casadi.external('machine', str(library))
+    command = torques(simulation)
+    simulation.step(command, 0.1)
+    state = [simulation.position, simulation.velocity, simulation.joint_torques(command)]
+    blocks = function.jacobian()(*state, *function(*state))
+    for n, values in enumerate(state):
+        step = 1e-3
+        for place in range(len(values)):
+
+            def at(times):
+                moved = [one.copy() for one in state]
+                moved[n][place] += times * step
+                return [np.array(one).ravel() for one in function(*moved)]
+
+            samples = {times: at(times) for times in (-3, -2, -1, 1, 2, 3)}
+            for result in range(2):
+                expected = sum(weight * (samples[k][result] - samples[-k][result]) / step
+                               for k, weight in ((1, 3 / 4), (2, -3 / 20), (3, 1 / 60)))
+                found = np.array(blocks[3 * result + n])[:, place]
+                np.testing.assert_allclose(found, expected, rtol=0, atol=1e-8 * max(
+                    1.0, np.abs(expected).max(initial=0.0)))
+
+
+@compiled
+def test_derivatives_in_c_are_those_of_the_package(tmp_path):
+    simulation = simulation_of('three_rrr_vertical')
+    library = ctypes.CDLL(str(build(
+        tmp_path, simulation, '-shared', '-fPIC', derivatives=True)))
+    command = torques(simulation)
+    simulation.step(command, 0.1)
+    expected = Differentiator(simulation)(simulation.position, simulation.velocity, command)
+    nv, nc = len(expected.acceleration), len(expected.multipliers)
+    arrays = [simulation.position, simulation.velocity, simulation.joint_torques(command),
+              np.zeros(nv), np.zeros(nc), np.zeros((3, nv, nv + nc))]
+    assert library.model_differentiate(
+        ctypes.byref(ctypes.c_char.in_dll(library, 'model_default')),
+        *(ctypes.c_void_p(one.ctypes.data) for one in arrays)) == 0
+    for found, exact in zip(arrays[5], (
+            expected.by_position, expected.by_velocity, expected.by_torque)):
+        np.testing.assert_allclose(found.T, exact, rtol=0, atol=1e-11 * np.abs(exact).max())
 
 
 @pytest.mark.parametrize('scene, words', (
