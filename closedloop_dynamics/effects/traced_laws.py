@@ -41,8 +41,7 @@ _REASONS = {
     'prescribed_motion': 'it follows the time',
     'prescribed_force': 'it follows the time',
     'force_table': 'it is a table',
-    'rotor': 'at a joint that closes a loop it acts on accelerations',
-    'bushing': 'only the engine has its law'}
+    'rotor': 'at a joint that closes a loop it acts on accelerations'}
 
 
 def refused(effects):
@@ -64,7 +63,7 @@ def refused(effects):
     for name, element in effects.by_name.items():
         if effects.enabled[name] and element.kind not in LAWS:
             kind = effect_type(effects.records[name])
-            found[name] = f'{kind}: {_REASONS.get(kind, "its law is not traced")}'
+            found[name] = f'{kind}: {_REASONS.get(kind, "only the engine has its law")}'
     return found
 
 

@@ -29,12 +29,13 @@ from ..core.codegen.c_writer import SINE_AND_COSINE, statements
 from ..core.codegen.derivatives import DERIVATIVE, DerivativeUnrolling, RATE
 from ..core.codegen.expression_graph import Q, QD
 from ..core.codegen.function_table import (
-    BODY, CLOSURE, CORRECTIONS, CUT_POINT, GRAVITY, LAM, QDD, TAU)
+    BODY, CLOSURE, CORRECTIONS, CUT_POINT, EVALUATION, GRAVITY, LAM, QDD, TAU)
 from ..core.codegen.scene_routines import (
     ENERGY, PLACE, POINT, SceneUnrolling, VALUES)
 from ..core.types import CUT_NUMBER, CUT_ROW, ROWS
 from ..effects.table import VALUE_COLUMNS
 from ..effects.traced_laws import act
+from ..engine import native
 from ..integration.system import CLOSURE_LIMIT, CLOSURE_TOLERANCE
 
 # What the columns of the arrays hold: those of ``core.types`` and ``core.codegen.space``.
@@ -87,7 +88,22 @@ def c_source(simulation, name, derivatives=False):
     if reasons:
         raise SimulationError(f'{simulation.scene.name} cannot be written as C: ' + '; '.join(
             f'{what} ({why})' for what, why in reasons.items()))
+    _require_good_start(simulation)
     return _Text(simulation, name, derivatives).both()
+
+
+def _require_good_start(simulation):
+    """Refuse a state that the elimination alone, which is what C has, cannot evaluate."""
+    system = simulation.system
+    before = system.work.health.copy()
+    good = native.call(system.table, EVALUATION, simulation.position, simulation.velocity)
+    system.work.health[:] = before
+    simulation.touch()
+    if not good:
+        raise SimulationError(
+            f'{simulation.scene.name} cannot be written as C: closure equations depend on one '
+            'another where it starts, or nearly, or masses differ so much that the elimination '
+            'alone does not tell. Start it in another position.')
 
 
 def left_out(simulation):

@@ -129,7 +129,7 @@ class Differentiator:
         self._table = np.zeros(RATE + 1, dtype=np.int64)
         for place, array in {
                 calls.BODY: system.model.body, calls.GRAVITY: system.model.gravity,
-                calls.CUT_POINT: system.model.cut_point, calls.HEALTH: np.zeros(16),
+                calls.CUT_POINT: system.model.cut_point,
                 VALUES: self._values, calls.QDD: self._qdd, calls.LAM: self._lam,
                 DERIVATIVE: self._found, RATE: self._rates}.items():
             self._table[place] = array.ctypes.data
@@ -185,7 +185,8 @@ class Differentiator:
             raise SingularityError(
                 'The accelerations have no derivatives here: closure equations depend on one '
                 'another in this position, or nearly, or points that a spring joins meet. Take a '
-                'position beside it.')
+                'position beside it. (So it is everywhere where masses differ so much that the '
+                'elimination alone does not tell.)')
         nv = len(self._qdd)
         parts = [part.T.copy() for part in self._found.reshape(3, nv, -1)]
         return Derivatives(self._qdd.copy(), self._lam.copy(), *parts,

@@ -37,6 +37,8 @@ from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest
 
+from .test_derivatives import PARALLELOGRAM, PARALLELOGRAM_SCENE
+
 compiled = pytest.mark.skipif(
     shutil.which('cc') is None, reason='needs a C compiler, called cc, to compile what is written')
 STRICT = ('-std=c99', '-O1', '-Wall', '-Wextra', '-Wpedantic', '-Werror')
@@ -309,6 +311,14 @@ def test_what_has_no_c_is_refused_by_name(scene, words):
         c_source(simulation_of(scene), 'model')
     for word in words:
         assert word in str(error.value)
+
+
+def test_a_singular_start_is_refused(tmp_path):
+    (tmp_path / 'parallelogram.yaml').write_text(PARALLELOGRAM)
+    (tmp_path / 'scene.yaml').write_text(
+        PARALLELOGRAM_SCENE.replace('{a: 0.7, b: -0.7, c: 0.7}', '{a: 0.0, b: 0.0, c: 0.0}'))
+    with pytest.raises(SimulationError, match='closure equations depend on one another where'):
+        c_source(simulation_of(tmp_path / 'scene.yaml'), 'flat')
 
 
 def test_a_name_that_c_does_not_take_is_refused():
