@@ -34,6 +34,8 @@ import sys
 import tempfile
 
 FOLDER = Path(__file__).resolve().parent
+# Where a checkout keeps what is compiled in place.
+OBJECTS = FOLDER.parents[1] / 'build' / 'engine'
 MODULE = 'native.abi3.so'
 # The version of the wheel ziglang, a C++ compiler for machines without one.
 ZIG = '0.17.1'
@@ -109,9 +111,10 @@ def eigen():
 
 
 def run(command):
-    """Run a command; raise BuildError with all that it said if it fails, and show it otherwise."""
-    done = subprocess.run([str(part) for part in command], stdin=subprocess.DEVNULL, text=True,
-                          stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
+    """Run a command here; raise BuildError with all it said if it fails, show that otherwise."""
+    done = subprocess.run(
+        [str(part) for part in command], cwd=FOLDER, stdin=subprocess.DEVNULL, text=True,
+        stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
     if done.returncode:
         raise BuildError(
             f'{shlex.join(map(str, command))}\nexited with {done.returncode}:\n{done.stdout}')
@@ -130,10 +133,16 @@ def state(command, dependencies):
 
 
 def read_by(rule):
-    """Return the files that a compiler's rule for make names; none if there is no rule."""
+    """
+    Return the files that a compiler's rule for make names; none if there is no rule.
+
+    Those of this folder have no directory there: a copy of the objects serves the same sources
+    elsewhere, and no others.
+
+    """
     if not rule.is_file():
         return []
-    return [Path(name) for name in shlex.split(rule.read_text().replace('\\\n', ''))[1:]]
+    return [FOLDER / name for name in shlex.split(rule.read_text().replace('\\\n', ''))[1:]]
 
 
 def compile_source(source, command, folder):
@@ -143,7 +152,7 @@ def compile_source(source, command, folder):
     if not compiled.is_file() or not kept.is_file() or (
             kept.read_text() != state(command, read_by(rule))):
         kept.unlink(missing_ok=True)
-        run([*command, '-MMD', '-MF', rule, '-c', source, '-o', compiled])
+        run([*command, '-MMD', '-MF', rule, '-c', source.name, '-o', compiled])
         kept.write_text(state(command, read_by(rule)))
     return compiled
 
@@ -169,6 +178,7 @@ def build(output, folder, sanitize=False, target=None):
         No compiler, no Eigen, or an error in the sources, with what the compiler says.
 
     """
+    output, folder = output.absolute(), folder.absolute()
     program = zig('-target', target) if target else compiler() or zig()
     flags = [*FLAGS, *(SANITIZERS if sanitize else ())]
     told = [f'-DENGINE_SOURCES="{digest()}"', f'-DENGINE_FLAGS="{shlex.join(flags)}"']
@@ -201,9 +211,9 @@ def main():
     parser.add_argument('--requirements', action='store_true',
                         help='only print what pip must install before')
     options = parser.parse_args()
-    kind = '-'.join(filter(None, ('engine', options.target, 'sanitize' * options.sanitize)))
-    folder = FOLDER.parents[1] / 'build' / kind
-    output = options.output or (FOLDER if kind == 'engine' else folder) / MODULE
+    kind = '-'.join(filter(None, (OBJECTS.name, options.target, 'sanitize' * options.sanitize)))
+    folder = OBJECTS.with_name(kind)
+    output = options.output or (FOLDER if folder == OBJECTS else folder) / MODULE
     if options.requirements:
         print(*requirements())
     elif not fresh(output):

@@ -67,6 +67,17 @@ def test_only_what_changed_is_compiled_again(tiny):
     assert compile_tiny(tiny) == {'build_info.o'}
 
 
+def test_copied_objects_serve_the_same_sources_and_no_others(tiny, monkeypatch):
+    compile_tiny(tiny)
+    copy = tiny.parent / 'copy' / 'engine'
+    for name in ('engine', 'objects'):
+        shutil.copytree(tiny.parent / name, copy.parent / name)
+    monkeypatch.setattr(build, 'FOLDER', copy)
+    assert compile_tiny(copy) == set()
+    (copy / 'number.hpp').write_text('inline constexpr int number = 22;\n')
+    assert compile_tiny(copy) == {'twice.o', 'build_info.o'}
+
+
 def test_an_error_in_the_sources_is_shown_and_leaves_what_was_compiled(tiny):
     compile_tiny(tiny)
     output = tiny.parent / build.MODULE

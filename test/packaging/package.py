@@ -19,6 +19,8 @@ from pathlib import Path
 import shutil
 import subprocess
 
+from closedloop_dynamics.engine import build
+
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = 'closedloop_dynamics'
 PARTS = (PACKAGE, 'CHANGELOG.rst', 'LICENSE', 'MANIFEST.in', 'README.md', 'config', 'launch',
@@ -34,7 +36,13 @@ SHARED = {
 
 
 def copy_package(destination):
-    """Copy what belongs to the package, without what earlier builds left beside it."""
+    """
+    Copy what belongs to the package, without what earlier builds left beside it.
+
+    But for the objects of the engine, which takes a minute to compile: where the command and all
+    that was read are the same, they are linked again.
+
+    """
     destination.mkdir(parents=True)
     for part in PARTS:
         source = ROOT / part
@@ -43,6 +51,11 @@ def copy_package(destination):
                             ignore=shutil.ignore_patterns('__pycache__', '*.so'))
         elif source.is_file():
             shutil.copy(source, destination)
+    if build.OBJECTS.is_dir():
+        objects = destination / build.OBJECTS.relative_to(ROOT)
+        shutil.copytree(build.OBJECTS, objects)
+        with open(destination / 'setup.cfg', 'a') as settings:
+            settings.write(f'\n[build_ext]\nbuild_temp = {objects}\n')
     return destination
 
 

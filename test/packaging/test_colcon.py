@@ -15,13 +15,16 @@
 """The package in a colcon workspace: built, and used from where colcon installs it."""
 
 import os
+import shutil
 import subprocess
 import sys
+import sysconfig
 from test.packaging.package import (
     copy_package, files_below, outside_environment, PACKAGE, PROGRAMS, run, SHARED)
 from test.ros.domains import reserve_domain
 from xml.etree import ElementTree
 
+from closedloop_dynamics.engine.build import OBJECTS
 from closedloop_dynamics.ros.programs import Program
 import pytest
 
@@ -43,6 +46,10 @@ def colcon(workspace, verb, *arguments):
 def build(workspace, *options):
     """Build the package in a new workspace and return the workspace."""
     copy_package(workspace / 'src' / PACKAGE)
+    if OBJECTS.is_dir():
+        # What setup.cfg says of them is lost on the way with --symlink-install.
+        place = f'temp.{sysconfig.get_platform()}-{sys.implementation.cache_tag}'
+        shutil.copytree(OBJECTS, workspace / 'build' / PACKAGE / 'build' / place)
     colcon(workspace, 'build', *options)
     return workspace
 

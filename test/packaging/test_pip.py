@@ -19,6 +19,7 @@ from pathlib import Path
 import subprocess
 import sys
 import sysconfig
+import tarfile
 from test.packaging.package import (
     copy_package, files_below, outside_environment, PACKAGE, PROGRAMS, ROOT, run, SHARED)
 import venv
@@ -77,6 +78,14 @@ def environment(wheel, tmp_path_factory):
 def test_wheel_holds_the_package_and_nothing_else(wheel):
     names = {Path(name).parts[0] for name in ZipFile(wheel).namelist()}
     assert {name for name in names if not name.startswith(f'{PACKAGE}-')} == {PACKAGE}
+
+
+def test_archive_of_sources_holds_all_that_is_compiled(wheel):
+    with tarfile.open(next(wheel.parent.glob('*.tar.gz'))) as archive:
+        names = {Path(name).name for name in archive.getnames() if f'{PACKAGE}/engine/' in name}
+    engine = ROOT / PACKAGE / 'engine'
+    needed = {path.name for path in (*engine.glob('*.cpp'), *engine.glob('*.hpp'))}
+    assert len(needed) > 80 and needed <= names
 
 
 def test_versions_agree(wheel):
