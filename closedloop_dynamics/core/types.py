@@ -147,7 +147,7 @@ class Model(NamedTuple):
     cut_point : ndarray, shape (number of cuts, CUT_POINT_COLUMNS or more)
     path_body : ndarray of int
         The body of every path entry (a place on the path of a cut force).
-    pair : ndarray of int, shape (pairs, 4)
+    pair : ndarray of int, shape (pairs, 2)
         Off-diagonal blocks: (path entry of the later cut, that of the earlier) that share a
         body, with the rows of both cuts packed in ``block``.
     block : ndarray of int, shape (blocks, 4)

@@ -16,6 +16,7 @@
 
 import gc
 import inspect
+from itertools import product
 import re
 import sys
 import weakref
@@ -117,13 +118,12 @@ def test_wrong_number_of_arguments_is_refused(name):
         getattr(native, name)(**dict.fromkeys(PARAMETERS[name], 0))
 
 
-@pytest.mark.parametrize('thing', [
-    object(), 'text', 2 ** 80, float('nan'), [1.0], (), (1, 2), {}, np.zeros((2, 2, 2, 2)),
-    native, print], ids=lambda thing: type(thing).__name__)
 @pytest.mark.parametrize('name', PARAMETERS)
-def test_nonsense_is_refused_by_every_function(name, thing):
-    with pytest.raises((TypeError, ValueError, OverflowError)):
-        getattr(native, name)(*[thing] * len(PARAMETERS[name]))
+def test_nonsense_is_refused_by_every_function(name):
+    for thing in (object(), 'text', 2 ** 80, float('nan'), [1.0], (), (1, 2), {},
+                  np.zeros((2, 2, 2, 2)), native, print):
+        with pytest.raises((TypeError, ValueError, OverflowError)):
+            getattr(native, name)(*[thing] * len(PARAMETERS[name]))
 
 
 @pytest.mark.parametrize('name', FUNCTIONS)
@@ -134,19 +134,19 @@ def test_good_arguments_are_taken(system, name):
     native.bind(name, *arguments)()
 
 
-@pytest.mark.parametrize('wrong', WRONG_ARRAYS)
 @pytest.mark.parametrize('name', FUNCTIONS)
-def test_wrong_arrays_are_refused(system, name, wrong):
+def test_wrong_arrays_are_refused(system, name):
     arguments = parts(system)[name]
-    for place, value in enumerate(arguments):
-        if isinstance(value, np.ndarray):
-            changed = WRONG_ARRAYS[wrong](value)
-            if kept(value, changed):
-                continue
-            broken = (*arguments[:place], changed, *arguments[place + 1:])
-            for call in (getattr(native, name), lambda *given: native.bind(name, *given)):
-                with pytest.raises((TypeError, ValueError, BufferError)):
-                    call(*broken)
+    refused = 0
+    for wrong, (place, value) in product(WRONG_ARRAYS.values(), enumerate(arguments)):
+        if not isinstance(value, np.ndarray) or kept(value, wrong(value)):
+            continue
+        broken = (*arguments[:place], wrong(value), *arguments[place + 1:])
+        for call in (getattr(native, name), lambda *given: native.bind(name, *given)):
+            with pytest.raises((TypeError, ValueError, BufferError)):
+                call(*broken)
+            refused += 1
+    assert refused > 10
 
 
 @pytest.mark.parametrize('wrong', WRONG_ARRAYS)
