@@ -60,7 +60,6 @@ def served(viewer):
     return viewer.server.url
 
 
-@pytest.mark.timeout(300)
 def test_a_running_simulator_is_shown_and_driven(spinning):
     simulator = spinning(SimulatorNode, scene='three_rrr_vertical')
     viewer = spinning(ViewerNode, nodes='/closedloop_simulator')
@@ -107,7 +106,6 @@ def test_a_namesake_is_not_taken_for_the_simulator(domain, spinning):
     assert simulator.exit_code is None
 
 
-@pytest.mark.timeout(300)
 def test_a_running_simulator_is_stepped_posed_and_held(spinning):
     simulator = spinning(SimulatorNode, scene='three_rrr_vertical', step_size=0.002)
     viewer = spinning(ViewerNode, nodes='/closedloop_simulator')
@@ -155,7 +153,6 @@ def test_a_running_simulator_is_stepped_posed_and_held(spinning):
         client.until(lambda client: client.controls['refused'] == refused + 1)
 
 
-@pytest.mark.timeout(300)
 def test_a_point_of_a_running_simulator_is_pulled(spinning):
     simulator = spinning(SimulatorNode, scene='three_rrr')
     viewer = spinning(ViewerNode, nodes='/closedloop_simulator')
@@ -196,7 +193,6 @@ def test_a_point_of_a_running_simulator_is_pulled(spinning):
     assert simulator.exit_code is None
 
 
-@pytest.mark.timeout(300)
 def test_what_moves_too_far_between_states_is_let_go(spinning):
     simulator = spinning(SimulatorNode, scene='three_rrr', publish_rate=5.0)
     viewer = spinning(ViewerNode, nodes='/closedloop_simulator')
@@ -212,7 +208,6 @@ def test_what_moves_too_far_between_states_is_let_go(spinning):
     assert simulator.exit_code is None
 
 
-@pytest.mark.timeout(300)
 def test_several_simulators_have_a_page_each(spinning):
     for space, scene in (('left', 'three_rrr'), ('right', 'four_bar')):
         spinning(SimulatorNode, namespace=space, scene=scene)

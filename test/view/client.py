@@ -21,7 +21,7 @@ import struct
 import numpy as np
 from websockets.sync.client import connect
 
-PATIENCE = 30.0
+PATIENCE = 120.0
 
 
 class Client:
