@@ -321,7 +321,8 @@ class Attached:
             self._tell()
             self._hand = Hand(self._scene, extent(self._mechanism))
             # Forces do not matter to it.
-            self._model = Simulation(replace(self._hand.scene, effects={}))
+            self._model = Simulation(
+                replace(self._hand.scene, effects={}, switched_off=()))
             self._busy = None
         self._model.set_state(self._position)
         felt = felt_inertia(self._model)[self._model.actuated_in_tree]
