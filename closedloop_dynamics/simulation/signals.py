@@ -64,9 +64,10 @@ class SignalWatch:
         """
         reader, writer = os.pipe()
         os.set_blocking(writer, False)
-        # Python needs a handler for the wakeup descriptor to be written.
-        self._handle_with(lambda number, frame: None)
+        # First, so that no signal is lost in between. Python needs a handler for the descriptor to
+        # be written.
         signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
+        self._handle_with(lambda number, frame: None)
         threading.Thread(
             target=self._read, args=(reader,), name='signal_watch', daemon=True).start()
 
