@@ -7,6 +7,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <vector>
 
 #include "forces.hpp"
 #include "null_space.hpp"
@@ -19,28 +20,12 @@ namespace
 {
 // Pivots below this times the largest belong to equations that repeat others.
 constexpr double REPEATED = 1e-9;
-// Of one joint: a force and two moments.
-constexpr Index TERMS = 9;
 
-void write(Vector3 from, double * to)
+/// From where a wrench is told to the joint's points on its two bodies [m].
+struct Arms
 {
-  to[0] = from.x;
-  to[1] = from.y;
-  to[2] = from.z;
-}
-
-/// What counts of a wrench about the place `about`.
-void terms_of_wrench(
-  const double * wrench, bool planar, Vector3 about, Vector3 a, Vector3 b, double size,
-  double * out)
-{
-  const Vector3 force = planar ? Vector3{wrench[1], wrench[2], 0.0} : vector3(wrench + 3);
-  const Vector3 moment = planar ? Vector3{0.0, 0.0, wrench[0]} : vector3(wrench);
-  const double unit = std::sqrt(0.5) / size;
-  write(force, out);
-  write(unit * (moment + cross(about - a, force)), out + 3);
-  write(unit * (moment + cross(about - b, force)), out + 6);
-}
+  Vector3 a, b;
+};
 
 /// The place of a joint's point on one of its bodies.
 Vector3 joint_point(const JointPlaces & joints, const Workspace & work, Index k, Index side)
@@ -54,41 +39,70 @@ Vector3 joint_point(const JointPlaces & joints, const Workspace & work, Index k,
   return position(work.body, row, vector3(point));
 }
 
+/// Those of all joints: wrenches in the tree are told at origins, those of cut joints at A's point.
+std::vector<Arms> arms_of_joints(const JointPlaces & joints, const Workspace & work)
+{
+  std::vector<Arms> found;
+  for (Index k = 0; k < joints.body.rows; ++k) {
+    const Vector3 a = joint_point(joints, work, k, 0), b = joint_point(joints, work, k, 1);
+    Vector3 told = a;
+    if (k < joints.row.size && work.planar()) {
+      const Vector2 origin = origin_in_plane(work.body, joints.row[k]);
+      told = {origin.x, origin.y, 0.0};
+    } else if (k < joints.row.size) {
+      told = origin_in_space(work.body, joints.row[k]);
+    }
+    found.push_back({told - a, told - b});
+  }
+  return found;
+}
+
+/// Write what counts of a wrench: the force and both moments; return where the next may be written.
+double * terms_of_wrench(
+  const double * wrench, bool planar, const Arms & arms, double unit, double * out)
+{
+  if (planar) {
+    out[0] = wrench[1];
+    out[1] = wrench[2];
+    out[2] = unit * (wrench[0] + arms.a.x * wrench[2] - arms.a.y * wrench[1]);
+    out[3] = unit * (wrench[0] + arms.b.x * wrench[2] - arms.b.y * wrench[1]);
+    return out + 4;
+  }
+  const Vector3 force = vector3(wrench + 3), moment = vector3(wrench);
+  for (const Vector3 & each : {
+      force, unit * (moment + cross(arms.a, force)), unit * (moment + cross(arms.b, force))})
+  {
+    *out++ = each.x;
+    *out++ = each.y;
+    *out++ = each.z;
+  }
+  return out;
+}
+
 /// All that counts: of the joints of the tree and the cut joints, and of other equations.
 Eigen::VectorXd terms(
-  const System & system, const Model & model, const Workspace & work, Table wrench, Values lam)
+  const System & system, const Model & model, const Workspace & work,
+  const std::vector<Arms> & arms, Table wrench, Values lam)
 {
-  const JointPlaces & joints = system.joints;
-  const Index in_tree = joints.row.size, count = joints.body.rows, cuts = count - in_tree;
-  const double size = system.settings[setting::SIZE];
-  Eigen::VectorXd found = Eigen::VectorXd::Zero(TERMS * count + lam.size);
-  for (Index k = 0; k < in_tree; ++k) {
-    const Index i = joints.row[k];
-    Vector3 origin;
-    if (work.planar()) {
-      const Vector2 place = origin_in_plane(work.body, i);
-      origin = {place.x, place.y, 0.0};
-    } else {
-      origin = origin_in_space(work.body, i);
-    }
-    terms_of_wrench(
-      wrench.row(i), work.planar(), origin, joint_point(joints, work, k, 0),
-      joint_point(joints, work, k, 1), size, found.data() + TERMS * k);
+  const Indices & row = system.joints.row;
+  const Index count = static_cast<Index>(arms.size());
+  const double size = system.settings[setting::SIZE], unit = std::sqrt(0.5) / size;
+  const bool planar = work.planar();
+  Eigen::VectorXd found = Eigen::VectorXd::Zero((planar ? 4 : 9) * count + lam.size);
+  double * next = found.data();
+  for (Index k = 0; k < row.size; ++k) {
+    next = terms_of_wrench(wrench.row(row[k]), planar, arms[k], unit, next);
   }
   for (Index a = 0; a < model.cut.rows; ++a) {
-    const Index number = model.cut(a, cut::NUMBER), first = model.cut(a, cut::CUT_ROW);
-    if (number >= cuts) {
+    const Index k = row.size + model.cut(a, cut::NUMBER), first = model.cut(a, cut::CUT_ROW);
+    if (k < count) {
+      wrenches_of_cut(model.cut, model.cut_point, work.cut_piece, work.body, lam, work.share, a);
+      next = terms_of_wrench(work.share.data, planar, arms[k], unit, next);
+    } else {
       for (Index n = first; n < first + model.cut(a, cut::ROWS); ++n) {
-        found[TERMS * count + n] = lam[n] / size;
+        *next++ = lam[n] / size;
       }
-      continue;
     }
-    wrenches_of_cut(model.cut, model.cut_point, work.cut_piece, work.body, lam, work.share, a);
-    const Index k = in_tree + number;
-    const Vector3 place = joint_point(joints, work, k, 0);
-    terms_of_wrench(
-      work.share.data, work.planar(), place, place, joint_point(joints, work, k, 1), size,
-      found.data() + TERMS * k);
   }
   return found;
 }
@@ -121,16 +135,19 @@ void minimise_joint_wrenches(
   }
   const Eigen::MatrixXd turned = columns.householderQ() * Eigen::MatrixXd::Identity(nc, nc);
   const Eigen::MatrixXd unfelt = turned.rightCols(idle);
-  const Eigen::VectorXd now = terms(system, model, work, wrench, lam);
+  const std::vector<Arms> arms = arms_of_joints(system.joints, work);
+  const Eigen::VectorXd now = terms(system, model, work, arms, wrench, lam);
   Eigen::MatrixXd response(now.size(), idle);
   DenseMatrix scratch(work.force.rows, work.force.columns);
   DenseVector change(nc);
   for (Index k = 0; k < idle; ++k) {
     change = unfelt.col(k);
     wrenches_of_multipliers(model, work, view(change), view(scratch));
-    response.col(k) = terms(system, model, work, view(scratch), view(change));
+    response.col(k) = terms(system, model, work, arms, view(scratch), view(change));
   }
-  change = -unfelt * response.colPivHouseholderQr().solve(now);
+  // The columns are of one size and far from dependent: normal equations do, and cost less.
+  const Eigen::MatrixXd normal = response.transpose() * response;
+  change = -unfelt * normal.ldlt().solve(response.transpose() * now);
   dense(lam) += change;
   wrenches_of_multipliers(model, work, view(change), view(scratch));
   for (Index i = 0; i < wrench.rows; ++i) {
