@@ -151,6 +151,7 @@ def test_namesakes_and_a_clock_that_is_missing_are_reported(processes):
     late = processes.start(SIMULATOR, scene='four_bar', use_sim_time='true')
     for simulator in simulators:
         simulator.wait_for('2 nodes are called /left/closedloop_simulator')
+    for simulator in simulators:
         ends_well(simulator)
     late.wait_for('use_sim_time is true, and nobody publishes /clock')
     ends_well(late)

@@ -57,8 +57,7 @@ FAULTS = {
         "did you mean 'four_bar'?"),
     'mechanism_missing': ('mechanism: four_bar\n', '', 1, 'mechanism', *NO_KEY),
     'mechanism_inline': (
-        'mechanism: four_bar', 'mechanism: {name: four_bar}', 1, 'mechanism',
-        f'{MECHANISM} (./NAME.yaml)', 'a mapping', ''),
+        'mechanism: four_bar', 'mechanism: {name: four_bar}', 1, 'mechanism.bodies', *NO_KEY),
     'section_unknown': (
         'effects:', 'effect:', 7, 'effect',
         'one of the keys mechanism, initial, description, effects, method, parameters',
