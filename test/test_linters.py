@@ -1,16 +1,5 @@
-# Copyright 2026 The closedloop_dynamics authors
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+# SPDX-License-Identifier: Apache-2.0
 
 """The linters of ROS 2 Jazzy, ament_flake8 and ament_pep257, and the licence headers."""
 
@@ -30,7 +19,8 @@ SOURCES = sorted(['setup.py', *(str(path.relative_to(ROOT)) for folder in FOLDER
 VERSIONS = sorted(
     f'{one.name} {one.version}' for one in distributions() if str(one.name).startswith((
         'ament', 'flake8', 'mccabe', 'pycodestyle', 'pydocstyle', 'pyflakes', 'ros-ament')))
-LICENCE = 'Licensed under the Apache License, Version 2.0'
+LICENCE = ['SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors',
+           'SPDX-License-Identifier: Apache-2.0']
 
 
 def digest(linter, path):
@@ -67,6 +57,9 @@ def test_linter_finds_nothing(linter, pytestconfig):
 
 
 def test_every_file_has_its_licence():
-    starts = {path: (ROOT / path).read_text().splitlines()[:3] for path in SOURCES}
+    engine = [str(path.relative_to(ROOT)) for pattern in ('*.cpp', '*.hpp')
+              for path in (ROOT / 'closedloop_dynamics' / 'engine').glob(pattern)]
+    starts = {path: (ROOT / path).read_text().splitlines()[:3] for path in (*SOURCES, *engine)}
+    assert engine
     assert not [path for path, lines in starts.items()
-                if not lines[0].startswith('# Copyright ') or LICENCE not in lines[2]]
+                if not all(any(line.endswith(each) for line in lines) for each in LICENCE)]
