@@ -31,8 +31,10 @@ class BuildEngine(build_ext):
     def build_extension(self, extension):
         """Compile into the file that setuptools expects."""
         print('Compiling the engine: this takes less than a minute', flush=True)
+        # What serves a checkout is kept there, for the next change of a source.
+        objects = engine['OBJECTS'] if self.editable_mode else Path(self.build_temp)
         try:
-            engine['build'](Path(self.get_ext_fullpath(extension.name)), Path(self.build_temp))
+            engine['build'](Path(self.get_ext_fullpath(extension.name)), objects)
         except engine['BuildError'] as error:
             raise SystemExit(f'Error: {error}') from None
 

@@ -37,6 +37,20 @@ struct Rank
   Index distinct = 0;  ///< Number of equations that repeat no other
 };
 
+/// Singular values and all singular vectors of a large matrix, by divide and conquer.
+class LargeSingular
+{
+public:
+  void compute(const Eigen::MatrixXd & matrix, unsigned options);
+  const Eigen::MatrixXd & matrixU() const {return left_;}
+  const Eigen::MatrixXd & matrixV() const {return right_;}
+  const Eigen::VectorXd & singularValues() const {return values_;}
+
+private:
+  Eigen::MatrixXd left_, right_;
+  Eigen::VectorXd values_;
+};
+
 /// Most rows and columns of matrices that are kept on the stack: those of most mechanisms.
 constexpr int FEW = 24;
 
@@ -51,7 +65,7 @@ struct Sized
   using Vector = Eigen::Matrix<double, Eigen::Dynamic, 1, Eigen::ColMajor, Most, 1>;
   // Small matrices: accurate, and without memory of its own; large ones: many times as fast.
   using Singular = std::conditional_t<
-    Most == Eigen::Dynamic, Eigen::BDCSVD<ByColumn>, Eigen::JacobiSVD<ByColumn>>;
+    Most == Eigen::Dynamic, LargeSingular, Eigen::JacobiSVD<ByColumn>>;
 };
 
 /// The dense equations J x = right, I x = force + J^T lambda.
