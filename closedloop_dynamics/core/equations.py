@@ -181,26 +181,6 @@ class Equations:
         native.energies(self.model, self.work, self._qd, found)
         return float(found[0]), float(found[1])
 
-    def of_kept(self, lam):
-        """
-        Return multipliers of the kept equations that do what those of all do, where they can.
-
-        Parameters
-        ----------
-        lam : ndarray, shape (nc,)
-            Of all equations.
-
-        Returns
-        -------
-        ndarray
-
-        """
-        if self.kept.all():
-            return lam
-        found = np.zeros(self.kept.sum())
-        native.multipliers_of_kept(self.jacobian(), lam, self.kept.astype(np.int64), found)
-        return found
-
     def cut_wrenches(self, lam, body):
         """
         Return what body B exerts on body A at each cut joint.

@@ -23,7 +23,6 @@
 #include "inverse_dynamics.hpp"
 #include "joint_reaction.hpp"
 #include "laws.hpp"
-#include "least_forces.hpp"
 #include "left_out.hpp"
 #include "loop_closure.hpp"
 #include "manifold.hpp"
@@ -113,6 +112,9 @@ const Entry entries[] = {
   entry<forward_dynamics>(
     "forward_dynamics", "forward_dynamics(model, work, q, qd, tau, qdd, lam)"),
   entry<fill_quaternions>("fill_quaternions", "fill_quaternions(matrices, out)"),
+  entry<rates_of_coordinates>(
+    "rates_of_coordinates",
+    "rates_of_coordinates(manifold, state, nv, out, lanes): of quaternions from spins"),
   entry<move_coordinates>("move", "move(manifold, q, change, share)"),
   entry<evaluate, Length::Q, Length::QD>(
     "evaluate", "evaluate(system, q, qd): accelerations and multipliers"),
@@ -122,8 +124,6 @@ const Entry entries[] = {
     "is_regular", "is_regular(system, q, qd): whether elimination will do"),
   entry<evaluate_state, Length::STATE>("evaluate_state", "evaluate_state(system, state)"),
   released<evaluate_again, Length::STATE>("evaluate_again", "evaluate_again(system, state, count)"),
-  entry<apply_listed, Length::Q, Length::QD>(
-    "apply_listed", "apply_listed(system, q, qd): forces of effects"),
   entry<derivative, Length::STATE, Length::STATE>("derivative", "derivative(system, state, out)"),
   entry<stabilise, Length::ANY, Length::STATE>(
     "stabilise", "stabilise(system, stabilisation, state)"),
@@ -134,13 +134,7 @@ const Entry entries[] = {
   entry<nearest_to_path>(
     "nearest_to_path",
     "nearest_to_path(pieces, start_x, start_y, end_x, end_y): distance from a curve, and where"),
-  entry<find_reactions>(
-    "find_reactions", "find_reactions(model, work, effects, q, qd, qdd, lam): wrenches in joints"),
-  entry<minimise_joint_wrenches>(
-    "minimise_joint_wrenches",
-    "minimise_joint_wrenches(system, model, work, wrench, lam, independent)"),
-  entry<update_joint_loads>(
-    "update_joint_loads", "update_joint_loads(model, work, effects, qd, lam)"),
+  entry<load_joints>("load_joints", "load_joints(system, model, work, qd, qdd, lam)"),
   entry<measure_cut_coordinates>(
     "measure_cut_coordinates",
     "measure_cut_coordinates(index, values, body, states, first, position, velocity)"),
@@ -212,7 +206,6 @@ const Entry entries[] = {
   entry<find_all_multipliers, Length::Q, Length::QD>(
     "find_all_multipliers",
     "find_all_multipliers(system, q, qd, lam): whether accelerations fulfil all equations"),
-  entry<multipliers_of_kept>("multipliers_of_kept", "multipliers_of_kept(jac, lam, kept, out)"),
   entry<place_points>("place_points", "place_points(body, row, point, out)"),
   entry<find_joint_forces, Length::STATE>(
     "find_joint_forces", "find_joint_forces(system, state, lam, row, point, scratch, out)"),

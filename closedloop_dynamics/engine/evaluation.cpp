@@ -47,8 +47,8 @@ void accelerate_with_all_equations(const System & system, Values q, Values qd)
   accelerate_rank_revealing(
     model, work, system.applied, settings[setting::BAUMGARTE_GAIN], settings[setting::ASIDE],
     system.manifold, q, qd, system.qdd, all.empty() ? system.lam : all.lam);
+  DenseMatrix jac(model.equations(), model.joints());
   if (!all.empty()) {
-    DenseMatrix jac(model.equations(), model.joints());
     constraint_jacobian(model, work, view(jac));
     multipliers_of_kept(view(jac), all.lam, all.kept, system.lam);
     return;
@@ -59,7 +59,8 @@ void accelerate_with_all_equations(const System & system, Values q, Values qd)
     apply_listed(system, q, qd);
     bias_forces(work, work.force);
     joint_wrenches(model, work, system.qdd, system.lam, work.force);
-    minimise_joint_wrenches(system, model, work, work.force, system.lam, independent);
+    constraint_jacobian(model, work, view(jac));
+    minimise_joint_wrenches(system, model, work, jac, work.force, system.lam, independent);
   }
 }
 
@@ -175,18 +176,17 @@ void evaluate_joint_loads(const System & system, Values q, Values qd)
     }
     outward(all.model, q, qd, all.own);
     spread_multipliers(system, all.lam);
-    joint_wrenches(all.model, all.own, system.qdd, all.lam, effects.reaction);
-    minimise_joint_wrenches(
-      system, all.model, all.own, effects.reaction, all.lam, system.lam.size);
-    update_joint_loads(all.model, all.own, effects, qd, all.lam);
-    return;
-  }
-  if (system.is_unrolled()) {
+    load_joints(system, all.model, all.own, qd, system.qdd, all.lam);
+  } else if (system.is_unrolled()) {
     call(system.table, routine::REACTIONS, q, qd);
+    update_joint_loads(system.model, system.work, effects, qd, system.lam);
   } else {
-    find_reactions(system.model, system.work, effects, q, qd, system.qdd, system.lam);
+    if (!system.work.planar()) {
+      // The elimination leaves less behind than is read here.
+      outward(system.model, q, qd, system.work);
+    }
+    load_joints(system, system.model, system.work, qd, system.qdd, system.lam);
   }
-  update_joint_loads(system.model, system.work, effects, qd, system.lam);
 }
 
 /// Add what depends on the accelerations.

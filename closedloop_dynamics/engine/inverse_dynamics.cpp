@@ -12,7 +12,6 @@
 #include "dispatch.hpp"
 #include "evaluation.hpp"
 #include "joint_reaction.hpp"
-#include "least_forces.hpp"
 #include "loop_closure.hpp"
 #include "manifold.hpp"
 #include "null_space.hpp"
@@ -234,13 +233,7 @@ bool find_torques(
     }
     // Friction driven by reactions depends on the result: a fixed point, fast because friction is
     // the smaller part.
-    const Values lam = out.from(actuated.size);
-    find_reactions(model, work, system.effects, view(q), view(qd), view(qdd), lam);
-    if (!system.whole.empty()) {
-      minimise_joint_wrenches(
-        system, model, work, system.effects.reaction, lam, system.lam.size);
-    }
-    update_joint_loads(model, work, system.effects, view(qd), lam);
+    load_joints(system, model, work, view(qd), view(qdd), out.from(actuated.size));
     if (settle(system.effects)) {
       return true;
     }

@@ -8,6 +8,7 @@
 
 #include "cut_coordinates.hpp"
 #include "forces.hpp"
+#include "least_forces.hpp"
 #include "recursion.hpp"
 #include "routines.hpp"
 
@@ -90,15 +91,18 @@ double cut_load(
 }
 }  // namespace
 
-void find_reactions(
-  const Model & model, const Workspace & work, const EffectTable & table, Values q, Values qd,
-  Values qdd, Values lam)
+void load_joints(
+  const System & system, const Model & model, const Workspace & work, Values qd, Values qdd,
+  Values lam)
 {
-  if (!work.planar()) {
-    // The elimination leaves less behind than is read here.
-    outward(model, q, qd, work);
+  const Table & wrench = system.effects.reaction;
+  joint_wrenches(model, work, qdd, lam, wrench);
+  if (!system.whole.empty()) {
+    DenseMatrix jac(model.equations(), model.joints());
+    constraint_jacobian(model, work, view(jac));
+    minimise_joint_wrenches(system, model, work, jac, wrench, lam, system.lam.size);
   }
-  joint_wrenches(model, work, qdd, lam, table.reaction);
+  update_joint_loads(model, work, system.effects, qd, lam);
 }
 
 void update_joint_loads(

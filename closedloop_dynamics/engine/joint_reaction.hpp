@@ -4,8 +4,7 @@
 #ifndef CLOSEDLOOP_DYNAMICS__ENGINE__JOINT_REACTION_HPP_
 #define CLOSEDLOOP_DYNAMICS__ENGINE__JOINT_REACTION_HPP_
 
-#include "effect_table.hpp"
-#include "model.hpp"
+#include "system.hpp"
 
 // Reactions in joints, for effects that depend on them: friction. Each follows its reaction with a
 // lag, in a state of its own.
@@ -14,11 +13,11 @@ namespace closedloop
 {
 
 /// Compute the wrenches in the joints of the tree, into EffectTable.reaction, which is as
-/// `bias_forces` leaves it; of the workspace only poses are read. `qdd`, shape (nv,), `lam`, shape
-/// (nc,): accelerations and multipliers.
-void find_reactions(
-  const Model &, const Workspace &, const EffectTable &, Values q, Values qd, Values qdd,
-  Values lam);
+/// `bias_forces` leaves it, and update the loads. Of the workspace only poses are read. `qdd`, shape
+/// (nv,), `lam`, shape (nc,): accelerations, and multipliers of the equations of the model; those
+/// of all equations become those of the least forces, where the elimination leaves some out.
+void load_joints(
+  const System &, const Model &, const Workspace &, Values qd, Values qdd, Values lam);
 
 /// Write the rates of the loads and the readings; EffectTable.reaction has the wrenches in the
 /// joints of the trees.

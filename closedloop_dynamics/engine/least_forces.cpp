@@ -10,7 +10,6 @@
 #include <vector>
 
 #include "forces.hpp"
-#include "null_space.hpp"
 #include "recursion.hpp"
 
 namespace closedloop
@@ -117,12 +116,10 @@ void spread_multipliers(const System & system, Values lam)
 }
 
 void minimise_joint_wrenches(
-  const System & system, const Model & model, const Workspace & work, Table wrench, Values lam,
-  Index independent)
+  const System & system, const Model & model, const Workspace & work, const DenseMatrix & jac,
+  Table wrench, Values lam, Index independent)
 {
-  const Index nc = model.equations();
-  DenseMatrix jac(nc, model.joints());
-  constraint_jacobian(model, work, view(jac));
+  const Index nc = jac.rows();
   if (!(jac.allFinite() && dense(lam).allFinite())) {
     return;
   }

@@ -4,6 +4,7 @@
 #ifndef CLOSEDLOOP_DYNAMICS__ENGINE__LEAST_FORCES_HPP_
 #define CLOSEDLOOP_DYNAMICS__ENGINE__LEAST_FORCES_HPP_
 
+#include "null_space.hpp"
 #include "system.hpp"
 
 // Forces in the joints where closure equations repeat others. These forces are not unique: those
@@ -19,12 +20,12 @@ namespace closedloop
 {
 
 /// Choose multipliers of all equations, shape (nc,), which have the same joint forces J^T lam as
-/// before. `work` has the motion of the bodies; `wrench` has the wrenches in the joints of the tree
-/// that go with the multipliers, before and afterwards. At most `independent` equations repeat no
-/// others: where loops are open by rounding more of them seem to.
+/// before. `work` has the poses of the bodies, `jac` is J there; `wrench` has the wrenches in the
+/// joints of the tree that go with the multipliers, before and afterwards. At most `independent`
+/// equations repeat no others: where loops are open by rounding more of them seem to.
 void minimise_joint_wrenches(
-  const System &, const Model &, const Workspace & work, Table wrench, Values lam,
-  Index independent);
+  const System &, const Model &, const Workspace & work, const DenseMatrix & jac, Table wrench,
+  Values lam, Index independent);
 
 /// Multipliers of all equations that are zero where the elimination leaves an equation out.
 void spread_multipliers(const System &, Values lam);

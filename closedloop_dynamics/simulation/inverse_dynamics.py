@@ -77,13 +77,8 @@ class InverseDynamics:
                 return torque, lam
             # Friction driven by reactions depends on the result: a fixed point, fast because
             # friction is the smaller part.
-            model, work = self._equations.model, self._equations.work
-            native.find_reactions(model, work, table, q, qd, qdd, lam)
-            if self._system.leaves_out:
-                native.minimise_joint_wrenches(
-                    self._system.native, model, work, table.reaction, lam,
-                    len(self._system.lam))
-            native.update_joint_loads(model, work, table, qd, lam)
+            native.load_joints(self._system.native, self._equations.model, self._equations.work,
+                               qd, qdd, lam)
             places, values = self._effects.loads()
             change = np.abs(table.states[places] - values).max()
             table.states[places] = values

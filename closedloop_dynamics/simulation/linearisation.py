@@ -1,7 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-
 """Linear models of a scene, equilibria and modes, in independent coordinates."""
 
 from dataclasses import dataclass
@@ -335,6 +334,7 @@ class Linearisation:
         q, qd = self._state(position, velocity)
         model, _, own, _, _ = self._model(q, qd, torque, outputs, None)
         nq, nv, n, m = len(q), len(qd), len(model.states), len(model.inputs)
+        manifold = self._simulation.system.manifold
 
         def rates(_, values):
             q, qd = values[:nq], values[nq:nq + nv]
@@ -342,7 +342,9 @@ class Linearisation:
             now, found, *_ = self._model(q, qd, torque, (), own)
             change = now.A @ flow
             change[:, n:] += now.B
-            return np.concatenate((self._rates_of(q, qd), found.acceleration, change.ravel()))
+            moving = np.zeros(nq)
+            native.rates_of_coordinates(manifold, values, nv, moving, 1)
+            return np.concatenate((moving, found.acceleration, change.ravel()))
 
         start = np.concatenate((q, qd, np.eye(n, n + m).ravel()))
         run = solve_ivp(rates, (0.0, period), start, method='DOP853', rtol=FLOW_TOLERANCE,
@@ -354,21 +356,6 @@ class Linearisation:
         return LinearModel(
             flow[:, :n], flow[:, n:], model.C, model.D, model.states, model.inputs, model.outputs,
             model.state_units, model.input_units, model.output_units, float(period))
-
-    def _rates_of(self, q, qd):
-        """Return how fast coordinates change."""
-        manifold = self._simulation.system.manifold
-        if manifold is None:
-            return qd
-        found = np.zeros_like(q)
-        for rate, place in enumerate(manifold.place.tolist()):
-            if place >= 0:
-                found[place] = qd[rate]
-        for first, rate in manifold.balls.tolist():
-            (x, y, z, w), (p, r, s) = q[first:first + 4], 0.5 * qd[rate:rate + 3]
-            found[first:first + 4] = (w * p + y * s - z * r, w * r + z * p - x * s,
-                                      w * s + x * r - y * p, -(x * p + y * r + z * s))
-        return found
 
     def static_torque(self, position=None):
         """
