@@ -1,7 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-
 """
 Laws of effects on symbols, for code that is generated for a whole scene.
 
@@ -17,7 +16,7 @@ from .table import (
     EXTERNAL_FORCE, FIRST, JOINT_DAMPING, JOINT_SPRING, POINT_SPRING, SECOND, SPATIAL_FORCE,
     SPATIAL_POINT_SPRING)
 from ..core.codegen.expression_graph import chosen, square_root
-from ..core.codegen.vectors import add, dot, scale, subtract, ZERO
+from ..core.codegen.vectors import add, dot, in_space, scale, subtract, ZERO
 
 # Why other effects have no law here, by the name of their type.
 _REASONS = {
@@ -114,7 +113,7 @@ def _spatial_force(forces, body, _, values):
 
 def _constant(forces, body, point, force, moment, turns):
     """Apply a force and a moment, of a body's axes where ``turns`` is positive."""
-    offset, force = forces.turned(body, point), (*force, *(3 - len(force)) * (0.0,))
+    offset, force = forces.turned(body, point), in_space(force)
     turned = turns > 0.0
     force, moment = (
         tuple(x if one is x else chosen(turned, x, one) for x, one in zip(

@@ -24,8 +24,6 @@ from .spanning_tree import choose_tree, Edge
 from .validation import check_axes, SECTIONS, SPATIAL_SECTIONS, turned_by
 
 BETWEEN = 'between'
-# Instead of parent, child and position.
-OWN_KEYS = (BETWEEN, 'points', 'cut')
 # Joints whose coordinates mean the same whichever body carries the other.
 REVERSIBLE = (REVOLUTE, PRISMATIC, HELICAL, CYLINDRICAL, FIXED)
 

@@ -220,13 +220,6 @@ class Simulation(Readings):
         """Whether nothing has moved or been changed since the start or the last reset."""
         return self._balance.at_start is None and self.time == 0.0
 
-    @property
-    def energy_at_start(self) -> Energies:
-        """Energy balance of the initial state, an ``effects.energy_balance.Energies`` [J]."""
-        self._start_balance()
-        start: Any = self._balance.at_start
-        return start
-
     def _by_freedom(self) -> np.ndarray:
         """Return the coordinate of each freedom, behind them those of ``torque_names``."""
         own, manifold = self._q, self.system.manifold

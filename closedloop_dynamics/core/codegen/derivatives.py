@@ -1,7 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-
 """
 Derivatives of accelerations and multipliers, as code that is generated from the graph.
 
@@ -17,13 +16,12 @@ changes along the loops is what a closing change of all of them adds up to.
 
 """
 
-import numpy as np
-
 from . import elimination, forward_dynamics
 from .expression_graph import (
     ADD, CHOOSE, chosen, COSINE, DIVIDE, LOAD, MULTIPLY, NEGATE, SINE, SQUARE_ROOT, SUBTRACT,
     Symbol)
 from .function_table import LAM, QDD
+from .routines import zeros
 from .scene_routines import SceneUnrolling
 from .spatial import at_parent, rigid
 from .vectors import add, dot, is_zero, scale, subtract, times, transpose, ZERO
@@ -62,7 +60,7 @@ class DerivativeUnrolling(SceneUnrolling):
         """Store the derivatives by coordinates, rates and torques, and those of closure rates."""
         residuals = self.residuals()
         self._prepare()
-        rates = np.full(self.nc, 0.0, dtype=object)
+        rates = zeros(self.nc)
         forward_dynamics.to_user_order(self.model, self.work.closure_rate, rates)
         columns, count = [], self.nv + self.nc
         for number, seed in enumerate(self._seeds()):
@@ -81,7 +79,7 @@ class DerivativeUnrolling(SceneUnrolling):
         """Return R without the torques, and C in the mechanism's order of equations."""
         forces, one, tree = self.moved(), self.recursion, self.constant.tree
         qdd, lam = self.symbols(QDD, (self.nv,)), self.symbols(LAM, (self.nc,))
-        world, own = list(qdd), np.full(self.nv, 0.0, dtype=object)
+        world, own = list(qdd), zeros(self.nv)
         for frame, turns in one.balls(self.constant):
             world[turns] = times(frame, world[turns])
         after, wrench = [2 * ZERO], [2 * ZERO, *one.force[1:]]
@@ -98,7 +96,7 @@ class DerivativeUnrolling(SceneUnrolling):
                 own[tree[i, DOF]] = own[tree[i, DOF]] + dot(
                     rotor, add(one.motion[parent].spin_rate, before[:3]))
                 wrench[parent] = add(wrench[parent], scale(rotor, rate) + ZERO)
-        closed = np.full(self.nc, 0.0, dtype=object)
+        closed = zeros(self.nc)
         for a, cut in enumerate(self.constant.cut):
             for row, closure in enumerate(one.closures(self.model, a), start=cut[CUT_ROW]):
                 total = closure.bias
@@ -122,7 +120,7 @@ class DerivativeUnrolling(SceneUnrolling):
     def _prepare(self):
         """Factor; the routine tells where that does not go well."""
         bool(forward_dynamics.prepare(
-            self.recursion, self.model, np.full(self.nv, 0.0, dtype=object), self.work))
+            self.recursion, self.model, zeros(self.nv), self.work))
         # Changes of the accelerations have no bias of their own.
         self.recursion.motion = [
             motion._replace(spin_rate=ZERO) for motion in self.recursion.motion]
@@ -155,7 +153,7 @@ class DerivativeUnrolling(SceneUnrolling):
             if parent > 0:
                 scaled = scale(one.factors[i][0], work.body[i, DINV])
                 one.hand_over(i, parent, torque, scaled, right)
-        right = np.full(self.nc, 0.0, dtype=object)
+        right = zeros(self.nc)
         forward_dynamics.free_acceleration(self.model, work, right)
         for cut in self.constant.cut:
             for k in range(cut[ROWS]):
@@ -163,7 +161,7 @@ class DerivativeUnrolling(SceneUnrolling):
                 right[place] = 0.0 - right[place] - column[self.nv + cut[CUT_ROW] + k]
         elimination.solve(self.model, work, right)
         forward_dynamics.apply(self.model, work, right)
-        qdd, lam = (np.full(count, 0.0, dtype=object) for count in (self.nv, self.nc))
+        qdd, lam = zeros(self.nv), zeros(self.nc)
         one.outward_acceleration(self.model, work, qdd)
         forward_dynamics.to_user_order(self.model, right, lam)
         return [*qdd, *lam]

@@ -118,7 +118,7 @@ class Unrolling:
             body=self.symbols(BODY, model.body.shape),
             gravity=self.symbols(GRAVITY, model.gravity.shape),
             cut_point=self.symbols(CUT_POINT, model.cut_point.shape))
-        work = Workspace(*(_zeros(*array.shape) for array in unconnected(model)))
+        work = Workspace(*(zeros(*array.shape) for array in unconnected(model)))
         self.work = work._replace(health=self.symbols(HEALTH, work.health.shape))
         self.q = self.symbols(Q, (number_of_coordinates(model),))
         self.qd = self.symbols(QD, (self.nv,))
@@ -208,7 +208,7 @@ class Unrolling:
     def accelerate(self, by):
         """Unroll the forward dynamics of one of the modules."""
         baumgarte = self.symbols(BAUMGARTE, (1,))[0]
-        tau, qdd, lam = self.symbols(TAU, (self.nv,)), _zeros(self.nv), _zeros(self.nc)
+        tau, qdd, lam = self.symbols(TAU, (self.nv,)), zeros(self.nv), zeros(self.nc)
         bool(by.accelerate(self.recursion, self.model, self.work, tau, baumgarte, qdd, lam))
         self.store(QDD, qdd)
         self.store(LAM, lam)
@@ -249,9 +249,9 @@ class Unrolling:
         """Least changes of coordinates and of rates that close the loops, one after the other."""
         model, work = self.model, self.work
         self.recursion.outward(model, self.q, self.qd, work)
-        bool(by.prepare(self.recursion, model, _zeros(self.nv), work))
+        bool(by.prepare(self.recursion, model, zeros(self.nv), work))
         for n, error in enumerate((work.closure, work.closure_rate)):
-            right, out = -error, _zeros(self.nv)
+            right, out = -error, zeros(self.nv)
             elimination.solve(model, work, right)
             work.body[:, RHS] = 0.0
             forward_dynamics.apply(model, work, right)
@@ -262,5 +262,6 @@ class Unrolling:
         self.store(HEALTH, work.health)
 
 
-def _zeros(*shape):
+def zeros(*shape):
+    """Return an array of zeros in which symbols find room."""
     return np.full(shape, 0.0, dtype=object)

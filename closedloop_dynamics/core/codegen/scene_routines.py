@@ -1,7 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-
 """
 Routines of a mechanism together with what acts on it, for programs that know no effects.
 
@@ -10,14 +9,12 @@ and constant forces. Their numbers are inputs, like masses and lengths.
 
 """
 
-import numpy as np
-
 from . import forward_dynamics
 from .expression_graph import Routine
 from .function_table import CLOSURE, CORRECTIONS, LAM, QDD, TAU
-from .routines import Unrolling
+from .routines import Unrolling, zeros
 from .spatial import rigid
-from .vectors import add, cross, dot, is_zero, scale, subtract, times, ZERO
+from .vectors import add, cross, dot, in_space, is_zero, scale, subtract, times, ZERO
 from ..types import BALL, COORDINATE, DOF, PARENT, TYPE
 
 # Inputs and outputs beside those of a function table: numbers of effects and of points; energies
@@ -56,12 +53,12 @@ class SceneUnrolling(Unrolling):
     def evaluation(self):
         """Accelerations and multipliers."""
         forces = self.moved()
-        qdd, lam = (np.full(count, 0.0, dtype=object) for count in (self.nv, self.nc))
+        qdd, lam = zeros(self.nv), zeros(self.nc)
         tau = self.symbols(TAU, (self.nv,)) + forces.torque
         bool(forward_dynamics.accelerate(
             self.recursion, self.model, self.work, tau, 0.0, qdd, lam))
-        self.outputs += [(QDD, n, value) for n, value in enumerate(qdd)]
-        self.outputs += [(LAM, n, value) for n, value in enumerate(lam)]
+        self.store(QDD, qdd)
+        self.store(LAM, lam)
 
     def correction(self):
         """Least changes of coordinates and of rates that close the loops."""
@@ -93,7 +90,7 @@ class SceneUnrolling(Unrolling):
         points = self.symbols(POINT, (len(rows), size))
         for n, (row, point) in enumerate(zip(rows, points)):
             motion = self.recursion.motion[row]
-            place = add(motion.origin, times(motion.frame, (*point, *(3 - size) * (0.0,))))
+            place = add(motion.origin, times(motion.frame, in_space(point)))
             self.outputs += [(PLACE, n * size + k, place[k]) for k in range(size)]
 
     def named(self, name):
@@ -124,7 +121,7 @@ class Forces:
         self._one, self._values = unrolling.recursion, unrolling.values
         self._q, self._qd, tree = unrolling.q, unrolling.qd, unrolling.constant.tree
         self._row = {row[DOF]: row for row in tree[1:]}
-        self.torque, self.stored = np.full(unrolling.nv, 0.0, dtype=object), 0.0
+        self.torque, self.stored = zeros(unrolling.nv), 0.0
 
     def numbers(self, row):
         """Return the numbers of a row of the table of effects."""
@@ -145,11 +142,7 @@ class Forces:
 
     def turned(self, body, vector):
         """Return a vector of two or three numbers in a body's frame in world axes."""
-        return times(self._one.motion[body].frame, _in_space(vector))
-
-    def spin(self, body):
-        """Return the angular velocity of a body."""
-        return self._one.motion[body].spin
+        return times(self._one.motion[body].frame, in_space(vector))
 
     def place(self, body, offset):
         """Return the place of a point at an offset in world axes, and its velocity."""
@@ -165,8 +158,3 @@ class Forces:
     def store(self, energy):
         """Add to the energy stored."""
         self.stored = self.stored + energy
-
-
-def _in_space(vector):
-    """Return a vector with zeros for what the plane does not have."""
-    return (*vector, *(3 - len(vector)) * (0.0,))

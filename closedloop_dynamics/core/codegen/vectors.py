@@ -14,6 +14,11 @@ ZERO = (0.0, 0.0, 0.0)
 IDENTITY = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
+def in_space(vector):
+    """Return a vector of two or three numbers with zeros for what the plane does not have."""
+    return (*vector, *(3 - len(vector)) * (0.0,))
+
+
 def add(a, b):
     """Return a + b."""
     return tuple(x + y for x, y in zip(a, b))
