@@ -1,7 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-
 """C++ around Pinocchio, compiled when a benchmark first asks for it."""
 
 import ctypes

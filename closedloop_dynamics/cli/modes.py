@@ -1,7 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-
 """``closedloop modes``: frequencies, damping and shapes of small motions about a position."""
 
 import math

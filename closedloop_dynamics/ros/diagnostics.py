@@ -1,7 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-
 """
 Diagnostics of a simulator: ``diagnostic_msgs/DiagnosticArray`` on ``/diagnostics``.
 

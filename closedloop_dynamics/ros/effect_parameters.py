@@ -1,7 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-
 """Effects of a running simulation as parameters ``effects.NAME.KEY``, and forces from topics."""
 
 from dataclasses import fields

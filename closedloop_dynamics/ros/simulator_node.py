@@ -1,7 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-
 """
 The node ``closedloop_simulator``: a scene simulated live, driven by torque commands.
 

@@ -1,7 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-
 """A scene as C99: evaluation, correction of the loops, a step, energies and points."""
 
 import re

@@ -1,7 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-
 """The C that is the same for all mechanisms; ``c_source`` fills in the rest."""
 
 HEADER = """\

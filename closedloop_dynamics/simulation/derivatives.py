@@ -1,7 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-
 """Derivatives of accelerations and multipliers of a scene, by generated code."""
 
 from typing import NamedTuple

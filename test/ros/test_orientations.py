@@ -1,7 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-
 """The simulator runs joints with an orientation: their states, commands, frames, bags."""
 
 from test.reference import spatial_machines

@@ -1,7 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-
 """C that is written for a scene: the same run, its faults, CasADi, and what is refused."""
 
 import ctypes

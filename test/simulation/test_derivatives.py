@@ -1,7 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-
 """Derivatives of accelerations and multipliers: differences of a dense twin, and refusals."""
 
 from dataclasses import replace

@@ -1,7 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-
 """Couplings, rods and pins in slots in the plane: laws of machines, and what is refused."""
 
 from dataclasses import replace

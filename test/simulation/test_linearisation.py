@@ -1,7 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-
 """Linear models, equilibria and modes: differences of runs, and answers that are known."""
 
 from dataclasses import replace

@@ -1,7 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-
 """Published benchmarks and closed forms, and what a benchmark's figure alone does not say."""
 
 from dataclasses import replace
