@@ -20,7 +20,12 @@ from websockets.sync.client import connect
 
 NAMES = ('chromium', 'chromium-browser', 'google-chrome', 'chrome')
 # Longest wait for a browser on a busy machine [s].
-PATIENCE = 60.0
+PATIENCE = 120.0
+# A page works the same whether it is in front or behind others, and where /dev/shm is small.
+STEADY = ('--disable-background-timer-throttling', '--disable-backgrounding-occluded-windows',
+          '--disable-renderer-backgrounding', '--disable-hang-monitor', '--disable-dev-shm-usage',
+          '--disable-component-update', '--disable-default-apps', '--disable-sync',
+          '--no-default-browser-check', '--password-store=basic')
 
 
 def program():
@@ -37,7 +42,7 @@ def browser():
              '--use-angle=swiftshader', '--enable-unsafe-swiftshader', '--no-first-run',
              '--disable-gpu-rasterization', '--disable-accelerated-2d-canvas',
              '--disable-extensions', '--disable-background-networking', '--hide-scrollbars',
-             '--remote-debugging-port=0', f'--user-data-dir={home}', 'about:blank'],
+             *STEADY, '--remote-debugging-port=0', f'--user-data-dir={home}', 'about:blank'],
             stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         try:
             told = Path(home, 'DevToolsActivePort')
@@ -46,7 +51,8 @@ def browser():
                 assert process.poll() is None and time.monotonic() < end, 'no browser'
                 time.sleep(0.05)
             port, path = told.read_text().splitlines()
-            with connect(f'ws://127.0.0.1:{port}{path}', max_size=None) as socket:
+            with connect(f'ws://127.0.0.1:{port}{path}', max_size=None, open_timeout=PATIENCE,
+                         ping_interval=None) as socket:
                 yield lambda *arguments, **options: Tab(socket, *arguments, **options)
         finally:
             process.kill()
@@ -69,6 +75,8 @@ class Tab:
                  deviceScaleFactor=2 if phone else 1, mobile=phone)
         self._do('Emulation.setEmulatedMedia', features=[
             {'name': 'prefers-color-scheme', 'value': 'dark' if dark else 'light'}])
+        # Keys reach the page whichever window the browser takes for the active one.
+        self._do('Emulation.setFocusEmulationEnabled', enabled=True)
         self.errors = []
         self._do('Runtime.enable')
         self._do('Page.enable')
@@ -104,7 +112,8 @@ class Tab:
             time.sleep(0.05)
 
     def picture(self):
-        """Return what is seen, shape (height, width, 3)."""
+        """Return what is seen once the page has drawn its state, shape (height, width, 3)."""
+        self.ask('new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))')
         data = self._do('Page.captureScreenshot', format='png')['data']
         return np.asarray(Image.open(io.BytesIO(base64.b64decode(data))).convert('RGB'))
 

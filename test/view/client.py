@@ -20,7 +20,8 @@ class Client:
         self._stack = ExitStack()
         self.socket = self._stack.enter_context(connect(
             url.replace('http', 'ws').replace('/?', '/live?')
-            if '?' in url else url.replace('http', 'ws') + 'live'))
+            if '?' in url else url.replace('http', 'ws') + 'live',
+            open_timeout=PATIENCE, ping_interval=None))
         self.scene = json.loads(self.socket.recv(timeout=PATIENCE))
         assert self.scene['type'] == 'scene'
         self.samples = []

@@ -4,6 +4,7 @@
 """A simulation that is shown, with a clock that moves when told; compiled once."""
 
 import json
+import math
 import threading
 
 from closedloop_dynamics.simulation.scene import load_scene
@@ -18,6 +19,8 @@ class Shown:
 
     def __init__(self, scene):
         self.now, self.served = 100.0, False
+        # Simulated time from which on the clock stands still [s].
+        self.end = math.inf
         self.runner = Runner(load_scene(scene), lambda: self.now)
         self.simulation, self.feed = self.runner.simulation, self.runner.feed
 
@@ -30,7 +33,8 @@ class Shown:
     def run(self, frames):
         """Let so many frames pass."""
         for _ in range(frames):
-            self.now += 1.0 / RATE
+            if self.simulation.time < self.end:
+                self.now += 1.0 / RATE
             self.runner.tick()
 
 
@@ -43,6 +47,7 @@ def shown_once():
 def shown(shown_once):
     """At its start, with the method, the effects and the drives of its scene."""
     shown = shown_once
+    shown.end = math.inf
     shown.ask('kinematic', on=False)
     shown.runner._start = None
     shown.ask('release', page=shown.runner._holder)

@@ -462,6 +462,10 @@ class Page {
       }
       moving = null;
     };
+    solid.onpointerleave = () => {
+      this.picture.hover = null;
+      solid.classList.remove('near');
+    };
     solid.oncontextmenu = (event) => event.preventDefault();
     solid.ondblclick = () => {
       this.picture.touched = false;
