@@ -319,7 +319,7 @@ def test_an_interrupted_run_leaves_whole_rows_and_says_so(tmp_path, number, expe
             assert process.poll() is None, process.communicate()
             time.sleep(0.01)
         process.send_signal(number)
-        text, errors = process.communicate(timeout=60)
+        text, errors = process.communicate(timeout=300)
     finally:
         process.kill()
     assert process.returncode == expected

@@ -40,7 +40,7 @@ BLOCK = re.compile(
 TERMINALS = 'each in a terminal of its own'
 AFTERWARDS = 'with what was recorded above'
 # How long a recording may take to grow on disk, which it does once a second [s].
-PATIENCE = 60.0
+PATIENCE = 240.0
 # Commands that are not run from here, and why.
 ELSEWHERE = {
     'scripts/build': 'test/engine/test_build.py does',
@@ -157,7 +157,9 @@ def recordings(block):
 def wait_for_more(names):
     """Wait until bags have grown on disk."""
     def sizes():
-        return [sum(path.stat().st_size for path in Path(name).iterdir()) for name in names]
+        # A draft of the metadata may be gone between the look into the folder and that at the file.
+        return [sum(path.stat().st_size for path in Path(name).iterdir()
+                    if path.suffix in ('.mcap', '.db3')) for name in names]
 
     before, deadline = sizes(), time.monotonic() + PATIENCE
     while any(now <= then for now, then in zip(sizes(), before)):

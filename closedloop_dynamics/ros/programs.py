@@ -30,7 +30,7 @@ READY = {
     'closedloop_joint_states': 'completing',
 }
 # The first start may compile everything [s].
-PATIENCE = 120.0
+PATIENCE = 240.0
 LOOK = 0.02
 LINES_SHOWN = 12
 _STARTER = """\

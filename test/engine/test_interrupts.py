@@ -15,8 +15,9 @@ import numpy as np
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-# How much CPU time may pass between the signal and the exception [s].
-HEARD = 0.2
+# How much CPU time may pass between the signal and the exception, on a slow machine, too [s]: the
+# computations themselves would take hours.
+HEARD = 2.0
 # One thread does what takes long; another sends the signal when the first is within the engine:
 # its Python code stands still although the other has the lock of the interpreter again and again.
 CHILD = """
@@ -42,14 +43,16 @@ def place():
 
 
 def interrupt():
-    seen, times = None, 0
-    while times < 10:
+    # For a tenth of a second of this process's own time, whatever else the machine does.
+    seen, since = None, time.process_time()
+    while seen is None or time.process_time() < since + 0.1:
         time.sleep(0.01)
         here = place()
-        seen, times = here, times + 1 if here is not None and here == seen else 0
+        if here != seen:
+            seen, since = here, time.process_time()
     sent.append(time.process_time())
     os.kill(os.getpid(), signal.SIGINT)
-    while time.process_time() < sent[0] + 3.0:
+    while time.process_time() < sent[0] + 10.0:
         time.sleep(0.005)
     print(json.dumps({'within': seen[0], 'unheard': True}), flush=True)
     os._exit(1)
@@ -81,7 +84,7 @@ def interrupted(scene, method, action):
     """Return what a process says that was interrupted while it did something."""
     done = subprocess.run(
         [sys.executable, '-c', CHILD, json.dumps([scene, method, action])], text=True,
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, timeout=60, check=False,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, timeout=500, check=False,
         env={**os.environ, 'PYTHONPATH': str(ROOT)})
     assert done.stdout, done.stderr
     said = json.loads(done.stdout.splitlines()[-1])

@@ -11,7 +11,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
 # Generous: a loaded machine is slow, and a test that passes does not wait.
-PATIENCE = 120.0
+PATIENCE = 240.0
 DEPTH = 10000
 # After which a message, or a call of a service, that may have been lost is sent again [s]. Calls
 # that are answered late would be obeyed twice.
@@ -58,19 +58,21 @@ class Listener:
 
     def send(self, publisher, message, condition, what):
         """
-        Publish until a condition holds.
+        Publish until a condition holds; return how often.
 
         A publisher knows of a subscriber before that knows of the publisher; what is sent in
         between is lost.
 
         """
-        deadline = time.monotonic() + PATIENCE
+        deadline, count = time.monotonic() + PATIENCE, 0
         while not condition():
             assert time.monotonic() < deadline, f'no {what} within {PATIENCE} s'
             publisher.publish(message)
+            count += 1
             again = time.monotonic() + REPEAT
             while time.monotonic() < again and not condition():
                 self._executor.spin_once(timeout_sec=0.05)
+        return count
 
     def call(self, service_class, name, request):
         """Call a service and return the answer."""

@@ -54,8 +54,9 @@ def test_flood_of_commands_delays_nothing_and_the_last_one_counts(processes, lis
     publisher = listener.publisher('torque_command', Float64MultiArray)
     message = Float64MultiArray(data=[1.0, 1.0, 1.0])
     listener.wait(lambda: len(states) > 10, 'states')
-    listener.send(publisher, Float64MultiArray(data=[3.0, 2.0, 1.0]),
-                  lambda: applied(states, [3.0, 2.0, 1.0]), 'state with the first command')
+    tried = listener.send(
+        publisher, Float64MultiArray(data=[3.0, 2.0, 1.0]),
+        lambda: applied(states, [3.0, 2.0, 1.0]), 'state with the first command')
     before, sent = memory(simulator), 0
     begin = time.monotonic()
     while time.monotonic() - begin < 2.0:
@@ -69,9 +70,9 @@ def test_flood_of_commands_delays_nothing_and_the_last_one_counts(processes, lis
     assert memory(simulator) - before < 30e6
     assert '0 rejected' in last_words(simulator)
     accepted = int(last_words(simulator).split('commands: ')[1].split()[0])
-    # Each was taken or counted as lost; the first and the last may have been sent twice.
+    # Each was taken or counted as lost, and the last one; the first ones may have come too early.
     lost = int(last_words(simulator).split(' lost')[0].split()[-1])
-    assert sent <= accepted + lost <= sent + 20 and accepted > 10
+    assert sent + 2 <= accepted + lost <= sent + 1 + tried and accepted > 10
 
 
 def last_words(simulator):
@@ -177,10 +178,9 @@ def test_clock_that_jumps_and_stops_does_not_disturb_the_simulation(processes, l
 
         listener.wait(follows, f'state stamped {seconds}')
     seen = len(states)
-    listener.wait(lambda: len(states) > seen + 50, 'more states')
-    positions = {tuple(message.position) for message in states[-50:]}
     # The machine moves on whatever the clock says.
-    assert len(positions) > 25
+    listener.wait(lambda: len({tuple(message.position) for message in states[seen:]}) > 25,
+                  'motion')
     ends_well(simulator)
 
 
@@ -234,8 +234,8 @@ def test_subscribers_that_come_and_go_cost_the_others_nothing(processes, listene
         spin(listener, 0.03)
         for subscription in subscriptions:
             listener.node.destroy_subscription(subscription)
+    listener.wait(lambda: len(entries) > 100, 'a hundred entries')
     indices = [entry.data[INDEX] for entry in entries]
-    assert len(indices) > 100
     assert indices == list(range(int(indices[0]), int(indices[0]) + len(indices)))
     ends_well(simulator)
 

@@ -22,7 +22,7 @@ PROGRAMS = {
     'recorder': (['-c', NODE.format('recorder')], 0),
 }
 DELAYS = (0.0, 0.02, 0.1, 0.3)
-PATIENCE = 60.0
+PATIENCE = 240.0
 
 
 def watches(pid):

@@ -13,7 +13,7 @@ from rclpy.qos import QoSProfile
 from rclpy.qos import ReliabilityPolicy
 from std_msgs.msg import Float64MultiArray
 
-PATIENCE = 120.0
+PATIENCE = 240.0
 
 
 @pytest.mark.parametrize('numbers, publishers, missing', [

@@ -4,6 +4,7 @@
 """Tests of the simulator as a process of its own, over DDS."""
 
 import math
+import re
 import signal
 import time
 
@@ -28,22 +29,26 @@ def stamp(message):
 def test_states_and_forces_come_at_the_rate_asked_for(processes, listener):
     # Stamped with simulated time, whatever else the machine does.
     simulator = processes.start(
-        SIMULATOR, scene='three_rrr', publish_rate='200.0', publish_clock='true')
+        SIMULATOR, scene='three_rrr', publish_rate='50.0', publish_clock='true')
     states = listener.listen('joint_states', JointState)
     forces = [listener.listen(f'constraint_forces/cut_{i}', WrenchStamped) for i in (1, 2)]
     simulator.wait_until_ready()
-    listener.wait(lambda: min(map(len, [states, *forces])) > 200, '200 states')
+
+    def both():
+        stamps = {stamp(message) for message in states}
+        return sum(stamp(message) in stamps for message in forces[0])
+
+    listener.wait(lambda: min(map(len, [states, *forces])) > 100 and both() > 90,
+                  '100 states with forces')
     assert states[0].name == [*(f'theta_{i}' for i in range(1, 8)), 'cut_1', 'cut_2']
     assert forces[0][0].header.frame_id == 'world'
     # On a busy machine a state may come early, after the steps there was time for, or not at all.
-    periods = np.diff([stamp(message) for message in states]) * 200.0
-    np.testing.assert_allclose(5.0 * periods, np.round(5.0 * periods), atol=1e-5)
+    periods = np.diff([stamp(message) for message in states]) * 50.0
+    np.testing.assert_allclose(20.0 * periods, np.round(20.0 * periods), atol=1e-5)
     assert np.median(periods) == pytest.approx(1.0, abs=1e-6)
     # Falling under gravity, with no torque.
     assert not any(states[-1].effort)
     assert states[-1].position != states[0].position
-    first = {stamp(message) for message in states}
-    assert sum(stamp(message) in first for message in forces[0]) > 190
     assert simulator.stop() == 0
     assert 'messages published' in simulator.output
 
@@ -112,12 +117,13 @@ def test_torques_fall_to_zero_when_commands_stop(processes, listener):
         SIMULATOR, scene='four_bar', command_timeout='0.3').wait_until_ready()
     states = listener.listen('joint_states', JointState)
     publisher = listener.publisher('torque_command', Float64MultiArray)
-    listener.send(publisher, Float64MultiArray(data=[1.0]), lambda: applied(states, [1.0]),
-                  'state with the torque')
+    tried = listener.send(
+        publisher, Float64MultiArray(data=[1.0]), lambda: applied(states, [1.0]),
+        'state with the torque')
     listener.wait(lambda: applied(states, []), 'state without torque')
     assert simulator.stop() == 0
     assert 'no command for 0.3 s' in simulator.output
-    assert '1 timed out' in simulator.output
+    assert 1 <= int(re.search(r'(\d+) timed out', simulator.output)[1]) <= tried
 
 
 def test_parameters_can_be_read_and_set_by_others(processes, listener):

@@ -51,12 +51,12 @@ def test_workers_end_in_the_middle_of_sending():
         first = processes.submit(np.zeros, 1000)
         for _ in range(3):
             processes.submit(np.zeros, 4_000_000)
-        first.result(60)
+        first.result(300)
         time.sleep(delay)  # There is no telling from outside when a worker sends.
         closing = threading.Thread(target=processes.close, daemon=True)
         closing.start()
         for thread in [closing, *set(threading.enumerate()) - before]:
-            thread.join(30)
+            thread.join(300)
             assert not thread.is_alive()
 
 

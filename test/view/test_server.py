@@ -133,9 +133,9 @@ def test_pages_are_served_to_this_host_only():
         assert opened(server.url, Host=f'localhost:{server.port}')[0] == 200
         url = server.url.replace('http', 'ws') + 'live'
         with pytest.raises(InvalidStatus, match='403'), connect(
-                url, origin='https://evil.example'):
+                url, origin='https://evil.example', open_timeout=PATIENCE):
             pass
-        with connect(url, origin=server.url.rstrip('/')):
+        with connect(url, origin=server.url.rstrip('/'), open_timeout=PATIENCE):
             pass
     finally:
         server.close()
@@ -179,7 +179,7 @@ def test_a_token_is_needed_where_others_may_listen():
         assert opened(here)[0] == opened(here + '?token=guess')[0] == 403
         assert opened(f'{here}?token={server.token}')[2] == b'<p>page</p>'
         with pytest.raises(InvalidStatus, match='403'), connect(
-                here.replace('http', 'ws') + 'live'):
+                here.replace('http', 'ws') + 'live', open_timeout=PATIENCE):
             pass
         with Client(f'{here}?token={server.token}') as client:
             assert client.scene['name'] == 'test'
