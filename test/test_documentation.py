@@ -157,7 +157,7 @@ def recordings(block):
 def wait_for_more(names):
     """Wait until bags have grown on disk."""
     def sizes():
-        # A draft of the metadata may be gone between the look into the folder and that at the file.
+        # A draft of the metadata may go between the look into the folder and that at the file.
         return [sum(path.stat().st_size for path in Path(name).iterdir()
                     if path.suffix in ('.mcap', '.db3')) for name in names]
 

@@ -90,7 +90,7 @@ enum : Index
 /// System.settings.
 namespace setting
 {
-enum : Index {FORMULATION, BAUMGARTE_GAIN, CLOSURE_TOLERANCE, CLOSURE_LIMIT, ASIDE, SIZE};
+enum : Index {FORMULATION, BAUMGARTE_GAIN, CLOSURE_TOLERANCE, CLOSURE_LIMIT, ASIDE, SIZE, OPENING};
 enum Formulation : Index {SUBSYSTEM, SYSTEM, AUGMENTED};
 }
 

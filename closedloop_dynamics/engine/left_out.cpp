@@ -16,8 +16,6 @@ namespace
 {
 // Columns of AllEquations.numbers (integration/left_out.py).
 enum : Index {PIVOT, KINETIC, LENIENT, OPENED};
-// Closure errors of equations that follow from others, of the closure tolerance.
-constexpr double IMPLIED = 1e3;
 // Kinetic energy that the projection may discard after a step, of the most that there was: more is
 // no error of the step, but equations that hinder the motion.
 constexpr double DISCARDED = 1e-6;
@@ -51,9 +49,8 @@ bool equations_serve(const System & system, Stabilisation stabilisation, Values 
   for (double rate : qd) {
     fastest = std::max(fastest, std::abs(rate));
   }
-  const double implied = IMPLIED * settings[setting::CLOSURE_TOLERANCE];
-  const double error = largest(all.own.closure);
-  const bool hold = error <= implied && largest(all.own.closure_rate) <= implied * fastest;
+  const double error = largest(all.own.closure), opening = settings[setting::OPENING];
+  const bool hold = error <= opening && largest(all.own.closure_rate) <= opening * fastest;
   const bool strict = hold && discarded <= DISCARDED * numbers[KINETIC];
   const double pivot = system.work.health[health::SMALLEST_PIVOT];
   const bool worn = pivot < numbers[PIVOT];

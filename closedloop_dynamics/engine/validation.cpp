@@ -10,7 +10,7 @@ namespace closedloop
 
 namespace
 {
-constexpr Index TREE_COLUMNS = 6, CUT_COLUMNS = 14, HEALTH_COLUMNS = 10, SETTINGS = 6;
+constexpr Index TREE_COLUMNS = 6, CUT_COLUMNS = 14, HEALTH_COLUMNS = 10, SETTINGS = 7;
 constexpr Index BODY_STAGES = 13, TABLE_COLUMNS = 23;
 
 /// Whether all entries of a column are within bounds.

@@ -24,9 +24,10 @@ from ..engine import native
 # this number of freedoms.
 MOST_UNROLLED_BODIES, MOST_UNROLLED_FREEDOMS = 24, 40
 # Columns of System.settings: the formulation, Baumgarte's decay rate [1/s] (0: none), the closure
-# error [m, rad] that projection leaves and the one at which it gives up, and how far beside a
-# state the rank-revealing path asks the branch [rad].
-FORMULATION, BAUMGARTE_GAIN, CLOSURE_TOLERANCE, CLOSURE_LIMIT, ASIDE, SIZE = range(6)
+# error [m, rad] that projection leaves and the one at which it gives up, how far beside a state
+# the rank-revealing path asks the branch [rad], the size of the mechanism [m], and the closure
+# error of equations left out up to which they repeat others.
+FORMULATION, BAUMGARTE_GAIN, CLOSURE_TOLERANCE, CLOSURE_LIMIT, ASIDE, SIZE, OPENING = range(7)
 # The eighth power of this is the error of the interpolation between such places.
 DISTANCE_ASIDE = 0.015
 
@@ -63,7 +64,7 @@ class System(NamedTuple):
         Of the dense formulations; of no length where none is used.
     partition : Partition
         Of the independent coordinates; of no length where they are not used.
-    settings : ndarray, shape (5,)
+    settings : ndarray, shape (7,)
     tau : ndarray, shape (nv + nk,)
         Commanded joint torques [N m] and forces [N], behind them those of the nk cut joints that
         anything acts in.
@@ -145,7 +146,7 @@ class System(NamedTuple):
 
 
 def build_system(model, formulation=SUBSYSTEM, baumgarte=0.0, extent=1.0, independent=False,
-                 elements=(), unrolled=None, cuts=None, joints=None):
+                 elements=(), unrolled=None, cuts=None, joints=None, opening=1e-9):
     """
     Allocate a system.
 
@@ -170,6 +171,8 @@ def build_system(model, formulation=SUBSYSTEM, baumgarte=0.0, extent=1.0, indepe
         Of the cut joints that anything acts in, as for ``effects.table.build_table``.
     joints : JointPlaces, optional
         Needed where the elimination leaves equations out.
+    opening : float
+        Closure error of these up to which they repeat others, in sizes of the mechanism.
 
     """
     nv, nc = len(model.tree) - 1, len(model.column) - 1
@@ -179,7 +182,8 @@ def build_system(model, formulation=SUBSYSTEM, baumgarte=0.0, extent=1.0, indepe
                                else MOST_UNROLLED_BODIES))
     # Closure errors of 1e-12 of the size are rounding; one of 1e-5 of it is an open loop.
     settings = np.array([
-        formulation, baumgarte, 1e-12 * extent, 1e-5 * extent, DISTANCE_ASIDE, extent])
+        formulation, baumgarte, 1e-12 * extent, 1e-5 * extent, DISTANCE_ASIDE, extent,
+        opening * extent])
     tau = np.zeros(nv + (0 if cuts is None else len(cuts[0])))
     # With room for those that are left out: they may be taken again.
     most = len(with_all_equations(model).column) - 1

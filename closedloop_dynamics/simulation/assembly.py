@@ -29,8 +29,9 @@ MOST_ITERATIONS = 200
 LARGEST_CORRECTION = 0.25
 # Damping of corrections at which they have become too short to go on with.
 MOST_DAMPING = 1e12
-# Singular values of the Jacobian below this times the largest belong to dependent equations.
-RANK_TOLERANCE = 1e-7
+# Singular values of the Jacobian below this times the largest belong to dependent equations: axes
+# that were written with six digits are parallel to 1e-6 rad.
+RANK_TOLERANCE = 3e-6
 # Inertia of a motion against the largest: less is none.
 NO_INERTIA = 1e-13
 # What a joint moves in the loops, against the most that one moves: less is nothing.
@@ -39,8 +40,6 @@ NO_LEVER = 1e-12
 MOST_EQUATIONS = 300
 # How far away neighbours of a position are looked for [rad, and shares of the size], how many.
 NEARBY, NEIGHBOURS = 0.1, 3
-# Closure errors of equations that follow from others, of the size.
-IMPLIED = 1e-9
 # How far, relatively, a change of rates may open the loops where a motion continues them.
 CONTINUATION_TOLERANCE = 1e-5
 MOST_GUESSES = 10
@@ -286,7 +285,7 @@ class Assembler:
         """Return a closed position, or one nearby where the Jacobian has a larger rank."""
         return self._largest_rank(q, seed)[1]
 
-    def implies_all(self, q):
+    def implies_all(self, q, opening):
         """
         Tell whether near a position all loops close where the equations that are kept do.
 
@@ -294,6 +293,8 @@ class Assembler:
         ----------
         q : ndarray, shape (nq,)
             Closing the loops.
+        opening : float
+            What counts as closed, in sizes of the mechanism.
 
         Returns
         -------
@@ -301,7 +302,7 @@ class Assembler:
 
         """
         return any(np.abs(self._equations.move(near).closures()[0]).max() <= (
-            IMPLIED * self.extent) for near in self._neighbours(q))
+            opening * self.extent) for near in self._neighbours(q))
 
     def _neighbours(self, q, seed=0):
         """Yield closed positions near a closed one."""

@@ -90,7 +90,8 @@ class Data(Names):
         self.system: System = build_system(
             model, FORMULATIONS[method.formulation], baumgarte, extent(self.mechanism),
             method.stabilisation == 'independent', self._effects.elements,
-            cuts=self._effects.cuts, joints=self._geometry.joint_points)
+            cuts=self._effects.cuts, joints=self._geometry.joint_points,
+            opening=self._geometry.opening)
         self._table = self._effects.bind(self.system)
         self._motions.records = self._effects.records
         *parts, states = parts_of_state(self.system)

@@ -22,6 +22,10 @@ ROUNDING = 1e-10
 PLAIN, FAR = 1e-3, 10.0
 # How often, farther and farther away, a position without flat loops is looked for.
 MOST_TRIES = 6
+# Equations that repeat others but for the last digits of lengths and axes open as the machine
+# moves: by at most so many times as much as they are off, and never by more than the second, in
+# sizes of the machine. Others are open by rounding, the third.
+FARTHER, MOST_OPEN, AS_GOOD_AS_CLOSED = 30.0, 5e-6, 1e-9
 
 
 class LoopModel:
@@ -46,6 +50,9 @@ class LoopModel:
         Row of each body in the model's arrays.
     leaves_out : bool
         Whether the elimination leaves out equations that repeat others.
+    opening : float
+        Closure errors of equations that are left out, in sizes of the mechanism, up to which they
+        count as repeating others.
 
     """
 
@@ -56,6 +63,7 @@ class LoopModel:
         self._first, self._known, self.model = None, {}, None
         # Where equations were chosen anew the last time, and those that have been worked on there.
         self._place, self._tried = b'', set()
+        self.opening = AS_GOOD_AS_CLOSED
         self.keep(None)
 
     def of(self, kept):
@@ -164,10 +172,12 @@ class LoopModel:
         for seed in range(MOST_TRIES):
             # Where many loops are flat at once, not all of them may have opened nearby.
             place = assembler.of_largest_rank(place, seed)
-            kept = independent(assembler.jacobian(place), self.equations.groups)
+            kept, apart = independent(assembler.jacobian(place), self.equations.groups)
             if kept.all():
                 break
-            if Assembler(self.mechanism, self.equations, kept).implies_all(q):
+            opening = max(AS_GOOD_AS_CLOSED, min(FARTHER * apart, MOST_OPEN))
+            if Assembler(self.mechanism, self.equations, kept).implies_all(q, opening):
+                self.opening = max(self.opening, opening)
                 return self.keep(kept)
         return self.keep(None)
 
@@ -228,7 +238,7 @@ class LoopModel:
         self._tried.add(self.equations.kept.tobytes())
         jac = self._jacobian(q) if nearby else Assembler(
             self.mechanism, self.equations).jacobian(q)
-        kept, present = independent(jac, self.equations.groups), self.equations.kept
+        (kept, _), present = independent(jac, self.equations.groups), self.equations.kept
         if kept.tobytes() in self._tried:
             return None
         if kept.sum() < present.sum() or kept.sum() == present.sum() and not (
@@ -252,7 +262,8 @@ def scaled(jac, groups):
     jac : ndarray, shape (nc, nv)
         Of all equations. Rounding errors of entries that are zero are not scaled up.
     groups : ndarray of int, shape (nc,)
-        Equations of one kind, which are scaled alike: one that hardly changes stays small.
+        Equations of one kind, which are scaled alike: one that hardly changes stays small. So do
+        those of a kind that change by the last digits of axes only.
 
     Returns
     -------
@@ -263,7 +274,7 @@ def scaled(jac, groups):
     moves = columns > ROUNDING * columns.max(initial=0.0)
     found = np.where(moves, jac / np.where(moves, columns, 1.0), 0.0)
     rows = largest_of_group(np.linalg.norm(found, axis=1), groups)[:, np.newaxis]
-    return np.where(rows > ROUNDING, found / np.maximum(rows, ROUNDING), 0.0)
+    return found / np.where(rows > RANK_TOLERANCE, rows, 1.0)
 
 
 def largest_of_group(values, groups):
@@ -286,7 +297,9 @@ def independent(jac, groups):
 
     Returns
     -------
-    ndarray of bool, shape (nc,)
+    kept : ndarray of bool, shape (nc,)
+    apart : float
+        How far the others are from depending on these: the length of the longest scaled row.
 
     """
     kept, left = np.zeros(len(jac), dtype=bool), scaled(jac, groups)
@@ -294,11 +307,11 @@ def independent(jac, groups):
         length = np.where(kept, 0.0, np.linalg.norm(left, axis=1))
         best = int(np.argmax(length))
         if length[best] <= RANK_TOLERANCE:
-            break
+            return kept, length[best]
         kept[best] = True
         direction = left[best] / length[best]
         left = left - np.outer(left @ direction, direction)
-    return kept
+    return kept, 0.0
 
 
 def _distinct(jac, groups, kept):

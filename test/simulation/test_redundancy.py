@@ -226,7 +226,7 @@ def test_no_equations_are_chosen_twice_where_no_step_was_made(monkeypatch):
     first = simulation._equations.kept
     choices, marks = cycle((np.roll(first, 1), first)), count()
     # Two choices, each better than the other.
-    monkeypatch.setattr(loop_model, 'independent', lambda *_: next(choices))
+    monkeypatch.setattr(loop_model, 'independent', lambda *_: (next(choices), 0.0))
     monkeypatch.setattr(loop_model, '_distinct', lambda *_: 10.0 ** -next(marks))
     tries = 0
     while simulation._choose_equations(POOR_EQUATIONS):
@@ -234,3 +234,39 @@ def test_no_equations_are_chosen_twice_where_no_step_was_made(monkeypatch):
         assert tries < 10
     # The other choice, the present one leniently, and all equations.
     assert tries == 3 and not simulation.leaves_out
+
+
+def closed_here(mechanism, q):
+    """Return a mechanism with the cut joint's point and axis on B as they are in a position."""
+    geometry, (cut,) = SpatialGeometry(mechanism), mechanism.cut_joints
+
+    def placed(body, vectors):
+        origin = geometry.point(q, body, np.zeros(3))
+        return origin, np.array([geometry.point(q, body, each) - origin for each in vectors]).T
+
+    (origin_a, ends), (origin_b, frame) = placed(cut.body_a, (cut.point_a, cut.axis_a)), placed(
+        cut.body_b, np.eye(3))
+    return replace(mechanism, cut_joints=(replace(
+        cut, point_b=tuple(frame.T @ (origin_a + ends[:, 0] - origin_b)),
+        axis_b=tuple(frame.T @ ends[:, 1])),))
+
+
+@pytest.mark.parametrize('digits', [1e-9, 1e-8, 1e-7, 3e-7])
+def test_axes_that_are_parallel_but_for_the_digits_of_a_file_hinder_no_motion(digits):
+    planar, tilted, _ = tilted_four_bar(TURN)
+    q = Simulation(planar).position
+    rng, found = np.random.default_rng(3), []
+    for size in (0.0, digits):
+        mechanism = closed_here(replace(tilted, joints=tuple(replace(
+            joint, axis=tuple(joint.axis + size * rng.uniform(-1.0, 1.0, 3)))
+            for joint in tilted.joints)), q)
+        simulation = Simulation(Scene(
+            'tilted', None, '', mechanism, Initial(tuple(q), planar.initial.velocity), {},
+            Method(accuracy=1e-8)))
+        assert len(simulation.system.lam) == 2
+        simulation.step({simulation.actuated_joints[0]: 0.2}, 1.0)
+        assert simulation.exchanges == 0 and simulation.closure <= 30.0 * size + 1e-10
+        assert simulation.system.work.health[RANK_REVEALING_COUNT] == 0.0
+        found.append(simulation.position)
+    assert np.abs(found[0] - q).max() > 0.3
+    assert np.abs(found[1] - found[0]).max() <= 100.0 * digits + 1e-7
