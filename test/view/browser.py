@@ -8,12 +8,15 @@ from contextlib import contextmanager
 import io
 import itertools
 import json
+import os
 from pathlib import Path
 import shutil
+import signal
 import subprocess
 import tempfile
 import time
 
+from closedloop_dynamics.ros.background import die_with
 import numpy as np
 from PIL import Image
 from websockets.sync.client import connect
@@ -25,7 +28,7 @@ PATIENCE = 120.0
 STEADY = ('--disable-background-timer-throttling', '--disable-backgrounding-occluded-windows',
           '--disable-renderer-backgrounding', '--disable-hang-monitor', '--disable-dev-shm-usage',
           '--disable-component-update', '--disable-default-apps', '--disable-sync',
-          '--no-default-browser-check', '--password-store=basic')
+          '--no-default-browser-check', '--password-store=basic', '--allow-pre-commit-input')
 
 
 def program():
@@ -36,6 +39,7 @@ def program():
 @contextmanager
 def browser():
     """Run a browser; yield a function that opens a page in it."""
+    parent = os.getpid()
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as home:
         process = subprocess.Popen(
             [program(), '--headless=new', '--no-sandbox', '--disable-gpu-sandbox',
@@ -43,7 +47,8 @@ def browser():
              '--disable-gpu-rasterization', '--disable-accelerated-2d-canvas',
              '--disable-extensions', '--disable-background-networking', '--hide-scrollbars',
              *STEADY, '--remote-debugging-port=0', f'--user-data-dir={home}', 'about:blank'],
-            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+            preexec_fn=lambda: die_with(parent, signal.SIGKILL))
         try:
             told = Path(home, 'DevToolsActivePort')
             end = time.monotonic() + PATIENCE
@@ -75,7 +80,8 @@ class Tab:
                  deviceScaleFactor=2 if phone else 1, mobile=phone)
         self._do('Emulation.setEmulatedMedia', features=[
             {'name': 'prefers-color-scheme', 'value': 'dark' if dark else 'light'}])
-        # Keys reach the page whichever window the browser takes for the active one.
+        # Input reaches the page whichever window the browser takes for the active one.
+        self._do('Page.bringToFront')
         self._do('Emulation.setFocusEmulationEnabled', enabled=True)
         self.errors = []
         self._do('Runtime.enable')
@@ -119,21 +125,45 @@ class Tab:
 
     def mouse(self, kind, x, y, buttons=0):
         """Let the mouse do something: ``mousePressed``, ``mouseMoved``, ``mouseReleased``."""
-        self._do('Input.dispatchMouseEvent', type=kind, x=x, y=y, buttons=buttons,
-                 button='left' if kind != 'mouseMoved' or buttons else 'none', clickCount=1)
+        self._input(
+            {'mousePressed': 'pointerdown', 'mouseReleased': 'pointerup'}.get(kind),
+            'Input.dispatchMouseEvent', type=kind, x=x, y=y, buttons=buttons,
+            button='left' if kind != 'mouseMoved' or buttons else 'none', clickCount=1)
+
+    def _input(self, event, method, **parameters):
+        """Send input, again where it does not reach the page: a busy browser may drop it."""
+        if event is None:
+            self._do(method, **parameters)
+            return
+        self.ask(f"""window.arrived = false;
+            addEventListener("{event}", () => {{ window.arrived = true; }},
+                             {{capture: true, once: true}})""")
+        end = time.monotonic() + PATIENCE
+        # The browser answers when the page has handled the event.
+        self._do(method, **parameters)
+        while not self.ask('window.arrived'):
+            assert time.monotonic() < end, f'{event} never arrives'
+            self._do(method, **parameters)
 
     def click(self, selector):
-        """Click on what a CSS selector finds."""
-        x, y = self.middle(selector)
-        self.mouse('mousePressed', x, y, 1)
-        self.mouse('mouseReleased', x, y)
+        """Click on what a CSS selector finds, again where it has moved meanwhile."""
+        self.ask(f"""window.clicked = false;
+            document.querySelector({json.dumps(selector)}).addEventListener(
+                "click", () => {{ window.clicked = true; }}, {{capture: true, once: true}})""")
+        end = time.monotonic() + PATIENCE
+        while not self.ask('window.clicked'):
+            assert time.monotonic() < end, f'{selector} gets no click'
+            x, y = self.middle(selector)
+            self.mouse('mouseMoved', x, y)
+            self.mouse('mousePressed', x, y, 1)
+            self.mouse('mouseReleased', x, y)
 
     def press(self, key):
         """Press a key that writes a letter."""
         for kind in ('keyDown', 'keyUp'):
-            self._do('Input.dispatchKeyEvent', type=kind, key=key,
-                     windowsVirtualKeyCode=ord(key.upper()),
-                     **({'text': key} if kind == 'keyDown' else {}))
+            self._input(kind.lower(), 'Input.dispatchKeyEvent', type=kind, key=key,
+                        windowsVirtualKeyCode=ord(key.upper()),
+                        **({'text': key} if kind == 'keyDown' else {}))
 
     def middle(self, selector):
         """Return where the middle of what a CSS selector finds is."""
