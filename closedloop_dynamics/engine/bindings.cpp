@@ -164,7 +164,7 @@ const Entry entries[] = {
     Length::ANY, Length::ROWS_OF_STATE, Length::STATE>(
     "advance_stiff",
     "advance_stiff(system, stabilisation, control, scale, matrix, pivots, scratch, state, "
-    "target)"),
+    "origin, done, step_size, steps)"),
   released<
     advance_switching, Length::ANY, Length::ANY, Length::ANY, Length::STATE>(
     "advance_switching",

@@ -450,7 +450,8 @@ Suspicion suspect(
   }
   const Cubic cubic(left, right, -sign, length);
   const auto [first, second] = cubic.turning_points();
-  double least = 0.0, along = 1.0;
+  // A contact that begins or ends just here has such a gap.
+  double least = -CLOSED, along = 1.0;
   for (int k = 1; k < PLACES + 2; ++k) {
     const double share =
       k < PLACES ? static_cast<double>(k) / PLACES : k == PLACES ? first : second;

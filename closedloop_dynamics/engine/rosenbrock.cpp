@@ -160,13 +160,22 @@ std::pair<Status, Index> advance_stiff_fixed(
 
 Status advance_stiff(
   const System & system, Stabilisation stabilisation, Values control, Table scale, Table matrix,
-  Indices pivots, Table scratch, Values state, double target)
+  Indices pivots, Table scratch, Values state, double origin, Index done, double step_size,
+  Index steps)
 {
+  const Grid grid{origin, done, step_size, steps};
   const StiffRun run{stabilisation, control, scale, matrix, pivots, scratch};
   Interrupt interrupt(system.interrupted);
+  const double target = grid.target();
+  WorkLimit limit(grid, system.work.health, control[control::WORK], MOST_EVALUATIONS);
   Status status = Status::DONE;
   while (status == Status::DONE && is_before(control[control::REACHED], target)) {
     status = run.accepted_step(system, state, target, interrupt);
+    if (status == Status::DONE &&
+      limit.exceeded(control[control::REACHED], control[control::WORK]))
+    {
+      status = Status::TOO_MUCH_WORK;
+    }
   }
   return status;
 }

@@ -41,11 +41,11 @@ std::pair<Status, Index> advance_stiff_fixed(
   const System &, Stabilisation, Table matrix, Indices pivots, Table scratch, Values state,
   double step_size, Index steps);
 
-/// Advance a state in place to `target` [s] by error-controlled steps, the last ending there; on
-/// failure the state and REACHED are the latest good ones.
+/// Advance a state in place from REACHED to the end of the grid by error-controlled steps, the last
+/// ending there; on failure the state and REACHED are the latest good ones.
 Status advance_stiff(
   const System &, Stabilisation, Values control, Table scale, Table matrix, Indices pivots,
-  Table scratch, Values state, double target);
+  Table scratch, Values state, double origin, Index done, double step_size, Index steps);
 
 }  // namespace closedloop
 

@@ -31,8 +31,7 @@ std::pair<Status, Index> make_steps(
       runs.control(0, control::REACHED) = origin + static_cast<double>(done) * step_size;
       return {advance_stiff(
           system, stepper.stabilisation, runs.control[0], runs.scale[0], runs.matrix, runs.pivots,
-          runs.stiff_scratch[0], state, origin + static_cast<double>(done + steps) * step_size),
-        0};
+          runs.stiff_scratch[0], state, origin, done, step_size, steps), 0};
     default:
       return {advance_switching(
           system, stepper.tableau, stepper.stabilisation, runs, state, origin, done, step_size,

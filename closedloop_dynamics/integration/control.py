@@ -16,8 +16,8 @@ SINGULAR = 9
 # A guard may have ended the run, or not.
 DOUBTFUL = 10
 
-# Evaluation limit between two times of output, of the explicit error-controlled methods; next to a
-# singular position one counts as so many.
+# Evaluation limit between two times of output, of the error-controlled methods; next to a singular
+# position one counts as so many.
 MOST_EVALUATIONS, RANK_REVEALING_WORK = 200_000, 100
 
 # In the place of a step size: there is no step to interpolate, but there is a past.

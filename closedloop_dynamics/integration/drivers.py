@@ -295,7 +295,7 @@ class Stiff:
         begin = origin + done * step_size
         if not before:
             self.control[columns.REACHED] = begin
-        status = self._advance(state, origin + (done + steps) * step_size)
+        status = self._advance(state, origin, done, step_size, steps)
         if status == DONE:
             return status, steps * step_size
         return status, self.control[columns.REACHED] - begin

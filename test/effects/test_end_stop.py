@@ -5,6 +5,7 @@
 
 from closedloop_dynamics.effects.end_stop import EndStop
 from closedloop_dynamics.mechanism.fields import FieldError
+from closedloop_dynamics.mechanism.mechanism import Body, Joint, Mechanism
 import numpy as np
 import pytest
 
@@ -46,6 +47,27 @@ def test_a_strong_damper_lets_go_without_pulling():
     assert simulation.effect_readings('stop') == {
         'stored_energy': pytest.approx(0.5), 'torque': -0.0, 'depth': 0.1,
         'dissipated_energy': 0.0, 'dissipated_power': pytest.approx(10.0)}
+
+
+@pytest.mark.parametrize('speed, apart, method', [
+    (0.1, 1.1e-11, {'integrator': 'rodas4', 'tolerance': 1e-8}),
+    (0.01, 7e-12, {'integrator': 'dopri5', 'tolerance': 1e-11}),
+    (0.001, 7e-12, {'integrator': 'dop853', 'tolerance': 1e-11}),
+    (0.001, 7e-12, {'integrator': 'auto'}),
+    (0.001, 1.1e-11, {'integrator': 'auto', 'accuracy': 1e-9})])
+def test_blocks_that_part_from_their_stops_at_almost_one_instant_go_on(speed, apart, method):
+    count = 9
+    blocks = Mechanism(
+        'blocks', tuple(Body(f'block_{k}', 1.0, (0.0, 0.0), 0.1) for k in range(count)),
+        tuple(Joint(f'slide_{k}', 'prismatic', 'ground', f'block_{k}', (0.0, 0.0), 0.0, True)
+              for k in range(count)), (), ())
+    simulation = simulated(
+        blocks, {f'stop_{k}': EndStop(f'slide_{k}', 400.0, upper=0.0) for k in range(count)},
+        [-0.02 * speed + apart * k for k in range(count)], [speed] * count, **method)
+    # To the stops in 0.02 s, half a period on them, and on for 0.1 s.
+    simulation.step(duration=0.02 + np.pi / 20.0 + 0.1)
+    assert simulation.velocity == pytest.approx(np.full(count, -speed), abs=1e-7)
+    assert simulation.position == pytest.approx(np.full(count, -0.1 * speed), abs=1e-7)
 
 
 @pytest.mark.parametrize('values', [
