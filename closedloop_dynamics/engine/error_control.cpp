@@ -307,7 +307,9 @@ Status advance_explicit(
     return status;
   }
   run.interpolate_at(system, target, state);
-  if (is_before(target, control[control::REACHED]) && !stabilise(system, stabilisation, state)) {
+  if (is_before(target, control[control::REACHED]) &&
+    !stabilise_between(system, stabilisation, state))
+  {
     return Status::OPEN_LOOP;
   }
   return Status::DONE;

@@ -118,9 +118,9 @@ bool project(const System & system, Values q, Values qd, bool positions)
   work.health[health::CLOSURE] = error;
   return !positions || error <= settings[setting::CLOSURE_LIMIT];
 }
-}  // namespace
 
-bool stabilise(const System & system, Stabilisation stabilisation, Values state)
+bool stabilise(
+  const System & system, Stabilisation stabilisation, Values state, bool after_step)
 {
   // A step leaves the unit sphere by its error.
   normalise(system.manifold, state);
@@ -132,9 +132,20 @@ bool stabilise(const System & system, Stabilisation stabilisation, Values state)
   if (stabilisation == Stabilisation::INDEPENDENT) {
     return close_by_dependent(
       system.model, system.work, system.partition, system.manifold, q, qd,
-      system.settings[setting::CLOSURE_TOLERANCE], true);
+      system.settings[setting::CLOSURE_TOLERANCE], after_step);
   }
   return project(system, q, qd, stabilisation == Stabilisation::PROJECTION);
+}
+}  // namespace
+
+bool stabilise(const System & system, Stabilisation stabilisation, Values state)
+{
+  return stabilise(system, stabilisation, state, true);
+}
+
+bool stabilise_between(const System & system, Stabilisation stabilisation, Values state)
+{
+  return stabilise(system, stabilisation, state, false);
 }
 
 bool all_finite(Values values)

@@ -15,6 +15,10 @@ namespace closedloop
 /// were to be corrected. Quaternions get norm 1 in any case, which keeps the order of the method.
 bool stabilise(const System &, Stabilisation, Values state);
 
+/// The same of a state between the ends of a step: independent coordinates stay those of the step,
+/// so that a run does not depend on where its states are asked for.
+bool stabilise_between(const System &, Stabilisation, Values state);
+
 /// Whether no value is infinite or NaN.
 bool all_finite(Values);
 

@@ -343,7 +343,9 @@ Status Pair::advance(Values state, const Grid & grid)
     return status;
   }
   explicit_run(RUN).interpolate_at(system_, target, state);
-  if (is_before(target, control[control::REACHED]) && !stabilise(system_, stabilisation_, state)) {
+  if (is_before(target, control[control::REACHED]) &&
+    !stabilise_between(system_, stabilisation_, state))
+  {
     return Status::OPEN_LOOP;
   }
   return Status::DONE;
