@@ -395,6 +395,7 @@ class _Reader:
                 drives.add(joint.name)
                 joint.armature += armature
                 joint.damping += damping
+                self._omit_gains(drive, gear, joint)
                 continue
             self._leave(self.objects.mjOBJ_ACTUATOR, drive, 'it drives no joint')
             for key, size, unit in (('damping', damping, 'N s/m'), ('armature', armature, 'kg')):
@@ -406,6 +407,20 @@ class _Reader:
         if count:
             model.ignored['gains and limits of actuators'] = (
                 'commands are torques and forces of joints')
+
+    def _omit_gains(self, drive, gear, joint):
+        """Note what an actuator of position or velocity does where it is commanded nothing."""
+        compiled = self.compiled
+        if self._disabled('ACTUATION') or compiled.actuator_biastype[drive] != int(
+                self.mujoco.mjtBias.mjBIAS_AFFINE):
+            return
+        slides = joint.type == PRISMATIC
+        for place, key, unit in ((1, 'position gain', 'N/m' if slides else 'N m/rad'),
+                                 (2, 'velocity gain', 'N s/m' if slides else 'N m s/rad')):
+            size = abs(gear ** 2 * float(compiled.actuator_biasprm[drive, place]))
+            if size:
+                self._omit(key, self.objects.mjOBJ_ACTUATOR, drive,
+                           'commands are torques and forces of joints', size, unit)
 
     def _along(self, tendon):
         """Add what acts along a tendon; yield the fields and rows that are read."""

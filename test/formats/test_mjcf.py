@@ -277,6 +277,21 @@ def test_what_moves_bodies_and_is_left_out_is_named_with_its_size(tmp_path):
     assert 'pictures' in notes[-1] and 'pictures' not in ''.join(notes[:-1])
 
 
+def test_gains_of_actuators_are_left_out_by_name_and_size(tmp_path):
+    text = TREE.replace('<actuator>', """<actuator>
+      <position name="servo" joint="hinge" kp="20" kv="0.5" gear="3"/>
+      <velocity name="pump" joint="slide" kv="7"/>""")
+    for flags, expected in (('', [
+            ('position gain', 'actuator', 'servo', 180.0, 'N m/rad'),
+            ('velocity gain', 'actuator', 'pump', 7.0, 'N s/m'),
+            ('velocity gain', 'actuator', 'servo', 4.5, 'N m s/rad')]),
+            ('<option><flag actuation="disable"/></option>', [])):
+        imported = read_model(written(tmp_path, text.replace('<worldbody>', f'{flags}<worldbody>')))
+        assert [(one.quantity, one.kind, one.name, one.size, one.unit)
+                for one in sorted(imported.omitted, key=lambda one: -one.size)] == expected
+    assert not [note for note in lines(imported) if 'gain' in note and 'motion' in note]
+
+
 def test_bodies_without_names_are_drawn_too(tmp_path):
     body = ('<body pos="0 0 {}"><joint name="{}" axis="0 1 0"/>'
             '<geom size="0.1"/></body>')
