@@ -148,7 +148,8 @@ class EnergyGuard:
         # Where error control steps, how often it is looked at would show in the last digits.
         self.whole = integrator.kind == ADAPTIVE
         self.rarely = LOOK_EVERY_AMONG_LAWS if among_laws else LOOK_EVERY
-        self.call = 1 if every_call and integrator.order > 1 else self.first
+        # A contact may throw a body away within a step.
+        self.call = 1 if (every_call or among_laws) and integrator.order > 1 else self.first
         self.restart()
 
     def restart(self):

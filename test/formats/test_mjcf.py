@@ -286,7 +286,8 @@ def test_gains_of_actuators_are_left_out_by_name_and_size(tmp_path):
             ('velocity gain', 'actuator', 'pump', 7.0, 'N s/m'),
             ('velocity gain', 'actuator', 'servo', 4.5, 'N m s/rad')]),
             ('<option><flag actuation="disable"/></option>', [])):
-        imported = read_model(written(tmp_path, text.replace('<worldbody>', f'{flags}<worldbody>')))
+        imported = read_model(written(
+            tmp_path, text.replace('<worldbody>', f'{flags}<worldbody>')))
         assert [(one.quantity, one.kind, one.name, one.size, one.unit)
                 for one in sorted(imported.omitted, key=lambda one: -one.size)] == expected
     assert not [note for note in lines(imported) if 'gain' in note and 'motion' in note]

@@ -6,11 +6,14 @@ from contextlib import suppress
 import math
 
 from closedloop_dynamics.cli import main
-from closedloop_dynamics.simulation.errors import InaccuracyWarning, NumericalError
+from closedloop_dynamics.effects.end_stop import EndStop
+from closedloop_dynamics.simulation.errors import InaccuracyWarning, NumericalError, StiffnessError
 from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest
+
+from ..effects.machines import block, simulated
 
 # A torque that lets the 3-RRR whirl faster than steps of a millisecond can follow.
 WHIRL = {'theta_1': 1000.0}
@@ -162,6 +165,17 @@ def test_a_call_ends_with_its_verdict(steps):
         state = simulation.state
         simulation.judge()
         assert np.array_equal(simulation.state, state)
+
+
+@pytest.mark.parametrize('steps', [1, 10])
+def test_a_short_call_that_a_stop_throws_back_ends_with_its_verdict(steps):
+    # The block goes 0.1 m in a step, into a stop of which its speed is the hundredth part a step.
+    simulation = simulated(
+        block(), {'stop': EndStop('slide', 1e12, upper=0.0)}, [-0.05], [100.0], step_size=1e-3)
+    before = simulation.state
+    with pytest.raises((NumericalError, StiffnessError)):
+        simulation.step(duration=steps * 1e-3)
+    assert np.array_equal(simulation.state, before)
 
 
 def test_a_change_of_method_begins_a_new_balance():
