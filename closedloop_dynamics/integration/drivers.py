@@ -249,6 +249,30 @@ class Switching:
         if moved:
             self.control[columns.STIFF_THRESHOLD] = 0.0
         _follow_effects(self._system, 1.0, self._unit)
+        self._scale()
+
+    @property
+    def work(self):
+        """Return the evaluations in steps of the run and of its companion."""
+        return self._runs.control[:, columns.WORK].tolist()
+
+    def aim(self, accuracy):
+        """
+        Keep another accuracy from the next step on; the motion goes on, and a new window begins.
+
+        ``accuracy``: float; as of the class.
+
+        """
+        watch, tolerance = self.watch, max(columns.SHARE * accuracy, columns.FLOOR)
+        # Steps of order eight that are as good as the present ones.
+        self._runs.control[:, columns.NEXT_STEP] *= (
+            tolerance / watch[columns.TOLERANCE]) ** (1.0 / 8.0)
+        watch[columns.ACCURACY], watch[columns.TOLERANCE] = accuracy, tolerance
+        watch[columns.OPEN], watch[columns.PAUSE] = 0.0, columns.WINDOW
+        watch[columns.UNTIL] = self.control[columns.REACHED]
+        self._scale()
+
+    def _scale(self):
         np.multiply(self._unit, self.watch[columns.TOLERANCE] * RUN_FACTORS, out=self._runs.scale)
 
     def rewind(self):

@@ -129,7 +129,9 @@ class _Player:
 
     def __init__(self, recording, perturbation):
         self._recording, self._perturbation = recording, perturbation
-        self.simulation = Simulation(recording.scene)
+        # What a budget led to is in the log.
+        self.simulation = Simulation(replace(
+            recording.scene, method=recording.scene.method.without_budget))
         self.starts, self.notes = [], []
         self.sensed = any(
             effect.instrument() is not None for effect in self.simulation.effects.values())
@@ -184,6 +186,8 @@ class _Logged(_Player):
                       else f'{gap} entries with their commands are missing' if gap > 0
                       else 'the first recorded state')
         else:
+            if self._scene.method.by_budget and log.whole is not None:
+                self.simulation.take_accuracy(log.whole[before])
             self._advance(k, log.time[k] - log.time[before])
             if k == self._known:
                 self._start(log.whole[k], log.time[k])
@@ -253,6 +257,8 @@ class _Logged(_Player):
                       if getattr(scene.method, field.name)
                       != getattr(self._scene.method, field.name)}
             if method:
+                # What a budget led to is in the log.
+                method.pop('budget', None)
                 self.simulation.prepare_method(**method)()
             _switch(self.simulation, scene)
             self._scene = scene

@@ -58,6 +58,13 @@ class RunReport:
         balance contradicts.
     findings : tuple of str
         What is wrong with the run, each with its remedy; empty where nothing is known to be.
+    accuracy : float
+        Of ``integrator: auto``: the accuracy that is kept now [rad or m]; NaN for other methods.
+    present_bound : float
+        As ``error_bound``, in the latest second that was looked at alone [rad or m].
+    budget, budget_used : float
+        Computing time per time of the clock that is allowed, and that the latest tenth of a second
+        took, the companion run included throughout [1]; NaN without a budget.
 
     """
 
@@ -72,6 +79,10 @@ class RunReport:
     energy_moved: float = math.nan
     error_bound: float = math.nan
     findings: tuple = ()
+    accuracy: float = math.nan
+    present_bound: float = math.nan
+    budget: float = math.nan
+    budget_used: float = math.nan
 
     @property
     def time_per_step(self):
@@ -82,6 +93,11 @@ class RunReport:
     def share(self):
         """Return the computing time per simulated time: 1 is all that real time allows."""
         return self.compute_time / self.time if self.time else math.nan
+
+    @property
+    def evaluation_rate(self):
+        """Return the evaluations per simulated second [1/s]."""
+        return self.evaluations / self.time if self.time else math.nan
 
     def __str__(self):
         """Return the report in a line for each thing."""
@@ -96,6 +112,9 @@ class RunReport:
         if not math.isnan(self.error_bound):
             lines.insert(1, f'error        at most about {_number(self.error_bound, 2)} rad or m '
                             'within a second, by a companion run')
+        if not math.isnan(self.budget):
+            lines.insert(1, f'accuracy     {self.accuracy:g} rad or m within a second: the best '
+                            f'that {self.budget:g} of real time allows now')
         return '\n'.join([*lines, *(f'warning      {finding}' for finding in self.findings)])
 
 
@@ -139,6 +158,34 @@ class Monitor:
         self._order = integrator.order
         self._probe = None
         self.clear()
+
+    @property
+    def accuracy(self):
+        """Return the accuracy that ``integrator: auto`` keeps now [rad or m]; NaN of others."""
+        return float(self.driver.watch[columns.ACCURACY]) if isinstance(
+            self.driver, Switching) else math.nan
+
+    def accuracy_in(self, memory):
+        """Return ``accuracy`` in the memory of another run."""
+        return float(memory[len(self.driver.memory[0]) + columns.ACCURACY]) if isinstance(
+            self.driver, Switching) else math.nan
+
+    @property
+    def measured(self):
+        """
+        Return what was measured so far, shape (4,).
+
+        Simulated and computing time [s]; ``work``.
+
+        """
+        numbers = self._numbers
+        return np.array([
+            numbers[run.COST_TIME], 1e-9 * numbers[run.COST_NANOSECONDS], *self.work])
+
+    @property
+    def work(self):
+        """Return the evaluations in steps of ``integrator: auto`` and of its companion."""
+        return self.driver.work if isinstance(self.driver, Switching) else (0.0, 0.0)
 
     @property
     def sampling(self):
@@ -213,7 +260,7 @@ class Monitor:
             self._local_error = error if math.isnan(self._local_error) else max(
                 error, self._local_error)
 
-    def report(self, closure, energy_error, energy_guard, notes=()):
+    def report(self, closure, energy_error, energy_guard, notes=(), budget=None):
         """
         Report what has been counted and found.
 
@@ -227,26 +274,29 @@ class Monitor:
             Of the run.
         notes : tuple of str
             Findings beside these.
+        budget : budget.Budget, optional
+            That the accuracy follows.
 
         """
         time, steps, spent = self._numbers[run.COST_TIME:run.COST_NANOSECONDS + 1].tolist()
         steps, error, health = int(steps), self._local_error, self._system.work.health
         control = getattr(self.driver, 'control', None)
-        bound = math.nan
+        bound = present = math.nan
         findings = [*notes, *([energy_guard.finding] if energy_guard.finding else [])]
         if isinstance(self.driver, Switching):
             watch = self.driver.watch
             steps = int(control[columns.ACCEPTED])
             error = float(control[columns.LARGEST_ERROR]) * watch[columns.TOLERANCE]
-            bound = float(watch[columns.LARGEST_BOUND])
+            bound, present = watch[[columns.LARGEST_BOUND, columns.BOUND]].tolist()
             if energy_guard.failed or energy_guard.finding:
                 # The companion is as wrong as the run.
-                bound = math.nan
+                bound = present = math.nan
             if bound > KEPT * self._method.accuracy:
                 cause = (
                     'although the smallest tolerance there is was taken: differences in the last '
                     'digit grow that large in this motion'
                     if watch[columns.TOLERANCE] <= columns.FLOOR else
+                    'as the budget did not allow for more' if budget is not None else
                     'before the tolerance was tightened. Ask for a smaller accuracy')
                 findings.append(
                     f'the accuracy of {self._method.accuracy:g} rad or m within a second was not '
@@ -255,14 +305,19 @@ class Monitor:
                 # Next to a singular configuration rounding errors grow, and a smaller tolerance
                 # makes them no smaller: the run's own may be all of the distance.
                 bound /= columns.CLOSER
+                present /= columns.CLOSER
         elif not self._fixed and control is not None:
             steps = int(control[columns.ACCEPTED])
             error = float(control[columns.LARGEST_ERROR]) * self._method.tolerance
+        share = used = math.nan
+        if budget is not None:
+            share, used = budget.share, budget.used
+            findings += filter(None, [budget.finding(self.accuracy)])
         method = f'{self._method.integrator}, {self._method.stabilisation}'
         return RunReport(
             method, time, steps, 1e-9 * spent, error, closure, energy_error,
             int(health[EVALUATIONS]), energy_guard.moved, bound,
-            tuple(findings))
+            tuple(findings), self.accuracy, present, share, used)
 
 
 def copy_into(record, target):

@@ -17,6 +17,7 @@ from .key_paths import changed, resolve
 from .rollout_run import (
     checked_quantities, FEWEST, fits_simd, MOST, nothing, record, record_all, Schedule, SimdRuns,
     Start, starts_as_given, STATE)
+from .scene_records import require_no_budget
 from ..engine import native
 
 # Runs that are made in one call, at most.
@@ -83,6 +84,7 @@ def rollout(simulation, torques=None, initial_position=None, initial_velocity=No
     ValueError
 
     """
+    require_no_budget(simulation.scene.method, 'a rollout')
     given = RolloutArguments(simulation, torques, initial_position, initial_velocity, parameters)
     schedule = scheduled(simulation.step_size, given.rows, duration, steps, every)
     quantities = checked_quantities(quantities)

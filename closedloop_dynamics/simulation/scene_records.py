@@ -83,6 +83,9 @@ class Method:
         ``'subsystem'``, ``'system'`` or ``'augmented'``.
     accuracy : float
         Error of positions after a second of motion [rad, m], that ``'auto'`` keeps.
+    budget : float or None
+        Computing time per second of real time that ``'auto'`` may take [1], positive: it keeps the
+        best accuracy that this allows, which may be finer or coarser than ``accuracy``.
 
     """
 
@@ -93,6 +96,7 @@ class Method:
     baumgarte_time_constant: Optional[float] = None
     formulation: str = 'subsystem'
     accuracy: float = 1e-6
+    budget: Optional[float] = None
 
     def __post_init__(self) -> None:
         """Refuse unknown methods and impossible times."""
@@ -104,6 +108,8 @@ class Method:
                              path=('step_size',))
         if self.baumgarte_time_constant is not None:
             normalise(self, baumgarte_time_constant=positive)
+        if self.budget is not None:
+            normalise(self, budget=positive)
 
     @property
     def unused(self) -> Dict[str, str]:
@@ -111,6 +117,7 @@ class Method:
         adaptive = INTEGRATORS[self.integrator].kind == ADAPTIVE
         needs = {
             'accuracy': (self.integrator == AUTO, f'integrator: {AUTO}'),
+            'budget': (self.integrator == AUTO, f'integrator: {AUTO}'),
             'tolerance': (adaptive and self.integrator != AUTO,
                           'an error-controlled integrator that is chosen by name'),
             'baumgarte_time_constant': (
@@ -118,9 +125,34 @@ class Method:
         return {key: need for key, (used, need) in needs.items() if not used}
 
     @property
+    def without_budget(self) -> 'Method':
+        """Return the same with its accuracy alone, where the time of a run must not matter."""
+        return replace(self, budget=None)
+
+    @property
+    def by_budget(self) -> bool:
+        """Whether the accuracy follows a budget."""
+        return self.budget is not None and self.integrator == AUTO
+
+    @property
     def time_constant(self) -> float:
         """Time constant of Baumgarte's method [s]: as given, or tied to the step."""
         return self.baumgarte_time_constant or 10.0 * self.step_size
+
+
+def require_no_budget(method: Method, what: str) -> None:
+    """
+    Refuse a budget for what does not depend on the time it takes.
+
+    Raises
+    ------
+    FieldError
+
+    """
+    if method.by_budget:
+        raise FieldError(f'no budget for {what}, which is the same however long it takes',
+                         shown(method.budget), f'an accuracy, such as {method.accuracy:g}',
+                         ('method', 'budget'))
 
 
 @dataclass(frozen=True)
@@ -213,8 +245,12 @@ class Scene:
         with at('method'):
             given = mapping({'integrator': method} if isinstance(method, str) else method,
                             *keys_of(Method))
-            return replace(self, method=replace(self.method, **{
-                key: value for key, value in given.items() if value is not None}))
+            wanted = replace(self.method, **{
+                key: value for key, value in given.items() if value is not None})
+            if given.get('budget') is not None and not wanted.by_budget:
+                raise FieldError(f'integrator: {AUTO} with a budget', shown(wanted.integrator),
+                                 path=('integrator',))
+            return replace(self, method=wanted)
 
     def model(self) -> 'Model':
         """

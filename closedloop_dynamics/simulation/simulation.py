@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .assembly import angle_notes
+from .budget import Budget, INTERVAL
 from .cable_guard import explain, leapt, LOOK_EVERY as CABLE_LOOK_EVERY
 from .data import Numbers, vector
 from .errors import (
@@ -82,6 +83,8 @@ class Simulation(Readings):
         Whether anything acts along the coordinates of cut joints.
     exchanges : int
         How often the equations that the elimination works on were exchanged.
+    pace : float
+        Simulated seconds per second of the clock, by which a budget counts; 1 when not set.
 
     Raises
     ------
@@ -99,6 +102,8 @@ class Simulation(Readings):
         self._numbers = np.zeros(guarded_run.NUMBERS)
         self._counts = np.zeros(guarded_run.COUNTS, dtype=np.int64)
         self._set_time(0.0, 0)
+        self.pace = 1.0
+        self._measured = np.zeros(4)
         if not isinstance(model, (Model, Scene)):
             raise TypeError(f'Simulation: expected a Model or a Scene, got {model!r}; '
                             'Simulation.from_scene takes names and paths')
@@ -308,7 +313,15 @@ class Simulation(Readings):
         if not (math.isfinite(duration) and duration >= 0.0):
             raise ValueError(f'duration: expected a finite number >= 0 [s], got {duration!r}')
         whole = math.floor(duration / size * (1.0 + 1e-12) + 1e-9)
-        self._order(tau, whole)
+        left = whole
+        if self._budget is not None:
+            most = max(1, round(INTERVAL / size))
+            for _ in range((whole - 1) // most):
+                self.keep_budget()
+                self._order(tau, most)
+            left -= max(0, (whole - 1) // most) * most
+            self.keep_budget()
+        self._order(tau, left)
         rest = duration - whole * size
         if rest > 1e-9 * size:
             self._make(rest, 1)
@@ -331,6 +344,8 @@ class Simulation(Readings):
             The state before the failing step is kept.
 
         """
+        if self._budget is not None:
+            self.keep_budget()
         if self._effects.attends or self._delay_line.pending:
             self._order(tau, steps)
             self._make(self.step_size, 0, steps)
@@ -341,6 +356,55 @@ class Simulation(Readings):
             self._command(tau)
         if pause:
             self._go_on(pause)
+
+    @property
+    def accuracy(self) -> float:
+        """Accuracy that ``integrator: auto`` keeps now [rad or m]; NaN of other methods."""
+        return self._driver.accuracy
+
+    def keep_budget(self) -> None:
+        """
+        Choose the accuracy that the method's budget allows from now on, by what was measured.
+
+        ``advance`` and ``step`` do so before they make steps; without a budget nothing is done.
+
+        """
+        if self._budget is None:
+            return
+        before = self._measured
+        self._measured = self._driver.measured
+        simulated, spent, *work = (self._measured - before).tolist()
+        if not simulated > 0.0:
+            # Nothing, or a reset.
+            return
+        present = self.accuracy
+        # As if the error were looked at all the time: the budget holds while it is.
+        checked = 2.0 * work[0] / sum(work) if sum(work) > 0.0 else 1.0
+        accuracy = self._budget.choose(
+            present, simulated / self.pace, max(checked, 1.0) * spent)
+        if accuracy != present:
+            self._driver.driver.aim(accuracy)
+
+    def take_accuracy(self, state: ArrayLike) -> None:
+        """
+        Keep the accuracy that another run of ``integrator: auto`` kept from a state on.
+
+        Parameters
+        ----------
+        state : sequence
+            From ``state``; nothing else is taken of it.
+
+        """
+        accuracy = self._driver.accuracy_in(np.asarray(state)[len(self._state):])
+        if accuracy != self.accuracy:
+            self._driver.driver.aim(accuracy)
+
+    def _set_budget(self, method: Method) -> None:
+        """Let the accuracy follow the budget of a method, if it has one."""
+        self._budget = (
+            Budget(method.budget, method.accuracy)
+            if method.budget is not None and method.by_budget else None)
+        self._measured = self._driver.measured
 
     def _order(self, tau: np.ndarray, steps: int) -> None:
         """Advance by whole steps; drives follow torques with their delays."""
@@ -716,6 +780,7 @@ class Simulation(Readings):
         if self._start is not None:
             self._begin_at(self._start)
         self._stiffness.check(self._state, self.step_size)
+        self._set_budget(self.scene.method)
 
     def _begin_at(self, state: State) -> None:
         """Go to a state that was given, after a reset."""
@@ -827,6 +892,7 @@ class Simulation(Readings):
         self.scene = replace(self.scene, method=method)
         self._set_guards(stiffness, method)
         self._set_run()
+        self._set_budget(method)
         self.system.settings[BAUMGARTE_GAIN] = (
             1.0 / method.time_constant if method.stabilisation == 'baumgarte' else 0.0)
         self._driver.restart()
@@ -974,7 +1040,7 @@ class Simulation(Readings):
         balance = Energies(*self._balance_found.tolist())
         return self._driver.report(
             self.closure, self.energy_guard.missed(balance), self.energy_guard,
-            tuple(self.load_notes()))
+            tuple(self.load_notes()), self._budget)
 
     def rollout(
             self, torques: Optional[ArrayLike] = None,

@@ -80,8 +80,9 @@ class Setting:
         line = self.line
         keys = {'step_size': interval, line.key: self.value}
         return replace(
-            scene.method, integrator=line.integrator, stabilisation=line.stabilisation,
-            formulation=line.formulation, baumgarte_time_constant=None, **keys)
+            scene.method.without_budget, integrator=line.integrator,
+            stabilisation=line.stabilisation, formulation=line.formulation,
+            baumgarte_time_constant=None, **keys)
 
 
 def settings(line, interval, quick=False):

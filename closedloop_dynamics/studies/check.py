@@ -306,7 +306,9 @@ def _setting(method):
     """Return what the integrator goes by: an accuracy, a tolerance or a step size."""
     step = ('step size', f'{_value(method.step_size)} s')
     if method.integrator == AUTO:
-        return [('accuracy', f'{_value(method.accuracy)} rad or m within a second'), step]
+        kept = [('accuracy', f'{_value(method.accuracy)} rad or m within a second'), step]
+        return kept if method.budget is None else [
+            *kept, ('budget', f'{_value(method.budget)} of real time')]
     if INTEGRATORS[method.integrator].kind == ADAPTIVE:
         return [('tolerance', _value(method.tolerance)), step]
     return [step]

@@ -317,7 +317,7 @@ def _motion(scene, torque, interval, outputs, candidate, stabilisation, aside):
     adaptive = INTEGRATORS[integrator].kind == ADAPTIVE
     steps = 1 if adaptive else round(1.0 / value)
     method = replace(
-        scene.method, integrator=integrator, step_size=interval / steps,
+        scene.method.without_budget, integrator=integrator, step_size=interval / steps,
         tolerance=value if adaptive else scene.method.tolerance, stabilisation=stabilisation,
         formulation=formulation, baumgarte_time_constant=None)
     try:

@@ -16,7 +16,7 @@ from .storage import checked_path, Layout, opened
 from ..mechanism.fields import FieldError
 from ..simulation.rollout_run import STATE
 from ..simulation.scene import load_scene
-from ..simulation.scene_records import Scene
+from ..simulation.scene_records import require_no_budget, Scene
 
 # Samples in a batch: so many batches, so many samples, so much memory [B] at most.
 BATCHES, LARGEST_BATCH, MOST_BATCH_BYTES = 64, 64, 64_000_000
@@ -108,6 +108,7 @@ def sweep(scene, vary, output, *, samples=1, seed=0, duration=2.0, rate=100.0, t
 
     """
     scene = scene if isinstance(scene, Scene) else load_scene(scene)
+    require_no_budget(scene.method, 'a sweep')
     if hasattr(vary, 'items'):
         vary = [variation(key, what) for key, what in vary.items()]
     plan = Plan(scene, tuple(vary), samples, seed, float(duration), float(rate),

@@ -78,7 +78,7 @@ CONSTANTS = {
     'batch.hpp': (function_table, ('LANES',)),
     'rosenbrock.hpp': (control, ('STIFF_ROWS',)),
     'error_control.hpp': (control, ('MOST_EVALUATIONS',)),
-    'switching.cpp': (control, ('FLOOR',)),
+    'switching.cpp': (control, ('FLOOR', 'CLOSER', 'WINDOW', 'LONGEST_PAUSE')),
     'switching.hpp': (control, ('LOOSER',)),
     'guarded_run.cpp': (guards, ('ENERGY_WARN', 'ENERGY_ERROR')),
     'elimination.hpp': (elimination, ('POOR_PIVOT',)),

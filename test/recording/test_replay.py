@@ -9,6 +9,7 @@ from closedloop_dynamics.effects.gravity import Gravity
 from closedloop_dynamics.effects.joint_damping import JointDamping
 from closedloop_dynamics.recording.recording import Log, Recording
 from closedloop_dynamics.recording.replay import replay, table
+from closedloop_dynamics.simulation.monitor import Monitor
 from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.simulation.scene_records import Initial, Scene
 from closedloop_dynamics.simulation.scene_text import read_scene_text, scene_text
@@ -258,3 +259,28 @@ def test_without_a_log_stamps_and_efforts_serve():
     result = replay(replace(whole, log=None, motion=shaken))
     assert result.largest < 1e-9
     assert 'no replay_log' in result.notes[0]
+
+
+def test_a_budget_is_replayed_by_the_accuracies_of_the_log(monkeypatch):
+    def measured(self):
+        simulated, _, *work = real(self)
+        return np.array([simulated, 1e-6 * sum(work), *work])
+
+    real = Monitor.measured.fget
+    monkeypatch.setattr(Monitor, 'measured', property(measured))
+    recorder = Recorder(load_scene('three_rrr').with_method({'budget': 2e-3}))
+    simulation, found = recorder.simulation, []
+    for tick in range(60):
+        torque = np.array([5.0, -3.0, 2.0 + 0.1 * (tick // 20)])
+        found.append(simulation.accuracy)
+        simulation.keep_budget()
+        if simulation.accuracy != found[-1]:
+            # As the node logs it.
+            recorder.note(recorder.rows[-1][4], published=False)
+        recorder.advance(20, torque)
+    assert len(set(found)) > 1
+    # A replay measures other times.
+    monkeypatch.setattr(Monitor, 'measured', property(lambda self: real(self) * 7.0))
+    result = replay(recorder.recording())
+    assert not result.deviation('position').any() and not result.deviation('velocity').any()
+    assert not result.notes

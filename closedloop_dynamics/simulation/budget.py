@@ -1,0 +1,159 @@
+# SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""The accuracy that a share of real time allows, chosen anew while a run goes on."""
+
+import math
+
+# The accuracies between which it is chosen [rad or m within a second], a decade apart.
+FINEST, COARSEST, DECADE = 1e-9, 1e-2, 10.0
+# Time of the clock in one measurement [s]; the smaller one of two in a row counts, as other
+# programs disturb single ones.
+INTERVAL = 0.05
+# Of DOP853: a decade of accuracy takes this many times the computing, as its order is eight.
+ORDER = 8
+GROWTH = DECADE ** (1.0 / ORDER)
+# A finer accuracy is taken where it is expected to need no more than this share of the budget,
+# after as many intervals in a row; after twice as many where the last one proved too fine.
+ROOM, FIRST_WAIT, LONGEST_WAIT = 0.8, 10, 160
+# Decades in one decision.
+MOST_DECADES = 3
+
+
+class Budget:
+    """
+    Choice of an accuracy that keeps computing within a share of real time.
+
+    It decides by numbers alone: the same measurements give the same accuracies.
+
+    Parameters
+    ----------
+    share : float
+        Computing time per time of the clock that is allowed [1].
+    wanted : float
+        Accuracy asked for beside it [rad or m within a second]: finer ones are taken where the
+        budget allows, coarser ones where it does not, which ``finding`` says.
+
+    Attributes
+    ----------
+    share, wanted : float
+        As given.
+    used : float
+        Share that is taken at present [1]; NaN before the first two intervals.
+
+    """
+
+    def __init__(self, share, wanted):
+        """Nothing is measured so far."""
+        self.share, self.wanted, self.used = share, wanted, math.nan
+        self._finest, self._coarsest = min(FINEST, wanted), max(COARSEST, wanted)
+        self._simulated = self._spent = 0.0
+        self._before = math.inf
+        self._fitting, self._wait, self._refined = 0, FIRST_WAIT, False
+
+    def choose(self, accuracy, simulated, spent):
+        """
+        Take account of a part of the run, and choose the accuracy of the next one.
+
+        Parameters
+        ----------
+        accuracy : float
+            Of this part [rad or m within a second].
+        simulated, spent : float
+            Time of the clock that it stands for, and computing time [s].
+
+        Returns
+        -------
+        float
+            The same as long as nothing is to be changed.
+
+        """
+        self._simulated += simulated
+        self._spent += spent
+        if self._simulated < INTERVAL * (1.0 - 1e-9):
+            return accuracy
+        before, self._before = self._before, self._spent / self._simulated
+        self._simulated = self._spent = 0.0
+        if math.isinf(before):
+            # What came before was measured with another accuracy.
+            return accuracy
+        self.used = min(before, self._before)
+        chosen = self._chosen(accuracy)
+        if chosen != accuracy:
+            self._before = math.inf
+        return chosen
+
+    def _chosen(self, accuracy):
+        """Return the accuracy that follows from the present share."""
+        if self.used > self.share:
+            return self._coarser(accuracy)
+        if accuracy > self._finest and GROWTH * self.used <= ROOM * self.share:
+            self._fitting += 1
+            if self._fitting >= self._wait:
+                return self._finer(accuracy)
+        else:
+            self._fitting = 0
+        return accuracy
+
+    def _coarser(self, accuracy):
+        """Return an accuracy that the budget is expected to allow, or one nearer to it."""
+        if self._refined:
+            self._wait = min(2 * self._wait, LONGEST_WAIT)
+        self._fitting, self._refined = 0, False
+        decades = math.ceil(ORDER * math.log10(self.used / self.share))
+        return _rounded(min(
+            accuracy * DECADE ** min(max(decades, 1), MOST_DECADES), self._coarsest))
+
+    def _finer(self, accuracy):
+        """Return the next finer accuracy."""
+        if self._refined:
+            # The one before was not too fine.
+            self._wait = FIRST_WAIT
+        self._fitting, self._refined = 0, True
+        return _rounded(max(accuracy / DECADE, self._finest))
+
+    def finding(self, accuracy):
+        """Return what is wrong where the present accuracy is not what was asked for, or ''."""
+        if self.used > self.share and accuracy >= self._coarsest:
+            return (f'the budget of {self.share:g} of real time is exceeded even with an accuracy '
+                    f'of {accuracy:g} rad or m within a second: computing takes {self.used:.2g}. '
+                    'Allow a larger budget, or a slower pace.')
+        if accuracy > self.wanted:
+            return (f'the budget of {self.share:g} of real time and the accuracy of '
+                    f'{self.wanted:g} rad or m within a second exclude each other: '
+                    f'{accuracy:g} is kept. Allow a larger budget or accuracy.')
+        return ''
+
+
+def allowed(share, known):
+    """
+    Return the finest accuracy that a share of real time is expected to allow.
+
+    Parameters
+    ----------
+    share : float
+        Computing time per time of the clock [1].
+    known : sequence of (float, float)
+        Two accuracies and the shares that they take, positive; shares in between and beyond follow
+        a power law.
+
+    Returns
+    -------
+    float or None
+        Between ``FINEST`` and ``COARSEST``; None where not even that is allowed.
+
+    """
+    (one, at_one), (other, at_other) = known
+    power = math.log(at_other / at_one) / math.log(other / one)
+    accuracy = COARSEST
+    best = None
+    while accuracy >= FINEST * (1.0 - 1e-9):
+        if at_one * (accuracy / one) ** min(power, 0.0) <= share:
+            best = _rounded(accuracy)
+        accuracy /= DECADE
+    return best
+
+
+def _rounded(accuracy):
+    """Return an accuracy without the rounding of what it was computed with."""
+    return float(f'{accuracy:.6g}')
