@@ -14,7 +14,7 @@ from .command import (
     add_motion, add_reading, add_scene, add_set, add_torque, checked_torques, Command, FAILED,
     mapping, positive, require_free, scene_of, UsageError)
 from ..integration.registry import ADAPTIVE, AUTO, INTEGRATORS, STABILISATIONS
-from ..recording.cost import probe
+from ..recording.cost import allowance, probe
 from ..recording.rows import write_scene
 from ..recording.run import columns, ErrorEstimate, Report, run
 from ..simulation.errors import InaccuracyWarning, SimulationError
@@ -51,6 +51,9 @@ def _add_arguments(parser):
     run_options.add_argument('--forces', choices=('cuts', 'all'), default='cuts',
                              help='whose forces are written: those of the cut joints, or of all '
                                   'joints (default: cuts)')
+    run_options.add_argument('--costs', action='store_true',
+                             help='write what accuracy costs, too: the error of each row, and '
+                                  'evaluations and CPU time per simulated second')
     run_options.add_argument('--dry-run', action='store_true',
                              help='tell what the run will cost, from a probe of its first part '
                                   'that takes a second or so, and write nothing')
@@ -65,6 +68,9 @@ def _add_arguments(parser):
     method.add_argument('--accuracy', type=positive, metavar='ERROR',
                         help='error of positions that the integrator auto keeps within a second '
                              '[rad or m]')
+    method.add_argument('--budget', type=positive, metavar='SHARE',
+                        help='computing time per simulated second that the integrator auto may '
+                             'take: it keeps the best accuracy that this allows')
     method.add_argument('--stabilisation', choices=STABILISATIONS,
                         help='how the loops are kept closed')
     method.add_argument('--formulation', choices=FORMULATIONS,
@@ -94,11 +100,11 @@ def _run(arguments):
         # A device or pipe has nothing beside it.
         if _is_file(arguments.output):
             write_scene(arguments.output, simulation.scene)
-        write(','.join(columns(simulation, all_forces)))
+        write(','.join(columns(simulation, all_forces, arguments.costs)))
         try:
             run(simulation, arguments.duration, arguments.rate, torque, report=report,
                 on_row=on_row, keep_going=lambda: not received, all_forces=all_forces,
-                estimate=estimate)
+                estimate=estimate, costs=arguments.costs)
         except SimulationError as error:
             failure = error
     if failure is not None:
@@ -129,16 +135,19 @@ def _tell_cost(simulation, torque, estimated, arguments):
     if not run_cost.failure:
         print(f'  with rows{" and the run that tells the error" if estimated else ""} '
               f'{run_cost.whole:.2g} s; {run_cost.share:.2%} of real time')
+    if simulation.scene.method.by_budget:
+        print(f'  {allowance(simulation.scene.method.budget, costs)}')
     return FAILED if run_cost.failure else 0
 
 
 def _prepared(arguments):
     """Return the simulation and the torques; errors here are the user's."""
     torque = mapping(arguments.torque, '--torque')
-    if arguments.accuracy is not None:
-        if arguments.integrator is not None:
-            raise UsageError('--accuracy: expected it without --integrator, got both')
-        arguments.integrator = AUTO
+    for option in ('accuracy', 'budget'):
+        if getattr(arguments, option) is not None:
+            if arguments.integrator not in (None, AUTO):
+                raise UsageError(f'--{option}: expected it without --integrator, got both')
+            arguments.integrator = AUTO
     if arguments.output not in (None, STANDARD_OUTPUT):
         require_free(arguments, Path(arguments.output))
     scene = scene_of(arguments)
@@ -147,7 +156,8 @@ def _prepared(arguments):
             arguments.scene, scene, torque, lambda scene: Simulation.from_scene(
                 scene, step_size=arguments.step_size, integrator=arguments.integrator,
                 stabilisation=arguments.stabilisation, formulation=arguments.formulation,
-                tolerance=arguments.tolerance, accuracy=arguments.accuracy))
+                tolerance=arguments.tolerance, accuracy=arguments.accuracy,
+                budget=arguments.budget))
     return simulation, torque
 
 
@@ -192,6 +202,9 @@ def _summary(simulation, report, arguments, estimate):
         f'  CPU time  {report.cpu_time:.3g} s, {share:.2%} of real time; '
         f'{1e6 * told.time_per_step:.3g} us per step',
     ]
+    if math.isfinite(told.budget):
+        lines.insert(1, f'  budget    {told.budget:g} of real time: accuracy {told.accuracy:g} at '
+                        f'the end, the best that it allows')
     if math.isfinite(report.error):
         lines.insert(1, f'  error     at most about {report.error:.2g} rad or m, by a second run '
                         f'with {estimate.method}')
@@ -207,14 +220,16 @@ def _summary(simulation, report, arguments, estimate):
     if arguments.output not in (None, STANDARD_OUTPUT):
         lines.append(f'  output    {arguments.output}: {report.rows} '
                      f'row{"s" if report.rows != 1 else ""} of '
-                     f'{len(columns(simulation, arguments.forces == "all"))} columns')
+                     f'{len(columns(simulation, arguments.forces == "all", arguments.costs))} '
+                     'columns')
     return '\n'.join(lines)
 
 
 def _resolution(method, arguments):
     """Return what the steps were; one that ends at a row may be shorter than the others."""
     if INTEGRATORS[method.integrator].kind == ADAPTIVE:
-        key = 'accuracy' if method.integrator == AUTO else 'tolerance'
+        key = 'budget' if method.by_budget else 'accuracy' if method.integrator == AUTO else (
+            'tolerance')
         return f'with {key} {getattr(method, key):g}'
     steps_in_a_row = 1.0 / (arguments.rate * method.step_size)
     if steps_in_a_row < 1.0 - TIME_ROUNDING:
@@ -238,7 +253,10 @@ joints of the tree, too, which the parent exerts on the child;
 motion.NAME.force and .power of every prescribed motion, NAME being that of the
 effect (motion_JOINT of --motion JOINT=...), and the force that of effort.JOINT;
 point.NAME.x and point.NAME.y of every named point; closure, the largest error
-of the loops; energy, kinetic and potential. In space force.CUT and force.JOINT
+of the loops; energy, kinetic and potential; with --costs error, largest of a
+joint coordinate by the second run (of an orientation the angle), accuracy that
+is kept, evaluation_rate and cpu_share per simulated second since the row
+before. In space force.CUT and force.JOINT
 have .z, and .torque_x, .torque_y and .torque_z for .torque, point.NAME has .z.
 SI units and radians; numbers with all their digits. An existing file is not
 replaced unless asked for. Ctrl-C leaves all rows so far. Beside FILE are written

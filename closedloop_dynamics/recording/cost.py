@@ -8,7 +8,9 @@ import math
 import time
 
 from .run import ErrorEstimate, Report, run
+from ..integration.control import LONGEST_PAUSE, WINDOW
 from ..integration.registry import AUTO, FIXED, INTEGRATORS
+from ..simulation.budget import allowed
 from ..simulation.errors import SimulationError
 from ..simulation.simulation import Simulation
 
@@ -34,19 +36,23 @@ class Cost:
     failure: str = ''  # Why the probe failed, whose costs are those up to there
 
     @property
+    def setting(self):
+        """Return the method's key and value in words."""
+        return f'{self.key.replace("_", " ")} {self.value:g}'
+
+    @property
     def share(self):
         """Return the CPU time per simulated time."""
         return self.cpu_time / self.duration
 
     def __str__(self):
         """Return the cost in words."""
-        what = f'{self.key.replace("_", " ")} {self.value:g}'
         if self.failure:
-            return f'at {what} the run fails at t = {self.probed:.3g} s: {self.failure}'
-        return f'about {self.cpu_time:.2g} s of CPU for {self.duration:g} s at {what}'
+            return f'at {self.setting} the run fails at t = {self.probed:.3g} s: {self.failure}'
+        return f'about {self.cpu_time:.2g} s of CPU for {self.duration:g} s at {self.setting}'
 
 
-def probe(simulation, duration, rate, torque=None, estimated=False):
+def probe(simulation, duration, rate, torque=None, estimated=False, longest=None):
     """
     Tell what a run will cost, and what a finer one would.
 
@@ -62,6 +68,8 @@ def probe(simulation, duration, rate, torque=None, estimated=False):
         As for ``Simulation.step``.
     estimated : bool
         Whether a second, finer run beside the first tells its error.
+    longest : float, optional
+        CPU time that each of the two probes may take [s]; ``LONGEST`` when not given.
 
     Returns
     -------
@@ -71,10 +79,11 @@ def probe(simulation, duration, rate, torque=None, estimated=False):
     Notes
     -----
     The run is made for up to ``LONGEST`` of CPU time. Where it is not at its end by then, the rest
-    is expected to cost what the later half of the probe did.
+    is expected to cost what the later half of the probe did, with the companion of ``integrator:
+    auto`` in its windows alone, where it doubles the cost.
 
     """
-    method = simulation.scene.method
+    method = simulation.scene.method.without_budget
     fixed = INTEGRATORS[method.integrator].kind == FIXED
     key = 'step_size' if fixed else 'accuracy' if method.integrator == AUTO else 'tolerance'
     found = []
@@ -86,34 +95,86 @@ def probe(simulation, duration, rate, torque=None, estimated=False):
         except (SimulationError, ValueError) as error:
             found.append(Cost(key, value, duration, math.nan, math.nan, 0.0, str(error)))
             continue
-        found.append(_probed(other, key, value, duration, rate, torque, estimated))
+        found.append(_probed(other, key, value, duration, rate, torque, estimated, longest))
         if found[-1].probed == duration and found[-1].whole < SHORT:
             other.reset()
-            again = _probed(other, key, value, duration, rate, torque, estimated)
+            again = _probed(other, key, value, duration, rate, torque, estimated, longest)
             found[-1] = min(found[-1], again, key=lambda one: one.cpu_time)
     return found
 
 
-def _probed(simulation, key, value, duration, rate, torque, estimated):
+def allowance(budget, costs, pace=1.0):
+    """
+    Return in words which accuracy a budget is expected to allow.
+
+    Parameters
+    ----------
+    budget : float
+        Computing time per time of the clock [1].
+    costs : sequence of Cost
+        From ``probe``, of ``integrator: auto``.
+    pace : float
+        Simulated seconds per second of the clock.
+
+    """
+    known = [(cost.value, pace * cost.share) for cost in costs
+             if not cost.failure and cost.share > 0.0]
+    if len(known) < 2:
+        return f'what a budget of {budget:g} of real time allows is not known: a probe failed'
+    accuracy = allowed(budget, known)
+    if accuracy is None:
+        return (f'a budget of {budget:g} of real time allows no accuracy: {known[0][0]:g} takes '
+                f'{known[0][1]:.2g}')
+    wanted = costs[0].value
+    return (f'a budget of {budget:g} of real time allows an accuracy of about {accuracy:g}' + (
+        f', and the accuracy of {wanted:g} takes {known[0][1]:.2g}: they exclude each other'
+        if accuracy > wanted else ''))
+
+
+def _probed(simulation, key, value, duration, rate, torque, estimated, longest):
     """Return the cost of a run of a simulation from its start."""
     report, failure, marks = Report(), '', []
-    begin = time.process_time()
+    begin, most = time.process_time(), LONGEST if longest is None else longest
+
+    def mark():
+        marks.append((report.time, report.cpu_time, time.process_time() - begin,
+                      *simulation.monitor.work))
 
     def keep_going():
-        marks.append((report.time, report.cpu_time, time.process_time() - begin))
-        return marks[-1][2] < LONGEST
+        mark()
+        return marks[-1][2] < most
 
     try:
         run(simulation, duration, rate, torque, report=report, on_row=lambda row: None,
             keep_going=keep_going, estimate=ErrorEstimate(simulation) if estimated else None)
     except SimulationError as error:
         failure = str(error)
-    marks.append((report.time, report.cpu_time, time.process_time() - begin))
+    mark()
     end = marks[-1]
-    middle = next(mark for mark in marks if mark[0] >= 0.5 * end[0])
-    left = duration - end[0]
-    costs = end[1:]
-    if left > 0.0 and end[0] > middle[0] and not failure:
-        costs = [one + left * (one - half) / (end[0] - middle[0])
-                 for one, half in zip(end[1:], middle[1:])]
+    *_, middle = (mark for mark in marks if mark[0] <= 0.5 * end[0])
+    left, costs = duration - end[0], end[1:3]
+    if not (failure or end[0] > 0.0):
+        failure = f'nothing was simulated within {most:g} s of CPU'
+    if left > 0.0 and not failure:
+        probed, cpu_time, whole, *work = (one - half for one, half in zip(end, middle))
+        rest = left * cpu_time / probed
+        if work[0] > 0.0:
+            checked = in_windows(duration) - in_windows(end[0])
+            rest *= work[0] / sum(work) * (1.0 + checked / left)
+        costs = end[1] + rest, end[2] + rest + left * (whole - cpu_time) / probed
     return Cost(key, value, duration, *costs, end[0], failure)
+
+
+def in_windows(duration):
+    """
+    Return how long ``integrator: auto`` looks at its error in a run that keeps its accuracy [s].
+
+    ``duration``: float; of the run [s].
+
+    """
+    windows, begin, pause = 0.0, 0.0, WINDOW
+    while begin < duration:
+        windows += min(WINDOW, duration - begin)
+        begin += WINDOW + pause
+        pause = min(2.0 * pause, LONGEST_PAUSE)
+    return windows

@@ -10,14 +10,20 @@ import time
 
 import numpy as np
 
+from ..core.types import EVALUATIONS
 from ..integration.registry import AUTO, FIXED, INTEGRATORS
 from ..mechanism.mechanism import CUT_WITHOUT_MOMENT, JOINT_FREEDOMS, REVOLUTE
+from ..simulation.budget import FINEST
 from ..simulation.errors import SimulationError
 from ..simulation.rollout_run import TIME_ROUNDING
 from ..visual.motion import wrench_parts
 
 # What is told of joints, and of cut joints.
 QUANTITIES = ('position', 'velocity', 'acceleration', 'effort')
+# What accuracy costs: the error of the row [rad or m], NaN without a second run; the accuracy that
+# is kept [rad or m], NaN where none is; evaluations [1/s] and CPU time since the row before, per
+# simulated time, NaN in the first row.
+COSTS = ('error', 'accuracy', 'evaluation_rate', 'cpu_share')
 # Between two looks whether to go on; about 10 ms of computing.
 LARGEST_PORTION = 1000
 # Tolerance of the run that tells the error, against that of the run itself.
@@ -62,7 +68,9 @@ class ErrorEstimate:
 
     def __init__(self, simulation):
         """Set up the second run."""
-        method = simulation.scene.method
+        method = simulation.scene.method.without_budget
+        if simulation.scene.method.by_budget:
+            method = replace(method, accuracy=min(method.accuracy, FINEST))
         integrator = INTEGRATORS[method.integrator]
         self._share, key = 1.0, 'accuracy' if method.integrator == AUTO else 'tolerance'
         if integrator.kind == FIXED:
@@ -79,8 +87,8 @@ class ErrorEstimate:
         return float(self._share * apart)
 
 
-def columns(simulation, all_forces=False):
-    """Return the names of the columns, in the order of ``row``."""
+def columns(simulation, all_forces=False, costs=False):
+    """Return the names of the columns, in the order of ``row``, with those of costs behind."""
     names = ['time']
     for quantity in QUANTITIES:
         names += simulation.coordinates.columns(quantity)
@@ -99,7 +107,7 @@ def columns(simulation, all_forces=False):
               for axis in 'xyz'[:len(point.position)]]
     for quantity in QUANTITIES:
         names += simulation.mechanism.cut_coordinates.columns(quantity)
-    return [*names, 'closure', 'energy']
+    return [*names, 'closure', 'energy', *COSTS[:len(COSTS) * costs]]
 
 
 def row(simulation, seconds, all_forces=False):
@@ -160,7 +168,7 @@ def _force_parts(simulation, cut=None):
 
 
 def run(simulation, duration, rate, torque=None, *, report, on_row, keep_going=lambda: True,
-        all_forces=False, estimate=None):
+        all_forces=False, estimate=None, costs=False):
     """
     Advance a simulation under constant torques, with a row at every multiple of ``1 / rate``.
 
@@ -187,6 +195,8 @@ def run(simulation, duration, rate, torque=None, *, report, on_row, keep_going=l
         As for ``row``.
     estimate : ErrorEstimate, optional
         To be run beside it.
+    costs : bool
+        Whether ``COSTS`` follow in each row.
 
     Raises
     ------
@@ -196,6 +206,7 @@ def run(simulation, duration, rate, torque=None, *, report, on_row, keep_going=l
     tau = simulation.joint_torques(torque)
     simulation.advance(tau, 0)
     last = math.floor(duration * rate * (1.0 + 1e-12) + TIME_ROUNDING)
+    before = _spent(simulation, report)
     # One by one: a long run has more rows than fit into memory.
     for until in chain((index / rate for index in range(last + 1)), [None]):
         if not _reached(duration if until is None else until, simulation, torque, report,
@@ -204,12 +215,26 @@ def run(simulation, duration, rate, torque=None, *, report, on_row, keep_going=l
         if estimate is not None:
             estimate = _estimated(estimate, simulation, torque, report)
         if until is not None:
-            on_row(_noted(row(simulation, until, all_forces), report))
+            spent = _spent(simulation, report) - before
+            values = _noted(row(simulation, until, all_forces), report)
+            if costs:
+                values += [
+                    math.nan if estimate is None else estimate.of(simulation), simulation.accuracy,
+                    *(spent[1:] / spent[0] if spent[0] > 0.0 else np.full(2, math.nan)).tolist()]
+            # Reading a row takes evaluations, too.
+            before = _spent(simulation, report)
+            on_row(values)
     try:
         simulation.judge()
     finally:
         report.time = simulation.time
     report.finished = True
+
+
+def _spent(simulation, report):
+    """Return simulated time [s], evaluations and CPU time [s] so far, shape (3,)."""
+    return np.array([
+        simulation.time, simulation.system.work.health[EVALUATIONS], report.cpu_time])
 
 
 def _estimated(estimate, simulation, torque, report):

@@ -8,7 +8,7 @@ import math
 from closedloop_dynamics import Simulation
 from closedloop_dynamics.cli import main
 from closedloop_dynamics.recording import cost
-from closedloop_dynamics.recording.cost import Cost, probe
+from closedloop_dynamics.recording.cost import allowance, Cost, in_windows, probe
 import pytest
 
 
@@ -77,3 +77,61 @@ def test_dry_run_tells_and_writes_nothing(capsys, tmp_path):
     assert 'of real time' in out and not list(tmp_path.iterdir())
     assert main(['simulate', 'four_bar', '--integrator', 'rk4', '--step-size', '0.05',
                  '--torque', 'crank_joint=100', '--dry-run']) == 1
+
+
+def test_the_companion_costs_in_its_windows_alone():
+    assert [in_windows(time) for time in (0.5, 1.0, 2.0, 2.5, 5.0, 6.0, 10.0, 10.5)] == [
+        0.5, 1.0, 1.0, 1.5, 2.0, 3.0, 3.0, 3.5]
+    # As the engine opens them, up to the steps between.
+    simulation = Simulation.from_scene('three_rrr_horizontal')
+    simulation.step([0.2, -0.1, 0.1], 12.0)
+    own, companion = simulation.monitor.work
+    assert companion / own == pytest.approx(in_windows(12.0) / 12.0, rel=0.25)
+
+
+def test_a_short_probe_knows_that_windows_end(monkeypatch):
+    # Cost by evaluations; the probe ends within the first window, where they are twice as many.
+    simulation = Simulation.from_scene('three_rrr')
+    real = cost.time.process_time
+    clock = [0.0]
+
+    def counted(self, tau, steps):
+        before = sum(self.monitor.work)
+        advance(self, tau, steps)
+        clock[0] += 1e-6 * (sum(self.monitor.work) - before)
+
+    advance = Simulation.advance
+    monkeypatch.setattr(Simulation, 'advance', counted)
+    monkeypatch.setattr(cost.time, 'process_time', lambda: clock[0])
+    found, _ = probe(simulation, 20.0, 100.0, [5.0, -3.0, 2.0], longest=1e-3)
+    monkeypatch.setattr(cost.time, 'process_time', real)
+    assert found.probed < 1.0
+    run = Simulation.from_scene('three_rrr')
+    run.step([5.0, -3.0, 2.0], 20.0)
+    # Of a motion that goes on as it began.
+    assert found.cpu_time == pytest.approx(1e-6 * sum(run.monitor.work), rel=0.5)
+
+
+def test_what_a_budget_allows_in_words():
+    costs = [Cost('accuracy', value, 10.0, share * 10.0, 1.0, 10.0)
+             for value, share in ((1e-6, 0.1), (1e-9, 0.2))]
+    assert allowance(0.15, costs) == (
+        'a budget of 0.15 of real time allows an accuracy of about 1e-07')
+    assert 'takes 0.1: they exclude each other' in allowance(0.09, costs)
+    assert 'allows no accuracy: 1e-06 takes 0.1' in allowance(0.001, costs)
+    failed = Cost('accuracy', 1e-9, 10.0, math.nan, math.nan, 0.1, 'open')
+    assert 'is not known: a probe failed' in allowance(0.1, [costs[0], failed])
+
+
+def test_dry_run_tells_what_a_budget_allows(capsys):
+    assert main(['simulate', 'four_bar', '--duration', '0.2', '--dry-run', '--budget', '10']) == 0
+    assert 'a budget of 10 of real time allows an accuracy of about 1e-09' in (
+        capsys.readouterr().out)
+
+
+def test_simulate_by_budget_says_which_accuracy_it_was(capsys):
+    assert main(['simulate', 'four_bar', '--duration', '0.2', '--budget', '10']) == 0
+    out = capsys.readouterr().out
+    assert 'with budget 10' in out and 'the best that it allows' in out
+    assert 'by a second run with accuracy 3.33e-11' in out
+    assert main(['simulate', 'four_bar', '--budget', '1', '--integrator', 'rk4']) == 2

@@ -3,7 +3,12 @@
 
 """A run hands over rows at even times, whatever the step size, and keeps its report true."""
 
-from closedloop_dynamics.recording.run import columns, Report, row, run
+import csv
+
+from closedloop_dynamics.cli import main
+from closedloop_dynamics.core.types import EVALUATIONS
+from closedloop_dynamics.recording.rows import read_rows
+from closedloop_dynamics.recording.run import columns, ErrorEstimate, Report, row, run
 from closedloop_dynamics.simulation.errors import SimulationError
 from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.simulation.simulation import Simulation
@@ -119,3 +124,37 @@ def test_the_report_holds_closure_and_energy():
     assert report.largest_closure == max(values[-2] for values in rows)
     assert (report.first_energy, report.last_energy) == (rows[0][-1], rows[-1][-1])
     assert report.cpu_time > 0.0
+
+
+def test_costs_are_columns_of_their_own():
+    simulation = Simulation.from_scene('stewart_platform')
+    estimate, report, rows = ErrorEstimate(simulation), Report(), []
+    run(simulation, 0.3, 20.0, report=report, on_row=rows.append, estimate=estimate, costs=True)
+    names = columns(simulation, costs=True)
+    assert names[:-4] == columns(simulation)
+    assert names[-4:] == ['error', 'accuracy', 'evaluation_rate', 'cpu_share']
+    error, accuracy, evaluations, share = np.array(rows)[:, -4:].T
+    # Global: at every row from the start on, orientations as angles.
+    assert error.max() == report.error and error[0] == 0.0
+    assert error[-1] == estimate.of(simulation)
+    assert set(accuracy) == {1e-6}
+    assert np.isnan(evaluations[0]) and (evaluations[1:] > 0.0).all() and (share[1:] > 0.0).all()
+    # All evaluations of the steps are in some row, those of reading rows in none.
+    alone = Simulation.from_scene('stewart_platform')
+    for _ in range(6):
+        alone.step(None, 0.05)
+    made = alone.system.work.health[EVALUATIONS]
+    assert evaluations[1:].sum() / 20.0 == pytest.approx(made, rel=0.01)
+    assert share[1:].sum() / 20.0 <= report.cpu_time
+
+
+def test_costs_are_written_on_demand(tmp_path):
+    path = tmp_path / 'run.csv'
+    assert main(['simulate', 'four_bar', '--duration', '0.1', '--costs', '--output',
+                 str(path), '--integrator', 'rk4', '--no-error-estimate']) == 0
+    with open(path, newline='') as file:
+        rows = list(csv.DictReader(file))
+    assert {row['error'] for row in rows} == {row['accuracy'] for row in rows} == {'nan'}
+    assert float(rows[1]['evaluation_rate']) >= 4000.0
+    motion, _ = read_rows(path)
+    assert len(motion.time) == len(rows)
