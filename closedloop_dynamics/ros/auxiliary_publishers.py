@@ -62,9 +62,9 @@ class ReplayLog:
     The stamps of states may follow the system's clock, and the efforts in them are those behind
     drives with limits and lag. What a replay needs is the simulated time, the command
     before the drives, and the whole state (``Simulation.state``), to begin there to the last bit.
-    Where the command changes between two published states, an entry without a stamp
-    says up to when the old one acted. ``index`` counts the entries, so that a gap is
-    seen; ``jumps`` counts the resets and the states that were set from outside.
+    Where the command, or the accuracy that a budget allows, changes between two published states,
+    an entry without a stamp says up to when the old one acted. ``index`` counts the entries, so
+    that a gap is seen; ``jumps`` counts the resets and the states that were set from outside.
 
     """
 
@@ -74,7 +74,7 @@ class ReplayLog:
         self._message = Float64MultiArray()
         self._values = self._states = self._torque = None
         self.index = self._jumps = 0
-        self._time = 0.0
+        self._time, self._accuracy = 0.0, simulation.accuracy
 
     def jumped(self):
         """Note that the next state does not follow from the last by simulating."""
@@ -84,10 +84,13 @@ class ReplayLog:
         """Note the command of the steps that come now, by ``torque_names`` [N m or N]."""
         if self._torque is None:
             self._torque = torque.copy()
-        elif not np.array_equal(torque, self._torque):
-            if self._simulation.time > self._time:
+        accuracy = self._simulation.accuracy
+        changed = accuracy != self._accuracy and self._simulation.scene.method.by_budget
+        if changed or not np.array_equal(torque, self._torque):
+            if changed or self._simulation.time > self._time:
                 self._note(NO_STATE, NO_STATE)
             self._torque[:] = torque
+        self._accuracy = accuracy
 
     def follow(self, stamp):
         """Publish the entry of the present state."""

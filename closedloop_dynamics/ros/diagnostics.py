@@ -239,7 +239,12 @@ def method_finding(report, load):
         'compute time per step [us]': 1e6 * report.time_per_step,
         'share of real time [%]': 100.0 * report.share,
         'local error [rad or m]': report.local_error,
-        'bound of the error within a second [rad or m]': report.error_bound})
+        'bound of the error within a second [rad or m]': report.error_bound,
+        'bound in the latest second looked at [rad or m]': report.present_bound,
+        'accuracy [rad or m within a second]': report.accuracy,
+        'evaluations per simulated second': report.evaluation_rate,
+        'budget [share of real time]': report.budget,
+        'used of the budget [share of real time]': report.budget_used})
 
 
 def closure_finding(closure):

@@ -57,6 +57,8 @@ class LiveSimulation:
             self.expire()
             self.command.held += (
                 steps * self.simulation.step_size / self._pacer.real_time_factor)
+        # Before the notes, which tell of the accuracy of the steps that follow.
+        self.simulation.keep_budget()
         self.torque[:] = 0.0
         self.torque[self.simulation.actuated] = self.command.torque
         self.wrench.act(self.torque)

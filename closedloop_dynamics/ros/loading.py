@@ -4,12 +4,18 @@
 """Load a scene for a node, with its errors in one line."""
 
 import time
+import warnings
 
 from closedloop_dynamics.effects.prescribed_motion import COMMANDED, PrescribedMotion
+from closedloop_dynamics.recording.cost import allowance, probe
 from closedloop_dynamics.ros.process import leaving_at_once, StartError
-from closedloop_dynamics.simulation.errors import SimulationError
+from closedloop_dynamics.simulation.errors import InaccuracyWarning, SimulationError
 from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.simulation.simulation import Simulation
+
+# Simulated time whose cost is told at the start [s], calls in a second of it [Hz], and CPU time of
+# each of the two probes [s].
+COST_DURATION, COST_RATE, LONGEST_PROBE = 10.0, 10.0, 0.1
 
 
 def load_simulation(scene, logger, moved='', **method):
@@ -33,3 +39,22 @@ def load_simulation(scene, logger, moved='', **method):
         raise StartError(f"scene '{scene}': {error}") from None
     logger.info(f'loaded in {time.monotonic() - begin:.1f} s')
     return simulation, read.method
+
+
+def log_cost(simulation, pace, logger):
+    """
+    Say what computing a simulation is expected to take, from a short probe without torques.
+
+    ``pace`` is in simulated seconds per second of the clock. Messages are not counted.
+
+    """
+    with leaving_at_once(), warnings.catch_warnings():
+        warnings.simplefilter('ignore', InaccuracyWarning)
+        costs = probe(simulation, COST_DURATION, COST_RATE, longest=LONGEST_PROBE)
+    logger.info('without torques, computing is expected to take ' + ', '.join(
+        f'{pace * cost.share:.2%} of a core with {cost.setting}' if not cost.failure else
+        f'what is not known with {cost.setting}, as the motion ends at t = {cost.probed:.3g} s'
+        for cost in costs))
+    budget = simulation.scene.method.budget
+    if budget is not None:
+        logger.info(allowance(budget, costs, pace))

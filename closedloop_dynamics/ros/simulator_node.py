@@ -24,7 +24,7 @@ from closedloop_dynamics.ros.diagnostics import Diagnostics, graph_finding
 from closedloop_dynamics.ros.effect_parameters import EffectParameters
 from closedloop_dynamics.ros.frames import FRAME_PARAMETERS, Frames
 from closedloop_dynamics.ros.live import LiveSimulation
-from closedloop_dynamics.ros.loading import load_simulation
+from closedloop_dynamics.ros.loading import load_simulation, log_cost
 from closedloop_dynamics.ros.markers import MARKER_PARAMETERS, Markers
 from closedloop_dynamics.ros.messages import Stamps, StatePublisher
 from closedloop_dynamics.ros.motion_command import LOST, MotionCommand
@@ -94,6 +94,13 @@ class SimulatorNode(Node):
         self.simulation, self._own_method = load_simulation(
             values['scene'], self.get_logger(), values['motion_joints'],
             **{key: values[key] or None for key in METHOD})
+        try:
+            method_changes(values, self._own_method, self.simulation.scene.method)
+        except ValueError as error:
+            raise StartError(str(error)) from None
+        log_cost(
+            self.simulation, values['real_time_factor'] if values['mode'] == REALTIME else 1.0,
+            self.get_logger())
         self._throttles = {key: Throttle() for key in (
             'rejected', 'motion', 'wrench', 'lost', 'refused', 'overload', 'busy')}
         self._told_not_actuated, self._method_prepared = False, None
@@ -144,6 +151,8 @@ class SimulatorNode(Node):
             lambda torque: simulation.require_bearable(simulation.joint_torques(torque)))
         self.pacer = Pacer(simulation.step_size, values['real_time_factor'])
         real_time = values['mode'] == REALTIME
+        if real_time:
+            simulation.pace = values['real_time_factor']
         stamps = Stamps(self, simulation, values['publish_clock'] or not real_time,
                         values['publish_clock'], 1.0 / values['publish_rate'])
         self.live = LiveSimulation(simulation, self.command, stamps, self.states,
@@ -476,7 +485,8 @@ class SimulatorNode(Node):
         try:
             for name, value in values.items():
                 CHANGEABLE[name].require_choice(value)
-            changes = method_changes(values, self._own_method, self.simulation.scene.method)
+            changes = method_changes(
+                {**self._values, **values}, self._own_method, self.simulation.scene.method)
             if self.mode.name != REALTIME and (
                     'publish_rate' in values or 'step_size' in changes):
                 period_steps(values.get('publish_rate', self._values['publish_rate']),
@@ -505,6 +515,8 @@ class SimulatorNode(Node):
             self.pacer.step_size = self.simulation.step_size
         if 'real_time_factor' in values:
             self.pacer.real_time_factor = values['real_time_factor']
+            if self.mode.name == REALTIME:
+                self.simulation.pace = values['real_time_factor']
         self.command.timeout = self._values['command_timeout']
         if 'keep_core_awake' in values:
             self._attend_to_core()

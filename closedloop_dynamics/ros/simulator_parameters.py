@@ -9,7 +9,7 @@ from closedloop_dynamics.integration.registry import INTEGRATORS, SCIPY, STABILI
 from closedloop_dynamics.ros.pacing import AS_FAST_AS_POSSIBLE, LOCKSTEP, REALTIME
 from closedloop_dynamics.ros.parameters import Parameter
 
-METHOD = ('integrator', 'step_size', 'stabilisation')
+METHOD = ('integrator', 'step_size', 'stabilisation', 'accuracy', 'budget')
 # SciPy's take as long as they like: no signal would be heard meanwhile.
 LIVE_INTEGRATORS = tuple(
     name for name, integrator in INTEGRATORS.items() if integrator.family != SCIPY)
@@ -39,6 +39,15 @@ SIMULATOR_PARAMETERS = (
         'stabilisation', '',
         "How the loops are kept closed; empty: the scene's own.",
         choices=('', *STABILISATIONS), read_only=False),
+    Parameter(
+        'accuracy', 0.0,
+        'Error of positions within a second that integrator auto keeps [rad or m]; 0: the '
+        "scene's own.", (0.0, 1.0), read_only=False),
+    Parameter(
+        'budget', 0.0,
+        'Share of a period that computing may take [1]: integrator auto keeps the best accuracy '
+        "that this allows, finer or coarser than accuracy; 0: the scene's own, if it has one.",
+        (0.0, 1.0), read_only=False),
     Parameter(
         'real_time_factor', 1.0,
         'Simulated seconds per second of the steady clock [1], in the mode realtime.',
@@ -85,14 +94,17 @@ CHANGEABLE = {
 
 def method_changes(values, own, used):
     """
-    Return what new values of parameters change of the method in use, by key.
+    Return what values of parameters change of the method in use, by key.
 
     The scene's ``own`` method holds where a value is left empty. Raises ValueError where there can
-    be no such method.
+    be no such method, or a value means nothing to it.
 
     """
-    wanted = {key: values[key] or getattr(own, key) for key in METHOD if key in values}
-    changes = {key: value for key, value in wanted.items() if value != getattr(used, key)}
+    wanted = {key: values[key] or getattr(own, key) for key in METHOD}
     # Refuses what makes no sense.
-    replace(used, **changes)
-    return changes
+    method = replace(used, **wanted)
+    for key, need in method.unused.items():
+        if values.get(key):
+            raise ValueError(f'{key}: expected {need} with it, got integrator: '
+                             f'{method.integrator}')
+    return {key: value for key, value in wanted.items() if value != getattr(used, key)}

@@ -239,7 +239,7 @@ class Attached:
             playing=self._playing, speed=self._speed, kinematic=self._kinematic, findings=[],
             busy=self._busy, grabbed=self._grabbed,
             failure=f'{self.name} publishes no states.' if silent else None,
-            drives=drives_told(self._drives), unused=['accuracy', 'tolerance'],
+            drives=drives_told(self._drives), unused=list(self._scene.method.unused),
             method={key: getattr(self._scene.method, key) for key in METHOD},
             effects=effects_told(
                 self._scene.effects, lambda name: name not in self._scene.switched_off))
@@ -276,7 +276,8 @@ class Attached:
         self._speed = factor
 
     def _do_method(self, values):
-        self._change(values)
+        # Without a value the scene's own is meant, or none.
+        self._change({key: 0.0 if value is None else value for key, value in values.items()})
 
     def _do_effect(self, name, enabled=None, values=None):
         changes = dict(values or {})

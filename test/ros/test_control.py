@@ -6,11 +6,17 @@
 import math
 import os
 import time
+from types import SimpleNamespace
 
 from closedloop_dynamics import Simulation
+from closedloop_dynamics.recording.cost import Cost
+from closedloop_dynamics.ros import loading
 from closedloop_dynamics.ros.background import set_priority
+from closedloop_dynamics.ros.diagnostics import method_finding
+from closedloop_dynamics.ros.loading import log_cost
 from closedloop_dynamics.ros.process import StartError
 from closedloop_dynamics.ros.simulator_node import SimulatorNode
+from closedloop_dynamics.simulation.monitor import Monitor
 import numpy as np
 import pytest
 from rclpy.parameter import Parameter
@@ -253,6 +259,78 @@ def test_method_changes_while_time_runs(build):
     method = node.simulation.scene.method
     assert (method.integrator, method.step_size, method.stabilisation) == (
         'auto', 0.001, 'projection')
+
+
+def test_accuracy_and_budget_change_while_time_runs(build, monkeypatch):
+    def measured(self):
+        simulated, _, *work = real(self)
+        # An evaluation takes a microsecond.
+        return np.array([simulated, 1e-6 * sum(work), *work])
+
+    real = Monitor.measured.fget
+    monkeypatch.setattr(Monitor, 'measured', property(measured))
+    node = build(accuracy=1e-7)
+    assert node.simulation.accuracy == 1e-7
+    advance(node, 0.05, ticks=5)
+    assert node.set_parameters_atomically([
+        Parameter('budget', value=5e-4), Parameter('accuracy', value=1e-5)]).successful
+    assert node.simulation.accuracy == 1e-5
+    advance(node, 1.0, ticks=100)
+    assert node.simulation.accuracy > 1e-5
+    values = method_finding(node.simulation.report(), 0.1).values
+    assert values['accuracy [rad or m within a second]'] == node.simulation.accuracy
+    assert values['budget [share of real time]'] == 5e-4
+    assert 'exclude each other' in method_finding(node.simulation.report(), 0.1).message or (
+        'exceeded even' in method_finding(node.simulation.report(), 0.1).message)
+    # A slow pace has time for more.
+    assert node.set_parameters_atomically([
+        Parameter('real_time_factor', value=0.1), Parameter('accuracy', value=0.0)]).successful
+    advance(node, 20.0, ticks=200)
+    assert node.simulation.accuracy < 1e-5
+    refused = node.set_parameters_atomically([Parameter('integrator', value='rk4')])
+    assert not refused.successful and 'expected integrator: auto with it' in refused.reason
+    assert node.set_parameters_atomically([Parameter('budget', value=0.0)]).successful
+    assert node.simulation.scene.method.budget is None and node.simulation.accuracy == 1e-6
+    assert node.exit_code is None
+
+
+@pytest.mark.parametrize('key', ['accuracy', 'budget'])
+def test_what_the_integrator_knows_nothing_of_is_refused_at_the_start(build, key):
+    with pytest.raises(StartError, match='expected integrator: auto'):
+        build(integrator='rk4', **{key: 0.01})
+
+
+def test_the_log_tells_of_changes_of_the_accuracy(build, monkeypatch):
+    node = build(budget=0.5)
+    noted = []
+    monkeypatch.setattr(node.log, '_note', lambda *stamp: noted.append(
+        (node.simulation.time, node.simulation.accuracy)))
+    advance(node, 0.05, ticks=5)
+    del noted[:]
+    node.simulation.monitor.driver.aim(1e-4)
+    advance(node, 0.01)
+    # With the accuracy of the steps that follow, before they are made; then the state.
+    assert noted == [(pytest.approx(0.05), 1e-4), (pytest.approx(0.06), 1e-4)]
+
+
+def test_the_cost_is_told_at_the_start(monkeypatch):
+    def found(simulation, duration, rate, longest):
+        assert duration == 10.0
+        return costs
+
+    monkeypatch.setattr(loading, 'probe', found)
+    simulation = Simulation.from_scene('four_bar', budget=0.3)
+    lines = []
+    costs = [Cost('accuracy', 1e-6, 10.0, 1.0, 1.0, 10.0),
+             Cost('accuracy', 1e-9, 10.0, 2.0, 2.0, 10.0)]
+    log_cost(simulation, 2.0, SimpleNamespace(info=lines.append))
+    assert lines == [
+        'without torques, computing is expected to take 20.00% of a core with accuracy 1e-06, '
+        '40.00% of a core with accuracy 1e-09',
+        'a budget of 0.3 of real time allows an accuracy of about 1e-07']
+    costs[1] = Cost('accuracy', 1e-9, 10.0, 2.0, 2.0, 0.3, 'the loops cannot be closed')
+    log_cost(Simulation.from_scene('four_bar'), 1.0, SimpleNamespace(info=lines.append))
+    assert 'not known with accuracy 1e-09, as the motion ends at t = 0.3 s' in lines[-1]
 
 
 def test_method_that_the_scene_is_too_stiff_for_is_refused(build, tmp_path):
