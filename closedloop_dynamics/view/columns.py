@@ -174,13 +174,15 @@ class SimulationRows:
             plots.append(Plot('angle from a singularity', 'held drives', 'sine'))
         plots += [Plot('estimated error', 'largest of a step', 'rad or m'),
                   Plot('estimated error', 'within a second', 'rad or m'),
-                  Plot('cost', 'computing', '% of real time')]
+                  Plot('estimated error', 'accuracy kept', 'rad or m'),
+                  Plot('cost', 'computing', '% of real time'),
+                  Plot('evaluations', 'in a simulated second', '1/s')]
         self.columns = Columns(
             len(mechanism.bodies), len(mechanism.cut_joints),
             [{'name': name, 'kind': kind} for name, record in self._loads.items()
              for kind in _kinds(record)], True, plots)
         self._first_plot = self.columns.layout['columns']['plots']
-        self._rarely = np.full(4, np.nan)
+        self._rarely = np.full(6, np.nan)
         self._direction = np.full(POSE * len(mechanism.bodies), np.nan)
         self._cost = None
         self._actuated = simulation.actuated_in_tree
@@ -195,12 +197,13 @@ class SimulationRows:
         """
         simulation = self._simulation
         report = simulation.report()
-        before, self._cost = self._cost, (report.compute_time, report.time)
-        share = np.nan
-        if before is not None and report.time > before[1]:
-            share = 100.0 * (report.compute_time - before[0]) / (report.time - before[1])
+        before, self._cost = self._cost, (report.time, report.compute_time, report.evaluations)
+        share = evaluations = np.nan
+        if before is not None and report.time > before[0]:
+            _, share, evaluations = np.subtract(self._cost, before) / (report.time - before[0])
         sine = self._sine()
-        self._rarely[:] = sine, report.local_error, report.error_bound, share
+        self._rarely[:] = (sine, report.local_error, report.error_bound, report.accuracy,
+                           100.0 * share, evaluations)
         self._direction[:] = np.nan
         if self._pivot() < WARN_BELOW or abs(sine) < NEAR:
             self._direction[:] = self._moved(abs(sine) < NEAR)
@@ -247,7 +250,7 @@ class SimulationRows:
         poses = poses_in_space(simulation.body_poses)
         balance, told = simulation.energy_balance, self._told()
         pivot = max(self._pivot(), 0.0)
-        sine, step, bound, share = self._rarely
+        sine, *told_rarely = self._rarely
         return np.concatenate([
             poses.ravel(), _forces_in_space(forces).ravel(), self._arrows(told).ravel(),
             self._direction, simulation.position[self._numbers],
@@ -256,7 +259,7 @@ class SimulationRows:
             [balance.kinetic, balance.stored, balance.dissipated, balance.work,
              simulation.closure, abs(balance.residual), np.sqrt(pivot)],
             [abs(sine)] * any(plot.name == 'held drives' for plot in self.columns.plots),
-            [step, bound, share]]).astype(np.float32)
+            told_rarely]).astype(np.float32)
 
     def sample(self):
         """Return places of the points and what is plotted of the present state, float32."""

@@ -44,7 +44,7 @@ GIVE, DAMPING = 0.05, 0.5
 # How far away it can pull to, in sizes of the machine.
 FARTHEST = 1e3
 MODES = TORQUE, POSITION, SPEED, EXPRESSION
-METHOD_KEYS = ('integrator', 'accuracy', 'tolerance', 'step_size', 'stabilisation')
+METHOD_KEYS = ('integrator', 'accuracy', 'budget', 'tolerance', 'step_size', 'stabilisation')
 
 
 class Hand:
@@ -355,7 +355,7 @@ class Runner:
         self._paced = 0.0, 0.0
 
     def _do_speed(self, page, factor):
-        self._pacer.real_time_factor = factor
+        self._pacer.real_time_factor = self.simulation.pace = factor
         # In slow motion frames lie between these two.
         self._before = self.simulation.time, self._columns.row()
 

@@ -174,7 +174,7 @@ def test_what_accuracy_costs_is_told_while_it_runs(shown):
         # The estimate and the cost are looked at four times a second.
         shown.run(40)
         told, row = json.loads(shown.feed.description), shown.runner._columns.row()
-        return {plot['group']: row[told['columns']['plots'] + k]
+        return {(plot['group'], plot['name']): row[told['columns']['plots'] + k]
                 for k, plot in enumerate(told['plots'])}
 
     before = controls(shown)['method']
@@ -186,8 +186,25 @@ def test_what_accuracy_costs_is_told_while_it_runs(shown):
         assert controls(shown)['method']['accuracy'] == 1e-9
     finally:
         shown.ask('method', values={'accuracy': before['accuracy']})
-    assert 0.0 < fine['estimated error'] < rough['estimated error']
-    assert fine['cost'] > 0.0 and rough['cost'] > 0.0
+    bound, kept, cost, evaluations = (
+        ('estimated error', 'within a second'), ('estimated error', 'accuracy kept'),
+        ('cost', 'computing'), ('evaluations', 'in a simulated second'))
+    assert 0.0 < fine[bound] < rough[bound]
+    assert fine[kept] == np.float32(1e-9) and rough[kept] == np.float32(1e-3)
+    assert fine[cost] > 0.0 and rough[cost] > 0.0
+    assert fine[evaluations] > 0.0 and rough[evaluations] > 0.0
+
+
+def test_a_budget_is_set_and_taken_away(shown):
+    assert controls(shown)['method']['budget'] is None
+    shown.ask('method', values={'budget': 0.25})
+    assert shown.simulation.report().budget == controls(shown)['method']['budget'] == 0.25
+    shown.ask('speed', factor=0.5)
+    assert shown.simulation.pace == 0.5
+    shown.ask('speed', factor=1.0)
+    shown.ask('method', values={'budget': None})
+    assert controls(shown)['method']['budget'] is None
+    assert np.isnan(shown.simulation.report().budget)
 
 
 def test_gravity_turns_and_is_switched_off(shown):

@@ -328,6 +328,8 @@ class Method {
   options(described.stabilisations)}</select></label>
       <label class="value"><span>accuracy <i>rad or m in a second</i></span><input type="text"
       inputmode="decimal" data-key="accuracy"></label>
+      <label class="value"><span>budget <i>of real time</i></span><input type="text"
+      inputmode="decimal" data-key="budget"></label>
       <label class="value"><span>tolerance <i>of a step</i></span><input type="text"
       inputmode="decimal" data-key="tolerance"></label>
       <label class="value"><span>step size <i>s</i></span><input type="text" inputmode="decimal"
@@ -337,7 +339,8 @@ class Method {
       (input) => [input.dataset.key, input]));
     for (const [key, input] of Object.entries(this.inputs)) {
       input.onchange = () => ask('method', {values: {
-        [key]: input.tagName === 'SELECT' ? input.value : Number(input.value.replaceAll('−', '-'))}});
+        [key]: input.tagName === 'SELECT' ? input.value : input.value.trim() === '' ? null
+          : Number(input.value.replaceAll('−', '-'))}});
       input.onkeydown = (event) => { if (event.key === 'Enter') input.blur(); };
     }
   }
@@ -347,7 +350,8 @@ class Method {
       input.closest('label').hidden = unused.includes(key) || !(key in method);
       if (!(key in method)) continue;
       if (document.activeElement === input && input.tagName === 'INPUT') continue;
-      input.value = input.tagName === 'SELECT' ? method[key] : short(method[key]).replace('−', '-');
+      input.value = input.tagName === 'SELECT' ? method[key] : method[key] === null ? ''
+        : short(method[key]).replace('−', '-');
     }
   }
 }
