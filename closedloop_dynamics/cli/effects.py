@@ -36,7 +36,8 @@ def _run(arguments):
         arguments.joint_rate, '--joint-rate')
     _check(arguments, scene, torque, rates)
     with parts_bar('parts', scene.name) as progress:
-        study = study_effects(scene, arguments.duration, torque, rates, progress=progress)
+        study = study_effects(scene, arguments.duration, torque, rates, matters=arguments.matters,
+                              progress=progress)
     print(effects_report.table(study))
     print(f'\n{effects_report.NOTE}\n\n{effects_report.summary(study)}\n\n'
           f'{effects_report.advice(study, arguments.matters)}')

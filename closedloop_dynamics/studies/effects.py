@@ -99,6 +99,8 @@ class RateControl:
 # Rounds of one measurement; the states of the motion in which every round evaluates, and how often
 # in each: about a millisecond.
 REPEATS, STATES, TURN = 60, 8, 1e-3
+# The kind of the finding of several types.
+TOGETHER = 'together'
 
 
 @dataclass(frozen=True)
@@ -155,6 +157,11 @@ class Finding:
     run: Optional[Record]  # Without them
 
     @property
+    def moved(self):
+        """Return the largest change of a position or a place [rad or m]."""
+        return float(np.nanmax([self.position, self.place]))
+
+    @property
     def time(self):
         """Return the computing time without them over that of the whole scene."""
         return self.without.value * self.motion
@@ -173,9 +180,11 @@ class Study:
     again: Ratio
     off: Ratio
     whole: Ratio
+    # Of all that change less than what matters, left out together; None unless there are several.
+    together: Optional[Finding] = None
 
 
-def study_effects(scene, duration=2.0, torque=None, rates=None, rows=400,
+def study_effects(scene, duration=2.0, torque=None, rates=None, rows=400, matters=0.0,
                   progress=lambda done, total: None):
     """
     Measure what each type of effect costs and changes.
@@ -192,6 +201,9 @@ def study_effects(scene, duration=2.0, torque=None, rates=None, rows=400,
         Constant rates of the actuated joints instead.
     rows : int
         Instants recorded.
+    matters : float
+        A change of positions or places that matters [rad or m]; types that change less are left
+        out together, too.
     progress : callable
         Called with the parts done and all parts.
 
@@ -200,10 +212,11 @@ def study_effects(scene, duration=2.0, torque=None, rates=None, rows=400,
     SimulationError, ValueError
 
     """
+    scene = replace(scene, method=scene.method.without_budget)
     types = {}
     for name, effect in scene.effects.items():
         types.setdefault(effect_type(effect), []).append(name)
-    parts = len(types) + 2
+    parts = len(types) + 3
     progress(0, parts)
     simulation = Simulation(scene)
     whole = record(simulation, duration, rows, torque, rates)
@@ -216,10 +229,18 @@ def study_effects(scene, duration=2.0, torque=None, rates=None, rows=400,
             scene, kind, tuple(names), whole, times,
             lambda one: record(one, duration, rows, torque, rates)))
         progress(3 + k, parts)
+    little = [one for one in findings if one.run is not None and one.moved <= matters]
+    together = None
+    if len(little) > 1:
+        names = tuple(name for one in little for name in one.names)
+        together = _finding(
+            scene, TOGETHER, names, whole, _times(scene, {TOGETHER: names}, whole),
+            lambda one: record(one, duration, rows, torque, rates))
+    progress(parts, parts)
     return Study(
         simulation, whole, tuple(findings),
         float(np.median(times['bare'])) if 'bare' in times else math.nan,
-        *(_ratio_of(times, key, 'bare') for key in ('again', 'off', 'whole')))
+        *(_ratio_of(times, key, 'bare') for key in ('again', 'off', 'whole')), together)
 
 
 def _finding(scene, kind, names, whole, times, run_of):

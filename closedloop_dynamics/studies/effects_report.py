@@ -58,12 +58,14 @@ def advice(study, matters):
     Returns
     -------
     str
-        A line for each type of effect.
+        A line for each type of effect, and one for those that change less, together.
 
     """
     lines = []
-    for finding in study.findings:
+    for finding in (*study.findings, *filter(None, [study.together])):
         name = label(finding)
+        if finding is study.together:
+            name = f'{" and ".join(finding.names)} together'
         if finding.run is None:
             lines.append(f'{name}: needed, the scene does not run without')
             continue
@@ -72,9 +74,8 @@ def advice(study, matters):
             changed.append(f'{finding.point} by {finding.place:.2g} m')
         if finding.force > 0.0:
             changed.append(f'forces at the cut joints by {finding.force:.2g} N')
-        largest = np.nanmax([finding.position, finding.place])
         lines.append(f'{name}: changes {", ".join(changed) or "nothing"}, {_time(finding)}: '
-                     + (f'matters, at {matters:g}' if largest > matters else
+                     + (f'matters, at {matters:g}' if finding.moved > matters else
                         f'leave out, if {matters:g} is all that matters'))
     return '\n'.join(lines)
 
@@ -88,7 +89,15 @@ def _time(finding):
         return 'takes no time worth speaking of'
     if saved < 0.0:
         return f'without it the motion takes {-100.0 * saved:.0f} % more time'
-    return f'takes {100.0 * saved:.0f} % of the time'
+    return (f'takes {100.0 * saved:.0f} % of the time '
+            f'({_part(finding.without.value, finding.without.noise)} an evaluation, '
+            f'{_part(finding.motion, 0.0)} the evaluations)')
+
+
+def _part(left, noise):
+    """Return what of something is saved where a share of it is left, in words."""
+    saved = 1.0 - left
+    return 'nothing of' if abs(saved) < max(NEGLIGIBLE, noise) else f'{100.0 * saved:.0f} % of'
 
 
 def summary(study):
