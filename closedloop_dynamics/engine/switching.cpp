@@ -125,6 +125,8 @@ private:
   void begin(double time, Values state);
   void open_window();
   void set_reference_back();
+  bool same_for_reference() const;
+  void take_same();
   void update_monitor(bool lost);
   void tighten();
   double distance() const;
@@ -189,6 +191,37 @@ void Pair::set_reference_back()
   if (other[control::NEXT_STEP] == 0.0) {
     other[control::NEXT_STEP] = control[control::NEXT_STEP];
   }
+}
+
+/// Whether the reference run would make the step that the run has just made: both were in one
+/// state, and neither tolerance, but the time for which torques are held, limits their steps.
+bool Pair::same_for_reference() const
+{
+  const Values control = runs_.control[RUN], other = runs_.control[REFERENCE];
+  const double start = control[control::STEP_START], size = control[control::STEP_SIZE];
+  const double rest = control[control::RESTARTED] + control[control::HOLD] - start;
+  if (control[switching::STIFF] != 0.0 || other[switching::STIFF] != 0.0 ||
+    size != rest || !(other[control::NEXT_STEP] >= rest) || other[control::REACHED] != start ||
+    other[control::RESTARTED] != control[control::RESTARTED] ||
+    other[control::HOLD] != control[control::HOLD])
+  {
+    return false;
+  }
+  const Values before = runs_.scratch[RUN][scratch::BEFORE];
+  return std::equal(before.begin(), before.end(), runs_.scratch[REFERENCE][scratch::AFTER].begin());
+}
+
+/// Let the reference run make the same step, without evaluations. Its distance says nothing of the
+/// error then: the bound grows by the estimate of the step's own.
+void Pair::take_same()
+{
+  const Values control = runs_.control[RUN], other = runs_.control[REFERENCE];
+  const Values & monitor = runs_.monitor;
+  copy(runs_.scratch[RUN][scratch::AFTER], runs_.scratch[REFERENCE][scratch::AFTER]);
+  other[control::REACHED] = control[control::REACHED];
+  other[control::NEXT_STEP] = std::max(other[control::NEXT_STEP], control[control::NEXT_STEP]);
+  other[control::STEP_SIZE] = NOTHING_BETWEEN;
+  monitor[monitor::CARRIED] += control[control::ERROR] * monitor[monitor::TOLERANCE];
 }
 
 /// Distance of the reference run's coordinates from those of the run.
@@ -317,6 +350,11 @@ Status Pair::advance(Values state, const Grid & grid)
     status = make_step(which, limit);
     if (status == Status::POOR_EQUATIONS) {
       runs_.control[which][control::STEP_SIZE] = NOTHING_BETWEEN;
+    }
+    if (which == RUN && status == Status::DONE && runs_.monitor[monitor::OPEN] == 1.0 &&
+      same_for_reference())
+    {
+      take_same();
     }
     const bool lost =
       which == REFERENCE && status != Status::DONE && status != Status::INTERRUPTED &&

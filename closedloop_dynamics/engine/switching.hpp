@@ -15,7 +15,8 @@
 // The local tolerance is a thousandth of the accuracy that is asked for. Whether that is enough is
 // monitored: in windows of one second a reference run with a tolerance 30 times as large starts
 // from the same state. The distance of the two bounds the global error of the run within a second;
-// the tolerance of both is tightened where that bound comes near the accuracy.
+// the tolerance of both is tightened where that bound comes near the accuracy. Where torques are held
+// for so short that both would make the same steps, the reference run takes over those of the run.
 
 namespace closedloop
 {

@@ -4,6 +4,7 @@
 
 from dataclasses import replace
 
+from closedloop_dynamics.core.types import EVALUATIONS
 from closedloop_dynamics.integration.control import ACCEPTED, STIFF
 from closedloop_dynamics.simulation.scene import load_scene, scene_names
 from closedloop_dynamics.simulation.scene_records import Method
@@ -146,3 +147,40 @@ def test_what_is_stiff_is_stepped_stiffly_and_back():
     # An explicit method would need a million steps a second.
     assert control[ACCEPTED] < 3e4
     assert simulation.report().findings == ()
+
+
+@pytest.mark.parametrize('rate', [100, 1000])
+@pytest.mark.parametrize('accuracy', [1e-3, 1e-6, 1e-9])
+def test_torques_held_for_short_do_not_double_the_evaluations(rate, accuracy):
+    scene = load_scene('three_rrr')
+    runs = {name: Simulation(replace(scene, method=Method(step_size=1.0 / rate, **method)))
+            for name, method in (('auto', {'accuracy': accuracy}),
+                                 ('one', {'integrator': 'dop853', 'tolerance': 1e-3 * accuracy}),
+                                 ('exact', {'integrator': 'dop853', 'tolerance': 1e-13}))}
+    auto, worst = runs['auto'], 0.0
+    for number in range(rate):
+        swing = 1.0 + np.cos(4.0 * np.pi * number / rate)
+        for one in runs.values():
+            one.advance(one.joint_torques([5.0 * swing, -3.0 * swing, 2.0 * swing]), 1)
+        worst = max(worst, np.abs(auto.position - runs['exact'].position).max())
+    # The companion takes no evaluations for steps that would be those of the run; at 1e-9 the run
+    # divides some of them.
+    own, companion = auto.monitor.work
+    made = runs['one'].system.work.health[EVALUATIONS]
+    most = {1e-3: 1.05, 1e-6: 1.05, 1e-9: 1.5}[accuracy] if rate == 1000 else 2.2
+    assert auto.system.work.health[EVALUATIONS] < most * made
+    assert own + companion < most * own
+    # What is told of the error is told all the same.
+    assert worst <= accuracy and 0.3 * worst <= auto.report().error_bound <= accuracy
+
+
+def test_the_run_does_not_depend_on_its_companion():
+    # Nothing that the companion does, or is spared, changes a digit of the run.
+    scene = load_scene('three_rrr')
+    free, watched = (Simulation(replace(scene, method=Method(**method))) for method in (
+        {'integrator': 'dop853', 'tolerance': 1e-9}, {'accuracy': 1e-6}))
+    for number in range(300):
+        torque = [5.0 + 0.01 * number, -3.0, 2.0 * np.sin(0.1 * number)]
+        for one in (free, watched):
+            one.advance(one.joint_torques(torque), 1)
+    assert np.array_equal(free.integrated, watched.integrated)
