@@ -9,9 +9,9 @@ A drive between the command and the joint: limits, lag, delay.
     tau <= max_torque g(v)              where tau drives: tau v > 0, v = |qd|
     g(v) = 1 below 0.9 max_speed, falling linearly to 0 at max_speed
 
-Braking is not limited by the speed. The lag's state is integrated with the rest; the delay is
-exact, counted in time, and takes effect at the first step that starts when it has passed. Work
-of the drive: the integral of tau qd. When: to see what a motor that has limits can still do.
+Braking is not limited by the speed. The lag's state is integrated with the rest; a delayed command
+acts from the instant at which it is due, where a step ends. Work of the drive: the integral of
+tau qd. When: to see what a motor that has limits can still do.
 
 """
 

@@ -58,9 +58,6 @@ class DelayLine:
                 self.pending.remove(item)
         return acting
 
-    def steps_until_next(self, time, step_size, most):
-        """Return how many whole steps, at least one and ``most`` at most, until one is due."""
-        if not self.pending:
-            return most
-        wait = (min(self.pending)[0] - time) / step_size
-        return max(1, min(most, math.ceil(wait - 1e-9)))
+    def wait(self, time):
+        """Return how long until a command is due [s]; infinity where none is on the way."""
+        return min(self.pending)[0] - time if self.pending else math.inf

@@ -52,6 +52,8 @@ from ..mechanism.fields import at, FieldError
 
 # How much further from dependent equations must be to be exchanged for others.
 BETTER = 3.0
+# Times closer than this share of a step are the same.
+SAME_TIME = 1e-9
 # Gravity's acceleration, to compare forces with weights [m/s^2].
 EARTH = 9.81
 
@@ -321,10 +323,8 @@ class Simulation(Readings):
                 self._order(tau, most)
             left -= max(0, (whole - 1) // most) * most
             self.keep_budget()
-        self._order(tau, left)
         rest = duration - whole * size
-        if rest > 1e-9 * size:
-            self._make(rest, 1)
+        self._order(tau, left, rest if rest > SAME_TIME * size else 0.0)
         self._make(size, 0, whole + 1)
 
     def advance(self, tau: np.ndarray, steps: int) -> None:
@@ -406,21 +406,46 @@ class Simulation(Readings):
             if method.budget is not None and method.by_budget else None)
         self._measured = self._driver.measured
 
-    def _order(self, tau: np.ndarray, steps: int) -> None:
-        """Advance by whole steps; drives follow torques with their delays."""
-        if not (self._delay_line.pending or self._effects.delays):
+    def _order(self, tau: np.ndarray, steps: int, rest: float = 0.0) -> None:
+        """Advance by whole steps and the rest of one [s]; drives follow with their delays."""
+        if self._delay_line.pending or self._effects.delays:
+            self._delay_line.order(self.time, tau, self._effects.drives, self.system.tau)
+        else:
             self._command(tau)
-            self._make_all(steps)
-            return
-        self._delay_line.order(self.time, tau, self._effects.drives, self.system.tau)
-        while True:
-            self._command(self._delay_line.due(
-                self.time, 1e-9 * self.step_size, self.system.tau))
-            if steps <= 0:
-                break
-            count = self._delay_line.steps_until_next(self.time, self.step_size, steps)
-            self._make_all(count)
-            steps -= count
+        while steps > 0:
+            # Whole steps up to the one in which a command is due.
+            wait = self._commanded()
+            whole = math.floor(wait / self.step_size + SAME_TIME) if math.isfinite(wait) else steps
+            if whole > 0:
+                self._make_all(min(whole, steps))
+                steps -= min(whole, steps)
+            else:
+                base, count = self._numbers[guarded_run.TIME_BASE], self._counts[guarded_run.STEPS]
+                self._make_in_parts(self.step_size)
+                self._set_time(base, count + 1)
+                steps -= 1
+        if rest > 0.0:
+            self._make_in_parts(rest)
+        self._commanded()
+
+    def _commanded(self) -> float:
+        """Let commands act that are due; return how long until the next one is [s]."""
+        line, close = self._delay_line, SAME_TIME * self.step_size
+        if line.pending:
+            self._command(line.due(self.time, close, self.system.tau))
+        return line.wait(self.time)
+
+    def _make_in_parts(self, size: float) -> None:
+        """Make a step of at most the usual size [s] in parts that end where commands are due."""
+        end = self.time + size
+        left = size
+        while left > SAME_TIME * self.step_size:
+            wait = self._commanded()
+            part = wait if wait < left - SAME_TIME * self.step_size else left
+            self._make(part, 1)
+            left = 0.0 if part == left else end - self.time
+        if self._effects.remembers:
+            self._look()
 
     def _command(self, tau: np.ndarray) -> None:
         """Let joint torques act from now on."""

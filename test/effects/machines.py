@@ -17,6 +17,16 @@ def block(mass=1.0, angle=0.0):
         (Point('center', 'block', (0.0, 0.0)), Point('front', 'block', (0.3, 0.0))))
 
 
+def spatial_block():
+    """Return the block as a body in space."""
+    here = (0.0, 0.0, 0.0)
+    return Mechanism(
+        'spatial_block', (Body('block', 1.0, here, (0.1, 0.1, 0.1)),),
+        (Joint('slide', 'prismatic', 'ground', 'block', here, axis=(1.0, 0.0, 0.0),
+               actuated=True),), (),
+        (Point('center', 'block', here), Point('front', 'block', (0.3, 0.0, 0.0))))
+
+
 def flyer():
     """Return a body that moves freely in the plane: 'x', 'y' [m], 'turn' [rad]."""
     feather = (0.25, (0.0, 0.0), 0.0)

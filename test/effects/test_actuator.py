@@ -9,7 +9,7 @@ from closedloop_dynamics.mechanism.fields import FieldError
 import numpy as np
 import pytest
 
-from .machines import assert_balanced, block, simulated, slider_crank
+from .machines import assert_balanced, block, flyer, simulated, slider_crank, spatial_block
 
 
 def test_the_torque_is_limited_both_ways():
@@ -64,8 +64,72 @@ def test_one_step_at_a_time_is_the_same_as_many_with_a_delay():
         one.step([1.0])
     many.step([1.0], 0.04)
     assert one.velocity[0] == pytest.approx(many.velocity[0], abs=1e-15)
-    # It takes effect at the first step that starts when it has passed.
-    assert one.velocity[0] == pytest.approx(0.024, abs=1e-12)
+    assert one.velocity[0] == pytest.approx(0.0245, abs=1e-12)
+
+
+DELAY, STEP = 0.013, 0.004
+# What is commanded from when on, as multiples of STEP, and how long it all lasts.
+COMMANDS, LENGTH = ((0, 3.0), (2, -5.0), (3, 7.5), (11, 0.5)), 20
+
+
+def delayed(time):
+    """Return velocity and position of 1 kg at rest under the delayed commands."""
+    velocity = position = 0.0
+    starts = [DELAY + STEP * count for count, _ in COMMANDS]
+    for (_, force), begin, end in zip(COMMANDS, starts, [*starts[1:], np.inf]):
+        length = min(max(time - begin, 0.0), end - begin)
+        position += velocity * length + 0.5 * force * length ** 2
+        velocity += force * length
+    return velocity, position
+
+
+def cut_by_commands(simulation):
+    for (count, force), end in zip(COMMANDS, [count for count, _ in COMMANDS[1:]] + [LENGTH]):
+        simulation.advance(np.array([force]), end - count)
+
+
+def cut_into_steps(simulation):
+    for count in range(LENGTH):
+        simulation.advance(np.array([[f for n, f in COMMANDS if n <= count][-1]]), 1)
+
+
+def cut_beside_the_grid(simulation):
+    for (count, force), end in zip(COMMANDS, [count for count, _ in COMMANDS[1:]] + [LENGTH]):
+        length = STEP * (end - count)
+        simulation.step([force], 0.37 * length)
+        simulation.step([force], 0.63 * length)
+
+
+@pytest.mark.parametrize('cut', [cut_by_commands, cut_into_steps, cut_beside_the_grid])
+@pytest.mark.parametrize('integrator', ['rk4', 'auto', 'dop853', 'rodas4'])
+@pytest.mark.parametrize('machine', [block, spatial_block])
+def test_delayed_commands_act_when_they_are_due(machine, integrator, cut):
+    simulation = simulated(machine(), {'motor': Actuator('slide', delay=DELAY)}, [0.0],
+                           integrator=integrator, step_size=STEP)
+    cut(simulation)
+    assert simulation.time == pytest.approx(LENGTH * STEP, abs=1e-15)
+    velocity, position = delayed(LENGTH * STEP)
+    # Constant forces: no method makes an error but rounding.
+    assert simulation.velocity[0] == pytest.approx(velocity, abs=1e-14)
+    assert simulation.position[0] == pytest.approx(position, abs=1e-15)
+    # The Jacobian of rodas4, which the work depends on, is one of finite differences.
+    assert_balanced(simulation, 1e-12)
+
+
+def test_steps_cut_by_a_delayed_command_are_counted_as_whole_ones():
+    simulation = simulated(block(), {'motor': Actuator('slide', delay=DELAY)}, [0.0],
+                           step_size=STEP)
+    for _ in range(1000):
+        simulation.step([float(simulation.time > 1.0)])
+    assert simulation.time == 1000 * STEP
+
+
+def test_joints_with_delays_of_their_own_change_within_one_step():
+    effects = {'early': Actuator('x', delay=0.001), 'late': Actuator('y', delay=0.0035)}
+    simulation = simulated(flyer(), effects, [0.0, 0.0, 0.0], step_size=STEP)
+    simulation.advance(np.array([6.0, 3.0, 0.0]), 1)
+    assert simulation.velocity[0] == pytest.approx(6.0 * 0.003 / 1.5, abs=1e-15)
+    assert simulation.velocity[1] == pytest.approx(3.0 * 0.0005 / 1.25, abs=1e-15)
 
 
 def test_work_of_a_constant_torque_is_exact():
