@@ -41,6 +41,11 @@ TYPES = {'str': 'text', 'bool': 'true or false', 'float': 'number', 'int': 'whol
          'float, or tuple of 3 or 6 floats in space': 'number, in space a list',
          'tuple of 3 floats or None': '[x, y, z]',
          'tuple of 4 floats': '{rpy: [r, p, y]} or {quaternion: [x, y, z, w]}',
+         'dict of str to str': 'expression by name',
+         'dict of str to str, or None': 'text by name',
+         'dict of str to float, or None': 'number by name',
+         'dict of str to ends, or None': '[end, end] by name: names of points, or places',
+         'dict of str to point and axis, or None': '[point, x, y or z] by name',
          'dict of str to float': 'number by joint name', 'tuple of Visual': 'list of shapes',
          'tuple of nv floats': 'number by joint name',
          'tuple of nq floats': 'number by joint name'}

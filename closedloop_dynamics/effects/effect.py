@@ -280,8 +280,8 @@ class Effect:
 
         Returns
         -------
-        tuple of 2 floats, or None
-            The time, and which piece of its course is the present one
+        tuple of floats, or None
+            The time, and, where it has a course, which piece of that is the present one
             (``engine/time_events.hpp``); None where the effect knows no time.
 
         """

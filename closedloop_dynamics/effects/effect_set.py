@@ -16,6 +16,7 @@ from .sensor import Chain
 from .table import (
     build_table, CUT_ROTOR, DATA, DISSIPATED, fill_row, FIRST, FOLLOWED, JOINT_FRICTION, LOADED,
     OWN, PASSED, PRESCRIBED_MOTION, size_of_data, STATE, states_of, STORED, WORK)
+from .traced_effect import TracedEffect
 from ..core import codegen
 from ..core.codegen import pieces
 from ..core.types import TYPE
@@ -398,6 +399,29 @@ class EffectSet:
         values = self._table.output[row]
         return {self.records[name].ENERGY: float(values[STORED]), **self._flows(row, states), **{
             key: float(value) for key, value in zip(self.records[name].READINGS, values[1:])}}
+
+    @property
+    def traced(self):
+        """Names of the effects whose laws are code that users wrote."""
+        return [name for name in self._rows
+                if self.enabled[name] and isinstance(self.records[name], TracedEffect)]
+
+    def require_finite(self):
+        """
+        Refuse laws of users that have no finite value in the state that was evaluated.
+
+        Raises
+        ------
+        FieldError
+
+        """
+        for name in self.traced:
+            row = self._rows.index(name)
+            first = self._table.index[row, STATE]
+            with at('effects', name):
+                self.records[name].require_finite(
+                    self._table.output[row],
+                    self._table.rates[first:first + len(self.elements[row].states)])
 
     def winding_places(self):
         """

@@ -23,6 +23,7 @@ from .gravity import Gravity
 from .joint_damping import JointDamping
 from .joint_friction import JointFriction
 from .joint_spring import JointSpring
+from .law import Law
 from .payload import Payload
 from .point_spring import PointSpring
 from .prescribed_force import PrescribedForce
@@ -45,6 +46,7 @@ EFFECTS = {
     'joint_damping': JointDamping,
     'joint_friction': JointFriction,
     'joint_spring': JointSpring,
+    'law': Law,
     'payload': Payload,
     'point_spring': PointSpring,
     'prescribed_force': PrescribedForce,
@@ -56,5 +58,6 @@ EFFECTS = {
 
 
 def effect_type(record):
-    """Return the name that a scene gives the type of an effect record."""
-    return next(name for name, kind in EFFECTS.items() if kind is type(record))
+    """Return the name that a scene gives the type of a record; of a user's class its own."""
+    return next((name for name, kind in EFFECTS.items() if kind is type(record)),
+                type(record).__name__)

@@ -19,10 +19,11 @@ import numpy as np
  PRESCRIBED_FORCE, JOINT_FORCE_TABLE, POINT_FORCE_TABLE, BUSHING, CABLE, LINE_CONTACT,
  CIRCLE_CONTACT, CURVE_CONTACT, SPATIAL_PRESCRIBED_FORCE, SPATIAL_BUSHING,
  SPATIAL_CABLE, PRESCRIBED_MOTION, SPATIAL_BODY_CONTACT, SPATIAL_FORCE_TABLE,
- CUT_ROTOR, TENDON, FLUID_DRAG, SPATIAL_FLUID_DRAG) = range(30)
+ CUT_ROTOR, TENDON, FLUID_DRAG, SPATIAL_FLUID_DRAG, TRACED, SPATIAL_TRACED) = range(32)
 # Columns of EffectTable.index: first own state; joint (its place in q, of a cut joint behind those
 # of the tree) or the row of the body that carries the first point; the row of the second point's
-# body, or of the joint's; whether the law wants the reaction in its joint, as its second state;
+# body, or of the joint's; of a traced law how many coordinates it measures and the address of its
+# routine; whether the law wants the reaction in its joint, as its second state;
 # where its numbers begin among those of all effects, and how many entries they are.
 STATE, FIRST, SECOND, LOADED, DATA, ENTRIES = range(6)
 INDEX_COLUMNS = 6
@@ -85,7 +86,7 @@ class State(NamedTuple):
 class ForceElement(NamedTuple):
     """One effect as a row of the table."""
 
-    kind: int  # ``JOINT_DAMPING`` to ``SPATIAL_FLUID_DRAG``
+    kind: int  # ``JOINT_DAMPING`` to ``SPATIAL_TRACED``
     index: Tuple[int, ...]  # FIRST and SECOND, as far as the law reads them
     values: Tuple[float, ...]  # Parameters, in the order the law reads them
     states: Tuple[State, ...] = ()  # In the order the law reads and writes them

@@ -45,6 +45,10 @@ Law apply_spatial_force_table;
 Law apply_fluid_drag;
 Law apply_spatial_fluid_drag;
 
+// Laws that were traced on symbols, as generated code (traced_laws.cpp).
+Law apply_traced;
+Law apply_spatial_traced;
+
 // Bushings (bushing_laws.cpp).
 Law apply_bushing;
 Law apply_spatial_bushing;

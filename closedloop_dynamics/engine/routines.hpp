@@ -20,6 +20,16 @@ inline void run_piece(
   reinterpret_cast<Piece>(address)(constant, own, other, first, second);
 }
 
+/// Call the code generated for a law of force: its parameters, the coordinates that it measures,
+/// each with its rate, its states, and what it returns.
+inline void run_law(
+  Index address, const double * parameters, const double * measured, const double * states,
+  double * results)
+{
+  using Law = Index (*)(const double *, const double *, const double *, double *, double *);
+  reinterpret_cast<Law>(address)(parameters, measured, states, results, nullptr);
+}
+
 /// Call a routine generated for a mechanism; return whether its results are good.
 inline bool call(Indices table, Index which, Vector<double> q, Vector<double> qd)
 {

@@ -149,7 +149,7 @@ class Parameters:
         if isinstance(root, ast.Name) and not self.values and root.id not in CONSTANTS:
             return text
         try:
-            value = self._value(root, text)
+            value = evaluated(root, text, self._named, _FUNCTIONS, EXPECTED)
         except (ArithmeticError, ValueError) as error:
             if isinstance(error, FieldError):
                 raise
@@ -157,31 +157,6 @@ class Parameters:
         if not math.isfinite(value):
             raise FieldError(EXPECTED, f'{shown(text)}, which is {value}')
         return value
-
-    def _value(self, node, text):
-        """Return the value of a node."""
-        if isinstance(node, ast.Constant) and type(node.value) in (int, float):
-            if '_' not in ast.get_source_segment(text, node):
-                return float(node.value)
-        elif isinstance(node, ast.Name):
-            return self._named(node.id, text)
-        elif isinstance(node, ast.BinOp) and type(node.op) in _OPERATORS:
-            value = _OPERATORS[type(node.op)](
-                self._value(node.left, text), self._value(node.right, text))
-            if isinstance(value, complex):
-                raise ValueError('a root of a negative number')
-            return value
-        elif isinstance(node, ast.UnaryOp) and type(node.op) in _OPERATORS:
-            return _OPERATORS[type(node.op)](self._value(node.operand, text))
-        elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and not node.keywords:
-            name, arguments = node.func.id, node.args
-            if name not in FUNCTIONS:
-                raise FieldError(EXPECTED, f'{shown(text)} with the unknown function {name!r}',
-                                 nearest(name, FUNCTIONS) or f'there are {among(FUNCTIONS)}')
-            if len(arguments) == FUNCTIONS[name]:
-                return _FUNCTIONS[name](*(self._value(one, text) for one in arguments))
-        raise FieldError(EXPECTED, shown(text), 'numbers, parameters, + - * / **, brackets and '
-                         f'the functions {among(FUNCTIONS)}')
 
     def _named(self, name, text):
         if name in self.values:
@@ -192,6 +167,55 @@ class Parameters:
         known = [*self.values, *CONSTANTS]
         raise FieldError(EXPECTED, f'{shown(text)} with the unknown name {name!r}',
                          nearest(name, known) or f'there are {among(known)}')
+
+
+def evaluated(node, text, named, functions, expected):
+    """
+    Return the value of a node of an expression's tree, of numbers or of what computes like them.
+
+    Parameters
+    ----------
+    node : ast.AST
+        Of ``parsed``.
+    text : str
+        The whole expression.
+    named : callable
+        Returns the value of a name, of the name and the text.
+    functions : dict of str to callable
+        By the names of FUNCTIONS.
+    expected : str
+        What the expression should have been.
+
+    Raises
+    ------
+    FieldError
+        Where it is none.
+    ArithmeticError, ValueError
+        Where it has no value.
+
+    """
+    if isinstance(node, ast.Constant) and type(node.value) in (int, float):
+        if '_' not in ast.get_source_segment(text, node):
+            return float(node.value)
+    elif isinstance(node, ast.Name):
+        return named(node.id, text)
+    elif isinstance(node, (ast.BinOp, ast.UnaryOp)) and type(node.op) in _OPERATORS:
+        operands = (node.operand,) if isinstance(node, ast.UnaryOp) else (node.left, node.right)
+        value = _OPERATORS[type(node.op)](
+            *(evaluated(one, text, named, functions, expected) for one in operands))
+        if isinstance(value, complex):
+            raise ValueError('a root of a negative number')
+        return value
+    elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and not node.keywords:
+        name, arguments = node.func.id, node.args
+        if name not in FUNCTIONS:
+            raise FieldError(expected, f'{shown(text)} with the unknown function {name!r}',
+                             nearest(name, FUNCTIONS) or f'there are {among(FUNCTIONS)}')
+        if len(arguments) == FUNCTIONS[name]:
+            return functions[name](
+                *(evaluated(one, text, named, functions, expected) for one in arguments))
+    raise FieldError(expected, shown(text), 'numbers, names, + - * / **, brackets and '
+                     f'the functions {among(FUNCTIONS)}')
 
 
 def parsed(text):

@@ -23,7 +23,8 @@ class EffectParameters:
     """
     Declares the parameters of all listed effects and lets changes take effect at the next step.
 
-    ``effects.NAME.enabled`` switches an effect, ``effects.NAME.KEY`` sets one of its values. An
+    ``effects.NAME.enabled`` switches an effect, ``effects.NAME.KEY`` sets one of its values,
+    ``effects.NAME.KEY.ENTRY`` one that has a name of its own there (``parameters.stiffness``). An
     impossible value is refused with the reason; what is set together is checked together.
     A force also follows ``geometry_msgs/Vector3`` on the topic ``effects/NAME/force`` [N].
     Raises StartError where a value given at the start is refused.
@@ -56,12 +57,15 @@ class EffectParameters:
         for field in fields(record):
             value = getattr(record, field.name)
             # A whole number serves as a number, and nothing as no limit.
-            values[field.name] = (
-                list(value) if isinstance(value, tuple) else value,
-                ParameterDescriptor(
-                    description=f'{field.name} of the effect {name!r} ({kind}), SI units; see '
-                                'doc/effects.md.',
-                    dynamic_typing=True))
+            about = ParameterDescriptor(
+                description=f'{field.name} of the effect {name!r} ({kind}), SI units; see '
+                            'doc/effects.md.',
+                dynamic_typing=True)
+            if isinstance(value, dict):
+                values.update({f'{field.name}.{key}': (one, about) for key, one in value.items()
+                               if isinstance(one, (float, str))})
+            else:
+                values[field.name] = list(value) if isinstance(value, tuple) else value, about
         declared = [node.declare_parameter(f'effects.{name}.{key}', value, about)
                     for key, (value, about) in values.items()]
         return [parameter for parameter, (value, _) in zip(declared, values.values())
@@ -74,7 +78,12 @@ class EffectParameters:
             start, _, rest = parameter.name.partition('.')
             name, _, key = rest.partition('.')
             if start == 'effects' and name in self._simulation.effects:
-                changes.setdefault(name, {})[key] = _plain(parameter)
+                values, (key, _, entry) = changes.setdefault(name, {}), key.partition('.')
+                if entry:
+                    values.setdefault(key, dict(getattr(self._simulation.effects[name], key)))[
+                        entry] = _plain(parameter)
+                else:
+                    values[key] = _plain(parameter)
         return changes
 
     def _check(self, parameters):

@@ -376,6 +376,16 @@ class Data(Names):
                 places, values = self._effects.loads()
                 self._own[places] = values
             self._fresh = False
+        self._require_finite_laws()
+
+    def _require_finite_laws(self) -> None:
+        """Refuse laws of users that have no finite value in the present state."""
+        if self._effects.traced:
+            self._fresh = False
+            self._evaluate()
+            # Others evaluate other states.
+            self._fresh = False
+            self._effects.require_finite()
 
     def _evaluate(self) -> None:
         """Evaluate the present state once for all that is asked of it."""

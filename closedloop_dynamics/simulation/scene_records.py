@@ -10,6 +10,7 @@ from typing import Any, Dict, Optional, Tuple, TYPE_CHECKING, Union
 
 from ..effects.effect_set import require_one_drive_each
 from ..effects.registry import EFFECTS
+from ..effects.traced_effect import TracedEffect
 from ..integration.registry import ADAPTIVE, AUTO, BAUMGARTE, INTEGRATORS, STABILISATIONS
 from ..mechanism.checks import freedom, list_of, name, number, one_of, positive, text
 from ..mechanism.fields import at, FieldError, keys_of, mapping, normalise, shown
@@ -212,8 +213,9 @@ class Scene:
         for key, effect in self.effects.items():
             with at('effects', key):
                 name(key)
-                if type(effect) not in EFFECTS.values():
-                    raise FieldError('a record of effects.registry', shown(effect))
+                if type(effect) not in EFFECTS.values() and not isinstance(effect, TracedEffect):
+                    raise FieldError('a record of effects.registry, or of a class with trace',
+                                     shown(effect))
                 effect.fit(self.mechanism)
         with at('effects'):
             require_one_drive_each(self.effects)

@@ -1254,6 +1254,11 @@ class Simulation(Readings):
         was = effects.records.get(name), effects.enabled.get(name)
         anew = effects.change(name, enabled, parameters)
         self._fresh = False
+        try:
+            self._require_finite_laws()
+        except FieldError:
+            effects.put(name, *was)
+            raise
         if effects.records[name].STIFFENS:
             self._require_stable(name, was)
         return anew

@@ -79,3 +79,25 @@ def test_a_force_follows_its_topic(make_node, tmp_path):
     assert node.simulation.effects['push'].force == (3.0, -1.0)
     node._effects.on_force('push', Vector3(x=float('nan')))
     assert node.simulation.effects['push'].force == (3.0, -1.0)
+
+
+def test_numbers_with_names_of_their_own_are_parameters(make_node, tmp_path):
+    path = tmp_path / 'scene.yaml'
+    path.write_text(
+        'mechanism: slider_crank\n'
+        'initial:\n'
+        '  position: {crank_joint: 1.0472, rod_joint: -1.34, slider_joint: 0.3372}\n'
+        '  hold: [crank_joint]\n'
+        'effects: {brake: {type: law, joints: {x: crank_joint}, rates: {v: x}, '
+        'parameters: {c: 0.5, d: 1.0}, forces: {x: -c*v - d}}}\n')
+    node = make_node(SimulatorNode, scene=str(path))
+    assert node.get_parameter('effects.brake.parameters.c').value == 0.5
+    assert node.get_parameter('effects.brake.forces.x').value == '-c*v - d'
+    result = node.set_parameters_atomically([
+        Parameter('effects.brake.parameters.c', value=2.0)])
+    assert result.successful
+    assert node.simulation.effects['brake'].parameters == {'c': 2.0, 'd': 1.0}
+    result = node.set_parameters_atomically([
+        Parameter('effects.brake.forces.x', value='-c*v - __import__("os")')])
+    assert not result.successful and 'effects.brake.forces.x' in result.reason
+    assert node.simulation.effects['brake'].forces == {'x': '-c*v - d'}

@@ -7,13 +7,16 @@ from llvmlite import ir
 
 from . import sincos
 from .expression_graph import (
-    ADD, BOTH, CHOOSE, COSINE, DIVIDE, GREATER_EQUAL, LESS, LOAD, MULTIPLY, needed_for, NEGATE, Q,
-    QD, SINE, SQUARE_ROOT, SUBTRACT)
+    ADD, ARCTANGENT, BOTH, CHOOSE, COSINE, DIVIDE, EXPONENTIAL, GREATER_EQUAL, LESS, LOAD,
+    LOGARITHM, MULTIPLY, needed_for, NEGATE, POWER, Q, QD, SINE, SQUARE_ROOT, SUBTRACT)
 
 _DOUBLE, _WORD = ir.DoubleType(), ir.IntType(64)
 _FUNCTION = ir.FunctionType(_WORD, [_WORD.as_pointer()] + 2 * [_DOUBLE.as_pointer()])
 # A multiplication and an addition may become one instruction that rounds once.
 _FLAGS = ('contract',)
+# Functions of the C library, by the operations of a law of force.
+_LIBRARY = {SINE: 'sin', COSINE: 'cos', EXPONENTIAL: 'exp', LOGARITHM: 'log', ARCTANGENT: 'atan2',
+            POWER: 'pow'}
 _ARITHMETIC = {ADD: 'fadd', SUBTRACT: 'fsub', MULTIPLY: 'fmul', DIVIDE: 'fdiv'}
 
 
@@ -126,6 +129,22 @@ class PieceWriter(Writer):
     def address(self, source, place):
         """Return the address of a number of a row."""
         return self.builder.gep(self.function.args[source], [_WORD(place)])
+
+
+class LawWriter(PieceWriter):
+    """Writes a law of force: it has few sines, and functions of the C library."""
+
+    def turn(self, operations, angles):
+        """Leave sines and cosines where they stand: one may be within another."""
+
+    def arithmetic(self, kind, *numbers):
+        """Return the result of an operation on values."""
+        if kind not in _LIBRARY:
+            return super().arithmetic(kind, *numbers)
+        name, module = _LIBRARY[kind], self.function.module
+        function = module.globals.get(name) or ir.Function(
+            module, ir.FunctionType(_DOUBLE, len(numbers) * [_DOUBLE]), name)
+        return self.builder.call(function, numbers)
 
 
 def intermediate_code(routines, writer):

@@ -12,9 +12,12 @@ added.
 
 import math
 
-# Operations. A LOAD names an input and the place in it; a SINE and a COSINE their angle.
+# Operations. A LOAD names an input and the place in it; a SINE and a COSINE their angle. The last
+# four are in laws of force alone.
 (LOAD, ADD, SUBTRACT, MULTIPLY, DIVIDE, NEGATE, SINE, COSINE, LESS, GREATER_EQUAL, CHOOSE,
- BOTH, SQUARE_ROOT) = range(13)
+ BOTH, SQUARE_ROOT, EXPONENTIAL, LOGARITHM, ARCTANGENT, POWER) = range(17)
+# Whole exponents up to this one are multiplications.
+LARGEST_PRODUCT = 16
 # Inputs beside those of a function table: coordinates and rates.
 Q, QD = -1, -2
 
@@ -197,6 +200,28 @@ class Symbol:
         """Negate; twice is nothing."""
         return self._negated() if self._operation() == NEGATE else self._put(NEGATE, self)
 
+    def __pos__(self):
+        """Leave it as it is."""
+        return self
+
+    def __abs__(self):
+        """Return the size."""
+        return chosen(self < 0.0, -self, self)
+
+    def __pow__(self, exponent):
+        """Raise to a power; whole ones that are small are products."""
+        if isinstance(exponent, Symbol) or exponent != int(exponent) or (
+                abs(exponent) > LARGEST_PRODUCT):
+            return self._put(POWER, self, exponent)
+        product = 1.0
+        for digit in f'{abs(int(exponent)):b}':
+            product = product * product * (self if digit == '1' else 1.0)
+        return product if exponent >= 0.0 else 1.0 / product
+
+    def __rpow__(self, base):
+        """Raise a number to a power."""
+        return self._put(POWER, base, self)
+
     def __lt__(self, other):
         """Compare."""
         return self._put(LESS, self, other)
@@ -241,11 +266,32 @@ def square_root(value):
     return value._put(SQUARE_ROOT, value) if isinstance(value, Symbol) else math.sqrt(value)
 
 
+def exponential(value):
+    """Return e to a number or a symbol."""
+    return value._put(EXPONENTIAL, value) if isinstance(value, Symbol) else math.exp(value)
+
+
+def logarithm(value):
+    """Return the natural logarithm of a number or a symbol."""
+    return value._put(LOGARITHM, value) if isinstance(value, Symbol) else math.log(value)
+
+
+def arctangent(y, x):
+    """Return the angle of (x, y), numbers or symbols."""
+    graph = next((one.graph for one in (y, x) if isinstance(one, Symbol)), None)
+    return math.atan2(y, x) if graph is None else graph.put(ARCTANGENT, *map(_operand, (y, x)))
+
+
 def chosen(condition, yes, no):
     """Return one of two values, without a branch; both are computed."""
     if isinstance(condition, bool):
         return yes if condition else no
     return condition._put(CHOOSE, condition, yes, no)
+
+
+def smaller(first, second):
+    """Return the smaller of two numbers, as ``min`` does."""
+    return chosen(second < first, second, first)
 
 
 def larger(first, second):

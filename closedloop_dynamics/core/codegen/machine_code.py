@@ -14,9 +14,9 @@ from importlib import import_module
 from .. import cache
 
 # How routines are written: module and class.
-SCALAR, PIECE, LANES, PACKED = (
-    ('.emit', 'Writer'), ('.emit', 'PieceWriter'), ('.lane_writer', 'LaneWriter'),
-    ('.packed_writer', 'PackedWriter'))
+SCALAR, PIECE, LAW, LANES, PACKED = (
+    ('.emit', 'Writer'), ('.emit', 'PieceWriter'), ('.emit', 'LawWriter'),
+    ('.lane_writer', 'LaneWriter'), ('.packed_writer', 'PackedWriter'))
 # Passes of higher levels take time and make this code no faster: it has no loops.
 OPTIMISATION = 1
 # Machine code in use: it must stay where it is as long as the process lives.
@@ -34,7 +34,7 @@ def machine_code(key, routines, form):
     routines : callable
         Returns the list of Routine; called only where nothing is stored.
     form : tuple
-        ``SCALAR``, ``PIECE``, ``LANES`` or ``PACKED``.
+        ``SCALAR``, ``PIECE``, ``LAW``, ``LANES`` or ``PACKED``.
 
     Returns
     -------

@@ -1,0 +1,303 @@
+# SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""
+Laws of force that are traced: run once on symbols, then compiled.
+
+A law measures coordinates: of joints, distances between points, components of the places of
+points. What it pushes with along a coordinate x does the power ``F x'``. Its parameters are inputs
+of the code, so that a change of them compiles nothing. The engine calls the code from
+``traced_laws.cpp``.
+
+"""
+
+from dataclasses import fields
+import math
+
+from .effect import Effect, require_point
+from .table import (
+    DISSIPATED, ForceElement, OWN, SPATIAL_TRACED, State, TRACED, VALUE_COLUMNS, WORK)
+from ..core.codegen.expression_graph import ExpressionGraph, LOAD, Routine, Symbol
+from ..core.codegen.machine_code import LAW, machine_code
+from ..mechanism.checks import name as name_check
+from ..mechanism.checks import one_of, vector2, vector3
+from ..mechanism.fields import at, FieldError, shown
+
+# Inputs and outputs of a routine: parameters; the time, then each coordinate and its rate; own
+# states; forces, rates of states, stored energy, dissipated power, readings.
+PARAMETERS, MEASURED, STATES, RESULTS = range(4)
+# What is measured.
+JOINT, DISTANCE, COMPONENT = range(3)
+AXES = ('x', 'y', 'z')
+MOST_COORDINATES, MOST_STATES, MOST_READINGS = 16, 16, 3
+# Numbers of an entry of the law's data.
+COLUMNS = 9
+# Addresses of what was compiled, by what it computes.
+_compiled = {}
+
+
+class Coordinate:
+    """
+    What a law measures, and pushes along.
+
+    Attributes
+    ----------
+    value, rate : Symbol
+        [rad; m] and their rates.
+    force : Symbol or float
+        Sum of what was pushed with [N m; N].
+
+    """
+
+    def __init__(self, value, rate):
+        """Begin without a force."""
+        self.value, self.rate, self.force = value, rate, 0.0
+
+    def push(self, force):
+        """Add a force: in the direction in which the coordinate grows."""
+        self.force = self.force + force
+
+
+class Tracing:
+    """
+    What a law sees and does while it is traced.
+
+    Parameters
+    ----------
+    parameters : sequence of str
+        Names of the law's numbers.
+
+    Attributes
+    ----------
+    coordinates : list of Coordinate
+        In the order in which they were asked for.
+    entries : list of tuple
+        What each of them is: JOINT and its name; DISTANCE and two ends, names of points or places
+        in the world; COMPONENT, a point and an axis.
+    states : dict of str to State
+        By name.
+    follows_time : bool
+        Whether the time was asked for.
+
+    """
+
+    def __init__(self, parameters):
+        """Begin with nothing."""
+        self.graph, self._parameters = ExpressionGraph(), tuple(parameters)
+        self.coordinates, self.entries, self.states, self.follows_time = [], [], {}, False
+        self.rates, self.readings, self.energy, self.dissipation = {}, {}, None, None
+
+    def parameter(self, name):
+        """Return the symbol of a number of the effect, by its key."""
+        return self.graph.put(LOAD, PARAMETERS, self._parameters.index(name))
+
+    @property
+    def time(self):
+        """Return the symbol of the time [s]."""
+        self.follows_time = True
+        return self.graph.put(LOAD, MEASURED, 0)
+
+    def joint(self, name):
+        """Return the coordinate of a joint of the tree [rad; m]."""
+        return self._coordinate(JOINT, name)
+
+    def distance(self, one, other):
+        """Return the distance of two ends: names of points, or places in the world [m]."""
+        return self._coordinate(DISTANCE, one, other)
+
+    def component(self, point, axis):
+        """Return a component, ``x``, ``y`` or ``z``, of the place of a named point [m]."""
+        return self._coordinate(COMPONENT, point, axis)
+
+    def _coordinate(self, *entry):
+        place = 1 + 2 * len(self.entries)
+        self.entries.append(entry)
+        self.coordinates.append(Coordinate(
+            self.graph.put(LOAD, MEASURED, place), self.graph.put(LOAD, MEASURED, place + 1)))
+        return self.coordinates[-1]
+
+    def state(self, name, start=0.0, scale=1.0):
+        """
+        Return the symbol of a new state of the effect.
+
+        Parameters
+        ----------
+        name : str
+            For ``rate``.
+        start : float
+            Its value at the start.
+        scale : float
+            Its size, for error control.
+
+        """
+        self.states[name] = State(OWN, scale, start)
+        return self.graph.put(LOAD, STATES, len(self.states) - 1)
+
+    def rate(self, name, value):
+        """Set the rate of a state."""
+        self.rates[name] = value
+
+    def store(self, energy):
+        """Set the energy that the effect stores [J]."""
+        self.energy = energy
+
+    def dissipate(self, power):
+        """Set the power that the effect dissipates [W]."""
+        self.dissipation = power
+
+    def reading(self, name, value):
+        """Let a number be read as one of ``Simulation.effect_readings``; three at most."""
+        self.readings[name] = value
+
+    @property
+    def results(self):
+        """Return the results of the routine: a list of Symbol or float."""
+        readings = list(self.readings.values())
+        return [*(one.force for one in self.coordinates),
+                *(self.rates[name] for name in self.states),
+                *(0.0 if one is None else one for one in (self.energy, self.dissipation)),
+                *readings, *(MOST_READINGS - len(readings)) * (0.0,)]
+
+
+class TracedEffect(Effect):
+    """
+    An effect whose law is a method ``trace``; a frozen dataclass.
+
+    Where the law tells neither ``store`` nor ``dissipate``, its power is work from outside.
+    Otherwise these two are all of it, and the energy balance tells whether that is so.
+    """
+
+    READINGS = ('power',)
+
+    def __post_init__(self):
+        """Check the fields, and trace the law."""
+        super().__post_init__()
+        tracing = Tracing(self.numbers())
+        self.trace(tracing)
+        _require_complete(tracing)
+        object.__setattr__(self, 'traced', tracing)
+        object.__setattr__(self, 'READINGS', ('power', *tracing.readings))
+
+    def trace(self, law):
+        """
+        State the law.
+
+        Parameters
+        ----------
+        law : Tracing
+            What the law sees and does; for branches there is
+            ``core.codegen.expression_graph.chosen``.
+
+        """
+        raise NotImplementedError
+
+    def numbers(self):
+        """Return the parameters of the law by name: fields that are numbers."""
+        return {field.name: getattr(self, field.name) for field in fields(self)
+                if type(getattr(self, field.name)) is float}
+
+    @property
+    def pushed(self):
+        """Return the name of the one coordinate that it pushes along, as a tuple."""
+        return ()
+
+    def where(self, entry):
+        """Return the keys under which an entry of ``Tracing.entries`` stands."""
+        return ()
+
+    def fit(self, mechanism):
+        """Refuse a mechanism without the joints and points of the law."""
+        super().fit(mechanism)
+        axes = AXES[:2] if mechanism.planar else AXES
+        for place, (kind, *ends) in enumerate(self.traced.entries):
+            with at(*self.where(place)):
+                if kind == JOINT:
+                    one_of(mechanism.coordinates.single_names, 'one of the joints of the tree')(
+                        *ends)
+                elif kind == COMPONENT:
+                    require_point(mechanism, 0, ends[0])
+                    with at(1):
+                        one_of(axes)(ends[1])
+                else:
+                    for index, end in enumerate(ends):
+                        if isinstance(end, str):
+                            require_point(mechanism, index, end)
+                        else:
+                            with at(index):
+                                (vector2 if mechanism.planar else vector3)(end)
+
+    def element(self, machine):
+        """Return the effect as a row of the table."""
+        law, clock = self.traced, ()
+        if law.follows_time:
+            clock = (State(OWN),)
+        booked = law.energy is not None or law.dissipation is not None
+        head = float(len(clock)), float(len(law.states)), float(booked)
+        data = head, *(_entry(machine, *entry) for entry in law.entries)
+        kind = TRACED if machine.mechanism.planar else SPATIAL_TRACED
+        return ForceElement(
+            kind, (len(law.entries), _address(law)), tuple(self.numbers().values()),
+            (*clock, *law.states.values(), State(DISSIPATED if booked else WORK)),
+            data=tuple((*entry, *(COLUMNS - len(entry)) * (0.0,)) for entry in data))
+
+    def clock(self, time):
+        """Return the time, where the law asks for it."""
+        return (time,) if self.traced.follows_time else None
+
+    def require_finite(self, output, rates):
+        """Refuse a law that is not finite."""
+        law = self.traced
+        own = rates[int(law.follows_time):]
+        # At rest the power is zero, but not of an infinite force.
+        named = [(('forces', *self.pushed), output[1]), (('energy',), output[0]),
+                 *((('readings', key), value) for key, value in zip(law.readings, output[2:])),
+                 *((('states', key), value) for key, value in zip(law.states, own)),
+                 (('dissipation',), own[len(law.states)])]
+        for path, value in named:
+            if not math.isfinite(value):
+                raise FieldError('a finite value in the present state', f'{value}', path=path)
+
+
+def _require_complete(law):
+    """Refuse a law with branches, states without rates, or more than there is room for."""
+    if law.graph.guard is not None:
+        raise FieldError('a law without if, min and max of Python on what it measures', 'a branch',
+                         'take chosen, smaller and larger of core.codegen.expression_graph')
+    for name in {**law.states, **law.rates}:
+        name_check(name)
+        if name not in law.rates or name not in law.states:
+            raise FieldError(f'a rate of each state, and of no other ({", ".join(law.states)})',
+                             f'none of {name}' if name in law.states else f'one of {name}')
+    for what, found, most in (
+            ('coordinates', law.entries, MOST_COORDINATES), ('states', law.states, MOST_STATES),
+            ('readings', law.readings, MOST_READINGS),
+            ('parameters', law._parameters, VALUE_COLUMNS)):
+        if len(found) > most:
+            raise FieldError(f'at most {most} {what}', f'{len(found)}', path=(what,))
+    for value in law.results:
+        if not isinstance(value, (Symbol, float, int)):
+            raise FieldError('arithmetic on symbols and numbers', shown(value))
+
+
+def _entry(machine, kind, *ends):
+    """Return what is measured as an entry of the row's data."""
+    if kind == JOINT:
+        return kind, machine.joint(*ends)
+    if kind == COMPONENT:
+        row, place = machine.point(ends[0])
+        return kind, row, AXES.index(ends[1]), *place
+    rows, places = zip(*(
+        machine.point(end) if isinstance(end, str) else (0, end) for end in ends))
+    return kind, *rows, *places[0], *(3 - len(places[0])) * (0.0,), *places[1]
+
+
+def _address(law):
+    """Return the address of a law's routine."""
+    outputs = [(RESULTS, place, value) for place, value in enumerate(law.results)]
+    known = tuple(law.graph.operations), tuple(
+        value.place if isinstance(value, Symbol) else float(value) for _, _, value in outputs)
+    key = repr(known)
+    if key not in _compiled:
+        _compiled[key] = machine_code(
+            ('law', known), lambda: [Routine('law', law.graph, outputs)], LAW)('law')
+    return _compiled[key]
