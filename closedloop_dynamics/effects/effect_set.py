@@ -401,6 +401,11 @@ class EffectSet:
             key: float(value) for key, value in zip(self.records[name].READINGS, values[1:])}}
 
     @property
+    def laws(self):
+        """Laws of users that are switched on: traced_effect.Tracing by their rows."""
+        return {self._rows.index(name): self.records[name].traced for name in self.traced}
+
+    @property
     def traced(self):
         """Names of the effects whose laws are code that users wrote."""
         return [name for name in self._rows

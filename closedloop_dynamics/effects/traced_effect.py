@@ -158,6 +158,12 @@ class Tracing:
                 *(0.0 if one is None else one for one in (self.energy, self.dissipation)),
                 *readings, *(MOST_READINGS - len(readings)) * (0.0,)]
 
+    @property
+    def arithmetic(self):
+        """Return all that the code of the law depends on, as text."""
+        return repr((self.graph.operations, [
+            value.place if isinstance(value, Symbol) else float(value) for value in self.results]))
+
 
 class TracedEffect(Effect):
     """
@@ -293,11 +299,9 @@ def _entry(machine, kind, *ends):
 
 def _address(law):
     """Return the address of a law's routine."""
-    outputs = [(RESULTS, place, value) for place, value in enumerate(law.results)]
-    known = tuple(law.graph.operations), tuple(
-        value.place if isinstance(value, Symbol) else float(value) for _, _, value in outputs)
-    key = repr(known)
+    key = law.arithmetic
     if key not in _compiled:
+        outputs = [(RESULTS, place, value) for place, value in enumerate(law.results)]
         _compiled[key] = machine_code(
-            ('law', known), lambda: [Routine('law', law.graph, outputs)], LAW)('law')
+            ('law', key), lambda: [Routine('law', law.graph, outputs)], LAW)('law')
     return _compiled[key]

@@ -9,13 +9,16 @@ smooth functions of the state. A row of the table of effects tells whose paramet
 
 """
 
+from functools import partial
+
 import numpy as np
 
 from .registry import effect_type
 from .table import (
-    EXTERNAL_FORCE, FIRST, JOINT_DAMPING, JOINT_SPRING, POINT_SPRING, SECOND, SPATIAL_FORCE,
-    SPATIAL_POINT_SPRING)
-from ..core.codegen.expression_graph import chosen, square_root
+    DATA, EXTERNAL_FORCE, FIRST, JOINT_DAMPING, JOINT_SPRING, POINT_SPRING, SECOND, SPATIAL_FORCE,
+    SPATIAL_POINT_SPRING, SPATIAL_TRACED, TRACED)
+from .traced_effect import COLUMNS, COMPONENT, JOINT, MEASURED, PARAMETERS
+from ..core.codegen.expression_graph import chosen, replayed, square_root
 from ..core.codegen.vectors import add, dot, in_space, scale, subtract, ZERO
 
 # Why other effects have no law here, by the name of their type.
@@ -49,13 +52,20 @@ def refused(effects):
     """
     found = {}
     for name, element in effects.by_name.items():
-        if effects.enabled[name] and element.kind not in LAWS:
-            kind = effect_type(effects.records[name])
+        kind = effect_type(effects.records[name])
+        if not effects.enabled[name]:
+            continue
+        if element.kind in (TRACED, SPATIAL_TRACED):
+            law = effects.records[name].traced
+            if law.follows_time or law.states:
+                found[name] = f'{kind}: ' + (
+                    'it follows the time' if law.follows_time else 'it has states of its own')
+        elif element.kind not in LAWS:
             found[name] = f'{kind}: {_REASONS.get(kind, "only the engine has its law")}'
     return found
 
 
-def act(table, forces):
+def act(table, forces, laws=None):
     """
     Let effects act.
 
@@ -65,12 +75,66 @@ def act(table, forces):
         Its kinds and indices are read; numbers are the forces' symbols.
     forces : core.codegen.scene_routines.Forces
         What they do is added there.
+    laws : dict of int to traced_effect.Tracing, optional
+        Laws of users, by rows; where their points are is no input.
 
     """
     if table is None:
         return
     for row in np.flatnonzero(table.enabled):
-        LAWS[table.kind[row]](forces, *table.index[row, [FIRST, SECOND]], forces.numbers(row))
+        if laws and row in laws:
+            _of_user(forces, laws[row], entries_of(table, row), forces.numbers(row))
+        else:
+            LAWS[table.kind[row]](forces, *table.index[row, [FIRST, SECOND]], forces.numbers(row))
+
+
+def entries_of(table, row):
+    """Return what a law of users measures, shape (coordinates, COLUMNS)."""
+    begin, count = table.index[row, DATA] + COLUMNS, table.index[row, FIRST]
+    return table.data[begin:begin + COLUMNS * count].reshape(count, COLUMNS)
+
+
+def _of_user(forces, law, entries, values):
+    measured, pushes = [None], []
+    for kind, first, second, *places in entries.tolist():
+        first, second = int(first), int(second)
+        if kind == JOINT:
+            measured += [forces.coordinate(first), forces.rate(first)]
+            pushes.append(partial(forces.twist, first))
+        elif kind == COMPONENT:
+            offset = forces.turned(first, places[:3])
+            measured += [each[second] for each in forces.place(first, offset)]
+            pushes.append(partial(_push_along, forces, second, first, offset))
+        else:
+            offsets, direction, length, rate = _line(
+                forces, (first, second), (places[:3], places[3:]))
+            measured += [length, rate]
+            pushes.append(partial(_push_apart, forces, (first, second), offsets, direction))
+    inputs = {PARAMETERS: values, MEASURED: measured}
+    results = replayed(law.graph, law.results, lambda source, place: inputs[source][place])
+    for push, force in zip(pushes, results):
+        push(force)
+    forces.store(results[len(entries) + len(law.states)])
+
+
+def _push_along(forces, axis, body, offset, force):
+    forces.push(body, offset, tuple(force if k == axis else 0.0 for k in range(3)))
+
+
+def _push_apart(forces, bodies, offsets, direction, force):
+    for body, offset, sign in zip(bodies, offsets, (-1.0, 1.0)):
+        forces.push(body, offset, scale(direction, sign * force))
+
+
+def _line(forces, bodies, places):
+    """Return offsets of two points, the direction from one to the other, length and its rate."""
+    offsets = [forces.turned(body, place) for body, place in zip(bodies, places)]
+    (place_a, rate_a), (place_b, rate_b) = map(forces.place, bodies, offsets)
+    gap = subtract(place_b, place_a)
+    length = square_root(dot(gap, gap))
+    # Where the points meet the gap is zero, and so is the force.
+    direction = scale(gap, 1.0 / chosen(length > 0.0, length, 1.0))
+    return offsets, direction, length, dot(direction, subtract(rate_b, rate_a))
 
 
 def _joint_damping(forces, joint, _, values):
@@ -86,19 +150,11 @@ def _joint_spring(forces, joint, _, values):
 def _point_spring(size):
     def law(forces, first, second, values):
         stiffness, damping, free = values[:3]
-        offsets = [forces.turned(body, values[at:at + size])
-                   for body, at in ((first, 3), (second, 3 + size))]
-        (place_a, rate_a), (place_b, rate_b) = (
-            forces.place(body, offset) for body, offset in zip((first, second), offsets))
-        gap = subtract(place_b, place_a)
-        length = square_root(dot(gap, gap))
-        # Where the points meet the gap is zero, and so is the force.
-        direction = scale(gap, 1.0 / chosen(length > 0.0, length, 1.0))
+        bodies = first, second
+        offsets, direction, length, rate = _line(
+            forces, bodies, (values[3:3 + size], values[3 + size:3 + 2 * size]))
         stretch = length - free
-        tension = stiffness * stretch + damping * dot(direction, subtract(rate_b, rate_a))
-        force = scale(direction, tension)
-        forces.push(first, offsets[0], force)
-        forces.push(second, offsets[1], tuple(0.0 - x for x in force))
+        _push_apart(forces, bodies, offsets, direction, -(stiffness * stretch + damping * rate))
         forces.store(0.5 * (stiffness * (stretch * stretch)))
     return law
 

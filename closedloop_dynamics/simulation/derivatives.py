@@ -14,7 +14,7 @@ from ..core.codegen.machine_code import machine_code, SCALAR
 from ..core.codegen.routines import topology
 from ..core.codegen.scene_routines import VALUES
 from ..effects.table import FIRST, SECOND, VALUE_COLUMNS
-from ..effects.traced_laws import act, refused
+from ..effects.traced_laws import act, entries_of, refused
 from ..engine import native
 
 
@@ -107,7 +107,7 @@ class Differentiator:
                 f'{simulation.scene.name} has no derivatives: ' + '; '.join(
                     f'{what} ({why})' for what, why in reasons.items()))
         self._simulation = simulation
-        self._enabled = dict(simulation.effect_set.enabled)
+        self._enabled, self._laws = dict(simulation.effect_set.enabled), _laws(simulation)
         self._system = system = simulation.system
         nv, nc = len(system.qdd), len(system.lam)
         self._qdd, self._lam = np.zeros(nv), np.zeros(nc)
@@ -122,7 +122,8 @@ class Differentiator:
                 DERIVATIVE: self._found, RATE: self._rates}.items():
             self._table[place] = array.ctypes.data
         rows = () if effects is None else tuple(
-            (row, int(effects.kind[row]), *effects.index[row, [FIRST, SECOND]].tolist())
+            (row, int(effects.kind[row]),
+             *self._laws.get(row, effects.index[row, [FIRST, SECOND]].tolist()))
             for row in np.flatnonzero(effects.enabled).tolist())
         key = 'derivatives', topology(system.model), rows, self._values.shape
         self._table[0] = machine_code(key, self._routines, SCALAR)('derivatives')
@@ -131,7 +132,9 @@ class Differentiator:
         """Unroll the derivatives."""
         effects = self._system.effects
         one = DerivativeUnrolling(
-            self._system.model, lambda forces: act(effects, forces), self._values.shape)
+            self._system.model,
+            lambda forces: act(effects, forces, self._simulation.effect_set.laws),
+            self._values.shape)
         one.derivatives()
         return [one.named('derivatives')]
 
@@ -166,6 +169,9 @@ class Differentiator:
         if self._enabled != self._simulation.effect_set.enabled:
             raise SimulationError(
                 'Other effects are switched on now: make a new Differentiator.')
+        if self._laws and self._laws != _laws(self._simulation):
+            raise SimulationError(
+                'Effects have other expressions or ends now: make a new Differentiator.')
         self._qdd[:], _ = self._simulation.forward_dynamics(position, velocity, torque)
         self._lam[:] = self._system.lam
         q, qd = (np.ascontiguousarray(one, dtype=float) for one in (position, velocity))
@@ -179,3 +185,9 @@ class Differentiator:
         parts = [part.T.copy() for part in self._found.reshape(3, nv, -1)]
         return Derivatives(self._qdd.copy(), self._lam.copy(), *parts,
                            self._rates[nv:].T.copy(), self._rates[:nv].T.copy())
+
+
+def _laws(simulation):
+    """Return what code of users' laws depends on, by rows: arithmetic, and what is measured."""
+    table, laws = simulation.system.effects, simulation.effect_set.laws
+    return {row: (law.arithmetic, entries_of(table, row).tolist()) for row, law in laws.items()}

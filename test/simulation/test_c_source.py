@@ -15,6 +15,7 @@ from closedloop_dynamics.core.codegen.c_writer import SINE_AND_COSINE
 from closedloop_dynamics.effects.external_force import ExternalForce
 from closedloop_dynamics.effects.joint_damping import JointDamping
 from closedloop_dynamics.effects.joint_spring import JointSpring
+from closedloop_dynamics.effects.law import Law
 from closedloop_dynamics.effects.payload import Payload
 from closedloop_dynamics.effects.point_spring import PointSpring
 from closedloop_dynamics.simulation.c_source import c_source
@@ -136,6 +137,8 @@ def test_effects_are_carried_in_the_plane(tmp_path):
         'strut': PointSpring(points[0], None, (0.1, 0.7), 20.0, 0.3, 0.1),
         'push': ExternalForce(points[1], (0.4, -0.3), 0.05, 'body'),
         'pull': ExternalForce(points[-1], (-0.2, 0.1), 0.01),
+        'own': Law({'q': '-k*atan2(q, 2)*exp(-q)', 'd': 'log(d)**k'}, joints={'q': 'theta_3'},
+                   distances={'d': (points[0], (3.0, 3.0))}, parameters={'k': 3.0}),
         'tool': Payload(bodies[-1], 0.3, (0.02, 0.01), 1e-4)})
     require_same_run(tmp_path, simulation)
     assert simulation.effect_readings('strut')['stored_energy'] > 0.0

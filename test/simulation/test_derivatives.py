@@ -7,10 +7,12 @@ from dataclasses import replace
 
 from closedloop_dynamics.core.codegen.derivatives import differentiated
 from closedloop_dynamics.core.codegen.expression_graph import (
-    chosen, cosine, ExpressionGraph, LOAD, Q, sine, square_root)
+    arctangent, chosen, cosine, exponential, ExpressionGraph, LOAD, logarithm, Q, sine,
+    square_root)
 from closedloop_dynamics.effects.external_force import ExternalForce
 from closedloop_dynamics.effects.joint_damping import JointDamping
 from closedloop_dynamics.effects.joint_spring import JointSpring
+from closedloop_dynamics.effects.law import Law
 from closedloop_dynamics.effects.point_spring import PointSpring
 from closedloop_dynamics.engine import native
 from closedloop_dynamics.simulation.derivatives import Differentiator
@@ -116,6 +118,48 @@ def test_derivatives_in_space_with_effects():
         step=2e-3)
 
 
+def test_derivatives_of_laws_of_users():
+    one, two = [point.name for point in load_scene('three_rrr').mechanism.points][:2]
+    in_plane = Law(
+        {'q': '-k*sin(q)*abs(v) - v**3 + 0.1*exp(-q)', 'd': 'k*atan2(d, w + 2) - log(d)',
+         'y': 'min(y, 5)*c**y', 'x': '(x*x + 1)**q'},
+        joints={'q': 'theta_1'}, distances={'d': (one, (0.1, 0.7))},
+        components={'y': (two, 'y'), 'x': (one, 'x')}, rates={'v': 'q', 'w': 'd'},
+        parameters={'k': 0.7, 'c': 1.3})
+    simulation, _ = require_derivatives('three_rrr', {'it': in_plane})
+    assert np.isfinite(simulation.effect_readings('it')['power'])
+    mechanism = load_scene('rssr_four_bar').mechanism
+    point = mechanism.points[0].name
+    in_space = Law({'d': '-k*d**1.5 - w', 'z': 'hypot(z, d)'},
+                   distances={'d': (point, (0.1, 0.2, 0.7))}, components={'z': (point, 'z')},
+                   rates={'w': 'd'}, parameters={'k': 9.0})
+    require_derivatives('rssr_four_bar', {'it': in_space}, step=2e-3)
+
+
+def test_laws_of_users_whose_arithmetic_has_changed_are_differentiated_anew():
+    law = Law({'q': '-k*q'}, joints={'q': 'crank_joint'}, parameters={'k': 2.0})
+    simulation = simulation_of('four_bar', {'it': law})
+    state = simulation.position, simulation.velocity
+    differentiate = Differentiator(simulation)
+    before = differentiate(*state)
+    simulation.set_effect('it', parameters={'k': 5.0})
+    after, again = differentiate(*state), Differentiator(simulation)(*state)
+    assert not np.allclose(after.by_position, before.by_position, rtol=1e-3)
+    np.testing.assert_array_equal(after.by_position, again.by_position)
+    simulation.set_effect('it', forces={'q': '-k*q*q'})
+    with pytest.raises(SimulationError, match='other expressions'):
+        differentiate(*state)
+
+
+@pytest.mark.parametrize('values, reason', [
+    ({'forces': {'q': 't'}}, 'it follows the time'),
+    ({'forces': {'q': 'z'}, 'states': {'z': '1'}}, 'states of its own')])
+def test_laws_of_users_with_more_than_the_motion_are_refused(values, reason):
+    law = Law(joints={'q': 'crank_joint'}, **values)
+    with pytest.raises(SimulationError, match=f'effects.it .*{reason}'):
+        Differentiator(simulation_of('four_bar', {'it': law}))
+
+
 @pytest.mark.slow
 def test_derivatives_with_orientations():
     simulation, _ = require_derivatives('stewart_platform', duration=0.05)
@@ -168,8 +212,8 @@ def test_every_operation_is_differentiated_as_complex_steps_tell():
     graph = ExpressionGraph()
     x, y = (graph.put(LOAD, Q, place) for place in range(2))
 
-    def formulas(x, y, sine, cosine, root, pick):
-        return [x + y, x - 2.0 * y, x * y * x, y / x, -x * 3.0, sine(x * y), cosine(x / y),
+    def formulas(x, y, sine, cosine, root, pick, power, log, angle):
+        return [power(x * y), log(x + y), angle(y * x, x), x ** y, x ** 2.5, 1.7 ** y, x + y, x - 2.0 * y, x * y * x, y / x, -x * 3.0, sine(x * y), cosine(x / y),
                 root(x * x + y), pick(x, y), 2.0 / (x * sine(y)), x - x]
 
     def evaluated(values):
@@ -181,17 +225,21 @@ def test_every_operation_is_differentiated_as_complex_steps_tell():
                 lambda: one[0] * one[1], lambda: one[0] / one[1], lambda: -one[0],
                 lambda: np.sin(one[0]), lambda: np.cos(one[0]), lambda: one[0] < one[1],
                 lambda: one[0] >= one[1], lambda: one[1] if one[0] else one[2],
-                lambda: one[0] and one[1], lambda: np.sqrt(one[0]))[kind]())
+                lambda: one[0] and one[1], lambda: np.sqrt(one[0]), lambda: np.exp(one[0]),
+                lambda: np.log(one[0]), lambda: np.arctan2(*one), lambda: one[0] ** one[1])[
+                    kind]())
         return known
 
-    found = formulas(x, y, sine, cosine, square_root, lambda a, b: chosen(a < b, a * a, b))
+    found = formulas(x, y, sine, cosine, square_root, lambda a, b: chosen(a < b, a * a, b),
+                     exponential, logarithm, arctangent)
     seeds = {x.place: 0.7, y.place: -0.4}
     changes = differentiated(graph, found, seeds)
     values = 0.8, 1.3
     known = evaluated(values)
     step = 1e-30
     exact = formulas(*(value + 1j * step * seed for value, seed in zip(values, seeds.values())),
-                     np.sin, np.cos, np.sqrt, lambda a, b: a * a if a.real < b.real else b)
+                     np.sin, np.cos, np.sqrt, lambda a, b: a * a if a.real < b.real else b,
+                     np.exp, np.log, lambda b, a: np.arctan(b / a))
     for change, value in zip(changes, exact):
         number = known[change.place] if hasattr(change, 'place') else change
         assert number == pytest.approx(value.imag / step, rel=1e-13, abs=1e-13)

@@ -5,11 +5,13 @@
 
 from . import sincos
 from .expression_graph import (
-    ADD, BOTH, CHOOSE, COSINE, DIVIDE, GREATER_EQUAL, LESS, LOAD, MULTIPLY, needed_for, NEGATE,
-    SINE, SQUARE_ROOT, SUBTRACT)
+    ADD, ARCTANGENT, BOTH, CHOOSE, COSINE, DIVIDE, EXPONENTIAL, GREATER_EQUAL, LESS, LOAD,
+    LOGARITHM, MULTIPLY, needed_for, NEGATE, POWER, SINE, SQUARE_ROOT, SUBTRACT)
 
 _INFIX = {ADD: '+', SUBTRACT: '-', MULTIPLY: '*', DIVIDE: '/', LESS: '<', GREATER_EQUAL: '>=',
           BOTH: '&'}
+_FUNCTIONS = {SQUARE_ROOT: 'sqrt', EXPONENTIAL: 'exp', LOGARITHM: 'log', ARCTANGENT: 'atan2',
+              POWER: 'pow'}
 _CONDITIONS = (LESS, GREATER_EQUAL, BOTH)
 
 
@@ -98,8 +100,7 @@ def statements(routine, places):
             elif kind == NEGATE:
                 right = f'-{name(operands[0])}'
             else:
-                assert kind == SQUARE_ROOT
-                right = f'sqrt({name(operands[0])})'
+                right = f'{_FUNCTIONS[kind]}({", ".join(map(name, operands))})'
             kind = 'int' if kind in _CONDITIONS else 'double'
             lines.append(f'const {kind} v{place} = {right};')
         written.update(some)

@@ -18,8 +18,8 @@ changes along the loops is what a closing change of all of them adds up to.
 
 from . import elimination, forward_dynamics
 from .expression_graph import (
-    ADD, CHOOSE, chosen, COSINE, DIVIDE, LOAD, MULTIPLY, NEGATE, SINE, SQUARE_ROOT, SUBTRACT,
-    Symbol)
+    ADD, ARCTANGENT, CHOOSE, chosen, COSINE, DIVIDE, EXPONENTIAL, LOAD, LOGARITHM, logarithm,
+    MULTIPLY, NEGATE, POWER, SINE, SQUARE_ROOT, SUBTRACT, Symbol)
 from .function_table import LAM, QDD
 from .routines import zeros
 from .scene_routines import SceneUnrolling
@@ -214,6 +214,15 @@ def differentiated(graph, values, seed):
             found = 0.0 - graph.put(SINE, operands[0]) * changes[0]
         elif kind == SQUARE_ROOT:
             found = 0.5 * changes[0] / Symbol(graph, place)
+        elif kind == EXPONENTIAL:
+            found = changes[0] * Symbol(graph, place)
+        elif kind == LOGARITHM:
+            found = changes[0] / symbol(operands[0])
+        elif kind == ARCTANGENT:
+            y, x = map(symbol, operands)
+            found = (changes[0] * x - changes[1] * y) / (x * x + y * y)
+        elif kind == POWER:
+            found = _of_power(*map(symbol, operands), *changes)
         elif kind == CHOOSE:
             found = chosen(symbol(operands[0]), *changes[1:])
         else:
@@ -222,3 +231,13 @@ def differentiated(graph, values, seed):
         if isinstance(found, Symbol) or found != 0.0:
             known[place] = found
     return [known.get(value.place, 0.0) if isinstance(value, Symbol) else 0.0 for value in values]
+
+
+def _of_power(base, exponent, of_base, of_exponent):
+    """Return the change of a power by those of base and exponent; a zero has no part in it."""
+    found = 0.0
+    if isinstance(of_base, Symbol) or of_base != 0.0:
+        found = exponent * base ** (exponent - 1.0) * of_base
+    if isinstance(of_exponent, Symbol) or of_exponent != 0.0:
+        found = found + base ** exponent * logarithm(base) * of_exponent
+    return found

@@ -14,7 +14,7 @@ _DOUBLE, _WORD = ir.DoubleType(), ir.IntType(64)
 _FUNCTION = ir.FunctionType(_WORD, [_WORD.as_pointer()] + 2 * [_DOUBLE.as_pointer()])
 # A multiplication and an addition may become one instruction that rounds once.
 _FLAGS = ('contract',)
-# Functions of the C library, by the operations of a law of force.
+# Functions of the C library, of laws of force.
 _LIBRARY = {SINE: 'sin', COSINE: 'cos', EXPONENTIAL: 'exp', LOGARITHM: 'log', ARCTANGENT: 'atan2',
             POWER: 'pow'}
 _ARITHMETIC = {ADD: 'fadd', SUBTRACT: 'fsub', MULTIPLY: 'fmul', DIVIDE: 'fdiv'}
@@ -117,8 +117,11 @@ class Writer:
         if kind == SQUARE_ROOT:
             return builder.call(
                 builder.module.declare_intrinsic('llvm.sqrt', [_DOUBLE]), numbers)
-        assert kind == CHOOSE
-        return builder.select(*numbers)
+        if kind == CHOOSE:
+            return builder.select(*numbers)
+        name, module = _LIBRARY[kind], builder.module
+        return builder.call(module.globals.get(name) or ir.Function(
+            module, ir.FunctionType(_DOUBLE, len(numbers) * [_DOUBLE]), name), numbers)
 
 
 class PieceWriter(Writer):
@@ -132,19 +135,10 @@ class PieceWriter(Writer):
 
 
 class LawWriter(PieceWriter):
-    """Writes a law of force: it has few sines, and functions of the C library."""
+    """Writes a law of force, with the few sines that it has one by one."""
 
     def turn(self, operations, angles):
         """Leave sines and cosines where they stand: one may be within another."""
-
-    def arithmetic(self, kind, *numbers):
-        """Return the result of an operation on values."""
-        if kind not in _LIBRARY:
-            return super().arithmetic(kind, *numbers)
-        name, module = _LIBRARY[kind], self.function.module
-        function = module.globals.get(name) or ir.Function(
-            module, ir.FunctionType(_DOUBLE, len(numbers) * [_DOUBLE]), name)
-        return self.builder.call(function, numbers)
 
 
 def intermediate_code(routines, writer):

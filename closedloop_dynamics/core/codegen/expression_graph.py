@@ -11,6 +11,7 @@ added.
 """
 
 import math
+import operator
 
 # Operations. A LOAD names an input and the place in it; a SINE and a COSINE their angle. The last
 # four are in laws of force alone.
@@ -299,3 +300,36 @@ def larger(first, second):
     if first is second or not (isinstance(first, Symbol) or isinstance(second, Symbol)):
         return max(first, second)
     return chosen(second > first, second, first)
+
+
+_AGAIN = {
+    ADD: operator.add, SUBTRACT: operator.sub, MULTIPLY: operator.mul, DIVIDE: operator.truediv,
+    NEGATE: operator.neg, SINE: sine, COSINE: cosine, LESS: operator.lt,
+    GREATER_EQUAL: operator.ge, CHOOSE: chosen, SQUARE_ROOT: square_root,
+    EXPONENTIAL: exponential, LOGARITHM: logarithm, ARCTANGENT: arctangent, POWER: operator.pow}
+
+
+def replayed(graph, values, load):
+    """
+    Compute values again from other inputs.
+
+    Parameters
+    ----------
+    graph : ExpressionGraph
+        Of the values; without a guard.
+    values : sequence of Symbol or float
+        What is computed.
+    load : callable
+        Returns an input, a symbol of another graph or a number, by input and place.
+
+    Returns
+    -------
+    list of Symbol or float
+
+    """
+    known, places = {}, [value.place for value in values if isinstance(value, Symbol)]
+    for place in sorted(needed_for(graph.operations, places)):
+        kind, *operands = graph.operations[place]
+        known[place] = load(*operands) if kind == LOAD else _AGAIN[kind](
+            *(known[one] if isinstance(one, int) else one for one in operands))
+    return [known[value.place] if isinstance(value, Symbol) else value for value in values]
