@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import math
 import os
 from pathlib import Path
+from runpy import run_path
 import sys
 from typing import Callable
 
@@ -73,6 +74,19 @@ def add_scene(parser):
     """Add the argument of a scene."""
     parser.add_argument('scene', metavar='SCENE',
                         help='a shipped scene by its name, or a YAML file')
+    parser.add_argument('--allow-code', type=_run_code, action='append', metavar='FILE',
+                        help='run a Python file of your own first, which registers the effects '
+                             'that the scene names; may be repeated (no scene runs code by '
+                             'itself)')
+
+
+def _run_code(path):
+    """Run a Python file that the user has named, and return its path."""
+    try:
+        run_path(path, run_name=Path(path).stem)
+    except Exception as error:
+        raise ArgumentTypeError(f'{path}: {type(error).__name__}: {error}') from None
+    return path
 
 
 def add_reading(parser):

@@ -213,7 +213,8 @@ def test_every_operation_is_differentiated_as_complex_steps_tell():
     x, y = (graph.put(LOAD, Q, place) for place in range(2))
 
     def formulas(x, y, sine, cosine, root, pick, power, log, angle):
-        return [power(x * y), log(x + y), angle(y * x, x), x ** y, x ** 2.5, 1.7 ** y, x + y, x - 2.0 * y, x * y * x, y / x, -x * 3.0, sine(x * y), cosine(x / y),
+        return [x + y, x - 2.0 * y, x * y * x, y / x, -x * 3.0, sine(x * y), cosine(x / y),
+                power(x * y), log(x + y), angle(y * x, x), x ** y, x ** 2.5, 1.7 ** y,
                 root(x * x + y), pick(x, y), 2.0 / (x * sine(y)), x - x]
 
     def evaluated(values):
